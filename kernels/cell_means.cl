@@ -13,7 +13,7 @@
  * the scans agree, and do not grow.
  *
  * Words of the `observed` pools and the state of a cell: slamfusion/compute/layout.py.
- * Twin: slamfusion/compute/cell_means/numpy.py, by the same names; exact.
+ * Twin: slamfusion/compute/cell_means.py, by the same names; exact.
  */
 #include "common.h"
 #include "tiles.h"

@@ -4,7 +4,7 @@
  * Method: leave-one-out prediction of what a chunk saw by what all others did; a word of bits in
  * place of a map for each chunk. Bits are set by atomic ors, so the result does not depend on the
  * device's schedule.
- * Twin: slamfusion/compute/chunk_marks/numpy.py, by the same names; exact.
+ * Twin: slamfusion/compute/chunk_marks.py, by the same names; exact.
  *
  * seen           uint, TILE_CELLS per tile: bits of chunks
  * hits           uint, FACINGS times TILE_CELLS per tile, one after the other

@@ -2,7 +2,7 @@
  *
  * Method: drop specks; the structure tensor (Bigun and Granlund, ICCV 1987) gives each wall cell its
  * normal; a ray along it crosses its own wall and looks for the next one.
- * Twin: slamfusion/compute/doubled_walls/numpy.py, mark_doubled; exact, in whole numbers. Roots
+ * Twin: slamfusion/compute/doubled_walls.py, mark_doubled; exact, in whole numbers. Roots
  * begin with a float and end with whole numbers.
  * Layout: cells (height, width) uchar, both sides a multiple of NORMAL_BLOCK; a border of two blocks
  * or more, and wide enough for every ray, has no walls: no bounds are checked.

@@ -1,7 +1,7 @@
 /* From trinary cells to what alignment looks at: surface walls, coarse grids, distance and score
  * fields, grids resampled under rigid motions.
  *
- * Twin: slamfusion/compute/fields/numpy.py, by the same names; distance_columns and distance_rows
+ * Twin: slamfusion/compute/fields.py, by the same names; distance_columns and distance_rows
  * are distance_squared, max_pair is a step of max_window. All integer, so kernel and twin agree
  * exactly.
  * Work sizes: any local size; every kernel guards its global size.

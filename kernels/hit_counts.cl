@@ -10,7 +10,7 @@
  * A word of `counts`: hits (16 bits), visits (16); the visits include the hits. A word of `sums`:
  * over the hits, the sum of their offset in the cell in x (16 bits) and in y (16); an offset is 0 to
  * 15, in 1/16 cell, and stands for the middle of its sixteenth.
- * Twin: slamfusion/compute/hit_counts/numpy.py, by the same names; exact. Positions are float32
+ * Twin: slamfusion/compute/hit_counts.py, by the same names; exact. Positions are float32
  * without contraction for that reason.
  */
 #pragma OPENCL FP_CONTRACT OFF

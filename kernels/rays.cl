@@ -3,7 +3,7 @@
  * Source: Amanatides and Woo, A fast voxel traversal algorithm for ray tracing, Eurographics 1987.
  * Unlike there the distance to the next edge is computed at each step and not added up, so
  * that it does not drift and equals the twin's bit for bit.
- * Twin: slamfusion/compute/rays/numpy.py; exact.
+ * Twin: slamfusion/compute/rays.py; exact.
  */
 #include "common.h"
 

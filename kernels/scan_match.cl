@@ -5,7 +5,7 @@
  * contraction, for the same reason. Loops over the hits have no branches and no short vectors, and
  * hits lie side by side: so they turn into vector gathers.
  * Method: Olson, ICRA 2009 (score of a pose as the sum over the hits of a wall likelihood).
- * Twin: slamfusion/compute/scan_match/numpy.py; score_smooth and score_wide are score_poses.
+ * Twin: slamfusion/compute/scan_match.py; score_smooth and score_wide are score_poses.
  */
 #pragma OPENCL FP_CONTRACT OFF
 #include "common.h"

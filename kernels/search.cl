@@ -1,7 +1,7 @@
 /* Score rigid motions: all shifts at once, given poses one by one, blocks of motions from above, and
  * the normal equations that refine a pose below a cell.
  *
- * Twin: slamfusion/compute/search/numpy.py, by the same names; exact, but for refine_terms (float32,
+ * Twin: slamfusion/compute/search.py, by the same names; exact, but for refine_terms (float32,
  * within 1e-3 of the sums).
  */
 #include "common.h"

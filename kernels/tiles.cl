@@ -1,6 +1,6 @@
 /* Tiles of a pool: copied before they are written, and fetched.
  *
- * Twin: slamfusion/compute/tiles/numpy.py, by the same names; exact.
+ * Twin: slamfusion/compute/tiles.py, by the same names; exact.
  */
 #include "common.h"
 #include "tiles.h"

@@ -2,7 +2,7 @@
  *
  * Method: majority of unknown, free and occupied per cell; any tie for first place is occupied
  * ([F16]: two of three decide, three different values give 1); or walls with a tolerance, by weight. Twin:
- * slamfusion/compute/votes/numpy.py, by the same names. All integer, so kernel and twin agree exactly.
+ * slamfusion/compute/votes.py, by the same names. All integer, so kernel and twin agree exactly.
  *
  * Inputs are 1 to MOST_INPUTS grids of `cells` cells, each in its own buffer, so that none is copied
  * to be stacked; arguments beyond `count` are never read. Every work item takes `chunk` cells in a row (a

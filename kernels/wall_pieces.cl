@@ -1,6 +1,6 @@
 /* What each piece of wall of one map meets on the other under a rigid motion.
  *
- * Twin: slamfusion/compute/wall_pieces/numpy.py; exact.
+ * Twin: slamfusion/compute/wall_pieces.py; exact.
  */
 #include "common.h"
 

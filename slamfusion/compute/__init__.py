@@ -1,9 +1,9 @@
 """Everything that runs once per cell, per point or per candidate pose, on a compute device.
 
 Each family of operations (``fields``, ``search``, ``votes``, ``rays``, ``tiles``, ``scan_match``,
-``cell_means``, ``hit_counts``, ``chunk_marks``, ``doubled_walls``, ``wall_pieces``) is a small
-protocol, a ``numpy.py`` that defines it and an ``opencl.py``; ``ComputeDevice`` is all of them.
-``open_device`` chooses the device; the NumPy twins are a device too, for machines without OpenCL.
+``cell_means``, ``hit_counts``, ``chunk_marks``, ``doubled_walls``, ``wall_pieces``) is one module:
+an operation is a method that launches kernels on an OpenCL device and otherwise computes the same
+with NumPy. ``ComputeDevice`` has all of them, and ``open_device`` chooses the device.
 pyopencl is imported here only, and only when an OpenCL device is asked for.
 """
 

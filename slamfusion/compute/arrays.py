@@ -1,14 +1,24 @@
-"""Arrays on a compute device, as whoever hands them from one operation to the next sees them."""
+"""Arrays on a compute device, as callers pass them from one operation to the next."""
 
 from __future__ import annotations
 
-from typing import Any, Protocol, TypeVar
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING, Protocol, TypeAlias, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["ArrayDevice", "DeviceArray"]
+if TYPE_CHECKING:
+    from slamfusion.compute.opencl import OpenCLDevice
 
+I8: TypeAlias = npt.NDArray[np.int8]
+U8: TypeAlias = npt.NDArray[np.uint8]
+U16: TypeAlias = npt.NDArray[np.uint16]
+I32: TypeAlias = npt.NDArray[np.int32]
+U32: TypeAlias = npt.NDArray[np.uint32]
+I64: TypeAlias = npt.NDArray[np.int64]
+F32: TypeAlias = npt.NDArray[np.float32]
+F64: TypeAlias = npt.NDArray[np.float64]
 Scalar = TypeVar("Scalar", bound=np.generic)
 Scalar_co = TypeVar("Scalar_co", bound=np.generic, covariant=True)
 
@@ -16,7 +26,7 @@ Scalar_co = TypeVar("Scalar_co", bound=np.generic, covariant=True)
 class DeviceArray(Protocol[Scalar_co]):
     """An array that stays on its device: shape and dtype are known, the content is not.
 
-    On the device of the NumPy twins it is an ``ndarray``.
+    With NumPy it is an ``ndarray``.
     """
 
     @property
@@ -35,22 +45,36 @@ class DeviceArray(Protocol[Scalar_co]):
         """Return the same memory under another shape of as many elements."""
 
 
-class ArrayDevice(Protocol):
-    """A device that holds arrays: what every family of operations stands on.
+def host(handle: DeviceArray[Scalar]) -> npt.NDArray[Scalar]:
+    """Return an array of the device that is NumPy as what it is."""
+    return cast("npt.NDArray[Scalar]", handle)
+
+
+class ArrayDevice(ABC):
+    """A device that holds arrays; the families of operations are built on it.
+
+    Each operation is one method: with ``opencl`` it launches kernels, otherwise it computes the
+    same with NumPy, which defines the result.
 
     Attributes:
         name: the device in words, for tables and reports.
-        is_opencl: False for the NumPy twins.
     """
 
     name: str
-    is_opencl: bool
 
+    @property
+    def opencl(self) -> OpenCLDevice | None:
+        """What launches kernels; None where NumPy computes."""
+        return None
+
+    @abstractmethod
     def upload(self, array: npt.NDArray[Scalar]) -> DeviceArray[Scalar]:
         """Bring an array to the device; later changes of ``array`` do not reach it."""
 
+    @abstractmethod
     def download(self, handle: DeviceArray[Scalar]) -> npt.NDArray[Scalar]:
         """Bring an array back, shape and dtype kept."""
 
-    def finish(self) -> Any:
-        """Wait until the device has done all that it was told."""
+    @abstractmethod
+    def finish(self) -> None:
+        """Wait until the device has finished all its work."""

@@ -1,37 +1,222 @@
-"""All families on one OpenCL device: an operation is one kernel launch, or two, on one queue."""
+"""``ComputeDevice`` on one OpenCL device: its queue, arrays on it, and launching kernels."""
 
 from __future__ import annotations
 
-from slamfusion.compute.cell_means.opencl import OpenCLCellMeans
-from slamfusion.compute.chunk_marks.opencl import OpenCLChunkMarks
-from slamfusion.compute.doubled_walls.opencl import OpenCLDoubledWalls
-from slamfusion.compute.fields.opencl import OpenCLFields
-from slamfusion.compute.hit_counts.opencl import OpenCLHitCounts
-from slamfusion.compute.rays.opencl import OpenCLRays
-from slamfusion.compute.scan_match.opencl import OpenCLScanMatch
-from slamfusion.compute.search.opencl import OpenCLSearch
-from slamfusion.compute.tiles.opencl import OpenCLTiles
-from slamfusion.compute.votes.opencl import OpenCLVotes
-from slamfusion.compute.wall_pieces.opencl import OpenCLWallPieces
+import math
+import platform
+from dataclasses import dataclass
+from typing import Any, Generic
 
-__all__ = ["OpenCLDevice"]
+import numpy as np
+import numpy.typing as npt
+import pyopencl as cl  # noqa: TID251 - compute/ is where pyopencl belongs
+
+from slamfusion.compute.arrays import DeviceArray, Scalar
+from slamfusion.compute.compute_device import ComputeDevice
+from slamfusion.compute.device import choose_device, is_simulator
+from slamfusion.compute.layout import CLIMBERS, EACH_LANE
+from slamfusion.compute.pocl import is_single_thread
+from slamfusion.compute.program import KernelProgram
+from slamfusion.errors import DeviceError
+
+# PoCL compiles a kernel again for every new work-group size and picks badly when left to choose:
+# one fixed size for each number of dimensions. A group of one dimension is a round of a climb.
+LOCAL_SIZES = {1: (CLIMBERS,), 2: (16, 4), 3: (1, 4, 1)}
 
 
-class OpenCLDevice(
-    OpenCLFields,
-    OpenCLSearch,
-    OpenCLVotes,
-    OpenCLRays,
-    OpenCLTiles,
-    OpenCLScanMatch,
-    OpenCLCellMeans,
-    OpenCLHitCounts,
-    OpenCLChunkMarks,
-    OpenCLDoubledWalls,
-    OpenCLWallPieces,
-):
-    """``ComputeDevice`` on one OpenCL device.
+@dataclass(frozen=True)
+class OpenCLArray(Generic[Scalar]):
+    """An array on an OpenCL device: its buffer, shape and dtype; rows are dense."""
+
+    buffer: Any
+    shape: tuple[int, ...]
+    dtype: np.dtype[Scalar]
+
+    @property
+    def size(self) -> int:
+        """Elements."""
+        return math.prod(self.shape)
+
+    def reshape(self, shape: tuple[int, ...], /) -> OpenCLArray[Scalar]:
+        """Return the same memory under another shape of as many elements."""
+        if math.prod(shape) != self.size:
+            message = f"cannot view {self.shape} as {shape}"
+            raise ValueError(message)
+        return OpenCLArray(self.buffer, shape, self.dtype)
+
+
+class OpenCLDevice(ComputeDevice):
+    """One OpenCL device with an in-order queue and all kernels, and the arrays on it.
+
+    Attributes:
+        reason: why this device was chosen.
+        device, context, queue: pyopencl's own.
+        shares_memory: a CPU device, which reads and writes the host's arrays where they are.
 
     Raises:
         DeviceError: no such device, or the kernels do not build on it.
     """
+
+    def __init__(self, wanted: str = "auto", *, small_kernels: bool = False) -> None:
+        """Choose the device, build the kernels; see ``choose_device``."""
+        self.device, self.reason = choose_device(wanted, small_kernels=small_kernels)
+        self.name = f"{self.device.name.strip()} ({self.device.platform.name.strip()})"
+        self.context = cl.Context([self.device])
+        self.queue = cl.CommandQueue(self.context)
+        options = []
+        is_cpu = bool(self.device.type & cl.device_type.CPU)
+        is_x86 = platform.machine().lower() in {"x86_64", "amd64"}
+        is_pocl = "portable computing" in self.device.platform.name.lower()
+        if is_cpu and is_x86 and is_pocl:
+            options.append("-DUNALIGNED_WORDS")
+        if is_single_thread(self.device):
+            options.append("-DONE_THREAD")
+        self.program = KernelProgram(self.context, self.device, tuple(options))
+        self._tables: dict[bytes, OpenCLArray[Any]] = {}
+        self.shares_memory = is_cpu and not is_simulator(self.device)
+
+    @property
+    def opencl(self) -> OpenCLDevice:
+        """Itself."""
+        return self
+
+    # -- moving data ---------------------------------------------------------------------------
+
+    def upload(self, array: npt.NDArray[Scalar]) -> OpenCLArray[Scalar]:
+        """Bring an array to the device."""
+        dense = np.ascontiguousarray(array)
+        flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
+        try:
+            buffer = cl.Buffer(self.context, flags, hostbuf=dense)
+        except cl.Error as error:
+            failure = self._failed("upload", error)
+            raise failure from error
+        return OpenCLArray(buffer, dense.shape, dense.dtype)
+
+    def download(self, handle: DeviceArray[Scalar]) -> npt.NDArray[Scalar]:
+        """Bring an array back."""
+        out = np.empty(handle.shape, dtype=handle.dtype)
+        cl.enqueue_copy(self.queue, out, self._buffer(handle))
+        return out
+
+    def finish(self) -> None:
+        """Wait until the device has done all that it was told."""
+        self.queue.finish()
+
+    def empty(self, shape: tuple[int, ...], dtype: npt.DTypeLike) -> OpenCLArray[Any]:
+        """Reserve an array on the device; its content is undefined."""
+        kind = np.dtype(dtype)
+        size = max(1, math.prod(shape) * kind.itemsize)
+        try:
+            buffer = cl.Buffer(self.context, cl.mem_flags.READ_WRITE, size)
+        except cl.Error as error:
+            failure = self._failed(f"reserving {size / 2**20:.0f} MiB", error)
+            raise failure from error
+        return OpenCLArray(buffer, shape, kind)
+
+    def wrap_host(
+        self, array: npt.NDArray[Scalar], *, writable: bool = False
+    ) -> OpenCLArray[Scalar]:
+        """Wrap a dense host array for the device: without a copy where both share memory.
+
+        Args:
+            array: must outlive the device's use of it; kernels access it in words of 8 bytes.
+            writable: a result, to be fetched with ``map_host``; its content is not sent.
+        """
+        is_aligned = array.flags.c_contiguous and array.ctypes.data % EACH_LANE.itemsize == 0
+        if not (self.shares_memory and is_aligned):
+            return self.empty(array.shape, array.dtype) if writable else self.upload(array)
+        access = cl.mem_flags.READ_WRITE if writable else cl.mem_flags.READ_ONLY
+        try:
+            buffer = cl.Buffer(self.context, access | cl.mem_flags.USE_HOST_PTR, hostbuf=array)
+        except cl.Error as error:
+            failure = self._failed("wrapping host memory", error)
+            raise failure from error
+        return OpenCLArray(buffer, array.shape, array.dtype)
+
+    def map_host(self, handle: OpenCLArray[Any], array: npt.NDArray[Any]) -> None:
+        """Finish the work on an array wrapped as writable, so that the host may read it."""
+        if not self.shares_memory:
+            cl.enqueue_copy(self.queue, array, handle.buffer)
+            return
+        mapped, _ = cl.enqueue_map_buffer(
+            self.queue, handle.buffer, cl.map_flags.READ, 0, handle.shape, handle.dtype
+        )
+        mapped.base.release(self.queue)
+
+    def copy(self, source: DeviceArray[Any], target: OpenCLArray[Any]) -> None:
+        """Copy an array over the first elements of one that is as long or longer."""
+        size = source.size * source.dtype.itemsize
+        cl.enqueue_copy(self.queue, target.buffer, self._buffer(source), byte_count=size)
+
+    def copy_rows(self, source: DeviceArray[Any], target: OpenCLArray[Any]) -> None:
+        """Copy the first columns of an array into one of another width, as many as both have."""
+        item, origin = source.dtype.itemsize, (0, 0, 0)
+        height, width = source.shape
+        cl.enqueue_copy(
+            self.queue,
+            target.buffer,
+            self._buffer(source),
+            src_origin=origin,
+            dst_origin=origin,
+            region=(min(width, target.shape[1]) * item, height, 1),
+            src_pitches=(width * item,),
+            dst_pitches=(target.shape[1] * item,),
+        )
+
+    def fill(self, array: OpenCLArray[Any], value: int, first: int = 0) -> None:
+        """Set all elements from one on to a value."""
+        item = array.dtype.itemsize
+        pattern = np.array([value], dtype=array.dtype)
+        size = (array.size - first) * item
+        cl.enqueue_fill_buffer(self.queue, array.buffer, pattern, first * item, size)
+
+    def cleared(self, shape: tuple[int, ...], dtype: npt.DTypeLike) -> OpenCLArray[Any]:
+        """Reserve an array of zeros."""
+        array = self.empty(shape, dtype)
+        self.fill(array, 0)
+        return array
+
+    def table(self, array: npt.NDArray[Scalar]) -> OpenCLArray[Scalar]:
+        """Upload a small constant table once."""
+        key = array.tobytes()
+        if key not in self._tables:
+            self._tables[key] = self.upload(array)
+        return self._tables[key]
+
+    def first(self, handle: DeviceArray[Any]) -> int:
+        """Fetch the first element of an array."""
+        value = np.empty(1, dtype=handle.dtype)
+        cl.enqueue_copy(self.queue, value, self._buffer(handle))
+        return int(value[0])
+
+    # -- launching -----------------------------------------------------------------------------
+
+    def launch(self, name: str, size: tuple[int, ...], *arguments: Any) -> None:
+        """Start a kernel; its global size is rounded up to the fixed local size."""
+        local = LOCAL_SIZES[len(size)]
+        rounded = tuple(-(-s // part) * part for s, part in zip(size, local, strict=True))
+        plain = [a.buffer if isinstance(a, OpenCLArray) else a for a in arguments]
+        try:
+            self.program.kernel(name, plain)(self.queue, rounded, local, *plain)
+        except cl.Error as error:
+            failure = self._failed(f"kernel {name}", error)
+            raise failure from error
+
+    @staticmethod
+    def _buffer(handle: DeviceArray[Any]) -> Any:
+        """Return the memory of an array.
+
+        Raises:
+            DeviceError: it belongs to another kind of device.
+        """
+        if not isinstance(handle, OpenCLArray):
+            message = f"wanted an array on an OpenCL device, found {type(handle).__name__}"
+            raise DeviceError(message)
+        return handle.buffer
+
+    def _failed(self, what: str, error: Exception) -> DeviceError:
+        """Return the one-line error of a failed device call."""
+        words = " ".join(str(error).split())[:200]
+        message = f"{self.name}: {what} failed ({words}); try `--device numpy`"
+        return DeviceError(message)

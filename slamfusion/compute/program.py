@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pyopencl as cl  # noqa: TID251 - compute/ is where pyopencl belongs
 
-from slamfusion.compute.compute_device import FAMILIES
 from slamfusion.compute.layout import kernel_options
 from slamfusion.errors import DeviceError
 
@@ -46,7 +45,8 @@ def kernel_source(folder: Path) -> str:
     Args:
         folder: of the .cl files, one for each family.
     """
-    return "\n".join(_family_source(folder, family) for family in FAMILIES)
+    families = sorted(path.stem for path in folder.glob("*.cl"))
+    return "\n".join(_family_source(folder, family) for family in families)
 
 
 def _family_source(folder: Path, family: str) -> str:

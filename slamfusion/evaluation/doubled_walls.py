@@ -208,9 +208,9 @@ def _count(
         doubled[tile] = marks == DOUBLED
         return int(np.count_nonzero(marks))
 
-    side = DEVICE_TILE_CELLS if device.is_opencl else TILE_CELLS
+    side = DEVICE_TILE_CELLS if device.opencl else TILE_CELLS
     parts = list(_tiles(walls.shape, side, 2 * math.ceil(far) + FILTERS_CELLS))
-    if len(parts) == 1 or device.is_opencl:
+    if len(parts) == 1 or device.opencl:
         return sum(map(look, parts)), doubled
     with ThreadPoolExecutor(usable_cores()) as threads:
         return sum(threads.map(look, parts)), doubled

@@ -40,7 +40,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--device", default="auto", help="index or part of a name; numpy")
     parser.add_argument("--runs", type=int, default=5, help="of each; the median counts")
-    parser.add_argument("--side", type=int, default=800, help="of the large maps, cells; 240 or more")
+    parser.add_argument(
+        "--side", type=int, default=800, help="of the large maps, cells; 240 or more"
+    )
     add_record_option(parser)
     options = parser.parse_args()
     device = open_device(options.device)

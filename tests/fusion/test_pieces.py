@@ -18,7 +18,7 @@ from slamfusion.compute.layout import (
     FIXED_ONE,
     OPPOSED_PARTS,
 )
-from slamfusion.compute.wall_pieces.numpy import is_another
+from slamfusion.compute.wall_pieces import is_another
 from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.motions import fixed_similarities
 from slamfusion.fusion.pieces import PIECE_M, PIECE_POINTS, WallPieces, wall_pieces

@@ -13,8 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slamfusion.compute import ComputeDevice, NumpyDevice
-from slamfusion.compute.hit_counts import BeamScan, FieldRule
-from slamfusion.compute.hit_counts.numpy import full_field
+from slamfusion.compute.hit_counts import BeamScan, FieldRule, full_field
 from slamfusion.compute.layout import FULL_HITS, FULL_VISITS, MOST_BEAMS, MOST_REACH, TILE
 from slamfusion.errors import DeviceError
 from tests.support.examples import examples

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from slamfusion.compute import NumpyDevice
 from slamfusion.compute.layout import SHIFT_POINTS
-from slamfusion.compute.search.numpy import correlate
 from slamfusion.compute.shift_spans import grouped, shift_spans
 
 BASE = 6
@@ -19,8 +19,8 @@ def test_scores_with_spans_are_those_without():
     rows, cols = rng.integers(0, 50, (2, 3, 37)).astype(np.int32)
     offsets = rows * field.shape[2] + cols
     spans = shift_spans(rows, cols, np.array([box]))
-    plain = correlate(field, offsets, (20, 64))
-    assert np.array_equal(correlate(field, offsets, (20, 64), spans, BASE), plain)
+    plain = NumpyDevice().correlate(field, offsets, (20, 64))
+    assert np.array_equal(NumpyDevice().correlate(field, offsets, (20, 64), spans, BASE), plain)
     assert len(np.unique(plain)) > 10
 
 

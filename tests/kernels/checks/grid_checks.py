@@ -11,7 +11,6 @@ import numpy.typing as npt
 
 from slamfusion.compute.compute_device import ComputeDevice
 from slamfusion.compute.doubled_walls import RaySteps
-from slamfusion.compute.fields import numpy as fields
 from slamfusion.compute.lattice import fixed_poses
 from slamfusion.compute.layout import (
     DISTANCE2_MAX,
@@ -28,7 +27,7 @@ from slamfusion.compute.layout import (
 from slamfusion.compute.search import FitSide, ScoredSide
 from slamfusion.compute.shift_spans import shift_spans
 from slamfusion.compute.votes import Votes
-from tests.kernels.checks.sample import Arrays, Check, Sample, fetch
+from tests.kernels.checks.sample import NUMPY, Arrays, Check, Sample, fetch
 
 # Worth of a cell that says nothing, and the value outside a field.
 BASE = 64
@@ -195,14 +194,14 @@ def _refine_terms(device: ComputeDevice, sample: Sample) -> Arrays:
     poses = np.stack((np.cos(yaw), np.sin(yaw), x, y), axis=1).astype(np.float32)
     size = (sample.shape[1], sample.shape[0])
     points = device.upload((sample.rng.random((150, 2)) * size).astype(np.float32))
-    distance = device.upload(fields.look_up(sample.distance2, DISTANCE_TABLE))
+    distance = device.upload(NUMPY.download(NUMPY.look_up(sample.distance2, DISTANCE_TABLE)))
     centre = (size[0] / 2.0, size[1] / 2.0)
     # Half and quarter turns, and eighths of a cell: no rounding says which cells a point reads.
     shift = np.rint(8.0 * sample.motions[0, :2]) / 8.0
     turns = np.array([[1, 0, 0, 0], [-1, 0, *size], [0, 1, size[1], 0]], dtype=np.float32)
     turns[:, 2:] += shift
     eighths = sample.rng.integers(0, 8 * np.array(size), (150, 2)) / 8.0
-    unseen = fields.look_up(sample.distance2, DISTANCE_TABLE)
+    unseen = NUMPY.download(NUMPY.look_up(sample.distance2, DISTANCE_TABLE))
     unseen[sample.rng.random(sample.shape) < 0.15] = DISTANCE_UNSEEN
     scales = np.array([6.0, 3.0, 12.0], dtype=np.float32)
     rounded = FitSide(points, poses, distance)

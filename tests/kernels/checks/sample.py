@@ -10,10 +10,10 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from slamfusion.compute import ComputeDevice, NumpyDevice
 from slamfusion.compute.arrays import DeviceArray
-from slamfusion.compute.compute_device import ComputeDevice
-from slamfusion.compute.fields import numpy as fields
 
+NUMPY = NumpyDevice()
 Arrays: TypeAlias = list[npt.NDArray[Any]]
 
 
@@ -59,12 +59,12 @@ class Sample:
     @cached_property
     def walls(self) -> npt.NDArray[np.uint8]:
         """(H, W) uint8, 0 or 1."""
-        return fields.surface_walls(self.cells, self.solid)
+        return NUMPY.download(NUMPY.surface_walls(self.cells, self.solid))
 
     @cached_property
     def distance2(self) -> npt.NDArray[np.uint16]:
         """(H, W) uint16."""
-        return fields.distance_squared(self.walls)
+        return NUMPY.download(NUMPY.distance_squared(self.walls))
 
     @cached_property
     def field(self) -> npt.NDArray[np.uint8]:

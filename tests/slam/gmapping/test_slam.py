@@ -13,7 +13,7 @@ import numpy.typing as npt
 import pytest
 
 from slamfusion.compute import ComputeDevice, NumpyDevice, open_device
-from slamfusion.compute.hit_counts.numpy import full_field
+from slamfusion.compute.hit_counts import full_field
 from slamfusion.compute.layout import FULL_HITS, FULL_VISITS, MOST_BEAMS
 from slamfusion.config import GmappingConfig
 from slamfusion.errors import ConfigError, SlamFusionError

@@ -1,0 +1,201 @@
+"""Chunk marks: which parts of a drive hit a cell, which saw it, and what the others hit nearby.
+
+A drive is cut into up to 32 chunks, and a cell keeps one bit for each: a word of ``hits`` says
+which chunks' beams ended in it, a word of ``seen`` which passed or ended. One map then is, for each
+chunk, the map of all others: leave its bits out. The map is one page table (PH, PW) int32 and pools
+(T, TILE, TILE) uint32; see ``slamfusion.compute.tiles``. Cells of pages without a tile stay empty.
+
+There is at least one beam and one page.
+
+``kernels/chunk_marks.cl`` computes the same on an OpenCL device, bit for bit.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from slamfusion.compute.arrays import (
+    I32,
+    I64,
+    U32,
+    ArrayDevice,
+    DeviceArray,
+    host,
+)
+from slamfusion.compute.layout import (
+    BEAM_HALF,
+    BEAM_ONE,
+    BEAM_SHIFT,
+    FACINGS,
+    FACINGS_ALIKE,
+    MARK_REACH_MAX,
+    TILE,
+    WALK_SHIFT,
+    WALK_TO_BEAM_SHIFT,
+)
+from slamfusion.errors import DeviceError
+
+
+def check_mark_reach(reach: int) -> None:
+    """Refuse a reach that no kernel looks as far as.
+
+    Raises:
+        DeviceError: it is not within 0 to ``MARK_REACH_MAX`` cells.
+    """
+    if not 0 <= reach <= MARK_REACH_MAX:
+        message = f"marks are looked for within 0 to {MARK_REACH_MAX} cells, asked for {reach}"
+        raise DeviceError(message)
+
+
+# Beams that are walked at once: each step of each is a row of some arrays.
+BATCH = 4096
+
+
+def _places(pages: I32, row: I64, col: I64) -> tuple[I64, I64, I64]:
+    """Return the index into a pool of cells; beyond the window, of a cell of the empty tile."""
+    height, width = pages.shape[0] * TILE, pages.shape[1] * TILE
+    inside = (row >= 0) & (col >= 0) & (row < height) & (col < width)
+    row, col = np.where(inside, row, 0), np.where(inside, col, 0)
+    tiles = np.where(inside, pages[row // TILE, col // TILE], 0)
+    return tiles.astype(np.int64), row % TILE, col % TILE
+
+
+def _mark(pool: U32, places: tuple[I32 | I64, ...], bits: U32) -> None:
+    has_tile = places[0] != 0
+    np.bitwise_or.at(pool, tuple(part[has_tile] for part in places), bits[has_tile])
+
+
+class ChunkMarkDevice(ArrayDevice):
+    """A device that marks beams by chunk."""
+
+    def mark_chunks(
+        self,
+        hits: DeviceArray[np.uint32],
+        seen: DeviceArray[np.uint32],
+        pages: DeviceArray[np.int32],
+        beams: DeviceArray[np.int32],
+        facings: DeviceArray[np.int32],
+        bits: DeviceArray[np.uint32],
+    ) -> None:
+        """Mark beams with the bits of their chunks, in place.
+
+        Every cell on the walk from a beam's end to the laser is seen, one cell of the longer axis a
+        step; the cell of the end is also hit.
+
+        Args:
+            hits: (T, FACINGS, TILE, TILE) uint32, bits of the chunks whose beams ended in a cell,
+                on a surface that faces about a direction.
+            seen: (T, TILE, TILE) uint32, bits of the chunks whose beams passed a cell or ended in
+                it.
+            pages: (PH, PW) int32; cells of pages without a tile, and beyond the window, are left
+                out.
+            beams: (B, BEAM_INTS) int32: x and y of the hit and of the laser in 1/1024 cell.
+            facings: (B,) int32, 0 to ``FACINGS`` - 1, the direction that each hit surface faces.
+            bits: (B,) uint32, the bits to mark each beam with.
+        """
+        if self.opencl:
+            count, (height, width) = beams.shape[0], pages.shape
+            window = (pages, np.int32(width), np.int32(height))
+            self.opencl.launch(
+                "mark_chunks", (count,), hits, seen, *window, beams, facings, bits, np.int32(count)
+            )
+            return
+        hits, seen, pages, beams, facings, bits = (
+            host(hits),
+            host(seen),
+            host(pages),
+            host(beams),
+            host(facings),
+            host(bits),
+        )
+        end = beams[:, 1].astype(np.int64) >> BEAM_SHIFT, beams[:, 0].astype(np.int64) >> BEAM_SHIFT
+        tile, row, col = _places(pages, *end)
+        side = FACINGS_ALIKE // 2
+        for turn in range(-side, side + 1):
+            _mark(hits, (tile, (facings + turn) % FACINGS, row, col), bits)
+        for first in range(0, len(beams), BATCH):
+            some = beams[first : first + BATCH].astype(np.int64)
+            dx, dy = some[:, 2] - some[:, 0], some[:, 3] - some[:, 1]
+            longest = np.maximum(np.maximum(np.abs(dx), np.abs(dy)), 1)
+            step_x = np.abs(dx) * (1 << WALK_SHIFT) // longest * np.where(dx < 0, -1, 1)
+            step_y = np.abs(dy) * (1 << WALK_SHIFT) // longest * np.where(dy < 0, -1, 1)
+            counts = (longest >> BEAM_SHIFT) + 1
+            beam = np.repeat(np.arange(len(some)), counts)
+            i = np.arange(len(beam)) - np.repeat(np.cumsum(counts) - counts, counts)
+            col = ((some[beam, 0] << WALK_TO_BEAM_SHIFT) + i * step_x[beam]) >> WALK_SHIFT
+            row = ((some[beam, 1] << WALK_TO_BEAM_SHIFT) + i * step_y[beam]) >> WALK_SHIFT
+            _mark(seen, _places(pages, row, col), bits[first : first + BATCH][beam])
+
+    def nearest_marks(
+        self,
+        hits: DeviceArray[np.uint32],
+        seen: DeviceArray[np.uint32],
+        pages: DeviceArray[np.int32],
+        beams: DeviceArray[np.int32],
+        facings: DeviceArray[np.int32],
+        left_out: DeviceArray[np.uint32],
+        reach: int,
+    ) -> I32:
+        """Return how near the end of each beam the chunks that are not left out hit something.
+
+        Args:
+            hits, seen, pages: a map as ``mark_chunks`` leaves it.
+            beams: (B, BEAM_INTS) int32; of the laser nothing is read.
+            facings: (B,) int32, the direction that each hit surface faces.
+            left_out: (B,) uint32, the bits that do not count for each beam.
+            reach: cells around the end's own that are looked at, 0 to ``MARK_REACH_MAX``.
+
+        Returns:
+            (B, 2) int32, on the host: the squared distance from the end to the centre of the
+            nearest cell that was hit, in (1/1024 cell)^2, -1 where there is none within reach; and
+            1 where the cell of the end was seen, else 0.
+
+        Raises:
+            DeviceError: the reach is too far.
+        """
+        if self.opencl:
+            check_mark_reach(reach)
+            count, (height, width) = beams.shape[0], pages.shape
+            out = self.opencl.empty((count, 2), np.int32)
+            self.opencl.launch(
+                "nearest_marks",
+                (count,),
+                hits,
+                seen,
+                pages,
+                np.int32(width),
+                np.int32(height),
+                beams,
+                facings,
+                left_out,
+                np.int32(count),
+                np.int32(reach),
+                out,
+            )
+            return self.download(out)
+        hits, seen, pages, beams, facings, left_out = (
+            host(hits),
+            host(seen),
+            host(pages),
+            host(beams),
+            host(facings),
+            host(left_out),
+        )
+        check_mark_reach(reach)
+        x, y = beams[:, 0].astype(np.int64), beams[:, 1].astype(np.int64)
+        col, row = x >> BEAM_SHIFT, y >> BEAM_SHIFT
+        counted = ~left_out
+        # More than any squared distance within reach.
+        none = 2 * ((reach + 1) * BEAM_ONE) ** 2
+        nearest = np.full(len(beams), none, dtype=np.int64)
+        for dy in range(-reach, reach + 1):
+            for dx in range(-reach, reach + 1):
+                tile, in_row, in_col = _places(pages, row + dy, col + dx)
+                is_hit = hits[tile, facings, in_row, in_col] & counted != 0
+                gap_x = ((col + dx) << BEAM_SHIFT) + BEAM_HALF - x
+                gap_y = ((row + dy) << BEAM_SHIFT) + BEAM_HALF - y
+                squared = np.where(is_hit, gap_x * gap_x + gap_y * gap_y, none)
+                np.minimum(nearest, squared, out=nearest)
+        is_seen = seen[_places(pages, row, col)] & counted != 0
+        found = np.stack((np.where(nearest == none, -1, nearest), is_seen), axis=1)
+        return np.asarray(found, dtype=np.int32)

@@ -1,0 +1,309 @@
+"""Fields: from trinary cells to walls, distances and scores, and grids resampled under motions.
+
+``kernels/fields.cl`` computes the same on an OpenCL device, bit for bit.
+"""
+
+from __future__ import annotations
+
+from typing import TypeVar
+
+import numpy as np
+import scipy
+
+from slamfusion.compute.arrays import (
+    I8,
+    I64,
+    U8,
+    U16,
+    ArrayDevice,
+    DeviceArray,
+    host,
+)
+from slamfusion.compute.lattice import fixed_cells
+from slamfusion.compute.layout import (
+    DISTANCE2_MAX,
+    DISTANCE_LANES,
+    DISTANCE_MAX,
+    FIELD_ONE,
+    FREE,
+    OCCUPIED,
+    RUN,
+    SPECK_FREE_CELLS,
+    WINDOW_LANES,
+)
+from slamfusion.errors import DeviceError
+
+Cell = TypeVar("Cell", np.int8, np.uint8)
+
+
+def _free_neighbours(cells: I8) -> U8:
+    """Return (H, W) uint8, how many of a cell's 8 neighbours are free; outside is unknown."""
+    kernel = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], dtype=np.uint8)
+    count: U8 = scipy.ndimage.convolve((cells == FREE).astype(np.uint8), kernel, mode="constant")
+    return count
+
+
+class FieldDevice(ArrayDevice):
+    """A device that makes fields."""
+
+    def solid_walls(self, cells: DeviceArray[np.int8]) -> DeviceArray[np.uint8]:
+        """Return (H, W) uint8, 1 where an occupied cell has at most six free neighbours.
+
+        With seven or eight it stands in free space alone, or beside one other: a speck of noise.
+
+        Args:
+            cells: (H, W) int8 in {-1, 0, 1}.
+        """
+        if self.opencl:
+            height, width = cells.shape
+            out = self.opencl.empty(cells.shape, np.uint8)
+            sizes = (np.int32(height), np.int32(width))
+            self.opencl.launch("solid_walls", (-(-width // RUN), height), cells, *sizes, out)
+            return out
+        cells = host(cells)
+        solid = (cells == OCCUPIED) & (_free_neighbours(cells) < SPECK_FREE_CELLS)
+        return np.asarray(solid, dtype=np.uint8)
+
+    def surface_walls(
+        self, cells: DeviceArray[np.int8], solid: DeviceArray[np.uint8]
+    ) -> DeviceArray[np.uint8]:
+        """Return (H, W) uint8, 1 where a solid wall cell has a free one among its 8 neighbours.
+
+        Args:
+            cells: (H, W) int8 in {-1, 0, 1}.
+            solid: (H, W) uint8, 1 at the wall cells that count.
+        """
+        if self.opencl:
+            height, width = cells.shape
+            out = self.opencl.empty(cells.shape, np.uint8)
+            sizes = (np.int32(height), np.int32(width))
+            self.opencl.launch(
+                "surface_walls", (-(-width // RUN), height), cells, solid, *sizes, out
+            )
+            return out
+        cells, solid = host(cells), host(solid)
+        surface = (solid != 0) & (_free_neighbours(cells) > 0)
+        return np.asarray(surface, dtype=np.uint8)
+
+    def shrink(
+        self, walls: DeviceArray[np.uint8], cells: DeviceArray[np.int8], step: int
+    ) -> tuple[DeviceArray[np.uint8], DeviceArray[np.uint8]]:
+        """Return walls and free share on a grid of ``step`` x ``step`` blocks.
+
+        Args:
+            walls: (H, W) uint8, 0 or 1.
+            cells: (H, W) int8 in {-1, 0, 1}.
+            step: cells per block side; blocks over the edge count missing cells as unknown.
+
+        Returns:
+            wall: (h, w) uint8, 1 where any wall of the block is; free: (h, w) uint8, share 0..255.
+        """
+        if self.opencl:
+            height, width = cells.shape
+            shape = (-(-height // step), -(-width // step))
+            wall, free = self.opencl.empty(shape, np.uint8), self.opencl.empty(shape, np.uint8)
+            sizes = [np.int32(v) for v in (height, width, step, *shape)]
+            size = (-(-shape[1] // max(1, RUN // step)), shape[0])
+            self.opencl.launch("shrink", size, walls, cells, *sizes, wall, free)
+            return wall, free
+        walls, cells = host(walls), host(cells)
+        height, width = cells.shape
+        rows, cols = -(-height // step), -(-width // step)
+        pad = ((0, rows * step - height), (0, cols * step - width))
+        wall = np.pad(walls, pad).reshape(rows, step, cols, step).max(axis=(1, 3))
+        free = np.pad(cells == FREE, pad).reshape(rows, step, cols, step).sum(axis=(1, 3))
+        return wall.astype(np.uint8), (free * FIELD_ONE // (step * step)).astype(np.uint8)
+
+    def distance_squared(
+        self, walls: DeviceArray[np.uint8], reach: int = DISTANCE_MAX
+    ) -> DeviceArray[np.uint16]:
+        """Return (H, W) uint16, squared distance in cells to the nearest wall.
+
+        Args:
+            walls: (H, W) uint8, 0 or 1.
+            reach: cells, 1 to 64; farther walls count as this far.
+        """
+        if self.opencl:
+            height, width = walls.shape
+            padded = -(-width // DISTANCE_LANES) * DISTANCE_LANES
+            source = walls
+            if padded != width:
+                source = self.opencl.cleared((height, padded), np.uint8)
+                self.opencl.copy_rows(walls, source)
+            # Beyond both edges no wall is within reach.
+            reached = padded + 2 * DISTANCE_MAX
+            columns = self.opencl.empty((height, reached), np.uint16)
+            squared = self.opencl.empty((height, padded), np.uint16)
+            sizes = (np.int32(height), np.int32(padded))
+            self.opencl.launch(
+                "distance_columns", (reached // DISTANCE_LANES,), source, *sizes, columns
+            )
+            size = (padded // DISTANCE_LANES, height)
+            self.opencl.launch("distance_rows", size, columns, *sizes, np.int32(reach), squared)
+            if padded == width:
+                return squared
+            cut = self.opencl.empty((height, width), np.uint16)
+            self.opencl.copy_rows(squared, cut)
+            return cut
+        walls = host(walls)
+        if not walls.any():
+            return np.full(walls.shape, reach**2, dtype=np.uint16)
+        _, (rows, cols) = scipy.ndimage.distance_transform_edt(walls == 0, return_indices=True)
+        own_rows, own_cols = np.indices(walls.shape)
+        squared = (rows - own_rows) ** 2 + (cols - own_cols) ** 2
+        return np.asarray(np.minimum(squared, reach**2), dtype=np.uint16)
+
+    def score_field(
+        self,
+        distance2: DeviceArray[np.uint16],
+        free_share: DeviceArray[np.uint8],
+        hit: U16,
+        miss: U16,
+        base: int,
+    ) -> DeviceArray[np.uint8]:
+        """Return what a wall point of the other map is worth in each cell, 0..255.
+
+        Args:
+            distance2: (H, W) uint16 from ``distance_squared``.
+            free_share: (H, W) uint8, 0..255.
+            hit, miss: (4097,) uint16, by squared distance.
+            base: worth of a cell that says nothing.
+        """
+        if self.opencl:
+            if hit.shape != (DISTANCE2_MAX + 1,) or miss.shape != hit.shape:
+                message = f"score tables must have {DISTANCE2_MAX + 1} entries, found {hit.shape}"
+                raise DeviceError(message)
+            out = self.opencl.empty(distance2.shape, np.uint8)
+            cells = distance2.size
+            worths = self.opencl.table(hit.astype(np.uint32) | miss.astype(np.uint32) << 16)
+            scalars = (np.int32(base), np.int32(cells))
+            self.opencl.launch(
+                "score_field", (-(-cells // RUN),), distance2, free_share, worths, *scalars, out
+            )
+            return out
+        distance2, free_share = host(distance2), host(free_share)
+        value = base + hit[distance2].astype(np.int32)
+        value -= free_share.astype(np.int32) * miss[distance2] // FIELD_ONE
+        return np.clip(value, 0, FIELD_ONE).astype(np.uint8)
+
+    def look_up(self, values: DeviceArray[np.uint16], table: U16) -> DeviceArray[np.uint16]:
+        """Return ``table[values]``.
+
+        Args:
+            values: any shape, uint16. table: (M,) uint16, longer than the largest value.
+        """
+        if self.opencl:
+            out = self.opencl.empty(values.shape, np.uint16)
+            cells = values.size
+            self.opencl.launch(
+                "look_up",
+                (-(-cells // RUN),),
+                values,
+                self.opencl.table(table),
+                np.int32(cells),
+                out,
+            )
+            return out
+        values = host(values)
+        return np.asarray(table[values], dtype=np.uint16)
+
+    def look_up_where(
+        self,
+        values: DeviceArray[np.uint16],
+        mask: DeviceArray[np.uint8],
+        table: U16,
+        otherwise: U16,
+    ) -> DeviceArray[np.uint16]:
+        """Return ``table[values]`` where the mask is not 0, ``otherwise[values]`` elsewhere.
+
+        Args:
+            values: any shape, uint16. mask: the same shape, uint8.
+            table, otherwise: (M,) uint16, longer than the largest value.
+        """
+        if self.opencl:
+            out = self.opencl.empty(values.shape, np.uint16)
+            cells = values.size
+            tables = (self.opencl.table(table), self.opencl.table(otherwise))
+            size = (-(-cells // RUN),)
+            self.opencl.launch("look_up_where", size, values, mask, *tables, np.int32(cells), out)
+            return out
+        values, mask = host(values), host(mask)
+        return np.where(mask != 0, table[values], otherwise[values]).astype(np.uint16)
+
+    def max_window(
+        self, field: DeviceArray[np.uint8], window: int, *, along_rows: bool, fill: int
+    ) -> DeviceArray[np.uint8]:
+        """Return the largest of the ``window`` cells that start at each cell.
+
+        Args:
+            field: (H, W) uint8.
+            window: cells, at least 1.
+            along_rows: over columns of one row; otherwise over rows of one column.
+            fill: value outside the field, 0..255.
+        """
+        if self.opencl:
+            height, width = field.shape
+            reached = 1
+            while reached < window:
+                shift = min(reached, window - reached)
+                out = self.opencl.empty(field.shape, np.uint8)
+                sizes = [np.int32(v) for v in (height, width, shift, along_rows)]
+                self.opencl.launch(
+                    "max_pair",
+                    (-(-width // WINDOW_LANES), height),
+                    field,
+                    *sizes,
+                    np.uint8(fill),
+                    out,
+                )
+                field = out
+                reached += shift
+            return field
+        field = host(field)
+        axis = 1 if along_rows else 0
+        pad = [(0, 0), (0, 0)]
+        pad[axis] = (0, window - 1)
+        padded = np.pad(field, pad, constant_values=fill)
+        views = np.lib.stride_tricks.sliding_window_view(padded, window, axis=axis)
+        best: U8 = views.max(axis=-1)
+        return best
+
+    def warp(
+        self,
+        cells: DeviceArray[Cell],
+        poses: I64,
+        shape: tuple[int, int],
+        fill: int,
+    ) -> DeviceArray[Cell]:
+        """Return the grid resampled by nearest cell under each pose.
+
+        Args:
+            cells: (H, W) int8 (or uint8).
+            poses: (K, 4) int64 fixed poses, output lattice to input lattice.
+            shape: (h, w) of the output.
+            fill: value outside the input.
+
+        Returns:
+            (K, h, w), dtype of ``cells``.
+        """
+        if self.opencl:
+            warped = self.opencl.empty((len(poses), *shape), cells.dtype)
+            sizes = [np.int32(v) for v in (len(poses), *shape)]
+            own = [np.int32(v) for v in cells.shape]
+            size = (-(-shape[1] // RUN), shape[0], len(poses))
+            fixed = self.upload(poses)
+            self.opencl.launch("warp", size, cells, *own, fixed, *sizes, np.int8(fill), warped)
+            return warped
+        cells = host(cells)
+        height, width = cells.shape
+        y2, x2 = np.meshgrid(
+            2 * np.arange(shape[0], dtype=np.int64) + 1,
+            2 * np.arange(shape[1], dtype=np.int64) + 1,
+            indexing="ij",
+        )
+        out = np.full((len(poses), *shape), fill, dtype=cells.dtype)
+        for k, pose in enumerate(poses):
+            row, col = fixed_cells(pose, x2, y2)
+            inside = (row >= 0) & (col >= 0) & (row < height) & (col < width)
+            out[k][inside] = cells[row[inside], col[inside]]
+        return out

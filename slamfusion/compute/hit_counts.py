@@ -1,0 +1,399 @@
+"""Hit counts: gmapping's map update, counted hits and visits, and the score field they give.
+
+N maps (particles) have a page table each, (N, PH, PW) int32, over one common window and one set of
+pools (T, TILE, TILE); see ``slamfusion.compute.tiles``. A tile that is written must be on one page
+of one map only: see ``touch_pages`` and ``copy_tiles``. Positions are in cells of the window.
+
+A cell of ``counts`` (uint32) has its hits in the upper and its visits, hits included, in the lower
+16 bits. A cell of ``sums`` (uint32) sums over the hits their offset in the cell, 0 to 15 in 1/16
+cell, in x in the upper and in y in the lower 16 bits; an offset stands for the middle of its
+sixteenth. An unseen cell is 0 in all pools. A half of a sum has room for the hits of a cell that is
+nearly full and of one scan more; see ``FULL_HITS`` and ``MOST_BEAMS`` in ``layout``.
+
+``kernels/hit_counts.cl`` computes the same on an OpenCL device, bit for bit.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from slamfusion.compute.arrays import (
+    F32,
+    I32,
+    I64,
+    U8,
+    U32,
+    ArrayDevice,
+    DeviceArray,
+    host,
+)
+from slamfusion.compute.layout import (
+    BEAM_ONE,
+    BEAM_SHIFT,
+    CELL_HALF,
+    CELL_ONE,
+    FULL_HITS,
+    FULL_VISITS,
+    HITS_SHIFT,
+    MOST_BEAMS,
+    MOST_REACH,
+    OFFSET_HALF,
+    OFFSET_ONE,
+    OFFSET_SHIFT,
+    SHARE_ONE,
+    SUM_MASK,
+    SUM_SHIFT,
+    TABLE_LAST,
+    TILE,
+    VISITS_MASK,
+    WALK_SHIFT,
+    WALK_TO_BEAM_SHIFT,
+)
+from slamfusion.errors import DeviceError
+
+if TYPE_CHECKING:
+    from slamfusion.compute.opencl import OpenCLDevice
+
+
+class BeamScan(NamedTuple):
+    """A scan as it is written into every map, on the host.
+
+    What lies outside the window is moved to its border.
+
+    Attributes:
+        ends: (B, 2) float32 ends of the beams, cells, in the robot's frame.
+            ``count_beams`` takes up to ``MOST_BEAMS``.
+        is_hit: (B,) uint8, 0 where the beam is free up to its end and met nothing.
+        laser: (2,) float32, cells, in the robot's frame.
+        poses: (N, 4) float32, the robot in each map: x, y in cells of the window, cos, sin.
+    """
+
+    ends: F32
+    is_hit: U8
+    laser: F32
+    poses: F32
+
+
+class FieldRule(NamedTuple):
+    """How the score field follows from the counts.
+
+    Attributes:
+        table: (256,) uint8, never rising: the field by the squared distance, in (1/256 cell)^2,
+            between the centre of a cell and the mean hit of an occupied one; the last for all that
+            is farther.
+        shift: the distance is shifted right by this first.
+        reach: how many cells around, 0 to ``MOST_REACH``, occupied ones are looked for.
+        occupied: a cell is occupied with more hits than this share of its visits, in 1/65536,
+        least_hits: and at least this many hits.
+    """
+
+    table: U8
+    shift: int
+    reach: int
+    occupied: int
+    least_hits: int
+
+
+def check_beams(scan: BeamScan) -> None:
+    """Refuse a scan that could make a cell's sums flow over.
+
+    Raises:
+        DeviceError: it has more than ``MOST_BEAMS`` beams.
+    """
+    if len(scan.ends) > MOST_BEAMS:
+        message = f"a scan to be counted has up to {MOST_BEAMS} beams, found {len(scan.ends)}"
+        raise DeviceError(message)
+
+
+def check_rule(rule: FieldRule) -> None:
+    """Refuse a rule that no kernel can follow.
+
+    Raises:
+        DeviceError: the reach is too far, or the table is no table of distances.
+    """
+    if not 0 <= rule.reach <= MOST_REACH:
+        message = f"the field reaches 0 to {MOST_REACH} cells, asked for {rule.reach}"
+        raise DeviceError(message)
+    if rule.table.shape != (TABLE_LAST + 1,) or (rule.table[1:] > rule.table[:-1]).any():
+        message = f"the field's table must have {TABLE_LAST + 1} entries that never rise"
+        raise DeviceError(message)
+
+
+class _Walks(NamedTuple):
+    """Every step of every beam in every map, flat: the map and the cell."""
+
+    map: I64
+    row: I64
+    col: I64
+
+
+def _fixed_places(cells: F32, pages: int) -> I64:
+    """Return positions in 1/1024 cell, moved into the window; what is no number becomes 0."""
+    limit = pages * TILE * BEAM_ONE
+    with np.errstate(invalid="ignore", over="ignore"):
+        place = cells * np.float32(BEAM_ONE)
+        place = np.where(place > 0, place, np.float32(0.0))
+        inside = place < np.float32(limit)
+    return np.where(inside, np.where(inside, place, np.float32(0.0)).astype(np.int64), limit - 1)
+
+
+def _placed(scan: BeamScan, points: F32, shape: tuple[int, ...]) -> tuple[I64, I64]:
+    """Return x and y (N, P) of points of the robot's frame in each map, in 1/1024 cell."""
+    px, py = points[:, 0], points[:, 1]
+    x, y, cos, sin = (scan.poses[:, i : i + 1] for i in range(4))
+    with np.errstate(invalid="ignore", over="ignore"):
+        east, north = x + (cos * px - sin * py), y + (sin * px + cos * py)
+    return _fixed_places(east, shape[-1]), _fixed_places(north, shape[-2])
+
+
+def _walks(scan: BeamScan, shape: tuple[int, ...]) -> _Walks:
+    """Walk each beam from its end to the laser, one cell of the longer axis a step."""
+    end_x, end_y = _placed(scan, scan.ends, shape)
+    laser_x, laser_y = _placed(scan, scan.laser[None], shape)
+    dx, dy = (laser_x - end_x).ravel(), (laser_y - end_y).ravel()
+    longest = np.maximum(np.maximum(np.abs(dx), np.abs(dy)), 1)
+    step_x = np.abs(dx) * (1 << WALK_SHIFT) // longest * np.where(dx < 0, -1, 1)
+    step_y = np.abs(dy) * (1 << WALK_SHIFT) // longest * np.where(dy < 0, -1, 1)
+    counts = (longest >> BEAM_SHIFT) + 1
+    beam = np.repeat(np.arange(len(counts)), counts)
+    i = np.arange(len(beam)) - np.repeat(np.cumsum(counts) - counts, counts)
+    col = ((end_x.ravel()[beam] << WALK_TO_BEAM_SHIFT) + i * step_x[beam]) >> WALK_SHIFT
+    row = ((end_y.ravel()[beam] << WALK_TO_BEAM_SHIFT) + i * step_y[beam]) >> WALK_SHIFT
+    return _Walks(beam // max(1, len(scan.ends)), row, col)
+
+
+def _places(pages: I32, maps: I64, row: I64, col: I64) -> tuple[I64, I64, I64]:
+    """Return the index into a pool of cells of maps; beyond the window, the empty tile."""
+    height, width = pages.shape[1] * TILE, pages.shape[2] * TILE
+    inside = (row >= 0) & (col >= 0) & (row < height) & (col < width)
+    row, col = np.where(inside, row, 0), np.where(inside, col, 0)
+    tiles = np.where(inside, pages[maps, row // TILE, col // TILE], 0)
+    return tiles, row % TILE, col % TILE
+
+
+def _field_of(counts: U32, sums: U32, offset: tuple[int, int], rule: FieldRule) -> I64:
+    """Return what cells give the field of those from which they lie at an offset.
+
+    Args:
+        counts: of the cells, in any shape.
+        sums: likewise.
+        offset: x and y from a cell whose field is asked for to these, in cells.
+        rule: see ``FieldRule``.
+    """
+    hits, visits = (counts >> HITS_SHIFT).astype(np.int64), (counts & VISITS_MASK).astype(np.int64)
+    occupied = (hits >= rule.least_hits) & (hits * SHARE_ONE > rule.occupied * visits)
+    halves = (sums >> SUM_SHIFT).astype(np.int64), (sums & SUM_MASK).astype(np.int64)
+    dx, dy = (
+        cells * CELL_ONE + OFFSET_HALF + total * OFFSET_ONE // np.maximum(hits, 1) - CELL_HALF
+        for cells, total in zip(offset, halves, strict=True)
+    )
+    step = np.minimum((dx * dx + dy * dy) >> rule.shift, TABLE_LAST)
+    return np.where(occupied, rule.table[step], 0).astype(np.int64)
+
+
+def _square(reach: int) -> list[tuple[int, int]]:
+    """Return the offsets (x, y) of the cells of a square."""
+    side = range(-reach, reach + 1)
+    return [(dx, dy) for dy in side for dx in side]
+
+
+def full_field(counts: U32, sums: U32, rule: FieldRule) -> U8:
+    """Return the score field of a whole map from its counts.
+
+    Args:
+        counts: (H, W) uint32.
+        sums: (H, W) uint32.
+        rule: see ``FieldRule``.
+
+    Returns:
+        (H, W) uint8.
+    """
+    height, width = counts.shape
+    check_rule(rule)
+    padded = [np.pad(values, rule.reach) for values in (counts, sums)]
+    best = np.zeros(counts.shape, dtype=np.int64)
+    for dx, dy in _square(rule.reach):
+        rows = slice(rule.reach + dy, rule.reach + dy + height)
+        cols = slice(rule.reach + dx, rule.reach + dx + width)
+        counts, sums = (part[rows, cols] for part in padded)
+        np.maximum(best, _field_of(counts, sums, (dx, dy), rule), out=best)
+    return best.astype(np.uint8)
+
+
+def _launch_beams(
+    device: OpenCLDevice, name: str, pages: DeviceArray[np.int32], scan: BeamScan, *arguments: Any
+) -> None:
+    """Start a kernel with an item for each beam in each map."""
+    maps, height, width = pages.shape
+    beams = len(scan.ends)
+    # The scan is copied: the kernel may still run when its arrays are gone.
+    device.launch(
+        name,
+        (maps * beams,),
+        device.upload(scan.ends),
+        np.int32(beams),
+        *(np.float32(value) for value in scan.laser),
+        device.upload(scan.poses),
+        *(np.int32(value) for value in (maps, width, height)),
+        *arguments,
+    )
+
+
+class HitCountDevice(ArrayDevice):
+    """A device that counts beams, in place; the scan comes from the host."""
+
+    def touch_pages(self, pages: DeviceArray[np.int32], scan: BeamScan, reach: int) -> U8:
+        """Say which pages a scan comes near, so that they can be given tiles of their own.
+
+        Args:
+            pages: (N, PH, PW) int32; only its shape counts.
+            scan: see ``BeamScan``.
+            reach: cells, 0 to 16: as far from the walked cells as will be written.
+
+        Returns:
+            (N, PH, PW) uint8, on the host: 1 where a cell lies within ``reach`` cells, on both
+            axes, of one that a beam walks through.
+        """
+        if self.opencl:
+            touched = np.zeros(pages.shape, dtype=np.uint8)
+            if touched.size and len(scan.ends):
+                out = self.opencl.cleared(pages.shape, np.uint8)
+                _launch_beams(self.opencl, "touch_pages", pages, scan, np.int32(reach), out)
+                touched = self.download(out)
+            return touched
+        pages = host(pages)
+        touched = np.zeros(pages.shape, dtype=np.uint8)
+        w = _walks(scan, pages.shape)
+        height, width = pages.shape[1:]
+        for dx, dy in ((-reach, -reach), (reach, -reach), (-reach, reach), (reach, reach)):
+            row = np.clip((w.row + dy) // TILE, 0, height - 1)
+            col = np.clip((w.col + dx) // TILE, 0, width - 1)
+            touched[w.map, row, col] = 1
+        return touched
+
+    def count_beams(
+        self,
+        counts: DeviceArray[np.uint32],
+        sums: DeviceArray[np.uint32],
+        pages: DeviceArray[np.int32],
+        scan: BeamScan,
+        *,
+        take_back: bool = False,
+    ) -> bool:
+        """Count a scan in every map, in place.
+
+        All cells of a beam's walk, its end included, are visited once more; the end of a beam that
+        met something is also hit once more.
+
+        Args:
+            counts: (T, TILE, TILE) uint32, no cell visited ``FULL_VISITS`` or hit ``FULL_HITS``
+                times yet.
+            sums: (T, TILE, TILE) uint32, each half 15 or less a hit.
+            pages: (N, PH, PW) int32; cells of pages without a tile are left out.
+            scan: see ``BeamScan``; ``MOST_BEAMS`` or fewer.
+            take_back: undo the counting of a scan that was counted at the same places.
+
+        Returns:
+            Whether a cell has now been visited ``FULL_VISITS`` or hit ``FULL_HITS`` times: halve
+            all hits, visits and sums, and take the field from ``full_field``, as ``settle_field``
+            only sees what a scan crosses.
+
+        Raises:
+            DeviceError: the scan has more beams.
+        """
+        if self.opencl:
+            check_beams(scan)
+            full = np.zeros(1, dtype=np.int32)
+            if pages.size and len(scan.ends):
+                flag = self.upload(full)
+                is_hit = self.upload(scan.is_hit)
+                sign = np.int32(-1 if take_back else 1)
+                _launch_beams(
+                    self.opencl, "count_beams", pages, scan, is_hit, pages, counts, sums, sign, flag
+                )
+                full = self.download(flag)
+            return bool(full[0])
+        counts, sums, pages = host(counts), host(sums), host(pages)
+        check_beams(scan)
+        w = _walks(scan, pages.shape)
+        places = _places(pages, *w)
+        places = tuple(part[places[0] != 0] for part in places)
+        sum_at = np.subtract.at if take_back else np.add.at
+        sum_at(counts, places, np.uint32(1))
+
+        x, y = (part[:, scan.is_hit != 0] for part in _placed(scan, scan.ends, pages.shape))
+        maps = np.broadcast_to(np.arange(len(x))[:, None], x.shape)
+        hit = _places(pages, maps, y >> BEAM_SHIFT, x >> BEAM_SHIFT)
+        has_tile = hit[0] != 0
+        hit = tuple(part[has_tile] for part in hit)
+        sum_at(counts, hit, np.uint32(1 << HITS_SHIFT))
+        east, north = ((place % BEAM_ONE) >> OFFSET_SHIFT for place in (x, y))
+        sum_at(sums, hit, (east << SUM_SHIFT | north)[has_tile].astype(np.uint32))
+
+        hits, visits = counts[places] >> HITS_SHIFT, counts[places] & VISITS_MASK
+        return bool(((hits >= FULL_HITS) | (visits >= FULL_VISITS)).any())
+
+    def settle_field(
+        self,
+        counts: DeviceArray[np.uint32],
+        sums: DeviceArray[np.uint32],
+        field: DeviceArray[np.uint8],
+        pages: DeviceArray[np.int32],
+        scan: BeamScan,
+        rule: FieldRule,
+    ) -> None:
+        """Renew the score field, in place, wherever counting a scan may have changed it.
+
+        That is within ``rule.reach`` cells, on both axes, of the walked cells that have hits. There
+        the field becomes the greatest value that ``rule`` gives the occupied cells within reach, 0
+        where there are none: it depends on the counts alone, and after every scan equals
+        ``full_field``.
+
+        Args:
+            counts: (T, TILE, TILE) uint32, the scan counted.
+            sums: (T, TILE, TILE) uint32, each half 15 or less a hit.
+            field: (T, TILE, TILE) uint8.
+            pages: (N, PH, PW) int32; cells of pages without a tile are left out.
+            scan: see ``BeamScan``.
+            rule: see ``FieldRule``.
+        """
+        if self.opencl:
+            check_rule(rule)
+            if not (pages.size and len(scan.ends)):
+                return
+            _launch_beams(
+                self.opencl,
+                "settle_field",
+                pages,
+                scan,
+                pages,
+                counts,
+                sums,
+                field,
+                self.opencl.cleared((counts.shape[0], TILE), np.uint32),
+                self.opencl.table(rule.table),
+                np.int32(rule.shift),
+                np.int32(rule.reach),
+                np.uint32(rule.occupied),
+                np.uint32(rule.least_hits),
+            )
+            return
+        counts, sums, field = host(counts), host(sums), host(field)
+        pages = host(pages)
+        check_rule(rule)
+        w = _walks(scan, pages.shape)
+        is_changed = counts[_places(pages, *w)] >> HITS_SHIFT > 0
+        changed = np.unique(np.stack(w, axis=1)[is_changed], axis=0)
+        around = [changed + (0, dy, dx) for dx, dy in _square(rule.reach)]  # noqa: RUF005 - a sum
+        maps, row, col = np.unique(np.concatenate(around), axis=0).T
+
+        targets = _places(pages, maps, row, col)
+        best = np.zeros(len(maps), dtype=np.int64)
+        for dx, dy in _square(rule.reach):
+            places = _places(pages, maps, row + dy, col + dx)
+            field_there = _field_of(counts[places], sums[places], (dx, dy), rule)
+            np.maximum(best, field_there, out=best)
+        has_tile = targets[0] != 0
+        field[tuple(part[has_tile] for part in targets)] = best[has_tile].astype(np.uint8)

@@ -1,0 +1,315 @@
+"""Scan matching: how well a scan's hits fall on the walls of a tiled map, at many poses.
+
+``kernels/scan_match.cl`` computes the same on an OpenCL device, bit for bit.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from slamfusion.compute.arrays import (
+    F32,
+    I32,
+    I64,
+    U8,
+    ArrayDevice,
+    DeviceArray,
+    host,
+)
+from slamfusion.compute.layout import CLIMBERS, FOUND_FLOATS, SIXTEENTHS, SIXTEENTHS_SHIFT, TILE
+
+
+def _cells(field: U8, pages: I32, cols: I64, rows: I64) -> I64:
+    """Return field values of cells; beyond the window, those of its empty border."""
+    height, width = pages.shape
+    col = np.clip(cols, 0, width * TILE - 1)
+    row = np.clip(rows, 0, height * TILE - 1)
+    tiles = pages[row // TILE, col // TILE]
+    return field[tiles, row % TILE, col % TILE].astype(np.int64)
+
+
+def _smooth(field: U8, pages: I32, east: F32, north: F32) -> I64:
+    """Return the field at positions in cells, between cell centres bilinear in sixteenths."""
+    east, north = east - np.float32(0.5), north - np.float32(0.5)
+    col, row = east.astype(np.int64), north.astype(np.int64)
+    right = ((east - col.astype(np.float32)) * np.float32(SIXTEENTHS)).astype(np.int64)
+    up = ((north - row.astype(np.float32)) * np.float32(SIXTEENTHS)).astype(np.int64)
+    a, b = _cells(field, pages, col, row), _cells(field, pages, col + 1, row)
+    c, d = _cells(field, pages, col, row + 1), _cells(field, pages, col + 1, row + 1)
+    low, high = a * (SIXTEENTHS - right) + b * right, c * (SIXTEENTHS - right) + d * right
+    blended: I64 = np.asarray(low * (SIXTEENTHS - up) + high * up, dtype=np.int64)
+    return np.asarray(blended >> SIXTEENTHS_SHIFT)
+
+
+def _ways() -> I64:
+    """Return (3) signs along x, y and yaw: stay, the axes, the diagonals."""
+    axes = [np.roll((sign, 0, 0), axis) for axis in range(3) for sign in (1, -1)]
+    diagonals = [(2 * (k & 1) - 1, (k & 2) - 1, (k & 4) // 2 - 1) for k in range(8)]
+    return np.array([(0, 0, 0), *axes, *diagonals, (0, 0, 0)], dtype=np.int64)
+
+
+class ScanMatchDevice(ArrayDevice):
+    """A device that matches scans.
+
+    Field, pages and points stay on the device; poses, hypotheses and steps come from the host.
+    """
+
+    def score_poses(
+        self,
+        field: DeviceArray[np.uint8],
+        pages: DeviceArray[np.int32],
+        points: DeviceArray[np.float32],
+        poses: F32,
+        *,
+        reach: int = 0,
+    ) -> I64:
+        """Sum the score field under a scan's points at each candidate pose.
+
+        Args:
+            field: (T, TILE, TILE) uint8 wall values.
+            pages: (PH, PW) int32, tile of each page of the window; the border is empty.
+            points: (P, 2) float32, cells, in the robot's frame.
+            poses: (N, 4) float32: x, y in cells of the window, cos, sin.
+            reach: 0 interpolates between cell centres, in sixteenths; otherwise the greatest of
+                five cells counts: the one under the point and four, ``reach`` cells away
+                    diagonally.
+
+        Returns:
+            (N,) int64 sums.
+        """
+        if self.opencl:
+            n = len(poses)
+            sums = np.empty(n, dtype=np.int32)
+            out = self.opencl.wrap_host(sums, writable=True)
+            height, width = pages.shape
+            arguments: list[Any] = [
+                field, pages, np.int32(width), np.int32(height), points, np.int32(points.shape[0]),
+                self.opencl.wrap_host(poses), np.int32(n),
+            ]  # fmt: skip
+            if reach:
+                self.opencl.launch("score_wide", (n,), *arguments, np.int32(reach), out)
+            else:
+                self.opencl.launch("score_smooth", (n,), *arguments, out)
+            self.opencl.map_host(out, sums)
+            return sums.astype(np.int64)
+        field, pages, points = host(field), host(pages), host(points)
+        px, py = points.T
+        x, y, cos, sin = (poses[:, i : i + 1] for i in range(4))
+        east = x + (cos * px - sin * py)
+        north = y + (sin * px + cos * py)
+        if reach:
+            col, row = east.astype(np.int64), north.astype(np.int64)
+            around = [(0, 0), (-reach, -reach), (reach, -reach), (-reach, reach), (reach, reach)]
+            found = [_cells(field, pages, col + dx, row + dy) for dx, dy in around]
+            return np.asarray(np.max(found, axis=0).sum(axis=1))
+        return np.asarray(_smooth(field, pages, east, north).sum(axis=1))
+
+    def climb(
+        self,
+        field: DeviceArray[np.uint8],
+        pages: DeviceArray[np.int32],
+        points: DeviceArray[np.float32],
+        hypotheses: F32,
+        starts: F32,
+        steps: F32,
+        *,
+        scale: float,
+    ) -> F32:
+        """Climb from some poses by rounds of random steps; every climber keeps to itself.
+
+        In each round ``CLIMBERS`` steps are tried from the climber's best pose, and the best of the
+        poses they lead to, the first of equals, is where its next round starts. What counts is the
+        sum of the smooth score field times ``scale``, less the least over the hypotheses of the
+        weighted squares of the distances from it plus its own loss.
+
+        Args:
+            field: (T, TILE, TILE) uint8 wall values.
+            pages: (PH, PW) int32.
+            points: (P, 2) float32, cells, in the robot's frame.
+            hypotheses: (K, 7) float32: x, y, yaw, the weights of their squares, its own loss.
+            starts: (G, 5) float32: x, y in cells of the window, yaw, cos, sin.
+            steps: (R, G, 5) float32: dx, dy, dyaw, cos and sin of dyaw. R at least 1.
+            scale: from a sum to a score.
+
+        Returns:
+            (G, 6) float32: x, y, yaw, cos, sin and the value of where each climber ended.
+        """
+        if self.opencl:
+            found = np.empty((len(starts), FOUND_FLOATS), dtype=np.float32)
+            out = self.opencl.wrap_host(found, writable=True)
+            height, width = pages.shape
+            self.opencl.launch(
+                "climb",
+                (len(starts) * CLIMBERS,),
+                field,
+                pages,
+                np.int32(width),
+                np.int32(height),
+                points,
+                np.int32(points.shape[0]),
+                self.opencl.wrap_host(hypotheses),
+                np.int32(len(hypotheses)),
+                self.opencl.wrap_host(starts),
+                self.opencl.wrap_host(steps),
+                np.int32(len(steps)),
+                np.float32(scale),
+                out,
+            )
+            self.opencl.map_host(out, found)
+            return found
+        field, pages, points = host(field), host(pages), host(points)
+        best = starts.copy()
+        values = np.zeros(len(starts), dtype=np.float32)
+        for step in steps:
+            x, y, yaw, cos, sin = (best[:, None, k] for k in range(5))
+            turned = (
+                cos * step[..., 3] - sin * step[..., 4],
+                sin * step[..., 3] + cos * step[..., 4],
+            )
+            tried = np.stack(
+                (x + step[..., 0], y + step[..., 1], yaw + step[..., 2], *turned), axis=-1
+            )
+            poses = tried[..., [0, 1, 3, 4]].reshape(-1, 4)
+            sums = self.score_poses(field, pages, points, poses)
+            away = tried[:, :, None, :3] - hypotheses[:, :3]
+            squares = away * away * hypotheses[:, 3:6]
+            losses = ((squares[..., 0] + squares[..., 1]) + squares[..., 2]) + hypotheses[:, 6]
+            told = sums.reshape(tried.shape[:2]).astype(np.float32) * np.float32(scale)
+            value = told - losses.min(axis=-1)
+            winner = value.argmax(axis=1)
+            each = np.arange(len(starts))
+            best, values = tried[each, winner], value[each, winner]
+        return np.concatenate((best, values[:, None]), axis=1)
+
+    def climb_maps(
+        self,
+        field: DeviceArray[np.uint8],
+        pages: DeviceArray[np.int32],
+        points: DeviceArray[np.float32],
+        hypotheses: F32,
+        starts: F32,
+        sizes: F32,
+        *,
+        tries: int,
+        scale: float,
+    ) -> F32:
+        """Climb on each of many maps by steps along the axes and diagonals of (x, y, yaw).
+
+        The best of a try's poses, the first of equals, is where the next one starts; where staying
+        is best the next smaller step follows. What counts is as for ``climb``, with one hypothesis
+        a map.
+
+        Args:
+            field: (T, TILE, TILE) uint8 wall values of all maps.
+            pages: (N, PH, PW) int32.
+            points: (P, 2) float32, cells, in the robot's frame.
+            hypotheses: (N, 7) float32, as for ``climb``.
+            starts: (N, 5) float32: x, y in cells of the window, yaw, cos, sin.
+            sizes: (S, 4) float32: cells, radians, their cos and sin; largest first.
+            tries: steps tried in all, at most; at least 1.
+            scale: from a sum to a score.
+
+        Returns:
+            (N, 6) float32: x, y, yaw, cos, sin and the value of where each climb ended.
+        """
+        if self.opencl:
+            found = np.empty((len(starts), FOUND_FLOATS), dtype=np.float32)
+            out = self.opencl.wrap_host(found, writable=True)
+            _, height, width = pages.shape
+            self.opencl.launch(
+                "climb_maps",
+                (len(starts) * CLIMBERS,),
+                field,
+                pages,
+                np.int32(width),
+                np.int32(height),
+                points,
+                np.int32(points.shape[0]),
+                self.opencl.wrap_host(hypotheses),
+                self.opencl.wrap_host(starts),
+                self.opencl.wrap_host(sizes),
+                np.int32(len(sizes)),
+                np.int32(tries),
+                np.float32(scale),
+                out,
+            )
+            self.opencl.map_host(out, found)
+            return found
+        field, pages, points = host(field), host(pages), host(points)
+        found = np.empty((len(starts), FOUND_FLOATS), dtype=np.float32)
+        ways = _ways().astype(np.float32)
+        for own, hypothesis, start, place in zip(pages, hypotheses, starts, found, strict=True):
+            best, at = start.copy(), 0
+            for _ in range(tries):
+                cells, radians, cos, sin = sizes[at]
+                turn = ways[:, 2]
+                dcos = np.where(turn == 0, np.float32(1.0), cos)
+                dsin = turn * sin
+                turned = best[3] * dcos - best[4] * dsin, best[4] * dcos + best[3] * dsin
+                moved = best[:2] + ways[:, :2] * cells, best[2] + turn * radians
+                tried = np.column_stack((*moved, *turned))
+                sums = self.score_poses(field, own, points, tried[:, [0, 1, 3, 4]])
+                away = tried[:, :3] - hypothesis[:3]
+                squares = away * away * hypothesis[3:6]
+                losses = ((squares[:, 0] + squares[:, 1]) + squares[:, 2]) + hypothesis[6]
+                values = sums.astype(np.float32) * np.float32(scale) - losses
+                winner = int(values.argmax())
+                best, place[5] = tried[winner], values[winner]
+                at += winner == 0
+                if at >= len(sizes):
+                    break
+            place[:5] = best
+        return found
+
+    def score_maps(
+        self,
+        field: DeviceArray[np.uint8],
+        pages: DeviceArray[np.int32],
+        points: DeviceArray[np.float32],
+        poses: F32,
+        table: I32,
+    ) -> I64:
+        """Sum what a table makes of the smooth score field under the points, on each of many maps.
+
+        Args:
+            field: (T, TILE, TILE) uint8 wall values of all maps.
+            pages: (N, PH, PW) int32.
+            points: (P, 2) float32, cells, in the robot's frame.
+            poses: (N, K, 4) float32: x, y in cells of the window, cos, sin.
+            table: (256,) int32.
+
+        Returns:
+            (N, K) int64 sums.
+        """
+        if self.opencl:
+            maps, each = poses.shape[:2]
+            whole = np.empty((maps, each), dtype=np.int32)
+            wrapped = self.opencl.wrap_host(whole, writable=True)
+            _, height, width = pages.shape
+            self.opencl.launch(
+                "score_maps",
+                (maps * each,),
+                field,
+                pages,
+                np.int32(width),
+                np.int32(height),
+                points,
+                np.int32(points.shape[0]),
+                self.opencl.wrap_host(poses),
+                np.int32(maps),
+                np.int32(each),
+                self.opencl.wrap_host(table),
+                wrapped,
+            )
+            self.opencl.map_host(wrapped, whole)
+            return whole.astype(np.int64)
+        field, pages, points = host(field), host(pages), host(points)
+        px, py = points.T
+        sums = np.empty(poses.shape[:2], dtype=np.int64)
+        for own, at, out in zip(pages, poses, sums, strict=True):
+            x, y, cos, sin = (at[:, i : i + 1] for i in range(4))
+            east, north = x + (cos * px - sin * py), y + (sin * px + cos * py)
+            out[:] = table[_smooth(field, own, east, north)].sum(axis=1)
+        return sums

@@ -1,0 +1,570 @@
+"""Search: what rigid motions of one grid onto another are worth, and how to refine the best.
+
+``kernels/search.cl`` computes the same on an OpenCL device: whole numbers bit for bit,
+``refine_terms`` in float32, which agrees to a stated tolerance.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from slamfusion.compute.arrays import (
+    F32,
+    F64,
+    I32,
+    I64,
+    U8,
+    ArrayDevice,
+    DeviceArray,
+    host,
+)
+from slamfusion.compute.lattice import fixed_cells, narrow_motions
+from slamfusion.compute.layout import (
+    COUNT_TERMS,
+    DISTANCE_ONE,
+    DISTANCE_UNSEEN,
+    REFINE_TERMS,
+    SHIFT_LANES,
+    SHIFT_POINTS,
+    SHIFT_ROWS,
+    SHIFT_TILE,
+    UNKNOWN,
+)
+from slamfusion.errors import DeviceError
+
+if TYPE_CHECKING:
+    from slamfusion.compute.opencl import OpenCLDevice
+
+
+class ScoredSide(NamedTuple):
+    """Walls of one map on a field of the other.
+
+    Attributes:
+        points: (N, 2) int32 lattice positions, x and y in half cells.
+        poses: (P, 4) int64 fixed poses, points to field.
+        field: (H, W) uint8 on the device.
+        base: worth of a point off the field.
+    """
+
+    points: I32
+    poses: I64
+    field: DeviceArray[np.uint8]
+    base: int
+
+
+class FitSide(NamedTuple):
+    """Walls of one map on the distances of the other.
+
+    Attributes:
+        points: (N, 2) float32 on the device, cells.
+        poses: (P, 4) float32 cos, sin, x, y (cells), points to field.
+        distance: (H, W) uint16 on the device, to the nearest wall in 1/256 cell; a point that reads
+            a cell of ``DISTANCE_UNSEEN`` counts for nothing.
+    """
+
+    points: DeviceArray[np.float32]
+    poses: F32
+    distance: DeviceArray[np.uint16]
+
+
+# Points, cells and rows that one work item sums, one after the other; the host adds the sums.
+CHUNK_POINTS = 64
+
+
+CHUNK_SCORED = 512
+
+
+CHUNK_CELLS = 4096
+
+
+CHUNK_ROWS = 16
+
+
+# Points that `pose_scores` moves at once; its rows of points start at multiples of it.
+POINT_LANES = 8
+
+
+def _half_open(spans: I32, point: int) -> tuple[int, int, int, int]:
+    """Return the shifts, from and to, at which a point is read."""
+    r0, r1, c0, c1 = (int(value) for value in spans[point // SHIFT_POINTS])
+    return max(0, r0), max(0, r1 + 1), max(0, c0), max(0, c1 + 1)
+
+
+def _pose_scores(side: ScoredSide) -> I64:
+    """Return (P,) the sum of the field over the points under each pose of one side."""
+    field = np.asarray(side.field)
+    height, width = field.shape
+    out = np.zeros(len(side.poses), dtype=np.int64)
+    near, narrow, shift = narrow_motions(side.points, side.poses)
+    x2, y2 = near[:, 0].astype(np.int64), near[:, 1].astype(np.int64)
+    for p, (cos, sin, x, y) in enumerate(narrow.astype(np.int64)):
+        col, row = (cos * x2 - sin * y2 + x) >> shift, (sin * x2 + cos * y2 + y) >> shift
+        inside = (row >= 0) & (col >= 0) & (row < height) & (col < width)
+        known = field[row[inside], col[inside]]
+        out[p] = known.sum(dtype=np.int64) + side.base * (len(side.points) - len(known))
+    return out
+
+
+def _side_terms(side: FitSide, scales: F32, centre: tuple[float, float], *, backward: bool) -> F64:
+    """Return what the points of one side add to the normal equations."""
+    points, distance = np.asarray(side.points), np.asarray(side.distance)
+    poses = side.poses
+    height, width = distance.shape
+    cells = distance / float(DISTANCE_ONE)
+    out = np.zeros((len(poses), REFINE_TERMS))
+    for p, (cosine, sine, tx, ty) in enumerate(poses.astype(np.float64)):
+        scale = float(scales[p])
+        px, py = points[:, 0].astype(np.float64), points[:, 1].astype(np.float64)
+        qx, qy = cosine * px - sine * py + tx, sine * px + cosine * py + ty
+        col = np.floor(qx - 0.5).astype(np.int64)
+        row = np.floor(qy - 0.5).astype(np.int64)
+        inside = (col >= 0) & (row >= 0) & (col + 1 < width) & (row + 1 < height)
+        px, py, qx, qy = px[inside], py[inside], qx[inside], qy[inside]
+        col, row = col[inside], row[inside]
+        corners = np.stack([distance[row + i, col + j] for i in (0, 1) for j in (0, 1)])
+        seen = corners.max(axis=0, initial=0) < DISTANCE_UNSEEN
+        px, py, qx, qy = px[seen], py[seen], qx[seen], qy[seen]
+        col, row = col[seen], row[seen]
+        u, v = qx - 0.5 - col, qy - 0.5 - row
+        d00, d01 = cells[row, col], cells[row, col + 1]
+        d10, d11 = cells[row + 1, col], cells[row + 1, col + 1]
+        d = (1 - v) * ((1 - u) * d00 + u * d01) + v * ((1 - u) * d10 + u * d11)
+        gx = (1 - v) * (d01 - d00) + v * (d11 - d10)
+        gy = (1 - u) * (d10 - d00) + u * (d11 - d01)
+        weight = (1.0 + (d * d) / (scale * scale)) ** -2.0
+        ax, ay = qx - centre[0], qy - centre[1]
+        if backward:
+            gx, gy = -(cosine * gx + sine * gy), -(cosine * gy - sine * gx)
+            ax, ay = px - centre[0], py - centre[1]
+        gt = gy * ax - gx * ay
+        terms = (gx * gx, gx * gy, gx * gt, gy * gy, gy * gt, gt * gt, gx * d, gy * d, gt * d)
+        out[p] = [*(float(np.sum(weight * term)) for term in terms), float(np.sum(weight))]
+    return out
+
+
+def _start_scores(device: OpenCLDevice, side: ScoredSide) -> DeviceArray[np.int32]:
+    """Start to score one side; return (chunks, P) sums, one row for each chunk of points."""
+    count, n = len(side.points), len(side.poses)
+    chunks = -(-count // CHUNK_SCORED)
+    stride = -(-count // POINT_LANES) * POINT_LANES
+    planes = np.zeros((2, stride), np.int32)
+    near, narrow, shift = narrow_motions(side.points, side.poses)
+    planes[:, :count] = near.T
+    partial = device.empty((chunks, n), np.int32)
+    before = [np.int32(v) for v in (count, stride)]
+    sizes = [np.int32(v) for v in (*side.field.shape, side.base, CHUNK_SCORED, chunks)]
+    device.launch(
+        "pose_scores",
+        (chunks * n,),
+        device.upload(planes),
+        *before,
+        device.upload(narrow),
+        np.int32(n),
+        np.int32(shift),
+        side.field,
+        *sizes,
+        partial,
+    )
+    return partial
+
+
+class SearchDevice(ArrayDevice):
+    """A device that scores motions."""
+
+    def confusion(self, a: DeviceArray[np.int8], b: DeviceArray[np.int8]) -> I64:
+        """Return (3, 3) int64 joint counts of two trinary grids; the index is value + 1."""
+        if self.opencl:
+            chunks = -(-a.size // CHUNK_CELLS)
+            partial = self.opencl.empty((chunks, 9), np.int32)
+            sizes = (np.int32(a.size), np.int32(CHUNK_CELLS))
+            self.opencl.launch("confusion", (chunks,), a, b, *sizes, partial)
+            return np.asarray(self.download(partial).sum(axis=0, dtype=np.int64)).reshape(3, 3)
+        a, b = host(a), host(b)
+        index = 3 * (a.astype(np.int64) + 1) + (b + 1)
+        return np.bincount(index.ravel(), minlength=9).reshape(3, 3).astype(np.int64)
+
+    def squared_error(
+        self,
+        a: DeviceArray[np.int8],
+        b: DeviceArray[np.int8],
+        poses: I64,
+        stride: int,
+    ) -> I64:
+        """Return the [F16] squared error of the moving grid under each pose.
+
+        Args:
+            a: (H, W) int8 reference in {-1, 0, 1}. b: (h, w) int8 moving; off it counts as unknown.
+            poses: (P, 4) int64 fixed poses, reference lattice to moving lattice.
+            stride: only every stride-th row and column of the reference counts.
+
+        Returns:
+            (P,) int64.
+        """
+        if self.opencl:
+            chunks = -(-a.shape[0] // (stride * CHUNK_ROWS))
+            partial = self.opencl.empty((len(poses), chunks), np.int32)
+            size = [np.int32(v) for v in a.shape]
+            moving_size = [np.int32(v) for v in b.shape]
+            sizes = [np.int32(v) for v in (len(poses), stride, CHUNK_ROWS, chunks)]
+            fixed = self.upload(poses)
+            self.opencl.launch(
+                "squared_error",
+                (chunks, len(poses)),
+                a,
+                *size,
+                b,
+                *moving_size,
+                fixed,
+                *sizes,
+                partial,
+            )
+            return np.asarray(self.download(partial).sum(axis=1, dtype=np.int64))
+        a, b = host(a), host(b)
+        y2, x2 = np.meshgrid(
+            2 * np.arange(0, a.shape[0], stride, dtype=np.int64) + 1,
+            2 * np.arange(0, a.shape[1], stride, dtype=np.int64) + 1,
+            indexing="ij",
+        )
+        own = a[::stride, ::stride].astype(np.int64)
+        out = np.zeros(len(poses), dtype=np.int64)
+        for p, pose in enumerate(poses):
+            row, col = fixed_cells(pose, x2, y2)
+            inside = (row >= 0) & (col >= 0) & (row < b.shape[0]) & (col < b.shape[1])
+            other = np.full(own.shape, UNKNOWN, dtype=np.int64)
+            other[inside] = b[row[inside], col[inside]]
+            out[p] = np.sum((own - other) ** 2)
+        return out
+
+    def correlate(
+        self,
+        fields: DeviceArray[np.uint8],
+        offsets: I32,
+        shift_shape: tuple[int, int],
+        spans: I32 | None = None,
+        base: int = 0,
+    ) -> DeviceArray[np.int32]:
+        """Return the sum over points of the field at point plus shift, for every whole-cell shift.
+
+        Args:
+            fields: (K or 1, FH, FW) uint8, values 0..15.
+            offsets: (K or 1, N) int32, ``row * FW + col`` of each point; every shift stays inside.
+            shift_shape: (SH, SW).
+            spans: (K, G, 4) int32 for each ``SHIFT_POINTS`` points the first and last row and the
+                first and last column of the shifts at which any of them reads something else than
+                ``base``;
+                None: at all of them. See ``shift_spans``.
+            base: what is read elsewhere.
+
+        Returns:
+            (K, SH, SW) int32.
+        """
+        if self.opencl:
+            planes, field_height, field_width = fields.shape
+            count = max(planes, len(offsets))
+            height, width = shift_shape
+            if width % SHIFT_LANES:
+                message = (
+                    f"shifts along a row must come in multiples of {SHIFT_LANES}, found {width}"
+                )
+                raise DeviceError(message)
+            sums = self.opencl.empty((count, height, width), np.int32)
+            points = offsets.shape[1]
+            field_stride = np.int32(field_height * field_width if planes > 1 else 0)
+            offset_stride = np.int32(points if len(offsets) > 1 else 0)
+            if spans is None:
+                everywhere = (0, height - 1, 0, width - 1)
+                spans = np.full((count, -(-points // SHIFT_POINTS), 4), everywhere, dtype=np.int32)
+            self.opencl.launch(
+                "correlate",
+                (width // SHIFT_LANES, -(-height // SHIFT_ROWS), count),
+                fields,
+                field_stride,
+                np.int32(field_width),
+                self.upload(offsets),
+                offset_stride,
+                np.int32(points),
+                self.upload(spans),
+                np.int32(base),
+                np.int32(height),
+                np.int32(width),
+                np.int32(count),
+                sums,
+            )
+            return sums
+        fields = host(fields)
+        count = max(len(fields), len(offsets))
+        height, width = shift_shape
+        scores = np.zeros((count, height, width), dtype=np.int32)
+        field_width = fields.shape[2]
+        for k in range(count):
+            field = fields[k if len(fields) > 1 else 0]
+            own = offsets[k if len(offsets) > 1 else 0]
+            scores[k] = base * len(own)
+            for n, offset in enumerate(own):
+                row, col = divmod(int(offset), field_width)
+                r0, r1, c0, c1 = (0, height, 0, width) if spans is None else _half_open(spans[k], n)
+                part = field[row : row + height, col : col + width][r0:r1, c0:c1]
+                scores[k, r0:r1, c0:c1] += part.astype(np.int32) - base
+        return scores
+
+    def polyphase(
+        self,
+        field: DeviceArray[np.uint8],
+        corner: tuple[int, int],
+        step: int,
+        shape: tuple[int, int],
+        fill: int,
+    ) -> DeviceArray[np.uint8]:
+        """Return the field rearranged so that cells ``step`` apart lie side by side.
+
+        Args:
+            field: (H, W) uint8.
+            corner: row and column of the field where plane (0, 0) starts; may lie outside.
+            step: cells between neighbours of a plane.
+            shape: rows and columns of each plane.
+            fill: value outside the field.
+
+        Returns:
+            (step, step, rows, cols) uint8; [a, b, i, j] is cell (corner + (a + step i, b + step
+            j)).
+        """
+        if self.opencl:
+            out = self.opencl.empty((step, step, *shape), np.uint8)
+            sizes = [np.int32(v) for v in (*field.shape, *corner, step, *shape)]
+            size = (shape[0], step * step)
+            self.opencl.launch("polyphase", size, field, *sizes, np.uint8(fill), out)
+            return out
+        field = host(field)
+        rows = corner[0] + np.arange(step * shape[0])
+        cols = corner[1] + np.arange(step * shape[1])
+        inside = (
+            ((rows >= 0) & (rows < field.shape[0]))[:, None] & (cols >= 0) & (cols < field.shape[1])
+        )
+        clipped = field[rows.clip(0, field.shape[0] - 1)][:, cols.clip(0, field.shape[1] - 1)]
+        dense = np.where(inside, clipped, np.uint8(fill))
+        planes = dense.reshape(shape[0], step, shape[1], step).transpose(1, 3, 0, 2)
+        return np.ascontiguousarray(planes)
+
+    def bound_blocks(
+        self,
+        blocks: I32,
+        starts: DeviceArray[np.int32],
+        classes: U8,
+        fields: DeviceArray[np.uint8],
+        fill: int,
+        *,
+        least: int = -1,
+    ) -> I32:
+        """Return the sum over points of their pooled field at the block's first shift.
+
+        Args:
+            blocks: (B, 3) int32: yaw group, row and column of the first shift.
+            starts: (G, 2, N) int32: rows, then columns of the points' windows for shift 0.
+            classes: (N,) uint8: the pooled field that a point reads.
+            fields: (C, H, W) uint8; outside counts as ``fill``.
+            fill: value outside.
+            least: a sum at or below it is of no use.
+
+        Returns:
+            (B,) int32; -1 where the sum is of no use.
+        """
+        if self.opencl:
+            bounds = np.empty(len(blocks), dtype=np.int32)
+            wrapped = self.opencl.wrap_host(bounds, writable=True)
+            _, height, width = fields.shape
+            self.opencl.launch(
+                "bound_blocks",
+                (len(blocks),),
+                self.opencl.wrap_host(blocks),
+                np.int32(len(blocks)),
+                starts,
+                self.opencl.wrap_host(classes),
+                np.int32(len(classes)),
+                fields,
+                np.int32(height),
+                np.int32(width),
+                np.uint8(fill),
+                np.int32(least),
+                wrapped,
+            )
+            self.opencl.map_host(wrapped, bounds)
+            return bounds
+        starts, fields = host(starts), host(fields)
+        _, height, width = fields.shape
+        out = np.zeros(len(blocks), dtype=np.int32)
+        for b, (group, row0, col0) in enumerate(blocks):
+            row, col = starts[group, 0] + row0, starts[group, 1] + col0
+            inside = (row >= 0) & (col >= 0) & (row < height) & (col < width)
+            values = fields[classes[inside], row[inside], col[inside]]
+            out[b] = values.sum(dtype=np.int32) + fill * np.count_nonzero(~inside)
+        return np.where(out > least, out, np.int32(-1))
+
+    def tile_peaks(
+        self,
+        forward: DeviceArray[np.int32],
+        backward: DeviceArray[np.int32],
+        width: int,
+    ) -> tuple[I32, I32]:
+        """Return the best of each tile of shifts of ``forward`` plus reversed ``backward``.
+
+        Args:
+            forward: (K, SH, SW) int32 from 0 to 2^26; only the first ``width`` columns count.
+            backward: same shape, read at (SH - 1 - i, width - 1 - j).
+            width: shifts along a row.
+
+        Returns:
+            values: (K, TY, TX) int32 by tiles of ``SHIFT_TILE`` a side, and places: same shape,
+            ``i * width + j``; first of equals wins.
+        """
+        if self.opencl:
+            count, height, stride = forward.shape
+            tiles_y, tiles_x = -(-height // SHIFT_TILE), -(-width // SHIFT_TILE)
+            best = self.opencl.empty((count, tiles_y, tiles_x), np.int32)
+            where = self.opencl.empty((count, tiles_y, tiles_x), np.int32)
+            sizes = [np.int32(v) for v in (height, width, stride, count, tiles_y, tiles_x)]
+            size = (-(-width // (2 * SHIFT_TILE)), tiles_y, count)
+            self.opencl.launch("tile_peaks", size, forward, backward, *sizes, best, where)
+            return self.download(best), self.download(where)
+        forward, backward = host(forward), host(backward)
+        tile = SHIFT_TILE
+        total = forward[:, :, :width] + backward[:, ::-1, width - 1 :: -1]
+        count, height, _ = total.shape
+        tiles_y, tiles_x = -(-height // tile), -(-width // tile)
+        values = np.empty((count, tiles_y, tiles_x), dtype=np.int32)
+        places = np.empty_like(values)
+        for ty in range(tiles_y):
+            for tx in range(tiles_x):
+                part = total[:, ty * tile : (ty + 1) * tile, tx * tile : (tx + 1) * tile]
+                flat = part.reshape(count, -1)
+                best = flat.argmax(axis=1)
+                row, col = np.divmod(best, part.shape[2])
+                values[:, ty, tx] = flat[np.arange(count), best]
+                places[:, ty, tx] = (ty * tile + row) * width + tx * tile + col
+        return values, places
+
+    def pose_counts(
+        self,
+        points: I32,
+        poses: I64,
+        field: DeviceArray[np.uint8],
+        distance2: DeviceArray[np.uint16],
+        free_cell: DeviceArray[np.uint8],
+        *,
+        base: int,
+        near2: int,
+        far2: int,
+    ) -> I64:
+        """Return what the points meet under each pose.
+
+        Args:
+            points: (N, 2) int32 lattice positions, x and y in half cells.
+            poses: (P, 4) int64 fixed poses, points to field.
+            field: (H, W) uint8 score field; points off it score ``base``.
+            distance2: (H, W) uint16. free_cell: (H, W) uint8, 1 where free.
+            base: score of a point off the field.
+            near2: a point within this squared distance of a wall is a hit.
+            far2: a point in free space beyond this squared distance is a clash.
+
+        Returns:
+            (P, 4) int64: score, hits, clashes, points on the field.
+        """
+        if self.opencl:
+            count, n = len(points), len(poses)
+            chunks = -(-count // CHUNK_POINTS)
+            partial = self.opencl.empty((n, chunks, COUNT_TERMS), np.int32)
+            height, width = field.shape
+            sizes = [np.int32(v) for v in (height, width, base, near2, far2, CHUNK_POINTS, chunks)]
+            self.opencl.launch(
+                "pose_counts",
+                (chunks, n),
+                self.upload(points),
+                np.int32(count),
+                self.upload(poses),
+                np.int32(n),
+                field,
+                distance2,
+                free_cell,
+                *sizes,
+                partial,
+            )
+            return np.asarray(self.download(partial).sum(axis=1, dtype=np.int64))
+        field, distance2, free_cell = host(field), host(distance2), host(free_cell)
+        height, width = field.shape
+        out = np.zeros((len(poses), COUNT_TERMS), dtype=np.int64)
+        x2, y2 = points[:, 0].astype(np.int64), points[:, 1].astype(np.int64)
+        for p, pose in enumerate(poses):
+            row, col = fixed_cells(pose, x2, y2)
+            inside = (row >= 0) & (col >= 0) & (row < height) & (col < width)
+            row, col = row[inside], col[inside]
+            d2 = distance2[row, col]
+            out[p, 0] = field[row, col].sum(dtype=np.int64) + base * (len(points) - len(row))
+            out[p, 1] = np.count_nonzero(d2 <= near2)
+            out[p, 2] = np.count_nonzero((free_cell[row, col] != 0) & (d2 > far2))
+            out[p, 3] = len(row)
+        return out
+
+    def pose_scores(self, *sides: ScoredSide) -> list[I64]:
+        """Return of each side (P,) the sum of its field over its points under each of its poses.
+
+        In 32 bits: see ``narrow_motions``.
+        """
+        if self.opencl:
+            # All are started before the first is waited for.
+            started = [_start_scores(self.opencl, side) for side in sides]
+            return [np.asarray(self.download(sums).sum(axis=0, dtype=np.int64)) for sums in started]
+        return [_pose_scores(side) for side in sides]
+
+    def refine_terms(
+        self,
+        forward: FitSide,
+        backward: FitSide,
+        *,
+        scales: F32,
+        centre: tuple[float, float],
+    ) -> F64:
+        """Return the normal equations of a robust point-to-wall fit, one row per pose.
+
+        The unknown is a small motion (dx, dy, dyaw) of the reference frame about ``centre``,
+        applied after the pose. The residual is the bilinear distance to the nearest wall, its
+        weight Geman and McClure's 1 / (1 + (d / scale)^2)^2.
+
+        Args:
+            forward: points of the moving grid on the reference's distances.
+            backward: points of the reference on the moving grid's.
+            scales: (P,) float32 of each pose, cells.
+            centre: x and y in cells of the reference.
+
+        Returns:
+            (P, 10) float64, of both sides: Hxx Hxy Hxt Hyy Hyt Htt, gx gy gt, sum of weights.
+        """
+        if self.opencl:
+            n = len(forward.poses)
+            sides, chunks = [], []
+            for side in (forward, backward):
+                count = side.points.shape[0]
+                sizes = [np.int32(v) for v in side.distance.shape]
+                poses = self.upload(side.poses)
+                sides += [side.points, np.int32(count), poses, side.distance, *sizes]
+                chunks.append(-(-count // CHUNK_POINTS))
+            partial = self.opencl.empty((sum(chunks), n, REFINE_TERMS), np.float32)
+            middle = [np.float32(v) for v in centre]
+            counts = [np.int32(v) for v in (CHUNK_POINTS, chunks[0], sum(chunks))]
+            self.opencl.launch(
+                "refine_terms",
+                (sum(chunks), n),
+                *sides,
+                np.int32(n),
+                self.upload(scales),
+                *middle,
+                *counts,
+                partial,
+            )
+            parts = self.download(partial)
+            ahead, back = parts[: chunks[0]], parts[chunks[0] :]
+            return np.asarray(
+                ahead.sum(axis=0, dtype=np.float64) + back.sum(axis=0, dtype=np.float64)
+            )
+        ahead = _side_terms(forward, scales, centre, backward=False)
+        return ahead + _side_terms(backward, scales, centre, backward=True)

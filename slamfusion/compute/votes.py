@@ -1,0 +1,254 @@
+"""Votes: aligned grids decide cell by cell.
+
+``kernels/votes.cl`` computes the same on an OpenCL device, bit for bit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import cache
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.compute.arrays import (
+    I8,
+    I32,
+    I64,
+    U8,
+    U16,
+    ArrayDevice,
+)
+from slamfusion.compute.layout import (
+    BLOCK_CELLS,
+    EACH_LANE,
+    FREE,
+    MOST_INPUTS,
+    OCCUPIED,
+    UNKNOWN,
+    VOTE_ONE,
+    WALL_FREE,
+    WALL_NEAR,
+    WALL_OCCUPIED,
+    WALL_SIDES,
+)
+
+if TYPE_CHECKING:
+    from slamfusion.compute.opencl import OpenCLDevice
+
+
+class Votes(NamedTuple):
+    """What a vote gives.
+
+    Attributes:
+        fused: (H, W) int8 in {-1, 0, 1}.
+        agreement: (H, W) int8, share of the votes for the winner in percent, rounded half up;
+            -1 without votes.
+        dissent: (P, H, W) uint8, bit n % 8 of plane n // 8 set where input n voted otherwise
+            than the winner; P is the number of inputs over 8, rounded up.
+        phantom_cells: cells occupied in the fused grid and in no input.
+    """
+
+    fused: I8
+    agreement: I8
+    dissent: U8
+    phantom_cells: int
+
+
+Mask = npt.NDArray[np.bool_]
+
+
+# Cells that one work item decides, one after the other; a multiple of ``BLOCK_CELLS``.
+CHUNK_CELLS = 4096
+
+
+@cache
+def _majority_shares(count: int, *, unknown_votes: bool) -> npt.NDArray[np.uint64]:
+    """Return the share of the winner in percent for every split of up to ``count`` votes.
+
+    Returns:
+        (S, 3) uint64: votes for the winner, votes for others (at least 1), percent rounded half
+        up, each in all eight lanes of the word.
+    """
+    splits = [
+        (cast - others, others, (200 * (cast - others) + cast) // (2 * cast))
+        for cast in ((count,) if unknown_votes else range(2, count + 1))
+        for others in range(1, cast + 1)
+        if unknown_votes or others <= cast - others
+    ]
+    return np.array(splits or [(count, 0, 100)], dtype=np.uint64) * EACH_LANE
+
+
+def _votes(
+    winner: I64,
+    own: I64 | I32,
+    cast: I64 | I32,
+    outvoted: Mask,
+    phantom_cells: int,
+) -> Votes:
+    """Return the outcome of a vote.
+
+    Args:
+        winner: (H, W) in {-1, 0, 1}.
+        own: (H, W), weight of the votes for it.
+        cast: (H, W), weight of all votes that count.
+        outvoted: (N, H, W), input n voted otherwise.
+        phantom_cells: cells that are occupied and in no input.
+    """
+    percent = (200 * own + cast) // np.maximum(2 * cast, 1)
+    agreement = np.where(cast > 0, percent, -1).astype(np.int8)
+    dissent = np.zeros((-(-len(outvoted) // 8), *winner.shape), dtype=np.uint8)
+    for n, mask in enumerate(outvoted):
+        dissent[n // 8] |= mask.astype(np.uint8) << np.uint8(n % 8)
+    return Votes(winner.astype(np.int8), agreement, dissent, phantom_cells)
+
+
+def _vote(
+    device: OpenCLDevice,
+    name: str,
+    grids: Sequence[npt.NDArray[np.int8] | npt.NDArray[np.uint8]],
+    arguments: tuple[Any, ...],
+    chunk: int = CHUNK_CELLS,
+) -> Votes:
+    """Run a kernel of the vote family; its own arguments follow the grids and their sizes."""
+    shape, count = grids[0].shape, len(grids)
+    cells = math.prod(shape)
+    pitch = -(-cells // BLOCK_CELLS) * BLOCK_CELLS
+    planes = -(-count // 8)
+    fused, agreement = np.empty(shape, dtype=np.int8), np.empty(shape, dtype=np.int8)
+    dissent = np.empty((planes, pitch), dtype=np.uint8)
+    results = (fused, agreement, dissent)
+    wrapped = [device.wrap_host(grid) for grid in grids]
+    outs = [device.wrap_host(result, writable=True) for result in results]
+    chunks = -(-cells // chunk)
+    phantom = device.empty((chunks,), np.int32)
+    device.launch(
+        name,
+        (chunks,),
+        *wrapped,
+        *[wrapped[0]] * (MOST_INPUTS - count),
+        np.int32(count),
+        np.int32(cells),
+        *arguments,
+        np.int32(chunk),
+        *outs,
+        phantom,
+    )
+    phantom_cells = int(device.download(phantom).sum(dtype=np.int64))
+    for out, result in zip(outs, results, strict=True):
+        device.map_host(out, result)
+    return Votes(fused, agreement, dissent[:, :cells].reshape(planes, *shape), phantom_cells)
+
+
+class VoteDevice(ArrayDevice):
+    """A device that counts votes; the grids come from the host and return to it."""
+
+    def vote_majority(self, grids: Sequence[I8], *, unknown_votes: bool) -> Votes:
+        """Let each cell be what most inputs say; any tie for first place is occupied.
+
+        Args:
+            grids: 1 to 32 of (H, W) int8 in {-1, 0, 1}.
+            unknown_votes: unknown is a value like the others; otherwise it abstains, and a cell
+                that all inputs leave unknown stays unknown.
+
+        Source: [F16], the vote: two of three decide, three different values give 1.
+        """
+        if self.opencl:
+            shares = _majority_shares(len(grids), unknown_votes=unknown_votes)
+            arguments = (np.int32(unknown_votes), self.opencl.table(shares), np.int32(len(shares)))
+            return _vote(self.opencl, "vote_majority", grids, arguments)
+        stack = np.stack(grids)
+        votes = np.stack([(stack == value).sum(axis=0) for value in (UNKNOWN, FREE, OCCUPIED)])
+        if not unknown_votes:
+            votes[0] = 0
+        winner = votes.argmax(axis=0) - 1
+        winner[(votes == votes.max(axis=0)).sum(axis=0) > 1] = OCCUPIED
+        cast = votes.sum(axis=0)
+        winner[cast == 0] = UNKNOWN
+        outvoted = (stack != winner) & ((stack != UNKNOWN) | unknown_votes)
+        own = np.take_along_axis(votes, (winner + 1)[None], axis=0)[0]
+        phantom = (winner == OCCUPIED) & ~np.any(stack == OCCUPIED, axis=0)
+        return _votes(winner, own, cast, outvoted, int(np.count_nonzero(phantom)))
+
+    def vote_walls(
+        self,
+        codes: Sequence[U8],
+        weights: U8,
+        ranks: U16,
+        trusted: U8,
+        *,
+        shift: int,
+        phase: tuple[int, int],
+    ) -> Votes:
+        """Let inputs vote for walls with a tolerance, by weight; each wall is drawn by one input.
+
+        The inputs with a wall within the tolerance of a cell are for a wall. Those that know the
+        cell as free are against it, and those that have the same wall elsewhere: one that faces a
+        way that the drawn wall faces. Of the inputs for it the one of the highest rank draws: the
+        cell is what this one shows. A tie is for the wall. But where an input of weight 1/2 or more
+        has the same wall elsewhere, the wall stands at one of two places: there the weights must
+        differ by half, or the rank decides. A wall, or a free cell, of inputs whose trust together
+        is less than 1/2 is left out, and the cell is unknown.
+
+        Args:
+            codes: 1 to 32 of (H, W) uint8, see ``vote.walls.wall_codes``.
+            weights: (N, rows of blocks, columns of blocks) uint8, 0 to ``VOTE_ONE`` in each block.
+            ranks: the same shape, uint16, all different in a block.
+            trusted: (N,) uint8, 0 to ``VOTE_ONE``: weights in all.
+            shift: blocks are ``2**shift`` cells on a side.
+            phase: row and column of the first cell in its block.
+        """
+        if self.opencl:
+            width = codes[0].shape[1]
+            tables = [self.upload(table) for table in (weights, ranks, trusted)]
+            sizes = (width, shift, *phase, *weights.shape[1:])
+            arguments = (*tables, *(np.int32(size) for size in sizes))
+            # A work item decides whole rows: the weights change along them every few cells.
+            rows = max(1, CHUNK_CELLS // width)
+            return _vote(self.opencl, "vote_walls", codes, arguments, chunk=rows * width)
+        stack = np.stack(codes)
+        height, width = stack.shape[1:]
+        rows = np.arange(height) + phase[0] >> shift
+        cols = np.arange(width) + phase[1] >> shift
+        amount = weights[:, rows[:, None], cols].astype(np.int32)
+        rank = ranks[:, rows[:, None], cols].astype(np.int32)
+        trust = trusted.astype(np.int32)[:, None, None]
+        wall, free, near = (stack & bit != 0 for bit in (WALL_OCCUPIED, WALL_FREE, WALL_NEAR))
+
+        # Who draws here, and which ways its wall faces.
+        drawing = np.where(near & (amount > 0), rank, -1)
+        first = drawing.argmax(axis=0)[None]
+        highest = np.take_along_axis(drawing, first, axis=0)[0]
+        shown = np.take_along_axis(stack, first, axis=0)[0]
+        ways = np.where(shown & WALL_OCCUPIED != 0, shown >> WALL_SIDES, 0)
+
+        # For and against a wall.
+        same = ~near & ((stack >> WALL_SIDES) & ways != 0)
+        support = (amount * near).sum(axis=0)
+        against = ~near & (free | same)
+        contra = (amount * against).sum(axis=0)
+        rival = np.where(same & (2 * amount >= VOTE_ONE), rank, -1).max(axis=0)
+        stands = np.where(
+            rival < 0,
+            support >= contra,
+            np.where(rival > highest, support >= 2 * contra, 2 * support >= contra),
+        )
+        stands &= (highest >= 0) & (2 * (trust * near).sum(axis=0) >= VOTE_ONE)
+
+        # Elsewhere who says free says it alone.
+        freeing = (amount * free).sum(axis=0)
+        is_free = (freeing > 0) & (2 * (trust * free).sum(axis=0) >= VOTE_ONE)
+        drawn = np.where(
+            shown & WALL_OCCUPIED != 0, OCCUPIED, np.where(shown & WALL_FREE != 0, FREE, UNKNOWN)
+        )
+        winner = np.where(stands, drawn, np.where(is_free, FREE, UNKNOWN))
+
+        walls = (amount * wall).sum(axis=0)
+        own = np.where(winner == OCCUPIED, support, np.where(winner == FREE, freeing, 0))
+        cast = np.where(
+            winner == OCCUPIED, support + contra, np.where(winner == FREE, freeing + walls, 0)
+        )
+        outvoted = np.where(winner == OCCUPIED, against, (wall | free & (winner != FREE)) & ~stands)
+        return _votes(winner, own, cast, outvoted, 0)
