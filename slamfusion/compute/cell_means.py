@@ -13,14 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slamfusion.compute.arrays import (
-    I32,
-    I64,
-    U8,
-    ArrayDevice,
-    DeviceArray,
-    host,
-)
+from slamfusion.compute.arrays import I32, I64, U8, ArrayDevice, DeviceArray, host
 from slamfusion.compute.layout import (
     BEAM_HALF,
     BEAM_SHIFT,
@@ -172,19 +165,10 @@ class CellMeanDevice(ArrayDevice):
         if self.opencl:
             height, width = pages.shape
             count = beams.shape[0]
-            numbers = (rule.half_blur, rule.behind, rule.free)
             self.opencl.launch(
-                "mark_scan",
-                (count,),
-                observed,
-                pages,
-                np.int32(width),
-                np.int32(height),
-                beams,
-                np.int32(count),
-                *(np.int32(number) for number in numbers),
-                wanted,
-            )
+                "mark_scan", (count,), observed, pages, width, height, beams, count,
+                rule.half_blur, rule.behind, rule.free, wanted,
+            )  # fmt: skip
             return bool(self.opencl.first(wanted))
         observed, pages, beams = host(observed), host(pages), host(beams)
         wanted = host(wanted)
@@ -231,37 +215,14 @@ class CellMeanDevice(ArrayDevice):
         if self.opencl:
             height, width = pages.shape
             count = beams.shape[0]
-            numbers = (
-                rule.half_blur,
-                rule.map_free,
-                rule.quality,
-                rule.is_mean,
-                rule.wall_floor,
-                rule.wall_gain,
-            )
             self.opencl.launch(
-                "integrate_scan",
-                (count,),
-                observed,
-                valley,
-                published,
-                field,
-                pages,
-                np.int32(width),
-                np.int32(height),
-                beams,
-                np.int32(count),
-                *(np.int32(number) for number in numbers),
-            )
+                "integrate_scan", (count,), observed, valley, published, field, pages, width,
+                height, beams, count, rule.half_blur, rule.map_free, rule.quality, rule.is_mean,
+                rule.wall_floor, rule.wall_gain,
+            )  # fmt: skip
             return
-        observed, valley, published, field, pages, beams = (
-            host(observed),
-            host(valley),
-            host(published),
-            host(field),
-            host(pages),
-            host(beams),
-        )
+        observed, valley, published = host(observed), host(valley), host(published)
+        field, pages, beams = host(field), host(pages), host(beams)
         w = _walks(beams, rule.half_blur)
         places = np.stack(
             (pages[w.row // TILE, w.col // TILE], w.row % TILE, w.col % TILE), axis=-1
@@ -306,19 +267,9 @@ class CellMeanDevice(ArrayDevice):
             height, width = pages.shape
             count = beams.shape[0]
             self.opencl.launch(
-                "mark_likelihood",
-                (count,),
-                observed,
-                pages,
-                np.int32(width),
-                np.int32(height),
-                beams,
-                np.int32(count),
-                self.opencl.table(rule.table),
-                np.int32(rule.shift),
-                np.int32(rule.reach),
-                wanted,
-            )
+                "mark_likelihood", (count,), observed, pages, width, height, beams, count,
+                self.opencl.table(rule.table), rule.shift, rule.reach, wanted,
+            )  # fmt: skip
             return bool(self.opencl.first(wanted))
         observed, pages, beams = host(observed), host(pages), host(beams)
         wanted = host(wanted)
@@ -359,27 +310,12 @@ class CellMeanDevice(ArrayDevice):
             height, width = pages.shape
             count = beams.shape[0]
             self.opencl.launch(
-                "update_likelihood",
-                (count,),
-                observed,
-                states,
-                field,
-                pages,
-                np.int32(width),
-                np.int32(height),
-                beams,
-                np.int32(count),
-                np.int32(rule.reach),
-                np.int32(rule.most),
-            )
+                "update_likelihood", (count,), observed, states, field, pages, width, height,
+                beams, count, rule.reach, rule.most,
+            )  # fmt: skip
             return
-        observed, states, field, pages, beams = (
-            host(observed),
-            host(states),
-            host(field),
-            host(pages),
-            host(beams),
-        )
+        observed, states, field = host(observed), host(states), host(field)
+        pages, beams = host(pages), host(beams)
         _, col, row, _ = _near_cells(beams, rule.reach)
         places = np.stack((pages[row // TILE, col // TILE], row % TILE, col % TILE), axis=-1)
         places = np.unique(places, axis=0)

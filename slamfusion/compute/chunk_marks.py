@@ -14,14 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from slamfusion.compute.arrays import (
-    I32,
-    I64,
-    U32,
-    ArrayDevice,
-    DeviceArray,
-    host,
-)
+from slamfusion.compute.arrays import I32, I64, U32, ArrayDevice, DeviceArray, host
 from slamfusion.compute.layout import (
     BEAM_HALF,
     BEAM_ONE,
@@ -95,19 +88,13 @@ class ChunkMarkDevice(ArrayDevice):
         """
         if self.opencl:
             count, (height, width) = beams.shape[0], pages.shape
-            window = (pages, np.int32(width), np.int32(height))
             self.opencl.launch(
-                "mark_chunks", (count,), hits, seen, *window, beams, facings, bits, np.int32(count)
-            )
+                "mark_chunks", (count,), hits, seen, pages, width, height, beams, facings, bits,
+                count,
+            )  # fmt: skip
             return
-        hits, seen, pages, beams, facings, bits = (
-            host(hits),
-            host(seen),
-            host(pages),
-            host(beams),
-            host(facings),
-            host(bits),
-        )
+        hits, seen, pages = host(hits), host(seen), host(pages)
+        beams, facings, bits = host(beams), host(facings), host(bits)
         end = beams[:, 1].astype(np.int64) >> BEAM_SHIFT, beams[:, 0].astype(np.int64) >> BEAM_SHIFT
         tile, row, col = _places(pages, *end)
         side = FACINGS_ALIKE // 2
@@ -153,35 +140,17 @@ class ChunkMarkDevice(ArrayDevice):
         Raises:
             DeviceError: the reach is too far.
         """
+        check_mark_reach(reach)
         if self.opencl:
-            check_mark_reach(reach)
             count, (height, width) = beams.shape[0], pages.shape
             out = self.opencl.empty((count, 2), np.int32)
             self.opencl.launch(
-                "nearest_marks",
-                (count,),
-                hits,
-                seen,
-                pages,
-                np.int32(width),
-                np.int32(height),
-                beams,
-                facings,
-                left_out,
-                np.int32(count),
-                np.int32(reach),
-                out,
-            )
+                "nearest_marks", (count,), hits, seen, pages, width, height, beams, facings,
+                left_out, count, reach, out,
+            )  # fmt: skip
             return self.download(out)
-        hits, seen, pages, beams, facings, left_out = (
-            host(hits),
-            host(seen),
-            host(pages),
-            host(beams),
-            host(facings),
-            host(left_out),
-        )
-        check_mark_reach(reach)
+        hits, seen, pages = host(hits), host(seen), host(pages)
+        beams, facings, left_out = host(beams), host(facings), host(left_out)
         x, y = beams[:, 0].astype(np.int64), beams[:, 1].astype(np.int64)
         col, row = x >> BEAM_SHIFT, y >> BEAM_SHIFT
         counted = ~left_out

@@ -17,12 +17,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute.arrays import (
-    I32,
-    I64,
-    U8,
-    ArrayDevice,
-)
+from slamfusion.compute.arrays import I32, I64, U8, ArrayDevice
 from slamfusion.compute.layout import (
     BLUR_RADIUS,
     COHERENCE_PART,
@@ -158,11 +153,7 @@ def _structure_tensor(walls: U8) -> Tensor:
 
 
 def _filtered(
-    values: U8 | I32,
-    along: I64 | I32 = ONE,
-    down: I64 | I32 = ONE,
-    *,
-    depth: int = cv2.CV_64F,
+    values: U8 | I32, along: I64 | I32 = ONE, down: I64 | I32 = ONE, *, depth: int = cv2.CV_64F
 ) -> I32:
     """Return sums weighted along rows and down columns; 0 outside.
 
@@ -304,30 +295,19 @@ class DoubledWallDevice(ArrayDevice):
         if self.opencl:
             cells, inner = pad_walls(walls, steps)
             height, width = cells.shape
-            size = np.int32(height), np.int32(width)
+            size = (width // NORMAL_BLOCK, height)
             given = self.upload(cells)
             walled = self.opencl.empty(cells.shape, np.uint8)
-            self.opencl.launch("drop_specks", (width // NORMAL_BLOCK, height), given, *size, walled)
+            self.opencl.launch("drop_specks", size, given, height, width, walled)
             normals = self.opencl.empty((height, width, 2), np.int16)
             weights = self.opencl.table(blur_weights()), self.opencl.table(window_weights())
-            blocks = width // NORMAL_BLOCK, height // NORMAL_BLOCK
-            self.opencl.launch("wall_normals", blocks, walled, *size, *weights, normals)
+            blocks = (width // NORMAL_BLOCK, height // NORMAL_BLOCK)
+            self.opencl.launch("wall_normals", blocks, walled, height, width, *weights, normals)
             # The walls as they were given are of no more use.
             corners = given
-            self.opencl.launch(
-                "wall_corners", (width // NORMAL_BLOCK, height), walled, *size, corners
-            )
+            self.opencl.launch("wall_corners", size, walled, height, width, corners)
             marks = self.upload(pad_walls(asked, steps)[0])
-            limits = [np.int32(value) for value in steps]
-            self.opencl.launch(
-                "mark_doubled",
-                (width // NORMAL_BLOCK, height),
-                corners,
-                normals,
-                *size,
-                *limits,
-                marks,
-            )
+            self.opencl.launch("mark_doubled", size, corners, normals, height, width, *steps, marks)
             return np.ascontiguousarray(self.download(marks)[inner])
         marks = np.zeros(walls.shape, dtype=np.uint8)
         kept = _without_specks(walls)

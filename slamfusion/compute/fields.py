@@ -10,15 +10,7 @@ from typing import TypeVar
 import numpy as np
 import scipy
 
-from slamfusion.compute.arrays import (
-    I8,
-    I64,
-    U8,
-    U16,
-    ArrayDevice,
-    DeviceArray,
-    host,
-)
+from slamfusion.compute.arrays import I8, I64, U8, U16, ArrayDevice, DeviceArray, host
 from slamfusion.compute.lattice import fixed_cells
 from slamfusion.compute.layout import (
     DISTANCE2_MAX,
@@ -57,8 +49,8 @@ class FieldDevice(ArrayDevice):
         if self.opencl:
             height, width = cells.shape
             out = self.opencl.empty(cells.shape, np.uint8)
-            sizes = (np.int32(height), np.int32(width))
-            self.opencl.launch("solid_walls", (-(-width // RUN), height), cells, *sizes, out)
+            size = (-(-width // RUN), height)
+            self.opencl.launch("solid_walls", size, cells, height, width, out)
             return out
         cells = host(cells)
         solid = (cells == OCCUPIED) & (_free_neighbours(cells) < SPECK_FREE_CELLS)
@@ -76,10 +68,8 @@ class FieldDevice(ArrayDevice):
         if self.opencl:
             height, width = cells.shape
             out = self.opencl.empty(cells.shape, np.uint8)
-            sizes = (np.int32(height), np.int32(width))
-            self.opencl.launch(
-                "surface_walls", (-(-width // RUN), height), cells, solid, *sizes, out
-            )
+            size = (-(-width // RUN), height)
+            self.opencl.launch("surface_walls", size, cells, solid, height, width, out)
             return out
         cells, solid = host(cells), host(solid)
         surface = (solid != 0) & (_free_neighbours(cells) > 0)
@@ -102,7 +92,7 @@ class FieldDevice(ArrayDevice):
             height, width = cells.shape
             shape = (-(-height // step), -(-width // step))
             wall, free = self.opencl.empty(shape, np.uint8), self.opencl.empty(shape, np.uint8)
-            sizes = [np.int32(v) for v in (height, width, step, *shape)]
+            sizes = (height, width, step, *shape)
             size = (-(-shape[1] // max(1, RUN // step)), shape[0])
             self.opencl.launch("shrink", size, walls, cells, *sizes, wall, free)
             return wall, free
@@ -134,12 +124,10 @@ class FieldDevice(ArrayDevice):
             reached = padded + 2 * DISTANCE_MAX
             columns = self.opencl.empty((height, reached), np.uint16)
             squared = self.opencl.empty((height, padded), np.uint16)
-            sizes = (np.int32(height), np.int32(padded))
-            self.opencl.launch(
-                "distance_columns", (reached // DISTANCE_LANES,), source, *sizes, columns
-            )
+            lanes = (reached // DISTANCE_LANES,)
+            self.opencl.launch("distance_columns", lanes, source, height, padded, columns)
             size = (padded // DISTANCE_LANES, height)
-            self.opencl.launch("distance_rows", size, columns, *sizes, np.int32(reach), squared)
+            self.opencl.launch("distance_rows", size, columns, height, padded, reach, squared)
             if padded == width:
                 return squared
             cut = self.opencl.empty((height, width), np.uint16)
@@ -176,10 +164,8 @@ class FieldDevice(ArrayDevice):
             out = self.opencl.empty(distance2.shape, np.uint8)
             cells = distance2.size
             worths = self.opencl.table(hit.astype(np.uint32) | miss.astype(np.uint32) << 16)
-            scalars = (np.int32(base), np.int32(cells))
-            self.opencl.launch(
-                "score_field", (-(-cells // RUN),), distance2, free_share, worths, *scalars, out
-            )
+            size = (-(-cells // RUN),)
+            self.opencl.launch("score_field", size, distance2, free_share, worths, base, cells, out)
             return out
         distance2, free_share = host(distance2), host(free_share)
         value = base + hit[distance2].astype(np.int32)
@@ -195,14 +181,8 @@ class FieldDevice(ArrayDevice):
         if self.opencl:
             out = self.opencl.empty(values.shape, np.uint16)
             cells = values.size
-            self.opencl.launch(
-                "look_up",
-                (-(-cells // RUN),),
-                values,
-                self.opencl.table(table),
-                np.int32(cells),
-                out,
-            )
+            size = (-(-cells // RUN),)
+            self.opencl.launch("look_up", size, values, self.opencl.table(table), cells, out)
             return out
         values = host(values)
         return np.asarray(table[values], dtype=np.uint16)
@@ -225,7 +205,7 @@ class FieldDevice(ArrayDevice):
             cells = values.size
             tables = (self.opencl.table(table), self.opencl.table(otherwise))
             size = (-(-cells // RUN),)
-            self.opencl.launch("look_up_where", size, values, mask, *tables, np.int32(cells), out)
+            self.opencl.launch("look_up_where", size, values, mask, *tables, cells, out)
             return out
         values, mask = host(values), host(mask)
         return np.where(mask != 0, table[values], otherwise[values]).astype(np.uint16)
@@ -243,19 +223,12 @@ class FieldDevice(ArrayDevice):
         """
         if self.opencl:
             height, width = field.shape
-            reached = 1
+            size, reached = (-(-width // WINDOW_LANES), height), 1
             while reached < window:
                 shift = min(reached, window - reached)
                 out = self.opencl.empty(field.shape, np.uint8)
-                sizes = [np.int32(v) for v in (height, width, shift, along_rows)]
-                self.opencl.launch(
-                    "max_pair",
-                    (-(-width // WINDOW_LANES), height),
-                    field,
-                    *sizes,
-                    np.uint8(fill),
-                    out,
-                )
+                sizes = (height, width, shift, along_rows)
+                self.opencl.launch("max_pair", size, field, *sizes, np.uint8(fill), out)
                 field = out
                 reached += shift
             return field
@@ -269,11 +242,7 @@ class FieldDevice(ArrayDevice):
         return best
 
     def warp(
-        self,
-        cells: DeviceArray[Cell],
-        poses: I64,
-        shape: tuple[int, int],
-        fill: int,
+        self, cells: DeviceArray[Cell], poses: I64, shape: tuple[int, int], fill: int
     ) -> DeviceArray[Cell]:
         """Return the grid resampled by nearest cell under each pose.
 
@@ -288,11 +257,11 @@ class FieldDevice(ArrayDevice):
         """
         if self.opencl:
             warped = self.opencl.empty((len(poses), *shape), cells.dtype)
-            sizes = [np.int32(v) for v in (len(poses), *shape)]
-            own = [np.int32(v) for v in cells.shape]
             size = (-(-shape[1] // RUN), shape[0], len(poses))
-            fixed = self.upload(poses)
-            self.opencl.launch("warp", size, cells, *own, fixed, *sizes, np.int8(fill), warped)
+            self.opencl.launch(
+                "warp", size, cells, *cells.shape, self.upload(poses), len(poses), *shape,
+                np.int8(fill), warped,
+            )  # fmt: skip
             return warped
         cells = host(cells)
         height, width = cells.shape

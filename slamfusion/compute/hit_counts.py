@@ -19,16 +19,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from slamfusion.compute.arrays import (
-    F32,
-    I32,
-    I64,
-    U8,
-    U32,
-    ArrayDevice,
-    DeviceArray,
-    host,
-)
+from slamfusion.compute.arrays import F32, I32, I64, U8, U32, ArrayDevice, DeviceArray, host
 from slamfusion.compute.layout import (
     BEAM_ONE,
     BEAM_SHIFT,
@@ -230,15 +221,9 @@ def _launch_beams(
     beams = len(scan.ends)
     # The scan is copied: the kernel may still run when its arrays are gone.
     device.launch(
-        name,
-        (maps * beams,),
-        device.upload(scan.ends),
-        np.int32(beams),
-        *(np.float32(value) for value in scan.laser),
-        device.upload(scan.poses),
-        *(np.int32(value) for value in (maps, width, height)),
-        *arguments,
-    )
+        name, (maps * beams,), device.upload(scan.ends), beams, *scan.laser,
+        device.upload(scan.poses), *(maps, width, height), *arguments,
+    )  # fmt: skip
 
 
 class HitCountDevice(ArrayDevice):
@@ -260,7 +245,7 @@ class HitCountDevice(ArrayDevice):
             touched = np.zeros(pages.shape, dtype=np.uint8)
             if touched.size and len(scan.ends):
                 out = self.opencl.cleared(pages.shape, np.uint8)
-                _launch_beams(self.opencl, "touch_pages", pages, scan, np.int32(reach), out)
+                _launch_beams(self.opencl, "touch_pages", pages, scan, reach, out)
                 touched = self.download(out)
             return touched
         pages = host(pages)
@@ -303,20 +288,19 @@ class HitCountDevice(ArrayDevice):
         Raises:
             DeviceError: the scan has more beams.
         """
+        check_beams(scan)
         if self.opencl:
-            check_beams(scan)
             full = np.zeros(1, dtype=np.int32)
             if pages.size and len(scan.ends):
                 flag = self.upload(full)
                 is_hit = self.upload(scan.is_hit)
-                sign = np.int32(-1 if take_back else 1)
+                sign = -1 if take_back else 1
                 _launch_beams(
                     self.opencl, "count_beams", pages, scan, is_hit, pages, counts, sums, sign, flag
                 )
                 full = self.download(flag)
             return bool(full[0])
         counts, sums, pages = host(counts), host(sums), host(pages)
-        check_beams(scan)
         w = _walks(scan, pages.shape)
         places = _places(pages, *w)
         places = tuple(part[places[0] != 0] for part in places)
@@ -359,30 +343,19 @@ class HitCountDevice(ArrayDevice):
             scan: see ``BeamScan``.
             rule: see ``FieldRule``.
         """
+        check_rule(rule)
         if self.opencl:
-            check_rule(rule)
             if not (pages.size and len(scan.ends)):
                 return
             _launch_beams(
-                self.opencl,
-                "settle_field",
-                pages,
-                scan,
-                pages,
-                counts,
-                sums,
-                field,
+                self.opencl, "settle_field", pages, scan, pages, counts, sums, field,
                 self.opencl.cleared((counts.shape[0], TILE), np.uint32),
-                self.opencl.table(rule.table),
-                np.int32(rule.shift),
-                np.int32(rule.reach),
-                np.uint32(rule.occupied),
+                self.opencl.table(rule.table), rule.shift, rule.reach, np.uint32(rule.occupied),
                 np.uint32(rule.least_hits),
-            )
+            )  # fmt: skip
             return
         counts, sums, field = host(counts), host(sums), host(field)
         pages = host(pages)
-        check_rule(rule)
         w = _walks(scan, pages.shape)
         is_changed = counts[_places(pages, *w)] >> HITS_SHIFT > 0
         changed = np.unique(np.stack(w, axis=1)[is_changed], axis=0)

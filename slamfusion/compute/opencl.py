@@ -193,10 +193,13 @@ class OpenCLDevice(ComputeDevice):
     # -- launching -----------------------------------------------------------------------------
 
     def launch(self, name: str, size: tuple[int, ...], *arguments: Any) -> None:
-        """Start a kernel; its global size is rounded up to the fixed local size."""
+        """Start a kernel; its global size is rounded up to the fixed local size.
+
+        Python's numbers become int32 and float32.
+        """
         local = LOCAL_SIZES[len(size)]
         rounded = tuple(-(-s // part) * part for s, part in zip(size, local, strict=True))
-        plain = [a.buffer if isinstance(a, OpenCLArray) else a for a in arguments]
+        plain = [_argument(item) for item in arguments]
         try:
             self.program.kernel(name, plain)(self.queue, rounded, local, *plain)
         except cl.Error as error:
@@ -220,3 +223,12 @@ class OpenCLDevice(ComputeDevice):
         words = " ".join(str(error).split())[:200]
         message = f"{self.name}: {what} failed ({words}); try `--device numpy`"
         return DeviceError(message)
+
+
+def _argument(item: Any) -> Any:
+    """Return an argument as a kernel receives it."""
+    if isinstance(item, OpenCLArray):
+        return item.buffer
+    if isinstance(item, (int, np.int64)):
+        return np.int32(item)
+    return np.float32(item) if isinstance(item, float) else item

@@ -7,12 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from slamfusion.compute.arrays import (
-    F32,
-    ArrayDevice,
-    DeviceArray,
-    host,
-)
+from slamfusion.compute.arrays import F32, ArrayDevice, DeviceArray, host
 from slamfusion.compute.layout import OPEN, RAY_FLOATS, RAY_HIT_FLOATS, WALL
 
 # A ray with a smaller cosine runs along the cells' edges.
@@ -66,10 +61,9 @@ class RayDevice(ArrayDevice):
             if not count:
                 return np.empty((0, RAY_HIT_FLOATS), dtype=np.float32)
             found = self.opencl.empty((count, RAY_HIT_FLOATS), np.float32)
-            sizes = [np.int32(v) for v in cells.shape]
-            table, reach = self.upload(ray_table(rays)), np.float32(reach_cells)
+            table = self.upload(ray_table(rays))
             self.opencl.launch(
-                "cast_rays", (count,), cells, *sizes, table, np.int32(count), reach, found
+                "cast_rays", (count,), cells, *cells.shape, table, count, reach_cells, found
             )
             return self.download(found)
         cells = host(cells)

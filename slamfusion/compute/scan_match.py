@@ -5,19 +5,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-from slamfusion.compute.arrays import (
-    F32,
-    I32,
-    I64,
-    U8,
-    ArrayDevice,
-    DeviceArray,
-    host,
-)
+from slamfusion.compute.arrays import F32, I32, I64, U8, ArrayDevice, DeviceArray, host
 from slamfusion.compute.layout import CLIMBERS, FOUND_FLOATS, SIXTEENTHS, SIXTEENTHS_SHIFT, TILE
 
 
@@ -84,14 +74,11 @@ class ScanMatchDevice(ArrayDevice):
             sums = np.empty(n, dtype=np.int32)
             out = self.opencl.wrap_host(sums, writable=True)
             height, width = pages.shape
-            arguments: list[Any] = [
-                field, pages, np.int32(width), np.int32(height), points, np.int32(points.shape[0]),
-                self.opencl.wrap_host(poses), np.int32(n),
-            ]  # fmt: skip
-            if reach:
-                self.opencl.launch("score_wide", (n,), *arguments, np.int32(reach), out)
-            else:
-                self.opencl.launch("score_smooth", (n,), *arguments, out)
+            wide = [reach] if reach else []
+            self.opencl.launch(
+                "score_wide" if reach else "score_smooth", (n,), field, pages, width, height,
+                points, points.shape[0], self.opencl.wrap_host(poses), n, *wide, out,
+            )  # fmt: skip
             self.opencl.map_host(out, sums)
             return sums.astype(np.int64)
         field, pages, points = host(field), host(pages), host(points)
@@ -141,22 +128,11 @@ class ScanMatchDevice(ArrayDevice):
             out = self.opencl.wrap_host(found, writable=True)
             height, width = pages.shape
             self.opencl.launch(
-                "climb",
-                (len(starts) * CLIMBERS,),
-                field,
-                pages,
-                np.int32(width),
-                np.int32(height),
-                points,
-                np.int32(points.shape[0]),
-                self.opencl.wrap_host(hypotheses),
-                np.int32(len(hypotheses)),
-                self.opencl.wrap_host(starts),
-                self.opencl.wrap_host(steps),
-                np.int32(len(steps)),
-                np.float32(scale),
+                "climb", (len(starts) * CLIMBERS,), field, pages, width, height, points,
+                points.shape[0], self.opencl.wrap_host(hypotheses), len(hypotheses),
+                self.opencl.wrap_host(starts), self.opencl.wrap_host(steps), len(steps), scale,
                 out,
-            )
+            )  # fmt: skip
             self.opencl.map_host(out, found)
             return found
         field, pages, points = host(field), host(pages), host(points)
@@ -219,22 +195,10 @@ class ScanMatchDevice(ArrayDevice):
             out = self.opencl.wrap_host(found, writable=True)
             _, height, width = pages.shape
             self.opencl.launch(
-                "climb_maps",
-                (len(starts) * CLIMBERS,),
-                field,
-                pages,
-                np.int32(width),
-                np.int32(height),
-                points,
-                np.int32(points.shape[0]),
-                self.opencl.wrap_host(hypotheses),
-                self.opencl.wrap_host(starts),
-                self.opencl.wrap_host(sizes),
-                np.int32(len(sizes)),
-                np.int32(tries),
-                np.float32(scale),
-                out,
-            )
+                "climb_maps", (len(starts) * CLIMBERS,), field, pages, width, height, points,
+                points.shape[0], self.opencl.wrap_host(hypotheses), self.opencl.wrap_host(starts),
+                self.opencl.wrap_host(sizes), len(sizes), tries, scale, out,
+            )  # fmt: skip
             self.opencl.map_host(out, found)
             return found
         field, pages, points = host(field), host(pages), host(points)
@@ -289,20 +253,9 @@ class ScanMatchDevice(ArrayDevice):
             wrapped = self.opencl.wrap_host(whole, writable=True)
             _, height, width = pages.shape
             self.opencl.launch(
-                "score_maps",
-                (maps * each,),
-                field,
-                pages,
-                np.int32(width),
-                np.int32(height),
-                points,
-                np.int32(points.shape[0]),
-                self.opencl.wrap_host(poses),
-                np.int32(maps),
-                np.int32(each),
-                self.opencl.wrap_host(table),
-                wrapped,
-            )
+                "score_maps", (maps * each,), field, pages, width, height, points, points.shape[0],
+                self.opencl.wrap_host(poses), maps, each, self.opencl.wrap_host(table), wrapped,
+            )  # fmt: skip
             self.opencl.map_host(wrapped, whole)
             return whole.astype(np.int64)
         field, pages, points = host(field), host(pages), host(points)

@@ -10,16 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from slamfusion.compute.arrays import (
-    F32,
-    F64,
-    I32,
-    I64,
-    U8,
-    ArrayDevice,
-    DeviceArray,
-    host,
-)
+from slamfusion.compute.arrays import F32, F64, I32, I64, U8, ArrayDevice, DeviceArray, host
 from slamfusion.compute.lattice import fixed_cells, narrow_motions
 from slamfusion.compute.layout import (
     COUNT_TERMS,
@@ -153,20 +144,10 @@ def _start_scores(device: OpenCLDevice, side: ScoredSide) -> DeviceArray[np.int3
     near, narrow, shift = narrow_motions(side.points, side.poses)
     planes[:, :count] = near.T
     partial = device.empty((chunks, n), np.int32)
-    before = [np.int32(v) for v in (count, stride)]
-    sizes = [np.int32(v) for v in (*side.field.shape, side.base, CHUNK_SCORED, chunks)]
     device.launch(
-        "pose_scores",
-        (chunks * n,),
-        device.upload(planes),
-        *before,
-        device.upload(narrow),
-        np.int32(n),
-        np.int32(shift),
-        side.field,
-        *sizes,
-        partial,
-    )
+        "pose_scores", (chunks * n,), device.upload(planes), count, stride, device.upload(narrow),
+        n, shift, side.field, *side.field.shape, side.base, CHUNK_SCORED, chunks, partial,
+    )  # fmt: skip
     return partial
 
 
@@ -178,19 +159,14 @@ class SearchDevice(ArrayDevice):
         if self.opencl:
             chunks = -(-a.size // CHUNK_CELLS)
             partial = self.opencl.empty((chunks, 9), np.int32)
-            sizes = (np.int32(a.size), np.int32(CHUNK_CELLS))
-            self.opencl.launch("confusion", (chunks,), a, b, *sizes, partial)
+            self.opencl.launch("confusion", (chunks,), a, b, a.size, CHUNK_CELLS, partial)
             return np.asarray(self.download(partial).sum(axis=0, dtype=np.int64)).reshape(3, 3)
         a, b = host(a), host(b)
         index = 3 * (a.astype(np.int64) + 1) + (b + 1)
         return np.bincount(index.ravel(), minlength=9).reshape(3, 3).astype(np.int64)
 
     def squared_error(
-        self,
-        a: DeviceArray[np.int8],
-        b: DeviceArray[np.int8],
-        poses: I64,
-        stride: int,
+        self, a: DeviceArray[np.int8], b: DeviceArray[np.int8], poses: I64, stride: int
     ) -> I64:
         """Return the [F16] squared error of the moving grid under each pose.
 
@@ -205,21 +181,10 @@ class SearchDevice(ArrayDevice):
         if self.opencl:
             chunks = -(-a.shape[0] // (stride * CHUNK_ROWS))
             partial = self.opencl.empty((len(poses), chunks), np.int32)
-            size = [np.int32(v) for v in a.shape]
-            moving_size = [np.int32(v) for v in b.shape]
-            sizes = [np.int32(v) for v in (len(poses), stride, CHUNK_ROWS, chunks)]
-            fixed = self.upload(poses)
             self.opencl.launch(
-                "squared_error",
-                (chunks, len(poses)),
-                a,
-                *size,
-                b,
-                *moving_size,
-                fixed,
-                *sizes,
-                partial,
-            )
+                "squared_error", (chunks, len(poses)), a, *a.shape, b, *b.shape,
+                self.upload(poses), len(poses), stride, CHUNK_ROWS, chunks, partial,
+            )  # fmt: skip
             return np.asarray(self.download(partial).sum(axis=1, dtype=np.int64))
         a, b = host(a), host(b)
         y2, x2 = np.meshgrid(
@@ -271,27 +236,16 @@ class SearchDevice(ArrayDevice):
                 raise DeviceError(message)
             sums = self.opencl.empty((count, height, width), np.int32)
             points = offsets.shape[1]
-            field_stride = np.int32(field_height * field_width if planes > 1 else 0)
-            offset_stride = np.int32(points if len(offsets) > 1 else 0)
+            field_stride = field_height * field_width if planes > 1 else 0
+            offset_stride = points if len(offsets) > 1 else 0
             if spans is None:
                 everywhere = (0, height - 1, 0, width - 1)
                 spans = np.full((count, -(-points // SHIFT_POINTS), 4), everywhere, dtype=np.int32)
             self.opencl.launch(
-                "correlate",
-                (width // SHIFT_LANES, -(-height // SHIFT_ROWS), count),
-                fields,
-                field_stride,
-                np.int32(field_width),
-                self.upload(offsets),
-                offset_stride,
-                np.int32(points),
-                self.upload(spans),
-                np.int32(base),
-                np.int32(height),
-                np.int32(width),
-                np.int32(count),
-                sums,
-            )
+                "correlate", (width // SHIFT_LANES, -(-height // SHIFT_ROWS), count), fields,
+                field_stride, field_width, self.upload(offsets), offset_stride, points,
+                self.upload(spans), base, height, width, count, sums,
+            )  # fmt: skip
             return sums
         fields = host(fields)
         count = max(len(fields), len(offsets))
@@ -332,7 +286,7 @@ class SearchDevice(ArrayDevice):
         """
         if self.opencl:
             out = self.opencl.empty((step, step, *shape), np.uint8)
-            sizes = [np.int32(v) for v in (*field.shape, *corner, step, *shape)]
+            sizes = (*field.shape, *corner, step, *shape)
             size = (shape[0], step * step)
             self.opencl.launch("polyphase", size, field, *sizes, np.uint8(fill), out)
             return out
@@ -375,20 +329,10 @@ class SearchDevice(ArrayDevice):
             wrapped = self.opencl.wrap_host(bounds, writable=True)
             _, height, width = fields.shape
             self.opencl.launch(
-                "bound_blocks",
-                (len(blocks),),
-                self.opencl.wrap_host(blocks),
-                np.int32(len(blocks)),
-                starts,
-                self.opencl.wrap_host(classes),
-                np.int32(len(classes)),
-                fields,
-                np.int32(height),
-                np.int32(width),
-                np.uint8(fill),
-                np.int32(least),
-                wrapped,
-            )
+                "bound_blocks", (len(blocks),), self.opencl.wrap_host(blocks), len(blocks), starts,
+                self.opencl.wrap_host(classes), len(classes), fields, height, width,
+                np.uint8(fill), least, wrapped,
+            )  # fmt: skip
             self.opencl.map_host(wrapped, bounds)
             return bounds
         starts, fields = host(starts), host(fields)
@@ -402,10 +346,7 @@ class SearchDevice(ArrayDevice):
         return np.where(out > least, out, np.int32(-1))
 
     def tile_peaks(
-        self,
-        forward: DeviceArray[np.int32],
-        backward: DeviceArray[np.int32],
-        width: int,
+        self, forward: DeviceArray[np.int32], backward: DeviceArray[np.int32], width: int
     ) -> tuple[I32, I32]:
         """Return the best of each tile of shifts of ``forward`` plus reversed ``backward``.
 
@@ -423,7 +364,7 @@ class SearchDevice(ArrayDevice):
             tiles_y, tiles_x = -(-height // SHIFT_TILE), -(-width // SHIFT_TILE)
             best = self.opencl.empty((count, tiles_y, tiles_x), np.int32)
             where = self.opencl.empty((count, tiles_y, tiles_x), np.int32)
-            sizes = [np.int32(v) for v in (height, width, stride, count, tiles_y, tiles_x)]
+            sizes = (height, width, stride, count, tiles_y, tiles_x)
             size = (-(-width // (2 * SHIFT_TILE)), tiles_y, count)
             self.opencl.launch("tile_peaks", size, forward, backward, *sizes, best, where)
             return self.download(best), self.download(where)
@@ -475,20 +416,11 @@ class SearchDevice(ArrayDevice):
             chunks = -(-count // CHUNK_POINTS)
             partial = self.opencl.empty((n, chunks, COUNT_TERMS), np.int32)
             height, width = field.shape
-            sizes = [np.int32(v) for v in (height, width, base, near2, far2, CHUNK_POINTS, chunks)]
+            sizes = (height, width, base, near2, far2, CHUNK_POINTS, chunks)
             self.opencl.launch(
-                "pose_counts",
-                (chunks, n),
-                self.upload(points),
-                np.int32(count),
-                self.upload(poses),
-                np.int32(n),
-                field,
-                distance2,
-                free_cell,
-                *sizes,
-                partial,
-            )
+                "pose_counts", (chunks, n), self.upload(points), count, self.upload(poses), n,
+                field, distance2, free_cell, *sizes, partial,
+            )  # fmt: skip
             return np.asarray(self.download(partial).sum(axis=1, dtype=np.int64))
         field, distance2, free_cell = host(field), host(distance2), host(free_cell)
         height, width = field.shape
@@ -517,12 +449,7 @@ class SearchDevice(ArrayDevice):
         return [_pose_scores(side) for side in sides]
 
     def refine_terms(
-        self,
-        forward: FitSide,
-        backward: FitSide,
-        *,
-        scales: F32,
-        centre: tuple[float, float],
+        self, forward: FitSide, backward: FitSide, *, scales: F32, centre: tuple[float, float]
     ) -> F64:
         """Return the normal equations of a robust point-to-wall fit, one row per pose.
 
@@ -544,23 +471,14 @@ class SearchDevice(ArrayDevice):
             sides, chunks = [], []
             for side in (forward, backward):
                 count = side.points.shape[0]
-                sizes = [np.int32(v) for v in side.distance.shape]
                 poses = self.upload(side.poses)
-                sides += [side.points, np.int32(count), poses, side.distance, *sizes]
+                sides += [side.points, count, poses, side.distance, *side.distance.shape]
                 chunks.append(-(-count // CHUNK_POINTS))
             partial = self.opencl.empty((sum(chunks), n, REFINE_TERMS), np.float32)
-            middle = [np.float32(v) for v in centre]
-            counts = [np.int32(v) for v in (CHUNK_POINTS, chunks[0], sum(chunks))]
             self.opencl.launch(
-                "refine_terms",
-                (sum(chunks), n),
-                *sides,
-                np.int32(n),
-                self.upload(scales),
-                *middle,
-                *counts,
-                partial,
-            )
+                "refine_terms", (sum(chunks), n), *sides, n, self.upload(scales), *centre,
+                CHUNK_POINTS, chunks[0], sum(chunks), partial,
+            )  # fmt: skip
             parts = self.download(partial)
             ahead, back = parts[: chunks[0]], parts[chunks[0] :]
             return np.asarray(

@@ -14,12 +14,7 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute.arrays import (
-    I32,
-    ArrayDevice,
-    DeviceArray,
-    host,
-)
+from slamfusion.compute.arrays import I32, ArrayDevice, DeviceArray, host
 from slamfusion.compute.layout import COPIED_BYTES, TAKEN_BYTES, TILE, TILE_CELLS
 
 Scalar = TypeVar("Scalar", bound=np.generic)
@@ -60,9 +55,7 @@ class TileDevice(ArrayDevice):
             table = self.upload(pairs)
             for pool in pools:
                 words = TILE_CELLS * pool.dtype.itemsize // COPIED_BYTES
-                self.opencl.launch(
-                    "copy_tiles", (words, count), pool, np.int32(words), table, np.int32(count)
-                )
+                self.opencl.launch("copy_tiles", (words, count), pool, words, table, count)
             return
         for pool in map(host, pools):
             pool[pairs[:, 1]] = pool[pairs[:, 0]]
@@ -83,9 +76,7 @@ class TileDevice(ArrayDevice):
             if count:
                 words = TILE_CELLS * pool.dtype.itemsize // TAKEN_BYTES
                 table, out = self.upload(numbers), self.opencl.wrap_host(tiles, writable=True)
-                self.opencl.launch(
-                    "take_tiles", (words, count), pool, np.int32(words), table, np.int32(count), out
-                )
+                self.opencl.launch("take_tiles", (words, count), pool, words, table, count, out)
                 self.opencl.map_host(out, tiles)
             return tiles
         return np.asarray(host(pool)[numbers])

@@ -13,14 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute.arrays import (
-    I8,
-    I32,
-    I64,
-    U8,
-    U16,
-    ArrayDevice,
-)
+from slamfusion.compute.arrays import I8, I32, I64, U8, U16, ArrayDevice
 from slamfusion.compute.layout import (
     BLOCK_CELLS,
     EACH_LANE,
@@ -82,11 +75,7 @@ def _majority_shares(count: int, *, unknown_votes: bool) -> npt.NDArray[np.uint6
 
 
 def _votes(
-    winner: I64,
-    own: I64 | I32,
-    cast: I64 | I32,
-    outvoted: Mask,
-    phantom_cells: int,
+    winner: I64, own: I64 | I32, cast: I64 | I32, outvoted: Mask, phantom_cells: int
 ) -> Votes:
     """Return the outcome of a vote.
 
@@ -125,17 +114,9 @@ def _vote(
     chunks = -(-cells // chunk)
     phantom = device.empty((chunks,), np.int32)
     device.launch(
-        name,
-        (chunks,),
-        *wrapped,
-        *[wrapped[0]] * (MOST_INPUTS - count),
-        np.int32(count),
-        np.int32(cells),
-        *arguments,
-        np.int32(chunk),
-        *outs,
-        phantom,
-    )
+        name, (chunks,), *wrapped, *[wrapped[0]] * (MOST_INPUTS - count), count, cells, *arguments,
+        chunk, *outs, phantom,
+    )  # fmt: skip
     phantom_cells = int(device.download(phantom).sum(dtype=np.int64))
     for out, result in zip(outs, results, strict=True):
         device.map_host(out, result)
@@ -157,7 +138,7 @@ class VoteDevice(ArrayDevice):
         """
         if self.opencl:
             shares = _majority_shares(len(grids), unknown_votes=unknown_votes)
-            arguments = (np.int32(unknown_votes), self.opencl.table(shares), np.int32(len(shares)))
+            arguments = (unknown_votes, self.opencl.table(shares), len(shares))
             return _vote(self.opencl, "vote_majority", grids, arguments)
         stack = np.stack(grids)
         votes = np.stack([(stack == value).sum(axis=0) for value in (UNKNOWN, FREE, OCCUPIED)])
@@ -203,8 +184,7 @@ class VoteDevice(ArrayDevice):
         if self.opencl:
             width = codes[0].shape[1]
             tables = [self.upload(table) for table in (weights, ranks, trusted)]
-            sizes = (width, shift, *phase, *weights.shape[1:])
-            arguments = (*tables, *(np.int32(size) for size in sizes))
+            arguments = (*tables, width, shift, *phase, *weights.shape[1:])
             # A work item decides whole rows: the weights change along them every few cells.
             rows = max(1, CHUNK_CELLS // width)
             return _vote(self.opencl, "vote_walls", codes, arguments, chunk=rows * width)

@@ -8,14 +8,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute.arrays import (
-    I32,
-    I64,
-    U8,
-    ArrayDevice,
-    DeviceArray,
-    host,
-)
+from slamfusion.compute.arrays import I32, I64, U8, ArrayDevice, DeviceArray, host
 from slamfusion.compute.lattice import fixed_cells
 from slamfusion.compute.layout import FACES, FACING_PARTS, OPPOSED_PARTS
 
@@ -73,10 +66,11 @@ class WallPieceDevice(ArrayDevice):
         if self.opencl:
             pieces, n = len(starts) - 1, len(poses)
             sums = self.opencl.empty((n, pieces, 3), np.int32)
-            walls = (self.upload(points), self.upload(starts), np.int32(pieces), self.upload(sides))
-            given = (self.upload(poses), self.upload(turns), np.int32(n), field, most, seen)
-            sizes = [facing, *(np.int32(v) for v in (*field.shape, base))]
-            self.opencl.launch("piece_sums", (pieces, n), *walls, *given, *sizes, sums)
+            self.opencl.launch(
+                "piece_sums", (pieces, n), self.upload(points), self.upload(starts), pieces,
+                self.upload(sides), self.upload(poses), self.upload(turns), n, field, most, seen,
+                facing, *field.shape, base, sums,
+            )  # fmt: skip
             return np.asarray(self.download(sums), dtype=np.int64)
         field, most, seen = host(field), host(most), host(seen)
         facing = host(facing)
