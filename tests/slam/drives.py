@@ -70,7 +70,7 @@ def scans_at(
     angles = np.concatenate([first + step * np.arange(BEAMS) + laser.yaw_rad for laser in lasers])
     places = np.repeat([[laser.x, laser.y] for laser in lasers], BEAMS, axis=0) / CELL_M
     rays = np.column_stack((places, np.cos(angles), np.sin(angles))).astype(np.float32)
-    ranges = NumpyDevice.cast_rays(draw_flat(), rays, REACH_M / CELL_M)[:, 0] * CELL_M
+    ranges = NumpyDevice().cast_rays(draw_flat(), rays, REACH_M / CELL_M)[:, 0] * CELL_M
     return tuple(
         LaserScan(stamp_s, row, first, step, 0.02, REACH_M, mount)
         for stamp_s, row in zip(stamps_s, ranges.reshape(-1, BEAMS), strict=True)

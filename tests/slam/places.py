@@ -126,7 +126,7 @@ def read(
     turned = np.concatenate([angles + pose.yaw_rad for pose in poses])
     places = np.repeat([[pose.x, pose.y] for pose in poses], beams, axis=0) / CELL_M
     rays = np.column_stack((places, np.cos(turned), np.sin(turned))).astype(np.float32)
-    ranges = NumpyDevice.cast_rays(cells, rays, reach_m / CELL_M)[:, 0] * CELL_M
+    ranges = NumpyDevice().cast_rays(cells, rays, reach_m / CELL_M)[:, 0] * CELL_M
     noise = np.random.default_rng(0).normal(0.0, noise_m, ranges.shape)
     ranges = np.where(ranges < reach_m - 1e-3, ranges + noise, ranges).reshape(-1, beams)
     return [
