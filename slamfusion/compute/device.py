@@ -20,14 +20,6 @@ from slamfusion.compute.pocl_cache import PLATFORM, find_cache
 from slamfusion.compute.records import DeviceJson
 from slamfusion.errors import DeviceError
 
-__all__ = [
-    "DeviceInfo",
-    "choose_device",
-    "find_devices",
-    "list_devices",
-    "pocl_state",
-]
-
 SIMULATOR = "oclgrind"
 NO_DEVICE = (
     "no OpenCL device found; install one (x86-64 CPU: `pip install pocl-binary-distribution`, "

@@ -20,8 +20,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-__all__ = ["intel_library", "intel_shown", "is_intel_extra"]
-
 DISTRIBUTION = "intel-opencl-rt"
 LIBRARY = "libintelocl.so"
 PLATFORM = "Intel(R) OpenCL"

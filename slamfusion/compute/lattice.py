@@ -7,8 +7,6 @@ import numpy.typing as npt
 
 from slamfusion.compute.layout import FIXED_ONE, FIXED_TO_CELL_SHIFT
 
-__all__ = ["fixed_cells", "fixed_poses", "narrow_motions"]
-
 I32 = npt.NDArray[np.int32]
 I64 = npt.NDArray[np.int64]
 F64 = npt.NDArray[np.float64]

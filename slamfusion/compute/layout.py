@@ -35,57 +35,6 @@ from typing import Final
 
 import numpy as np
 
-__all__ = [
-    "BEAM_ONE",
-    "BEAM_SHIFT",
-    "BLUR_RADIUS",
-    "CLIMBERS",
-    "COHERENCE_PART",
-    "COHERENCE_WHOLE",
-    "DISTANCE2_MAX",
-    "DISTANCE_MAX",
-    "DISTANCE_TABLE",
-    "DISTANCE_UNSEEN",
-    "EACH_LANE",
-    "FACINGS",
-    "FACINGS_ALIKE",
-    "FIXED_ONE",
-    "FULL_HITS",
-    "FULL_VISITS",
-    "KERNEL_CONSTANTS",
-    "LEAST_GROUP",
-    "MARK_REACH_MAX",
-    "MEAN_HALF",
-    "MEAN_SHIFT",
-    "MOST_BEAMS",
-    "MOST_CHUNKS",
-    "MOST_INPUTS",
-    "MOST_OBSERVATIONS",
-    "MOST_REACH",
-    "NORMAL_BLOCK",
-    "NORMAL_SHIFT",
-    "PARALLEL",
-    "PRODUCT_SHIFT",
-    "RAY_SHIFT",
-    "SHIFT_LANES",
-    "SHIFT_POINTS",
-    "SHIFT_TILE",
-    "TABLE_LAST",
-    "TENSOR_SHIFT",
-    "TILE",
-    "UNSEEN",
-    "VALUE_ONE",
-    "VOTE_ONE",
-    "WALL_FREE",
-    "WALL_LEVEL",
-    "WALL_NEAR",
-    "WALL_OCCUPIED",
-    "WALL_SIDES",
-    "WEIGHT_SHIFT",
-    "WINDOW_RADIUS",
-    "kernel_options",
-]
-
 # -- cells and the lattice -------------------------------------------------------------------------
 
 # Trinary cells.
@@ -297,32 +246,12 @@ PARALLEL: Final = round(math.cos(math.radians(20.0)) * 4**NORMAL_SHIFT)
 
 # -- what the kernels get --------------------------------------------------------------------------
 
-_FOR_KERNELS: Final = (
-    *("UNKNOWN", "FREE", "OCCUPIED", "FIXED_TO_CELL_SHIFT"),
-    *("DISTANCE_MAX", "DISTANCE_ONE", "DISTANCE_UNSEEN", "FIELD_ONE", "SPECK_FREE_CELLS"),
-    *("RUN", "DISTANCE_LANES", "WINDOW_LANES", "SHIFT_LANES", "SHIFT_ROWS"),
-    *("SHIFT_POINTS", "SHIFT_TILE"),
-    *("REFINE_TERMS", "MOST_INPUTS", "BLOCK_CELLS", "EACH_LANE"),
-    *("WALL_OCCUPIED", "WALL_FREE", "WALL_NEAR", "WALL_SIDES", "VOTE_ONE"),
-    *("OPEN", "WALL", "RAY_FLOATS", "RAY_HIT_FLOATS"),
-    *("TILE_SHIFT", "TILE", "TILE_MASK", "TILE_CELLS"),
-    *("BEAM_SHIFT", "BEAM_ONE", "BEAM_MASK", "BEAM_HALF", "WALK_SHIFT", "WALK_TO_BEAM_SHIFT"),
-    *("CLIMBERS", "SIXTEENTHS", "SIXTEENTHS_SHIFT"),
-    *("HYPOTHESIS_FLOATS", "START_FLOATS", "SIZE_FLOATS", "FOUND_FLOATS"),
-    *("TABLE_LAST", "MEAN_SHIFT", "MOST_OBSERVATIONS", "MEAN_BITS", "MEAN_HALF", "VALUE_ONE"),
-    *("VALUE_TO_MEAN_SHIFT", "QUALITY_SHIFT", "HIT_SHIFT", "VALUE_SHIFT"),
-    *("LIKELIHOOD_SHIFT", "LIKELIHOOD_ONE", "VALLEY_BEAM_INTS", "BEAM_INTS"),
-    *("HITS_SHIFT", "VISITS_MASK", "SUM_SHIFT", "SUM_MASK", "FULL_VISITS", "FULL_HITS"),
-    *("MOST_REACH", "OFFSET_SHIFT", "OFFSET_ONE", "OFFSET_HALF"),
-    *("CELL_SHIFT", "CELL_HALF", "SHARE_ONE"),
-    *("FACINGS", "FACINGS_ALIKE"),
-    *("FACES", "FACING_PARTS", "OPPOSED_PARTS"),
-    *("LEAST_GROUP", "BLUR_RADIUS", "WINDOW_RADIUS", "WEIGHT_SHIFT", "PRODUCT_SHIFT"),
-    *("TENSOR_SHIFT", "NORMAL_SHIFT", "RAY_SHIFT", "NORMAL_BLOCK", "COHERENCE_PART"),
-    *("COHERENCE_WHOLE", "WALL_LEVEL", "PARALLEL"),
-)
 # By name, what stands in the kernels under the same name.
-KERNEL_CONSTANTS: Final[dict[str, int]] = {name: int(globals()[name]) for name in _FOR_KERNELS}
+KERNEL_CONSTANTS: Final[dict[str, int]] = {
+    name: int(value)
+    for name, value in tuple(globals().items())
+    if name.isupper() and not isinstance(value, np.ndarray)
+}
 INT_MAX: Final = 2**31 - 1
 
 

@@ -34,18 +34,6 @@ from typing import Any, Literal
 
 import pyopencl as cl  # noqa: TID251 - compute/ is where pyopencl belongs
 
-__all__ = [
-    "CHECKED",
-    "SWITCH",
-    "CheckedLibrary",
-    "PoclState",
-    "is_refused",
-    "is_single_thread",
-    "name_processor",
-    "offer_single_thread",
-    "processor_name",
-]
-
 LOG = logging.getLogger(__name__)
 # The environment variable that switches the replacement off, or agrees to it.
 SWITCH, OFF, AGREED = "SLAMFUSION_PATCH_POCL", "0", "1"

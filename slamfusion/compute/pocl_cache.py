@@ -19,8 +19,6 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-__all__ = ["PLATFORM", "PoclCache", "find_cache"]
-
 LOG = logging.getLogger(__name__)
 # What PoCL calls itself.
 PLATFORM = "Portable Computing Language"

@@ -15,8 +15,6 @@ import pyopencl as cl  # noqa: TID251 - compute/ is where pyopencl belongs
 from slamfusion.compute.layout import kernel_options
 from slamfusion.errors import DeviceError
 
-__all__ = ["KernelProgram", "kernel_folder"]
-
 LOG = logging.getLogger(__name__)
 INCLUDE = re.compile(r'^#include "([\w.]+)"$', flags=re.MULTILINE)
 

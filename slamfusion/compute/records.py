@@ -7,8 +7,6 @@ from __future__ import annotations
 
 from typing import Literal, TypedDict
 
-__all__ = ["DeviceJson", "PoclJson"]
-
 
 class DeviceJson(TypedDict):
     """An OpenCL device."""

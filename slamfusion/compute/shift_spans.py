@@ -9,8 +9,6 @@ import numpy.typing as npt
 
 from slamfusion.compute.layout import SHIFT_POINTS
 
-__all__ = ["grouped", "shift_spans"]
-
 F64 = npt.NDArray[np.float64]
 I32 = npt.NDArray[np.int32]
 

@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute import NumpyDevice
-from slamfusion.compute.doubled_walls import DOUBLED, DoubledWallDevice, RaySteps
+from slamfusion.compute import ComputeDevice, NumpyDevice
+from slamfusion.compute.doubled_walls import DOUBLED, RaySteps
 from slamfusion.config import NormalizeConfig
 from slamfusion.cores import usable_cores
 from slamfusion.grid import CellBox, OccupancyGrid, trinary_cells
@@ -44,7 +44,7 @@ def doubled_wall_share(
     far: float = FAR,
     *,
     normalize: NormalizeConfig = _DEFAULT_NORMALIZE,
-    device: DoubledWallDevice | None = None,
+    device: ComputeDevice | None = None,
 ) -> float:
     """Return the share of wall cells that have a parallel wall ``near`` to ``far`` cells away.
 
@@ -71,7 +71,7 @@ def fused_doubled_shares(
     fused: npt.NDArray[np.int8],
     inputs: Iterable[tuple[npt.NDArray[np.int8], CellBox]],
     *,
-    device: DoubledWallDevice | None = None,
+    device: ComputeDevice | None = None,
     is_wall: IsWall = _is_occupied,
 ) -> tuple[float, float]:
     """Return the shares of fused wall cells that are doubled, and doubled in no input.
@@ -106,7 +106,7 @@ def _take_doubled(
     doubled: npt.NDArray[np.bool_],
     cells: npt.NDArray[np.int8],
     box: CellBox,
-    device: DoubledWallDevice,
+    device: ComputeDevice,
     is_wall: IsWall,
 ) -> None:
     """Clear the doubled cells near which an input has doubled walls, in place.
@@ -148,7 +148,7 @@ def doubled_wall_cells(
     far: float = FAR,
     *,
     normalize: NormalizeConfig = _DEFAULT_NORMALIZE,
-    device: DoubledWallDevice | None = None,
+    device: ComputeDevice | None = None,
 ) -> npt.NDArray[np.bool_]:
     """Mark the wall cells that have a parallel wall ``near`` to ``far`` cells away.
 
@@ -184,7 +184,7 @@ def _count(
     walls: npt.NDArray[np.bool_],
     near: float,
     far: float,
-    device: DoubledWallDevice | None,
+    device: ComputeDevice | None,
 ) -> tuple[int, npt.NDArray[np.bool_]]:
     """Return how many cells are walls and no specks, and the doubled ones."""
     if not 2.0 <= near <= far:

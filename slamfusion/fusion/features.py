@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from slamfusion.compute import ComputeDevice
 from slamfusion.compute.arrays import DeviceArray
-from slamfusion.compute.fields import FieldDevice
 from slamfusion.compute.layout import (
     DISTANCE_ONE,
     DISTANCE_TABLE,
@@ -110,7 +110,7 @@ class GridFeatures:
     """
 
     def __init__(
-        self, grid: NormalizedGrid, device: FieldDevice, memory: FieldMemory | None = None
+        self, grid: NormalizedGrid, device: ComputeDevice, memory: FieldMemory | None = None
     ) -> None:
         """Take a map; everything is computed when it is asked for.
 
@@ -369,7 +369,7 @@ def _by_square(points: npt.NDArray[np.int32], squares: npt.NDArray[np.int64]) ->
 
 
 def _known_by_distance(
-    device: FieldDevice, cells: npt.NDArray[np.int8], level: Level
+    device: ComputeDevice, cells: npt.NDArray[np.int8], level: Level
 ) -> npt.NDArray[np.float64]:
     """Return (N,) the known cells of a level of a map of such cells, by squared distance."""
     distance2 = device.download(level.distance2)

@@ -10,7 +10,7 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute.fields import FieldDevice
+from slamfusion.compute import ComputeDevice
 from slamfusion.compute.layout import FIXED_ONE
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import GridError
@@ -165,7 +165,7 @@ def normalize_grid(
     grid: OccupancyGrid,
     resolution: float,
     config: NormalizeConfig,
-    device: FieldDevice,
+    device: ComputeDevice,
     cancel: CancelToken | None = None,
 ) -> NormalizedGrid:
     """Resample to ``resolution``, threshold, crop to the known cells, and find the solid walls.
@@ -200,7 +200,7 @@ def normalize_grid(
 
 
 def voting_grid(
-    grid: OccupancyGrid, resolution: float, config: NormalizeConfig, device: FieldDevice
+    grid: OccupancyGrid, resolution: float, config: NormalizeConfig, device: ComputeDevice
 ) -> VotingGrid:
     """Resample to ``resolution``, threshold, and crop to the known cells.
 
@@ -234,7 +234,7 @@ def _voting_part(
     grid: OccupancyGrid,
     resolution: float,
     config: NormalizeConfig,
-    device: FieldDevice,
+    device: ComputeDevice,
 ) -> tuple[VotingGrid, CellBox]:
     """Return a grid that votes, and which cells of the resampled grid it has.
 
@@ -254,7 +254,7 @@ def _voting_part(
 
 
 def _resample(
-    grid: OccupancyGrid, resolution: float, config: NormalizeConfig, device: FieldDevice
+    grid: OccupancyGrid, resolution: float, config: NormalizeConfig, device: ComputeDevice
 ) -> OccupancyGrid:
     """Return the grid on its own axes and corner, with cells of another size.
 
@@ -269,7 +269,7 @@ def _resample(
 
 
 def _blocks(
-    cells: npt.NDArray[np.int8], ratio: float, fill: int, device: FieldDevice
+    cells: npt.NDArray[np.int8], ratio: float, fill: int, device: ComputeDevice
 ) -> npt.NDArray[np.int8]:
     """Return the points (H, n, W, n) at which cells of another size read those of a grid.
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from slamfusion.compute.doubled_walls import DoubledWallDevice
+from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError
 from slamfusion.evaluation import doubled_wall_share, fused_doubled_shares
@@ -80,7 +80,7 @@ class DoubledWalls:
         cls,
         result: FusionResult,
         config: RunConfig,
-        device: DoubledWallDevice,
+        device: ComputeDevice,
         known: Mapping[str, float] | None = None,
     ) -> DoubledWalls:
         """Measure a fusion.

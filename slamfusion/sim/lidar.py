@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute.rays import RayDevice
+from slamfusion.compute import ComputeDevice
 from slamfusion.config import LidarConfig
 from slamfusion.geometry import Pose2, compose_poses
 from slamfusion.sim.world import GLASS, World, tilt_of
@@ -86,7 +86,7 @@ def sweep_ranges(
     lidar: LidarConfig,
     poses: F64,
     people: tuple[F64, F64],
-    device: RayDevice,
+    device: ComputeDevice,
     rng: np.random.Generator,
 ) -> Iterator[F32]:
     """Read one sweep at each pose.
@@ -115,7 +115,7 @@ def sweep_ranges(
 class _Sight:
     """What beams meet, without the errors of reading it."""
 
-    def __init__(self, world: World, lidar: LidarConfig, device: RayDevice) -> None:
+    def __init__(self, world: World, lidar: LidarConfig, device: ComputeDevice) -> None:
         self.world, self.lidar, self.device = world, lidar, device
         self.cells = device.upload(world.classes())
         first, step = beam_angles(lidar)

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
-from slamfusion.compute.rays import RayDevice
+from slamfusion.compute import ComputeDevice
 from slamfusion.config import ObstacleConfig
 from slamfusion.errors import SimulationError
 from slamfusion.geometry import Pose2
@@ -76,7 +76,7 @@ class Recording:
         return Trajectory(self.truth.stamps_s, np.array(poses), "odometry")
 
 
-def simulate(course: Course, device: RayDevice, progress: Progress | None = None) -> Recording:
+def simulate(course: Course, device: ComputeDevice, progress: Progress | None = None) -> Recording:
     """Drive a course and record it. Same course, same recording, on every device.
 
     Args:
@@ -260,7 +260,7 @@ def _record(
     world: World,
     motion: Motion,
     walks: Walks,
-    device: RayDevice,
+    device: ComputeDevice,
     progress: Progress | None,
 ) -> tuple[tuple[LogScan, ...], Trajectory]:
     """Read laser and odometry along a motion."""

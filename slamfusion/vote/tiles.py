@@ -17,8 +17,9 @@ from typing import Any, get_args
 import numpy as np
 import numpy.typing as npt
 
+from slamfusion.compute import ComputeDevice
 from slamfusion.compute.layout import MOST_INPUTS
-from slamfusion.compute.votes import VoteDevice, Votes
+from slamfusion.compute.votes import Votes
 from slamfusion.config import VoteConfig, VoteMode
 from slamfusion.errors import ConfigError, GridError
 from slamfusion.grid import UNKNOWN, CellBox
@@ -267,7 +268,7 @@ class TileVoter:
         self,
         tile: CellBox,
         shown: Mapping[str, I8 | U8],
-        device: VoteDevice,
+        device: ComputeDevice,
         counts: WallCounts | None = None,
     ) -> DecidedTile | None:
         """Decide the cells of a tile; None where no input shows anything.
@@ -308,7 +309,7 @@ class TileVoter:
         codes: Sequence[U8],
         trust: Trust,
         counts: WallCounts,
-        device: VoteDevice,
+        device: ComputeDevice,
     ) -> tuple[Votes, dict[str, tuple[int, int, int]]]:
         """Let walls be voted for by weight."""
         phase = self.phase(wide)
@@ -365,7 +366,7 @@ def worst_place(places: Iterable[tuple[int, int, int]]) -> tuple[int, int, int]:
     return max(places, key=lambda place: (place[0], -place[1], -place[2]))
 
 
-def vote_grids(grids: list[I8], device: VoteDevice, *, unknown_votes: bool) -> Votes:
+def vote_grids(grids: list[I8], device: ComputeDevice, *, unknown_votes: bool) -> Votes:
     """Let each cell be what most grids say; a tie for first place is occupied ([F16]).
 
     Args:

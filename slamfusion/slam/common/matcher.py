@@ -18,9 +18,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from slamfusion.compute import ComputeDevice
 from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.layout import CLIMBERS
-from slamfusion.compute.scan_match import ScanMatchDevice
 from slamfusion.config import MatcherConfig
 from slamfusion.geometry import wrap_angles
 
@@ -133,7 +133,7 @@ class ScanOnTiles:
     """
 
     def __init__(
-        self, device: ScanMatchDevice, walls: FieldMap, points: F64, most_points: int
+        self, device: ComputeDevice, walls: FieldMap, points: F64, most_points: int
     ) -> None:
         """Bring the hits to the device.
 

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from slamfusion.compute import ComputeDevice
 from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.layout import TILE
-from slamfusion.compute.tiles import TileDevice
 from slamfusion.slam.common.shapes import check_kinds, check_shapes
 from slamfusion.slam.common.tile_map import (
     FIRST_TILES,
@@ -44,7 +44,9 @@ class SharedTileMaps:
         page_tables: ``pages`` on the device.
     """
 
-    def __init__(self, device: TileDevice, count: int, pools: Mapping[str, npt.DTypeLike]) -> None:
+    def __init__(
+        self, device: ComputeDevice, count: int, pools: Mapping[str, npt.DTypeLike]
+    ) -> None:
         """Make empty maps.
 
         Args:

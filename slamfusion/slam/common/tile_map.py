@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from slamfusion.compute import ComputeDevice
 from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.layout import TILE
-from slamfusion.compute.tiles import TileDevice
 from slamfusion.errors import MemoryBudgetError
 from slamfusion.slam.common.shapes import check_indices, check_kinds, check_shapes
 
@@ -106,7 +106,7 @@ def grown_window(
 
 
 def joined_tiles(
-    device: TileDevice,
+    device: ComputeDevice,
     pool: DeviceArray[Any],
     pages: npt.NDArray[np.int32],
     corner: npt.NDArray[np.int64],
@@ -148,7 +148,9 @@ class TileMap:
         corner: (2,) int64, column and row of the window's lower-left page, counted from the anchor.
     """
 
-    def __init__(self, device: TileDevice, pools: Mapping[str, tuple[npt.DTypeLike, int]]) -> None:
+    def __init__(
+        self, device: ComputeDevice, pools: Mapping[str, tuple[npt.DTypeLike, int]]
+    ) -> None:
         """Make pools with their empty tile.
 
         Args:
