@@ -169,11 +169,11 @@ def vote_on_lattice(
         voter = voter.trusting(sum_counts(counts))
         parts = parts_of(group, voter.trust)
         if len(parts) > 1:
-            first, second = parts
-            others = {**others, **contradicting(grids, first, second)}
-            own = [grid for grid in grids if grid.name in second.alignments]
-            other = vote_on_lattice(own, second, lattices, {}, config, device)
-            result = vote_on_lattice(grids, first, lattices, others, config, device)
+            deciding, apart = parts
+            others = {**others, **contradicting(grids, deciding, apart)}
+            own = [grid for grid in grids if grid.name in apart.alignments]
+            other = vote_on_lattice(own, apart, lattices, {}, config, device)
+            result = vote_on_lattice(grids, deciding, lattices, others, config, device)
             return replace(result, others=(*result.others, other))
     fused = np.full((box.height, box.width), UNKNOWN, dtype=np.int8)
     agreement = np.full_like(fused, UNKNOWN)
