@@ -7,11 +7,8 @@ Exit codes: 0 done; 1 expected failure, with one line on stderr; 2 wrong usage; 
 from __future__ import annotations
 
 import contextlib
-import json
 import sys
 from collections.abc import Sequence
-
-from slamfusion.cli.address_space import shortage
 
 __all__ = ["main"]
 
@@ -19,12 +16,6 @@ __all__ = ["main"]
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit with the documented code."""
     words = list(sys.argv[1:] if arguments is None else arguments)
-    if message := shortage():
-        with contextlib.suppress(OSError, AttributeError):  # a stream that is full or closed
-            print(f"slamfusion: error: {message}", file=sys.stderr)
-            if "--json" in words:
-                print(json.dumps({"error": message}, indent=2), flush=True)
-        sys.exit(1)
     try:
         from slamfusion.cli.program import run_program  # noqa: PLC0415 - loads NumPy
 

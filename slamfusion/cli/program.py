@@ -64,9 +64,6 @@ EXIT_USAGE = 2
 EXIT_INTERRUPTED = 130
 EXIT_PIPE_CLOSED = 141
 OUT_OF_MEMORY = "out of memory; free some, crop the maps or use a coarser cell"
-# What the dynamic loader and Python's threads say then; and cv2.error has this code.
-OUT_OF_MEMORY_WORDS = ("failed to map segment", "annot allocate memory", "can't start new thread")
-OPENCV_NO_MEMORY = -4
 # What they warn of is told: a changed library, a full cache, a producer that is not used, ...
 TOLD_LOGGERS = ("slamfusion.compute", "slamfusion.slam.registry")
 
@@ -175,10 +172,6 @@ def _run(arguments: list[str], settings: Settings) -> int:
         code = EXIT_PIPE_CLOSED
     except _EXPECTED as error:
         code = _fail(_message(error), settings)
-    except Exception as error:
-        if not _is_out_of_memory(error):
-            raise
-        code = _fail(OUT_OF_MEMORY, settings)
     return code if isinstance(code, int) else 0
 
 
@@ -188,13 +181,6 @@ def _message(error: Exception) -> str:
     if isinstance(error, MemoryError):
         return OUT_OF_MEMORY
     return _describe(error) if isinstance(error, OSError) else str(error)
-
-
-def _is_out_of_memory(error: Exception) -> bool:
-    """Whether a library says in its own way that it got no memory."""
-    if isinstance(error, (ImportError, RuntimeError)):  # a library, a thread
-        return any(words in str(error) for words in OUT_OF_MEMORY_WORDS)
-    return getattr(error, "code", None) == OPENCV_NO_MEMORY
 
 
 def _fail(message: str, settings: Settings) -> int:

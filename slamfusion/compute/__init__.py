@@ -10,10 +10,8 @@ pyopencl is imported here only, and only when an OpenCL device is asked for.
 from __future__ import annotations
 
 import logging
-import multiprocessing
 from typing import TYPE_CHECKING
 
-from slamfusion.compute.address_space import opencl_shortage
 from slamfusion.compute.compute_device import ComputeDevice, NumpyDevice
 from slamfusion.compute.pocl_cache import find_cache
 from slamfusion.errors import DeviceError
@@ -30,8 +28,7 @@ __all__ = ["ComputeDevice", "NumpyDevice", "list_devices", "open_device", "pocl_
 def open_device(wanted: str = "auto", *, small_kernels: bool = False) -> ComputeDevice:
     """Return the compute device that ``wanted`` names.
 
-    Where PoCL would be chosen and can keep its kernels nowhere, and where a limit of the address
-    space leaves no room for OpenCL, ``auto`` means NumPy; it is logged.
+    If PoCL would be chosen and can keep its kernels nowhere, ``auto`` means NumPy; it is logged.
 
     Args:
         wanted: ``auto``, ``numpy``, an index of ``slamfusion devices``, or part of a name.
@@ -42,13 +39,6 @@ def open_device(wanted: str = "auto", *, small_kernels: bool = False) -> Compute
         DeviceError: pyopencl or the device is missing, or its kernels do not build.
     """
     if wanted == "numpy":
-        return NumpyDevice()
-    if lack := opencl_shortage():
-        if wanted != "auto":
-            message = f"{lack}, or run with `--device numpy`"
-            raise DeviceError(message)
-        if multiprocessing.parent_process() is None:  # which says the same
-            _LOG.warning("%s: NumPy computes instead, which takes longer", lack)
         return NumpyDevice()
     cache = find_cache()  # before pyopencl, which keeps files too
     try:
@@ -70,10 +60,7 @@ def open_device(wanted: str = "auto", *, small_kernels: bool = False) -> Compute
 
 
 def list_devices() -> list[DeviceInfo]:
-    """Describe every OpenCL device; empty where pyopencl, a platform or room for it is missing."""
-    if lack := opencl_shortage():
-        _LOG.warning("%s", lack)
-        return []
+    """Describe every OpenCL device; empty if pyopencl or a platform is missing."""
     find_cache()
     try:
         from slamfusion.compute import device  # noqa: PLC0415 - optional at run time
@@ -83,9 +70,7 @@ def list_devices() -> list[DeviceInfo]:
 
 
 def pocl_state() -> PoclState | None:
-    """Say whether the wheel's PoCL knows this processor; None where pyopencl or room is missing."""
-    if opencl_shortage():
-        return None
+    """Say whether the wheel's PoCL knows this processor; None if pyopencl is missing."""
     find_cache()
     try:
         from slamfusion.compute import device  # noqa: PLC0415 - optional at run time

@@ -11,11 +11,10 @@ from __future__ import annotations
 
 from slamfusion.io.atomic import AtomicFiles, write_atomic, write_json_atomic, write_text_atomic
 from slamfusion.io.carmen import write_carmen
-from slamfusion.io.images import save_image
 from slamfusion.io.log import LogScan, ScanLog, Skips
 from slamfusion.io.logs import open_log
 from slamfusion.io.map_server import load_map, save_map
-from slamfusion.io.memory import available_memory, check_memory, map_memory_needed
+from slamfusion.io.memory import available_memory, check_memory
 from slamfusion.io.trajectories import read_trajectory
 from slamfusion.io.tum import write_tum
 
@@ -27,10 +26,8 @@ __all__ = [
     "available_memory",
     "check_memory",
     "load_map",
-    "map_memory_needed",
     "open_log",
     "read_trajectory",
-    "save_image",
     "save_map",
     "write_atomic",
     "write_carmen",

@@ -1,28 +1,27 @@
 """Files that appear whole or not at all.
 
-Data goes into temporary files beside their targets, is forced to disk, and only then renamed. What
-was there before stays until that moment, and stays for good when anything fails, also when the
-process is killed at any moment (``journal``).
+The data goes into a temporary file beside its target, is forced to disk, and is only then renamed
+over the target. The old file stays until that moment, and stays for good if anything fails.
 """
 
 from __future__ import annotations
 
 import errno
+import fcntl
 import json
 import os
 import secrets
 import stat
-from contextlib import suppress
-from dataclasses import replace
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from slamfusion.errors import MapFileError
-from slamfusion.io.journal import Entry, Journal, hold_folders, move_back, put_right, sync_folder
 
 __all__ = ["AtomicFiles", "write_atomic", "write_json_atomic", "write_text_atomic"]
 
-_MENDS = {
+_FIXES = {
     errno.ENOSPC: "free some space or write elsewhere",
     errno.EDQUOT: "free some of the quota or write elsewhere",
     errno.EFBIG: "raise the file size limit or write elsewhere",
@@ -34,37 +33,29 @@ _MENDS = {
 
 
 class AtomicFiles:
-    """A set of files that are put in place together when the ``with`` block ends well.
+    """Several files that are put in place together when the ``with`` block ends well.
 
-    Within the block ``add`` stages each file, ``remove`` the removal of one; leaving it switches
-    the whole set. An exception, also a keyboard interrupt, removes what was staged and leaves old
-    files as they were. Missing parent folders are made. Links are followed, so a linked file stays
-    a link.
+    Within the block ``add`` writes each file beside its target. At the end of the block all of them
+    are renamed over their targets, in the order in which they were added, and then the files passed
+    to ``remove`` are removed; two processes that do so in one folder take turns. An exception in
+    the block, also a keyboard interrupt, removes what was written and leaves the old files as they
+    were. Missing parent folders are made. Links are followed, so a linked file stays a link.
 
-    A single file is renamed over the old one: a reader meets one or the other. Of several files
-    all old ones go before the first new one comes, so that no reader ever meets old and new side
-    by side; for about a millisecond it meets none. A process that is killed in that time leaves a
-    ``journal``, by which the next ``load_map`` or ``AtomicFiles`` in the folder brings the old set
-    back; what a killed process leaves otherwise is removed by the next ``AtomicFiles`` there.
+    A process that is killed between two renames leaves new files beside old ones, each of them
+    whole. A file that depends on another one is therefore added after it, and holds its digest
+    (``save_map``).
 
     Raises:
-        MapFileError: a target cannot be written; names it, the system's reason and the mend.
+        MapFileError: a target cannot be written; names it, the system's reason and what to do.
     """
 
     def __init__(self) -> None:
-        self._entries: list[Entry] = []
-        self._journals: dict[Path, Journal] = {}
+        self._targets: dict[Path, Path] = {}  # by temporary file
+        self._removed: list[Path] = []
         self._made_folders: list[Path] = []
-        self._token = secrets.token_hex(8)
-        self._is_half_switched = False
-
-    @property
-    def targets(self) -> frozenset[Path]:
-        """The files that will be put in place; absolute, links followed."""
-        return frozenset(entry.target for entry in self._entries if entry.is_new)
 
     def add(self, path: str | Path, *parts: bytes | bytearray | memoryview) -> None:
-        """Stage one file.
+        """Write one file beside its target.
 
         Args:
             path: the target; absent or a regular file.
@@ -74,8 +65,8 @@ class AtomicFiles:
             target = Path(os.path.realpath(path))
             self._make_folder(target.parent)
             mode = _mode_of_regular(target)
-            entry = self._enter(target, is_new=True)
-            temporary = entry.temporary(self._token)
+            temporary = target.parent / f".slamfusion-{secrets.token_hex(8)}.tmp"
+            self._targets[temporary] = target
             with temporary.open("xb") as file:
                 for part in parts:
                     file.write(part)
@@ -87,24 +78,30 @@ class AtomicFiles:
             raise _cannot_write(path, error) from None
 
     def remove(self, path: str | Path) -> None:
-        """Stage the removal of a file, which need not be there; not one that is also added."""
-        try:
-            target = Path(os.path.realpath(path))
-            if _mode_of_regular(target) is not None:
-                self._enter(target, is_new=False)
-        except (OSError, ValueError) as error:
-            raise _cannot_write(path, error) from None
+        """Remove a file, which need not be there, at the end of the block."""
+        self._removed.append(Path(path))
 
     def __enter__(self) -> AtomicFiles:  # noqa: PYI034  typing.Self needs Python 3.11
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        path = None
         try:
             if kind is None:
-                self._publish()
-                self._made_folders.clear()
+                with _locked({path.parent for path in self._targets.values()}):
+                    for temporary, path in self._targets.items():
+                        temporary.replace(path)
+                    for path in self._removed:
+                        path.unlink(missing_ok=True)
+        except OSError as error:
+            raise _cannot_write(path, error) from None
         finally:
-            self._discard()
+            for temporary in self._targets:
+                with suppress(OSError):
+                    temporary.unlink(missing_ok=True)
+            for folder in reversed(self._made_folders):
+                with suppress(OSError):  # it holds files
+                    folder.rmdir()
 
     def _make_folder(self, folder: Path) -> None:
         """Make the folder and its missing parents, and remember which were made."""
@@ -113,74 +110,17 @@ class AtomicFiles:
             part.mkdir(exist_ok=True)
             self._made_folders.append(part)
 
-    def _enter(self, target: Path, *, is_new: bool) -> Entry:
-        """Take a file into the set, and begin the journal of its folder."""
-        folder = target.parent
-        if folder not in self._journals:
-            put_right(folder)
-            self._journals[folder] = Journal(folder, self._token)
-        entry = Entry(target, len(self._entries), is_new, target.exists())
-        self._entries.append(entry)
-        return entry
 
-    def _publish(self) -> None:
-        """Put every staged file in place; on failure bring the old files back."""
-        if not self._entries:
-            return
-        try:
-            with hold_folders(self._journals):
-                if len(self._entries) == 1 and self._entries[0].is_new:
-                    entry = self._entries[0]
-                    entry.temporary(self._token).replace(entry.target)
-                else:
-                    self._switch()
-        except OSError as error:
-            raise _cannot_write(self._entries[0].target, error) from None
-        for folder in self._journals:
-            sync_folder(folder)
-
-    def _switch(self) -> None:
-        """Put several files in place: the old ones go, the new ones come, the set counts."""
-        home, *others = self._journals.values()
-        self._entries = [replace(item, was_there=item.target.exists()) for item in self._entries]
-        target = self._entries[0].target
-        self._is_half_switched = True
-        try:
-            for other in others:
-                other.point_to(home)
-            home.write(self._entries, list(self._journals))
-            for entry in self._entries:
-                target = entry.target
-                with suppress(FileNotFoundError):
-                    target.replace(entry.old(self._token))
-            for entry in self._entries:
-                target = entry.target
-                if entry.is_new:
-                    entry.temporary(self._token).replace(target)
-            for folder in self._journals:
-                sync_folder(folder)
-            home.empty()
-        except BaseException as error:
-            move_back(self._entries, self._token)
-            self._is_half_switched = False
-            if isinstance(error, OSError):
-                raise _cannot_write(target, error) from None
-            raise
-        self._is_half_switched = False
-
-    def _discard(self) -> None:
-        """Remove what still waits, the journals (the home first), and the folders made for them.
-
-        Where the old files could not be brought back, they and the journals stay for the next try.
-        """
-        for journal in self._journals.values():
-            journal.close(keep=self._is_half_switched)
-        for folder in reversed(self._made_folders):
-            with suppress(OSError):
-                folder.rmdir()
-        self._entries.clear()
-        self._journals.clear()
-        self._made_folders.clear()
+@contextmanager
+def _locked(folders: set[Path]) -> Iterator[None]:
+    """Let one process at a time rename files in the folders: the files of two are not mixed."""
+    with ExitStack() as held:
+        for folder in sorted(folders):
+            descriptor = os.open(folder, os.O_RDONLY)
+            held.callback(os.close, descriptor)
+            with suppress(OSError):  # a file system without locks
+                fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
 
 
 def write_atomic(
@@ -191,7 +131,7 @@ def write_atomic(
     Args:
         path: the file.
         data: all of it.
-        files: stage the file here, to appear together with others; default: write it now.
+        files: add the file to these, to appear together with them; default: write it now.
     """
     if files is not None:
         files.add(path, data)
@@ -226,11 +166,11 @@ def _mode_of_regular(target: Path) -> int | None:
     return stat.S_IMODE(mode)
 
 
-def _cannot_write(path: str | Path, error: OSError | ValueError) -> MapFileError:
+def _cannot_write(path: str | Path | None, error: OSError | ValueError) -> MapFileError:
     """Say in one line which file could not be written, why, and what to do."""
     if isinstance(error, OSError):
         reason = error.strerror or str(error)
-        mend = _MENDS.get(error.errno or 0, "check the path or write elsewhere")
+        fix = _FIXES.get(error.errno or 0, "check the path or write elsewhere")
     else:
-        reason, mend = str(error), "choose another name"
-    return MapFileError(f"{path}: cannot write: {reason}; {mend}")
+        reason, fix = str(error), "choose another name"
+    return MapFileError(f"{path}: cannot write: {reason}; {fix}")

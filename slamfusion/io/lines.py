@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from slamfusion.errors import LogError, SlamFusionError
-from slamfusion.io.budget import UnpackBudget
 from slamfusion.io.memory import check_memory
 from slamfusion.io.regular import open_regular
 
@@ -70,8 +69,7 @@ class TextLines:
         """Yield line number, from 1, and line.
 
         Raises:
-            LogError: no regular file, a line that is too long to be text, or packed data that
-                unpack to more than any log.
+            LogError: no regular file, or a line that is too long to be text.
             MemoryBudgetError: what the caller keeps would not fit into memory.
             SlamFusionError: of the kind asked for, where packed data are cut off.
         """
@@ -80,9 +78,7 @@ class TextLines:
         with open_regular(self.path, LogError) as file:
             raw = file.raw
             size = max(raw.seek(0, io.SEEK_END), 1)
-            stream, is_packed = _unpacked(raw)
-            budget = UnpackBudget(self.path)
-            packed_bytes = 0
+            stream = _unpacked(raw)
             try:
                 read = partial(stream.readline, _LINE_BYTES)
                 for number, line in enumerate(iter(read, b""), start=1):
@@ -92,14 +88,10 @@ class TextLines:
                             "so this is no text log; check the file"
                         )
                         raise LogError(message)
-                    read_bytes = raw.tell()
-                    if is_packed:
-                        budget.spend(read_bytes - packed_bytes, len(line))
-                        packed_bytes = read_bytes
                     if self._kept_bytes and number % _CHECKED_LINES == 0:
                         what = f"keeping {number} lines"
                         check_memory(number * self._kept_bytes, what, str(self.path))
-                    self.fraction_read = min(read_bytes / size, 1.0)
+                    self.fraction_read = min(raw.tell() / size, 1.0)
                     yield number, line
             except _DAMAGE:
                 self.is_cut_off = True
@@ -117,7 +109,7 @@ def read_head(path: Path, count: int = _BUFFER_BYTES) -> bytes:
         OSError: the file cannot be opened.
     """
     with open_regular(path, LogError) as file:
-        stream, _ = _unpacked(file.raw)
+        stream = _unpacked(file.raw)
         head = bytearray()
         try:
             while len(head) < count and (part := stream.read1(count - len(head))):
@@ -147,11 +139,11 @@ def packed_by_name(path: Path, data: bytes) -> bytes:
     return packed.getvalue()
 
 
-def _unpacked(raw: Any) -> tuple[io.BufferedReader, bool]:
-    """Return the file's bytes from its start, and whether gzip unpacks them."""
+def _unpacked(raw: Any) -> io.BufferedReader:
+    """Return the file's bytes from its start, unpacked if they are gzip."""
     raw.seek(0)
     magic = raw.read(len(GZIP_MAGIC))
     raw.seek(0)
     if magic != GZIP_MAGIC:
-        return io.BufferedReader(raw, _BUFFER_BYTES), False
-    return io.BufferedReader(gzip.GzipFile(fileobj=raw, mode="rb"), _BUFFER_BYTES), True
+        return io.BufferedReader(raw, _BUFFER_BYTES)
+    return io.BufferedReader(gzip.GzipFile(fileobj=raw, mode="rb"), _BUFFER_BYTES)

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from slamfusion.config import NormalizeConfig
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, trinary_cells
-from slamfusion.io.images import Image
+from slamfusion.io.images import Pixels
 from slamfusion.io.map_yaml import Rules
 
 __all__ = ["cells_from_image", "classes_of_greys", "pixels_from_cells"]
@@ -65,7 +65,7 @@ def classes_of_greys(rules: Rules) -> list[int]:
 
 
 def cells_from_image(
-    image: Image, rules: Rules, *, legacy_unknown: bool = False
+    pixels: Pixels, rules: Rules, *, legacy_unknown: bool = False
 ) -> tuple[Cells, int]:
     """Return the cells of a picture, and how many of them are unknown but read as free.
 
@@ -73,7 +73,7 @@ def cells_from_image(
     takes it for free.
 
     Args:
-        image: (H, W), (H, W, 3) or (H, W, 4) of any depth, top row first.
+        pixels: (H, W), (H, W, 3) or (H, W, 4), uint8 or uint16, top row first.
         rules: of its YAML.
         legacy_unknown: read those cells as unknown.
 
@@ -81,25 +81,25 @@ def cells_from_image(
         (H, W) int8, bottom row first, read-only; and the count, the same with and without
         ``legacy_unknown``.
     """
-    height, width = image.pixels.shape[:2]
-    # A grey of 8 bits in a picture of more: whole, where that is possible.
-    grey, rest = divmod(UNKNOWN_GREY * image.maxval, 255)
-    is_trap = rules.mode == "trinary" and not rules.negate and not rest
+    height, width = pixels.shape[:2]
+    maxval = int(np.iinfo(pixels.dtype).max)
+    grey = UNKNOWN_GREY * maxval // 255
+    is_trap = rules.mode == "trinary" and not rules.negate
     is_trap = is_trap and classes_of_greys(rules)[1] == FREE
     count = 0
-    if image.pixels.ndim == 2:
-        table = _MODES[rules.mode](_shade(np.arange(image.maxval + 1), image.maxval), rules)
+    if pixels.ndim == 2:
+        table = _MODES[rules.mode](_shade(np.arange(maxval + 1), maxval), rules)
         if is_trap:
-            bands = (image.pixels[top:bottom] == grey for top, bottom in _bands(height, width))
+            bands = (pixels[top:bottom] == grey for top, bottom in _bands(height, width))
             count = sum(int(np.count_nonzero(band)) for band in bands)
         if is_trap and legacy_unknown:
             table[grey] = UNKNOWN
-        cells = _look_up_flipped(image.pixels, table)
+        cells = _look_up_flipped(pixels, table)
     else:
         cells = np.empty((height, width), dtype=np.int8)
         for top, bottom in _bands(height, width):
-            band = image.pixels[top:bottom][::-1]
-            own = _colour_cells(band, image.maxval, rules)
+            band = pixels[top:bottom][::-1]
+            own = _colour_cells(band, maxval, rules)
             if is_trap:
                 is_grey = (band[..., :3] == grey).all(axis=-1)
                 count += int(np.count_nonzero(is_grey))

@@ -13,13 +13,12 @@ does not divide 65535 by a whole number, so that its white falls short of white.
 
 from __future__ import annotations
 
-import errno
 import logging
-import os
 import stat
 import time
 from collections.abc import Callable
 from contextlib import nullcontext, suppress
+from functools import partial
 from pathlib import Path
 
 from slamfusion.config import NormalizeConfig
@@ -27,10 +26,10 @@ from slamfusion.errors import MapFileError
 from slamfusion.geometry import Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid, implausible
 from slamfusion.io.atomic import AtomicFiles
-from slamfusion.io.images import encode_image, looks_like_image, read_image
-from slamfusion.io.journal import hold_folders, is_switching, put_right
+from slamfusion.io.images import encode_image, looks_like_image, pixel_digest, read_image
 from slamfusion.io.map_cells import cells_from_image, classes_of_greys, pixels_from_cells
 from slamfusion.io.map_yaml import (
+    DIGEST,
     FREE_THRESH,
     OCCUPIED_THRESH,
     MapFile,
@@ -48,13 +47,14 @@ __all__ = ["load_map", "map_sources", "save_map", "saved_files"]
 
 # The thresholds of the vote: what is saved is what votes.
 VOTE = NormalizeConfig()
-# A set of files is switched within milliseconds; who waits longer meets a process that hangs.
-SWITCH_S, LOOK_S = 5.0, 0.005
+# A writer replaces the picture and then, within a millisecond, the YAML.
+READ_TIMES, WAIT_S = 20, 0.01
 
 _LOG = logging.getLogger(__name__)
 
-# Inode, time of change and size of each form of a file; None where it is not there.
-_Mark = tuple[tuple[int, int, int] | None, ...]
+
+class _OtherPictureError(MapFileError):
+    """The picture is not the one that the YAML was written for."""
 
 
 def load_map(
@@ -71,8 +71,8 @@ def load_map(
     read with the default rules (trinary, thresholds 0.65 and 0.196), its lower-left corner at the
     origin of the map frame.
 
-    YAML and picture are of one writing: while a writer is replacing them this waits, and where one
-    was killed at it (``journal``), the files that were there before are first brought back.
+    The YAML that ``save_map`` writes holds a digest of the picture's pixels. If the picture is
+    another one, another process may be replacing both: they are read again before they are refused.
 
     Map savers write the grey 205 for unknown; with a ``free_thresh`` above 0.196, 0.25 for example,
     it reads as free, as in nav2. That is warned of with the number of cells.
@@ -88,33 +88,22 @@ def load_map(
         MapFileError: a file is missing, damaged or breaks the format's rules.
         MemoryBudgetError: the map would not fit into memory.
     """
-    path = Path(path)
-    folder = _folder(path)
-    end_s = time.monotonic() + SWITCH_S
-    while True:
-        _put_right(path, folder)
-        before = _mark(path)
-        try:
-            grid, remark = _load(path, resolution, name, legacy_unknown=legacy_unknown)
-        except MapFileError:
-            if _is_as_it_was(path, folder, before):
-                raise
-        else:
-            # The YAML goes before the picture is replaced: it is there still, so both are of one.
-            if _mark(path) == before:
-                if remark:
-                    warn(remark)
-                return grid
-        if time.monotonic() > end_s:
-            message = f"{path}: another process is writing it all the time; try again later"
-            raise MapFileError(message)
-        time.sleep(LOOK_S)
+    load = partial(_load, Path(path), resolution, name, legacy_unknown, warn)
+    for _ in range(READ_TIMES - 1):
+        with suppress(_OtherPictureError):
+            return load()
+        time.sleep(WAIT_S)
+    return load()
 
 
 def _load(
-    path: Path, resolution: float | None, name: str | None, *, legacy_unknown: bool
-) -> tuple[OccupancyGrid, str]:
-    """Return the map as its files are now, and what is to be warned of; else empty."""
+    path: Path,
+    resolution: float | None,
+    name: str | None,
+    legacy_unknown: bool,  # noqa: FBT001
+    warn: Callable[[str], None],
+) -> OccupancyGrid:
+    """Return the map as its files are now."""
     path = existing(path)
     if looks_like_image(path):
         if resolution is None:
@@ -126,18 +115,23 @@ def _load(
             message = f"{path}: the YAML has its own resolution; leave --resolution out"
             raise MapFileError(message)
         entry = read_map_yaml(path)
-    image = read_image(existing(entry.image))
-    cells, count = cells_from_image(image, entry.rules, legacy_unknown=legacy_unknown)
-    remark = ""
+    pixels = read_image(existing(entry.image))
+    if entry.digest is not None and pixel_digest(pixels) != entry.digest:
+        message = (
+            f"{path}: its picture {entry.image.name} belongs to another map or was edited; save "
+            f"the map again, or delete the line {DIGEST!r} from the YAML to use both as they are"
+        )
+        raise _OtherPictureError(message)
+    cells, count = cells_from_image(pixels, entry.rules, legacy_unknown=legacy_unknown)
     if count and not legacy_unknown:
-        remark = (
+        warn(
             f"{path}: {count} cells of grey 205, which map savers write for unknown, read as free "
             f"under 'free_thresh' {entry.rules.free_thresh:g}; read them as unknown with "
             "--legacy-unknown (nodes: legacy_unknown:=true), or write free_thresh: 0.196"
         )
     if name is None:
         name = Path(path.name.removesuffix(".gz")).stem
-    return OccupancyGrid(cells, entry.resolution, entry.origin, name), remark
+    return OccupancyGrid(cells, entry.resolution, entry.origin, name)
 
 
 def map_sources(path: Path) -> list[Path]:
@@ -154,58 +148,6 @@ def map_sources(path: Path) -> list[Path]:
     return files
 
 
-def _folder(path: Path) -> Path:
-    """Return where a file lies, links followed; a path that cannot be is named when it is read."""
-    try:
-        return Path(os.path.realpath(path)).parent
-    except (OSError, ValueError):
-        return path.parent
-
-
-def _put_right(path: Path, folder: Path) -> None:
-    """Bring back what a killed writer left half switched in the folder of a map."""
-    try:
-        put_right(folder, sweep=False)
-    except OSError as error:
-        message = (
-            f"{path}: its last writer was killed while replacing files in {folder}, and they "
-            f"cannot be brought back: {error.strerror or error}; load it once as a user who may "
-            "write there"
-        )
-        raise MapFileError(message) from None
-
-
-def _is_as_it_was(path: Path, folder: Path, before: _Mark) -> bool:
-    """Whether the files that could not be read are those that lie there while nobody switches any.
-
-    Asked while other writers are kept off: one that ends between two looks, or is killed between
-    them, would pass for a file that was never there.
-    """
-    _put_right(path, folder)
-    try:
-        with hold_folders([folder]):
-            return not is_switching(folder) and _mark(path) == before
-    except OSError as error:
-        # A folder that is not there, or not to be looked into, has no writer.
-        return error.errno != errno.EBUSY
-    except ValueError:
-        # Nor has one that cannot be.
-        return True
-
-
-def _mark(path: Path) -> _Mark:
-    """Return what changes whenever a file is replaced, of the path and of its packed form."""
-    marks: list[tuple[int, int, int] | None] = []
-    for candidate in (str(path), f"{path}.gz"):
-        try:
-            found = os.stat(candidate)  # noqa: PTH116 - a path may hold what Path refuses
-        except (OSError, ValueError):
-            marks.append(None)
-        else:
-            marks.append((found.st_ino, found.st_mtime_ns, found.st_size))
-    return tuple(marks)
-
-
 def save_map(
     grid: OccupancyGrid,
     stem: str | Path,
@@ -217,7 +159,7 @@ def save_map(
     classes: NormalizeConfig = VOTE,
     files: AtomicFiles | None = None,
 ) -> tuple[Path, Path]:
-    """Save a grid as ``stem.yaml`` and its picture, both whole or neither.
+    """Save a grid as its picture and ``stem.yaml``; see ``AtomicFiles``.
 
     In ``trinary`` mode the classes that vote are saved: unknown 205, free 254, occupied 0. Loading
     gives them back, here and in nav2, and with the thresholds written by default, 0.65 and 0.196,
@@ -247,17 +189,13 @@ def save_map(
     image_format = image_path.suffix.removeprefix(".")
     rules = Rules(mode, negate=False, occupied_thresh=occupied_thresh, free_thresh=free_thresh)
     _check_saving(grid, stem, rules, image_format)
-    bytes_per_cell = 8 if mode == "scale" else 3
+    bytes_per_cell = 12 if mode == "scale" else 4
     what = f"saving a {grid.width} x {grid.height} map"
     check_memory(bytes_per_cell * grid.cells.size + WORKING_BYTES, what, str(image_path))
     pixels = pixels_from_cells(grid.cells, rules, image_format, classes)
-    text = map_yaml_text(grid, image_path.name, rules)
+    text = map_yaml_text(grid, image_path.name, rules, pixel_digest(pixels))
     with nullcontext(files) if files is not None else AtomicFiles() as whole:
-        if image_format == "pgm":
-            header = f"P5\n{grid.width} {grid.height}\n255\n".encode()
-            whole.add(image_path, header, pixels.data.cast("B"))
-        else:
-            whole.add(image_path, encode_image(pixels, image_format, str(image_path)))
+        whole.add(image_path, encode_image(pixels, image_format))
         whole.add(yaml_path, text.encode())
     return yaml_path, image_path
 

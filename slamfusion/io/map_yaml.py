@@ -39,7 +39,18 @@ NAME_MAX = 1000
 MODES = ("trinary", "scale", "raw")
 
 _LOG = logging.getLogger(__name__)
-_KEYS = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh", "mode")
+# Of the picture's pixels (``pixel_digest``): tells a picture of another map. Map servers ignore it.
+DIGEST = "pixels_sha256"
+_KEYS = (
+    "image",
+    "resolution",
+    "origin",
+    "negate",
+    "occupied_thresh",
+    "free_thresh",
+    "mode",
+    DIGEST,
+)
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 _TRUTH = {
     **dict.fromkeys(("1", "true", "yes", "on", "y"), True),
@@ -59,12 +70,16 @@ class Rules:
 
 @dataclass(frozen=True)
 class MapFile:
-    """What a map's YAML says, checked; ``image`` may be there with ``.gz`` alone."""
+    """What a map's YAML says, checked; ``image`` may be there with ``.gz`` alone.
+
+    ``digest`` is that of the picture's pixels; None if the YAML has none.
+    """
 
     image: Path
     resolution: float
     origin: Pose2
     rules: Rules
+    digest: str | None = None
 
 
 def read_map_yaml(path: Path) -> MapFile:
@@ -106,7 +121,7 @@ def read_map_yaml(path: Path) -> MapFile:
     check_thresholds(str(path), rules)
     picture = path.parent / image
     existing(picture, f"{path}: 'image' names ")
-    return MapFile(picture, resolution, Pose2(*numbers), rules)
+    return MapFile(picture, resolution, Pose2(*numbers), rules, values.get(DIGEST))
 
 
 def _parse_yaml(path: Path) -> dict[Any, Any]:
@@ -224,7 +239,7 @@ def existing(path: Path, prefix: str = "") -> Path:
     raise MapFileError(message)
 
 
-def map_yaml_text(grid: OccupancyGrid, image_name: str, rules: Rules) -> str:
+def map_yaml_text(grid: OccupancyGrid, image_name: str, rules: Rules, digest: str) -> str:
     """Return the YAML of a saved map; numbers keep every digit they need and no more."""
     origin = (grid.origin.x, grid.origin.y, grid.origin.yaw_rad)
     image = yaml.safe_dump({"image": image_name}, allow_unicode=True, width=math.inf)
@@ -236,6 +251,7 @@ def map_yaml_text(grid: OccupancyGrid, image_name: str, rules: Rules) -> str:
         "negate: 0\n"
         f"occupied_thresh: {_yaml_number(rules.occupied_thresh)}\n"
         f"free_thresh: {_yaml_number(rules.free_thresh)}\n"
+        f"{DIGEST}: {digest}\n"
     )
 
 

@@ -20,6 +20,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import PIL.Image
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -32,7 +33,6 @@ from slamfusion.fusion.lattice_vote import warp_onto
 from slamfusion.fusion.normalize import normalize_grid
 from slamfusion.fusion.records import Alignment
 from slamfusion.grid import CellBox
-from slamfusion.io import save_image
 from tests.benchmarks.record import add_record_option, console_for
 from tests.support.datasets import MapEntry, load_entry, map_entries
 from tests.support.halmstad import (
@@ -107,7 +107,7 @@ def draw_pair(
     picture[own == 1] = (230, 120, 0)
     picture[other == 1] = (0, 90, 220)
     picture[(own == 1) & (other == 1)] = (0, 0, 0)
-    save_image(path, np.ascontiguousarray(np.flipud(picture)))
+    PIL.Image.fromarray(np.flipud(picture)).save(path)
 
 
 def bench_different(aligner: Aligner, console: Console) -> list[Counts]:

@@ -47,7 +47,7 @@ MASKS = (
     (re.compile(r", \d+\.\d+ s$", re.MULTILINE), ", MASKED"),
 )
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
-DIGEST = re.compile(r"sha256 [0-9a-f]+")
+DIGEST = re.compile(r"sha256:? [0-9a-f]+")
 # How far numbers may differ on another processor.
 RELATIVE, ABSOLUTE = 0.05, 0.02
 # Texts that are longer appear with their digest alone, and so do the rows of longer lists.

@@ -6,7 +6,6 @@ loaded once. ``python -m tests.io.killed WRITER FOLDER`` prints a JSON line for 
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import shutil
@@ -21,7 +20,7 @@ import numpy as np
 from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
-from slamfusion.io import AtomicFiles, load_map, save_image, save_map, write_json_atomic, write_tum
+from slamfusion.io import AtomicFiles, load_map, save_map, write_json_atomic, write_tum
 from slamfusion.trajectory import Trajectory
 
 # Audit events of operations that change the file system; fsync has none and is wrapped.
@@ -40,51 +39,26 @@ def write_one(folder: Path, version: int) -> None:
     write_json_atomic(folder / "only.json", {"version": version})
 
 
-def write_picture(folder: Path, version: int) -> None:
-    """Write one picture."""
-    save_image(folder / "only.png", np.full((version, 2), 7, dtype=np.uint8))
-
-
 def write_pair(folder: Path, version: int) -> None:
     """Write one map."""
     save_map(grid_of(version), folder / "map")
 
 
-def write_legacy(folder: Path, version: int) -> None:
-    """Write the old map as another program does, the new one as ours."""
-    if version == NEW:
-        save_map(grid_of(NEW), folder / "map")
-        return
-    save_map(grid_of(OLD), folder / "draft" / "map")
-    for path in (folder / "draft").iterdir():
-        shutil.move(path, folder / path.name)
-    (folder / "draft").rmdir()
-
-
 def write_set(folder: Path, version: int) -> None:
-    """Write what a run writes: maps, a path, a page in a folder below; remove a file of the old."""
+    """Write what a run writes: maps, a path, a page in a folder below."""
     poses = Trajectory(np.array([0.0, 1.0]), np.full((2, 3), float(version)))
     with AtomicFiles() as files:
         save_map(grid_of(version), folder / "map", files=files)
         write_tum(folder / "map.tum", poses, files=files)
         save_map(grid_of(version), folder / "fused", mode="raw", image_format="png", files=files)
         files.add(folder / "report" / "page.html", f"version {version}".encode())
-        if version == OLD:
-            files.add(folder / "only_old.txt", b"1")
-        else:
-            files.add(folder / "only_new.txt", b"2")
-            files.remove(folder / "only_old.txt")
 
 
 WRITERS: dict[str, Callable[[Path, int], None]] = {
     "one": write_one,
-    "picture": write_picture,
     "pair": write_pair,
-    "legacy": write_legacy,
     "set": write_set,
 }
-# At which of its own operations the first reader after a kill is killed too; None: it is not.
-READERS: dict[str, tuple[int | None, ...]] = {"pair": (None, 1), "set": (None, 2)}
 
 
 def content(folder: Path) -> dict[str, str]:
@@ -96,17 +70,11 @@ def content(folder: Path) -> dict[str, str]:
     }
 
 
-def leftovers(folder: Path) -> list[str]:
-    """Return the names of waiting files and journals."""
-    return sorted(path.name for path in folder.rglob(".slamfusion-*"))
-
-
 def kill_at(step: int, folder: Path) -> None:
     """Let this process die before its operation of that number (from 0) in the folder."""
     count = 0
 
     def look(event: str, arguments: tuple[Any, ...]) -> None:
-        nonlocal count
         is_change = event in CHANGES or (
             event == "open" and isinstance(arguments[2], int) and arguments[2] & 0o103
         )
@@ -141,57 +109,39 @@ def in_child(work: Callable[[], None]) -> bool:
     return os.waitstatus_to_exitcode(status) == 0
 
 
-def look_at(folder: Path, recover: int | None) -> dict[str, Any]:
-    """Load the maps as a user does (killed too, where asked), and say what is there."""
-    before = content(folder)
-    errors = []
-
-    def load() -> None:
-        if recover is not None:
-            kill_at(recover, folder)
-        with contextlib.suppress(SlamFusionError):
-            load_map(folder / "map.yaml")
-
-    is_whole = in_child(load)
-    for name in ("map", "fused"):
-        if (folder / f"{name}.yaml").exists() or name == "map":
-            try:
-                load_map(folder / f"{name}.yaml")
-            except SlamFusionError as error:
-                errors.append(str(error))
-    return {
-        "before": before,
-        "after": content(folder),
-        "errors": errors,
-        "is_load_whole": is_whole,
-    }
+def loaded(folder: Path) -> dict[str, float | str]:
+    """Return the cell size of each map of the folder, or why it cannot be loaded."""
+    found: dict[str, float | str] = {}
+    for path in sorted(folder.glob("*.yaml")):
+        try:
+            grid = load_map(path)
+        except SlamFusionError as error:
+            found[path.name] = str(error)
+        else:
+            assert np.array_equal(grid.cells, grid_of(round(grid.resolution / 0.05)).cells)
+            found[path.name] = grid.resolution
+    return found
 
 
 def main(name: str, place: Path) -> None:
     """Kill a writer at every step, and say what is there each time."""
-    write, step = WRITERS[name], 0
-    while True:
-        for recover in READERS.get(name, (None,)):
-            folder = place / f"{step}-{recover}"
-            folder.mkdir()
-            write(folder, OLD)
-            old = content(folder)
+    write, step, is_done = WRITERS[name], 0, False
+    while not is_done:
+        folder = place / str(step)
+        folder.mkdir()
+        write(folder, OLD)
+        old = content(folder)
 
-            def work(folder: Path = folder, step: int = step) -> None:
-                kill_at(step, folder)
-                write(folder, NEW)
-
-            is_done = in_child(work)
-            seen = look_at(folder, recover)
+        def work(folder: Path = folder, step: int = step) -> None:
+            kill_at(step, folder)
             write(folder, NEW)
-            seen |= {"step": step, "old": old, "is_done": is_done}
-            seen |= {"new": content(folder), "left": leftovers(folder)}
-            print(json.dumps(seen))
-            shutil.rmtree(folder)
-            if is_done:
-                break
-        if is_done:
-            return
+
+        is_done = in_child(work)
+        seen = {"after": content(folder), "maps": loaded(folder)}
+        write(folder, NEW)
+        seen |= {"step": step, "old": old, "is_done": is_done, "new": content(folder)}
+        print(json.dumps(seen))
+        shutil.rmtree(folder)
         step += 1
 
 

@@ -32,10 +32,19 @@ def chunk(name: bytes, data: bytes) -> bytes:
 
 
 def png(
-    rows: Sequence[bytes], width: int, depth: int = 8, colour: int = 0, extra: bytes = b""
+    rows: Sequence[bytes],
+    width: int,
+    depth: int = 8,
+    colour: int = 0,
+    extra: bytes = b"",
+    height: int | None = None,
 ) -> bytes:
-    """Return a PNG whose rows are given as packed bytes; ``extra`` chunks precede the pixels."""
-    header = struct.pack(">IIBBBBB", width, len(rows), depth, colour, 0, 0, 0)
+    """Return a PNG whose rows are given as packed bytes; ``extra`` chunks precede the pixels.
+
+    The header names ``height`` rows; default: as many as there are.
+    """
+    rows_named = len(rows) if height is None else height
+    header = struct.pack(">IIBBBBB", width, rows_named, depth, colour, 0, 0, 0)
     pixels = zlib.compress(b"".join(b"\x00" + row for row in rows))
     return (
         b"\x89PNG\r\n\x1a\n"

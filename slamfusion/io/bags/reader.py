@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from slamfusion.errors import LogError, MemoryBudgetError, SlamFusionError
-from slamfusion.io.bags.unpack import unpack_budget
+from slamfusion.io.bags.unpack import limit_unpacking
 from slamfusion.io.regular import open_regular
 from slamfusion.io.yaml_file import read_yaml
 
@@ -137,7 +137,8 @@ def open_bag(path: Path) -> Iterator[OpenBag]:
         # Old ROS 2 bags do not carry their message definitions.
         store = get_typestore(Stores.LATEST)
         _check_files(path)
-        with unpack_budget(path), AnyReader(_files(path), default_typestore=store) as reader:
+        limit_unpacking()
+        with AnyReader(_files(path), default_typestore=store) as reader:
             yield OpenBag(path, reader)
     except (SlamFusionError, PermissionError):
         raise
