@@ -165,7 +165,7 @@ class SharedTileMaps:
         """
         return joined_tiles(self._device, self.pools[name], self.pages[index], self.corner)
 
-    def to_arrays(self) -> dict[str, npt.NDArray[Any]]:
+    def to_state(self) -> dict[str, npt.NDArray[Any]]:
         """Return everything as arrays, for saving; tiles keep their numbers."""
         used = int(np.flatnonzero(self._users).max(initial=0)) + 1
         pools = {
@@ -180,7 +180,7 @@ class SharedTileMaps:
         }
 
     def restore(self, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
-        """Take over what ``to_arrays`` returned.
+        """Take over what ``to_state`` returned.
 
         Raises:
             ValueError: arrays that do not fit each other, pages of tiles that are not there, or

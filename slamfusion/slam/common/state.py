@@ -1,90 +1,248 @@
-"""States of mappers in files: what decides how one goes on, checked on the way back in.
+"""States of mappers in files: everything that decides how a mapper goes on.
 
-A file is an uncompressed ``.npz``: the arrays, the record (JSON) and the SHA-256 of all of them.
-Nothing is unpacked, and no array is made, that is larger than the file.
+The state of an object is the attributes that its ``STATE`` names. A file is an uncompressed
+``.npz``: a record (JSON) of all values, for each dtype one array with the values of all arrays one
+after the other, and the SHA-256 of all of them. Files are read without pickle, and nothing is
+unpacked that is larger than the file.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import io
 import json
 import math
 import os
 import zipfile
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
+from slamfusion.compute import ComputeDevice
 from slamfusion.config import to_mapping
 from slamfusion.errors import MemoryBudgetError, SlamFusionError, shown
+from slamfusion.geometry import Pose2
 from slamfusion.io import check_memory, write_atomic
+from slamfusion.io.log import Skips
 from slamfusion.io.regular import open_regular
-from slamfusion.slam.common.mapper import Health
-from slamfusion.slam.common.packing import Arrays, pack, unpack
 
-__all__ = ["read_state", "restore_health", "restoring", "write_state"]
+__all__ = ["SavedMapper", "Stateful", "pack", "unpack"]
 
-T = TypeVar("T")
+Arrays = dict[str, npt.NDArray[Any]]
+M = TypeVar("M", bound="SavedMapper")
+
 # Names of the JSON part and of the digest in the file.
 RECORD, DIGEST = "record", "digest"
-SUFFIX = ".npy"
 # Of booleans, whole numbers and floats a state is made.
 KINDS = "biuf"
 QUOTE = "'"
+
+
+class Stateful:
+    """An object whose state is the attributes that ``STATE`` names.
+
+    They are plain values, arrays, dataclasses, lists and dictionaries of these, random generators,
+    or objects with ``to_state`` and ``restore`` of their own.
+    """
+
+    STATE: ClassVar[tuple[str, ...]] = ()
+
+    def to_state(self) -> dict[str, Any]:
+        """Return the state by attribute."""
+        return {name: _state_of(getattr(self, name)) for name in self.STATE}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take over what ``to_state`` returned; records and generators stay the same objects.
+
+        Raises:
+            KeyError: an attribute is missing.
+            TypeError: an attribute is of another type than that of a new object.
+        """
+        for name in self.STATE:
+            own, value = getattr(self, name), state[name]
+            if hasattr(own, "to_state"):
+                own.restore(value)
+            elif isinstance(own, np.random.Generator):
+                own.bit_generator.state = value
+            elif None not in (_kind(own), _kind(value)) and _kind(own) != _kind(value):
+                message = f"{name}: wanted {_kind(own)}, found {_kind(value)}"
+                raise TypeError(message)
+            elif _is_mutable_record(own):
+                vars(own).update(vars(value))
+            else:
+                setattr(self, name, value)
+
+
+class SavedMapper(Stateful):
+    """A mapper that can be saved and resumed; made of its settings, a device and a seed.
+
+    Attributes:
+        name: the mapper's.
+        STATE_FORMAT: number of the version of what is saved.
+        STATE_KINDS: dataclasses that the state is made of, besides ``Pose2`` and ``Skips``.
+    """
+
+    name: str
+    STATE_FORMAT: ClassVar[int]
+    STATE_KINDS: ClassVar[tuple[type, ...]]
+    _config: Any
+    _seed: int
+
+    def save_state(self, path: Path) -> None:
+        """Write everything that decides how the mapper goes on; whole or not at all."""
+        state, packed = pack(self.to_state())
+        record = {"state": state, **self.owner()}
+        arrays: dict[str, Any] = packed
+        arrays[RECORD] = np.frombuffer(json.dumps(record).encode(), dtype=np.uint8)
+        arrays[DIGEST] = np.frombuffer(_digest(arrays), dtype=np.uint8)
+        file = io.BytesIO()
+        np.savez(file, **arrays)
+        write_atomic(path, file.getbuffer())
+
+    @classmethod
+    def load_state(  # noqa: PYI019 - typing.Self needs Python 3.11
+        cls: type[M], path: Path, config: Any, device: ComputeDevice, seed: int = 0
+    ) -> M:
+        """Return the mapper that ``save_state`` has written.
+
+        Args:
+            path: the file.
+            config, seed: must be what the state was made with.
+            device: where the maps are to live.
+
+        Raises:
+            SlamFusionError: no such state, one of another mapper or version, one made with other
+                settings or another seed, or a damaged one.
+        """
+        make: Any = cls
+        made: M = make(config, device, seed)
+        state, arrays = _read(path, made.owner())
+        kinds = {kind.__name__: kind for kind in (Pose2, Skips, *cls.STATE_KINDS)}
+        try:
+            made.restore(unpack(state, arrays, kinds))
+        except (
+            LookupError,
+            ValueError,
+            TypeError,
+            AttributeError,
+            ArithmeticError,
+            RecursionError,
+        ) as error:
+            reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+            message = (
+                f"{path}: a state that no mapper has saved ({reason}); make it again from the log"
+            )
+            raise SlamFusionError(message) from None
+        return made
+
+    def owner(self) -> dict[str, Any]:
+        """Return what a state must have in common with the mapper that takes it over."""
+        settings = {"seed": self._seed, **_flat(to_mapping(self._config))}
+        return {"name": self.name, "format": self.STATE_FORMAT, "settings": settings}
+
+
+def pack(state: Any) -> tuple[Any, Arrays]:
+    """Return a state as JSON values, and by dtype the values of all its arrays.
+
+    In the JSON values ``{"array": [dtype, shape]}`` stands for the next array of that dtype,
+    ``{"dict": [[key, value], ...]}`` for a dictionary, and ``{"Name": {...}}`` for a dataclass.
+    Tuples become lists, but for those that are keys.
+    """
+    parts: dict[str, list[npt.NDArray[Any]]] = {}
+    packed = _packed(state, parts)
+    return packed, {name: np.concatenate(values) for name, values in parts.items()}
+
+
+def unpack(packed: Any, arrays: Arrays, kinds: Mapping[str, type]) -> Any:
+    """Return the state that ``pack`` was given.
+
+    Raises:
+        KeyError: an array is missing, or a dataclass is none of ``kinds``.
+        ValueError: an array is too short or too long, or of another dtype.
+        TypeError: a dataclass has other fields.
+    """
+    rest = dict(arrays)
+    state = _unpacked(packed, rest, kinds)
+    if any(name != array.dtype.name or array.size for name, array in rest.items()):
+        message = "arrays of other values than the record says"
+        raise ValueError(message)
+    return state
+
+
+def _state_of(value: Any) -> Any:
+    if isinstance(value, np.random.Generator):
+        return value.bit_generator.state
+    return value.to_state() if hasattr(value, "to_state") else value
+
+
+def _is_mutable_record(value: Any) -> bool:
+    parameters: Any = getattr(value, "__dataclass_params__", None)
+    return parameters is not None and not parameters.frozen
+
+
+def _kind(value: Any) -> Any:
+    """Return what stays the same of an attribute from one scan to the next; None of None."""
+    if isinstance(value, np.ndarray):
+        return value.dtype, value.ndim
+    return None if value is None else type(value).__name__
+
+
+def _packed(value: Any, parts: dict[str, list[npt.NDArray[Any]]]) -> Any:
+    if isinstance(value, np.ndarray):
+        parts.setdefault(value.dtype.name, []).append(value.ravel())
+        return {"array": [value.dtype.name, value.shape]}
+    if dataclasses.is_dataclass(value):
+        fields = (item.name for item in dataclasses.fields(value))
+        return {
+            type(value).__name__: {name: _packed(getattr(value, name), parts) for name in fields}
+        }
+    if isinstance(value, dict):
+        return {"dict": [[key, _packed(item, parts)] for key, item in value.items()]}
+    if isinstance(value, (list, tuple)):
+        return [_packed(item, parts) for item in value]
+    return value
+
+
+def _unpacked(packed: Any, rest: Arrays, kinds: Mapping[str, type]) -> Any:
+    """Return a value, and leave in ``rest`` what follows its arrays."""
+    if isinstance(packed, list):
+        return [_unpacked(item, rest, kinds) for item in packed]
+    if not isinstance(packed, dict):
+        return packed
+    ((tag, value),) = packed.items()
+    if tag == "array":
+        name, shape = value
+        size = math.prod(shape)
+        array, rest[name] = rest[name][:size], rest[name][size:]
+        return array.reshape(shape)
+    if tag == "dict":
+        return {
+            tuple(key) if isinstance(key, list) else key: _unpacked(item, rest, kinds)
+            for key, item in value
+        }
+    return kinds[tag](**{name: _unpacked(item, rest, kinds) for name, item in value.items()})
 
 
 class _NoFileError(SlamFusionError):
     """A state was named that is no regular file."""
 
 
-def write_state(path: Path, *, name: str, version: int, config: Any, seed: int, state: Any) -> None:
-    """Write a state as an ``.npz`` file; whole or not at all.
-
-    Args:
-        path: the file.
-        name: the mapper's.
-        version: of what it writes.
-        config: its settings; whoever goes on must have the same.
-        seed: likewise.
-        state: a dataclass, see ``slamfusion.slam.common.packing``.
-    """
-    values, arrays = pack(state)
-    whole = {
-        "state": values,
-        "format": version,
-        "name": name,
-        "config": to_mapping(config),
-        "seed": seed,
-    }
-    packed: dict[str, Any] = {
-        RECORD: np.frombuffer(json.dumps(whole).encode(), dtype=np.uint8),
-        **arrays,
-    }
-    packed[DIGEST] = np.frombuffer(_digest(packed), dtype=np.uint8)
-    file = io.BytesIO()
-    np.savez(file, **packed)
-    write_atomic(path, file.getvalue())
-
-
-def read_state(path: Path, *, name: str, version: int, config: Any, seed: int, kind: type[T]) -> T:
-    """Return the state, of a dataclass ``kind``, that ``write_state`` has written.
+def _read(path: Path, owner: dict[str, Any]) -> tuple[Any, Arrays]:
+    """Return the packed state of a file, which must be of this owner.
 
     Raises:
-        SlamFusionError: no such state, one of another mapper or version, one made with other
-            settings or another seed, a damaged one, or one that lacks a part or has a wrong one.
+        SlamFusionError: see ``SavedMapper.load_state``.
     """
     try:
-        arrays = _read_arrays(path)
+        arrays = _arrays(path)
         digest = arrays.pop(DIGEST, np.zeros(0, dtype=np.uint8)).tobytes()
         is_whole = digest == _digest(arrays)
         record: dict[str, Any] = json.loads(arrays.pop(RECORD).tobytes())
-        found_name, found_version = record["name"], record["format"]
-        made_with = {"seed": record["seed"], **_flat(record["config"])}
+        found = record["name"], record["format"]
     except (MemoryBudgetError, _NoFileError):
         raise
     except OSError as error:
@@ -93,100 +251,47 @@ def read_state(path: Path, *, name: str, version: int, config: Any, seed: int, k
     except Exception:  # noqa: BLE001 - taking other files apart may end in anything
         message = f"{path}: not a whole state that `--save-state` has written"
         raise SlamFusionError(message) from None
-    if (found_name, found_version) != (name, version):
+    if found != (owner["name"], owner["format"]):
         message = (
-            f"{path}: wanted a state of {name}, format {version}, found "
-            f"{shown(found_name).strip(QUOTE)}, format {shown(found_version)}"
+            f"{path}: wanted a state of {owner['name']}, format {owner['format']}, found "
+            f"{shown(found[0]).strip(QUOTE)}, format {shown(found[1])}; make it again from the log"
         )
         raise SlamFusionError(message)
     if not is_whole:
         message = f"{path}: not a whole state: it was changed after it was saved"
         raise SlamFusionError(message)
-    settings = {"seed": seed, **_flat(to_mapping(config))}
-    for key, value in made_with.items():
-        if settings.get(key) != value:
+    for key, value in record["settings"].items():
+        if owner["settings"].get(key) != value:
             message = (
-                f"{path}: was made with {key} = {value}, found {settings.get(key)}; "
+                f"{path}: was made with {key} = {value}, found {owner['settings'].get(key)}; "
                 "resume with the same settings"
             )
             raise SlamFusionError(message)
-    with restoring(path):
-        return unpack(kind, record["state"], arrays)
+    return record["state"], arrays
 
 
-@contextmanager
-def restoring(path: Path) -> Iterator[None]:
-    """Turn what goes wrong with a state's parts within a ``with`` block into one error.
-
-    Raises:
-        SlamFusionError: a part is missing, of a wrong kind, or does not fit the others.
-    """
-    try:
-        yield
-    except KeyError as error:
-        message = f"{path}: not a whole state, {error} is missing"
-        raise SlamFusionError(message) from None
-    except (ValueError, TypeError, AttributeError, IndexError, ArithmeticError) as error:
-        reason = " ".join(str(error).split())[:200]
-        message = f"{path}: a state that no mapper has saved ({reason}); make it anew from the log"
-        raise SlamFusionError(message) from None
-
-
-def restore_health(health: Health, saved: Health) -> None:
-    """Let a record hold what a saved one of its kind does; it stays the same object.
-
-    Raises:
-        ValueError: a count below 0.
-    """
-    for name, value in vars(saved).items():
-        if isinstance(value, int) and value < 0:
-            message = f"health.{name}: wanted a count, found {value}"
-            raise ValueError(message)
-    vars(health).update(vars(saved))
-
-
-def _read_arrays(path: Path) -> Arrays:
-    """Return the arrays of a file, none of which is larger than the file says it is.
+def _arrays(path: Path) -> Arrays:
+    """Return the arrays of a file, which together are not larger than it.
 
     Raises:
         SlamFusionError: no regular file, or more than fits into memory.
         OSError: the file cannot be read.
         Exception: it is no such file.
     """
-    arrays: Arrays = {}
     with open_regular(path, _NoFileError) as file:
         size = os.fstat(file.fileno()).st_size
         check_memory(2 * size, "a state", str(path))
         with zipfile.ZipFile(file) as packed:
-            for info in packed.infolist():
-                size -= info.file_size
-                is_plain = info.compress_type == zipfile.ZIP_STORED
-                if size < 0 or not is_plain or info.file_size != info.compress_size:
-                    message = "parts that unpack to more than the file"
-                    raise ValueError(message)
-                arrays[info.filename.removesuffix(SUFFIX)] = _array(packed.read(info))
+            if sum(part.file_size for part in packed.infolist()) > size:
+                message = "parts that unpack to more than the file"
+                raise ValueError(message)
+        file.seek(0)
+        with np.load(file, allow_pickle=False) as loaded:
+            arrays: Arrays = dict(loaded)
+    if any(array.dtype.kind not in KINDS for array in arrays.values()):
+        message = "an array of something else than numbers"
+        raise ValueError(message)
     return arrays
-
-
-def _array(data: bytes) -> npt.NDArray[Any]:
-    """Return the array of an ``.npy`` file that holds exactly it."""
-    file = io.BytesIO(data)
-    version = np.lib.format.read_magic(file)
-    read = np.lib.format.read_array_header_1_0
-    shape, is_fortran, kind = (read if version == (1, 0) else _no_header)(file)
-    rest = bytearray(data[file.tell() :])
-    if kind.kind not in KINDS or min(shape, default=0) < 0:
-        message = f"an array of {kind}"
-        raise ValueError(message)
-    if math.prod(shape) * kind.itemsize != len(rest):
-        message = "an array of another size than it says"
-        raise ValueError(message)
-    return np.frombuffer(rest, dtype=kind).reshape(shape, order="F" if is_fortran else "C")
-
-
-def _no_header(_: Any) -> Any:
-    message = "an array in a form that is not written here"
-    raise ValueError(message)
 
 
 def _digest(arrays: Mapping[str, npt.NDArray[Any]]) -> bytes:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -29,8 +28,9 @@ from slamfusion.slam.common.matcher import (
 )
 from slamfusion.slam.common.pose_rows import row_of
 from slamfusion.slam.common.response import keep_degenerate_prior, response_hessian
+from slamfusion.slam.common.state import Stateful
 
-__all__ = ["Tracker", "TrackerState"]
+__all__ = ["Tracker"]
 
 # Share of the running mean score below which a match is low: while tracking holds that is rare.
 LOW_SHARE = 0.5
@@ -60,21 +60,8 @@ YOUNG_SCANS = 20
 STANDING_LOSS = 0.1
 
 
-@dataclass(frozen=True)
-class TrackerState:
-    """Where a tracker is; see ``Tracker``. Its draws are the state of the generator, ``rng``."""
-
-    rng: dict[str, Any]
-    pose: Pose2 | None
-    odometry: Pose2 | None
-    step: Pose2
-    step_s: float
-    stamp_s: float
-    running_mean_score: float | None
-
-
 @dataclass
-class Tracker:
+class Tracker(Stateful):
     """Follows the robot from scan to scan.
 
     Attributes:
@@ -96,6 +83,8 @@ class Tracker:
         has_jumped: whether odometry has just been reset.
         running_mean_score: of the last matches, 0 to 1; None before the first.
     """
+
+    STATE = ("rng", "pose", "odometry", "step", "step_s", "stamp_s", "running_mean_score")
 
     config: MatcherConfig
     device: ComputeDevice
@@ -172,25 +161,6 @@ class Tracker:
             self.step = self.pose.inverse().compose(pose)
             self.step_s = stamp_s - self.stamp_s
         self.pose, self.odometry, self.stamp_s = pose, odometry, stamp_s
-
-    def to_state(self) -> TrackerState:
-        """Return where it is, for saving."""
-        return TrackerState(
-            rng=dict(self.rng.bit_generator.state),
-            pose=self.pose,
-            odometry=self.odometry,
-            step=self.step,
-            step_s=self.step_s,
-            stamp_s=self.stamp_s,
-            running_mean_score=self.running_mean_score,
-        )
-
-    def restore(self, state: TrackerState) -> None:
-        """Take over what ``to_state`` returned; the generator stays the same object."""
-        self.rng.bit_generator.state = state.rng
-        self.pose, self.odometry, self.step = state.pose, state.odometry, state.step
-        self.step_s, self.stamp_s = state.step_s, state.stamp_s
-        self.running_mean_score = state.running_mean_score
 
     def _onward(self, duration_s: float) -> Pose2:
         """Return the step of a robot that goes on as it went between the last two scans."""

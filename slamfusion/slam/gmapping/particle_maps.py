@@ -17,8 +17,8 @@ from slamfusion.grid import OccupancyGrid
 from slamfusion.slam.common.hit_cells import halve_counts, percent_of_counts
 from slamfusion.slam.common.matcher import FieldMap, pose_table
 from slamfusion.slam.common.shared_tiles import SharedTileMaps
+from slamfusion.slam.common.state import Stateful
 from slamfusion.slam.gmapping.beams import Beams
-from slamfusion.slam.gmapping.state import MapsState
 
 __all__ = ["MOST_MAPPED", "ParticleMaps"]
 
@@ -39,13 +39,15 @@ BUDGET_SHARE = 0.8
 BYTES_PER_MB = 1e6
 
 
-class ParticleMaps:
+class ParticleMaps(Stateful):
     """Maps of N particles on tiles that they share until one writes.
 
     Attributes:
         anchor: (2,) x and y in the map frame, metres, of the cells' lattice.
         tiles: counts of hits and visits, sums of the hits' places, and the score field.
     """
+
+    STATE = ("anchor", "tiles")
 
     def __init__(self, config: Any, device: ComputeDevice, count: int) -> None:
         """Start empty.
@@ -127,15 +129,6 @@ class ParticleMaps:
         device.settle_field(
             pools["counts"], pools["sums"], pools["field"], pages, scan, self._field_rule
         )
-
-    def to_state(self) -> MapsState:
-        """Return everything, for saving."""
-        return MapsState(anchor=self.anchor, tiles=self.tiles.to_arrays())
-
-    def restore(self, state: MapsState) -> None:
-        """Take over what ``to_state`` returned."""
-        self.anchor = state.anchor
-        self.tiles.restore(state.tiles)
 
     def _make_field_rule(self) -> FieldRule:
         """Return how the score field follows from the counts."""

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from slamfusion.geometry import Pose2, compose_poses, wrap_angles
-from slamfusion.slam.common.shapes import check_finite, check_indices, check_kinds, check_shapes
+from slamfusion.slam.common.state import Stateful
 from slamfusion.trajectory import Trajectory
 
 __all__ = ["ParticlePaths"]
@@ -20,28 +18,15 @@ F64 = npt.NDArray[np.float64]
 # Least standard deviations of a cloud, metres, metres, radians: its entropy stays finite.
 LEAST_SIGMAS = (1e-3, 1e-3, 1e-3)
 
-# Of what is saved: T nodes of N particles, S scans.
-SHAPES = {
-    "node_poses": "T N 3",
-    "node_parents": "T N",
-    "node_entropies": "T",
-    "scan_stamps_s": "S",
-    "scan_nodes": "S",
-    "scan_motions": "S 3",
-}
-KINDS: dict[str, npt.DTypeLike] = {
-    **dict.fromkeys(SHAPES, np.float64),
-    "node_parents": np.int32,
-    "scan_nodes": np.int64,
-}
 
-
-class ParticlePaths:
+class ParticlePaths(Stateful):
     """The paths of N particles.
 
     A node is a filter step: a pose of each particle and its parent in the node before. Scans
     between two nodes are the same small motion for every particle, counted from the last node.
     """
+
+    STATE = ("_poses", "_parents", "_entropies", "_stamps", "_nodes", "_motions")
 
     def __init__(self, count: int) -> None:
         """Start without a node."""
@@ -91,39 +76,6 @@ class ParticlePaths:
     def entropy(self) -> float | None:
         """Return the mean over the nodes of the entropy of the particles there, in nats."""
         return float(np.mean(self._entropies)) if self._entropies else None
-
-    def to_arrays(self) -> dict[str, npt.NDArray[Any]]:
-        """Return everything as arrays, for saving."""
-        return {
-            "node_poses": np.array(self._poses).reshape(-1, self._count, 3),
-            "node_parents": np.array(self._parents, dtype=np.int32).reshape(-1, self._count),
-            "node_entropies": np.array(self._entropies),
-            "scan_stamps_s": np.array(self._stamps),
-            "scan_nodes": np.array(self._nodes, dtype=np.int64),
-            "scan_motions": np.array(self._motions).reshape(-1, 3),
-        }
-
-    def restore(self, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
-        """Take over what ``to_arrays`` returned.
-
-        Raises:
-            ValueError: arrays that do not fit each other.
-        """
-        arrays = dict(arrays)
-        lengths = check_shapes(arrays, SHAPES)
-        check_kinds(arrays, KINDS)
-        check_finite(arrays)
-        check_indices("node_parents", arrays["node_parents"], self._count)
-        check_indices("scan_nodes", arrays["scan_nodes"], lengths["T"], first=-1)
-        if lengths["N"] != self._count:
-            message = f"paths of {lengths['N']} particles, wanted {self._count}"
-            raise ValueError(message)
-        self._poses = list(arrays["node_poses"])
-        self._parents = list(arrays["node_parents"])
-        self._entropies = arrays["node_entropies"].tolist()
-        self._stamps = arrays["scan_stamps_s"].tolist()
-        self._nodes = arrays["scan_nodes"].tolist()
-        self._motions = [(x, y, yaw) for x, y, yaw in arrays["scan_motions"].tolist()]
 
 
 def _entropy(poses: F64) -> float:

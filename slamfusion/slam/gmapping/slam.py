@@ -15,14 +15,13 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.config import GmappingConfig, to_mapping
+from slamfusion.config import GmappingConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import Pose2, compose_poses, wrap_angle
 from slamfusion.grid import IDENTITY, OccupancyGrid
@@ -30,7 +29,7 @@ from slamfusion.scan import LaserScan
 from slamfusion.slam.common.mapper import Series, Step
 from slamfusion.slam.common.matcher import PoseHypothesis
 from slamfusion.slam.common.pose_rows import pose_of, row_of
-from slamfusion.slam.common.state import read_state, restore_health, restoring, write_state
+from slamfusion.slam.common.state import SavedMapper
 from slamfusion.slam.common.tracking import Tracker
 from slamfusion.slam.gmapping.beams import Beams, beams_of
 from slamfusion.slam.gmapping.health import FilterHealth
@@ -40,17 +39,15 @@ from slamfusion.slam.gmapping.particle_path import ParticlePaths
 from slamfusion.slam.gmapping.particles import Particles, better_half
 from slamfusion.slam.gmapping.pose_sampler import PoseSampler
 from slamfusion.slam.gmapping.proposal import resample_systematic
-from slamfusion.slam.gmapping.state import GmappingState
 from slamfusion.trajectory import Trajectory
 
 __all__ = ["Gmapping"]
 
 F64 = npt.NDArray[np.float64]
 NAME = "gmapping"
-STATE_FORMAT = 6
 
 
-class Gmapping:
+class Gmapping(SavedMapper):
     """The filter behind the ``Mapper`` protocol.
 
     Attributes:
@@ -60,6 +57,19 @@ class Gmapping:
     """
 
     name = NAME
+    STATE_FORMAT = 7
+    STATE_KINDS = (FilterHealth, Particles)
+    STATE = (
+        "health",
+        "last_stamp_s",
+        "_tracker",
+        "_particles",
+        "_maps",
+        "_paths",
+        "_moved",
+        "_filtered_s",
+        "_is_mapped",
+    )
 
     def __init__(self, config: GmappingConfig, device: ComputeDevice, seed: int = 0) -> None:
         """Start with empty maps.
@@ -71,7 +81,6 @@ class Gmapping:
         """
         self.health: FilterHealth = FilterHealth()
         self.last_stamp_s: float | None = None
-        self._given = config
         # No field of it is open, which its type cannot say.
         self._config = cast("Any", config.chosen())
         self._seed = seed
@@ -243,63 +252,6 @@ class Gmapping:
     def memory_bytes(self) -> int:
         """Return the bytes of all maps, with what their pools hold in reserve, and of the paths."""
         return self._maps.tiles.memory_bytes + self._paths.memory_bytes
-
-    # -- state ---------------------------------------------------------------------------------
-
-    def save_state(self, path: Path) -> None:
-        """Write everything that decides how the filter goes on; whole or not at all."""
-        state = GmappingState(
-            health=self.health,
-            last_stamp_s=self.last_stamp_s,
-            chosen=to_mapping(self._config),
-            tracker=self._tracker.to_state(),
-            moved=self._moved,
-            filtered_s=self._filtered_s,
-            is_mapped=self._is_mapped,
-            particles=self._particles,
-            maps=self._maps.to_state(),
-            paths=self._paths.to_arrays(),
-        )
-        write_state(
-            path,
-            name=self.name,
-            version=STATE_FORMAT,
-            config=self._given,
-            seed=self._seed,
-            state=state,
-        )
-
-    @classmethod
-    def load_state(
-        cls, path: Path, config: GmappingConfig, device: ComputeDevice, seed: int = 0
-    ) -> Gmapping:
-        """Return the filter that ``save_state`` has written.
-
-        Args:
-            path: the file.
-            config, seed: must be what the state was made with.
-            device: where the maps are to live.
-
-        Raises:
-            SlamFusionError: no state of ours, or one made with other settings.
-        """
-        state = read_state(
-            path, name=cls.name, version=STATE_FORMAT, config=config, seed=seed, kind=GmappingState
-        )
-        if state.chosen != to_mapping(config.chosen()):
-            message = f"{path}: was made with other defaults of its profile; start from the log"
-            raise SlamFusionError(message)
-        made = cls(config, device, seed)
-        with restoring(path):
-            restore_health(made.health, state.health)
-            made.last_stamp_s = state.last_stamp_s
-            made._tracker.restore(state.tracker)
-            made._moved, made._filtered_s = state.moved, state.filtered_s
-            made._is_mapped = state.is_mapped
-            made._particles = state.particles
-            made._maps.restore(state.maps)
-            made._paths.restore(state.paths)
-        return made
 
 
 def _is_due(moved: Pose2, waited_s: float, config: Any) -> bool:

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 
 from slamfusion.config import GraphConfig, GraphRelocalizationConfig
 from slamfusion.geometry import Pose2
+from slamfusion.slam.common.state import Stateful
 from slamfusion.slam.graph.pending_closures import PendingClosure, is_same_place
-from slamfusion.slam.graph.state import HypothesisState, PendingState
 
 __all__ = ["RelocalizationHypotheses", "RelocalizationHypothesis"]
 
@@ -43,24 +43,15 @@ class RelocalizationHypothesis:
         driven_m = max(travelled) - min(travelled)
         return len(nodes) >= config.borne_out_nodes and driven_m >= config.borne_out_m
 
-    def to_state(self) -> HypothesisState:
-        """Return everything, for saving."""
-        return HypothesisState(
-            self.correction, PendingState.of(self.hits), self.misses, self.tested
-        )
 
-    @classmethod
-    def from_state(cls, state: HypothesisState) -> RelocalizationHypothesis:
-        """Return what ``to_state`` was asked of."""
-        return cls(state.correction, state.hits.closures(), state.misses, state.tested)
-
-
-class RelocalizationHypotheses:
+class RelocalizationHypotheses(Stateful):
     """The hypotheses about one kidnapped robot.
 
     Attributes:
         kept: that are not given up.
     """
+
+    STATE = ("kept",)
 
     def __init__(self, config: GraphConfig) -> None:
         """Start with none; ``config`` tells which say the same, and when one is believed."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -15,11 +15,11 @@ from slamfusion.grid import IDENTITY
 from slamfusion.slam.common.matcher import Match, ScanOnTiles
 from slamfusion.slam.common.pose_rows import wrapped_row_of
 from slamfusion.slam.common.response import information_of, response_information
+from slamfusion.slam.common.state import Stateful
 from slamfusion.slam.graph.constraints import Constraint, turned
 from slamfusion.slam.graph.health import GraphHealth
 from slamfusion.slam.graph.map_graph import BELIEVED_SHARE
 from slamfusion.slam.graph.node_map import Node
-from slamfusion.slam.graph.state import LocalMapState
 from slamfusion.slam.graph.submap import UNSEEN_WALL, Submap, seen_score
 from slamfusion.slam.graph.surfaces import fill_walls
 
@@ -31,7 +31,7 @@ F64 = npt.NDArray[np.float64]
 WALL_CELLS = 1.0
 
 
-class LocalMap:
+class LocalMap(Stateful):
     """Submaps in the order of their anchors; it owns them, and the map components they are in.
 
     The robot is followed in the frame of the active submap. Half way through it the next one
@@ -44,6 +44,8 @@ class LocalMap:
         active: index of the one in whose frame the robot is followed; those before it are finished.
         node_pose: pose of the last node in that frame.
     """
+
+    STATE = ("components", "active", "node_pose", "_begun")
 
     def __init__(self, config: GraphConfig, device: ComputeDevice, health: GraphHealth) -> None:
         """Start empty.
@@ -224,22 +226,16 @@ class LocalMap:
 
     # -- state ---------------------------------------------------------------------------------
 
-    def to_state(self) -> LocalMapState:
-        """Return everything, for saving."""
-        return LocalMapState(
-            submaps=tuple(submap.to_arrays() for submap in self.submaps),
-            components=tuple(self.components),
-            active=self.active,
-            node_pose=self.node_pose,
-            begun=tuple((*anchors, pose) for anchors, pose in self._begun.items()),
-        )
+    def to_state(self) -> dict[str, Any]:
+        """Return the state, see ``Stateful``, with what each submap holds."""
+        submaps = [submap.to_arrays() for submap in self.submaps]
+        return {**super().to_state(), "submaps": submaps}
 
-    def restore(self, state: LocalMapState) -> None:
+    def restore(self, state: Mapping[str, Any]) -> None:
         """Take over what ``to_state`` returned."""
-        for arrays, component in zip(state.submaps, state.components, strict=True):
+        for arrays, component in zip(state["submaps"], state["components"], strict=True):
             self._append(0, component).restore(arrays)
-        self.active, self.node_pose = state.active, state.node_pose
-        self._begun = {(one, other): pose for one, other, pose in state.begun}
+        super().restore(state)
 
     def _append(self, anchor: int, component: int) -> Submap:
         config = self._config

@@ -14,12 +14,12 @@ from slamfusion.grid import IDENTITY
 from slamfusion.scan import LaserScan
 from slamfusion.slam.common.matcher import PoseHypothesis
 from slamfusion.slam.common.pose_rows import pose_of
+from slamfusion.slam.common.state import Stateful
 from slamfusion.slam.common.tracking import Tracker
 from slamfusion.slam.graph.closure_search import ClosureSearch
 from slamfusion.slam.graph.health import GraphHealth
 from slamfusion.slam.graph.local_map import LocalMap
 from slamfusion.slam.graph.node_map import Node
-from slamfusion.slam.graph.state import LocalizerState
 from slamfusion.slam.graph.tracking_quality import TrackingQuality, TrackingStatus
 
 __all__ = ["Estimate", "Localizer", "Observation"]
@@ -64,8 +64,10 @@ class Estimate:
     status: TrackingStatus
 
 
-class Localizer:
+class Localizer(Stateful):
     """Follows the robot on the local map; it owns the tracker and the quality of its matches."""
+
+    STATE = ("_tracker", "_quality")
 
     def __init__(
         self,
@@ -160,12 +162,3 @@ class Localizer:
     def change_frame(self, local: Pose2) -> None:
         """Follow the robot in the frame of the active submap, where its pose is ``local``."""
         self._tracker.pose = local
-
-    def to_state(self) -> LocalizerState:
-        """Return everything, for saving."""
-        return LocalizerState(tracker=self._tracker.to_state(), quality=self._quality)
-
-    def restore(self, state: LocalizerState) -> None:
-        """Take over what ``to_state`` returned."""
-        self._tracker.restore(state.tracker)
-        self._quality = state.quality

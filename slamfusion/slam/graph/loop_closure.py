@@ -15,6 +15,7 @@ import numpy.typing as npt
 from slamfusion.config import GraphConfig
 from slamfusion.geometry import Pose2
 from slamfusion.slam.common.pose_rows import pose_of, wrapped_row_of
+from slamfusion.slam.common.state import Stateful
 from slamfusion.slam.graph.closure_search import LOW_RESPONSE, ClosureSearch, Found
 from slamfusion.slam.graph.constraints import Constraint
 from slamfusion.slam.graph.health import GraphHealth
@@ -23,7 +24,6 @@ from slamfusion.slam.graph.loop_candidates import LoopCandidate
 from slamfusion.slam.graph.map_graph import BELIEVED_SHARE, MapGraph
 from slamfusion.slam.graph.pending_closures import PendingClosure, PendingClosures
 from slamfusion.slam.graph.relocalization import Relocalization
-from slamfusion.slam.graph.state import LoopClosureState, PendingState
 
 __all__ = ["LoopClosure"]
 
@@ -33,12 +33,14 @@ F64 = npt.NDArray[np.float64]
 PENDING = "not confirmed by another"
 
 
-class LoopClosure:
+class LoopClosure(Stateful):
     """Searches older submaps for the newest node; it owns the pending closures.
 
     Attributes:
         relocalization: the search for a kidnapped robot.
     """
+
+    STATE = ("_pending", "relocalization", "_last_searched", "_linked_m", "_failure_node")
 
     def __init__(
         self,
@@ -207,23 +209,3 @@ class LoopClosure:
         graph.move_nodes(is_joining, correction if is_own else correction.inverse())
         self._health.relocalizations += 1
         self.relocalization.forget()
-
-    # -- state ---------------------------------------------------------------------------------
-
-    def to_state(self) -> LoopClosureState:
-        """Return everything, for saving."""
-        return LoopClosureState(
-            pending=PendingState.of(self._pending.closures),
-            relocalization=self.relocalization.to_state(),
-            last_searched=tuple(self._last_searched.items()),
-            linked_m=tuple(self._linked_m.items()),
-            failure_node=self._failure_node,
-        )
-
-    def restore(self, state: LoopClosureState) -> None:
-        """Take over what ``to_state`` returned."""
-        self._pending.closures = state.pending.closures()
-        self.relocalization.restore(state.relocalization)
-        self._last_searched = dict(state.last_searched)
-        self._linked_m = dict(state.linked_m)
-        self._failure_node = state.failure_node

@@ -12,10 +12,10 @@ import numpy.typing as npt
 from slamfusion.geometry import Pose2, compose_poses, wrap_angle
 from slamfusion.pose_graph import Optimized
 from slamfusion.slam.common.pose_rows import pose_of, wrapped_row_of
+from slamfusion.slam.common.state import Stateful
 from slamfusion.slam.graph.constraints import Constraint, solve_constraints
 from slamfusion.slam.graph.health import GraphHealth
 from slamfusion.slam.graph.node_map import Node
-from slamfusion.slam.graph.state import ConstraintsState, MapGraphState, NodesState
 
 __all__ = ["BELIEVED_SHARE", "MapGraph"]
 
@@ -45,7 +45,7 @@ NEW_OUTLIERS, NEW_OUTLIERS_SHARE = 3, 1.0 / 6.0
 CONSTRAINT_BYTES = 112
 
 
-class MapGraph:
+class MapGraph(Stateful):
     """The pose graph: it owns nodes, poses and constraints, and decides when it is solved.
 
     Attributes:
@@ -53,6 +53,19 @@ class MapGraph:
         poses: (N, 3) of them in the map frame, metres and radians.
         constraints: between them.
     """
+
+    STATE = (
+        "nodes",
+        "poses",
+        "constraints",
+        "_node_bytes",
+        "_weights",
+        "_outliers",
+        "_new_outliers",
+        "_unsolved",
+        "_is_urgent",
+        "_solved_at",
+    )
 
     def __init__(self, health: GraphHealth) -> None:
         """Start empty.
@@ -97,7 +110,8 @@ class MapGraph:
 
     def add_node(self, node: Node, pose: Pose2) -> int:
         """Add a node where it is taken to be in the map frame, and return its number."""
-        self._keep(node)
+        self.nodes.append(node)
+        self._node_bytes += node.ends.nbytes
         self.poses = np.vstack((self.poses, (pose.x, pose.y, wrap_angle(pose.yaw_rad))))
         self._health.nodes = len(self.nodes)
         return len(self.nodes) - 1
@@ -202,33 +216,3 @@ class MapGraph:
         health.chi2, health.solve_s = solved.chi2, solved.time_s
         health.closure_outliers = outliers
         health.solutions += 1
-
-    # -- state ---------------------------------------------------------------------------------
-
-    def to_state(self) -> MapGraphState:
-        """Return everything, for saving."""
-        return MapGraphState(
-            nodes=NodesState.of(self.nodes),
-            poses=self.poses,
-            constraints=ConstraintsState.of(self.constraints),
-            weights=self._weights,
-            outliers=self._outliers,
-            new_outliers=self._new_outliers,
-            unsolved=self._unsolved,
-            is_urgent=self._is_urgent,
-            solved_at=self._solved_at,
-        )
-
-    def restore(self, state: MapGraphState) -> None:
-        """Take over what ``to_state`` returned."""
-        for node in state.nodes.nodes():
-            self._keep(node)
-        self.poses, self._weights = state.poses, state.weights
-        self.constraints = state.constraints.constraints()
-        self._outliers, self._new_outliers = state.outliers, state.new_outliers
-        self._unsolved, self._is_urgent = state.unsolved, state.is_urgent
-        self._solved_at = state.solved_at
-
-    def _keep(self, node: Node) -> None:
-        self.nodes.append(node)
-        self._node_bytes += node.ends.nbytes

@@ -9,7 +9,7 @@ from slamfusion.geometry import Pose2, compose_poses
 from slamfusion.grid import IDENTITY
 from slamfusion.slam.common.mapper import Series
 from slamfusion.slam.common.pose_rows import row_of
-from slamfusion.slam.graph.state import PathState
+from slamfusion.slam.common.state import Stateful
 from slamfusion.trajectory import Trajectory
 
 __all__ = ["DrivenPath"]
@@ -19,12 +19,14 @@ F64 = npt.NDArray[np.float64]
 NO_NODE = -1
 
 
-class DrivenPath:
+class DrivenPath(Stateful):
     """The scans' poses relative to the graph's nodes, so that the path moves with them.
 
     Attributes:
         start: pose of the robot in the map frame at the first scan.
     """
+
+    STATE = ("start", "_scans", "_reported", "_responses")
 
     def __init__(self) -> None:
         self.start = IDENTITY
@@ -76,29 +78,3 @@ class DrivenPath:
         for stamp, node, _ in self._scans:
             stamps.setdefault(node, stamp)
         return stamps
-
-    def to_state(self) -> PathState:
-        """Return everything, for saving."""
-        return PathState(
-            start=self.start,
-            stamps_s=np.array([stamp for stamp, _, _ in self._scans]),
-            nodes=np.array([node for _, node, _ in self._scans], dtype=np.int64),
-            motions=np.array([motion for _, _, motion in self._scans]).reshape(-1, 3),
-            reported=np.array(self._reported).reshape(-1, 3),
-            responses=np.array(self._responses).reshape(-1, 2),
-        )
-
-    def restore(self, state: PathState) -> None:
-        """Take over what ``to_state`` returned."""
-        self.start = state.start
-        self._scans = [
-            (stamp, node, (x, y, yaw))
-            for stamp, node, (x, y, yaw) in zip(
-                state.stamps_s.tolist(),
-                state.nodes.tolist(),
-                state.motions.tolist(),
-                strict=True,
-            )
-        ]
-        self._reported = [(x, y, yaw) for x, y, yaw in state.reported.tolist()]
-        self._responses = [(stamp, score) for stamp, score in state.responses.tolist()]

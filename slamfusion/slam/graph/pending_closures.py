@@ -8,6 +8,7 @@ from typing import Literal
 
 from slamfusion.config import GraphClosureConfig, GraphConfig
 from slamfusion.geometry import Pose2, wrap_angle
+from slamfusion.slam.common.state import Stateful
 from slamfusion.slam.graph.constraints import Constraint
 
 __all__ = ["How", "PendingClosure", "PendingClosures", "is_same_place"]
@@ -34,12 +35,14 @@ class PendingClosure:
     how: How
 
 
-class PendingClosures:
+class PendingClosures(Stateful):
     """Closures that wait for others to say the same.
 
     Attributes:
         closures: the ones of the last nodes.
     """
+
+    STATE = ("closures",)
 
     def __init__(self, config: GraphConfig) -> None:
         """Start with none; ``config`` tells what is believed alone, and what says the same."""

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from slamfusion.config import GraphConfig
 from slamfusion.geometry import Pose2
-from slamfusion.slam.graph.hypotheses import RelocalizationHypotheses, RelocalizationHypothesis
+from slamfusion.slam.common.state import Stateful
+from slamfusion.slam.graph.hypotheses import RelocalizationHypotheses
 from slamfusion.slam.graph.local_map import LocalMap
 from slamfusion.slam.graph.loop_candidates import LoopCandidate
 from slamfusion.slam.graph.map_graph import MapGraph
 from slamfusion.slam.graph.pending_closures import PendingClosure
-from slamfusion.slam.graph.state import RelocalizationState
 
 __all__ = ["Relocalization"]
 
@@ -22,12 +22,14 @@ __all__ = ["Relocalization"]
 SEARCHED_AT_NODE, ROUND_NODES = 3, 4
 
 
-class Relocalization:
+class Relocalization(Stateful):
     """The search for a kidnapped robot in the map components that it is not in.
 
     Attributes:
         hypotheses: where it may be.
     """
+
+    STATE = ("hypotheses", "_searched", "_failed_searches", "_kidnapped_m")
 
     def __init__(self, config: GraphConfig) -> None:
         """Start with nothing searched; ``config`` tells how far and how often it is."""
@@ -109,24 +111,6 @@ class Relocalization:
         if winner is None or any(index not in self._searched for index in to_search):
             return []
         return winner.hits
-
-    def to_state(self) -> RelocalizationState:
-        """Return everything, for saving."""
-        return RelocalizationState(
-            hypotheses=tuple(one.to_state() for one in self.hypotheses.kept),
-            searched=tuple(self._searched.items()),
-            failed_searches=self._failed_searches,
-            kidnapped_m=self._kidnapped_m,
-        )
-
-    def restore(self, state: RelocalizationState) -> None:
-        """Take over what ``to_state`` returned."""
-        self.hypotheses.kept = [
-            RelocalizationHypothesis.from_state(one) for one in state.hypotheses
-        ]
-        self._searched = dict(state.searched)
-        self._failed_searches = state.failed_searches
-        self._kidnapped_m = state.kidnapped_m
 
 
 def _covering(submaps: list[int]) -> list[int]:

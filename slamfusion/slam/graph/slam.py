@@ -13,7 +13,6 @@ Sources: Olson, ICRA 2009 [O09] (correlative matching, its covariance); Konolige
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import numpy as np
 
@@ -27,25 +26,27 @@ from slamfusion.slam.common.mapper import Closure, MapJob, Series, Step
 from slamfusion.slam.common.matcher import PoseHypothesis
 from slamfusion.slam.common.pose_rows import pose_of
 from slamfusion.slam.common.runner import FIRST_REPORTED
-from slamfusion.slam.common.state import read_state, restore_health, restoring, write_state
+from slamfusion.slam.common.state import SavedMapper
 from slamfusion.slam.graph.closure_search import ClosureSearch
+from slamfusion.slam.graph.constraints import Constraint
 from slamfusion.slam.graph.health import GraphHealth
+from slamfusion.slam.graph.hypotheses import RelocalizationHypothesis
 from slamfusion.slam.graph.local_map import LocalMap
 from slamfusion.slam.graph.localizer import Localizer, Observation
 from slamfusion.slam.graph.loop_closure import LoopClosure
 from slamfusion.slam.graph.map_graph import MapGraph
-from slamfusion.slam.graph.node_map import NodeMap
+from slamfusion.slam.graph.node_map import Node, NodeMap
 from slamfusion.slam.graph.path import NO_NODE, DrivenPath
-from slamfusion.slam.graph.state import GraphState
+from slamfusion.slam.graph.pending_closures import PendingClosure
+from slamfusion.slam.graph.tracking_quality import TrackingQuality
 from slamfusion.trajectory import Trajectory
 
 __all__ = ["GraphSlam"]
 
 NAME = "graph"
-STATE_FORMAT = 6
 
 
-class GraphSlam:
+class GraphSlam(SavedMapper):
     """The graph SLAM behind the ``Mapper`` protocol.
 
     Attributes:
@@ -55,6 +56,24 @@ class GraphSlam:
     """
 
     name = NAME
+    STATE_FORMAT = 7
+    STATE_KINDS = (
+        Constraint,
+        GraphHealth,
+        Node,
+        PendingClosure,
+        RelocalizationHypothesis,
+        TrackingQuality,
+    )
+    STATE = (
+        "health",
+        "last_stamp_s",
+        "_localizer",
+        "_graph",
+        "_local_map",
+        "_loops",
+        "_path",
+    )
 
     def __init__(self, config: GraphConfig, device: ComputeDevice, seed: int = 0) -> None:
         """Start with an empty graph.
@@ -245,56 +264,6 @@ class GraphSlam:
     def memory_bytes(self) -> int:
         """Return the bytes of submaps, nodes and edges."""
         return self._local_map.memory_bytes + self._map.memory_bytes + self._graph.memory_bytes
-
-    # -- state ---------------------------------------------------------------------------------
-
-    def save_state(self, path: Path) -> None:
-        """Write graph, scans and submaps; whole or not at all."""
-        state = GraphState(
-            health=self.health,
-            last_stamp_s=self.last_stamp_s,
-            localizer=self._localizer.to_state(),
-            graph=self._graph.to_state(),
-            local_map=self._local_map.to_state(),
-            loops=self._loops.to_state(),
-            path=self._path.to_state(),
-        )
-        write_state(
-            path,
-            name=self.name,
-            version=STATE_FORMAT,
-            config=self._config,
-            seed=self._seed,
-            state=state,
-        )
-
-    @classmethod
-    def load_state(
-        cls, path: Path, config: GraphConfig, device: ComputeDevice, seed: int = 0
-    ) -> GraphSlam:
-        """Return the graph that ``save_state`` has written.
-
-        Args:
-            path: the file.
-            config, seed: must be what the state was made with.
-            device: where the submaps are to live.
-
-        Raises:
-            SlamFusionError: no state of ours, or one made with other settings.
-        """
-        state = read_state(
-            path, name=cls.name, version=STATE_FORMAT, config=config, seed=seed, kind=GraphState
-        )
-        made = cls(config, device, seed)
-        with restoring(path):
-            restore_health(made.health, state.health)
-            made.last_stamp_s = state.last_stamp_s
-            made._localizer.restore(state.localizer)
-            made._graph.restore(state.graph)
-            made._local_map.restore(state.local_map)
-            made._loops.restore(state.loops)
-            made._path.restore(state.path)
-        return made
 
 
 def _is_far(moved: Pose2, config: GraphConfig) -> bool:

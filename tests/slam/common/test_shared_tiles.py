@@ -268,7 +268,7 @@ def test_saved_and_restored_maps_go_on_alike(device: ComputeDevice):
     for _ in range(6):
         pair.write(random_pages(rng, 60), rng)
         pair.take_over(rng.integers(0, MAPS, MAPS).tolist())
-    arrays = {name: array.copy() for name, array in pair.shared.to_arrays().items()}
+    arrays = {name: array.copy() for name, array in pair.shared.to_state().items()}
     again = Pair(device)
     again.shared.restore(arrays)
     again.full.cells = {name: cells.copy() for name, cells in pair.full.cells.items()}

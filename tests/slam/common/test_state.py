@@ -11,17 +11,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from slamfusion.compute import NumpyDevice
 from slamfusion.config import MatcherConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import Pose2
 from slamfusion.slam.common.mapper import Health
-from slamfusion.slam.common.packing import pack, unpack
-from slamfusion.slam.common.state import read_state, restore_health, write_state
-from slamfusion.slam.common.tracking import Tracker, TrackerState
+from slamfusion.slam.common.state import SavedMapper, Stateful, pack, unpack
+from slamfusion.slam.common.tracking import Tracker
 
 
 @dataclass(frozen=True)
@@ -32,38 +29,59 @@ class Config:
     matcher: MatcherConfig = field(default_factory=MatcherConfig)
 
 
-OWNER: dict[str, Any] = {"name": "drawn", "version": 3, "config": Config(), "seed": 5}
-RECORD = {"scans": 7, "path": [0.5, None, "x"]}
-ARRAYS: dict[str, npt.NDArray[Any]] = {
-    "cells": np.arange(12, dtype=np.int8).reshape(3, 4),
-    "poses": np.array([[0.1, math.pi, -1e-300]]),
-}
-
-
-@dataclass(frozen=True)
-class Kept:
-    """The state of a mapper that is none."""
-
-    record: dict[str, Any]
+@dataclass(frozen=True, eq=False)
+class Row:
     cells: npt.NDArray[np.int8]
-    poses: npt.NDArray[np.float64]
+    pose: Pose2 | None
 
 
-def write(path: Path, record: Any = RECORD, **others: Any) -> None:
-    write_state(path, **{**OWNER, "state": Kept(record, **ARRAYS), **others})
+class Drawn(SavedMapper):
+    """A producer that is none, with a value of each kind that states are made of."""
+
+    name = "drawn"
+    STATE_FORMAT = 3
+    STATE_KINDS = (Row, Health)
+    STATE = ("health", "rng", "poses", "rows", "begun", "pairs", "step", "stamp_s")
+
+    def __init__(self, config: Config, device: Any = None, seed: int = 5) -> None:
+        del device
+        self._config, self._seed = config, seed
+        self.health = Health()
+        self.rng = np.random.default_rng(seed)
+        self.poses = np.zeros((0, 3))
+        self.rows: list[Row] = []
+        self.begun: dict[tuple[int, int], Pose2] = {}
+        self.pairs: list[tuple[float, int]] = []
+        self.step = Pose2()
+        self.stamp_s: float | None = None
 
 
-def read(path: Path, **others: Any) -> tuple[dict[str, Any], dict[str, npt.NDArray[Any]]]:
-    kept = read_state(path, **{**OWNER, "kind": Kept, **others})
-    return kept.record, {name: getattr(kept, name) for name in ARRAYS}
+def drawn() -> Drawn:
+    made = Drawn(Config())
+    made.health.skips.add("no hits", 3)
+    made.rng.normal(size=3)
+    made.poses = np.array([[0.1, math.pi, -1e-300]])
+    made.rows = [
+        Row(np.arange(12, dtype=np.int8).reshape(3, 4), Pose2(1.0 / 3.0, -2.0, 3.1)),
+        Row(np.zeros((0, 2), dtype=np.int8), None),
+    ]
+    made.begun = {(1, 2): Pose2(0.1)}
+    made.pairs = [(0.1 + 0.2, 4)]
+    made.stamp_s = 9.5
+    return made
 
 
-def assert_whole(path: Path, **others: Any) -> None:
-    record, arrays = read(path, **others)
-    assert record == RECORD
-    for name, wanted in ARRAYS.items():
-        assert arrays[name].dtype == wanted.dtype
-        np.testing.assert_array_equal(arrays[name], wanted)
+def assert_whole(path: Path) -> None:
+    made, again = drawn(), Drawn.load_state(path, Config(), None, 5)
+    assert again.health == made.health
+    assert again.rng.random() == made.rng.random()
+    assert (again.poses.dtype, again.poses.tobytes()) == (np.float64, made.poses.tobytes())
+    assert [(row.cells.tolist(), row.pose) for row in again.rows] == [
+        (row.cells.tolist(), row.pose) for row in made.rows
+    ]
+    assert again.rows[1].cells.shape == (0, 2)
+    assert (again.begun, again.step, again.stamp_s) == (made.begun, made.step, made.stamp_s)
+    assert again.pairs == [[0.1 + 0.2, 4]]
 
 
 # -- files -----------------------------------------------------------------------------------------
@@ -71,13 +89,13 @@ def assert_whole(path: Path, **others: Any) -> None:
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
-    write(tmp_path / "drawn.state")
+    drawn().save_state(tmp_path / "drawn.state")
     return tmp_path / "drawn.state"
 
 
-def refused(path: Path, **others: Any) -> str:
+def refused(path: Path, config: Any = None, seed: int = 5, kind: type[Drawn] = Drawn) -> str:
     with pytest.raises(SlamFusionError) as caught:
-        read(path, **others)
+        kind.load_state(path, config or Config(), None, seed)
     message = str(caught.value)
     assert message.startswith(f"{path}: ")
     assert "\n" not in message
@@ -88,12 +106,19 @@ def test_a_state_comes_back_whole(path: Path) -> None:
     assert_whole(path)
 
 
+class Other(Drawn):
+    name = "other"
+
+
+class Newer(Drawn):
+    STATE_FORMAT = 4
+
+
 @pytest.mark.parametrize(
     ("others", "words"),
     [
-        ({"name": "other"}, "wanted a state of other, format 3, found drawn, format 3"),
-        ({"version": 4}, "wanted a state of drawn, format 4, found drawn, format 3"),
-        ({"version": 2}, "wanted a state of drawn, format 2, found drawn, format 3"),
+        ({"kind": Other}, "wanted a state of other, format 3, found drawn, format 3; make it"),
+        ({"kind": Newer}, "wanted a state of drawn, format 4, found drawn, format 3; make it"),
         ({"seed": 6}, "was made with seed = 5, found 6; resume with the same settings"),
         ({"config": Config(8.001)}, "was made with reach_m = 8.0, found 8.001; resume with"),
         (
@@ -138,8 +163,10 @@ def test_a_state_that_would_run_code_is_refused(path: Path, tmp_path: Path) -> N
 
 
 def test_a_state_that_cannot_be_written_leaves_the_one_before(path: Path) -> None:
+    broken = drawn()
+    broken.pairs = [object()]  # type: ignore[list-item]
     with pytest.raises(TypeError):
-        write(path, record={"scans": object()})
+        broken.save_state(path)
     assert_whole(path)
     assert [item.name for item in path.parent.iterdir()] == [path.name]
 
@@ -147,31 +174,47 @@ def test_a_state_that_cannot_be_written_leaves_the_one_before(path: Path) -> Non
 # -- what states are made of -----------------------------------------------------------------------
 
 
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("stamp_s", "x"),
+        ("poses", np.zeros(3)),
+        ("poses", np.zeros((2, 3), np.float32)),
+        ("rows", {}),
+        ("step", [0.0]),
+        ("health", Pose2()),
+    ],
+)
+def test_an_attribute_of_another_type_is_named(name: str, value: Any) -> None:
+    made = drawn()
+    with pytest.raises(TypeError, match=f"{name}: wanted"):
+        made.restore({**made.to_state(), name: value})
+    state = made.to_state()
+    del state[name]
+    with pytest.raises(KeyError, match=name):
+        made.restore(state)
+
+
+def test_what_is_restored_is_its_own() -> None:
+    class Kept(Stateful):
+        STATE = ("health",)
+
+        def __init__(self) -> None:
+            self.health = Health(9, 7, 0.4, 0.5, 2, 12.5)
+
+    kept, again = Kept(), Kept()
+    health = again.health
+    again.restore(through_file(kept.to_state()))
+    again.health.skips.add("no hits", 8)
+    assert again.health is health
+    assert kept.health.skips.total == 0
+
+
 def through_file(state: Any) -> Any:
     """Return a state as a file gives it back."""
     values, arrays = pack(state)
-    return unpack(type(state), json.loads(json.dumps(values)), arrays)
-
-
-NUMBERS = st.floats(-1e6, 1e6)
-
-
-@given(pose=st.none() | st.builds(Pose2, NUMBERS, NUMBERS, NUMBERS))
-def test_a_pose_comes_back_to_the_last_bit(pose: Pose2 | None) -> None:
-    state = TrackerState({}, pose, None, Pose2(), 0.0, 0.0, None)
-    assert through_file(state) == state
-
-
-def test_a_health_record_comes_back_with_what_was_left_out() -> None:
-    health = Health(9, 7, 0.4, 0.5, 2, 12.5)
-    for scan in (3, 5):
-        health.skips.add("no hits", scan)
-    again = Health()
-    restore_health(again, through_file(health))
-    assert again == health
-    # What was restored is its own: what comes later is not written into what was kept.
-    again.skips.add("no hits", 8)
-    assert health.skips.lines == {"no hits": [3, 5]}
+    kinds = {kind.__name__: kind for kind in (Pose2, Health, type(Health().skips))}
+    return unpack(json.loads(json.dumps(values)), arrays, kinds)
 
 
 @pytest.mark.parametrize("scans", [0, 1, 4])

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slamfusion.geometry import Pose2, wrap_angle
+from slamfusion.slam.common.state import pack, unpack
 from slamfusion.slam.gmapping.particle_path import LEAST_SIGMAS, ParticlePaths
 from tests.support.examples import examples
 
@@ -124,7 +125,7 @@ def test_every_path_is_what_a_full_copy_at_each_resampling_would_hold(
 
 def test_saved_and_restored_paths_are_the_same_and_go_on():
     paths, again = drawn_tree(), ParticlePaths(3)
-    again.restore(paths.to_arrays())
+    again.restore(unpack(*pack(paths.to_state()), {}))
     for part in (paths, again):
         part.add_node(column(40.0, 41.0, 42.0), np.array([2, 0, 1]))
         part.add_scan(4.0, Pose2(0.1, 0.0, 0.0))
@@ -138,7 +139,7 @@ def test_saved_and_restored_paths_are_the_same_and_go_on():
 
 def test_empty_paths_are_saved_too():
     again = ParticlePaths(3)
-    again.restore(ParticlePaths(3).to_arrays())
+    again.restore(unpack(*pack(ParticlePaths(3).to_state()), {}))
     again.add_node(column(1.0, 2.0, 3.0), None)
     again.add_scan(0.0, Pose2())
     assert again.path(2, "").poses.tolist() == [[3.0, 0.0, 0.0]]
