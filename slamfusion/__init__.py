@@ -63,13 +63,13 @@ if TYPE_CHECKING:
     from slamfusion.jobs.results import SavedResults, read_results, write_results_file
     from slamfusion.jobs.run import LogRun, run_log
     from slamfusion.jobs.run_files import SavedRun, save_run
-    from slamfusion.jobs.several import evaluate_cases, judge_logs, measure_trajectories
     from slamfusion.jobs.simulate import SimulatedDrive, save_simulated_drive, simulate_course
     from slamfusion.jobs.trajectory import (
         CaseFiles,
         MeasuredTrajectory,
         Measures,
         TrajectoryFiles,
+        measure_trajectories,
         measure_trajectory,
         measure_trajectory_file,
         write_trajectory,
@@ -123,10 +123,8 @@ __all__ = [
     "__version__",
     "align_maps",
     "compare_results",
-    "evaluate_cases",
     "evaluate_maps",
     "fuse_maps",
-    "judge_logs",
     "judge_paths",
     "load_config",
     "load_map",
@@ -193,13 +191,13 @@ _MODULES: dict[str, tuple[str, ...]] = {
     "jobs.results": ("SavedResults", "read_results", "write_results_file"),
     "jobs.run": ("LogRun", "run_log"),
     "jobs.run_files": ("SavedRun", "save_run"),
-    "jobs.several": ("evaluate_cases", "judge_logs", "measure_trajectories"),
     "jobs.simulate": ("SimulatedDrive", "save_simulated_drive", "simulate_course"),
     "jobs.trajectory": (
         "CaseFiles",
         "MeasuredTrajectory",
         "Measures",
         "TrajectoryFiles",
+        "measure_trajectories",
         "measure_trajectory",
         "measure_trajectory_file",
         "write_trajectory",

@@ -17,9 +17,7 @@ from slamfusion.cli.tables import NOTHING
 from slamfusion.jobs.documents import p_text
 
 if TYPE_CHECKING:
-    from slamfusion.jobs.compare import ComparedFigureJson, ComparedResults, ComparedSeriesJson
-
-__all__ = ["command", "print_comparison"]
+    from slamfusion.jobs.compare import ComparedResults, ComparisonJson
 
 # Of a table: figures of several sizes.
 DIGITS = 4
@@ -61,62 +59,55 @@ def command(files: tuple[Path, ...], plot_path: Path | None, as_json: bool) -> i
 
 
 def print_comparison(found: ComparedResults) -> None:
-    """Print a table of the figures with what was paired, and what is behind them.
+    """Print a table of the figures, then those of each case over its seeds.
 
-    These are the figures over the seeds of each case; without seeds, the errors along the paths.
+    Without seeds, the second table has the errors along the paths.
     """
     import pandas as pd  # noqa: PLC0415  (an extra)
 
+    from slamfusion.jobs.results import KEYS, figures_of, means_of  # noqa: PLC0415
+
     _print_figures(found)
-    table = pd.concat([item.table.assign(method=item.name) for item in found.results])
-    if table["seed"].any():
-        print_by_case(table, "results", LEADING)
-    else:
+    if not any((item.table["seed"] != "").any() for item in found.results):
         _print_series(found)
+        return
+    by_seed = {
+        item.name: means_of(figures_of(item.table), ["case", "seed"]) for item in found.results
+    }
+    figures = pd.concat(by_seed, names=["method"]).reorder_levels(KEYS)
+    print_by_case(figures, "results", LEADING)
 
 
 def _print_figures(found: ComparedResults) -> None:
     """Print every figure of every two results."""
     from slamfusion.evaluation import figure_of  # noqa: PLC0415  (loads slowly)
 
-    document, has_names = found.document, len(found.results) > 2
-    rows = []
-    for item in document["figures"]:
-        rank_test = None
-        if item["paired"] is not None:
-            rank_test = item["paired"]["wilcoxon"]
-        elif item["unpaired"] is not None:
-            rank_test = item["unpaired"]["mann_whitney"]
-        counts = dict.fromkeys((item["items_first"], item["items_second"]))
-        rows.append(
-            [
-                figure_of(item["figure"]).label,
-                *([item["first"], item["second"]] if has_names else []),
-                " and ".join(map(str, counts)),
-                *_numbers(item["mean_first"], item["std_first"]),
-                *_numbers(item["mean_second"], item["std_second"], item["difference"]),
-                _interval(item),
-                p_text(item["p_value"]),
-                p_text(rank_test),
-                item["better"] or NOTHING,
-            ]
-        )
-    is_paired = {bool(pairing["by"]) for pairing in document["pairings"]}
-    tests = {
-        (True,): ("pairs", "p paired t", "p Wilcoxon"),
-        (False,): ("items", "p Welch", "p Mann-Whitney"),
-        (False, True): ("items", "p t-test", "p rank test"),
-    }[tuple(sorted(is_paired))]
+    has_names = len(found.results) > 2
+    rows = [
+        [
+            figure_of(item["figure"]).label,
+            *([item["first"], item["second"]] if has_names else []),
+            " and ".join(map(str, dict.fromkeys((item["count_first"], item["count_second"])))),
+            *_numbers(item["mean_first"], item["std_first"]),
+            *_numbers(item["mean_second"], item["std_second"]),
+            *_tests(item),
+            item["better"] or NOTHING,
+        ]
+        for item in found.document["figures"]
+    ]
+    tests = ("items", "p t-test", "p rank test")
+    if len(found.is_paired) == 1:
+        paired = ("pairs", "p paired t", "p Wilcoxon")
+        tests = paired if True in found.is_paired else ("items", "p Welch", "p Mann-Whitney")
     names = ("first ", "second ") if has_names else ()
     means = ("mean first", "std first", "mean second", "std second", "difference", "95 %")
     columns = ("figure ", *names, tests[0], *means, *tests[1:], "better ")
     title = f"{found.results[0].name} (first) against {found.results[1].name} (second)"
     if has_names:
         title = f"Every two of {len(found.results)} results; p of the t-test after Holm"
-    sentences = list(dict.fromkeys(pairing["sentence"] for pairing in document["pairings"]))
-    if len(sentences) > 1:
-        sentences = ["{first} and {second}: {sentence}".format(**p) for p in document["pairings"]]
-    title = "; ".join((title, *sentences))
+    sentences = found.document["pairings"]
+    same = {sentence.partition(": ")[2] for sentence in sentences} if has_names else set()
+    title = "; ".join((title, *(same if len(same) == 1 else sentences)))
     print_table(columns, rows, title=title, names=1 + len(names))
 
 
@@ -124,40 +115,26 @@ def _print_series(found: ComparedResults) -> None:
     """Print the errors that two paths have at the same times."""
     from slamfusion.evaluation import figure_of  # noqa: PLC0415  (loads slowly)
 
-    document = found.document
-    if not document["series"]:
+    series = found.document["series"]
+    if not series:
         return
-    has_names = (
-        len(found.results) > 2 or len({item["method_first"] for item in document["series"]}) > 1
-    )
-    rows = []
-    for item in document["series"]:
-        test = item["paired"]
-        first, second = item["mean_first"], item["mean_second"]
-        rows.append(
-            [
-                item["case"],
-                *(_made_by(item) if has_names else []),
-                figure_of(item["series"]).label,
-                str(item["common"]),
-                *_numbers(first, second, first - second),
-                _interval(item),
-                p_text(None if test is None else test["t_test"]),
-                p_text(None if test is None else test["wilcoxon"]),
-            ]
-        )
-    names = ("first ", "second ") if has_names else ()
-    heads = ("case ", *names, "errors ")
+    has_names = len({(item["first"], item["second"]) for item in series}) > 1
+    rows = [
+        [
+            item["case"],
+            *([item["first"], item["second"]] if has_names else []),
+            figure_of(item["figure"]).label,
+            str(item["count_first"]),
+            *_numbers(item["mean_first"], item["mean_second"]),
+            *_tests(item),
+        ]
+        for item in series
+    ]
+    names = ("case ", *(("first ", "second ") if has_names else ()), "errors ")
     means = ("mean first", "mean second", "difference", "95 %")
-    columns = (*heads, "common", *means, "p paired t", "p Wilcoxon")
+    columns = (*names, "common", *means, "p paired t", "p Wilcoxon")
     title = "Errors along the paths; the pairs of the tests are means over spans of neighbours"
-    print_table(columns, rows, title=title, names=len(heads))
-
-
-def _made_by(item: ComparedSeriesJson) -> Sequence[str]:
-    """Return what two paths are called: their results' names, and their own where they differ."""
-    both = ((item["first"], item["method_first"]), (item["second"], item["method_second"]))
-    return [name if name == method else f"{name}: {method}" for name, method in both]
+    print_table(columns, rows, title=title, names=len(names))
 
 
 def _numbers(*values: float | None) -> list[str]:
@@ -165,8 +142,9 @@ def _numbers(*values: float | None) -> list[str]:
     return [number(value, DIGITS) for value in values]
 
 
-def _interval(item: ComparedFigureJson | ComparedSeriesJson) -> str:
-    """Return the interval of the mean difference as a cell; a dash where nothing is paired."""
-    if item["paired"] is None:
-        return NOTHING
-    return " to ".join(_numbers(*item["paired"]["interval"]))
+def _tests(item: ComparisonJson) -> Sequence[str]:
+    """Return the difference, its interval and the p-values as cells; a dash where there is none."""
+    low, high = _numbers(item["low"], item["high"])
+    interval = NOTHING if low == NOTHING else f"{low} to {high}"
+    p_values = p_text(item["p_t"]), p_text(item["p_rank"])
+    return [*_numbers(item["difference"]), interval, *p_values]

@@ -31,12 +31,13 @@ from slamfusion.cli.results import (
 )
 from slamfusion.cli.table_files import table_option
 from slamfusion.config import RunConfig
-from slamfusion.jobs.cases import CaseFile, case_names, place_files
+from slamfusion.jobs.cases import CaseFile, Placed, case_names, place_files
 from slamfusion.jobs.inputs import device_for, distinct_names, load_maps, map_file
 
 if TYPE_CHECKING:
     from slamfusion.evaluation import DistanceComparison
     from slamfusion.jobs.evaluate import Evaluation
+    from slamfusion.jobs.records import CasesEvaluationDocument, EvaluateDocument
 
 __all__ = ["command", "print_evaluations"]
 
@@ -135,67 +136,110 @@ def command(config: RunConfig, **asked: Any) -> int:
     """
     request = _Request(**asked)
     request.check()
-    if request.is_mutual:
-        return _compare(request, config)
-    return (
-        _evaluate_one(request, config)
-        if len(request.truths) < 2
-        else _evaluate_cases(request, config)
-    )
+    return (_compare if request.is_mutual else _evaluate)(request, config)
 
 
-def _evaluate_one(request: _Request, config: RunConfig) -> int:
-    """Measure maps against one truth, or measured distances alone."""
+def _evaluate(request: _Request, config: RunConfig) -> int:
+    """Measure maps, each against the truth of its case, or measured distances alone."""
     from slamfusion.jobs.evaluate import (  # noqa: PLC0415
-        distance_items,
+        cases_document,
+        distance_rows,
         evaluate_document,
         evaluate_maps,
-        evaluated_items,
+        evaluation_rows,
         measure_distances,
-        write_evaluation,
     )
 
     cases = case_names(request.truths)
+    files = {case: item.path for case, item in zip(cases, request.truths, strict=True)}
     placed = place_files(cases, request.maps) if cases else []
     grids = load_maps(request.paths, request.resolution, config.map_files, notice)
-    evaluations: Sequence[Evaluation] = ()
-    truth_path, device = None, None
-    if request.truths:
-        truth_path = request.truths[0].path
-        (truth,) = load_maps([truth_path], request.resolution, config.map_files, notice)
+    evaluations: list[Evaluation] = []
+    device = None
+    if cases:
+        truths = {
+            case: load_maps([path], request.resolution, config.map_files, notice)[0]
+            for case, path in files.items()
+        }
+        named = grids
+        if len(cases) > 1:
+            truths = {case: grid.with_name(case) for case, grid in truths.items()}
+            named = [grid.with_name(own.name) for grid, own in zip(grids, placed, strict=True)]
         computes = device_for(config)
         device = computes.name
         with progress_bar() as progress:
-            evaluations = evaluate_maps(
-                grids, truth, config, computes, align=request.align, progress=progress
-            )
+            for done, (grid, own) in enumerate(zip(named, placed, strict=True)):
+                progress("evaluate", done, len(named))
+                evaluations += evaluate_maps(
+                    [grid], truths[own.case], config, computes, align=request.align
+                )
+            progress("evaluate", len(named), len(named))
     distances: Sequence[DistanceComparison] = ()
     if request.distances_path is not None:
         distances = measure_distances(grids, request.distances_path, config)
-    write_evaluation(
-        evaluations,
-        config,
-        device=device or "",
-        report=request.report_dir,
-        image=request.image_path,
-    )
-    _tell_not_aligned(evaluations)
-    document = evaluate_document(evaluations, distances, config, truth=truth_path, device=device)
+    _write_cases(request, placed, evaluations, config, device or "")
+    for evaluation in evaluations:
+        if evaluation.alignment is not None and not evaluation.is_aligned:
+            notice(f"not aligned: {evaluation.error.name}: {evaluation.alignment.reason}")
+    rows = evaluation_rows(placed, evaluations)
+    document: EvaluateDocument | CasesEvaluationDocument
+    if len(cases) > 1:
+        document = cases_document(
+            placed, evaluations, distances, config, truths=files, device=device or ""
+        )
+    else:
+        truth = next(iter(files.values()), None)
+        document = evaluate_document(evaluations, distances, config, truth=truth, device=device)
     save_results(
         request.results_path,
         document,
-        lambda: [*evaluated_items(placed, evaluations), *distance_items(request.maps, distances)],
-        lambda: _inputs(request, {} if truth_path is None else {cases[0]: truth_path}),
+        [*rows, *distance_rows(request.maps, distances)],
+        lambda: _inputs(request, files),
     )
     if request.as_json:
         print_json(document)
-    else:
-        if evaluations:
-            print_evaluations(evaluations)
-            print_repetitions(evaluated_items(placed, evaluations), "map")
-        for comparison in distances:
-            _print_distances(comparison)
+        return 0
+    if len(cases) > 1:
+        print_items(rows, "map", ("error", "wall_f1"))
+    elif evaluations:
+        print_evaluations(evaluations)
+        print_repetitions(rows, "map")
+    for comparison in distances:
+        _print_distances(comparison)
     return 0
+
+
+def _write_cases(
+    request: _Request,
+    placed: Sequence[Placed],
+    evaluations: Sequence[Evaluation],
+    config: RunConfig,
+    device: str,
+) -> None:
+    """Write the report and the pictures of each case, all or none."""
+    from slamfusion.io import AtomicFiles  # noqa: PLC0415
+    from slamfusion.jobs.evaluate import write_evaluation  # noqa: PLC0415
+
+    cases = list(dict.fromkeys(item.case for item in placed))
+    report, image = request.report_dir, request.image_path
+    with AtomicFiles() as files:
+        for case in cases:
+            own = [
+                found for item, found in zip(placed, evaluations, strict=True) if item.case == case
+            ]
+            if len(request.truths) > 1:
+                report = None if request.report_dir is None else request.report_dir / case
+                if request.image_path is not None:
+                    image = request.image_path.with_stem(f"{request.image_path.stem}_{case}")
+            write_evaluation(
+                own,
+                config,
+                device=device,
+                report=report,
+                image=image,
+                name_each=len(request.truths) > 1,
+                files=files,
+            )
 
 
 def _compare(request: _Request, config: RunConfig) -> int:
@@ -235,48 +279,6 @@ def _compare(request: _Request, config: RunConfig) -> int:
         title=f"Agreement of the maps with each other, in the frame of {result.reference}",
     )
     return 0
-
-
-def _evaluate_cases(request: _Request, config: RunConfig) -> int:
-    """Measure maps against several truths, each against its own."""
-    from slamfusion.jobs.evaluate import distance_items  # noqa: PLC0415
-    from slamfusion.jobs.several import evaluate_cases, write_case_evaluations  # noqa: PLC0415
-
-    cases = case_names(request.truths)
-    truths = {case: file.path for case, file in zip(cases, request.truths, strict=True)}
-    with progress_bar() as progress:
-        found = evaluate_cases(
-            place_files(cases, request.maps),
-            truths,
-            config,
-            align=request.align,
-            resolution=request.resolution,
-            distances=request.distances_path,
-            progress=progress,
-            warn=notice,
-        )
-    write_case_evaluations(found, report=request.report_dir, image=request.image_path)
-    _tell_not_aligned(found.evaluations)
-    document = found.to_json()
-    save_results(
-        request.results_path,
-        document,
-        lambda: [*found.items(), *distance_items(request.maps, found.distances)],
-        lambda: _inputs(request, truths),
-    )
-    if request.as_json:
-        print_json(document)
-    else:
-        print_items(found.items(), "map", ("error", "wall_f1"))
-        for comparison in found.distances:
-            _print_distances(comparison)
-    return 0
-
-
-def _tell_not_aligned(evaluations: Sequence[Evaluation]) -> None:
-    for evaluation in evaluations:
-        if evaluation.alignment is not None and not evaluation.is_aligned:
-            notice(f"not aligned: {evaluation.error.name}: {evaluation.alignment.reason}")
 
 
 def _inputs(request: _Request, truths: Mapping[str, Path]) -> list[tuple[str, str, Path]]:

@@ -111,7 +111,7 @@ def cell_models(folder: Path, results_path: Path | None, as_json: bool) -> int:
 
     rows = table_two()
     document = save_cell_models(folder, rows)
-    save_results(results_path, document, lambda: [row.item() for row in rows])
+    save_results(results_path, document, [own for row in rows for own in row.figure_rows()])
     if as_json:
         print_json(document)
     else:
@@ -195,7 +195,7 @@ def occupancy_estimator(
         drives = gather_drives(recorded, floors, config, device, progress)
         results = sweep_estimators(drives, config, device, keep=keep, progress=progress)
     document = save_estimator_sweep(folder, results, verdicts(results), config, device.name)
-    save_results(results_path, document, results.items, lambda: _drive_inputs(recorded))
+    save_results(results_path, document, results.figure_rows(), lambda: _drive_inputs(recorded))
     return _show(document, as_json, lambda: _print_results(results))
 
 
@@ -241,7 +241,7 @@ def cell_models_trajectories(
         drives = gather_drives(recorded, floors, config, device, progress)
         results = compare_models(drives, config, device, keep=keep, progress=progress)
     document = save_runs(folder, NAME, results, model_sentences(results), config, device.name)
-    save_results(results_path, document, results.items, lambda: _drive_inputs(recorded))
+    save_results(results_path, document, results.figure_rows(), lambda: _drive_inputs(recorded))
     return _show(document, as_json, lambda: _print_results(results))
 
 
@@ -285,7 +285,7 @@ def ground_obstacle(
     with asked_scheduler(scheduler, config) as fleet, progress_bar() as progress:
         table = compare_with_obstacle(config, folder, progress, fleet)
     document = save_error_table(folder, NAME, table, obstacle_trials(config), config, device)
-    save_results(results_path, document, table.items)
+    save_results(results_path, document, table.figure_rows())
     return _show(document, as_json, lambda: _print_tables(table))
 
 
@@ -318,7 +318,7 @@ def failures(
     with asked_scheduler(scheduler, config) as fleet, progress_bar() as progress:
         table = compare_failures(config, folder, progress, fleet)
     document = save_error_table(folder, NAME, table, trials, config, device)
-    save_results(results_path, document, table.items)
+    save_results(results_path, document, table.figure_rows())
     return _show(document, as_json, lambda: _print_tables(table))
 
 
@@ -366,7 +366,9 @@ def real_logs(
     with progress_bar() as progress:
         table = compare_on_logs(datasets, names, config, device, progress, others)
     document = save_real_logs(folder, table, config, device.name)
-    save_results(results_path, document, table.items, lambda: _log_inputs(datasets, names, others))
+    save_results(
+        results_path, document, table.figure_rows(), lambda: _log_inputs(datasets, names, others)
+    )
     return _show(document, as_json, lambda: _print_tables(table))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -37,6 +38,7 @@ from slamfusion.cli.table_files import table_option
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.jobs.cases import CaseFile, Placed, case_names, files_by_case, place_files
+from slamfusion.jobs.inputs import device_for
 
 if TYPE_CHECKING:
     from slamfusion.evidence import RankedPath, Recommendation
@@ -131,68 +133,66 @@ def command(config: RunConfig, **asked: Any) -> int:
     """
     request = _Request(**asked)
     request.check()
-    return _judge_logs(request, config) if request.more_logs else _judge_one(request, config)
+    return _judge(request, config)
 
 
-def _judge_one(request: _Request, config: RunConfig) -> int:
-    """Rank the paths of one log."""
+def _judge(request: _Request, config: RunConfig) -> int:
+    """Rank the paths of each log."""
     from slamfusion.io.atomic import AtomicFiles  # noqa: PLC0415
-    from slamfusion.jobs.judge import judge_paths, write_fused_path, write_judgement  # noqa: PLC0415
+    from slamfusion.jobs.judge import (  # noqa: PLC0415
+        judge_paths,
+        judgements_document,
+        write_fused_path,
+        write_judgement,
+    )
 
     placed, held = request.placed()
-    (case,) = held.logs
-    found = judge_paths(
-        held.logs[case],
-        {item.name: item.path for item in placed},
-        config,
-        relations=held.relations.get(case),
-        odometry=held.odometry.get(case),
-        truth=held.truths.get(case),
-        scan_odometry=held.scan_odometry.get(case),
-        fused=request.fused,
-        warn=notice,
-    )
+    device = device_for(config)
+    logs: dict[str, JudgedPaths] = {}
+    several = len(held.logs) > 1
+    with contextlib.ExitStack() as ends:
+        progress = ends.enter_context(progress_bar()) if several else None
+        for done, (case, log) in enumerate(held.logs.items()):
+            if progress is not None:
+                progress("judge", done, len(held.logs))
+            logs[case] = judge_paths(
+                log,
+                {item.name: item.path for item in placed if item.case == case},
+                config,
+                device,
+                relations=held.relations.get(case),
+                odometry=held.odometry.get(case),
+                truth=held.truths.get(case),
+                scan_odometry=held.scan_odometry.get(case),
+                fused=request.fused,
+                warn=notice,
+            )
     with AtomicFiles() as files:
-        write_fused_path(found, files)
-        if request.report_dir is not None:
-            write_judgement(found, request.report_dir, files)
-    document = found.to_json()
-    save_results(
-        request.results_path,
-        document,
-        lambda: found.items(case, placed),
-        lambda: held.inputs(placed),
-    )
+        for case, found in logs.items():
+            write_fused_path(found, files)
+            if request.report_dir is not None:
+                folder = request.report_dir / case if several else request.report_dir
+                write_judgement(found, folder, files)
+    rows = [row for case, found in logs.items() for row in found.rows(case, placed)]
+    first = next(iter(logs.values()))
+    document = judgements_document(logs, rows, config) if several else first.to_json()
+    save_results(request.results_path, document, rows, lambda: held.inputs(placed))
     if request.as_json:
         print_json(document)
+    elif several:
+        print_items(rows, "path", ("consistency", "ate_rmse_m", "relations_mean_m"))
+        for case, found in logs.items():
+            print(f"{case}: {found.recommendation.headline}")
     else:
-        _print(found)
-        print_repetitions(found.items(case, placed), "path")
-    if found.not_measured:
-        raise SlamFusionError("; ".join(found.not_measured))
-    return 0
-
-
-def _judge_logs(request: _Request, config: RunConfig) -> int:
-    """Rank the paths of each of several logs."""
-    from slamfusion.jobs.several import judge_logs, write_judgements  # noqa: PLC0415
-
-    placed, held = request.placed()
-    with progress_bar() as progress:
-        found = judge_logs(placed, held, config, progress=progress, warn=notice)
-    if request.report_dir is not None:
-        write_judgements(found, request.report_dir)
-    document = found.to_json()
-    save_results(request.results_path, document, found.items, lambda: held.inputs(placed))
-    if request.as_json:
-        print_json(document)
-    else:
-        leading = ("consistency", "ate_rmse_m", "relations_mean_m")
-        print_items(found.items(), "path", leading)
-        for case, judged in found.logs.items():
-            print(f"{case}: {judged.recommendation.headline}")
-    if found.not_measured:
-        raise SlamFusionError("; ".join(found.not_measured))
+        _print(first)
+        print_repetitions(rows, "path")
+    not_measured = [
+        f"{case}: {sentence}" if several else sentence
+        for case, found in logs.items()
+        for sentence in found.not_measured
+    ]
+    if not_measured:
+        raise SlamFusionError("; ".join(not_measured))
     return 0
 
 

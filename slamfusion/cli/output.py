@@ -81,11 +81,11 @@ def print_table(
     kept = None if context is None else context.ensure_object(Settings).tables
     if kept is not None and header:
         kept.append(table)
-    if not sys.stdout.isatty():
-        lines = table.tabbed()
+    if sys.stdout.isatty():
+        text = table.fitted(max(LEAST_WIDTH, shutil.get_terminal_size().columns))
     else:
-        lines = table.fitted(max(LEAST_WIDTH, shutil.get_terminal_size().columns))
-    print("\n".join([*lines, ""]))
+        text = "\n".join(table.tabbed())
+    print(f"{text}\n")
 
 
 def fitted(text: str, indent: int = 0) -> str:

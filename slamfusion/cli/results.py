@@ -15,9 +15,7 @@ from slamfusion.cli.output import Settings, notice, number, print_table
 if TYPE_CHECKING:
     import pandas as pd
 
-    from slamfusion.evaluation import MeasuredItem
-
-__all__ = ["print_by_case", "print_items", "print_repetitions", "results_option", "save_results"]
+    from slamfusion.evaluation import Row
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -49,110 +47,105 @@ def results_option(function: F) -> F:
 def save_results(
     path: Path | None,
     document: Mapping[str, Any],
-    items: Callable[[], Sequence[MeasuredItem]],
+    rows: Sequence[Row],
     inputs: Callable[[], Sequence[tuple[str, str, Path]]] = list,
 ) -> None:
-    """Write what the running command measured, where it was asked for.
+    """Write what the running command measured, if it was asked for.
 
     Args:
         path: as ``--save-results`` has it; None: it was not asked for.
         document: what the command prints with ``--json``.
-        items: returns what was measured.
-        inputs: returns role, case and path of the files that it rests on.
+        rows: what was measured.
+        inputs: returns role, case and path of the input files.
     """
     if path is None:
         return
     from slamfusion.jobs.results import write_results_file  # noqa: PLC0415  (loads slowly)
 
     context = click.get_current_context()
-    words = context.command_path.split()[1:]
     write_results_file(
         path,
-        command=" ".join(words),
+        command=" ".join(context.command_path.split()[1:]),
         arguments=context.ensure_object(Settings).arguments,
         document=document,
-        items=items(),
+        rows=rows,
         inputs=inputs(),
     )
 
 
-def print_items(items: Sequence[MeasuredItem], what: str, leading: Sequence[str]) -> None:
+def print_items(rows: Sequence[Row], what: str, leading: Sequence[str]) -> None:
     """Print a row of figures for each item, the means, and the leading figures case by case.
 
     Args:
-        items: at least one.
+        rows: of at least one item.
         what: one of them is, a map or a path.
         leading: names of figures that get a table of their own: a row a method, a column a case.
     """
-    from slamfusion.jobs.results import item_table, means_of  # noqa: PLC0415  (loads slowly)
+    from slamfusion.jobs.results import figures_of, means_of, results_table  # noqa: PLC0415
 
-    table = item_table(items)
-    by_case = means_of(table, ["case", "method"]).reset_index()
-    means = means_of(by_case, ["method"]).reset_index()
-    cases = means["method"].map(by_case.groupby("method").size())
-    means["case"] = "mean of " + cases.astype(str)
-    count = f"{len(items)} {what}s in {table['case'].nunique()} cases"
-    rows = [table, *_repetitions(table), means[cases > 1]]
-    _print_figures(rows, what, count)
-    print_by_case(table, what, leading)
-    if len(set(table.groupby("method")["case"].agg(frozenset))) > 1:
+    figures = figures_of(results_table(rows))
+    by_case = means_of(figures, ["case", "method"])
+    means = means_of(by_case, ["method"])
+    cases = by_case.groupby(level="method", sort=False).size()
+    means.index = [(f"mean of {cases[method]}", "", method) for method in means.index]
+    count = f"{len(figures)} {what}s in {figures.index.unique('case').size} cases"
+    _print_figures([figures, *_repetitions(figures), means[(cases > 1).to_numpy()]], what, count)
+    print_by_case(figures, what, leading)
+    in_cases = figures.reset_index().groupby("method")["case"].agg(frozenset)
+    if len(set(in_cases)) > 1:
         notice("means are of different cases: not every method has a result in each of them")
 
 
-def print_repetitions(items: Sequence[MeasuredItem], what: str) -> None:
+def print_repetitions(rows: Sequence[Row], what: str) -> None:
     """Print mean and deviation over the seeds of each method, where there are several."""
-    if any(item.seed for item in items):
-        from slamfusion.jobs.results import item_table  # noqa: PLC0415  (loads slowly)
+    if any(row[1] for row in rows):
+        from slamfusion.jobs.results import figures_of, results_table  # noqa: PLC0415
 
-        rows = _repetitions(item_table(items))
-        if len(rows[0]):
-            _print_figures(rows, what, "Mean and sample deviation over the seeds")
+        found = _repetitions(figures_of(results_table(rows)))
+        if len(found[0]):
+            _print_figures(found, what, "Mean and sample deviation over the seeds")
 
 
-def _repetitions(table: pd.DataFrame) -> list[pd.DataFrame]:
+def _repetitions(figures: pd.DataFrame) -> list[pd.DataFrame]:
     """Return means and deviations over the seeds of each case and method that has several."""
     from slamfusion.jobs.results import means_of  # noqa: PLC0415  (loads slowly)
 
     keys = ["case", "method"]
+    seeds = figures.groupby(level=keys, sort=False).size()
     found = []
     for how in ("mean", "std"):
-        rows = means_of(table, keys, how)
-        runs = table.groupby(keys, sort=False).size()
-        rows.insert(0, "seed", f"{how} of " + runs.astype(str))
-        found.append(rows[runs > 1].reset_index())
+        rows = means_of(figures, keys, how)
+        rows.index = [
+            (case, f"{how} of {seeds[case, method]}", method) for case, method in rows.index
+        ]
+        found.append(rows[(seeds > 1).to_numpy()])
     return found
 
 
 def _print_figures(tables: Sequence[pd.DataFrame], what: str, title: str) -> None:
-    """Print the figures of rows; the seed only where there is one."""
-    import pandas as pd  # noqa: PLC0415  (an extra)
-
+    """Print the figures of tables by case, seed and method; the seed only if there is one."""
     from slamfusion.evaluation import figure_of  # noqa: PLC0415  (loads slowly)
-    from slamfusion.jobs.results import figures_of  # noqa: PLC0415  (loads slowly)
 
-    table = pd.concat([own for own in tables if len(own)]).fillna({"seed": ""})
-    names = ["case", *(["seed"] if table["seed"].any() else []), "method"]
-    figures = [name for name in figures_of(table) if name in tables[0]]
+    figures = [figure_of(name) for name in tables[0].columns]
     rows = [
-        [
-            *(row[name] for name in names),
-            *(number(row[name], figure_of(name).digits) for name in figures),
-        ]
-        for row in table.to_dict("records")
+        [*key, *(number(value, own.digits) for value, own in zip(values, figures, strict=True))]
+        for table in tables
+        for key, values in zip(table.index, table.to_numpy(), strict=True)
     ]
-    heads = {"case": "case ", "seed": "seed ", "method": f"{what} "}
-    columns = (*(heads[name] for name in names), *(figure_of(name).label for name in figures))
-    print_table(columns, rows, title=title, names=len(names))
+    columns = ["case ", "seed ", f"{what} ", *(own.label for own in figures)]
+    if not any(row[1] for row in rows):
+        columns, rows = columns[:1] + columns[2:], [row[:1] + row[2:] for row in rows]
+    print_table(columns, rows, title=title, names=len(columns) - len(figures))
 
 
-def print_by_case(table: pd.DataFrame, what: str, leading: Sequence[str]) -> None:
-    """Print a table for each leading figure, where there are several cases or seeds.
+def print_by_case(figures: pd.DataFrame, what: str, leading: Sequence[str]) -> None:
+    """Print a table for each leading figure, if there are several cases or seeds.
 
     It has a row a method and a column a case, with mean and deviation over the seeds, and then the
     mean and deviation over the cases.
 
     Args:
-        table: see ``item_table``.
+        figures: see ``figures_of``.
         what: a row is, a map or a path.
         leading: names of figures; those that nothing has are left out.
     """
@@ -160,14 +153,14 @@ def print_by_case(table: pd.DataFrame, what: str, leading: Sequence[str]) -> Non
     from slamfusion.jobs.results import means_of  # noqa: PLC0415  (loads slowly)
 
     keys = ["method", "case"]
-    cases = list(table["case"].unique())
-    if len(cases) < 2 and not table.duplicated(keys).any():
+    cases = list(figures.index.unique("case"))
+    if len(cases) < 2 and not figures.index.droplevel("seed").has_duplicates:
         return
-    means, deviations = means_of(table, keys), means_of(table, keys, "std")
-    for name in (name for name in leading if name in table):
+    means, deviations = means_of(figures, keys), means_of(figures, keys, "std")
+    for name in (name for name in leading if name in figures):
         figure = figure_of(name)
         shown = {
-            key: _with_deviation(means.loc[key, name], deviations.loc[key, name], figure.digits)
+            key: spread(means.loc[key, name], deviations.loc[key, name], figure.digits)
             for key in means.index
         }
         rows = []
@@ -179,7 +172,7 @@ def print_by_case(table: pd.DataFrame, what: str, leading: Sequence[str]) -> Non
         print_table((f"{what} ", *cases, "mean", "std"), rows, title=title)
 
 
-def _with_deviation(mean: float, deviation: float, digits: int) -> str:
+def spread(mean: float, deviation: float, digits: int) -> str:
     """Return a mean with its deviation; without, where there is none."""
-    spread = number(deviation, digits)
-    return number(mean, digits) if spread == "-" else f"{number(mean, digits)} ± {spread}"
+    text = number(deviation, digits)
+    return number(mean, digits) if text == "-" else f"{number(mean, digits)} ± {text}"

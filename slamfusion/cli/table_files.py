@@ -6,18 +6,13 @@ import functools
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import click
 
 from slamfusion.cli.options import output_option
 from slamfusion.cli.output import Settings
 from slamfusion.cli.tables import NOTHING, Table, one_line
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-__all__ = ["table_option"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -80,29 +75,20 @@ def _write(path: Path, tables: list[Table]) -> None:
 
 def _text(table: Table, form: str) -> str:
     """Return a table in one of ``FORMS``; Markdown and LaTeX have its title."""
-    from slamfusion.experiments.table import markdown_table  # noqa: PLC0415  (loads slowly)
-
-    cells, title = _cells(table), one_line(table.title)
-    if form == ".csv":
-        return str(cells.map(_harmless).to_csv(index=False, lineterminator="\n"))
-    if form == ".md":
-        lines = markdown_table(list(cells.columns), cells.to_numpy().tolist())
-        return "\n".join([*([f"## {title}", ""] if title else []), *lines, ""])
-    texts = [*(name.endswith(" ") for name in table.columns), True]
-    places = "".join("l" if is_text else "r" for is_text in texts[: cells.shape[1]])
-    body = cells.to_latex(index=False, escape=True, column_format=places)
-    return f"% {title}; needs \\usepackage{{booktabs}}\n{body}"
-
-
-def _cells(table: Table) -> pd.DataFrame:
-    """Return the heads and the rows; notes are the last column, where there are any."""
     import pandas as pd  # noqa: PLC0415  (an extra)
 
-    heads = [name.strip() for name in table.columns]
-    cells = pd.DataFrame([map(one_line, row) for row in table.rows], columns=heads, dtype=object)
-    if any(table.notes):
-        cells[table.note_head] = [one_line(note) for note in table.notes]
-    return cells
+    from slamfusion.jobs.results import markdown  # noqa: PLC0415  (loads slowly)
+
+    heads, rows, title = table.heads, table.cells(), one_line(table.title)
+    if form == ".md":
+        return (f"## {title}\n\n" if title else "") + markdown(heads, rows)
+    frame = pd.DataFrame(rows, columns=heads, dtype=object)
+    if form == ".csv":
+        return str(frame.map(_harmless).to_csv(index=False, lineterminator="\n"))
+    is_text = [*(name.endswith(" ") for name in table.columns), *([True] if table.notes else [])]
+    places = "".join("l" if text else "r" for text in is_text)
+    body = frame.to_latex(index=False, escape=True, column_format=places)
+    return f"% {title}; needs \\usepackage{{booktabs}}\n{body}"
 
 
 def _harmless(cell: str) -> str:

@@ -86,13 +86,16 @@ class _Request:
 
 
 def _report_folders(folder: Path, given: Mapping[str, Any]) -> list[Path]:
-    from slamfusion.jobs.several import report_folder  # noqa: PLC0415  (loads slowly)
-
     kinds = given["truths"], given["relations"]
     if max(map(len, (given["estimates"], *kinds))) == 1:
         return [folder]
     placed = place_files(shared_case_names(*kinds), given["estimates"])
-    return [report_folder(folder, item) for item in placed]
+    return [_report_folder(folder, item) for item in placed]
+
+
+def _report_folder(folder: Path, placed: Placed) -> Path:
+    """Return the folder of the report of one of several paths."""
+    return folder / placed.case / placed.name.replace("/", "_")
 
 
 @click.command("trajectory")
@@ -164,7 +167,7 @@ def _measure_one(request: _Request, config: RunConfig) -> int:
     save_results(
         request.results_path,
         document,
-        lambda: [found.item(placed)],
+        found.rows(placed),
         lambda: held.inputs([placed]),
     )
     if request.as_json:
@@ -176,23 +179,29 @@ def _measure_one(request: _Request, config: RunConfig) -> int:
 
 def _measure_several(request: _Request, config: RunConfig) -> int:
     """Measure several paths, each by what there is of its case."""
-    from slamfusion.jobs.several import (  # noqa: PLC0415
+    from slamfusion.io import AtomicFiles  # noqa: PLC0415
+    from slamfusion.jobs.trajectory import (  # noqa: PLC0415
         measure_trajectories,
-        write_trajectories,
+        trajectories_document,
+        write_trajectory,
     )
 
     placed, held = request.placed()
-    found = measure_trajectories(placed, held, config)
+    found, not_measured = measure_trajectories(placed, held, config)
     if request.report_dir is not None:
-        write_trajectories(found, request.report_dir)
-    document = found.to_json()
-    save_results(request.results_path, document, found.items, lambda: held.inputs(found.placed))
+        with AtomicFiles() as files:
+            for item, own in found:
+                write_trajectory(own, _report_folder(request.report_dir, item), files)
+    document = trajectories_document(found, not_measured, config)
+    rows = [row for item, own in found for row in own.rows(item)]
+    inputs = [item for item, _ in found]
+    save_results(request.results_path, document, rows, lambda: held.inputs(inputs))
     if request.as_json:
         print_json(document)
     else:
-        print_items(found.items(), "path", ("ate_rmse_m", "relations_mean_m"))
-    if found.not_measured:
-        raise SlamFusionError("; ".join(found.not_measured))
+        print_items(rows, "path", ("ate_rmse_m", "relations_mean_m"))
+    if not_measured:
+        raise SlamFusionError("; ".join(not_measured))
     return 0
 
 

@@ -1,33 +1,27 @@
-"""Maps and paths with their figures by name, as tables, saved results and comparisons share them.
+"""The figures of maps and paths by name, and the rows that they are in a table of results.
 
 A *case* is what was measured against: a place, a log, a truth. A *method* is what made the map or
-the path. An item is one method in one case; items that differ in the *seed* alone are repetitions.
+the path. Results that differ only in the *seed* are repetitions.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from slamfusion.evaluation.map_error import MapError
-from slamfusion.evaluation.records import MeasuredItemJson
 from slamfusion.evaluation.relations import RelationErrors
 from slamfusion.evaluation.statistics import ErrorStatistics
 from slamfusion.evaluation.trajectory_error import TrajectoryErrors
 
-__all__ = [
-    "ErrorSeries",
-    "Figure",
-    "MeasuredItem",
-    "figure_of",
-    "map_figures",
-    "path_figures",
-    "path_series",
-]
+# A row of a table of results: case, seed, method, figure, value, at, to. ``at`` is NaN for a figure
+# of the whole map or path. For a single error it says where: the time of a pose in s, or the metres
+# travelled to the end of a pair of poses. A relation has two times, ``at`` and ``to``.
+Row = tuple[str, str, str, str, float, float, float]
 
 F64 = npt.NDArray[np.float64]
 
@@ -91,72 +85,35 @@ def figure_of(name: str) -> Figure:
     return _FIGURES.get(name, Figure(name.replace("_", " ")))
 
 
-@dataclass(frozen=True, eq=False)
-class ErrorSeries:
-    """The single errors that a figure sums up, each at its place.
+def result_rows(
+    case: str,
+    seed: str,
+    method: str,
+    figures: Mapping[str, float | None],
+    series: Mapping[str, F64] | None = None,
+) -> list[Row]:
+    """Return the rows that one map or path adds to a table of results.
 
-    Attributes:
-        at: (N, K) float64, what tells an error from the others: the time of a pose in seconds, both
-            times of a relation, or the metres travelled to the end of a pair of poses.
-        errors: (N,) float64, in the unit of the series' name.
-    """
-
-    at: F64
-    errors: F64
-
-    def __post_init__(self) -> None:
-        """Check once.
-
-        Raises:
-            ValueError: shapes that do not fit, or values that are not finite.
-        """
-        if self.at.ndim != 2 or self.errors.shape != self.at.shape[:1]:
-            message = f"{self.at.shape} places do not fit {self.errors.shape} errors"
-            raise ValueError(message)
-        if not (np.isfinite(self.at).all() and np.isfinite(self.errors).all()):
-            message = "places and errors must be finite"
-            raise ValueError(message)
-
-    def __len__(self) -> int:
-        """Errors."""
-        return len(self.errors)
-
-
-@dataclass(frozen=True, eq=False)
-class MeasuredItem:
-    """What was measured of one map or path.
-
-    Attributes:
+    Args:
         case: what it was measured against: a place, a log or a truth.
-        method: what made it.
-        figures: by name, each finite; what is not defined is missing.
-        series: single errors, by name.
         seed: number of the repetition of this method in this case; empty for a single one.
-        kind: ``map``, ``path``, or ``run`` of an experiment.
+        method: what made it.
+        figures: by name; None: not defined.
+        series: by name (N, 3) float64, single errors: value, ``at`` and ``to``; see ``Row``.
     """
-
-    case: str
-    method: str
-    figures: Mapping[str, float]
-    series: Mapping[str, ErrorSeries] = field(default_factory=dict)
-    seed: str = ""
-    kind: str = "path"
-
-    def to_json(self) -> MeasuredItemJson:
-        """Return everything but the series for a JSON document."""
-        return {
-            "case": self.case,
-            "seed": self.seed,
-            "method": self.method,
-            "kind": self.kind,
-            "figures": dict(self.figures),
-        }
+    rows: list[Row] = [
+        (case, seed, method, name, math.nan if value is None else float(value), math.nan, math.nan)
+        for name, value in figures.items()
+    ]
+    for name, errors in (series or {}).items():
+        rows += [(case, seed, method, name, *error) for error in errors.tolist()]
+    return rows
 
 
-def map_figures(error: MapError) -> dict[str, float]:
-    """Return the figures of a map by name; those that are not defined are left out."""
+def map_figures(error: MapError) -> dict[str, float | None]:
+    """Return the figures of a map by name; None: not defined."""
     outward, back, thickness = error.map_to_truth, error.truth_to_map, error.wall_thickness
-    figures = {
+    return {
         "error": error.error,
         "wall_precision": error.wall_precision,
         "wall_recall": error.wall_recall,
@@ -171,9 +128,6 @@ def map_figures(error: MapError) -> dict[str, float]:
         "outside_m2": error.outside_m2,
         "ssim": error.ssim,
         "coverage": error.coverage,
-    }
-    return {
-        name: value for name, value in figures.items() if value is not None and math.isfinite(value)
     }
 
 
@@ -203,21 +157,21 @@ def path_figures(
     return first | {name: own.mean for name, own in statistics.items() if own is not None}
 
 
-def path_series(
-    truth: TrajectoryErrors | None, relations: RelationErrors | None
-) -> dict[str, ErrorSeries]:
-    """Return the single errors of a path by name; see ``path_figures``."""
+def path_series(truth: TrajectoryErrors | None, relations: RelationErrors | None) -> dict[str, F64]:
+    """Return the single errors of a path by name, as ``result_rows`` takes them."""
     found = {}
     if truth is not None:
-        at = truth.stamps_s[:, None]
-        found["ate_m"] = ErrorSeries(at, truth.translation_m)
-        found["ate_rotation_deg"] = ErrorSeries(at, np.rad2deg(truth.rotation_rad))
-        found["rpe_m"] = ErrorSeries(
-            truth.relative_travelled_m[:, None], truth.relative_translation_m
-        )
+        found["ate_m"] = error_series(truth.translation_m, truth.stamps_s)
+        found["ate_rotation_deg"] = error_series(np.rad2deg(truth.rotation_rad), truth.stamps_s)
+        found["rpe_m"] = error_series(truth.relative_translation_m, truth.relative_travelled_m)
     if relations is not None:
-        found["relations_m"] = ErrorSeries(relations.stamps_s, relations.translation_m)
-        found["relations_rotation_deg"] = ErrorSeries(
-            relations.stamps_s, np.rad2deg(relations.rotation_rad)
+        found["relations_m"] = error_series(relations.translation_m, *relations.stamps_s.T)
+        found["relations_rotation_deg"] = error_series(
+            np.rad2deg(relations.rotation_rad), *relations.stamps_s.T
         )
-    return {name: series for name, series in found.items() if len(series)}
+    return found
+
+
+def error_series(errors: F64, at: F64, to: F64 | None = None) -> F64:
+    """Return (N, 3) single errors with their places; ``to`` is NaN where one place tells."""
+    return np.column_stack((errors, at, np.full(len(errors), np.nan) if to is None else to))

@@ -17,7 +17,6 @@ __all__ = [
     "ErrorStatisticsJson",
     "FaceAgreementJson",
     "MapErrorJson",
-    "MeasuredItemJson",
     "MethodMeanJson",
     "PairedDifferenceJson",
     "PlacedJson",
@@ -311,15 +310,6 @@ class PlacedJson(TypedDict):
     """What made it: what its file's name says besides case and seed."""
     seed: str
     """Number of the repetition of this method in this case; empty for a single one."""
-
-
-class MeasuredItemJson(PlacedJson):
-    """What was measured of one map or path."""
-
-    kind: str
-    """map, path, or run of an experiment."""
-    figures: Mapping[str, float]
-    """Figures by name; what is not defined is missing."""
 
 
 class MethodMeanJson(TypedDict):

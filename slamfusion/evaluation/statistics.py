@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import cast
+from typing import NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +25,7 @@ __all__ = [
     "compare_pairs",
     "compare_samples",
     "correct_by_holm",
+    "difference_test",
     "mean_interval",
     "pooled_p_value",
     "t_interval",
@@ -117,6 +120,52 @@ class Summary:
     def to_json(self) -> SummaryJson:
         """Return the figures by name."""
         return cast("SummaryJson", asdict(self))
+
+
+class DifferenceTest(NamedTuple):
+    """Whether two samples differ; NaN: cannot be tested.
+
+    Attributes:
+        low, high: ends of the 95 % interval of the mean difference, first minus second (Student's
+            t); NaN for unpaired samples.
+        p_t: p-value of the paired t-test, or of Welch's.
+        p_rank: p-value of Wilcoxon's signed-rank test, or of Mann and Whitney's U test. Ranks need
+            no normal distribution, but with few values this cannot be small (5 pairs: 0.06).
+    """
+
+    low: float = math.nan
+    high: float = math.nan
+    p_t: float = math.nan
+    p_rank: float = math.nan
+
+
+def difference_test(first: npt.ArrayLike, second: npt.ArrayLike, *, paired: bool) -> DifferenceTest:
+    """Test whether two methods differ in a figure; two-sided, by ``scipy.stats``.
+
+    Args:
+        first: (N,) the figure of one method, in each case or repetition.
+        second: (M,) of the other; paired: (N,), in the same order.
+        paired: whether the values are pairs.
+
+    Returns:
+        All NaN for fewer than two values of either; equal values have no p-value.
+    """
+    a, b = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
+    if min(len(a), len(b)) < 2:
+        return DifferenceTest()
+    with warnings.catch_warnings():
+        # SciPy warns of values that do not vary. Their p-value is 0 or NaN, which says the same.
+        warnings.simplefilter("ignore", RuntimeWarning)
+        if not paired:
+            welch = scipy.stats.ttest_ind(a, b, equal_var=False)
+            ranks = scipy.stats.mannwhitneyu(a, b)
+            return DifferenceTest(p_t=float(welch.pvalue), p_rank=float(ranks.pvalue))
+        if np.abs(a - b).max() <= ROUNDING * np.abs((a, b)).max():
+            return DifferenceTest(0.0, 0.0)
+        t_test = scipy.stats.ttest_rel(a, b)
+        low, high = t_test.confidence_interval()
+        ranks = scipy.stats.wilcoxon(a - b)
+    return DifferenceTest(float(low), float(high), float(t_test.pvalue), float(ranks.pvalue))
 
 
 def compare_samples(first: npt.ArrayLike, second: npt.ArrayLike) -> DifferenceJson | None:
@@ -252,22 +301,22 @@ def compare_pairs(first: npt.ArrayLike, second: npt.ArrayLike) -> PairedDifferen
 
 
 def correct_by_holm(p_values: Sequence[float]) -> list[float]:
-    """Return p-values that allow for how many were asked for at once, in the order given.
+    """Return p-values that allow for the number of tests made at once, in the order given.
 
     A value below 0.05 then is so by chance in at most 5 % of all such tables. SciPy's own
     correction holds the share of false findings, which is less.
 
     Args:
-        p_values: each in 0 to 1.
+        p_values: each in 0 to 1; NaN: not tested, and stays so.
 
     Source: Holm, A Simple Sequentially Rejective Multiple Test Procedure, Scand. J. Stat., 1979.
     """
-    corrected = [0.0] * len(p_values)
-    least = 0.0
-    for rank, index in enumerate(np.argsort(p_values, kind="stable").tolist()):
-        least = min(1.0, max(least, (len(p_values) - rank) * p_values[index]))
-        corrected[index] = least
-    return corrected
+    values = np.asarray(p_values, dtype=np.float64)
+    order = np.argsort(values, kind="stable")
+    left = np.isfinite(values).sum() - np.arange(len(values))
+    corrected = np.empty_like(values)
+    corrected[order] = np.minimum(1.0, np.maximum.accumulate(left * values[order]))
+    return corrected.tolist()
 
 
 def _bootstrap(values: npt.NDArray[np.float64], share: float) -> tuple[float, float]:

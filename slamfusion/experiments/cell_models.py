@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from slamfusion.errors import SlamFusionError
-from slamfusion.evaluation import MeasuredItem
+from slamfusion.evaluation import Row, result_rows
 from slamfusion.experiments.records import CellModelJson
 from slamfusion.slam.tinyslam.cell_models import CELL_MODELS
 
@@ -60,10 +60,10 @@ class CellModelRow:
         """Whether the value is the paper's in all three decimals."""
         return f"{self.value:.3f}" == f"{self.paper:.3f}"
 
-    def item(self) -> MeasuredItem:
+    def figure_rows(self) -> list[Row]:
         """Return the cell after all observations."""
         case = f"{self.order}, {self.occupied} occupied"
-        return MeasuredItem(case, self.model, {"value": self.value}, kind="run")
+        return result_rows(case, "", self.model, {"value": self.value})
 
     def to_json(self) -> CellModelJson:
         """Return the row for a JSON document."""

@@ -8,11 +8,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from slamfusion.evaluation import (
-    MeasuredItem,
+    Row,
     Summary,
     compare_pairs,
     correct_by_holm,
     pooled_p_value,
+    result_rows,
     t_interval,
 )
 from slamfusion.experiments import error_sheets, path_sheets
@@ -199,16 +200,16 @@ class ErrorTable:
         table = pd.DataFrame(rows, columns=["condition", "world", "seed", "method", *FIGURES])
         return str(table.to_csv(index=False, lineterminator="\n"))
 
-    def items(self) -> list[MeasuredItem]:
+    def figure_rows(self) -> list[Row]:
         """Return every map and path of every trial."""
-        found = []
-        for record in self.records:
-            case = f"{record.condition}, world {record.world}"
-            found += [
-                MeasuredItem(case, method, figures, seed=str(record.seed), kind="run")
-                for method, figures in _figures(record).items()
-            ]
-        return found
+        return [
+            row
+            for record in self.records
+            for method, figures in _figures(record).items()
+            for row in result_rows(
+                f"{record.condition}, world {record.world}", str(record.seed), method, figures
+            )
+        ]
 
     def to_json(self) -> ErrorTableJson:
         """Return summaries, tests and every trial."""

@@ -13,14 +13,13 @@ import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import ConfigError, SlamFusionError
-from slamfusion.evaluation import MapError, MeasuredItem, doubled_wall_share
+from slamfusion.evaluation import MapError, Row, doubled_wall_share, result_rows
 from slamfusion.evidence import JudgedScans
 from slamfusion.experiments.drive_paths import (
     CHOICE,
@@ -256,15 +255,14 @@ class RealLogTable:
             writer.writerow([row.log, row.method, *row.numbers().values()])
         return buffer.getvalue()
 
-    def items(self) -> list[MeasuredItem]:
+    def figure_rows(self) -> list[Row]:
         """Return every map of every drive; the reference maps are no methods."""
-        found = []
-        for row in self.rows:
-            if row.method != REFERENCE:
-                numbers: dict[str, Any] = {**row.numbers()}
-                known = {name: value for name, value in numbers.items() if value is not None}
-                found.append(MeasuredItem(row.log, row.method, known, kind="run"))
-        return found
+        return [
+            figure
+            for row in self.rows
+            if row.method != REFERENCE
+            for figure in result_rows(row.log, "", row.method, {**row.numbers()})  # type: ignore[dict-item]
+        ]
 
     def to_json(self) -> RealLogTableJson:
         """Return every map and what they say."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from slamfusion.evaluation import MeasuredItem
+from slamfusion.evaluation import Row
 from slamfusion.experiments.records import ErrorTableJson, RatiosJson, RealLogTableJson
 from slamfusion.experiments.table import markdown_table
 from slamfusion.io import AtomicFiles
@@ -59,7 +59,7 @@ class Tables(Protocol):
     def sentences(self) -> list[str]:
         """Return what they say."""
 
-    def items(self) -> Sequence[MeasuredItem]:
+    def figure_rows(self) -> Sequence[Row]:
         """Return every map and path with its figures."""
 
     def to_csv(self) -> str:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from slamfusion.evaluation import MeasuredItem, Summary, compare_samples
+from slamfusion.evaluation import Row, Summary, compare_samples, result_rows
 from slamfusion.experiments.records import ComparisonJson, RepeatedRunsJson
 from slamfusion.io import AtomicFiles
 from slamfusion.jobs.documents import p_text
@@ -131,17 +131,17 @@ class Results:
             rows.append(row)
         return heading, rows
 
-    def items(self) -> list[MeasuredItem]:
+    def figure_rows(self) -> list[Row]:
         """Return every single run as a method in a case (its other levels), with its seed."""
         return [
-            MeasuredItem(
+            row
+            for run in self._records()
+            for row in result_rows(
                 ", ".join(_shown(run[name]) for name in self.factors[:-1]),
+                str(run["seed"]),
                 _shown(run[self.factors[-1]]),
                 {name: run[name] for name in self.measures() if name in run},
-                seed=str(run["seed"]),
-                kind="run",
             )
-            for run in self._records()
         ]
 
     def _records(self) -> list[dict[str, Any]]:

@@ -78,6 +78,11 @@ class Placed:
         """What tells it from the other files of its case."""
         return f"{self.method} seed {self.seed}" if self.seed else self.method
 
+    @property
+    def keys(self) -> tuple[str, str, str]:
+        """Case, seed and method: what names its rows in a table of results."""
+        return self.case, self.seed, self.method
+
     def to_json(self) -> PlacedJson:
         """Return case, method and seed for a JSON document."""
         return {"case": self.case, "method": self.method, "seed": self.seed}

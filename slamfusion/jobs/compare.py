@@ -1,4 +1,4 @@
-"""Saved results against each other: differences of every figure, with p-values."""
+"""Compare saved results: the differences of every figure, with p-values."""
 
 from __future__ import annotations
 
@@ -11,26 +11,14 @@ from typing import TYPE_CHECKING, Any, TypedDict
 import numpy as np
 
 from slamfusion.errors import SlamFusionError
-from slamfusion.evaluation import compare_pairs, compare_samples, correct_by_holm, figure_of
-from slamfusion.evaluation.records import DifferenceJson, MeasuredItemJson, PairedDifferenceJson
+from slamfusion.evaluation import correct_by_holm, difference_test, figure_of
 from slamfusion.io import write_atomic
 from slamfusion.jobs.documents import versions
 from slamfusion.jobs.inputs import distinct_names
-from slamfusion.jobs.results import PLACE, SavedResults, figures_of, means_of, read_results
+from slamfusion.jobs.results import KEYS, SavedResults, figures_of, means_of, read_results
 
 if TYPE_CHECKING:
     import pandas as pd
-
-__all__ = [
-    "CompareDocument",
-    "ComparedFigureJson",
-    "ComparedResults",
-    "ComparedResultsJson",
-    "ComparedSeriesJson",
-    "PairingJson",
-    "compare_results",
-    "write_comparison_plot",
-]
 
 # Rows of two results are paired by the first of these that any two rows have in common. Without the
 # seed among them, the means over the seeds are paired.
@@ -51,122 +39,86 @@ class ComparedResultsJson(TypedDict):
     """A file of saved results, or one method of it."""
 
     name: str
-    """What it is called below: its file's name without the ending, or the method."""
+    """Its name below: that of its file without the ending, or the method."""
     file: str
     """Its file."""
     command: str
     """The command that saved it."""
     version: str
     """Version of the program that saved it."""
-    items: Sequence[MeasuredItemJson]
-    """What was measured."""
 
 
-class PairingJson(TypedDict):
-    """Which rows of two results were compared as pairs."""
-
-    first: str
-    """One of the results."""
-    second: str
-    """The other."""
-    by: Sequence[str]
-    """What the rows of a pair have in common: case, seed, method; empty: nothing was paired."""
-    pairs: int
-    """Pairs."""
-    sentence: str
-    """The same in words."""
-
-
-class ComparedFigureJson(TypedDict):
-    """One figure of two results."""
+class ComparisonJson(TypedDict):
+    """One figure of two results, or the single errors of two paths."""
 
     figure: str
-    """Its name."""
+    """The figure's name; an error along a path ends in its unit."""
+    case: str
+    """The case of two paths; empty for a figure over all cases."""
+    seed: str
+    """The seed of two paths; empty where there is none."""
     first: str
-    """One of the results."""
+    """One of the results; of two paths of other methods, with the method."""
     second: str
     """The other."""
-    items_first: int
-    """Maps or paths of the first that have it; of pairs, those of which both have it."""
-    items_second: int
+    count_first: int
+    """Maps, paths or single errors of the first; of pairs, those that both have."""
+    count_second: int
     """The same of the second."""
     mean_first: float
-    """Its mean over these, of the first."""
+    """Mean of the first."""
     std_first: float | None
-    """Its sample standard deviation over these; null for one."""
+    """Sample standard deviation of the first; null for one value."""
     mean_second: float
-    """The mean of the second."""
+    """Mean of the second."""
     std_second: float | None
-    """The deviation of the second."""
+    """Sample standard deviation of the second."""
     difference: float
     """The first mean less the second."""
-    paired: PairedDifferenceJson | None
-    """The tests of the pairs; null for fewer than two, or where nothing was paired."""
-    unpaired: DifferenceJson | None
-    """The tests of two samples; null where there are pairs, or one has fewer than two items."""
-    p_value: float | None
-    """Of the t-test that was made (paired, or Welch's), after Holm for more than two results."""
+    low: float | None
+    """Low end of the 95 % interval of the difference; null without pairs."""
+    high: float | None
+    """High end of it."""
+    p_t: float | None
+    """P-value of the paired t-test, or of Welch's; of figures after Holm for several results.
+    Null where nothing can be tested."""
+    p_rank: float | None
+    """P-value of Wilcoxon's signed-rank test, or of Mann and Whitney's."""
     better: str | None
-    """The results that are better beyond chance (p below 0.05); null: neither."""
-
-
-class ComparedSeriesJson(TypedDict):
-    """The single errors of two paths of one case and seed, where both have one."""
-
-    series: str
-    """Its name, which ends in the unit."""
-    case: str
-    """The case."""
-    seed: str
-    """The seed; empty where there is none."""
-    first: str
-    """One of the results."""
-    second: str
-    """The other."""
-    method_first: str
-    """What made the path of the first."""
-    method_second: str
-    """What made the path of the second."""
-    common: int
-    """Errors at the same times in both."""
-    spans: int
-    """Spans of neighbouring errors whose means are the pairs of the tests."""
-    mean_first: float
-    """Mean of the common errors of the first."""
-    mean_second: float
-    """Mean of the common errors of the second."""
-    paired: PairedDifferenceJson | None
-    """The tests over the spans; null for too few errors."""
+    """The results that are better beyond chance (p_t below 0.05); null: neither."""
 
 
 class CompareDocument(TypedDict):
     """``slamfusion compare``."""
 
     results: Sequence[ComparedResultsJson]
-    """What was compared, in the order given."""
-    pairings: Sequence[PairingJson]
-    """What was paired, of every two."""
-    figures: Sequence[ComparedFigureJson]
-    """Every figure of every two."""
-    series: Sequence[ComparedSeriesJson]
-    """The single errors of every two paths of one case and seed."""
+    """The compared results, in the order given."""
+    pairings: Sequence[str]
+    """For every two results, which of their rows are pairs."""
+    figures: Sequence[ComparisonJson]
+    """Every figure of every two results."""
+    series: Sequence[ComparisonJson]
+    """The single errors of every two paths of one case and seed. The tests compare the means over
+    spans of neighbours."""
     notes: Sequence[str]
-    """What was not compared, and what makes the comparison doubtful, a sentence each."""
+    """What was not compared, and what makes the comparison doubtful."""
     versions: Mapping[str, str | None]
-    """Versions of Python, of this package and of those it stands on; null: not installed."""
+    """Versions of Python, of this package and of the packages it needs; null: not installed."""
 
 
 @dataclass(frozen=True, eq=False)
 class ComparedResults:
-    """Every two of several results against each other.
+    """Every two of several results compared.
 
     Attributes:
         results: files, or methods of one file.
-        document: what was found, as ``slamfusion compare`` prints it as JSON.
+        document: as ``slamfusion compare`` prints it as JSON.
+        is_paired: whether the figures of any two results are pairs, and of any two are not.
     """
 
     results: tuple[SavedResults, ...]
     document: CompareDocument
+    is_paired: frozenset[bool]
 
 
 def compare_results(files: Sequence[str | Path]) -> ComparedResults:
@@ -195,19 +147,26 @@ def compare_results(files: Sequence[str | Path]) -> ComparedResults:
             f"{', '.join(map(str, paths)) or 'none'}; name another file"
         )
         raise SlamFusionError(message)
-    pairings: list[PairingJson] = []
-    figures: list[ComparedFigureJson] = []
-    series: list[ComparedSeriesJson] = []
-    notes: list[str] = []
-    apart: list[str] = []
+    figures: list[ComparisonJson] = []
+    series: list[ComparisonJson] = []
+    pairings, notes, apart, is_paired = [], [], [], set()
     for first, second in itertools.combinations(results, 2):
         keys, rows = _paired(first, second)
-        own = _compare_figures(first, second, is_paired=bool(keys), rows=rows)
+        common = [name for name in rows[0] if name in rows[1]]
+        own = [
+            _comparison(name, first.name, second.name, *(row[name] for row in rows), bool(keys))
+            for name in common
+        ]
+        own = [item for item in own if item["count_first"] and item["count_second"]]
         if not own:
             both = " and ".join(f"{item.name} ({item.command})" for item in (first, second))
             apart.append(f"{both} have no figure in common")
             continue
-        pairings.append(_pairing(first, second, keys, rows))
+        sentence = _pairing(first, second, keys, rows)
+        pairings.append(
+            sentence if len(results) == 2 else f"{first.name} and {second.name}: {sentence}"
+        )
+        is_paired.add(bool(keys))
         figures += own
         series += _compare_paths(first, second, keys) if "seed" in keys else []
         notes += [*_alone(first, second, keys), *_other_yardsticks(first, second)]
@@ -216,25 +175,22 @@ def compare_results(files: Sequence[str | Path]) -> ComparedResults:
         raise SlamFusionError(message)
     _correct(figures)
     document: CompareDocument = {
-        "results": list(map(_to_json, results)),
+        "results": [
+            {
+                "name": own.name,
+                "file": str(own.file),
+                "command": own.command,
+                "version": own.version,
+            }
+            for own in results
+        ],
         "pairings": pairings,
         "figures": figures,
         "series": series,
         "notes": list(dict.fromkeys([*apart, *notes])),
         "versions": versions(),
     }
-    return ComparedResults(tuple(results), document)
-
-
-def _to_json(result: SavedResults) -> ComparedResultsJson:
-    """Return what was compared for a JSON document."""
-    return {
-        "name": result.name,
-        "file": str(result.file),
-        "command": result.command,
-        "version": result.version,
-        "items": [item.to_json() for item in result.items()],
-    }
+    return ComparedResults(tuple(results), document, frozenset(is_paired))
 
 
 def _compared(files: Sequence[SavedResults]) -> list[SavedResults]:
@@ -243,7 +199,7 @@ def _compared(files: Sequence[SavedResults]) -> list[SavedResults]:
     for file in files:
         methods = file.table["method"]
         others = {name for other in files if other is not file for name in other.table["method"]}
-        if _has_one_method(file.table) or others & set(methods):
+        if _has_one_method(figures_of(file.table)) or others & set(methods):
             found.append(file)
         else:
             found += [
@@ -253,9 +209,9 @@ def _compared(files: Sequence[SavedResults]) -> list[SavedResults]:
     return found
 
 
-def _has_one_method(table: pd.DataFrame) -> bool:
+def _has_one_method(figures: pd.DataFrame) -> bool:
     """Whether no case and seed has several rows."""
-    return not table.duplicated(["case", "seed"]).any()
+    return not figures.index.droplevel("method").has_duplicates
 
 
 Rows = tuple["pd.DataFrame", "pd.DataFrame"]
@@ -266,7 +222,7 @@ def _paired(first: SavedResults, second: SavedResults) -> tuple[list[str], Rows]
 
     Where nothing can be paired, that is nothing, and all rows.
     """
-    tables = first.table, second.table
+    tables = figures_of(first.table), figures_of(second.table)
     for keys in PAIRED_BY:
         if "method" in keys or all(map(_has_one_method, tables)):
             a, b = (means_of(table, keys) for table in tables)
@@ -276,157 +232,108 @@ def _paired(first: SavedResults, second: SavedResults) -> tuple[list[str], Rows]
     return [], tables
 
 
-def _pairing(
-    first: SavedResults, second: SavedResults, keys: Sequence[str], rows: Rows
-) -> PairingJson:
-    """Say what was paired, and over how many."""
+def _pairing(first: SavedResults, second: SavedResults, keys: Sequence[str], rows: Rows) -> str:
+    """Return a sentence on what was paired, and over how many."""
     tables = first.table, second.table
-    has_seeds = any((table["seed"] != "").any() for table in tables)
-    if keys:
-        shown_keys = [key for key in keys if key != "seed" or has_seeds]
-        same = " and ".join(filter(None, [", ".join(shown_keys[:-1]), shown_keys[-1]]))
-        sentence = f"{len(rows[0])} pairs of the same {same}"
-        cases = rows[0].index.get_level_values("case").nunique()
-        if has_seeds and "seed" in keys:
-            sentence += f", in {cases} cases" if cases > 1 else ", in 1 case"
-        elif has_seeds:
-            sentence += "; no seed is in both, so the means over the seeds are the pairs"
-    else:
+    if not keys:
         is_apart = set(tables[0]["case"]).isdisjoint(tables[1]["case"])
         why = "no case in common" if is_apart else "several methods in a case and none in common"
-        sentence = f"{why}; figures are compared as two samples"
+        return f"{why}; figures are compared as two samples"
+    has_seeds = any((table["seed"] != "").any() for table in tables)
+    shown = [key for key in keys if key != "seed" or has_seeds]
+    same = " and ".join(filter(None, [", ".join(shown[:-1]), shown[-1]]))
+    sentence = f"{len(rows[0])} pairs of the same {same}"
+    cases = rows[0].index.get_level_values("case").nunique()
+    if has_seeds and "seed" in keys:
+        return f"{sentence}, in {cases} case{'s' if cases > 1 else ''}"
+    if has_seeds:
+        return f"{sentence}; no seed is in both, so the means over the seeds are the pairs"
+    return sentence
+
+
+def _comparison(
+    figure: str,
+    first: str,
+    second: str,
+    a: pd.Series,
+    b: pd.Series,
+    is_paired: bool,  # noqa: FBT001
+) -> ComparisonJson:
+    """Compare a figure; of pairs, where both are defined."""
+    if is_paired:
+        both = a.notna() & b.notna()
+        a, b = a[both], b[both]
+    a, b = a.dropna(), b.dropna()
+    tested = difference_test(a, b, paired=is_paired)
     return {
-        "first": first.name,
-        "second": second.name,
-        "by": list(keys),
-        "pairs": len(rows[0]) if keys else 0,
-        "sentence": sentence,
-    }
+        "figure": figure,
+        "case": "",
+        "seed": "",
+        "first": first,
+        "second": second,
+        "count_first": len(a),
+        "count_second": len(b),
+        "mean_first": float(a.mean()),
+        "std_first": float(a.std()),
+        "mean_second": float(b.mean()),
+        "std_second": float(b.std()),
+        "difference": float(a.mean() - b.mean()),
+        **tested._asdict(),
+        "better": None,
+    }  # type: ignore[typeddict-item]
 
 
-def _compare_figures(
-    first: SavedResults, second: SavedResults, *, is_paired: bool, rows: Rows
-) -> list[ComparedFigureJson]:
-    """Compare every figure that both have, in the order of the first."""
-    found: list[ComparedFigureJson] = []
-    for name in figures_of(rows[0]):
-        if name not in rows[1]:
-            continue
-        a, b = (own[name] for own in rows)
-        if is_paired:
-            both = a.notna() & b.notna()
-            a, b = a[both], b[both]
-        a, b = a.dropna(), b.dropna()
-        if a.empty or b.empty:
-            continue
-        paired = compare_pairs(a, b) if is_paired else None
-        unpaired = None if is_paired else compare_samples(a, b)
-        p_value = paired["t_test"] if paired is not None else None
-        if unpaired is not None:
-            p_value = unpaired["welch"]
-        std = [float(own.std()) if len(own) > 1 else None for own in (a, b)]
-        found.append(
-            {
-                "figure": name,
-                "first": first.name,
-                "second": second.name,
-                "items_first": len(a),
-                "items_second": len(b),
-                "mean_first": float(a.mean()),
-                "std_first": std[0],
-                "mean_second": float(b.mean()),
-                "std_second": std[1],
-                "difference": float(a.mean() - b.mean()),
-                "paired": paired,
-                "unpaired": unpaired,
-                "p_value": p_value,
-                "better": None,
-            }
-        )
-    return found
-
-
-def _correct(figures: Sequence[ComparedFigureJson]) -> None:
+def _correct(figures: Sequence[ComparisonJson]) -> None:
     """Make p-values of each figure allow for how many results are compared, and say what is better.
 
     Args:
         figures: of every two results; changed in place.
     """
     for name in {item["figure"] for item in figures}:
-        own = [item for item in figures if item["figure"] == name and item["p_value"] is not None]
-        corrected = correct_by_holm(
-            [item["p_value"] for item in own if item["p_value"] is not None]
-        )
+        own = [item for item in figures if item["figure"] == name]
         larger = figure_of(name).larger_is_better
-        for item, p_value in zip(own, corrected, strict=True):
-            item["p_value"] = p_value
-            if larger is not None and p_value < SIGNIFICANT:
+        for item, p_t in zip(own, correct_by_holm([item["p_t"] for item in own]), strict=True):
+            item["p_t"] = p_t
+            if larger is not None and p_t < SIGNIFICANT:
                 is_first = (item["difference"] > 0.0) == larger
                 item["better"] = item["first"] if is_first else item["second"]
 
 
 def _compare_paths(
     first: SavedResults, second: SavedResults, keys: Sequence[str]
-) -> list[ComparedSeriesJson]:
+) -> list[ComparisonJson]:
     """Compare the single errors of every two paths that are a pair."""
-    tables = [own.table.reset_index(names="row") for own in (first, second)]
-    pairs = tables[0].merge(tables[1], on=list(keys), suffixes=("_first", "_second"))
-    series = [
-        dict(list(own.series.groupby(["row", "series"], sort=False))) for own in (first, second)
-    ]
-    found: list[ComparedSeriesJson] = []
-    for _, pair in pairs.iterrows():
-        for row, name in series[0]:
-            other = series[1].get((pair["row_second"], name))
-            if row != pair["row_first"] or other is None:
-                continue
-            errors = _common_errors(series[0][row, name], other)
-            if not errors.size:
-                continue
-            spans, paired = _compare_spans(errors)
-            mean_first, mean_second = errors.mean(axis=0).tolist()
-            found.append(
-                {
-                    "series": name,
-                    "case": pair["case"],
-                    "seed": pair["seed"],
-                    "first": first.name,
-                    "second": second.name,
-                    "method_first": pair.get("method_first", pair.get("method")),
-                    "method_second": pair.get("method_second", pair.get("method")),
-                    "common": len(errors),
-                    "spans": spans,
-                    "mean_first": mean_first,
-                    "mean_second": mean_second,
-                    "paired": paired,
-                }
-            )
+    both = (first, second)
+    tables = [own.table.dropna(subset="at") for own in both]
+    # Places are compared as whole numbers of ``SAME_PLACE``; each counts once.
+    places = ["at", "to"]
+    for index, own in enumerate(tables):
+        rounded = (own[places] / SAME_PLACE).round().fillna(-1.0)
+        tables[index] = own.assign(**rounded).drop_duplicates([*KEYS, "figure", *places])
+    on = [*keys, "figure", *places]
+    common = tables[0].merge(tables[1], on=on, suffixes=("_first", "_second"))
+    by = ["case", "seed", *(["method"] if "method" in keys else ["method_first", "method_second"])]
+    found: list[ComparisonJson] = []
+    for key, own in common.groupby([*by, "figure"], sort=False):
+        methods = key[2:-1] if len(by) > 3 else (key[2], key[2])
+        names = [
+            item.name if item.name == method or len(set(methods)) == 1 else f"{item.name}: {method}"
+            for item, method in zip(both, methods, strict=True)
+        ]
+        errors = own.sort_values(places)[["value_first", "value_second"]].to_numpy()
+        # Errors of neighbouring poses share their causes, so they are no independent pairs: the
+        # pairs of the tests are means over spans of neighbours.
+        spans = max(1, min(SPANS, len(errors) // SPAN_ERRORS))
+        ends = -(-np.arange(1, spans) * len(errors) // spans)
+        means = np.array([part.mean(axis=0) for part in np.array_split(errors, ends)])
+        compared = _comparison(key[-1], *names, own["value_first"], own["value_second"], True)
+        found.append({**compared, "case": key[0], "seed": key[1], **_tested(means)})
     return found
 
 
-def _common_errors(first: pd.DataFrame, second: pd.DataFrame) -> np.ndarray[Any, Any]:
-    """Return (N, 2) errors of both series at the places that both have, in their order."""
-    rounded = [
-        own.assign(**(own[PLACE] / SAME_PLACE).round()).drop_duplicates(PLACE)
-        for own in (first, second)
-    ]
-    both = rounded[0].merge(rounded[1], on=PLACE, suffixes=("_first", "_second"))
-    columns = ["error_first", "error_second"]
-    return np.asarray(both.sort_values(PLACE)[columns], dtype=np.float64)
-
-
-def _compare_spans(errors: np.ndarray[Any, Any]) -> tuple[int, PairedDifferenceJson | None]:
-    """Test (N, 2) errors of two paths; return the number of spans, and the test over them.
-
-    Errors of neighbouring poses share their causes, so they are no independent pairs: the path is
-    cut into spans of equal numbers of neighbours, and the spans' mean errors are the pairs.
-    """
-    spans = min(SPANS, len(errors) // SPAN_ERRORS)
-    if spans < 2:
-        return spans, None
-    ends = -(-np.arange(1, spans) * len(errors) // spans)
-    means = np.array([part.mean(axis=0) for part in np.array_split(errors, ends)])
-    return spans, compare_pairs(*means.T)
+def _tested(means: np.ndarray[Any, Any]) -> dict[str, float]:
+    """Return the tests over (N, 2) means of spans."""
+    return difference_test(*means.T, paired=True)._asdict()
 
 
 def _alone(first: SavedResults, second: SavedResults, keys: Sequence[str]) -> list[str]:
@@ -434,7 +341,7 @@ def _alone(first: SavedResults, second: SavedResults, keys: Sequence[str]) -> li
     found = []
     for own, other in ((first, second), (second, first)) if keys else ():
         partners = other.table[list(keys)].drop_duplicates()
-        rows = own.table.merge(partners, on=list(keys), how="left", indicator=True)
+        rows = own.table[KEYS].drop_duplicates().merge(partners, how="left", indicator=True)
         rows = rows[rows["_merge"] == "left_only"]
         named = [
             f"{row.method} in {row.case}" + (f" seed {row.seed}" if row.seed else "")
@@ -461,7 +368,7 @@ def write_comparison_plot(found: ComparedResults, path: str | Path) -> None:
     """Write the comparison as one picture: errors along the paths, and figures by case.
 
     Args:
-        found: what was compared.
+        found: the comparison.
         path: PNG, SVG or PDF, by its suffix.
 
     Raises:
@@ -469,5 +376,5 @@ def write_comparison_plot(found: ComparedResults, path: str | Path) -> None:
     """
     from slamfusion.report.comparison_plot import comparison_plot  # noqa: PLC0415  (an extra)
 
-    sets = {item.name: item.items() for item in found.results}
-    write_atomic(path, comparison_plot(sets, Path(path).suffix.lower().removeprefix(".")))
+    tables = {item.name: item.table for item in found.results}
+    write_atomic(path, comparison_plot(tables, Path(path).suffix.lower().removeprefix(".")))

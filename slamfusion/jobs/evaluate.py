@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,38 +12,29 @@ from slamfusion.evaluation import (
     DistanceComparison,
     MapError,
     MeasuredDistance,
-    MeasuredItem,
+    Row,
     compare_distances,
     compare_to_truth,
     load_distances,
     map_figures,
+    result_rows,
 )
 from slamfusion.fusion import align_grids, fuse_grids
 from slamfusion.fusion.records import Alignment, FusionResult
 from slamfusion.geometry import Pose2
 from slamfusion.io import AtomicFiles
 from slamfusion.jobs.cases import CaseFile, Placed, place_files
-from slamfusion.jobs.documents import path_text, settings_used
+from slamfusion.jobs.documents import circumstances, path_text, settings_used
 from slamfusion.jobs.fuse_documents import input_document
 from slamfusion.jobs.inputs import MapInput, Progress, as_grids, device_for
 from slamfusion.jobs.records import (
+    CaseEvaluationJson,
+    CasesEvaluationDocument,
     EvaluateDocument,
     EvaluationJson,
     FusedInputJson,
     UnalignedInputJson,
 )
-
-__all__ = [
-    "Evaluation",
-    "agreement_items",
-    "compare_maps",
-    "distance_items",
-    "evaluate_document",
-    "evaluate_maps",
-    "evaluated_items",
-    "measure_distances",
-    "write_evaluation",
-]
 
 
 @dataclass(frozen=True)
@@ -65,11 +56,6 @@ class Evaluation:
             "aligned": self.is_aligned,
             "alignment": None if self.alignment is None else self.alignment.to_json(),
         }
-
-    def item(self, placed: Placed) -> MeasuredItem:
-        """Return the errors under the names of case, method and seed."""
-        figures = map_figures(self.error)
-        return MeasuredItem(placed.case, placed.method, figures, seed=placed.seed, kind="map")
 
 
 def evaluate_maps(
@@ -184,22 +170,19 @@ def measure_distances(
     )
 
 
-def evaluated_items(
-    placed: Sequence[Placed], evaluations: Sequence[Evaluation]
-) -> list[MeasuredItem]:
-    """Return the figures of maps against truths.
+def evaluation_rows(placed: Sequence[Placed], evaluations: Sequence[Evaluation]) -> list[Row]:
+    """Return the figures of maps against truths as rows of a table of results.
 
     Args:
         placed: the maps' cases and methods.
         evaluations: of these, in the same order.
     """
-    return [found.item(item) for item, found in zip(placed, evaluations, strict=True)]
+    pairs = zip(placed, evaluations, strict=True)
+    return [row for item, own in pairs for row in result_rows(*item.keys, map_figures(own.error))]
 
 
-def distance_items(
-    maps: Sequence[CaseFile], distances: Sequence[DistanceComparison]
-) -> list[MeasuredItem]:
-    """Return the figures of maps against measured distances, a case of their own.
+def distance_rows(maps: Sequence[CaseFile], distances: Sequence[DistanceComparison]) -> list[Row]:
+    """Return the figures of maps against measured distances, a case of their own, as rows.
 
     Args:
         maps: their files.
@@ -207,15 +190,9 @@ def distance_items(
     """
     placed = place_files(["measured distances"], [CaseFile(file.path) for file in maps])
     return [
-        MeasuredItem(
-            item.case,
-            item.method,
-            {"distance_error_mean_m": found.mean_absolute_error_m},
-            seed=item.seed,
-            kind="map",
-        )
+        row
         for item, found in zip(placed, distances, strict=bool(distances))
-        if found.mean_absolute_error_m is not None
+        for row in result_rows(*item.keys, {"distance_error_mean_m": found.mean_absolute_error_m})
     ]
 
 
@@ -246,6 +223,36 @@ def evaluate_document(
         "device": device,
         "seed": config.seed,
         **settings_used(config),
+    }
+
+
+def cases_document(
+    placed: Sequence[Placed],
+    evaluations: Sequence[Evaluation],
+    distances: Sequence[DistanceComparison],
+    config: RunConfig,
+    *,
+    truths: Mapping[str, Path],
+    device: str,
+) -> CasesEvaluationDocument:
+    """Return what ``slamfusion evaluate`` prints as JSON with several truths.
+
+    Args:
+        placed: the maps' cases and methods.
+        evaluations, distances, config, device: see ``evaluate_document``.
+        truths: the true maps' files, by case.
+    """
+    from slamfusion.jobs.results import summaries  # noqa: PLC0415  (pandas is an extra)
+
+    maps: list[CaseEvaluationJson] = [
+        {**own.to_json(), **item.to_json()} for item, own in zip(placed, evaluations, strict=True)
+    ]
+    return {
+        "maps": maps,
+        **summaries(evaluation_rows(placed, evaluations)),
+        "distances": [comparison.to_json() for comparison in distances],
+        "truths": {case: str(path) for case, path in truths.items()},
+        **circumstances(config, device),
     }
 
 

@@ -10,7 +10,13 @@ from pathlib import Path
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError, TrajectoryError
-from slamfusion.evaluation import ErrorSeries, MeasuredItem
+from slamfusion.evaluation import (
+    Row,
+    error_series,
+    path_figures,
+    path_series,
+    result_rows,
+)
 from slamfusion.evidence import (
     Exclusions,
     PathEvidence,
@@ -32,20 +38,12 @@ from slamfusion.jobs.records import (
     FusedPathJson,
     JudgeDocument,
     JudgedPathJson,
+    JudgementsDocument,
     JudgeRecordJson,
 )
 from slamfusion.jobs.saved_maps import path_at_scans
 from slamfusion.jobs.trajectory import Measures, Yardsticks
 from slamfusion.trajectory import Trajectory
-
-__all__ = [
-    "JudgeFiles",
-    "JudgedPaths",
-    "judge_paths",
-    "score_log_paths",
-    "write_fused_path",
-    "write_judgement",
-]
 
 _LOG = logging.getLogger(__name__)
 
@@ -147,8 +145,8 @@ class JudgedPaths:
             "truth": path_text(files.truth),
         }
 
-    def items(self, case: str, placed: Sequence[Placed]) -> list[MeasuredItem]:
-        """Return the figures and single scores of each path; see ``Measures``.
+    def rows(self, case: str, placed: Sequence[Placed]) -> list[Row]:
+        """Return figures and single scores of each path as rows of a table of results.
 
         The recommended path comes first.
 
@@ -157,25 +155,21 @@ class JudgedPaths:
             placed: the paths' files, of other cases too.
         """
         by_name = {item.name: item for item in placed if item.case == case}
-        found = []
+        rows: list[Row] = []
         for path in self.recommendation.paths:
             score = self.evidence.scores[path.name]
-            own = by_name.get(path.name, Placed(case, path.name, Path()))
-            known = self.measures.get(path.name, Measures()).item(case, own.method, own.seed)
-            is_judged = score.beams > 0
-            likelihoods = ErrorSeries(
-                self.evidence.scans.stamps_s[is_judged, None],
-                score.sums[is_judged] / score.beams[is_judged],
-            )
+            keys = by_name.get(path.name, Placed(case, path.name, Path())).keys
+            measures = self.measures.get(path.name, Measures())
+            held = (measures.truth, measures.relations)
             figures = {"consistency": score.consistency, "seen_share": score.seen_share}
-            found.append(
-                replace(
-                    known,
-                    figures={**figures, **known.figures},
-                    series={"consistency": likelihoods, **known.series},
-                )
+            is_judged = score.beams > 0
+            likelihoods = error_series(
+                score.sums[is_judged] / score.beams[is_judged],
+                self.evidence.scans.stamps_s[is_judged],
             )
-        return found
+            series = {"consistency": likelihoods, **path_series(*held)}
+            rows += result_rows(*keys, {**figures, **path_figures(*held)}, series)
+        return rows
 
     def _fused_to_json(self) -> FusedPathJson | None:
         if self.fused is None or self.files.fused is None:
@@ -270,6 +264,25 @@ def judge_paths(
     return JudgedPaths(
         files, config, read, made, found, evidence, measures, tuple(not_measured), device.name
     )
+
+
+def judgements_document(
+    logs: Mapping[str, JudgedPaths], rows: Sequence[Row], config: RunConfig
+) -> JudgementsDocument:
+    """Return what ``slamfusion judge`` prints of several logs as JSON.
+
+    Args:
+        logs: the result of each log, by case.
+        rows: of all of them.
+        config: the settings in effect.
+    """
+    from slamfusion.jobs.results import summaries  # noqa: PLC0415  (pandas is an extra)
+
+    return {
+        "logs": [{**found.record_to_json(), "case": case} for case, found in logs.items()],
+        **summaries(rows),
+        **circumstances(config, next(iter(logs.values())).device),
+    }
 
 
 def write_fused_path(found: JudgedPaths, files: AtomicFiles | None = None) -> None:

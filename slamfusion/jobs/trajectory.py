@@ -8,11 +8,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from slamfusion.config import RunConfig, TrajectoryConfig
+from slamfusion.errors import SlamFusionError
 from slamfusion.evaluation import (
     DensePoses,
-    MeasuredItem,
     RelationErrors,
     Relations,
+    Row,
     TrajectoryErrors,
     errors_at_scans,
     path_figures,
@@ -21,6 +22,7 @@ from slamfusion.evaluation import (
     read_odometry,
     read_relations,
     relation_errors,
+    result_rows,
     trajectory_errors,
 )
 from slamfusion.grid import OccupancyGrid
@@ -28,20 +30,14 @@ from slamfusion.io import AtomicFiles, read_trajectory
 from slamfusion.jobs.cases import Placed
 from slamfusion.jobs.documents import path_text, settings_used
 from slamfusion.jobs.inputs import MapInput, Warn, as_grids, as_path
-from slamfusion.jobs.records import MeasuresJson, TrajectoryDocument, TrajectoryRecordJson
+from slamfusion.jobs.records import (
+    CaseTrajectoryJson,
+    MeasuresJson,
+    TrajectoriesDocument,
+    TrajectoryDocument,
+    TrajectoryRecordJson,
+)
 from slamfusion.trajectory import Trajectory
-
-__all__ = [
-    "CaseFiles",
-    "MeasuredTrajectory",
-    "Measures",
-    "TrajectoryFiles",
-    "Yardsticks",
-    "measure_trajectory",
-    "measure_trajectory_file",
-    "write_trajectory",
-]
-
 
 _LOG = logging.getLogger(__name__)
 
@@ -77,11 +73,6 @@ class Measures:
         if self.online is not None:
             document["as_first_reported"] = self.online.to_json()
         return document
-
-    def item(self, case: str, method: str, seed: str = "") -> MeasuredItem:
-        """Return figures and single errors under the names of case, method and seed."""
-        held = (self.truth, self.relations)
-        return MeasuredItem(case, method, path_figures(*held), path_series(*held), seed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -299,9 +290,10 @@ class MeasuredTrajectory:
             "truth": path_text(files.truth),
         }
 
-    def item(self, placed: Placed) -> MeasuredItem:
-        """Return the errors under the names of case, method and seed."""
-        return self.measures.item(placed.case, placed.method, placed.seed)
+    def rows(self, placed: Placed) -> list[Row]:
+        """Return figures and single errors as rows of a table of results."""
+        held = (self.measures.truth, self.measures.relations)
+        return result_rows(*placed.keys, path_figures(*held), path_series(*held))
 
 
 def measure_trajectory_file(
@@ -335,6 +327,76 @@ def measure_trajectory_file(
     drawn = None if grid is None else as_grids([grid], config, warn=warn)[0]
     measures = held.measure(estimate, config, scans)
     return MeasuredTrajectory(files, config, estimate, measures, held.truth, scans, drawn)
+
+
+def measure_trajectories(
+    placed: Sequence[Placed], held: CaseFiles, config: RunConfig | None = None
+) -> tuple[list[tuple[Placed, MeasuredTrajectory]], list[str]]:
+    """Measure paths, each by what there is of its case.
+
+    Args:
+        placed: the paths.
+        held: what they are measured by.
+        config: ``trajectory`` and ``log`` are used; default: the defaults.
+
+    Returns:
+        The paths that could be measured, in the order given, and a sentence for each other one.
+
+    Raises:
+        TrajectoryError: a file of a case is damaged.
+        LogError: a log cannot be read.
+        OSError: a file cannot be opened.
+        SlamFusionError: none of the paths could be measured.
+    """
+    config = config or RunConfig()
+    yardsticks = {}
+    for case in dict.fromkeys(item.case for item in placed):
+        log, files = held.logs.get(case), (held.relations, held.odometry, held.truths)
+        relations, odometry, truth = (own.get(case) for own in files)
+        yardsticks[case] = (
+            Yardsticks.read(config, relations=relations, odometry=odometry, truth=truth),
+            None if log is None else read_trajectory(log, config.log),
+        )
+    found, not_measured = [], []
+    for item in placed:
+        known, scans = yardsticks[item.case]
+        if known.relations is None and known.truth is None:
+            not_measured.append(
+                f"{item.path}: neither truth nor relations of {item.case} was given"
+            )
+            continue
+        try:
+            estimate = read_trajectory(item.path, config.log)
+            measures = known.measure(estimate, config, scans)
+        except (SlamFusionError, OSError) as error:
+            why = (error.strerror if isinstance(error, OSError) else None) or str(error)
+            not_measured.append(f"{item.path}: {why.removeprefix(f'{item.path}: ')}")
+            continue
+        files_of = held.of(item.case, item.path)
+        own = MeasuredTrajectory(files_of, config, estimate, measures, known.truth, scans)
+        found.append((item, own))
+    if not found:
+        raise SlamFusionError("; ".join(not_measured) or "no path to measure; give at least one")
+    return found, not_measured
+
+
+def trajectories_document(
+    found: Sequence[tuple[Placed, MeasuredTrajectory]],
+    not_measured: Sequence[str],
+    config: RunConfig,
+) -> TrajectoriesDocument:
+    """Return what ``slamfusion trajectory`` prints of several paths as JSON."""
+    from slamfusion.jobs.results import summaries  # noqa: PLC0415  (pandas is an extra)
+
+    paths: list[CaseTrajectoryJson] = [
+        {**own.record_to_json(), **item.to_json()} for item, own in found
+    ]
+    return {
+        "trajectories": paths,
+        **summaries(row for item, own in found for row in own.rows(item)),
+        "not_measured": not_measured,
+        **settings_used(config),
+    }
 
 
 def write_trajectory(

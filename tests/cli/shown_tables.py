@@ -10,7 +10,6 @@ import io
 import os
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -31,7 +30,7 @@ from slamfusion.cli import (
 from slamfusion.cli import results as result_tables
 from slamfusion.cli import trajectory as trajectories
 from slamfusion.config import NormalizeConfig
-from slamfusion.evaluation import ErrorSeries, MeasuredItem, compare_to_truth
+from slamfusion.evaluation import Row, compare_to_truth, error_series, result_rows
 from slamfusion.evaluation.statistics import ErrorStatistics
 from slamfusion.evidence.comparison import Comparison
 from slamfusion.evidence.parting import Span
@@ -134,22 +133,20 @@ def _trajectory() -> None:
     )
 
 
-def _items() -> list[MeasuredItem]:
-    """Return two methods in two places."""
+def _rows(seed: str = "", scale: float = 1.0) -> list[list[Row]]:
+    """Return two methods in two places, the rows of each."""
+    along = error_series(np.sin(np.arange(40.0)) / 99, np.arange(40.0))
     return [
-        MeasuredItem(
+        result_rows(
             case,
+            seed,
             method,
             {
-                "ate_rmse_m": error_m,
+                "ate_rmse_m": scale * error_m,
                 "rpe_mean_m": error_m / 7.0,
                 "ate_rotation_mean_deg": 0.4 - error_m**2,
             },
-            {
-                "ate_m": ErrorSeries(
-                    np.arange(40.0)[:, None], error_m + np.sin(np.arange(40.0)) / 99
-                )
-            },
+            {"ate_m": along + (error_m, 0.0, 0.0)},
         )
         for method, base_m in (("graph", 0.05), ("slam_toolbox", 0.07))
         for case, error_m in (("intel", base_m), ("fr079", 1.3 * base_m))
@@ -157,27 +154,26 @@ def _items() -> list[MeasuredItem]:
 
 
 def _several() -> None:
-    result_tables.print_items(_items(), "path", ("ate_rmse_m",))
+    result_tables.print_items([row for rows in _rows() for row in rows], "path", ("ate_rmse_m",))
 
 
 def _compare() -> None:
-    _print_compared([_items()])
+    _print_compared([_rows()])
 
 
 def _compare_seeds() -> None:
-    items = [
-        replace(item, seed=str(seed), figures={"error": (1 + 0.01 * seed**2) * n})
-        for n, item in enumerate(_items(), start=20)
-        for seed in range(3)
-    ]
-    _print_compared([items[:6], items[6:], items[6:]])
+    repeated = [_rows(str(seed), 1 + 0.01 * seed**2) for seed in range(3)]
+    _print_compared(
+        [[rows for run in repeated for rows in run[2 * n : 2 * n + 2]] for n in (0, 1, 1)]
+    )
 
 
-def _print_compared(sets: Sequence[Sequence[MeasuredItem]]) -> None:
+def _print_compared(sets: Sequence[Sequence[Sequence[Row]]]) -> None:
     with tempfile.TemporaryDirectory() as folder:
         files = [Path(folder) / f"{name}.zip" for name in ("graph", "slam_toolbox", "karto")]
-        for file, items in zip(files, sets, strict=False):
-            write_results_file(file, command="", arguments=(), document={}, items=items)
+        for file, parts in zip(files, sets, strict=False):
+            rows = [row for part in parts for row in part]
+            write_results_file(file, command="", arguments=(), document={}, rows=rows)
         compare.print_comparison(compare_results(files[: len(sets)]))
 
 

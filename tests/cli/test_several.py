@@ -137,7 +137,7 @@ def test_results_are_saved_and_compared(ask: Ask, tmp_path: Path) -> None:
     found = document(ask("compare", "bad.zip", "good.zip", "--json"), "compare")
     ate = next(item for item in found["figures"] if item["figure"] == "ate_rmse_m")
     assert ate["difference"] > 0.0
-    assert (ate["items_first"], ate["paired"]["count"]) == (2, 2)
+    assert (ate["count_first"], ate["count_second"]) == (2, 2)
 
 
 def test_seeds_of_a_case_are_repetitions(ask: Ask, tmp_path: Path) -> None:
@@ -182,7 +182,7 @@ def test_without_pandas_one_line_says_what_to_install(tmp_path: Path) -> None:
 
 def named_in(file: Path) -> set[tuple[str, str]]:
     """Return case and method of each item of saved results."""
-    return {(item.case, item.method) for item in read_results(file).items()}
+    return set(read_results(file).table[["case", "method"]].itertuples(index=False, name=None))
 
 
 def test_results_of_one_case_are_named_as_those_of_several(ask: Ask, tmp_path: Path) -> None:
@@ -312,8 +312,9 @@ def test_an_experiment_is_saved_too(ask: Ask) -> None:
     assert code == 0
     found = document(ask("compare", "a.zip", "a.zip", "--json"), "compare")
     assert found["results"][0]["command"] == "experiment cell-models"
-    assert len(found["results"][0]["items"]) == 12
-    assert found["figures"][0]["paired"]["t_test"] == 1.0
+    assert found["figures"][0]["count_first"] == 12
+    assert found["figures"][0]["difference"] == 0.0
+    assert found["figures"][0]["better"] is None
 
 
 def test_maps_and_paths_may_follow_each_other() -> None:
