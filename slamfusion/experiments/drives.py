@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,36 +11,24 @@ import numpy as np
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig, TrajectoryConfig
 from slamfusion.errors import LogError
-from slamfusion.evaluation import Relations
+from slamfusion.evaluation import Relations, Row, result_rows
+from slamfusion.experiments.runs import Progress, RunResult, Setup, run_all
 from slamfusion.io import LogScan, open_log
 from slamfusion.io.lines import strip_gz
+from slamfusion.jobs.results import input_records
 from slamfusion.jobs.trajectory import Yardsticks, measure_trajectory
 from slamfusion.sim import named_course, simulate
 from slamfusion.slam.common.mapper import Mapper
 from slamfusion.slam.common.runner import run_producer
 from slamfusion.trajectory import Trajectory
 
-__all__ = [
-    "ATE",
-    "RELATIONS",
-    "TIME",
-    "Drive",
-    "DriveFiles",
-    "gather_drives",
-    "read_drive",
-    "run_errors",
-    "simulated_office",
-]
-
-# What a run is measured by; the names end in the unit.
-RELATIONS = "relations_mean_m"
-ATE = "ate_rmse_m"
-TIME = "time_per_scan_ms"
+# The figures of a run; the names end in the unit.
+RELATIONS, ATE, TIME = "relations_mean_m", "ate_rmse_m", "time_per_scan_ms"
 
 
 @dataclass(frozen=True)
 class DriveFiles:
-    """Where a recorded drive lies.
+    """The files of a recorded drive.
 
     Attributes:
         log: scans with odometry.
@@ -54,13 +42,19 @@ class DriveFiles:
     odometry: Path | None = None
     reference: Path | None = None
 
+    def inputs(self) -> list[tuple[str, str, Path]]:
+        """Return role, drive and path of each file."""
+        roles = ("log", "relations", "odometry", "truth")
+        named = zip(roles, astuple(self), strict=True)
+        return [(role, self.log.stem, path) for role, path in named if path is not None]
+
 
 @dataclass(frozen=True, eq=False)
 class Drive:
     """A drive, held in memory because it is run many times.
 
     Attributes:
-        name: what tables call it.
+        name: in tables.
         scans: in the order of time.
         relations: known motions between pairs of times; None: none.
         odometry: raw odometry of the whole run; None: poses are taken as they are.
@@ -125,51 +119,17 @@ def read_drive(files: DriveFiles, config: RunConfig) -> Drive:
     held = Yardsticks.read(
         config, relations=files.relations, odometry=files.odometry, truth=files.reference
     )
-    return Drive(
-        name=Path(strip_gz(files.log.name)).stem,
-        scans=scans,
-        relations=held.relations,
-        odometry=held.odometry,
-        reference=held.truth,
-    )
+    name = Path(strip_gz(files.log.name)).stem
+    return Drive(name, scans, held.relations, held.odometry, held.truth)
 
 
-def gather_drives(
-    recorded: Sequence[DriveFiles],
-    floors: Sequence[int],
-    config: RunConfig,
-    device: ComputeDevice,
-    progress: Callable[[str, int, int], None] | None = None,
-) -> list[Drive]:
-    """Return recorded drives, then simulated office floors; their names differ.
-
-    Args:
-        recorded: files of each recorded drive.
-        floors: seed of each simulated one.
-        config: how logs are read.
-        device: simulates.
-        progress: told of the simulation.
-
-    Raises:
-        LogError, TrajectoryError, OSError: see ``read_drive``.
-    """
-    drives: list[Drive] = []
-    for files in recorded:
-        drive = read_drive(files, config)
-        twins = sum(other.name.split("#")[0] == drive.name for other in drives)
-        drives.append(replace(drive, name=f"{drive.name}#{twins + 1}") if twins else drive)
-    return drives + [simulated_office(seed, device, progress) for seed in floors]
-
-
-def simulated_office(
-    seed: int, device: ComputeDevice, progress: Callable[[str, int, int], None] | None = None
-) -> Drive:
+def simulated_office(seed: int, device: ComputeDevice, progress: Progress | None = None) -> Drive:
     """Simulate a drive through every room of an office floor with a Hokuyo; the truth is known.
 
     Args:
         seed: of the floor and the drive.
         device: casts the rays.
-        progress: told the scans that are done.
+        progress: called with the scans that are done.
     """
     name = f"office-{seed}"
     course = replace(named_course("office", seed), name=name)
@@ -177,12 +137,71 @@ def simulated_office(
     return Drive(name, recording.scans, reference=recording.truth)
 
 
-def run_errors(drive: Drive, producer: Mapper, config: TrajectoryConfig) -> dict[str, float]:
-    """Run a fresh producer on a drive and return its errors and the mean time for a scan.
+@dataclass(frozen=True)
+class DriveRun:
+    """One run of a producer on a drive.
+
+    Attributes:
+        case: of its rows: the drive, and what else is not compared.
+        method: the producer, as it is set.
+        drive: the drive's name.
+        seed: of the producer.
+        setting: what the producer is made with beside its method.
+    """
+
+    case: str
+    method: str
+    drive: str
+    seed: int
+    setting: float = 0.0
+
+    @property
+    def key(self) -> str:
+        """The name of its file."""
+        return f"{self.case}-{self.method}-s{self.seed}".replace(" ", "-").replace(",", "")
+
+
+def run_on_drives(
+    plan: Callable[[str], Sequence[DriveRun]],
+    make: Callable[[DriveRun], Mapper],
+    recorded: Sequence[DriveFiles],
+    floors: Sequence[int],
+    setup: Setup,
+) -> list[Row]:
+    """Run producers on recorded drives and on simulated office floors, one after the other.
+
+    Args:
+        plan: returns the runs on a drive, by its name.
+        make: makes the fresh producer of a run.
+        recorded: files of each recorded drive.
+        floors: seed of each simulated one.
+        setup: where and how.
+
+    Returns:
+        The rows of all runs.
 
     Raises:
-        SlamFusionError: no scan could be used.
-        TrajectoryError: the trajectory does not meet relations or reference in time.
+        SlamFusionError: a drive has no usable scan, or a path does not meet its relations in time.
+        OSError: a file cannot be opened.
     """
-    run = run_producer(producer, drive.scans)
-    return {**drive.errors(run.trajectory, config), TIME: run.time_per_scan_ms()["mean"]}
+    config, device = setup.config, setup.device
+    drives: list[Drive] = []
+    for files in recorded:
+        drive = read_drive(files, config)
+        twins = sum(other.name.split("#")[0] == drive.name for other in drives)
+        drives.append(replace(drive, name=f"{drive.name}#{twins + 1}") if twins else drive)
+    drives += [simulated_office(seed, device, setup.progress) for seed in floors]
+    by_name = {drive.name: drive for drive in drives}
+
+    def work(run: DriveRun, _: RunConfig) -> RunResult:
+        made = run_producer(make(run), by_name[run.drive].scans)
+        errors = by_name[run.drive].errors(made.trajectory, config.trajectory)
+        figures = {**errors, TIME: made.time_per_scan_ms()["mean"]}
+        return RunResult(result_rows(run.case, str(run.seed), run.method, figures))
+
+    runs = [run for drive in drives for run in plan(drive.name)]
+    inputs = [file for own in recorded for file in own.inputs()]
+    facts = [record["sha256"] for file in inputs for record in input_records(*file)]
+    facts.append(device.name)
+    tasks = {run.key: run for run in runs}
+    return [row for result in run_all(tasks, work, setup, facts) for row in result.rows]

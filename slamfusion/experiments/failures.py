@@ -7,21 +7,17 @@ drive befalls all producers; broken odometry and a laser upside down befall one 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 from slamfusion.config import PlaceName, RunConfig
 from slamfusion.errors import ConfigError
-from slamfusion.experiments.error_table import ErrorTable
+from slamfusion.experiments.page import Experiment
+from slamfusion.experiments.runs import Setup
 from slamfusion.experiments.trials import Trial, run_trials
-from slamfusion.fleet import Scheduler
 from slamfusion.sim import Course, named_course
 from slamfusion.sim.lidar import LIDARS
 
-__all__ = ["FAILURES", "NAME", "Failure", "compare_failures", "failure_trials"]
-
-NAME = "failures"
 TITLE = "Fusion where something fails"
 # Drives are brisk, and so lasers that see far sweep seldom: fewer scans of as much place.
 RATE_HZ = 5.0
@@ -93,30 +89,14 @@ def failure_trials(config: RunConfig) -> list[Trial]:
     return trials
 
 
-def compare_failures(
-    config: RunConfig,
-    folder: Path,
-    progress: Callable[[str, int, int], None] | None = None,
-    scheduler: Scheduler | None = None,
-) -> ErrorTable:
-    """Run every drive that ``folder`` does not hold yet, and return the errors of all.
-
-    Args:
-        config: settings of experiment, producers and fusion.
-        folder: keeps what is done.
-        progress: told the drives that are done.
-        scheduler: runs the drives; default: as many processes as the settings say.
+def compare_failures(setup: Setup) -> Experiment:
+    """Run the experiment; see ``run_trials``.
 
     Raises:
         ConfigError: an unknown course or laser.
-        SlamFusionError: a drive failed.
     """
-    trials = failure_trials(config)
-    processes = config.experiment.failures.processes
-    records = run_trials(
-        trials, config, folder, processes=processes, scheduler=scheduler, progress=progress
-    )
-    return ErrorTable(TITLE, tuple(records))
+    settings, trials = setup.config.experiment.failures, failure_trials(setup.config)
+    return run_trials("failures", TITLE, trials, settings, setup)
 
 
 def _seen_by(name: str, course: Course, *, is_loop: bool) -> Course:

@@ -9,20 +9,15 @@ Source: Fernandes and Alexandre, *SLAMfusion: Fusing SLAM Methods for Improved R
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 from slamfusion.config import RunConfig
-from slamfusion.experiments.error_table import ErrorTable
+from slamfusion.experiments.page import Experiment
+from slamfusion.experiments.runs import Setup
 from slamfusion.experiments.trials import Trial, run_trials
-from slamfusion.fleet import Scheduler
 from slamfusion.sim import named_course
 from slamfusion.slam.registry import with_settings
 
-__all__ = ["CONDITIONS", "NAME", "compare_with_obstacle", "obstacle_trials"]
-
-NAME = "ground-obstacle"
 TITLE = "Fusion with and without a ground obstacle ([F16], Tables I to III)"
 COURSE = "f16"
 CONDITIONS = {"no obstacle": False, "obstacle": True}
@@ -52,31 +47,9 @@ def obstacle_trials(config: RunConfig) -> list[Trial]:
     return trials
 
 
-def compare_with_obstacle(
-    config: RunConfig,
-    folder: Path,
-    progress: Callable[[str, int, int], None] | None = None,
-    scheduler: Scheduler | None = None,
-) -> ErrorTable:
-    """Run every drive that ``folder`` does not hold yet, and return the errors of all.
-
-    Args:
-        config: settings of experiment, producers and fusion.
-        folder: keeps what is done.
-        progress: told the drives that are done.
-        scheduler: runs the drives; default: as many processes as the settings say.
-
-    Raises:
-        SlamFusionError: a drive failed.
-    """
-    settings = config.experiment.ground_obstacle
-    config = with_settings(config, "gmapping", particles=settings.particles)
-    records = run_trials(
-        obstacle_trials(config),
-        config,
-        folder,
-        processes=settings.processes,
-        scheduler=scheduler,
-        progress=progress,
-    )
-    return ErrorTable(TITLE, tuple(records))
+def compare_with_obstacle(setup: Setup) -> Experiment:
+    """Run the experiment; see ``run_trials``."""
+    settings = setup.config.experiment.ground_obstacle
+    trials = obstacle_trials(setup.config)
+    config = with_settings(setup.config, "gmapping", particles=settings.particles)
+    return run_trials("ground-obstacle", TITLE, trials, settings, replace(setup, config=config))

@@ -7,11 +7,9 @@ its own errors are part of every number here.
 
 from __future__ import annotations
 
-import csv
-import io
 import logging
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,11 +17,10 @@ import numpy as np
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import ConfigError, SlamFusionError
-from slamfusion.evaluation import MapError, Row, doubled_wall_share, result_rows
+from slamfusion.evaluation import Row, doubled_wall_share, map_figures, result_rows
 from slamfusion.evidence import JudgedScans
 from slamfusion.experiments.drive_paths import (
     CHOICE,
-    DRAWN,
     FUSED_PATH,
     draw_paths,
     drawn_at,
@@ -32,46 +29,41 @@ from slamfusion.experiments.drive_paths import (
     path_errors,
     weigh_paths,
 )
-from slamfusion.experiments.records import RatiosJson, RealLogNumbersJson, RealLogTableJson
-from slamfusion.experiments.sheets import Sheet
+from slamfusion.experiments.examples import Example
+from slamfusion.experiments.page import Experiment
+from slamfusion.experiments.runs import RunResult, Setup, run_all
 from slamfusion.experiments.voting import FUSIONS, against_truth, vote_every_way
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan, open_log, read_trajectory
 from slamfusion.jobs.cases import CaseFile, place_files
 from slamfusion.jobs.fuse_drive import produce_maps
 from slamfusion.jobs.inputs import Warn
+from slamfusion.jobs.outputs import DRAWN
+from slamfusion.jobs.results import input_records, map_inputs
 from slamfusion.jobs.saved_maps import SavedMaps, free_name, path_at_scans
 from slamfusion.slam.common.mapper import MapJob
 from slamfusion.slam.graph.node_map import Node, NodeMap
 from slamfusion.slam.registry import BUILT_IN, settings_of
 from slamfusion.trajectory import Trajectory
 
-__all__ = [
-    "NAME",
-    "REAL_LOGS",
-    "RealLog",
-    "RealLogRow",
-    "RealLogTable",
-    "compare_on_logs",
-    "logs_there",
-    "other_slams",
-    "reference_map",
-]
-
 _LOG = logging.getLogger(__name__)
 
-NAME = "real-logs"
 TITLE = "Fusion on recorded drives"
 REFERENCE = "reference"
 # Rows of the table beside the producers' maps and what the scans draw at the fused path.
 ROWS = (REFERENCE, FUSED_PATH, *FUSIONS, *map(drawn_at, BUILT_IN))
 # A scan belongs to a pose of the reference at its very time; stamps are rounded here and there.
 SAME_TIME_S = 0.02
-NO_NUMBER = "-"
-# Faces this near to the reference's are right, metres.
-FACES_M = 0.1
-
-Progress = Callable[[str, int, int], None]
+FIGURES = (
+    "error",
+    "map_to_truth_mean_m",
+    "map_to_truth_p95_m",
+    "truth_to_map_mean_m",
+    "wall_f1",
+    "faces_f1",
+    "doubled_wall_share",
+    "ate_rmse_m",
+)
 
 
 @dataclass(frozen=True)
@@ -103,182 +95,6 @@ REAL_LOGS: dict[str, RealLog] = {
 }
 
 
-@dataclass(frozen=True, eq=False)
-class RealLogRow:
-    """One map of a recorded drive.
-
-    Attributes:
-        log: name of the drive.
-        method: a producer, a way to vote, what the scans draw at a path, or the reference map.
-        doubled_share: of its wall cells, with a parallel wall close by.
-        error: against the reference map, where the map lies best on it; None for that map itself,
-            and for a map that is missing.
-        path_error_m: absolute error of the path of a producer, and of the fused one in the row of
-            the map drawn at it, against the reference trajectory; None for other maps.
-    """
-
-    log: str
-    method: str
-    doubled_share: float
-    error: MapError | None
-    path_error_m: float | None = None
-
-    def numbers(self) -> RealLogNumbersJson:
-        """Return what is measured, by name; lengths in metres."""
-        error = self.error
-        there = None if error is None else error.map_to_truth
-        back = None if error is None else error.truth_to_map
-        return {
-            "error": None if error is None else error.error,
-            "wall_distance_mean_m": None if there is None else there.mean_m,
-            "wall_distance_p95_m": None if there is None else there.p95_m,
-            "reference_to_map_mean_m": None if back is None else back.mean_m,
-            "wall_f1": None if error is None else error.wall_f1,
-            "faces_f1": None if error is None else error.faces.f1(FACES_M),
-            "doubled_wall_share": self.doubled_share,
-            "path_error_m": self.path_error_m,
-        }
-
-
-COLUMNS = {
-    "error": ("[F16] error", "{:.1f}"),
-    "wall_distance_mean_m": ("to the reference's walls, mean m", "{:.3f}"),
-    "wall_distance_p95_m": ("95 %, m", "{:.3f}"),
-    "reference_to_map_mean_m": ("from them, mean m", "{:.3f}"),
-    "wall_f1": ("wall F1", "{:.3f}"),
-    "faces_f1": ("faces F1 at 0.1 m", "{:.3f}"),
-    "doubled_wall_share": ("doubled walls", "{:.1%}"),
-    "path_error_m": ("path, ATE m", "{:.3f}"),
-}
-
-
-@dataclass(frozen=True)
-class RealLogTable:
-    """All maps of all recorded drives.
-
-    Attributes:
-        title: of the experiment.
-        rows: of each drive the producers, the ways to vote, and the reference map.
-        notes: what went wrong, by drive and method.
-        references: what the reference map of each drive was drawn from.
-        choices: the SLAM of each drive whose path is taken, see ``choose_path``, where the
-            scans can tell.
-        others: SLAMs whose saved maps took part beside the producers, by drive.
-    """
-
-    title: str
-    rows: tuple[RealLogRow, ...]
-    notes: Mapping[tuple[str, str], str]
-    references: Mapping[str, str]
-    choices: Mapping[str, str] = field(default_factory=dict)
-    others: Mapping[str, Sequence[str]] = field(default_factory=dict)
-
-    def logs(self) -> list[str]:
-        """Return the drives, in order."""
-        return list(dict.fromkeys(row.log for row in self.rows))
-
-    def _best_input(self, log: str) -> str:
-        """Return the SLAM of a drive whose map has the smallest error."""
-        errors = self._errors(log)
-        inputs = (*BUILT_IN, *self.others.get(log, ()))
-        return min((name for name in inputs if name in errors), key=errors.__getitem__)
-
-    def _errors(self, log: str) -> dict[str, float]:
-        """Return the [F16] errors of a drive, by method."""
-        return {row.method: row.error.error for row in self.rows if row.log == log and row.error}
-
-    def ratios(self, log: str) -> dict[str, float]:
-        """Return the error of every way to vote over that of the drive's best input."""
-        errors = self._errors(log)
-        best = errors[self._best_input(log)]
-        return {mode: errors[mode] / best for mode in FUSIONS if mode in errors}
-
-    def overall(self) -> dict[str, RatiosJson]:
-        """Return for each way to vote the mean of the ratios of all drives, and the worst."""
-        found: dict[str, RatiosJson] = {}
-        for mode in FUSIONS:
-            ratios = [self.ratios(log)[mode] for log in self.logs() if mode in self.ratios(log)]
-            if ratios:
-                found[mode] = {"ratio": sum(ratios) / len(ratios), "worst": max(ratios)}
-        return found
-
-    def borne_out(self) -> frozenset[str]:
-        """Return nothing: single drives of different places allow no test."""
-        return frozenset()
-
-    def sheets(self, *, details: bool) -> list[Sheet]:
-        """Return a table for each drive; ``details`` adds nothing."""
-        del details
-        found = []
-        for log in self.logs():
-            rows = []
-            for row in (row for row in self.rows if row.log == log):
-                numbers: dict[str, object] = {**row.numbers()}
-                cells = [
-                    NO_NUMBER if (value := numbers[key]) is None else form.format(value)
-                    for key, (_, form) in COLUMNS.items()
-                ]
-                rows.append((row.method, *cells))
-            heading = ("map", *(text for text, _ in COLUMNS.values()))
-            note = f"Against the map that is drawn by {self.references[log]}."
-            found.append(Sheet(log, heading, tuple(rows), note))
-        if self.notes:
-            rows_left = tuple((log, what, why) for (log, what), why in self.notes.items())
-            found.append(Sheet("What was left out", ("log", "what", "reason"), rows_left))
-        return found
-
-    def sentences(self) -> list[str]:
-        """Return each way to vote against the best input, and over all drives."""
-        lines = []
-        for log in self.logs():
-            best = self._best_input(log)
-            lines += [
-                f"{log}: {mode} {100.0 * (ratio - 1.0):+.1f} % against {best}, the best input."
-                for mode, ratio in self.ratios(log).items()
-            ]
-            if log in self.choices:
-                lines.append(f"{log}: the scans bear out the path of {self.choices[log]} best.")
-        for mode, values in self.overall().items():
-            change, worst = (100.0 * (values[key] - 1.0) for key in ("ratio", "worst"))
-            lines.append(
-                f"all logs: {mode} {change:+.1f} % against the best inputs, "
-                f"{worst:+.1f} % where it stands worst."
-            )
-        return lines
-
-    def to_csv(self) -> str:
-        """Return every map, a line each."""
-        buffer = io.StringIO()
-        writer = csv.writer(buffer, lineterminator="\n")
-        writer.writerow(["log", "map", *COLUMNS])
-        for row in self.rows:
-            writer.writerow([row.log, row.method, *row.numbers().values()])
-        return buffer.getvalue()
-
-    def figure_rows(self) -> list[Row]:
-        """Return every map of every drive; the reference maps are no methods."""
-        return [
-            figure
-            for row in self.rows
-            if row.method != REFERENCE
-            for figure in result_rows(row.log, "", row.method, {**row.numbers()})  # type: ignore[dict-item]
-        ]
-
-    def to_json(self) -> RealLogTableJson:
-        """Return every map and what they say."""
-        return {
-            "title": self.title,
-            "maps": [{"log": row.log, "map": row.method, **row.numbers()} for row in self.rows],
-            "overall": self.overall(),
-            "notes": [
-                {"log": log, "what": what, "reason": why} for (log, what), why in self.notes.items()
-            ],
-            "references": dict(self.references),
-            "choices": dict(self.choices),
-            "others": {log: list(names) for log, names in self.others.items()},
-        }
-
-
 def logs_there(folder: Path, warn: Warn) -> list[str]:
     """Return the recorded drives of ``REAL_LOGS`` whose files lie in a folder.
 
@@ -305,19 +121,15 @@ def logs_there(folder: Path, warn: Warn) -> list[str]:
 def compare_on_logs(
     folder: Path,
     names: Sequence[str],
-    config: RunConfig,
-    device: ComputeDevice,
-    progress: Progress | None = None,
+    setup: Setup,
     others: Mapping[str, SavedMaps] | None = None,
-) -> RealLogTable:
+) -> Experiment:
     """Run the producers on recorded drives, fuse their maps in every way, and measure all maps.
 
     Args:
         folder: of the data sets.
-        names: of ``REAL_LOGS``; those whose files lie there.
-        config: settings of producers and fusion.
-        device: computes.
-        progress: told the drives, and the scans of each producer.
+        names: of ``REAL_LOGS``; those whose files are there.
+        setup: has the settings of producers and fusion.
         others: saved maps of other SLAMs, with their paths or without, by drive; see
             ``other_slams``.
 
@@ -326,20 +138,39 @@ def compare_on_logs(
         SlamFusionError: no producer made a map, or no scan has a pose in the reference.
         OSError: a file cannot be opened.
     """
-    rows: list[RealLogRow] = []
-    notes: dict[tuple[str, str], str] = {}
-    references: dict[str, str] = {}
-    choices: dict[str, str] = {}
-    took_part: dict[str, Sequence[str]] = {}
-    for name in names:
-        saved = (others or {}).get(name, SavedMaps((), (), {}))
-        part = _compare_on_log(folder, name, config, device, progress, saved)
-        rows += part.rows
-        notes |= part.notes
-        references |= part.references
-        choices |= part.choices
-        took_part |= part.others
-    return RealLogTable(TITLE, tuple(rows), notes, references, choices, took_part)
+    given = others or {}
+    records = [record for own in log_inputs(folder, names, given) for record in input_records(*own)]
+    facts = [setup.device.name, *(record["sha256"] for record in records)]
+
+    def work(name: str, _: RunConfig) -> RunResult:
+        return _compare_on_log(folder, name, setup, given.get(name, SavedMaps((), (), {})))
+
+    found = run_all({name: name for name in names}, work, setup, facts)
+    inputs = [*BUILT_IN, *(name for saved in given.values() for name in saved.names)]
+    return Experiment(
+        "real-logs",
+        TITLE,
+        [row for result in found for row in result.rows],
+        FIGURES,
+        inputs=list(dict.fromkeys(inputs)),
+        fusions=FUSIONS,
+        notes=[(name, own.notes) for name, own in zip(names, found, strict=True)],
+        remarks=[result.remark for result in found],
+    )
+
+
+def log_inputs(
+    folder: Path, names: Sequence[str], others: Mapping[str, SavedMaps]
+) -> list[tuple[str, str, Path]]:
+    """Return role, drive and path of the files of drives, and of other SLAMs' maps and paths."""
+    known = {name: others[name] for name in names if name in others}
+    saved = [item for name, own in known.items() for item in map_inputs("map", name, own.files)]
+    saved += [("path", name, path) for name, own in known.items() for path in own.paths.values()]
+    return saved + [
+        (role, name, folder / path)
+        for name in names
+        for role, path in (("log", REAL_LOGS[name].log), ("truth", REAL_LOGS[name].reference))
+    ]
 
 
 def other_slams(
@@ -384,12 +215,11 @@ def other_slams(
 def _compare_on_log(
     folder: Path,
     name: str,
-    config: RunConfig,
-    device: ComputeDevice,
-    progress: Progress | None,
+    setup: Setup,
     saved: SavedMaps,
-) -> RealLogTable:
+) -> RunResult:
     """Return the maps of one drive."""
+    config, device = setup.config, setup.device
     files = REAL_LOGS[name]
     scans = tuple(open_log(folder / files.log, config.log))
     trajectory = read_trajectory(folder / files.reference, config.log)
@@ -397,8 +227,8 @@ def _compare_on_log(
     others, their_paths = saved.load(config, None, _LOG.warning)
 
     def tell(producer: str, done: int, total: int) -> None:
-        if progress is not None:
-            progress(f"{name}, {producer}", done, total)
+        if setup.progress is not None:
+            setup.progress(f"{name}, {producer}", done, total)
 
     fed = dict.fromkeys(BUILT_IN, scans)
     made = produce_maps(fed, config, device, tell)
@@ -421,19 +251,28 @@ def _compare_on_log(
         errors[DRAWN] = errors[FUSED_PATH]
     drawn = draw_paths(scans, weighed, reference.resolution, device)
 
-    rows = []
+    rows: list[Row] = []
+    differences = {}
     maps = {**made.maps, **{grid.name: grid for grid in others}}
     for method, grid in {**maps, **fused, **drawn}.items():
         if grid is not None:
             found = against_truth(grid, reference, config, device)
-            doubled = _doubled(grid, config)
-            rows.append(RealLogRow(name, method, doubled, found, errors.get(method)))
-    rows.append(RealLogRow(name, REFERENCE, _doubled(reference, config), None))
-    why = {(name, what): text for what, text in notes.items()}
-    drawn_from = f"{count} of {len(scans)} scans at {files.source}"
-    choices = {name: weighed.choice} if weighed.choice else {}
-    took_part = {name: saved.names} if others else {}
-    return RealLogTable(TITLE, tuple(rows), why, {name: drawn_from}, choices, took_part)
+            there = found.map_to_truth
+            figures = {
+                **map_figures(found),
+                "map_to_truth_p95_m": None if there is None else there.p95_m,
+                "doubled_wall_share": _doubled(grid, config),
+                "ate_rmse_m": errors.get(method),
+            }
+            rows += result_rows(name, "", method, figures)
+            differences[method] = found.difference
+    doubled = _doubled(reference, config)
+    rows += result_rows(name, "", REFERENCE, {"doubled_wall_share": doubled})
+    remark = f"the reference map is drawn by {count} of {len(scans)} scans at {files.source}"
+    if weighed.choice:
+        remark += f"; the scans support the path of {weighed.choice} best"
+    example = Example(differences, found.resolution).packed()
+    return RunResult(rows, notes, example, f"{name}: {remark}.")
 
 
 def _at_scans(

@@ -1,65 +1,51 @@
 """Trials: one drive, three producers, their fusions, and the [F16] error of every map.
 
-Trials do not depend on each other: many run at once, each in a process of its own, and each one
-that is done is a small JSON file. What is there already is not run again.
+Trials do not depend on each other: many run at once, each in a process of its own.
 """
 
 from __future__ import annotations
 
-import hashlib
-import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
-from functools import cache
-from pathlib import Path
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-import slamfusion
 from slamfusion.compute import ComputeDevice
-from slamfusion.compute.program import kernel_folder
-from slamfusion.config import RunConfig, to_mapping
+from slamfusion.config import FailuresConfig, GroundObstacleConfig, RunConfig
 from slamfusion.cores import usable_cores
-from slamfusion.errors import FleetError, SlamFusionError
-from slamfusion.evaluation import MapError
+from slamfusion.errors import SlamFusionError
+from slamfusion.evaluation import Row, result_rows
 from slamfusion.experiments.drive_paths import (
+    CHOICE,
+    FUSED_PATH,
+    HINDSIGHT,
     WeighedPaths,
     draw_paths,
+    drawn_at,
     drive_layers,
     judge_scans,
     path_errors,
     weigh_paths,
 )
-from slamfusion.experiments.examples import FOLDER, Example
+from slamfusion.experiments.examples import Example
 from slamfusion.experiments.faults import FAULTS
-from slamfusion.experiments.records import TrialJson
+from slamfusion.experiments.page import Experiment, percent
+from slamfusion.experiments.runs import RunResult, Setup, run_all
 from slamfusion.experiments.voting import FUSIONS, PATIENCE_S, against_truth, vote_every_way
-from slamfusion.fleet import Scheduler, open_scheduler
 from slamfusion.fleet.worker import worker_device
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan
-from slamfusion.io.atomic import AtomicFiles
+from slamfusion.jobs.defaults import RUN_VOTE
 from slamfusion.jobs.fuse_drive import produce_maps
-from slamfusion.sim.courses import Course, course_to_mapping
+from slamfusion.jobs.outputs import DRAWN
+from slamfusion.sim.courses import Course
 from slamfusion.sim.simulate import Recording, simulate
 from slamfusion.slam.registry import BUILT_IN
 from slamfusion.trajectory import Trajectory
 
-__all__ = [
-    "Trial",
-    "TrialRecord",
-    "alone",
-    "measure_trial",
-    "run_trials",
-]
-
-# Of the files: others are not believed.
-FORMAT = 4
 # Faces this near to true ones are right, metres.
 FACES_M = 0.1
-# What of the package has no say in a trial: its faces.
-FACES = {"cli", "page", "report", "ros", "viewer"}
 
 
 @dataclass(frozen=True)
@@ -67,13 +53,13 @@ class Trial:
     """One repetition.
 
     Attributes:
-        condition: what the table compares under: a course, or a course with an obstacle.
+        condition: the case of its rows: a course, or a course with an obstacle.
         course: with its own seed for everything that chance decides on the drive.
         world: seed of the place.
         seed: of the drive and of the producers.
         fault: of ``FAULTS``, done to the scans; empty: none.
         harmed: the producer that the fault befalls; empty: all of them.
-        is_example: keep its maps' differences to the truth, to be drawn.
+        is_example: keep its maps' differences to the truth, to be shown.
         draws: also draw maps from the scans: at each producer's path, and at the fused one.
     """
 
@@ -89,77 +75,106 @@ class Trial:
     @property
     def key(self) -> str:
         """Name of its files: condition, world and seed."""
-        return f"{self.condition.replace(' ', '-')}-w{self.world}-s{self.seed}"
+        return f"{self.condition.replace(' ', '-')}-{self.repetition}"
 
-
-@dataclass(frozen=True)
-class TrialRecord:
-    """What came of one repetition.
-
-    Attributes:
-        condition, world, seed: of the trial.
-        errors: [F16] error of each producer's map and each fused map, by method.
-        wall_f1: harmonic mean of the walls' precision and recall, by method; 0 without a map.
-        notes: what went wrong, by method: no map, a producer left out.
-        faces_f1: F1 of the walls' faces within ``FACES_M`` of the true ones, by method; 0 without
-            a map.
-        ate_m: absolute error of the path of each producer that has one, and of the fused path, by
-            name; metres.
-        choice: the producer whose path is taken, see ``choose_path``; empty where the scans
-            cannot tell.
-    """
-
-    condition: str
-    world: int
-    seed: int
-    errors: Mapping[str, float]
-    wall_f1: Mapping[str, float]
-    notes: Mapping[str, str]
-    faces_f1: Mapping[str, float] = field(default_factory=dict)
-    ate_m: Mapping[str, float] = field(default_factory=dict)
-    choice: str = ""
-
-    def to_json(self) -> TrialJson:
-        """Return the record for a JSON document."""
-        return {
-            "condition": self.condition,
-            "world": self.world,
-            "seed": self.seed,
-            "errors": dict(self.errors),
-            "wall_f1": dict(self.wall_f1),
-            "notes": dict(self.notes),
-            "faces_f1": dict(self.faces_f1),
-            "ate_m": dict(self.ate_m),
-            "choice": self.choice,
-        }
+    @property
+    def repetition(self) -> str:
+        """The seed of its rows: world and seed."""
+        return f"w{self.world}-s{self.seed}"
 
 
 def alone(fusion: str) -> str:
-    """Return what a way to vote is called where the harmed producer is left out beforehand."""
+    """Return the name of a vote from which the harmed producer is left out beforehand."""
     return f"{fusion}, others alone"
 
 
-# --- one trial -----------------------------------------------------------------------------------
+def run_trials(
+    name: str,
+    title: str,
+    trials: Sequence[Trial],
+    settings: GroundObstacleConfig | FailuresConfig,
+    setup: Setup,
+) -> Experiment:
+    """Run trials, several at the same time, and return the experiment.
+
+    Args:
+        name, title: see ``Experiment``.
+        trials: their keys differ.
+        settings: trials at the same time, and whether maps are drawn.
+        setup: where and how.
+
+    Raises:
+        SlamFusionError: a course that cannot be driven, or a process that died.
+    """
+    setup = replace(setup, processes=settings.processes or usable_cores())
+    found = run_all({trial.key: trial for trial in trials}, _work, setup)
+    results = [(trial.condition, own) for trial, own in zip(trials, found, strict=True)]
+    return fusion_experiment(name, title, results, draws=settings.draw)
 
 
-def measure_trial(
-    trial: Trial, config: RunConfig, device: ComputeDevice
-) -> tuple[TrialRecord, dict[str, MapError]]:
+def fusion_experiment(
+    name: str, title: str, results: Sequence[tuple[str, RunResult]], *, draws: bool = False
+) -> Experiment:
+    """Return the experiment on fusion of trials.
+
+    Every two of the producers and fusions are compared by their [F16] errors; the fused path with
+    the producers' paths; the faces of the drawn map, or else of the vote of ``run``, with those of
+    the producers' maps.
+
+    Args:
+        name, title: see ``Experiment``.
+        results: condition and result of each trial.
+        draws: whether maps were drawn.
+    """
+    best = [CHOICE, HINDSIGHT]
+    drawn = [*map(drawn_at, (*BUILT_IN, HINDSIGHT))]
+    ours, others = (DRAWN, [RUN_VOTE, *drawn]) if draws else (RUN_VOTE, [])
+    experiment = Experiment(
+        name,
+        title,
+        [row for _, result in results for row in result.rows],
+        ("error", "ate_rmse_m", "faces_f1"),
+        {
+            "error": list(itertools.combinations((*BUILT_IN, *FUSIONS), 2)),
+            "ate_rmse_m": [(FUSED_PATH, other) for other in (*BUILT_IN, *best)],
+            "faces_f1": [(ours, other) for other in (*BUILT_IN, *best, *others)],
+        },
+        inputs=BUILT_IN,
+        fusions=FUSIONS,
+        notes=[(condition, result.notes) for condition, result in results],
+    )
+    means = experiment.summaries["mean"].xs("error", level="figure")
+    remarks = [
+        f"{case}: {fusion} {percent(means[case, fusion] / means[case, alone(fusion)])} against "
+        "fusing the others alone."
+        for case in means.index.unique("case")
+        for fusion in FUSIONS
+        if (case, alone(fusion)) in means.index
+    ]
+    return replace(experiment, remarks=remarks)
+
+
+def _work(trial: Trial, config: RunConfig) -> RunResult:
+    """Run a trial in a worker."""
+    try:
+        return measure_trial(trial, config, worker_device(config.device.device))
+    except SlamFusionError as error:
+        message = f"{trial.key}: {error}"
+        raise SlamFusionError(message) from None
+
+
+def measure_trial(trial: Trial, config: RunConfig, device: ComputeDevice) -> RunResult:
     """Drive, run the producers, fuse their maps in every way, and measure all maps.
 
-    Each map is laid on the truth where its [F16] error is smallest: in the frame that drive and
+    Each map is placed on the truth where its [F16] error is smallest: in the frame that drive and
     truth share, or at the best or next best place that the alignment search finds, turned by a
-    quarter at most. Where no two maps agree, what counts is what ``run`` then names: the fallback
-    map alone. A producer without a map, and a fusion of none, has the error of a map that knows
-    nothing.
+    quarter at most. Where no two maps agree, the fallback map that ``run`` names counts alone. A
+    producer without a map, and a fusion of none, has the error of a map that knows nothing.
 
     Args:
         trial: what to drive.
         config: settings of producers and fusion; its seed gives way to the trial's.
         device: computes.
-
-    Returns:
-        The record, and each map's error with its difference to the truth.
 
     Raises:
         SimulationError: the course cannot be driven.
@@ -181,18 +196,38 @@ def measure_trial(
         name: against_truth(grid, truth, config, device, same_heading=True)
         for name, grid in {**made.maps, **fused}.items()
     }
-    record = TrialRecord(
-        trial.condition,
-        trial.world,
-        trial.seed,
-        {name: item.error for name, item in found.items()},
-        {name: item.wall_f1 or 0.0 for name, item in found.items()},
-        notes,
-        {name: item.faces.f1(FACES_M) or 0.0 for name, item in found.items()},
-        path_errors(weighed, _true_path(recording, seen)),
-        weighed.choice,
-    )
-    return record, found
+    ate_m = path_errors(weighed, _true_path(recording, seen))
+    faces = {name: item.faces.f1(FACES_M) or 0.0 for name, item in found.items()}
+    figures: dict[str, dict[str, float]] = {
+        name: {"error": item.error, "wall_f1": item.wall_f1 or 0.0, "faces_f1": faces[name]}
+        for name, item in found.items()
+    }
+    for name, error_m in {**ate_m, **_best(ate_m, weighed.choice, min)}.items():
+        figures.setdefault(name, {})["ate_rmse_m"] = error_m
+    for name, share in _best(faces, weighed.choice, max).items():
+        figures.setdefault(name, {})["faces_f1"] = share
+    rows: list[Row] = []
+    for name, own in figures.items():
+        rows += result_rows(trial.condition, trial.repetition, name, own)
+    example = None
+    if trial.is_example:
+        differences = {name: item.difference for name, item in found.items()}
+        example = Example(differences, trial.course.world.resolution).packed()
+    return RunResult(rows, notes, example)
+
+
+def _best(
+    known: Mapping[str, float], choice: str, best: Callable[[Sequence[float]], float]
+) -> dict[str, float]:
+    """Return the figure of the producer that the scans choose, and of the best in hindsight."""
+    found = {}
+    if choice in known:
+        found[CHOICE] = known[choice]
+    for name, names in ((HINDSIGHT, BUILT_IN), (drawn_at(HINDSIGHT), map(drawn_at, BUILT_IN))):
+        own = [known[method] for method in names if method in known]
+        if own:
+            found[name] = best(own)
+    return found
 
 
 def _true_path(recording: Recording, scans: Sequence[LogScan]) -> Trajectory:
@@ -227,143 +262,3 @@ def _fuse(
         fused |= {alone(mode): others[mode] for mode in FUSIONS}
         notes |= {f"{name}, others alone": reason for name, reason in own_notes.items()}
     return fused
-
-
-# --- many trials ---------------------------------------------------------------------------------
-
-
-def run_trials(
-    trials: Sequence[Trial],
-    config: RunConfig,
-    folder: Path,
-    *,
-    processes: int | None = None,
-    scheduler: Scheduler | None = None,
-    progress: Callable[[str, int, int], None] | None = None,
-) -> list[TrialRecord]:
-    """Run the trials that no file of an earlier run holds, several at a time.
-
-    Args:
-        trials: their keys differ.
-        config: settings of everything; a file that was made with others is not believed.
-        folder: each trial that is done is at once a JSON file in its folder ``trials``.
-        processes: trials at the same time; None: as many as cores.
-        scheduler: runs them instead; it stays open.
-        progress: told the trials that are done.
-
-    Returns:
-        The records in the order of the trials: the same whether made now or before.
-
-    Raises:
-        SlamFusionError: a course that cannot be driven, or a process that died. What is done stays
-            done: started again, the rest is run.
-    """
-    folder = folder / FOLDER
-    marks = {trial.key: _fingerprint(trial, config) for trial in trials}
-    done = {
-        trial.key: record
-        for trial in trials
-        if (record := _read(folder, trial, marks[trial.key])) is not None
-    }
-    missing = [trial for trial in trials if trial.key not in done]
-
-    def tell() -> None:
-        if progress is not None:
-            progress("drives", len(done), len(trials))
-
-    tell()
-    with ExitStack() as ends:
-        if scheduler is None:
-            count = min(processes or usable_cores(), len(missing))
-            scheduler = ends.enter_context(open_scheduler(processes=count))
-        for trial, (record, pictures) in _run(missing, config, scheduler):
-            _write(folder, trial, marks[trial.key], record, pictures)
-            done[trial.key] = record
-            tell()
-    return [done[trial.key] for trial in trials]
-
-
-Done = tuple[TrialRecord, bytes | None]
-
-
-def _run(
-    trials: Sequence[Trial], config: RunConfig, scheduler: Scheduler
-) -> Iterator[tuple[Trial, Done]]:
-    """Yield each trial with what came of it, in the order in which they end."""
-    try:
-        jobs = {scheduler.submit(_work, trial, config): trial for trial in trials}
-        for job in scheduler.completed(list(jobs)):
-            yield jobs[job], job.result()
-    except FleetError as error:
-        message = f"{error}; what is done stays done: start the experiment again, it goes on"
-        raise SlamFusionError(message) from None
-
-
-def _work(trial: Trial, config: RunConfig) -> Done:
-    """Run a trial."""
-    return _done(trial, config, worker_device(config.device.device))
-
-
-def _done(trial: Trial, config: RunConfig, device: ComputeDevice) -> Done:
-    """Run a trial, and pack what an example shows."""
-    try:
-        record, found = measure_trial(trial, config, device)
-    except SlamFusionError as error:
-        message = f"{trial.key}: {error}"
-        raise SlamFusionError(message) from None
-    if not trial.is_example:
-        return record, None
-    differences = {name: item.difference for name, item in found.items()}
-    return record, Example(differences, trial.course.world.resolution).packed()
-
-
-# --- files ---------------------------------------------------------------------------------------
-
-
-@cache
-def _program() -> str:
-    """Return a hash of the sources that a trial runs: of the package and of its kernels."""
-    package = Path(slamfusion.__file__).parent
-    sources = [
-        path for path in package.rglob("*.py") if path.relative_to(package).parts[0] not in FACES
-    ]
-    digest = hashlib.sha256()
-    for path in (*sorted(sources), *sorted(kernel_folder().glob("*.[ch]*"))):
-        digest.update(f"{path.name}\n".encode() + path.read_bytes())
-    return digest.hexdigest()
-
-
-def _fingerprint(trial: Trial, config: RunConfig) -> str:
-    """Return what tells trials apart that have one name but other settings or another program."""
-    settings = to_mapping(replace(config, seed=trial.seed))
-    for unrelated in ("experiment", "live", "log", "graph_optimizer", "simulate"):
-        del settings[unrelated]
-    course = course_to_mapping(trial.course)
-    versions = [FORMAT, slamfusion.__version__, _program(), FUSIONS]
-    kind = [trial.fault, trial.harmed, trial.is_example, trial.draws]
-    facts = [course, *kind, settings, versions]
-    return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:16]
-
-
-def _read(folder: Path, trial: Trial, mark: str) -> TrialRecord | None:
-    """Return what an earlier run left of a trial; None where it is missing, damaged or another."""
-    try:
-        values = json.loads((folder / f"{trial.key}.json").read_text(encoding="utf-8"))
-        if values.pop("fingerprint") != mark:
-            return None
-        if trial.is_example and not (folder / f"{trial.key}.npz").is_file():
-            return None
-        return TrialRecord(**values)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        return None
-
-
-def _write(
-    folder: Path, trial: Trial, mark: str, record: TrialRecord, pictures: bytes | None
-) -> None:
-    """Write what came of a trial, whole or not at all; the same trial gives the same bytes."""
-    text = json.dumps({"fingerprint": mark, **record.to_json()}, indent=1, allow_nan=False)
-    with AtomicFiles() as files:
-        files.add(folder / f"{trial.key}.json", f"{text}\n".encode())
-        if pictures is not None:
-            files.add(folder / f"{trial.key}.npz", pictures)

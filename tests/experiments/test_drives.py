@@ -11,12 +11,21 @@ import pytest
 from slamfusion.compute import NumpyDevice
 from slamfusion.config import RunConfig, TrajectoryConfig
 from slamfusion.errors import LogError
-from slamfusion.evaluation import read_relations, relation_errors
-from slamfusion.experiments import DriveFiles, read_drive, simulated_office
-from slamfusion.experiments.drives import ATE, RELATIONS, TIME, run_errors
+from slamfusion.evaluation import Row, read_relations, relation_errors
+from slamfusion.experiments.drives import (
+    ATE,
+    RELATIONS,
+    TIME,
+    DriveFiles,
+    DriveRun,
+    read_drive,
+    run_on_drives,
+    simulated_office,
+)
+from slamfusion.experiments.runs import Setup
 from slamfusion.io import read_trajectory, write_carmen, write_tum
 from slamfusion.trajectory import Trajectory
-from tests.experiments.drives import room
+from tests.experiments.drives import room, room_files
 from tests.support.datasets import ABSENT, DATASETS
 from tests.support.producers import DeadReckoning
 
@@ -58,11 +67,36 @@ def test_odometry_carries_poses_to_relations_between_the_scans() -> None:
     assert every_third.errors(estimate, CONFIG)[RELATIONS] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_a_run_is_measured_and_timed() -> None:
-    errors = run_errors(room(), DeadReckoning(), CONFIG)
-    assert errors[RELATIONS] == pytest.approx(0.0, abs=1e-9)
-    assert errors[ATE] == pytest.approx(0.0, abs=1e-9)
-    assert errors[TIME] > 0.0
+def test_runs_on_drives_are_measured_timed_and_kept(tmp_path: Path) -> None:
+    files = room_files(tmp_path)
+    made: list[DriveRun] = []
+
+    def make(run: DriveRun) -> DeadReckoning:
+        made.append(run)
+        return DeadReckoning()
+
+    def plan(drive: str) -> list[DriveRun]:
+        return [DriveRun(drive, "dead reckoning", drive, seed) for seed in (1, 2)]
+
+    def found() -> list[Row]:
+        setup = Setup(RunConfig(), NumpyDevice(), tmp_path / "out")
+        return run_on_drives(plan, make, [files, files], [], setup)
+
+    rows = found()
+    # A drive that is given twice has two names.
+    assert list(dict.fromkeys(row[:2] for row in rows)) == [
+        ("room", "1"), ("room", "2"), ("room#2", "1"), ("room#2", "2")
+    ]  # fmt: skip
+    by_figure = {row[3]: row[4] for row in rows}
+    assert by_figure[RELATIONS] > 0.0
+    assert by_figure[ATE] > 0.0
+    assert by_figure[TIME] > 0.0
+    assert [row[:5] for row in found()] == [row[:5] for row in rows]
+    assert len(made) == 4
+    # Another log of that name is another drive.
+    files.log.write_bytes(files.log.read_bytes() + b"# again\n")
+    found()
+    assert len(made) == 8
 
 
 def test_a_drive_is_read_from_its_files(tmp_path: Path) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from pathlib import Path
 
 import numpy as np
@@ -12,15 +10,20 @@ import pytest
 from slamfusion.compute import NumpyDevice, open_device
 from slamfusion.config import RunConfig
 from slamfusion.errors import ConfigError, SlamFusionError
-from slamfusion.evaluation import compare_to_truth
 from slamfusion.evidence.drawn_map import draw_map, drawn_scans
-from slamfusion.experiments import REAL_LOGS, RealLogTable, compare_on_logs, other_slams
 from slamfusion.experiments.drive_paths import FUSED_PATH, drawn_at
-from slamfusion.experiments.real_logs import REFERENCE, RealLog, RealLogRow, reference_map
+from slamfusion.experiments.real_logs import (
+    REAL_LOGS,
+    REFERENCE,
+    RealLog,
+    compare_on_logs,
+    other_slams,
+    reference_map,
+)
+from slamfusion.experiments.runs import Setup
 from slamfusion.experiments.voting import FUSIONS
 from slamfusion.fusion.path_check import moved_path
 from slamfusion.geometry import Pose2
-from slamfusion.grid import OccupancyGrid
 from slamfusion.io import save_map, write_carmen, write_tum
 from slamfusion.jobs.cases import CaseFile
 from slamfusion.jobs.saved_maps import SavedMaps
@@ -62,53 +65,6 @@ def test_a_reference_of_another_time_is_refused() -> None:
     later = Trajectory(truth().stamps_s + 100.0, truth().poses)
     with pytest.raises(SlamFusionError, match="no scan of the log has a pose"):
         reference_map(room().scans, later, CONFIG, NumpyDevice())
-
-
-def drawn(name: str, shift: int) -> OccupancyGrid:
-    """A free field with a wall, shifted to the right."""
-    cells = np.zeros((20, 20), dtype=np.int8)
-    cells[:, 10 + shift] = 100
-    return OccupancyGrid(cells, 0.1, name=name)
-
-
-def table() -> RealLogTable:
-    """Walls that are off by 0 to 6 cells; the consensus is the best, majority the worst."""
-    reference = drawn(REFERENCE, 0)
-    shifts = dict(zip((*BUILT_IN, *FUSIONS), (2, 3, 2, 0, 6), strict=True))
-    rows = []
-    for method, shift in shifts.items():
-        settings = {"normalize": CONFIG.fusion.normalize, "tolerance_m": 0.1}
-        error = compare_to_truth(drawn(method, shift), reference, **settings)
-        path_error_m = {"tinyslam": 0.07}.get(method)
-        rows.append(RealLogRow("hall", method, 0.25, error, path_error_m))
-    rows.append(RealLogRow("hall", REFERENCE, 0.125, None))
-    notes, references = {("hall", "majority"): "bent"}, {"hall": "9 scans"}
-    return RealLogTable("t", tuple(rows), notes, references, {"hall": "graph"})
-
-
-def test_numbers_by_hand() -> None:
-    made = table()
-    first = made.rows[0].numbers()
-    assert first["error"] == pytest.approx(np.sqrt(2 * 20))
-    assert first["wall_distance_mean_m"] == pytest.approx(0.2)
-    assert first["doubled_wall_share"] == 0.25
-    assert made.ratios("hall") == {"consensus": 0.0, "majority": 1.0}
-    assert made.overall()["consensus"] == {"ratio": 0.0, "worst": 0.0}
-    assert "hall: consensus -100.0 % against tinyslam, the best input." in made.sentences()
-    assert "hall: the scans bear out the path of graph best." in made.sentences()
-
-
-def test_tables_hold_every_map() -> None:
-    sheet, left = table().sheets(details=False)
-    assert [row[0] for row in sheet.rows] == [*BUILT_IN, *FUSIONS, REFERENCE]
-    assert sheet.rows[-1][1:] == ("-", "-", "-", "-", "-", "-", "12.5%", "-")
-    assert sheet.rows[0][-1] == "0.070"
-    assert "9 scans" in sheet.note
-    assert left.rows == (("hall", "majority", "bent"),)
-    rows = list(csv.DictReader(io.StringIO(table().to_csv())))
-    assert [row["map"] for row in rows] == [*BUILT_IN, *FUSIONS, REFERENCE]
-    assert rows[-1]["error"] == ""
-    assert len(table().to_json()["maps"]) == 6
 
 
 def test_maps_of_other_slams_are_told_by_their_names() -> None:
@@ -158,23 +114,22 @@ def test_another_slam_takes_part_with_its_path(
     monkeypatch.setitem(REAL_LOGS, "flat", RealLog("flat.log", "flat.tum", "the truth"))
     maps, paths = ([CaseFile(tmp_path / f"karto_flat.{form}")] for form in ("yaml", "tum"))
     others = other_slams(["flat"], maps, paths)
-    found = compare_on_logs(tmp_path, ["flat"], CONFIG, device, None, others)
-    rows = {row.method: row for row in found.rows}
-    assert {*BUILT_IN, *FUSIONS, "karto", "karto, drawn", REFERENCE} <= rows.keys()
-    assert rows["karto"].path_error_m == pytest.approx(0.0, abs=1e-6)
-    assert rows["karto"].error is not None
-    assert rows["karto"].error.wall_recall == pytest.approx(1.0, abs=0.1)
-    assert found.others == {"flat": ("karto",)}
-    assert "majority without karto" not in {what for _, what in found.notes}
-    assert "karto" in {item.method for item in found.items()}
+    found = compare_on_logs(tmp_path, ["flat"], Setup(CONFIG, device, tmp_path / "out"), others)
+    means = found.summaries["mean"].loc["flat"]
+    methods = set(found.table["method"])
+    assert {*BUILT_IN, *FUSIONS, "karto", "karto, drawn", REFERENCE} <= methods
+    assert means["ate_rmse_m", "karto"] == pytest.approx(0.0, abs=1e-6)
+    assert means["wall_recall", "karto"] == pytest.approx(1.0, abs=0.1)
+    assert "karto" in found.inputs
+    assert "majority without karto" not in found.notes[0][1]
 
 
 @pytest.mark.full
 @pytest.mark.datasets
 @pytest.mark.skipif(not (DATASETS / REAL_LOGS["intel"].log).exists(), reason=ABSENT)
-def test_on_intel_the_fused_map_is_near_the_best_and_doubles_fewer_walls() -> None:
-    found = compare_on_logs(DATASETS, ["intel"], CONFIG, open_device("auto"))
-    assert found.notes == {}
-    assert found.ratios("intel")["majority"] < 1.15
-    doubled = {row.method: row.doubled_share for row in found.rows}
+def test_on_intel_the_fused_map_is_near_the_best_and_doubles_fewer_walls(tmp_path: Path) -> None:
+    found = compare_on_logs(DATASETS, ["intel"], Setup(CONFIG, open_device("auto"), tmp_path))
+    assert found.notes == [("intel", {})]
+    assert found.overall()["majority"]["ratio"] < 1.15
+    doubled = found.summaries["mean"].loc["intel", "doubled_wall_share"]
     assert doubled["consensus"] < min(doubled[name] for name in BUILT_IN)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,13 +17,14 @@ from slamfusion.config import (
     RunConfig,
     from_mapping,
 )
-from slamfusion.errors import ConfigError, FleetError, SlamFusionError
-from slamfusion.experiments import failure_trials, obstacle_trials, read_example
-from slamfusion.experiments import trials as module
-from slamfusion.experiments.drive_paths import DRAWN, FUSED_PATH, drawn_at
-from slamfusion.experiments.failures import FAILURES
+from slamfusion.errors import ConfigError, SlamFusionError
+from slamfusion.experiments.drive_paths import CHOICE, DRAWN, FUSED_PATH, HINDSIGHT, drawn_at
+from slamfusion.experiments.examples import read_example
+from slamfusion.experiments.failures import FAILURES, failure_trials
 from slamfusion.experiments.faults import FAULTS
-from slamfusion.experiments.trials import Trial, TrialRecord, alone, run_trials
+from slamfusion.experiments.ground_obstacle import obstacle_trials
+from slamfusion.experiments.runs import RunResult, Setup
+from slamfusion.experiments.trials import Trial, alone, measure_trial, run_trials
 from slamfusion.experiments.voting import FUSIONS, against_truth, vote_every_way
 from slamfusion.fleet import open_scheduler
 from slamfusion.grid import OccupancyGrid
@@ -50,6 +50,10 @@ def small(config: RunConfig = RunConfig()) -> RunConfig:  # noqa: B008 - frozen
     )
 
 
+def setup(folder: Path) -> Setup:
+    return Setup(small(), open_device(), folder)
+
+
 def short(trial: Trial) -> Trial:
     """The same trial with a turn of 90 degrees and a metre of way."""
     turn, forward, _ = trial.course.script
@@ -58,158 +62,92 @@ def short(trial: Trial) -> Trial:
 
 
 @pytest.fixture(scope="module")
-def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Trial], list[TrialRecord]]:
+def done() -> tuple[list[Trial], list[RunResult]]:
     """Both conditions, run once; in the second one gmapping is lost."""
-    folder = tmp_path_factory.mktemp("trials")
     trials = [short(trial) for trial in obstacle_trials(small())]
     trials[0] = replace(trials[0], draws=True)
     trials[1] = replace(trials[1], fault="lose", harmed="gmapping")
-    return folder, trials, run_trials(trials, small(), folder, processes=1)
+    return trials, [measure_trial(trial, small(), open_device()) for trial in trials]
 
 
-def files(folder: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in (folder / "trials").iterdir()}
+def figures(result: RunResult, figure: str) -> dict[str, float]:
+    """Return a figure by method."""
+    return {row[2]: row[4] for row in result.rows if row[3] == figure}
 
 
-def test_every_method_has_an_error(
-    done: tuple[Path, list[Trial], list[TrialRecord]],
-) -> None:
-    _, _, (plain, harmed) = done
+def test_every_method_has_an_error(done: tuple[list[Trial], list[RunResult]]) -> None:
+    trials, (plain, harmed) = done
     drawn = [*map(drawn_at, BUILT_IN), DRAWN]
-    assert list(plain.errors) == [*BUILT_IN, *FUSIONS, *drawn]
-    assert list(harmed.errors) == [*BUILT_IN, *FUSIONS, *map(alone, FUSIONS)]
-    assert all(0.0 < error < 200.0 for item in (plain, harmed) for error in item.errors.values())
-    assert (plain.condition, harmed.condition) == ("no obstacle", "obstacle")
-    assert min(plain.wall_f1.values()) > 0.1
-    for item in (plain, harmed):
-        assert list(item.faces_f1) == list(item.errors)
-        assert list(item.ate_m) == [*BUILT_IN, FUSED_PATH]
-        assert item.choice in BUILT_IN
+    assert list(figures(plain, "error")) == [*BUILT_IN, *FUSIONS, *drawn]
+    assert list(figures(harmed, "error")) == [*BUILT_IN, *FUSIONS, *map(alone, FUSIONS)]
+    for trial, own in zip(trials, (plain, harmed), strict=True):
+        assert all(0.0 < error < 200.0 for error in figures(own, "error").values())
+        assert {row[:2] for row in own.rows} == {(trial.condition, "w1-s0")}
+        faces, ate_m = figures(own, "faces_f1"), figures(own, "ate_rmse_m")
+        assert figures(own, "error").keys() <= faces.keys()
+        assert {*BUILT_IN, FUSED_PATH, CHOICE} < ate_m.keys()
+        assert ate_m[HINDSIGHT] == min(ate_m[name] for name in BUILT_IN)
+        assert faces[HINDSIGHT] == max(faces[name] for name in BUILT_IN)
+    assert min(figures(plain, "wall_f1").values()) > 0.1
     # Nobody was lost: every path is right within a cell or two, and the fused one no worse.
-    assert plain.ate_m[FUSED_PATH] < 1.5 * max(plain.ate_m[name] for name in BUILT_IN) < 0.3
-    assert harmed.choice != "gmapping"
+    ate_m = figures(plain, "ate_rmse_m")
+    assert ate_m[FUSED_PATH] < 1.5 * max(ate_m[name] for name in BUILT_IN) < 0.3
+    ate_m = figures(harmed, "ate_rmse_m")
+    assert ate_m[CHOICE] < ate_m["gmapping"]
 
 
-def test_the_same_seeds_give_the_same_bytes_in_other_processes(
-    done: tuple[Path, list[Trial], list[TrialRecord]], tmp_path: Path
+def test_a_trial_is_the_same_in_another_process_and_keeps_its_maps(
+    done: tuple[list[Trial], list[RunResult]], tmp_path: Path
 ) -> None:
-    folder, trials, records = done
-    told: list[tuple[int, int]] = []
-    again = run_trials(
-        trials, small(), tmp_path, processes=2, progress=lambda _, n, of: told.append((n, of))
-    )
-    assert again == records
-    assert files(tmp_path) == files(folder)
-    assert told == [(0, 2), (1, 2), (2, 2)]
-
-
-@pytest.mark.full
-def test_the_workers_of_a_cluster_give_the_same_bytes_too(
-    done: tuple[Path, list[Trial], list[TrialRecord]], tmp_path: Path
-) -> None:
-    pytest.importorskip("distributed", reason="Dask comes with the fleet extra")
-    folder, trials, records = done
-    with open_scheduler("local:2") as scheduler:
-        assert run_trials(trials, small(), tmp_path, scheduler=scheduler) == records
-    assert files(tmp_path) == files(folder)
-
-
-def test_what_is_done_is_not_run_again_and_the_rest_is(
-    done: tuple[Path, list[Trial], list[TrialRecord]],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    folder, trials, records = done
-    (tmp_path / "trials").mkdir()
-    for name, data in files(folder).items():
-        (tmp_path / "trials" / name).write_bytes(data)
-    ran: list[str] = []
-
-    def work(trial: Trial, _: RunConfig) -> tuple[TrialRecord, bytes | None]:
-        ran.append(trial.key)
-        return records[trials.index(trial)], files(folder)[f"{trial.key}.npz"]
-
-    monkeypatch.setattr(module, "_work", work)
-    assert run_trials(trials, small(), tmp_path, processes=1) == records
-    assert ran == []
-    # A missing file, a damaged one, a lost picture: only that trial is run.
-    for path in ("json", "npz"):
-        (tmp_path / "trials" / f"{trials[0].key}.{path}").unlink()
-        run_trials(trials, small(), tmp_path, processes=1)
-        assert ran == [trials[0].key]
-        ran.clear()
-    (tmp_path / "trials" / f"{trials[1].key}.json").write_text('{"half', encoding="utf-8")
-    assert run_trials(trials, small(), tmp_path, processes=1) == records
-    assert ran == [trials[1].key]
-
-
-def test_other_settings_are_run_anew(
-    done: tuple[Path, list[Trial], list[TrialRecord]], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    folder, trials, _ = done
-
-    class RanError(Exception):
-        pass
-
-    def work(*_: object) -> None:
-        raise RanError
-
-    monkeypatch.setattr(module, "_work", work)
-    config = small()
-    other = with_settings(config, "gmapping", particles=PARTICLES + 1)
-    with pytest.raises(RanError):
-        run_trials(trials, other, folder, processes=1)
-    # Nor is what another program made believed.
-    with monkeypatch.context() as patch:
-        patch.setattr(module, "_program", lambda: "another")
-        with pytest.raises(RanError):
-            run_trials(trials, config, folder, processes=1)
-    # How many repetitions there are in all does not matter to one of them.
-    run_trials(trials, replace(config, experiment=ExperimentConfig()), folder, processes=1)
-
-
-def test_an_example_keeps_its_maps(done: tuple[Path, list[Trial], list[TrialRecord]]) -> None:
-    folder, trials, records = done
-    example = read_example(folder, trials[0].key)
-    assert list(example.differences) == list(records[0].errors)
+    trials, (plain, _) = done
+    settings = GroundObstacleConfig(processes=2, draw=True)
+    found = run_trials("t", "t", trials[:1], settings, setup(tmp_path))
+    assert [row[:5] for row in found.rows] == [row[:5] for row in plain.rows]
+    example = read_example(tmp_path, trials[0].key)
+    errors = figures(plain, "error")
+    assert list(example.differences) == list(errors)
     assert example.resolution == trials[0].course.world.resolution
     squares = np.array([0, 0, 0, 1, 1, 1, 1])  # at least, for each code of a difference
     for method, codes in example.differences.items():
-        assert math.sqrt(squares[codes].sum()) <= records[0].errors[method]
+        assert math.sqrt(squares[codes].sum()) <= errors[method]
+
+
+@pytest.mark.full
+def test_the_workers_of_a_cluster_give_the_same_results_too(
+    done: tuple[list[Trial], list[RunResult]], tmp_path: Path
+) -> None:
+    pytest.importorskip("distributed", reason="Dask comes with the fleet extra")
+    trials, results = done
+    with open_scheduler("local:2") as scheduler:
+        settings = GroundObstacleConfig()
+        where = replace(setup(tmp_path), scheduler=scheduler)
+        found = run_trials("t", "t", trials, settings, where)
+    assert [row[:5] for row in found.rows] == [row[:5] for own in results for row in own.rows]
 
 
 def test_a_trial_that_fails_is_named(tmp_path: Path) -> None:
     trial = obstacle_trials(small())[0]
     turn, forward, _ = trial.course.script
     course = replace(trial.course, script=(replace(forward, forward_m=100.0), turn))
+    settings = GroundObstacleConfig(processes=1)
     with pytest.raises(SlamFusionError, match="no-obstacle-w1-s0: "):
-        run_trials([replace(trial, course=course)], small(), tmp_path, processes=1)
-
-
-def test_where_processes_died_the_way_to_go_on_is_told(tmp_path: Path) -> None:
-    (trial, *_) = failure_trials(small())
-    with open_scheduler(processes=2) as pool:
-        with pytest.raises(FleetError, match="a process died"):
-            pool.submit(os._exit, 1).result()
-        with pytest.raises(SlamFusionError, match=r"a process died .* stays done: start .* again"):
-            run_trials([trial], small(), tmp_path, scheduler=pool)
+        run_trials("t", "t", [replace(trial, course=course)], settings, setup(tmp_path))
 
 
 def test_where_fewer_than_two_maps_are_made_the_one_counts_alone(
-    done: tuple[Path, list[Trial], list[TrialRecord]], tmp_path: Path
+    done: tuple[list[Trial], list[RunResult]],
 ) -> None:
-    _, trials, _ = done
-    config = small()
-    blind = with_settings(config, "gmapping", maxUrange=0.1)
+    blind = with_settings(small(), "gmapping", maxUrange=0.1)
     blind = with_settings(blind, "tinyslam", usable_range_m=0.1)
-    (record,) = run_trials(trials[:1], blind, tmp_path, processes=1)
-    assert set(record.notes) == {"tinyslam", "gmapping", "majority"}
-    assert record.notes["majority"] == "graph alone: it made the only map"
-    assert {record.errors[name] for name in FUSIONS} == {record.errors["graph"]}
+    result = measure_trial(done[0][0], blind, open_device())
+    assert set(result.notes) == {"tinyslam", "gmapping", "majority"}
+    assert result.notes["majority"] == "graph alone: it made the only map"
+    errors = figures(result, "error")
+    assert {errors[name] for name in FUSIONS} == {errors["graph"]}
     # The others count as a map that knows nothing, which is worse.
-    (nothing,) = {record.errors[name] for name in ("tinyslam", "gmapping")}
-    assert nothing > record.errors["graph"]
-    assert record.wall_f1["tinyslam"] == 0.0
+    (nothing,) = {errors[name] for name in ("tinyslam", "gmapping")}
+    assert nothing > errors["graph"]
+    assert figures(result, "wall_f1")["tinyslam"] == 0.0
 
 
 def test_where_no_two_maps_agree_the_fallback_map_counts_alone() -> None:
