@@ -1,7 +1,7 @@
 """The pages' tables of ``slamfusion experiment`` and ``run``, from their documents.
 
-A document is what the command prints with ``--json``, or the file of the experiment's name in its
-folder. Each table is its columns and its rows, all texts.
+A document is what the command prints with ``--json``. Each table is its columns and its rows, all
+texts.
 """
 
 from __future__ import annotations
@@ -11,10 +11,11 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from slamfusion.experiments.drive_paths import DRAWN
 from slamfusion.experiments.drives import ATE, RELATIONS
 from slamfusion.experiments.real_logs import REFERENCE
 from slamfusion.jobs.documents import p_text
+from slamfusion.jobs.outputs import DRAWN
+from slamfusion.slam.registry import BUILT_IN
 
 __all__ = [
     "TableText",
@@ -42,48 +43,46 @@ MAP_FIGURES: tuple[tuple[str, str, float, int, Callable[..., float]], ...] = (
 def ground_obstacle(documents: Sequence[Document]) -> TableText:
     """Return mean ± deviation of each method; below, each vote against the best input."""
     document = _only(documents)
-    summaries = _by(document["summaries"], "condition")
-    against = _by(document["against_best_input"], "condition")
-    methods = [item["method"] for item in next(iter(summaries.values()))]
+    votes = list(document["overall"])
+    methods = [*BUILT_IN, *votes]
+    errors = _means(document, "error")
     rows: list[tuple[str, ...]] = []
-    for condition, items in summaries.items():
-        own = {item["method"]: item for item in items}
-        least = min(item["mean"] for item in items)
-        rows.append(
-            (condition, *(_bold(_spread(own[m], 1), own[m]["mean"] == least) for m in methods))
-        )
-        votes = {item["fusion"]: item for item in against[condition]}
-        best = _shown(against[condition][0]["best_input"])
-        cells = [_interval(votes[name]) if name in votes else "" for name in methods]
+    for case, own in errors.items():
+        least = min(own[name]["mean"] for name in methods)
+        cells = [_bold(_spread(own[m], 1), own[m]["mean"] == least) for m in methods]
+        rows.append((case, *cells))
+        against = {
+            item["fusion"]: item for item in document["against_best_input"] if item["case"] == case
+        }
+        best = _shown(against[votes[0]]["best_input"])
+        cells = [_interval(against[name]) if name in against else "" for name in methods]
         rows.append((f"against {best}, 95 %", *cells))
     return ("", *map(_shown, methods)), tuple(rows)
 
 
 def paths_and_faces(documents: Sequence[Document]) -> TableText:
-    """Return the fused path and the drawn map of an experiment with ``--draw`` beside all others.
+    """Return the fused path and the drawn map of an experiment with ``--draw`` and all others.
 
     Raises:
         ValueError: the drives were not drawn.
     """
     document = _only(documents)
-    pairs = [
-        item for item in document["paths_and_faces"] if item["method"] in {"fused path", DRAWN}
-    ]
-    if not any(item["method"] == DRAWN for item in pairs):
+    pairs = [item for item in document["comparisons"] if item["first"] in {"fused path", DRAWN}]
+    if not any(item["first"] == DRAWN for item in pairs):
         message = "wanted drives of which maps were drawn; give --draw to the experiment"
         raise ValueError(message)
-    names = {"ate_m": "ATE m", "faces_f1": "faces F1 at 0.1 m"}
-    against = list(dict.fromkeys(item["against"] for item in pairs))
+    names = {"ate_rmse_m": "ATE m", "faces_f1": "faces F1 at 0.1 m"}
+    against = list(dict.fromkeys(item["second"] for item in pairs))
     rows = []
-    for condition, items in _by(pairs, "condition").items():
-        for measure, own in _by(items, "measure").items():
-            told = {
-                item["against"]: f"{item['against_mean']:.3f} (p {p_text(item['p_wilcoxon'])})"
-                for item in own
-            }
-            what = f"{condition}, {names[measure]}, {own[0]['method']}"
-            mean = f"{own[0]['mean']:.3f}"
-            rows.append((what, mean, *(told.get(name, "-") for name in against)))
+    for (case, figure, first), own in _by(pairs, "case", "figure", "first").items():
+        means = _means(document, figure)[case]
+        cells = {
+            item["second"]: f"{means[item['second']]['mean']:.3f} (p {p_text(item['p_rank'])})"
+            for item in own
+        }
+        what = f"{case}, {names[figure]}, {first}"
+        mean = f"{means[first]['mean']:.3f}"
+        rows.append((what, mean, *(cells.get(name, "-") for name in against)))
     return ("mean of", "", *map(_shown, against)), tuple(rows)
 
 
@@ -91,26 +90,23 @@ def failures(documents: Sequence[Document]) -> TableText:
     """Return each vote against the best input, per cent, of all documents side by side.
 
     Raises:
-        ValueError: the documents are not of the same conditions.
+        ValueError: the documents are not of the same cases.
     """
     by_world = [
-        {
-            (item["condition"], item["fusion"]): item["ratio"]
-            for item in document["against_best_input"]
-        }
+        {(item["case"], item["fusion"]): item["ratio"] for item in document["against_best_input"]}
         for document in documents
     ]
     if any(ratios.keys() != by_world[0].keys() for ratios in by_world):
         message = "wanted documents of the same conditions; found others in one of them"
         raise ValueError(message)
-    conditions = list(dict.fromkeys(condition for condition, _ in by_world[0]))
+    cases = list(dict.fromkeys(case for case, _ in by_world[0]))
     votes = list(dict.fromkeys(vote for _, vote in by_world[0]))
     rows = [
         (name, *(_changes((ratios[name, vote] for ratios in by_world), 0) for vote in votes))
-        for name in conditions
+        for name in cases
     ]
     overall = [document["overall"] for document in documents]
-    for key, name in (("ratio", f"mean of the {len(conditions)}"), ("worst", "worst")):
+    for key, name in (("ratio", f"mean of the {len(cases)}"), ("worst", "worst")):
         cells = [_changes((item[vote][key] for item in overall), 1) for vote in votes]
         rows.append(tuple(_bold(cell, key == "ratio") for cell in (name, *cells)))
     sums = [_changes((item[vote]["of_sums"] for item in overall), 1) for vote in votes]
@@ -120,15 +116,14 @@ def failures(documents: Sequence[Document]) -> TableText:
 def real_logs(documents: Sequence[Document]) -> TableText:
     """Return three figures of each map of each recorded drive, the best one bold."""
     document = _only(documents)
-    logs = _by([item for item in document["maps"] if item["map"] != REFERENCE], "log")
-    names = list(dict.fromkeys(item["map"] for items in logs.values() for item in items))
+    figures = {key: _means(document, key) for key, *_ in MAP_FIGURES}
+    logs = next(iter(figures.values()))
+    names = list(dict.fromkeys(name for own in logs.values() for name in own))
     rows = []
-    for log, items in logs.items():
-        maps = {item["map"]: item for item in items}
+    for log in logs:
         for number, (key, title, unit, digits, best_of) in enumerate(MAP_FIGURES):
-            values = {
-                name: unit * item[key] for name, item in maps.items() if item[key] is not None
-            }
+            own = figures[key].get(log, {})
+            values = {name: unit * own[name]["mean"] for name in names if name in own}
             best = best_of(values.values()) if len(set(values.values())) > 1 else None
             cells = [
                 _bold(f"{values[name]:.{digits}f}", values[name] == best) if name in values else "-"
@@ -141,29 +136,25 @@ def real_logs(documents: Sequence[Document]) -> TableText:
 def repeated_runs(documents: Sequence[Document]) -> TableText:
     """Return mean ± deviation (worst) of each method, metres, and p of every two of them."""
     document = _only(documents)
-    *factors, compared = document["factors"]
-    found = {
-        (*(item[name] for name in factors), item[compared]): item for item in document["conditions"]
-    }
-    methods = list(dict.fromkeys(levels[-1] for levels in found))
+    methods = list(dict.fromkeys(item["method"] for item in document["summaries"]))
     pairs = list(itertools.combinations(methods, 2))
     tested = {
-        (tuple(item["levels"]), tuple(item["methods"]), item["measure"]): item["p_values"]
+        (item["case"], item["figure"], item["first"], item["second"]): item["p_t"]
         for item in document["comparisons"]
     }
     rows = []
-    for group in dict.fromkeys(levels[:-1] for levels in found):
-        for measure, name in MEASURES.items():
-            own = [found.get((*group, method), {}).get(measure) for method in methods]
-            if any(own):
+    for case in dict.fromkeys(item["case"] for item in document["summaries"]):
+        for figure, name in MEASURES.items():
+            own = _means(document, figure).get(case)
+            if own is not None:
                 cells = [
-                    f"{_spread(item, 3)} ({item['worst']:.3f})" if item else "-" for item in own
+                    f"{_spread(own[m], 3)} ({own[m]['max']:.3f})" if m in own else "-"
+                    for m in methods
                 ]
-                p_values = [tested.get((group, pair, measure)) for pair in pairs]
-                shown = [p_text(item["welch"]) if item else "-" for item in p_values]
-                rows.append((*(f"{level}" for level in group), name, *cells, *shown))
+                shown = [p_text(tested.get((case, figure, *pair))) for pair in pairs]
+                rows.append((case, name, *cells, *shown))
     heads = [f"p {a} / {b}" for a, b in pairs] if len(pairs) > 1 else ["p"] * len(pairs)
-    return (*factors, "measure", *map(str, methods), *heads), tuple(rows)
+    return ("drive", "measure", *methods, *heads), tuple(rows)
 
 
 def fused_path(documents: Sequence[Document]) -> TableText:
@@ -189,12 +180,21 @@ def _only(documents: Sequence[Document]) -> Document:
     return documents[0]
 
 
-def _by(items: Iterable[Document], key: str) -> dict[str, list[Document]]:
+def _by(items: Iterable[Document], *keys: str) -> dict[tuple[str, ...], list[Document]]:
     """Return the records in groups, in order."""
-    groups: dict[str, list[Document]] = {}
+    groups: dict[tuple[str, ...], list[Document]] = {}
     for item in items:
-        groups.setdefault(item[key], []).append(item)
+        groups.setdefault(tuple(item[key] for key in keys), []).append(item)
     return groups
+
+
+def _means(document: Document, figure: str) -> dict[str, dict[str, Document]]:
+    """Return the summaries of a figure, by case and method; those of a reference are left out."""
+    found: dict[str, dict[str, Document]] = {}
+    for item in document["summaries"]:
+        if item["figure"] == figure and item["method"] != REFERENCE:
+            found.setdefault(item["case"], {})[item["method"]] = item
+    return found
 
 
 def _shown(name: str) -> str:
@@ -220,5 +220,5 @@ def _changes(ratios: Iterable[float], digits: int) -> str:
 
 def _interval(item: Document) -> str:
     """Return the interval of a ratio, or the ratio of a single drive, per cent."""
-    ends = item["interval"] or (item["ratio"],)
+    ends = (item["ratio"],) if item["low"] is None else (item["low"], item["high"])
     return " to ".join(_change(end, 1) for end in ends) + " %"

@@ -49,16 +49,16 @@ class ComparedResultsJson(TypedDict):
 
 
 class ComparisonJson(TypedDict):
-    """One figure of two results, or the single errors of two paths."""
+    """One figure of two results or methods, or the single errors of two paths."""
 
     figure: str
     """The figure's name; an error along a path ends in its unit."""
     case: str
-    """The case of two paths; empty for a figure over all cases."""
+    """The case; empty for a figure over all cases."""
     seed: str
     """The seed of two paths; empty where there is none."""
     first: str
-    """One of the results; of two paths of other methods, with the method."""
+    """One of the results or methods; of two paths of other methods, with the method."""
     second: str
     """The other."""
     count_first: int
@@ -80,10 +80,12 @@ class ComparisonJson(TypedDict):
     high: float | None
     """High end of it."""
     p_t: float | None
-    """P-value of the paired t-test, or of Welch's; of figures after Holm for several results.
+    """P-value of the paired t-test, or of Welch's; after Holm where several are compared.
     Null where nothing can be tested."""
     p_rank: float | None
-    """P-value of Wilcoxon's signed-rank test, or of Mann and Whitney's."""
+    """P-value of Wilcoxon's signed-rank test, or of Mann and Whitney's; not corrected."""
+    p_pooled: float | None
+    """P-value of Student's t-test of unpaired values with one variance, the test of [F16]."""
     better: str | None
     """The results that are better beyond chance (p_t below 0.05); null: neither."""
 
@@ -152,15 +154,17 @@ def compare_results(files: Sequence[str | Path]) -> ComparedResults:
     pairings, notes, apart, is_paired = [], [], [], set()
     for first, second in itertools.combinations(results, 2):
         keys, rows = _paired(first, second)
-        common = [name for name in rows[0] if name in rows[1]]
+        both = first.name, second.name
         own = [
-            _comparison(name, first.name, second.name, *(row[name] for row in rows), bool(keys))
-            for name in common
+            compare_values(both, a[name], b[name], is_paired=bool(keys), figure=name)
+            for a, b in [rows]
+            for name in a
+            if name in b
         ]
         own = [item for item in own if item["count_first"] and item["count_second"]]
         if not own:
-            both = " and ".join(f"{item.name} ({item.command})" for item in (first, second))
-            apart.append(f"{both} have no figure in common")
+            named = " and ".join(f"{item.name} ({item.command})" for item in (first, second))
+            apart.append(f"{named} have no figure in common")
             continue
         sentence = _pairing(first, second, keys, rows)
         pairings.append(
@@ -251,36 +255,50 @@ def _pairing(first: SavedResults, second: SavedResults, keys: Sequence[str], row
     return sentence
 
 
-def _comparison(
+def compare_values(
+    names: tuple[str, str],
+    first: pd.Series,
+    second: pd.Series,
+    *,
+    is_paired: bool,
     figure: str,
-    first: str,
-    second: str,
-    a: pd.Series,
-    b: pd.Series,
-    is_paired: bool,  # noqa: FBT001
+    case: str = "",
+    seed: str = "",
 ) -> ComparisonJson:
-    """Compare a figure; of pairs, where both are defined."""
+    """Compare a figure.
+
+    Args:
+        names: of both results or methods.
+        first, second: their values; paired: with the same index, and where both are defined.
+        is_paired: whether the values are pairs.
+        figure: its name.
+        case, seed: those that the values are of; empty: of several.
+    """
     if is_paired:
-        both = a.notna() & b.notna()
-        a, b = a[both], b[both]
-    a, b = a.dropna(), b.dropna()
-    tested = difference_test(a, b, paired=is_paired)
+        both = first.notna() & second.notna()
+        first, second = first[both], second[both]
+    first, second = first.dropna(), second.dropna()
+    tested = difference_test(first, second, paired=is_paired)
     return {
         "figure": figure,
-        "case": "",
-        "seed": "",
-        "first": first,
-        "second": second,
-        "count_first": len(a),
-        "count_second": len(b),
-        "mean_first": float(a.mean()),
-        "std_first": float(a.std()),
-        "mean_second": float(b.mean()),
-        "std_second": float(b.std()),
-        "difference": float(a.mean() - b.mean()),
-        **tested._asdict(),
+        "case": case,
+        "seed": seed,
+        "first": names[0],
+        "second": names[1],
+        "count_first": len(first),
+        "count_second": len(second),
+        "mean_first": float(first.mean()),
+        "std_first": float(first.std()),
+        "mean_second": float(second.mean()),
+        "std_second": float(second.std()),
+        "difference": float(first.mean() - second.mean()),
+        "low": tested.low,
+        "high": tested.high,
+        "p_t": tested.p_t,
+        "p_rank": tested.p_rank,
+        "p_pooled": tested.p_pooled,
         "better": None,
-    }  # type: ignore[typeddict-item]
+    }
 
 
 def _correct(figures: Sequence[ComparisonJson]) -> None:
@@ -292,7 +310,9 @@ def _correct(figures: Sequence[ComparisonJson]) -> None:
     for name in {item["figure"] for item in figures}:
         own = [item for item in figures if item["figure"] == name]
         larger = figure_of(name).larger_is_better
-        for item, p_t in zip(own, correct_by_holm([item["p_t"] for item in own]), strict=True):
+        for item, p_t in zip(
+            own, correct_by_holm([item["p_t"] or 0.0 for item in own]), strict=True
+        ):
             item["p_t"] = p_t
             if larger is not None and p_t < SIGNIFICANT:
                 is_first = (item["difference"] > 0.0) == larger
@@ -313,27 +333,24 @@ def _compare_paths(
     on = [*keys, "figure", *places]
     common = tables[0].merge(tables[1], on=on, suffixes=("_first", "_second"))
     by = ["case", "seed", *(["method"] if "method" in keys else ["method_first", "method_second"])]
-    found: list[ComparisonJson] = []
+    found: list[Any] = []
     for key, own in common.groupby([*by, "figure"], sort=False):
         methods = key[2:-1] if len(by) > 3 else (key[2], key[2])
-        names = [
+        told = [
             item.name if item.name == method or len(set(methods)) == 1 else f"{item.name}: {method}"
             for item, method in zip(both, methods, strict=True)
         ]
-        errors = own.sort_values(places)[["value_first", "value_second"]].to_numpy()
+        names = told[0], told[1]
+        errors = own.sort_values(places)[["value_first", "value_second"]]
+        figure = {"figure": key[-1], "case": key[0], "seed": key[1]}
+        compared = compare_values(names, *(errors[n] for n in errors), is_paired=True, **figure)
         # Errors of neighbouring poses share their causes, so they are no independent pairs: the
         # pairs of the tests are means over spans of neighbours.
         spans = max(1, min(SPANS, len(errors) // SPAN_ERRORS))
         ends = -(-np.arange(1, spans) * len(errors) // spans)
-        means = np.array([part.mean(axis=0) for part in np.array_split(errors, ends)])
-        compared = _comparison(key[-1], *names, own["value_first"], own["value_second"], True)
-        found.append({**compared, "case": key[0], "seed": key[1], **_tested(means)})
+        means = [part.mean(axis=0) for part in np.array_split(errors.to_numpy(), ends)]
+        found.append({**compared, **difference_test(*np.transpose(means), paired=True)._asdict()})
     return found
-
-
-def _tested(means: np.ndarray[Any, Any]) -> dict[str, float]:
-    """Return the tests over (N, 2) means of spans."""
-    return difference_test(*means.T, paired=True)._asdict()
 
 
 def _alone(first: SavedResults, second: SavedResults, keys: Sequence[str]) -> list[str]:

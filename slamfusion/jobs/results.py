@@ -109,13 +109,14 @@ def summaries(rows: Iterable[Row]) -> SummariesJson:
         ],
         "repetitions": [
             {
-                **dict(zip(keys, key, strict=True)),
-                "seeds": int(seeds[key]),
+                "case": case,
+                "method": method,
+                "seeds": int(seeds[case, method]),
                 "figures": own.dropna().to_dict(),
-                "std": std.loc[key].dropna().to_dict(),
+                "std": std.loc[(case, method)].dropna().to_dict(),
             }
-            for key, own in by_case.iterrows()
-            if seeds[key] > 1
+            for (case, method), own in by_case.iterrows()
+            if seeds[case, method] > 1
         ],
     }
 

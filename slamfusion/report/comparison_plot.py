@@ -68,10 +68,10 @@ def comparison_plot(tables: Mapping[str, pd.DataFrame], form: str) -> bytes:
         place = sheet.add_subplot(grid[len(paths) + number // 2, number % 2])
         own = figures[figures["figure"] == name].dropna(subset="value")
         _draw_figure(place, own, colours, handles)
-    axes = sheet.add_subplot(grid[rows, :])
-    axes.set_axis_off()
+    foot = sheet.add_subplot(grid[rows, :])
+    foot.set_axis_off()
     # The names come after: of those given here matplotlib leaves out what begins with ``_``.
-    legend = axes.legend(
+    legend = foot.legend(
         list(handles.values()),
         [""] * len(handles),
         loc="center",
