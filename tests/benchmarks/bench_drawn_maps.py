@@ -24,7 +24,6 @@ from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import RunConfig
 from slamfusion.evaluation import MapError
 from slamfusion.experiments.drive_paths import (
-    DRAWN,
     FUSED_PATH,
     draw_paths,
     drawn_at,
@@ -37,6 +36,7 @@ from slamfusion.experiments.voting import against_truth, vote_every_way
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import load_map
 from slamfusion.jobs.defaults import RUN_VOTE
+from slamfusion.jobs.outputs import DRAWN
 from slamfusion.slam.registry import BUILT_IN
 from tests.benchmarks.record import add_record_option, console_for
 from tests.support.evidence_drives import read_drive
