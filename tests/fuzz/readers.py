@@ -276,7 +276,7 @@ def seeds(folder: Path) -> list[Seed]:
     ]
     saved = results(folder)
     found.append(Seed("results", "a.zip", saved, read_results, is_text=False))
-    found += [part_of_results(saved, name) for name in ("manifest.json", "table.csv", "series.csv")]
+    found += [part_of_results(saved, name) for name in ("manifest.json", "results.csv")]
     for name, (data, read) in states(folder).items():
         found.append(Seed("state", f"{name}.state", data, read, is_text=False))
     for name, data in bags(folder).items():
