@@ -16,10 +16,12 @@ from docs.generate.benchmarks import measurements
 from docs.generate.record import RECIPES, Recipe, main
 from slamfusion.cli.program import cli
 from slamfusion.config import RunConfig
-from slamfusion.experiments import ErrorTable, TrialRecord
+from slamfusion.evaluation import result_rows
+from slamfusion.experiments.runs import RunResult
+from slamfusion.experiments.trials import fusion_experiment
 from slamfusion.experiments.voting import FUSIONS
 from slamfusion.io import write_carmen, write_tum
-from slamfusion.jobs.documents import circumstances
+from slamfusion.jobs.documents import circumstances, plain
 from slamfusion.slam.registry import BUILT_IN
 from tests.docs.test_pages import parse
 from tests.experiments.drives import room
@@ -31,18 +33,22 @@ HERE = circumstances(RunConfig(), "a device")
 MADE = ("--commit", "0123abc", "--date", "2026-02-28")
 
 
-def error_table(gains: Mapping[str, float], seeds: int, *conditions: str) -> dict[str, Any]:
+def error_table(gains: Mapping[str, float], seeds: int, *cases: str) -> dict[str, Any]:
     """What an experiment prints: all errors 100 and 102, 96 and 98 for the graph, less by gains."""
-    records = []
-    for condition in conditions:
+    results = []
+    for case in cases:
         for seed in range(seeds):
             errors = dict.fromkeys((*BUILT_IN, *FUSIONS), 100.0 + 2.0 * seed)
             errors["graph"] -= 4.0
             errors |= {name: errors["graph"] - gain for name, gain in gains.items()}
-            records.append(TrialRecord(condition, 1, seed, errors, dict.fromkeys(errors, 0.5), {}))
-    table = ErrorTable("t", tuple(records))
-    document = {**table.to_json(), **HERE, "sentences": table.sentences(), "files": []}
-    printed: dict[str, Any] = json.loads(json.dumps(document))
+            rows = [
+                row
+                for name, error in errors.items()
+                for row in result_rows(case, str(seed), name, {"error": error})
+            ]
+            results.append((case, RunResult(rows)))
+    document = fusion_experiment("t", "t", results).document([], RunConfig(), "a device")
+    printed: dict[str, Any] = json.loads(json.dumps(plain(document)))
     return printed
 
 
@@ -69,19 +75,25 @@ def test_methods_stand_beside_each_other_and_votes_against_the_best_input() -> N
 
 
 def test_what_was_drawn_stands_beside_what_it_is_held_against() -> None:
-    pair = {
-        "condition": "obstacle", "measure": "faces_f1", "method": "drawn", "against": "tinyslam",
-        "drives": 2, "mean": 0.61, "against_mean": 0.5704, "p_paired_t_holm": 0.5,
-        "p_wilcoxon": 0.0123,
-    }  # fmt: skip
-    path = {**pair, "measure": "ate_m", "method": "fused path", "against": "graph", "mean": 0.1}
-    document = error_table({}, 2, "obstacle") | {"paths_and_faces": [path, pair]}
-    check_document(document, "experiment ground-obstacle")
+    rows = [
+        row
+        for seed in ("0", "1")
+        for method, figures in {
+            "fused path": {"ate_rmse_m": 0.1},
+            "drawn": {"faces_f1": 0.61 + 0.01 * int(seed)},
+            "graph": {"ate_rmse_m": 0.57, "faces_f1": 0.5, "error": 1.0},
+            "tinyslam": {"faces_f1": 0.57, "error": 1.0},
+            **{name: {"error": 1.0} for name in FUSIONS},
+        }.items()
+        for row in result_rows("obstacle", seed, method, figures)
+    ]
+    experiment = fusion_experiment("t", "t", [("obstacle", RunResult(rows))], draws=True)
+    document = plain(experiment.document([], RunConfig(), "a device"))
     assert tables.paths_and_faces([document]) == (
         ("mean of", "", "graph", "tinySLAM"),
         (
-            ("obstacle, ATE m, fused path", "0.100", "0.570 (p 0.012)", "-"),
-            ("obstacle, faces F1 at 0.1 m, drawn", "0.610", "-", "0.570 (p 0.012)"),
+            ("obstacle, ATE m, fused path", "0.100", "0.570 (p 0.500)", "-"),
+            ("obstacle, faces F1 at 0.1 m, drawn", "0.615", "0.500 (p 0.500)", "0.570 (p 0.500)"),
         ),
     )
     with pytest.raises(ValueError, match="give --draw"):
@@ -106,13 +118,15 @@ def test_worlds_stand_beside_each_other() -> None:
 
 
 def test_of_each_recorded_map_three_figures_are_shown() -> None:
-    figures = {"graph": (299.4, 0.934, 0.059), "consensus": (372.0, 0.934, None)}
-    figures["reference"] = (None, None, 0.01)
-    maps = [
-        {"log": "mit", "map": name, "error": a, "wall_f1": b, "doubled_wall_share": c}
-        for name, (a, b, c) in figures.items()
+    maps = {"graph": (299.4, 0.934, 0.059), "consensus": (372.0, 0.934, None)}
+    maps["reference"] = (None, None, 0.01)
+    summaries = [
+        {"case": "mit", "figure": figure, "method": name, "mean": value}
+        for name, values in maps.items()
+        for figure, value in zip(("error", "wall_f1", "doubled_wall_share"), values, strict=True)
+        if value is not None
     ]
-    assert tables.real_logs([{"maps": maps}]) == (
+    assert tables.real_logs([{"summaries": summaries}]) == (
         ("log", "", "graph", "consensus"),
         (
             ("mit", "error [F16]", "**299**", "372"),
@@ -198,12 +212,12 @@ def test_an_experiment_is_run_and_its_table_kept(tmp_path: Path) -> None:
         ]
     )  # fmt: skip
     kept = measurements(tmp_path / "kept")["occupancy-estimator"]
-    assert kept.columns == ("drive", "cell size m", "measure", "constant", "area", "p")
-    assert [row[:3] for row in kept.rows] == [
-        ("mit-csail", "0.1", "relations"),
-        ("mit-csail", "0.1", "ATE"),
+    assert kept.columns == ("drive", "measure", "constant", "area", "p")
+    assert [row[:2] for row in kept.rows] == [
+        ("mit-csail, 0.1 m", "relations"),
+        ("mit-csail, 0.1 m", "ATE"),
     ]
-    assert all(0.0 < float(row[3].split()[0]) < 1.0 for row in kept.rows)
+    assert all(0.0 < float(row[2].split()[0]) < 1.0 for row in kept.rows)
     assert "cores" in kept.machine
     assert kept.command.endswith("record occupancy-estimator -- " + " ".join(small))
     assert str(tmp_path) not in kept.to_json()
