@@ -36,6 +36,7 @@ from slamfusion.jobs.inputs import device_for, distinct_names, load_maps, map_fi
 
 if TYPE_CHECKING:
     from slamfusion.evaluation import DistanceComparison
+    from slamfusion.grid import OccupancyGrid
     from slamfusion.jobs.evaluate import Evaluation
     from slamfusion.jobs.records import CasesEvaluationDocument, EvaluateDocument
 
@@ -145,7 +146,6 @@ def _evaluate(request: _Request, config: RunConfig) -> int:
         cases_document,
         distance_rows,
         evaluate_document,
-        evaluate_maps,
         evaluation_rows,
         measure_distances,
     )
@@ -154,26 +154,7 @@ def _evaluate(request: _Request, config: RunConfig) -> int:
     files = {case: item.path for case, item in zip(cases, request.truths, strict=True)}
     placed = place_files(cases, request.maps) if cases else []
     grids = load_maps(request.paths, request.resolution, config.map_files, notice)
-    evaluations: list[Evaluation] = []
-    device = None
-    if cases:
-        truths = {
-            case: load_maps([path], request.resolution, config.map_files, notice)[0]
-            for case, path in files.items()
-        }
-        named = grids
-        if len(cases) > 1:
-            truths = {case: grid.with_name(case) for case, grid in truths.items()}
-            named = [grid.with_name(own.name) for grid, own in zip(grids, placed, strict=True)]
-        computes = device_for(config)
-        device = computes.name
-        with progress_bar() as progress:
-            for done, (grid, own) in enumerate(zip(named, placed, strict=True)):
-                progress("evaluate", done, len(named))
-                evaluations += evaluate_maps(
-                    [grid], truths[own.case], config, computes, align=request.align
-                )
-            progress("evaluate", len(named), len(named))
+    evaluations, device = _compare_with_truths(request, config, grids, placed, files)
     distances: Sequence[DistanceComparison] = ()
     if request.distances_path is not None:
         distances = measure_distances(grids, request.distances_path, config)
@@ -207,6 +188,36 @@ def _evaluate(request: _Request, config: RunConfig) -> int:
     for comparison in distances:
         _print_distances(comparison)
     return 0
+
+
+def _compare_with_truths(
+    request: _Request,
+    config: RunConfig,
+    grids: Sequence[OccupancyGrid],
+    placed: Sequence[Placed],
+    files: Mapping[str, Path],
+) -> tuple[list[Evaluation], str | None]:
+    """Compare each map with the truth of its case; return the device, too, None without truths."""
+    from slamfusion.jobs.evaluate import evaluate_maps  # noqa: PLC0415
+
+    if not files:
+        return [], None
+    truths = {
+        case: load_maps([path], request.resolution, config.map_files, notice)[0]
+        for case, path in files.items()
+    }
+    if len(truths) > 1:
+        truths = {case: grid.with_name(case) for case, grid in truths.items()}
+        grids = [grid.with_name(own.name) for grid, own in zip(grids, placed, strict=True)]
+    device = device_for(config)
+    found: list[Evaluation] = []
+    with progress_bar() as progress:
+        for done, (grid, own) in enumerate(zip(grids, placed, strict=True)):
+            progress("evaluate", done, len(grids))
+            truth = truths[own.case]
+            found += evaluate_maps([grid], truth, config, device, align=request.align)
+        progress("evaluate", len(grids), len(grids))
+    return found, device.name
 
 
 def _write_cases(

@@ -5,6 +5,10 @@ from __future__ import annotations
 import io
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rich.table import Table as RichTable
 
 # Text is wrapped down to this many characters before a table is cut into several.
 LEAST_TEXT = 18
@@ -13,6 +17,9 @@ NOTHING = "-"
 GAP = 2
 # Paths of people are shorter; what is longer is no word.
 WORD_CHARACTERS, WORD_ENDS = 400, 40
+
+# A column's place, and the least and the most places of the terminal that it takes.
+_Column = tuple[int, int, int]
 
 
 def one_line(text: str) -> str:
@@ -72,15 +79,26 @@ class Table:
         Columns that hold nothing are left out. Heads and text are wrapped; if that is not enough,
         the table is cut into several, each with the names. Notes are below, with the row's name.
         """
-        from rich.box import SIMPLE_HEAD  # noqa: PLC0415  (a pipe needs none)
-        from rich.cells import cell_len  # noqa: PLC0415
-        from rich.console import Console  # noqa: PLC0415
-        from rich.table import Table as Drawn  # noqa: PLC0415
-        from rich.text import Text  # noqa: PLC0415
+        from rich.console import Console  # noqa: PLC0415  (a pipe needs none)
 
-        cells = self.cells()
-        # Of each column its place, and the least and the most places that it takes.
-        spans: list[tuple[int, int, int]] = []
+        cells, file = self.cells(), io.StringIO()
+        console = Console(file=file, width=width, color_system=None, highlight=False)
+        if self.title:
+            console.print(one_line(self.title), markup=False)
+        for number, part in enumerate(self._parts(cells, width)):
+            if number:
+                console.print()
+            console.print(self._drawn(cells, part))
+        for row, note in zip(cells, self.notes, strict=bool(self.notes)):
+            if note:
+                console.print(f" {row[0]}: {one_line(note)}", markup=False)
+        return "\n".join(line.rstrip() for line in file.getvalue().splitlines())
+
+    def _parts(self, cells: list[list[str]], width: int) -> list[list[_Column]]:
+        """Cut the columns into tables that fit, each with the names."""
+        from rich.cells import cell_len  # noqa: PLC0415  (a pipe needs none)
+
+        columns: list[_Column] = []
         for place, name in enumerate(self.columns):
             own = [row[place] for row in cells]
             if place >= self.names and self.has_head and own and not set(own) - {NOTHING}:
@@ -88,32 +106,31 @@ class Table:
             words = max(map(cell_len, name.split()), default=1)
             most = max(map(cell_len, own), default=1)
             least = min(most, LEAST_TEXT) if name.endswith(" ") else most
-            spans.append((place, max(words, least, 1), max(words, most, 1)))
-        parts = [spans[: self.names]]
-        for span in spans[self.names :]:
-            taken = sum(least + GAP for _, least, _ in (*parts[-1], span))
+            columns.append((place, max(words, least, 1), max(words, most, 1)))
+        parts = [columns[: self.names]]
+        for column in columns[self.names :]:
+            taken = sum(least + GAP for _, least, _ in (*parts[-1], column))
             if self.has_head and taken > width and len(parts[-1]) > self.names:
-                parts.append(spans[: self.names])
-            parts[-1] = [*parts[-1], span]
-        console = Console(file=io.StringIO(), width=width, color_system=None, highlight=False)
-        if self.title:
-            console.print(one_line(self.title), markup=False)
-        for number, part in enumerate(parts):
-            if number:
-                console.print()
-            drawn = Drawn(
-                box=SIMPLE_HEAD, show_edge=False, padding=(0, 0, 0, 1), show_header=self.has_head
-            )
-            for place, least, most in part:
-                name = self.columns[place]
-                if name.endswith(" "):
-                    drawn.add_column(name.strip(), min_width=least, max_width=most, overflow="fold")
-                else:
-                    drawn.add_column(name, width=least, justify="right")
-            for row in cells:
-                drawn.add_row(*(Text(row[place]) for place, _, _ in part))
-            console.print(drawn)
-        for row, note in zip(cells, self.notes, strict=bool(self.notes)):
-            if note:
-                console.print(f" {row[0]}: {one_line(note)}", markup=False)
-        return "\n".join(line.rstrip() for line in console.file.getvalue().splitlines())
+                parts.append(columns[: self.names])
+            parts[-1] = [*parts[-1], column]
+        return parts
+
+    def _drawn(self, cells: list[list[str]], part: list[_Column]) -> RichTable:
+        """Return some columns as a table of rich."""
+        from rich.box import SIMPLE_HEAD  # noqa: PLC0415  (a pipe needs none)
+        from rich.table import Table as RichTable  # noqa: PLC0415
+        from rich.text import Text  # noqa: PLC0415
+
+        padding = (0, 0, 0, 1)
+        drawn = RichTable(
+            box=SIMPLE_HEAD, show_edge=False, padding=padding, show_header=self.has_head
+        )
+        for place, least, most in part:
+            name = self.columns[place]
+            if name.endswith(" "):
+                drawn.add_column(name.strip(), min_width=least, max_width=most, overflow="fold")
+            else:
+                drawn.add_column(name, width=least, justify="right")
+        for row in cells:
+            drawn.add_row(*(Text(row[place]) for place, _, _ in part))
+        return drawn

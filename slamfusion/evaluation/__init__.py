@@ -58,14 +58,9 @@ from slamfusion.evaluation.relations import (
 )
 from slamfusion.evaluation.statistics import (
     ErrorStatistics,
-    Summary,
-    compare_pairs,
-    compare_samples,
     correct_by_holm,
     difference_test,
     mean_interval,
-    pooled_p_value,
-    t_interval,
 )
 from slamfusion.evaluation.trajectory_error import (
     TrajectoryErrors,
@@ -107,7 +102,6 @@ __all__ = [
     "RelationErrors",
     "Relations",
     "Row",
-    "Summary",
     "TrajectoryErrors",
     "WallDistance",
     "WallFaces",
@@ -115,8 +109,6 @@ __all__ = [
     "associate",
     "compare_distances",
     "compare_faces",
-    "compare_pairs",
-    "compare_samples",
     "compare_to_truth",
     "correct_by_holm",
     "difference_test",
@@ -135,14 +127,12 @@ __all__ = [
     "outside_area",
     "path_figures",
     "path_series",
-    "pooled_p_value",
     "poses_by_odometry",
     "read_odometry",
     "read_relations",
     "relation_errors",
     "result_rows",
     "subsample_to_scans",
-    "t_interval",
     "trajectory_errors",
     "wall_thickness",
 ]

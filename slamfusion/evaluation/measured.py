@@ -50,6 +50,7 @@ _FIGURES = {
     "iou_occupied": Figure("IoU wall", larger_is_better=True),
     "iou_free": Figure("IoU free", larger_is_better=True),
     "map_to_truth_mean_m": Figure("to truth m"),
+    "map_to_truth_p95_m": Figure("95 % m"),
     "truth_to_map_mean_m": Figure("from truth m"),
     "faces_f1": Figure("faces F1 0.1 m", larger_is_better=True),
     "wall_thickness_mean_m": Figure("thickness m", larger_is_better=None),
@@ -74,6 +75,7 @@ _FIGURES = {
     "relations_m": Figure("relations m", 4),
     "relations_rotation_deg": Figure("relations deg"),
     # Of experiments.
+    "time_per_scan_ms": Figure("ms a scan", 2),
     "value": Figure("value of the cell", larger_is_better=None),
 }
 # Faces this near to true ones are right, metres: the middle one of the tolerances.

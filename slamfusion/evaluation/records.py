@@ -11,20 +11,17 @@ from typing import Literal, TypedDict
 
 __all__ = [
     "DensePosesJson",
-    "DifferenceJson",
     "DistanceComparisonJson",
     "DistanceRowJson",
     "ErrorStatisticsJson",
     "FaceAgreementJson",
     "MapErrorJson",
     "MethodMeanJson",
-    "PairedDifferenceJson",
     "PlacedJson",
     "RelationErrorsAtScansJson",
     "RelationErrorsJson",
     "RepetitionsJson",
     "SummariesJson",
-    "SummaryJson",
     "TrajectoryAlignmentJson",
     "TrajectoryErrorsJson",
     "WallDistanceJson",
@@ -48,47 +45,6 @@ class ErrorStatisticsJson(TypedDict):
     """The smallest."""
     max: float
     """The largest."""
-
-
-class SummaryJson(TypedDict):
-    """Figures of one measure over repetitions, in the measure's unit; smaller is better."""
-
-    count: int
-    """Repetitions."""
-    mean: float
-    """Their mean."""
-    std: float | None
-    """Sample standard deviation (divided by N - 1); null for one repetition."""
-    median: float
-    """The middle one."""
-    worst: float
-    """The largest."""
-
-
-class DifferenceJson(TypedDict):
-    """How likely two methods are to differ this much by chance alone; two-sided p-values."""
-
-    welch: float
-    """Of Welch's t-test."""
-    mann_whitney: float
-    """Of the Mann-Whitney U test."""
-
-
-class PairedDifferenceJson(TypedDict):
-    """How two methods differ that were given the same cases; first minus second."""
-
-    count: int
-    """Pairs."""
-    mean: float
-    """Mean of the differences; below 0 the first method's figures are the smaller ones."""
-    interval: tuple[float, float]
-    """Low and high end of the mean's 95 % interval, by Student's t."""
-    bootstrap: tuple[float, float]
-    """Low and high end of the mean's 95 % interval, by the percentile bootstrap."""
-    t_test: float
-    """Two-sided p-value of the paired t-test."""
-    wilcoxon: float
-    """Two-sided p-value of Wilcoxon's signed-rank test."""
 
 
 class WallDistanceJson(TypedDict):

@@ -12,24 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from slamfusion.evaluation.records import (
-    DifferenceJson,
-    ErrorStatisticsJson,
-    PairedDifferenceJson,
-    SummaryJson,
-)
-
-__all__ = [
-    "ErrorStatistics",
-    "Summary",
-    "compare_pairs",
-    "compare_samples",
-    "correct_by_holm",
-    "difference_test",
-    "mean_interval",
-    "pooled_p_value",
-    "t_interval",
-]
+from slamfusion.evaluation.records import ErrorStatisticsJson
 
 # Samples that are drawn for an interval; those that are in memory at once; what draws them.
 DRAWS, DRAWS_AT_ONCE, SEED = 4000, 250, 0
@@ -83,45 +66,6 @@ class ErrorStatistics:
         return cast("ErrorStatisticsJson", asdict(self))
 
 
-@dataclass(frozen=True)
-class Summary:
-    """What a table says of one figure over repetitions; smaller is better.
-
-    Attributes:
-        count: repetitions.
-        mean: their mean.
-        std: sample standard deviation (divided by N - 1); None for one repetition.
-        median: the middle one.
-        worst: the largest.
-    """
-
-    count: int
-    mean: float
-    std: float | None
-    median: float
-    worst: float
-
-    @classmethod
-    def of(cls, values: npt.ArrayLike) -> Summary:
-        """Return the summary of at least one value.
-
-        Raises:
-            ValueError: there is no value, or one is not finite.
-        """
-        known = _checked(values)
-        return cls(
-            count=len(known),
-            mean=float(known.mean()),
-            std=float(known.std(ddof=1)) if len(known) > 1 else None,
-            median=float(np.median(known)),
-            worst=float(known.max()),
-        )
-
-    def to_json(self) -> SummaryJson:
-        """Return the figures by name."""
-        return cast("SummaryJson", asdict(self))
-
-
 class DifferenceTest(NamedTuple):
     """Whether two samples differ; NaN: cannot be tested.
 
@@ -131,12 +75,16 @@ class DifferenceTest(NamedTuple):
         p_t: p-value of the paired t-test, or of Welch's.
         p_rank: p-value of Wilcoxon's signed-rank test, or of Mann and Whitney's U test. Ranks need
             no normal distribution, but with few values this cannot be small (5 pairs: 0.06).
+        p_pooled: p-value of Student's t-test of unpaired values with one variance. It is the test
+            of [F16]: its Table I with 3 repetitions gives all of its 12 p-values, if the printed
+            deviations are sample deviations.
     """
 
     low: float = math.nan
     high: float = math.nan
     p_t: float = math.nan
     p_rank: float = math.nan
+    p_pooled: float = math.nan
 
 
 def difference_test(first: npt.ArrayLike, second: npt.ArrayLike, *, paired: bool) -> DifferenceTest:
@@ -156,69 +104,17 @@ def difference_test(first: npt.ArrayLike, second: npt.ArrayLike, *, paired: bool
     with warnings.catch_warnings():
         # SciPy warns of values that do not vary. Their p-value is 0 or NaN, which says the same.
         warnings.simplefilter("ignore", RuntimeWarning)
+        pooled = float(scipy.stats.ttest_ind(a, b).pvalue)
         if not paired:
             welch = scipy.stats.ttest_ind(a, b, equal_var=False)
-            ranks = scipy.stats.mannwhitneyu(a, b)
-            return DifferenceTest(p_t=float(welch.pvalue), p_rank=float(ranks.pvalue))
+            p_rank = float(scipy.stats.mannwhitneyu(a, b).pvalue)
+            return DifferenceTest(math.nan, math.nan, float(welch.pvalue), p_rank, pooled)
         if np.abs(a - b).max() <= ROUNDING * np.abs((a, b)).max():
-            return DifferenceTest(0.0, 0.0)
+            return DifferenceTest(0.0, 0.0, p_pooled=pooled)
         t_test = scipy.stats.ttest_rel(a, b)
-        low, high = t_test.confidence_interval()
-        ranks = scipy.stats.wilcoxon(a - b)
-    return DifferenceTest(float(low), float(high), float(t_test.pvalue), float(ranks.pvalue))
-
-
-def compare_samples(first: npt.ArrayLike, second: npt.ArrayLike) -> DifferenceJson | None:
-    """Test whether the repetitions of two methods differ: Welch's t-test and Mann-Whitney's U test.
-
-    The U test needs no normal distribution, but with few repetitions its p-value cannot be small (4
-    and 4: 0.029).
-
-    Args:
-        first: (N,) one figure of each repetition of one method.
-        second: (M,) the same of the other; the repetitions are not paired.
-
-    Returns:
-        The p-values; None where a method has fewer than two repetitions. Methods that do not vary
-        at all have a Welch p-value of 1 when their values are equal, else 0.
-
-    Raises:
-        ValueError: there is no value, or one is not finite.
-    """
-    a, b = _checked(first), _checked(second)
-    if min(len(a), len(b)) < 2:
-        return None
-    u_test = scipy.stats.mannwhitneyu(a, b, alternative="two-sided")
-    moments = [(float(x.mean()), float(x.std(ddof=1)), len(x)) for x in (a, b)]
-    if np.ptp(a) == 0.0 and np.ptp(b) == 0.0:
-        moments = [(float(x[0]), 0.0, len(x)) for x in (a, b)]
-    return {"welch": _t_test(*moments, equal_var=False), "mann_whitney": float(u_test.pvalue)}
-
-
-def pooled_p_value(first: tuple[float, float, int], second: tuple[float, float, int]) -> float:
-    """Return the two-sided p-value of Student's t-test with one variance for both methods.
-
-    It is the test of [F16]: its Table I with 3 repetitions gives all of its 12 p-values, the
-    printed deviations taken for sample deviations.
-
-    Args:
-        first: mean, sample standard deviation (divided by N - 1) and number of repetitions.
-        second: the same of the other method.
-
-    Source: Student, The Probable Error of a Mean, Biometrika 6(1), 1908.
-    """
-    return _t_test(first, second, equal_var=True)
-
-
-def _t_test(
-    first: tuple[float, float, int], second: tuple[float, float, int], *, equal_var: bool
-) -> float:
-    """Return the p-value of a t-test from mean, deviation and count of two samples."""
-    if first[1] == 0.0 and second[1] == 0.0:
-        # Without any spread the t statistic is 0 / 0 or infinite.
-        return 1.0 if first[0] == second[0] else 0.0
-    test = scipy.stats.ttest_ind_from_stats(*first, *second, equal_var=equal_var)
-    return float(test.pvalue)
+        low, high = map(float, t_test.confidence_interval())
+        p_rank = float(scipy.stats.wilcoxon(a - b).pvalue)
+    return DifferenceTest(low, high, float(t_test.pvalue), p_rank, pooled)
 
 
 def mean_interval(errors: npt.ArrayLike, share: float = 0.95) -> tuple[float, float]:
@@ -239,67 +135,6 @@ def mean_interval(errors: npt.ArrayLike, share: float = 0.95) -> tuple[float, fl
     return _bootstrap(np.abs(_checked(errors)), share)
 
 
-def t_interval(values: npt.ArrayLike, share: float = 0.95) -> tuple[float, float] | None:
-    """Return both ends of the interval that holds the mean of a normal distribution (Student's t).
-
-    Args:
-        values: (N,) a sample; the sign counts.
-        share: of the cases in which the interval holds the mean, between 0 and 1.
-
-    Returns:
-        The interval; None for a single value.
-
-    Raises:
-        ValueError: there is no value, or one is not finite.
-    """
-    known = _checked(values)
-    if len(known) < 2:
-        return None
-    # Scaled here: where the values do not vary, SciPy's own scale of 0 gives NaN.
-    mean, error = float(known.mean()), float(scipy.stats.sem(known))
-    low, high = scipy.stats.t.interval(share, len(known) - 1)
-    return mean + error * float(low), mean + error * float(high)
-
-
-def compare_pairs(first: npt.ArrayLike, second: npt.ArrayLike) -> PairedDifferenceJson | None:
-    """Test whether two methods differ on the same cases: paired t-test and Wilcoxon's.
-
-    Wilcoxon's signed-rank test leaves out pairs without a difference. It needs no normal
-    distribution, but with few pairs its p-value cannot be small (5: 0.06).
-
-    Args:
-        first: (N,) one figure of each case by one method.
-        second: (N,) the same by the other, in the same order.
-
-    Returns:
-        The difference, first minus second; None for fewer than two pairs. Differences that do not
-        vary at all have p-values of the t-test of 1 when they are 0, else 0.
-
-    Raises:
-        ValueError: there is no value, one is not finite, or the lengths differ.
-    """
-    a, b = _checked(first), _checked(second)
-    if len(a) != len(b):
-        message = f"pairs need as many values of both methods, found {len(a)} and {len(b)}"
-        raise ValueError(message)
-    differences = a - b
-    interval = t_interval(differences)
-    if interval is None:
-        return None
-    if np.ptp(differences) <= ROUNDING * np.abs((a, b)).max():
-        t_test = 1.0 if np.ptp((a, b), axis=0).max() <= ROUNDING * np.abs(a).max() else 0.0
-    else:
-        t_test = float(scipy.stats.ttest_rel(a, b).pvalue)
-    return {
-        "count": len(a),
-        "mean": float(differences.mean()),
-        "interval": interval,
-        "bootstrap": _bootstrap(differences, 0.95),
-        "t_test": t_test,
-        "wilcoxon": float(scipy.stats.wilcoxon(differences).pvalue) if differences.any() else 1.0,
-    }
-
-
 def correct_by_holm(p_values: Sequence[float]) -> list[float]:
     """Return p-values that allow for the number of tests made at once, in the order given.
 
@@ -316,7 +151,7 @@ def correct_by_holm(p_values: Sequence[float]) -> list[float]:
     left = np.isfinite(values).sum() - np.arange(len(values))
     corrected = np.empty_like(values)
     corrected[order] = np.minimum(1.0, np.maximum.accumulate(left * values[order]))
-    return corrected.tolist()
+    return [float(p_value) for p_value in corrected]
 
 
 def _bootstrap(values: npt.NDArray[np.float64], share: float) -> tuple[float, float]:

@@ -29,21 +29,10 @@ from slamfusion.jobs.partial import Filling, Layers, draw_layers
 from slamfusion.slam.registry import BUILT_IN
 from slamfusion.trajectory import SAME_STAMP_S, Trajectory
 
-__all__ = [
-    "CHOICE",
-    "DRAWN",
-    "FUSED_PATH",
-    "WeighedPaths",
-    "draw_paths",
-    "drawn_at",
-    "drive_layers",
-    "judge_scans",
-    "path_errors",
-    "weigh_paths",
-]
-
 # The producer whose path is taken (``choose_path``), in tables.
 CHOICE = "evidence choice"
+# The best producer of each drive, known only afterwards.
+HINDSIGHT = "best in hindsight"
 # The path that is made of all of them; the map that all scans draw at it is called as in ``run``.
 FUSED_PATH = "fused path"
 

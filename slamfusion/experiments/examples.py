@@ -17,8 +17,6 @@ from slamfusion.evaluation import maps_of_differences
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 
-__all__ = ["FOLDER", "Example", "example_file", "example_maps", "examples_in", "read_example"]
-
 # Where an experiment keeps what it has done of its drives.
 FOLDER = "trials"
 SUFFIX = ".npz"

@@ -12,8 +12,6 @@ from dataclasses import replace
 from slamfusion.geometry import Pose2
 from slamfusion.io import LogScan
 
-__all__ = ["FAULTS", "break_odometry", "kidnap", "lose"]
-
 # The robot is kidnapped over this part of its drive.
 KIDNAPPED_FROM, KIDNAPPED_TO = 0.45, 0.55
 # From here on the wheels' encoder reads distances too long and turns too small.

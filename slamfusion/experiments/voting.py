@@ -20,8 +20,6 @@ from slamfusion.geometry import wrap_angle
 from slamfusion.grid import IDENTITY, UNKNOWN, OccupancyGrid
 from slamfusion.jobs.partial import Layers, fuse_layers
 
-__all__ = ["FUSIONS", "PATIENCE_S", "PLAIN", "against_truth", "vote_every_way"]
-
 # Every way to vote.
 FUSIONS: tuple[VoteMode, ...] = get_args(VoteMode)
 PLAIN: VoteMode = "majority"

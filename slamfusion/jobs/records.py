@@ -1,8 +1,8 @@
 """What the commands print with ``--json``: typed documents, and the JSON Schema made of them.
 
 A type ``...Document`` is a whole document, composed of the records (``...Json``) of the packages
-below; the text under a key is its meaning and unit. The documents of ``slamfusion experiment`` are
-in ``slamfusion.experiments.records``, those of the commands beside the main work in
+below; the text under a key is its meaning and unit. The document of ``slamfusion experiment`` is
+in ``slamfusion.experiments.page``, those of the commands beside the main work in
 ``tool_records``.
 
 ``schema.json`` beside this module holds them all as JSON Schema (2020-12), made of these types by

@@ -201,7 +201,7 @@ def write_results_file(
         "arguments": list(arguments),
         "settings": document.get("config", {}),
         "versions": versions(),
-        "inputs": [record for file in inputs for record in _input_records(*file)],
+        "inputs": [record for file in inputs for record in input_records(*file)],
     }
     contents = {
         MANIFEST: record_bytes(manifest),
@@ -217,7 +217,7 @@ def write_results_file(
     write_atomic(path, buffer.getvalue())
 
 
-def _input_records(role: str, case: str, given: Path) -> Iterator[dict[str, Any]]:
+def input_records(role: str, case: str, given: Path) -> Iterator[dict[str, Any]]:
     """Yield the record of a file; of a folder (a bag), one of each file in it."""
     paths = (
         sorted(item for item in given.rglob("*") if item.is_file()) if given.is_dir() else [given]

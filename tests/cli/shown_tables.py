@@ -22,9 +22,9 @@ from slamfusion.cli import (
     devices,
     doctor,
     evaluate,
-    experiment,
     fused,
     judge,
+    output,
     run,
 )
 from slamfusion.cli import results as result_tables
@@ -35,7 +35,7 @@ from slamfusion.evaluation.statistics import ErrorStatistics
 from slamfusion.evidence.comparison import Comparison
 from slamfusion.evidence.parting import Span
 from slamfusion.evidence.recommendation import RankedPath, Recommendation
-from slamfusion.experiments.sheets import Sheet
+from slamfusion.experiments.page import Experiment
 from slamfusion.jobs.compare import compare_results
 from slamfusion.jobs.evaluate import Evaluation
 from slamfusion.jobs.results import write_results_file
@@ -146,7 +146,7 @@ def _rows(seed: str = "", scale: float = 1.0) -> list[list[Row]]:
                 "rpe_mean_m": error_m / 7.0,
                 "ate_rotation_mean_deg": 0.4 - error_m**2,
             },
-            {"ate_m": along + (error_m, 0.0, 0.0)},
+            {"ate_m": along + np.array([error_m, 0.0, 0.0])},
         )
         for method, base_m in (("graph", 0.05), ("slam_toolbox", 0.07))
         for case, error_m in (("intel", base_m), ("fr079", 1.3 * base_m))
@@ -178,13 +178,18 @@ def _print_compared(sets: Sequence[Sequence[Sequence[Row]]]) -> None:
 
 
 def _experiment() -> None:
-    heading = ("course, lidar", "tinyslam", "gmapping", "graph", "vote of the three", "majority")
-    figures = ("68.11 (4.02)", "71.60 (3.87)", "66.95 (12.40)", "60.32 (2.77)", "61.03 (2.91)")
-    rows = ((f"obstacle, {lidar}", *figures) for lidar in ("rplidar", "hokuyo utm-30lx"))
-    sheet = Sheet("Error against the truth: mean (deviation)", heading, tuple(rows))
-    table: Any = SimpleNamespace(title="Ground obstacle", sheets=lambda **_: [sheet])
-    document: Any = {"sentences": ["The vote is below each input."], "files": ["out/table.md"]}
-    experiment._show(document, as_json=False, print_tables=lambda: experiment._print_tables(table))
+    methods = ("tinyslam", "gmapping", "graph", "consensus", "majority")
+    rows = [
+        row
+        for lidar in ("rplidar", "hokuyo utm-30lx")
+        for number, method in enumerate(methods)
+        for seed, spread in (("w1-s0", 1.5), ("w1-s1", -1.5))
+        for row in result_rows(
+            f"obstacle, {lidar}", seed, method, {"error": 68.11 - 2.25 * number + spread}
+        )
+    ]
+    for title, heads, cells in Experiment("", "", rows, ("error",)).text_tables(details=False):
+        output.print_table([f"{heads[0]} ", *heads[1:]], cells, title=title)
 
 
 DEVICE: Any = {

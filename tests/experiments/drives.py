@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
 from slamfusion.evaluation import Relations
-from slamfusion.experiments import Drive
+from slamfusion.experiments.drives import Drive, DriveFiles
 from slamfusion.geometry import Pose2
-from slamfusion.io import LogScan
+from slamfusion.io import LogScan, write_carmen, write_tum
 from slamfusion.trajectory import Trajectory
 from tests.support.producers import room_drive
 
@@ -27,3 +29,21 @@ def room(name: str = "room", *, drift: float = 0.0, relations: bool = True) -> D
         for item, pose in zip(items, poses, strict=True)
     ]
     return Drive(name, tuple(items), known if relations else None, None, truth)
+
+
+def room_files(folder: Path, name: str = "room", *, relations: bool = True) -> DriveFiles:
+    """Write the room with drifting odometry, its relations and its truth."""
+    made = room(name, drift=0.3)
+    assert made.relations is not None
+    assert made.reference is not None
+    files = DriveFiles(
+        folder / f"{name}.log",
+        folder / f"{name}.relations" if relations else None,
+        reference=folder / f"{name}.tum",
+    )
+    write_carmen(files.log, made.scans)
+    write_tum(folder / f"{name}.tum", made.reference)
+    ((first, second),), ((x, y, yaw),) = made.relations.stamps_s, made.relations.motions
+    line = f"{first} {second} {x} {y} 0 0 0 {yaw}\n"
+    (folder / f"{name}.relations").write_text(line, encoding="utf-8")
+    return files

@@ -449,7 +449,7 @@ def test_a_slow_drift_is_no_proof(tmp_path: Path) -> None:
         walks = np.abs(np.cumsum(rng.normal(0.0, 0.01, (2000, 2)), axis=0) % 0.5 - 0.25)
         for own, walk in zip(cases, walks.T, strict=True):
             errors = {"ate_m": series(list(walk))}
-            own += result_rows(str(case), "", "x", {"ate_rmse_m": 1.0}, errors)
+            own.extend(result_rows(str(case), "", "x", {"ate_rmse_m": 1.0}, errors))
     p_values = [own["p_t"] for own in compared(tmp_path, *cases)["series"]]
     assert len(p_values) == 40
     assert sum(p_value is not None and p_value < 0.001 for p_value in p_values) <= 4

@@ -27,7 +27,7 @@ from pydantic import Field, TypeAdapter
 from pydantic.json_schema import GenerateJsonSchema
 
 from slamfusion.evaluation.records import RelationErrorsJson, TrajectoryErrorsJson
-from slamfusion.experiments import records as experiments
+from slamfusion.experiments.page import ExperimentDocument
 from slamfusion.jobs import compare as comparisons
 from slamfusion.jobs import records as jobs
 from slamfusion.jobs import run_records as runs
@@ -46,12 +46,12 @@ DOCUMENTS: dict[str, tuple[type, ...]] = {
     "align": (jobs.AlignDocument,),
     "evaluate": (jobs.EvaluateDocument, jobs.CasesEvaluationDocument),
     "simulate": (tools.SimulateDocument,),
-    "experiment cell-models": (experiments.CellModelsDocument,),
-    "experiment occupancy-estimator": (experiments.EstimatorSweepDocument,),
-    "experiment cell-models-trajectories": (experiments.RepeatedRunsDocument,),
-    "experiment ground-obstacle": (experiments.ErrorTableDocument,),
-    "experiment failures": (experiments.ErrorTableDocument,),
-    "experiment real-logs": (experiments.RealLogsDocument,),
+    "experiment cell-models": (ExperimentDocument,),
+    "experiment occupancy-estimator": (ExperimentDocument,),
+    "experiment cell-models-trajectories": (ExperimentDocument,),
+    "experiment ground-obstacle": (ExperimentDocument,),
+    "experiment failures": (ExperimentDocument,),
+    "experiment real-logs": (ExperimentDocument,),
     "slam": (runs.SlamDocument,),
     "trajectory": (jobs.TrajectoryDocument, jobs.TrajectoriesDocument),
     "judge": (jobs.JudgeDocument, jobs.JudgementsDocument),
