@@ -335,34 +335,10 @@ __kernel void squared_error(__global const char *a, const int height, const int 
   partial[p * chunks + c] = sum;
 }
 
-/* Rearrange a field so that reads `step` cells apart lie side by side, reaching beyond its edges.
- * Plane (a, b) of step x step planes holds the cells (row0 + a + step i, col0 + b + step j).
- * field (height, width) uchar, fill outside; out (step, step, rows, cols) uchar.
- * Global: (rows, step * step). */
-__kernel void polyphase(__global const uchar *field, const int height, const int width,
-                        const int row0, const int col0, const int step, const int rows,
-                        const int cols, const uchar fill, __global uchar *out) {
-  const int i = get_global_id(0), phase = get_global_id(1);
-  if (i >= rows || phase >= step * step) return;
-  const int row = row0 + phase / step + step * i, first = col0 + phase % step;
-  __global uchar *line = out + ((size_t)phase * rows + i) * cols;
-  /* Columns [from, to) lie on the field; a row off the field has none. */
-  int from = first >= 0 ? 0 : (-first + step - 1) / step;
-  int to = width > first ? (width - first + step - 1) / step : 0;
-  from = from < cols ? from : cols;
-  to = to < cols ? to : cols;
-  if (row < 0 || row >= height || to < from) from = to = cols;
-  for (int j = 0; j < from; j++) line[j] = fill;
-  __global const uchar *source = field + (row < 0 || row >= height ? 0 : (size_t)row * width);
-  for (int j = from; j < to; j++) line[j] = source[first + j * step];
-  for (int j = to; j < cols; j++) line[j] = fill;
-}
-
 /* Points between two looks at whether a block can still be of use. */
 #define POINTS_BETWEEN 16
 
-/* Upper bounds of a lattice score over blocks of motions (branch and bound); the argument for the
- * bound stands in slamfusion/fusion/proof.py.
+/* Upper bounds of a lattice score over blocks of motions (branch and bound).
  * bounds[b] = sum over points of the pooled field of the point's class at start + shift; -1 where
  * that is not above `least`, which is seen before all points are read.
  * blocks (count, 3) int: yaw group, row and column of the block's first shift;

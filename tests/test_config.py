@@ -74,7 +74,7 @@ def test_an_empty_file_is_all_defaults(tmp_path: Path) -> None:
 
 
 def test_a_whole_number_serves_as_a_real_one() -> None:
-    assert from_mapping(AlignConfig, {"deadline_s": 3}).deadline_s == 3.0
+    assert from_mapping(AlignConfig, {"window_m": 3}).window_m == 3.0
 
 
 @pytest.mark.parametrize("config_class", LEAVES)
@@ -97,7 +97,7 @@ def test_every_field_says_what_it_is(config_class: type[Any]) -> None:
         ({"seed": True}, "run.yaml: seed: wanted int, found True"),
         ({"fusion": {"align": {"step": "x"}}}, "wanted int or None, found 'x'"),
         ({"fusion": {"align": {"window_yaw_rad": 4.0}}}, "[0, 3.14159] rad, found 4.0"),
-        ({"fusion": {"align": {"deadline_s": float("nan")}}}, "found nan"),
+        ({"fusion": {"align": {"window_m": float("nan")}}}, "found nan"),
         (
             {"fusion": {"vote": {"mode": "coin"}}},
             "consensus, majority, drawn, found 'coin'",

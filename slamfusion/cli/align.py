@@ -101,7 +101,7 @@ def _print_alignment(found: Alignment, device: str) -> None:
                 _where(found.runner_up.transform, found.runner_up.ratio),
             ]
         )
-    rows += [["bound gap", number(found.bound_gap)], ["time", f"{number(found.time_s)} s"]]
+    rows.append(["time", f"{number(found.time_s)} s"])
     title = f"{found.moving} onto {found.reference}, on {device}"
     print_table((" ", " "), rows, title=title, header=False)
 

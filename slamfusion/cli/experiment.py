@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from slamfusion.cli.fleet import asked_scheduler, scheduler_option
+from slamfusion.cli.fleet import scheduler_option
 from slamfusion.cli.options import case_option, common_options, output_option, with_config
 from slamfusion.cli.output import notice, print_json, print_table, progress_bar
 from slamfusion.cli.paths import CASE_MAP, FILE, InputPath
@@ -79,8 +79,8 @@ def _experiment(*sections: str) -> Callable[[Callable[..., Found]], Callable[...
             from slamfusion.experiments.runs import Setup  # noqa: PLC0415
 
             device = device_for(config) if "device" in sections else NumpyDevice()
-            with asked_scheduler(scheduler, config) as fleet, progress_bar() as progress:
-                setup = Setup(config, device, folder, progress, scheduler=fleet)
+            with progress_bar() as progress:
+                setup = Setup(config, device, folder, progress, scheduler=scheduler)
                 found, inputs = function(setup, **given)
             files = found.write(folder, config.report.pictures)
             document = found.document(files, config, device.name)

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from slamfusion.cli.output import notice
 from slamfusion.config import RunConfig
 from slamfusion.errors import ConfigError
 
 if TYPE_CHECKING:
-    from slamfusion.fleet import Scheduler
+    from concurrent.futures import Executor
 
-__all__ = ["asked_scheduler", "processes_option", "scheduler_option"]
+__all__ = ["asked_executor", "processes_option", "scheduler_option"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -48,27 +46,21 @@ def processes_option(tasks: str) -> Callable[[F], F]:
     )
 
 
-def asked_scheduler(
-    where: str | None, config: RunConfig, processes: int | None = None
-) -> AbstractContextManager[Scheduler | None]:
-    """Open what the options ask for; None where they ask for nothing.
-
-    Raises:
-        FleetError: Dask is not installed, no scheduler answers, or its workers are of no use.
-    """
-    if where is None and (processes is None or processes == 1):
-        return contextlib.nullcontext()
+def asked_executor(
+    where: str | None, config: RunConfig, processes: int | None
+) -> AbstractContextManager[Executor | None]:
+    """Open what the options ask for; see ``executor_for``."""
     if where is not None and processes is not None:
         message = "--scheduler and --processes: give one of them; --scheduler local:N has processes"
         raise click.UsageError(message)
-    from slamfusion.fleet import open_scheduler  # noqa: PLC0415
+    from slamfusion.fleet import executor_for  # noqa: PLC0415
 
-    return open_scheduler(where, processes=processes, device=config.device.device, warn=notice)
+    return executor_for(where, processes, config.device.device)
 
 
 def _checked(_: click.Context, __: click.Parameter, where: str | None) -> str | None:
     """Refuse what is no address before any work."""
-    from slamfusion.fleet.scheduler import check_address  # noqa: PLC0415
+    from slamfusion.fleet import check_address  # noqa: PLC0415
 
     if where is not None:
         try:

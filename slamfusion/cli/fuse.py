@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from slamfusion.cli.evaluate import print_evaluations
-from slamfusion.cli.fleet import asked_scheduler, processes_option, scheduler_option
+from slamfusion.cli.fleet import asked_executor, processes_option, scheduler_option
 from slamfusion.cli.fused import print_alignments, print_frames, print_pairs, tell_left_out
 from slamfusion.cli.next_steps import print_next_steps
 from slamfusion.cli.options import (
@@ -41,7 +41,8 @@ from slamfusion.jobs.outputs import (
 )
 
 if TYPE_CHECKING:
-    from slamfusion.fleet import Scheduler
+    from concurrent.futures import Executor
+
     from slamfusion.jobs.fuse import FusedMaps
 
 __all__ = ["command"]
@@ -136,8 +137,8 @@ def command(
                 f"--truth and --report look at the whole map, and {out} need not fit into memory"
             )
             raise click.UsageError(message)
-        with start_errors(starts), asked_scheduler(scheduler, config, processes) as fleet:
-            return _fuse_into_store(maps, out, resolution, config, fleet, as_json=as_json)
+        with start_errors(starts), asked_executor(scheduler, config, processes) as executor:
+            return _fuse_into_store(maps, out, resolution, config, executor, as_json=as_json)
     check_report(report_dir)
     grids = load_maps(maps, resolution, config.map_files, notice)
     truth = None
@@ -148,12 +149,12 @@ def command(
     try:
         with (
             start_errors(starts),
-            asked_scheduler(scheduler, config, processes) as fleet,
+            asked_executor(scheduler, config, processes) as executor,
             progress_bar() as progress,
         ):
             fused = fuse_maps(
                 grids, config, device,
-                truth=truth, given=given, scheduler=fleet, progress=progress,
+                truth=truth, given=given, executor=executor, progress=progress,
             )  # fmt: skip
     except AlignmentError as error:
         _report_failure(error, grids, config, device.name, report_dir, given, as_json)
@@ -173,7 +174,7 @@ def _fuse_into_store(
     store: Path,
     resolution: float | None,
     config: RunConfig,
-    scheduler: Scheduler | None,
+    executor: Executor | None,
     *,
     as_json: bool,
 ) -> int:
@@ -189,7 +190,7 @@ def _fuse_into_store(
         with progress_bar() as progress:
             stored = fuse_into_store(
                 grids, store, config, device,
-                given=given, scheduler=scheduler, progress=progress,
+                given=given, executor=executor, progress=progress,
             )  # fmt: skip
     except AlignmentError as error:
         _report_failure(error, grids, config, device.name, None, given, as_json)

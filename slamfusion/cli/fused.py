@@ -30,7 +30,6 @@ PAIR_COLUMNS = (
     "score",
     "overlap",
     "runner-up ratio",
-    "gap",
 )
 
 
@@ -141,5 +140,4 @@ def _cells(found: Alignment, accepted: str) -> list[str]:
         number(found.score),
         number(found.overlap),
         number(None if found.runner_up is None else found.runner_up.ratio, 2),
-        number(found.bound_gap),
     ]

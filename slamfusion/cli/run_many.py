@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slamfusion.cli.fleet import asked_scheduler
 from slamfusion.cli.output import notice, number, print_json, print_table, progress_bar
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
@@ -33,14 +32,18 @@ def run_many(
     as_json: bool,
 ) -> int:
     """Run the main job on each log, and say what came of each."""
+    from slamfusion.fleet import executor_for  # noqa: PLC0415
     from slamfusion.jobs.run_many import log_tasks, run_logs, runs_document  # noqa: PLC0415
 
     _refuse_files_of_one_log(config, asked)
     tasks = log_tasks(
         logs, out, asked["maps"], asked["resolution"], probabilities=asked["probabilities"]
     )
-    with asked_scheduler(scheduler, config) as fleet, progress_bar() as progress:
-        runs = run_logs(tasks, config, fleet, progress)
+    with (
+        executor_for(scheduler, device=config.device.device) as executor,
+        progress_bar() as progress,
+    ):
+        runs = run_logs(tasks, config, executor, progress)
     for run in runs:
         for sentence in run.warnings:
             notice(f"{run.log.name}: {sentence}")

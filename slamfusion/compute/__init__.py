@@ -10,6 +10,7 @@ pyopencl is imported here only, and only when an OpenCL device is asked for.
 from __future__ import annotations
 
 import logging
+from functools import cache
 from typing import TYPE_CHECKING
 
 from slamfusion.compute.compute_device import ComputeDevice, NumpyDevice
@@ -22,7 +23,14 @@ if TYPE_CHECKING:
 
 _LOG = logging.getLogger(__name__)
 
-__all__ = ["ComputeDevice", "NumpyDevice", "list_devices", "open_device", "pocl_state"]
+__all__ = [
+    "ComputeDevice",
+    "NumpyDevice",
+    "list_devices",
+    "open_device",
+    "pocl_state",
+    "shared_device",
+]
 
 
 def open_device(wanted: str = "auto", *, small_kernels: bool = False) -> ComputeDevice:
@@ -57,6 +65,15 @@ def open_device(wanted: str = "auto", *, small_kernels: bool = False) -> Compute
             raise DeviceError(message) from error
         _LOG.warning("%s: NumPy computes instead, which takes longer", cache.detail)
         return NumpyDevice()
+
+
+@cache
+def shared_device(wanted: str) -> ComputeDevice:
+    """Return the device of this process: its kernels are built once; see ``open_device``.
+
+    A device that is sent to another process becomes this one there.
+    """
+    return open_device(wanted)
 
 
 def list_devices() -> list[DeviceInfo]:

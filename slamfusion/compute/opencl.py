@@ -49,6 +49,7 @@ class OpenCLDevice(ComputeDevice):
     """One OpenCL device with an in-order queue and all kernels, and the arrays on it.
 
     Attributes:
+        wanted: what it was opened by, see ``open_device``.
         reason: why this device was chosen.
         device, context, queue: pyopencl's own.
         shares_memory: a CPU device, which reads and writes the host's arrays where they are.
@@ -59,6 +60,7 @@ class OpenCLDevice(ComputeDevice):
 
     def __init__(self, wanted: str = "auto", *, small_kernels: bool = False) -> None:
         """Choose the device, build the kernels; see ``choose_device``."""
+        self.wanted = wanted
         self.device, self.reason = choose_device(wanted, small_kernels=small_kernels)
         self.name = f"{self.device.name.strip()} ({self.device.platform.name.strip()})"
         self.context = cl.Context([self.device])
@@ -74,6 +76,12 @@ class OpenCLDevice(ComputeDevice):
         self.program = KernelProgram(self.context, self.device, tuple(options))
         self._tables: dict[bytes, OpenCLArray[Any]] = {}
         self.shares_memory = is_cpu and not is_simulator(self.device)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Travel to another process as what was wanted; see ``shared_device``."""
+        from slamfusion.compute import shared_device  # noqa: PLC0415 - which imports this module
+
+        return shared_device, (self.wanted,)
 
     @property
     def opencl(self) -> OpenCLDevice:

@@ -263,44 +263,6 @@ class SearchDevice(ArrayDevice):
                 scores[k, r0:r1, c0:c1] += part.astype(np.int32) - base
         return scores
 
-    def polyphase(
-        self,
-        field: DeviceArray[np.uint8],
-        corner: tuple[int, int],
-        step: int,
-        shape: tuple[int, int],
-        fill: int,
-    ) -> DeviceArray[np.uint8]:
-        """Return the field rearranged so that cells ``step`` apart lie side by side.
-
-        Args:
-            field: (H, W) uint8.
-            corner: row and column of the field where plane (0, 0) starts; may lie outside.
-            step: cells between neighbours of a plane.
-            shape: rows and columns of each plane.
-            fill: value outside the field.
-
-        Returns:
-            (step, step, rows, cols) uint8; [a, b, i, j] is cell (corner + (a + step i, b + step
-            j)).
-        """
-        if self.opencl:
-            out = self.opencl.empty((step, step, *shape), np.uint8)
-            sizes = (*field.shape, *corner, step, *shape)
-            size = (shape[0], step * step)
-            self.opencl.launch("polyphase", size, field, *sizes, np.uint8(fill), out)
-            return out
-        field = host(field)
-        rows = corner[0] + np.arange(step * shape[0])
-        cols = corner[1] + np.arange(step * shape[1])
-        inside = (
-            ((rows >= 0) & (rows < field.shape[0]))[:, None] & (cols >= 0) & (cols < field.shape[1])
-        )
-        clipped = field[rows.clip(0, field.shape[0] - 1)][:, cols.clip(0, field.shape[1] - 1)]
-        dense = np.where(inside, clipped, np.uint8(fill))
-        planes = dense.reshape(shape[0], step, shape[1], step).transpose(1, 3, 0, 2)
-        return np.ascontiguousarray(planes)
-
     def bound_blocks(
         self,
         blocks: I32,

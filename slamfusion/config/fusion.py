@@ -79,27 +79,10 @@ class AlignConfig(Checked):
         False,
         "the maps share their start frame: of equally good answers believe one near the identity",
     )
-    prove: bool = option(
-        True,
-        "prove the answer the best of the search set, or say how far it may be off; with more than "
-        "six maps loops of maps take its place",
-    )
-    deadline_s: float = option(2.0, "stop proving a pair after this long", unit="s", low=0.0)
     coarse_cells: int = option(
         60, "cells on the longest side of the coarsest grid", low=16, high=512, level="expert"
     )
     candidates: int = option(24, "coarse peaks that are refined", low=1, high=64, level="expert")
-    proof_points: int = option(
-        1024, "wall points that the proof scores", low=16, high=8192, level="expert"
-    )
-    proof_sigma_cells: float = option(
-        4.0,
-        "width of the wall likelihood in the proof's score",
-        unit="cells",
-        low=0.5,
-        high=32.0,
-        level="expert",
-    )
 
 
 @dataclass(frozen=True)

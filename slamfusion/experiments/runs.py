@@ -5,8 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
@@ -19,7 +18,7 @@ from slamfusion.config import RunConfig, to_mapping
 from slamfusion.errors import FleetError, SlamFusionError
 from slamfusion.evaluation import Row, result_rows
 from slamfusion.experiments.examples import FOLDER, example_file
-from slamfusion.fleet import Scheduler, open_scheduler
+from slamfusion.fleet import as_done, executor_for
 from slamfusion.io import AtomicFiles
 from slamfusion.jobs.documents import record_bytes
 
@@ -57,7 +56,7 @@ class Setup:
         folder: each run that is done is at once a JSON file in its folder ``trials``.
         progress: called with the stage, the steps that are done and all steps; None: not called.
         processes: runs at the same time; 1: one after the other in this process.
-        scheduler: does the runs instead; it stays open.
+        scheduler: of a Dask cluster, whose workers do the runs instead; see ``executor_for``.
     """
 
     config: RunConfig
@@ -65,7 +64,7 @@ class Setup:
     folder: Path
     progress: Progress | None = None
     processes: int = 1
-    scheduler: Scheduler | None = None
+    scheduler: str | None = None
 
 
 def run_all(
@@ -88,7 +87,7 @@ def run_all(
     Raises:
         SlamFusionError: a run failed, or a process died. Started again, only the rest is run.
     """
-    config, folder, scheduler = setup.config, setup.folder, setup.scheduler
+    config, folder = setup.config, setup.folder
     marks = {key: _fingerprint(task, config, facts) for key, task in tasks.items()}
     done = {key: kept for key in tasks if (kept := _read(folder, key, marks[key])) is not None}
     missing = {key: task for key, task in tasks.items() if key not in done}
@@ -98,35 +97,23 @@ def run_all(
             setup.progress("runs", len(done), len(tasks))
 
     tell()
-    with ExitStack() as ends:
-        count = min(setup.processes, len(missing))
-        if scheduler is None and count > 1:
-            scheduler = ends.enter_context(open_scheduler(processes=count))
-        for key, result in _run(missing, work, config, scheduler):
-            _write(folder, key, marks[key], result)
-            done[key] = result
-            tell()
-    return [done[key] for key in tasks]
-
-
-def _run(
-    tasks: Mapping[str, T],
-    work: Callable[[T, RunConfig], RunResult],
-    config: RunConfig,
-    scheduler: Scheduler | None,
-) -> Iterator[tuple[str, RunResult]]:
-    """Yield the results as the runs end."""
-    if scheduler is None:
-        for key, task in tasks.items():
-            yield key, work(task, config)
-        return
+    processes = max(1, min(setup.processes, len(missing)))
     try:
-        jobs = {scheduler.submit(work, task, config): key for key, task in tasks.items()}
-        for job in scheduler.completed(list(jobs)):
-            yield jobs[job], job.result()
+        with executor_for(setup.scheduler, processes, config.device.device) as executor:
+            for (key, _), result in as_done(executor, _work, missing.items(), work, config):
+                _write(folder, key, marks[key], result)
+                done[key] = result
+                tell()
     except FleetError as error:
         message = f"{error}; what is done stays done: start the experiment again, it goes on"
         raise SlamFusionError(message) from None
+    return [done[key] for key in tasks]
+
+
+def _work(
+    task: tuple[str, T], work: Callable[[T, RunConfig], RunResult], config: RunConfig
+) -> RunResult:
+    return work(task[1], config)
 
 
 @cache

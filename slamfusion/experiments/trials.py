@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from slamfusion.compute import ComputeDevice
+from slamfusion.compute import ComputeDevice, shared_device
 from slamfusion.config import FailuresConfig, GroundObstacleConfig, RunConfig
 from slamfusion.cores import usable_cores
 from slamfusion.errors import SlamFusionError
@@ -33,7 +33,6 @@ from slamfusion.experiments.faults import FAULTS
 from slamfusion.experiments.page import Experiment, percent
 from slamfusion.experiments.runs import RunResult, Setup, run_all
 from slamfusion.experiments.voting import FUSIONS, PATIENCE_S, against_truth, vote_every_way
-from slamfusion.fleet.worker import worker_device
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan
 from slamfusion.jobs.defaults import RUN_VOTE
@@ -157,7 +156,7 @@ def fusion_experiment(
 def _work(trial: Trial, config: RunConfig) -> RunResult:
     """Run a trial in a worker."""
     try:
-        return measure_trial(trial, config, worker_device(config.device.device))
+        return measure_trial(trial, config, shared_device(config.device.device))
     except SlamFusionError as error:
         message = f"{trial.key}: {error}"
         raise SlamFusionError(message) from None

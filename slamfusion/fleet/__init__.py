@@ -1,13 +1,153 @@
-"""Work as tasks: in this process, in several of this machine, or on the workers of a Dask cluster.
+"""Work for other processes: those of this machine, or the workers of a Dask cluster.
 
-``open_scheduler`` gives a ``Scheduler``; who has many like things to do hands it tasks, plain
-functions of modules with plain values, and asks for their results. What a task gives does not
-depend on where it ran, as long as devices and drivers are the same. Dask is imported where a
-cluster is asked for, and nowhere else.
+``executor_for`` gives a ``concurrent.futures.Executor``. None in its place means that the caller
+does the work. What a task gives does not depend on where it ran, as long as devices and drivers are
+the same. Dask is imported where a cluster is asked for, and nowhere else.
 """
 
 from __future__ import annotations
 
-from slamfusion.fleet.scheduler import InProcess, Scheduler, Task, open_scheduler
+import contextlib
+import multiprocessing
+import os
+import re
+import signal
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from typing import Any, TypeVar
 
-__all__ = ["InProcess", "Scheduler", "Task", "open_scheduler"]
+from slamfusion.cores import usable_cores
+from slamfusion.errors import ConfigError, FleetError
+from slamfusion.fleet.children import interrupts_held, threads_limited
+
+__all__ = ["as_done", "check_address", "executor_for", "in_order", "tasks_ahead"]
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+LOCAL = re.compile(r"local(?::([1-9][0-9]{0,3}))?")
+REMOTE = re.compile(r"(?:tcp|tls)://(?:[^\s:/]+|\[[0-9a-fA-F:.]+\]):[0-9]{1,5}")
+
+
+@contextlib.contextmanager
+def executor_for(
+    where: str | None = None, processes: int | None = None, device: str = "auto"
+) -> Iterator[Executor | None]:
+    """Give an executor to a ``with`` block, and leave no process and no task behind.
+
+    Args:
+        where: ``local`` or ``local:N``: a Dask cluster of N processes of this machine; or
+            ``tcp://HOST:PORT`` or ``tls://HOST:PORT``: one that runs; None: no cluster.
+        processes: without a cluster, so many processes; None or 1: no executor. A program that uses
+            them needs the usual ``if __name__ == "__main__":``.
+        device: what workers of a cluster must be able to open, see ``open_device``.
+
+    Raises:
+        ConfigError: the address is none.
+        FleetError: Dask is not installed, no scheduler answers there, it has no workers, they
+            cannot do the work, or, out of the block: a process or the scheduler died.
+    """
+    if where is not None:
+        count = check_address(where)
+        from slamfusion.fleet.cluster import dask_executor  # noqa: PLC0415  (an extra, and slow)
+
+        with dask_executor(where, count, device) as executor:
+            yield executor
+    elif processes is None or processes == 1:
+        yield None
+    else:
+        pool = _Processes(processes, multiprocessing.get_context("spawn"), _begin)
+        try:
+            with threads_limited(max(1, usable_cores() // processes)):
+                yield pool
+        except BrokenProcessPool:
+            message = "a process died (out of memory?); fewer processes need less"
+            raise FleetError(message) from None
+        finally:
+            # Those at work come to their end unheard, which takes seconds; others do not begin.
+            pool.shutdown(cancel_futures=True)
+
+
+def check_address(where: str) -> int | None:
+    """Return the processes of a local cluster; None for the address of one that runs.
+
+    Raises:
+        ConfigError: it is neither.
+    """
+    local = LOCAL.fullmatch(where)
+    if local is not None:
+        return int(local[1]) if local[1] else usable_cores()
+    if REMOTE.fullmatch(where) is None:
+        message = (
+            f"wanted local, local:N, tcp://HOST:PORT or tls://HOST:PORT as a scheduler, found "
+            f"{where!r}"
+        )
+        raise ConfigError(message)
+    return None
+
+
+def as_done(
+    executor: Executor | None,
+    function: Callable[..., Result],
+    items: Iterable[Item],
+    *more: Any,
+) -> Iterator[tuple[Item, Result]]:
+    """Yield each item with ``function(item, *more)``, in the order in which they are done."""
+    if executor is None:
+        yield from ((item, function(item, *more)) for item in items)
+        return
+    jobs = {executor.submit(function, item, *more): item for item in items}
+    for job in as_completed(jobs):
+        yield jobs[job], job.result()
+
+
+def in_order(
+    executor: Executor | None, function: Callable[..., Result], calls: Iterable[tuple[Any, ...]]
+) -> Iterator[Result]:
+    """Yield what a function makes of the arguments of each call, in their order.
+
+    Few calls are handed over at a time: their arguments and results may be large.
+    """
+    waiting: deque[Future[Result]] = deque()
+    for arguments in calls:
+        if executor is None:
+            yield function(*arguments)
+            continue
+        waiting.append(executor.submit(function, *arguments))
+        if len(waiting) >= tasks_ahead(executor):
+            yield waiting.popleft().result()
+    yield from (job.result() for job in waiting)
+
+
+def tasks_ahead(executor: Executor) -> int:
+    """Return how many tasks keep an executor busy: two for each that it does at once."""
+    return 2 * int(getattr(executor, "slots", usable_cores()))
+
+
+class _Processes(ProcessPoolExecutor):
+    """Processes of this machine; they are started as tasks come."""
+
+    def __init__(self, slots: int, *context: Any) -> None:
+        super().__init__(slots, *context)
+        self.slots = slots
+
+    def submit(self, *task: Any, **named: Any) -> Future[Any]:
+        with interrupts_held():
+            return super().submit(*task, **named)
+
+
+def _begin() -> None:
+    """Prepare a process: the caller alone is interrupted, and none outlives it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_follow, daemon=True).start()
+
+
+def _follow() -> None:
+    """End with the caller."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)

@@ -6,11 +6,9 @@ import contextlib
 import os
 import signal
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from multiprocessing import resource_tracker
 from types import FrameType
-
-__all__ = ["interrupts_held", "restore_variables", "thread_limits", "threads_limited"]
 
 # What PoCL, OpenMP and OpenBLAS read before they start their threads; what the user set stays.
 THREAD_VARIABLES = ("POCL_MAX_PTHREAD_COUNT", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
@@ -49,27 +47,10 @@ def threads_limited(threads: int) -> Iterator[None]:
         threads: what device and libraries of each of them may start; what the user has set in the
             environment is left alone.
     """
-    added = thread_limits(threads)
-    os.environ.update(added)
+    added = [name for name in THREAD_VARIABLES if name not in os.environ]
+    os.environ.update(dict.fromkeys(added, str(threads)))
     try:
         yield
     finally:
-        restore_variables(dict.fromkeys(added))
-
-
-def restore_variables(values: Mapping[str, str | None]) -> None:
-    """Put variables of the environment back.
-
-    Args:
-        values: by name; None: it was not set.
-    """
-    for name, value in values.items():
-        if value is None:
+        for name in added:
             os.environ.pop(name, None)
-        else:
-            os.environ[name] = value
-
-
-def thread_limits(threads: int) -> dict[str, str]:
-    """Return the variables that tell a process how many threads it may start; not those set."""
-    return {name: str(threads) for name in THREAD_VARIABLES if name not in os.environ}

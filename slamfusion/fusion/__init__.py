@@ -1,7 +1,7 @@
 """Normalise, align, vote: several occupancy grids of one place become one.
 
 ``fuse_grids`` is the whole pipeline, ``align_grids`` one alignment; the modules are its steps in
-order: ``normalize``, ``features``, ``search``, ``proof``, ``accept``, ``consistency``. The vote
+order: ``normalize``, ``features``, ``search``, ``accept``, ``consistency``. The vote
 is ``slamfusion.vote``.
 """
 

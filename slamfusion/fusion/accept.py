@@ -12,13 +12,13 @@ the common ground could give, since a chance fit leaves much of it unexplained:
     n = better * min((share / (1 - share) / ODDS_ONE)^2, WEIGHT_MOST)    two good maps of one place
     n = better * min(share / (1 - share) / ODDS_SHARP, 1)                sharp ones, one is old
     n = better * max(share, SHARE_FLOOR)                                 one is bent
-    expected_wrong = pairs * prior * TRIALS * (1 + UNPROVEN * gap) * exp(-RATE * n)
+    expected_wrong = pairs * prior * TRIALS * exp(-RATE * n)
 
 is the number of wrong answers to be expected among the pairs of a job, and must stay below
-``EXPECTED_WRONG_MAX``: TRIALS and RATE accept from n = 6.0. A proof that was asked for and not
-finished (gap) leaves poses in which a better rival may be, and so does a search that was cut. A
-start that was given makes the poses near it as much more probable as they are fewer than all poses;
-of maps that may be bent there are more where there is more ground.
+``EXPECTED_WRONG_MAX``: TRIALS and RATE accept from n = 6.0. A search that was cut
+leaves poses in which a better rival may be, and has ``CUT_TRIALS`` times the TRIALS. A start that
+was given makes the poses near it as much more probable as they are fewer than all poses; of maps
+that may be bent there are more where there is more ground.
 
 A mirror image and a map of another scale may match better than anything else does and are looked
 for on their own; a map that is bent may stand roughly where it belongs, with most of its walls
@@ -91,9 +91,8 @@ GROUND_ONE_M2, GROUND_ONE_GOOD_M2 = 5000.0, 10000.0
 # a piece counts as one, by the square of the odds, as two at most (from 94 % on): where a fifth is
 # unexplained, wrong answers have up to ten pieces for them.
 ODDS_ONE, WEIGHT_MOST = 11.0, 2.0
-# Where a proof ends at its deadline, what it left undecided counts as further trials: at a gap of
-# 1, the most there is, as so many times the others; so does a search that was cut.
-UNPROVEN = 4.0
+# Poses that a search which was cut has left out count as further trials: so many in all.
+CUT_TRIALS = 5.0
 # More pieces than this make no difference that a number can show.
 COUNTED_MAX = 500.0
 # Less of what the common ground could give: the maps do not fit each other.
@@ -197,7 +196,6 @@ class Evidence:
         is_plain: weighed as two good maps (``WallPieces.doubt``), not as maps that may be bent.
         is_sharp: whether walls meet so well, or not at all, that neither map is bent
             (``SHARP_MATCH``).
-        gap: what a proof left undecided, 0..1 (``Alignment.bound_gap``); 0 without one.
         is_cut: whether walls fill the cells that were searched (``CoarseSearch.is_cut``).
         held_m: metres of wall that hold the answer in the direction in which the fewest do (see
             ``held``); None: not asked.
@@ -228,13 +226,7 @@ class Evidence:
     common_ground: float = 1.0
     is_plain: bool = False
     is_sharp: bool = False
-    gap: float = 0.0
     is_cut: bool = False
-
-    @property
-    def undecided(self) -> float:
-        """What the search or its proof left undecided, 0..1: all, where the search was cut."""
-        return 1.0 if self.is_cut else self.gap
 
 
 def expected_wrong(
@@ -245,16 +237,16 @@ def expected_wrong(
     *,
     is_plain: bool = False,
     is_sharp: bool = False,
-    gap: float = 0.0,
+    is_cut: bool = False,
 ) -> float:
     """Return how many wrong answers are to be expected to look as good, in the whole job.
 
     Args:
-        better, share, pairs, prior, is_plain, is_sharp, gap: see ``Evidence``.
+        better, share, pairs, prior, is_plain, is_sharp, is_cut: see ``Evidence``.
     """
     weight = piece_weight(share, is_plain=is_plain, is_sharp=is_sharp)
     counted = min(better * weight, COUNTED_MAX)
-    trials = TRIALS * (1.0 + UNPROVEN * min(max(gap, 0.0), 1.0))
+    trials = TRIALS * (CUT_TRIALS if is_cut else 1.0)
     return pairs * prior * trials * math.exp(-RATE * max(counted, -COUNTED_MAX))
 
 
@@ -294,8 +286,6 @@ def decide(evidence: Evidence) -> Decision:
             "; walls fill the cells that were searched at every yaw; on finer ones only yaws with "
             "parallel walls were"
         )
-    elif decision.accepted and evidence.gap > 0.0:
-        said = f"; the proof was not finished in time (gap {evidence.gap:.2f})"
     return replace(decision, reason=decision.reason + said)
 
 
@@ -375,7 +365,7 @@ def _wrong(evidence: Evidence, better: float) -> float:
         evidence.prior,
         is_plain=evidence.is_plain,
         is_sharp=evidence.is_sharp,
-        gap=evidence.undecided,
+        is_cut=evidence.is_cut,
     )
 
 
@@ -500,14 +490,6 @@ def _not_alone(evidence: Evidence, wrong: float) -> Decision:
             "too little in common",
             f"too little in common to judge: {evidence.common_m:.1f} m of walls, "
             f"{evidence.witnesses:.1f} independent pieces of wall",
-        )
-    if evidence.gap > 0.0 and _wrong(replace(evidence, gap=0.0), evidence.better) < (
-        EXPECTED_WRONG_MAX
-    ):
-        return _refused(
-            "ambiguous",
-            f"ambiguous: the proof was not finished in time (gap {evidence.gap:.2f}), and without "
-            f"it {wrong:.2g} wrong answers are to be expected",
         )
     is_fit, is_alone = evidence.share >= SHARE_FIT, evidence.ratio < RIVAL_RATIO
     is_little = _wrong(whole, evidence.better) >= EXPECTED_WRONG_MAX

@@ -1,4 +1,4 @@
-"""Align one grid to another: search, prove, measure, decide."""
+"""Align one grid to another: search, measure, decide."""
 
 from __future__ import annotations
 
@@ -13,14 +13,12 @@ import numpy.typing as npt
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import AlignConfig, FusionConfig
 from slamfusion.fusion.accept import DECISIONS, DecisionKind
-from slamfusion.fusion.cancel import CancelToken, check_cancelled
+from slamfusion.fusion.cancel import CancelToken
 from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.fixed_step import fixed_step_search
 from slamfusion.fusion.frames import motion_of
 from slamfusion.fusion.judge import judge, prior_within, rejected_alignment
-from slamfusion.fusion.motions import displacement
 from slamfusion.fusion.normalize import check_resampling, common_resolution, normalize_grid
-from slamfusion.fusion.proof import LatticeScore, neighbourhood_best, prove
 from slamfusion.fusion.records import Alignment
 from slamfusion.fusion.refine import settle
 from slamfusion.fusion.rivals import Found
@@ -28,7 +26,6 @@ from slamfusion.fusion.search import (
     FINER_CHANCE_MAX,
     SearchWindow,
     finer_step,
-    inside,
     score_motions,
     search,
     wall_widths,
@@ -40,14 +37,6 @@ from slamfusion.grid import OccupancyGrid
 __all__ = ["align_features", "align_grids", "rejected_alignment", "track_features"]
 
 F64 = npt.NDArray[np.float64]
-
-NEIGHBOURHOOD_CELLS = 8
-NEIGHBOURHOOD_YAW_RAD = math.radians(2.0)
-PROOF_ROUNDS = 3
-RIVALS = 8
-# Cells of the field that a proof reads. It holds several such fields, and of larger ones it ends at
-# its deadline long before it has bounded anything.
-PLANE_CELLS_MAX = 1 << 25
 
 
 def align_grids(
@@ -121,7 +110,7 @@ def align_features(
         return rejected_alignment(reference, moving, reason, time.perf_counter() - began)
     if config.step is not None:
         motion = fixed_step_search(reference, moving, config.step, window, device, cancel)
-        found = Found(motion[None], None, None, "fixed step")
+        found = Found(motion[None], None, "fixed step")
     else:
         found = _searched(reference, moving, config, window, device, cancel)
     if not len(found.motions):
@@ -181,11 +170,7 @@ def _searched_finer(
     sigma = wall_widths(reference)[0]
     values = score_motions(reference, moving, motions, 1, device, sigma=sigma, cancel=cancel)
     motions = motions[np.argsort(-values, kind="stable")]
-    is_other = not _is_same(motions[0], found.motions[0])
-    found = replace(found, coarse=coarse, motions=motions)
-    if config.prove and is_other:
-        found = _prove(reference, moving, config, window, device, found, cancel)
-    return found
+    return replace(found, coarse=coarse, motions=motions)
 
 
 def _searched(
@@ -196,29 +181,20 @@ def _searched(
     device: ComputeDevice,
     cancel: CancelToken | None,
 ) -> Found:
-    """Search, and prove where asked for; inside a window, with the rivals of everywhere."""
+    """Search; inside a window, with the rivals of everywhere."""
     coarse, motions, _ = search(reference, moving, config, window, device, cancel)
     if not len(motions):
-        return Found(motions, coarse, None, "window")
+        return Found(motions, coarse, "window")
     if window.shift_cells is None and window.yaw_rad >= math.pi:
-        found = Found(motions, coarse, None, "full")
-        if config.prove:
-            found = _prove(reference, moving, config, window, device, found, cancel)
-        return found
+        return Found(motions, coarse, "full")
     shift = float(max(*reference.shape, *moving.shape))
     if window.shift_cells is not None:
         shift = min(shift, window.shift_cells)
     prior = prior_within(reference, moving, shift, window.yaw_rad)
-    found = Found(motions, coarse, None, "window", prior)
-    if config.prove:
-        found = _prove(reference, moving, config, window, device, found, cancel)
     # What stands out among few yaws and shifts stands out of nothing.
     _, others, _ = search(reference, moving, config, SearchWindow(), device, cancel)
-    return replace(
-        found,
-        motions=np.concatenate((found.motions, others)),
-        candidates=len(found.motions),
-    )
+    everything = np.concatenate((motions, others))
+    return Found(everything, coarse, "window", prior, candidates=len(motions))
 
 
 def track_features(
@@ -242,7 +218,7 @@ def track_features(
     """
     began = time.perf_counter()
     motion = settle(reference, moving, motion_of(reference, moving, start)[None], device, cancel)
-    found = Found(motion, None, None, "tracked")
+    found = Found(motion, None, "tracked")
     return judge(reference, moving, AlignConfig(), device, found, start, 1, began, cancel)
 
 
@@ -276,49 +252,3 @@ def _meets(reference: GridFeatures, moving: GridFeatures, window: SearchWindow) 
     reach = window.shift_cells + math.hypot(*moving.shape) / 2.0
     x, y, _ = window.start
     return -reach <= x <= width + reach and -reach <= y <= height + reach
-
-
-def _prove(
-    reference: GridFeatures,
-    moving: GridFeatures,
-    config: AlignConfig,
-    window: SearchWindow,
-    device: ComputeDevice,
-    found: Found,
-    cancel: CancelToken | None = None,
-) -> Found:
-    """Bound the whole search set; rivals that the proof turns up are refined and may win."""
-    end = time.perf_counter() + config.deadline_s
-    lattice = LatticeScore(reference, moving, config, window, device)
-    motions = found.motions
-    if lattice.plane_cells > PLANE_CELLS_MAX:
-        # Nothing can be bounded in reasonable memory: the rest of the set may score anything.
-        return replace(found, bound_gap=1.0)
-    gap, sigma = 0.0, wall_widths(reference)[0]
-    for _ in range(PROOF_ROUNDS):
-        check_cancelled(cancel)
-        best, _ = neighbourhood_best(lattice, motions[0], NEIGHBOURHOOD_CELLS)
-        proof = prove(lattice, best, max(0.0, end - time.perf_counter()))
-        gap = proof.bound_gap
-        if not len(proof.rivals):
-            break
-        others = inside(window, settle(reference, moving, proof.rivals[:RIVALS], device, cancel))
-        elsewhere = [other for other in others if not _is_same(other, motions[0])]
-        if not elsewhere:
-            # All that scores above the answer runs into it when refined: it is their optimum.
-            gap = gap if not proof.finished else 0.0
-            break
-        everything = np.concatenate((motions, np.array(elsewhere)))
-        values = score_motions(reference, moving, everything, 1, device, sigma=sigma, cancel=cancel)
-        order = np.argsort(-values, kind="stable")
-        changed = order[0] >= len(motions)
-        motions = everything[order]
-        if not changed:
-            break
-    return replace(found, motions=motions, bound_gap=gap)
-
-
-def _is_same(a: F64, b: F64) -> bool:
-    """Whether one motion lies in the neighbourhood of the other, which the proof takes as one."""
-    shift, turn = displacement(a, b)
-    return shift <= NEIGHBOURHOOD_CELLS and turn <= NEIGHBOURHOOD_YAW_RAD

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from statistics import median
 
@@ -14,7 +15,6 @@ import numpy.typing as npt
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import SMALLEST, FusionConfig
 from slamfusion.errors import AlignmentError, ConfigError
-from slamfusion.fleet import Scheduler
 from slamfusion.fusion.align import align_features, rejected_alignment, track_features
 from slamfusion.fusion.consistency import (
     Group,
@@ -51,7 +51,7 @@ REFERENCE_AREA_SHARE = 0.5
 # [F16]: any two of three decide, so one input has nobody to agree with.
 LEAST_FUSED = 2
 # Of more pairs most share nothing: those that are promising are aligned, what is refused is not
-# searched once more, and nothing is proven.
+# searched once more.
 THOROUGH_PAIRS = 15
 # An input of more cells keeps no fields after its last pair: they are some 30 bytes a cell.
 KEPT_CELLS = 1 << 22
@@ -109,7 +109,7 @@ def align_group(
     second_look: SecondLook | None = None,
     starts: Starts | None = None,
     in_part: Collection[str] = (),
-    scheduler: Scheduler | None = None,
+    executor: Executor | None = None,
 ) -> AlignedGroup:
     """Align pairs, find the groups that fit together, and choose their frames.
 
@@ -122,7 +122,7 @@ def align_group(
         config: settings of the search; ``reference`` may name the reference.
         device: computes.
         names: all inputs, in order.
-        progress, second_look, starts, in_part, scheduler: see ``fuse_grids``.
+        progress, second_look, starts, in_part, executor: see ``fuse_grids``.
 
     Raises:
         AlignmentError: fewer than two of several inputs agree; ``pairs`` holds the alignments.
@@ -130,7 +130,7 @@ def align_group(
     """
     count = math.comb(len(features), 2)
     implied = ImpliedPairs(features, count, device)
-    aligner = _Aligner(features, config, device, count, progress, starts or Starts(), scheduler)
+    aligner = _Aligner(features, config, device, count, progress, starts or Starts(), executor)
     if count <= THOROUGH_PAIRS or second_look is not None:
         pairs = aligner.align_all(second_look)
         found = _all_groups(names, features, pairs, implied)
@@ -176,18 +176,17 @@ class _Aligner:
         count: int,
         progress: Progress | None,
         starts: Starts,
-        scheduler: Scheduler | None,
+        executor: Executor | None,
     ) -> None:
         self.features, self.device, self.count = features, device, count
         self.progress, self.starts = progress, starts
         self.is_thorough = count <= THOROUGH_PAIRS
-        # Of many maps loops bear out what a proof would, and a proof takes as long as ten searches.
-        self.config = config.align if self.is_thorough else replace(config.align, prove=False)
+        self.config = config.align
         self.done, self.steps = 0, count if self.is_thorough else len(features) - 1
         self.tasks: AlignmentTasks | None = None
-        if scheduler is not None:
+        if executor is not None:
             settings = PairSettings(self.config, count, self.is_thorough)
-            self.tasks = AlignmentTasks(scheduler, settings)
+            self.tasks = AlignmentTasks(executor, settings, device)
 
     def tell(self, what: str, done: int) -> None:
         """Tell what is being done, and how many alignments are."""
@@ -476,7 +475,6 @@ def _over_others(
         accepted=True,
         reason=turned.reason,
         runner_up=turned.runner_up,
-        bound_gap=turned.bound_gap,
         time_s=turned.time_s + tracked.time_s,
         yaw_profile=turned.yaw_profile,
         statistics=turned.statistics | tracked.statistics,

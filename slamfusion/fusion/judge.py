@@ -171,7 +171,6 @@ def judge(
         overlap,
         error,
         runner_up,
-        found.bound_gap,
         time.perf_counter() - began,
         statistics,
         None if found.coarse is None else _profile(reference, moving, found.coarse),
@@ -265,7 +264,6 @@ def _evidence(
         better_inside=stand.better_inside,
         is_plain=stand.is_plain,
         is_sharp=statistics["wall_match"] >= SHARP_MATCH and pieces.whole() >= SHARP_WHOLE,
-        gap=found.bound_gap or 0.0,
         is_cut=found.coarse is not None and found.coarse.is_cut,
         ratio=max(0.0, highest / float(total[0])) if total[0] > 0 else 1.0,
         rival=rival,
@@ -327,9 +325,7 @@ def _looked_at_image(
     coarse, motions, _ = search(reference, image, config, SearchWindow(), device, cancel)
     if not len(motions):
         return evidence
-    other = chosen_standing(
-        reference, image, device, Found(motions, coarse, None, "full"), pairs, cancel
-    )
+    other = chosen_standing(reference, image, device, Found(motions, coarse, "full"), pairs, cancel)
     # A half of a place that is nearly its own image may fit both ways.
     least = EXPECTED_WRONG_MAX * min(1.0, stand.wrong(pairs))
     if other.share < SHARE_MIN or other.wrong(pairs) >= least:
@@ -402,6 +398,5 @@ def rejected_alignment(
         overlap=0.0,
         error=0.0,
         runner_up=None,
-        bound_gap=None,
         time_s=time_s,
     )

@@ -291,7 +291,6 @@ def place_by_path(
         accepted=True,
         reason=reason,
         runner_up=runner_up,
-        bound_gap=pair.bound_gap,
         time_s=pair.time_s + tracked.time_s,
         statistics=best.statistics | {PATH_GAP: gap_m(best)},
         yaw_profile=pair.yaw_profile,

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Collection, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig
 from slamfusion.errors import AlignmentError, ConfigError
-from slamfusion.fleet import Scheduler
 from slamfusion.fusion.duplicates import copy_words, find_copies
 from slamfusion.fusion.groups import (
     LEAST_FUSED,
@@ -40,7 +40,7 @@ def fuse_grids(
     second_look: SecondLook | None = None,
     starts: Starts | None = None,
     in_part: Collection[str] = (),
-    scheduler: Scheduler | None = None,
+    executor: Executor | None = None,
 ) -> FusionResult:
     """Bring the grids into one frame and let them vote.
 
@@ -54,7 +54,8 @@ def fuse_grids(
         starts: where the inputs are expected; a pair of which both are is searched only there.
         in_part: names of inputs that do not show all of their place: they are not the reference,
             whose box the fused map may have, where there is another.
-        scheduler: aligns pairs, on a device like this one; None: they are aligned here.
+        executor: aligns pairs, on devices like this one, see ``slamfusion.fleet``; None: they are
+            aligned here.
 
     Returns:
         The fused map and everything needed to judge it. A single grid is its own fusion.
@@ -65,7 +66,7 @@ def fuse_grids(
         MemoryBudgetError: the grids are too large for the memory that is free.
     """
     began = time.perf_counter()
-    aligned = align_inputs(grids, config, device, progress, second_look, starts, in_part, scheduler)
+    aligned = align_inputs(grids, config, device, progress, second_look, starts, in_part, executor)
 
     def vote(members: Members, rest: Mapping[str, InputRecord]) -> FusionResult:
         of = grids if members is aligned.group else aligned.grids_of(members)
@@ -108,14 +109,14 @@ def align_inputs(
     second_look: SecondLook | None = None,
     starts: Starts | None = None,
     in_part: Collection[str] = (),
-    scheduler: Scheduler | None = None,
+    executor: Executor | None = None,
     *,
     is_stored: bool = False,
 ) -> AlignedInputs:
     """Bring the grids into one frame; see ``fuse_grids``.
 
     Args:
-        grids, config, device, progress, second_look, starts, in_part, scheduler: as there.
+        grids, config, device, progress, second_look, starts, in_part, executor: as there.
         is_stored: the vote will be held tile by tile, and take no memory to speak of.
 
     Raises:
@@ -133,7 +134,7 @@ def align_inputs(
     try:
         group = align_group(
             prepared.features, reasons, config, device, names, progress, second_look, starts,
-            in_part, scheduler,
+            in_part, executor,
         )  # fmt: skip
     finally:
         prepared.release()

@@ -89,7 +89,7 @@ def placed(
         device: computes.
     """
     motion = motion_of(reference, moving, transform)[None]
-    found = Found(motion, None, None, "tracked")
+    found = Found(motion, None, "tracked")
     began = time.perf_counter()
     measured = judge(reference, moving, AlignConfig(), device, found, transform, 1, began, None)
     reason = "placed over other maps, with which it is aligned"

@@ -104,8 +104,6 @@ class AlignmentJson(TypedDict):
     """[F16] map error over the reference's known box; smaller is better."""
     runner_up: RunnerUpJson | None
     """The best distinct peak beside the answer; null when there is none."""
-    bound_gap: float | None
-    """0: proven the best of the search set; above: the deadline came first; null: not asked for."""
     time_s: float
     """Wall time, seconds."""
     statistics: Mapping[str, float | None]
@@ -238,8 +236,6 @@ class Alignment:
         error: [F16] map error, sqrt of the sum of squared differences of -1 / 0 / 1 over the
             reference's known box.
         runner_up: best distinct peak, None when there is none.
-        bound_gap: 0 when proven the best of the search set, positive when the deadline came
-            first (in score units), None when not asked for.
         time_s: wall time of this alignment.
         statistics: further numbers of the answer, by name.
         yaw_profile: (K, 2) float64, yaw in rad (of ``transform``) and the most evidence there, as a
@@ -257,7 +253,6 @@ class Alignment:
     overlap: float
     error: float
     runner_up: RunnerUp | None
-    bound_gap: float | None
     time_s: float
     statistics: dict[str, float] = field(default_factory=dict)
     yaw_profile: npt.NDArray[np.float64] | None = None
@@ -294,7 +289,6 @@ class Alignment:
             "overlap": self.overlap,
             "error": self.error,
             "runner_up": runner_up,
-            "bound_gap": self.bound_gap,
             "time_s": self.time_s,
             "statistics": self.statistics,
             "match_evidence": None if self.evidence is None else self.evidence.to_json(),

@@ -75,7 +75,6 @@ class Found:
     Attributes:
         motions: (P, 3) what the search ends with.
         coarse: outcome of the coarse stages; None where there was no search.
-        bound_gap: see ``Alignment.bound_gap``.
         search: ``full``, ``window``, ``fixed step`` or ``tracked``.
         prior: see ``Evidence.prior``.
         candidates: how many of the motions, the first, may be the answer; None: all. The others are
@@ -85,7 +84,6 @@ class Found:
 
     motions: F64
     coarse: CoarseSearch | None
-    bound_gap: float | None
     search: str
     prior: float = 1.0
     candidates: int | None = None

@@ -8,8 +8,9 @@ its box: the cells are those of a vote in memory (``lattice_vote``), bit for bit
 from __future__ import annotations
 
 import itertools
-from collections import OrderedDict
+import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, TypeVar
@@ -21,9 +22,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.compute.lattice import fixed_cells
 from slamfusion.compute.layout import FIXED_ONE, MOST_INPUTS
 from slamfusion.config import FusionConfig
-from slamfusion.fleet import Scheduler, Task
-from slamfusion.fleet.packed import Kept, Packed, pack
-from slamfusion.fleet.worker import worker_device
+from slamfusion.fleet import in_order
 from slamfusion.fusion.groups import Members, Progress
 from slamfusion.fusion.lattice_vote import Lattices, fused_box, own_box, warp_pose
 from slamfusion.geometry import Pose2
@@ -46,12 +45,8 @@ __all__ = ["StoredVote", "Voter", "prepare_stored_vote"]
 I8 = npt.NDArray[np.int8]
 Result = TypeVar("Result")
 
-# Tiles for each of the scheduler's slots that are handed over or wait to be written.
-AHEAD = 2
 # Cells on a side of the blocks in which inputs travel.
 BLOCK = 512
-# Bytes of blocks that a process keeps unpacked: those under the tiles around the last one.
-KEPT_BYTES = 1 << 26
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,12 +55,12 @@ class PackedBlocks:
 
     Attributes:
         shape: rows and columns.
-        blocks: ``BLOCK`` cells on a side, by row and column of blocks; of those that are not here
-            all cells are unknown, or nobody asks for them.
+        blocks: ``BLOCK`` cells on a side, compressed, by row and column of blocks; of those that
+            are not here all cells are unknown, or nobody asks for them.
     """
 
     shape: tuple[int, int]
-    blocks: Mapping[tuple[int, int], Packed[I8]]
+    blocks: Mapping[tuple[int, int], bytes]
 
     @classmethod
     def of(cls, cells: I8) -> PackedBlocks:
@@ -73,9 +68,10 @@ class PackedBlocks:
         height, width = cells.shape
         blocks = {}
         for box in tiles_of(CellBox(0, 0, height, width), BLOCK):
-            block = np.ascontiguousarray(cells[slices(box, 0, 0)])
+            block = cells[slices(box, 0, 0)]
             if (block != UNKNOWN).any():
-                blocks[box.row0 // BLOCK, box.col0 // BLOCK] = pack(block)
+                packed = zlib.compress(block.tobytes(), 1)
+                blocks[box.row0 // BLOCK, box.col0 // BLOCK] = packed
         return cls((height, width), blocks)
 
     def under(self, window: CellBox | None) -> PackedBlocks:
@@ -91,13 +87,15 @@ class PackedBlocks:
         """Return the cells of a box."""
         cells = np.full((window.height, window.width), UNKNOWN, dtype=np.int8)
         for (row, col), packed in self.under(window).blocks.items():
-            block = _KEPT.get(packed.key, packed.unpack)
-            height, width = block.shape
             row0, col0 = row * BLOCK, col * BLOCK
-            part = overlap(CellBox(row0, col0, row0 + height, col0 + width), window)
+            row1, col1 = (
+                min(at + BLOCK, end) for at, end in zip((row0, col0), self.shape, strict=True)
+            )
+            part = overlap(CellBox(row0, col0, row1, col1), window)
             if part is not None:
+                block = np.frombuffer(zlib.decompress(packed), np.int8)
+                block = block.reshape(row1 - row0, col1 - col0)
                 cells[slices(part, window.row0, window.col0)] = block[slices(part, row0, col0)]
-        _KEPT.shrink()
         return cells
 
 
@@ -165,56 +163,56 @@ class StoredVote:
         """Rows and columns of the fused map."""
         return self.voter.whole.height, self.voter.whole.width
 
-    def trusting(self, scheduler: Scheduler, progress: Progress | None = None) -> StoredVote:
+    def trusting(
+        self, device: ComputeDevice, executor: Executor | None, progress: Progress | None = None
+    ) -> StoredVote:
         """Return the vote with the trust in its inputs; it looks at all of their walls.
 
         Args:
-            scheduler, progress: see ``decide``.
+            device, executor, progress: see ``decide``.
         """
         if not self.voter.weighs:
             return self
-        counts = [counts for _, counts in self._each(count_tile, "compare", scheduler, progress)]
-        return replace(self, voter=self.voter.trusting(sum_counts(counts)))
+        found = self._each(count_tile, "compare", device, executor, progress)
+        return replace(self, voter=self.voter.trusting(sum_counts([counts for _, counts in found])))
 
     def decide(
-        self, scheduler: Scheduler, progress: Progress | None = None
+        self, device: ComputeDevice, executor: Executor | None, progress: Progress | None = None
     ) -> Iterator[tuple[CellBox, DecidedTile]]:
         """Yield tiles of ``TILE`` cells on a side in which an input knows something.
 
         Args:
-            scheduler: decides them.
+            device: computes, here or one like it elsewhere.
+            executor: decides tiles; None: they are decided here.
             progress: told how many tiles are done.
 
         Raises:
-            FleetError: those that do the tasks are gone.
             GridError: more inputs than a vote takes know one place.
         """
-        for tile, decided in self._each(decide_tile, "vote", scheduler, progress):
+        for tile, decided in self._each(decide_tile, "vote", device, executor, progress):
             if decided is not None:
                 yield tile, decided
 
     def _each(
         self,
-        task: Callable[[TileVoter, CellBox, Sequence[Voter], str], Result],
+        task: Callable[[TileVoter, CellBox, Sequence[Voter], ComputeDevice], Result],
         what: str,
-        scheduler: Scheduler,
+        device: ComputeDevice,
+        executor: Executor | None,
         progress: Progress | None,
     ) -> Iterator[tuple[CellBox, Result]]:
         """Yield what a task makes of each tile."""
         tiles = _along_a_curve(self.voter.tiles(TILE))
-        waiting: OrderedDict[CellBox, Task[Result]] = OrderedDict()
-        rest = iter(tiles)
-        for done in range(len(tiles)):
-            for tile in rest:
-                here = [item.under(self.voter.reading(tile)) for item in self.inputs]
-                known = [item for item in here if item is not None]
-                waiting[tile] = scheduler.submit(task, self.voter, tile, known, scheduler.device)
-                if len(waiting) >= AHEAD * scheduler.slots:
-                    break
-            tile, made = waiting.popitem(last=False)
-            yield tile, made.result()
+        calls = ((self.voter, tile, self._under(tile), device) for tile in tiles)
+        for done, made in enumerate(in_order(executor, task, calls)):
+            yield tiles[done], made
             if progress is not None:
                 progress(what, done + 1, len(tiles))
+
+    def _under(self, tile: CellBox) -> list[Voter]:
+        """Return the inputs with what a tile needs of them."""
+        here = (item.under(self.voter.reading(tile)) for item in self.inputs)
+        return [item for item in here if item is not None]
 
 
 def prepare_stored_vote(group: Members, lattices: Lattices, config: FusionConfig) -> StoredVote:
@@ -259,26 +257,26 @@ def _along_a_curve(tiles: Iterable[CellBox]) -> list[CellBox]:
 # --- where tiles are decided -----------------------------------------------------------------
 
 
-def count_tile(voter: TileVoter, tile: CellBox, inputs: Sequence[Voter], device: str) -> WallCounts:
+def count_tile(
+    voter: TileVoter, tile: CellBox, inputs: Sequence[Voter], device: ComputeDevice
+) -> WallCounts:
     """Count how the walls of inputs agree in a tile; see ``TileVoter.count``."""
-    opened = worker_device(device)
     return sum_counts(
-        voter.count(part, _shown(voter, part, inputs, opened)) for part in _parts(tile, inputs)
+        voter.count(part, _shown(voter, part, inputs, device)) for part in _parts(tile, inputs)
     )
 
 
 def decide_tile(
-    voter: TileVoter, tile: CellBox, inputs: Sequence[Voter], device: str
+    voter: TileVoter, tile: CellBox, inputs: Sequence[Voter], device: ComputeDevice
 ) -> DecidedTile | None:
     """Decide a tile; None where no input knows any cell of it."""
-    opened = worker_device(device)
     fused = np.full((tile.height, tile.width), UNKNOWN, dtype=np.int8)
     agreement = np.full_like(fused, UNKNOWN)
     phantom_cells = 0
     worst: dict[str, tuple[int, int, int]] = {}
     is_known = False
     for part in _parts(tile, inputs):
-        decided = voter.decide(part, _shown(voter, part, inputs, opened), opened)
+        decided = voter.decide(part, _shown(voter, part, inputs, device), device)
         if decided is not None:
             window = slices(part, tile.row0, tile.col0)
             fused[window], agreement[window] = decided.fused, decided.agreement
@@ -327,11 +325,3 @@ def _laid(packed: PackedBlocks, voter: Voter, part: CellBox, device: ComputeDevi
     cells = device.upload(packed.unpack(window))
     warped = device.warp(cells, pose, (part.height, part.width), UNKNOWN)
     return np.array(device.download(warped)[0])
-
-
-def _bytes_of(cells: I8) -> int:
-    return cells.nbytes
-
-
-# The blocks that were laid last, unpacked.
-_KEPT: Kept[I8] = Kept(_bytes_of, KEPT_BYTES)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError, SlamFusionError
-from slamfusion.fleet import Scheduler
 from slamfusion.fusion import fuse_grids
 from slamfusion.fusion.groups import LEAST_FUSED
 from slamfusion.fusion.records import (
@@ -129,7 +129,7 @@ def fuse_maps(
     truth: MapInput | None = None,
     resolution: float | None = None,
     given: GivenMaps | None = None,
-    scheduler: Scheduler | None = None,
+    executor: Executor | None = None,
     progress: Progress | None = None,
     warn: Warn = _LOG.warning,
 ) -> FusedMaps:
@@ -144,7 +144,7 @@ def fuse_maps(
         truth: the true map: errors of every input and of the fused map.
         resolution: metres per cell of bare images.
         given: the files of maps that are in memory; default: those that are read.
-        scheduler: aligns the pairs, see ``slamfusion.fleet``; default: they are aligned here.
+        executor: aligns the pairs, see ``slamfusion.fleet``; default: they are aligned here.
         progress: told the stage, and how much of it is done.
         warn: told in a sentence what is doubtful about a map.
 
@@ -168,7 +168,7 @@ def fuse_maps(
     if truth is not None:
         (true_grid,) = as_grids([truth], config, resolution=resolution, warn=warn)
     device = device_for(config, device)
-    result = fuse_grids(grids, config.fusion, device, progress, starts=starts, scheduler=scheduler)
+    result = fuse_grids(grids, config.fusion, device, progress, starts=starts, executor=executor)
     if config.fusion.require_all and result.rejected:
         raise AllRequiredError(result)
     evaluations: tuple[Evaluation, ...] = ()

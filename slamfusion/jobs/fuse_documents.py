@@ -54,7 +54,6 @@ NO_ALIGNMENT: NoAlignmentJson = {
     "overlap": None,
     "error": None,
     "runner_up": None,
-    "bound_gap": None,
     "time_s": None,
     "strength": None,
 }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Executor
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,7 +14,6 @@ import numpy as np
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
-from slamfusion.fleet import InProcess, Scheduler
 from slamfusion.fusion.groups import Members
 from slamfusion.fusion.lattice_vote import (
     bent_maps,
@@ -98,7 +98,7 @@ def fuse_into_store(
     *,
     resolution: float | None = None,
     given: GivenMaps | None = None,
-    scheduler: Scheduler | None = None,
+    executor: Executor | None = None,
     progress: Progress | None = None,
     warn: Warn = _LOG.warning,
 ) -> StoredMaps:
@@ -109,8 +109,8 @@ def fuse_into_store(
     up to ``FILES_CELLS`` cells are also written as files of a map server beside it.
 
     Args:
-        maps, config, device, resolution, given, scheduler, progress, warn: see ``fuse_maps``; tiles
-            are tasks, too.
+        maps, config, device, resolution, given, executor, progress, warn: see ``fuse_maps``; the
+            executor decides tiles, too.
         store: ``OUT.zarr``; further groups go to ``OUT-2.zarr`` ... Nothing may be at any of them;
             see ``check_stores``.
 
@@ -128,15 +128,14 @@ def fuse_into_store(
     starts = place_starts(config.start, names, config.fusion.reference)
     device = device_for(config, device)
     aligned = align_inputs(
-        grids, config.fusion, device, progress, starts=starts, scheduler=scheduler, is_stored=True
+        grids, config.fusion, device, progress, starts=starts, executor=executor, is_stored=True
     )
     if config.fusion.require_all:
         _check_all(aligned, device)
-    scheduler = scheduler or InProcess(config.device.device)
     votes = [
         vote
         for members in (aligned.group, *aligned.group.others)
-        for vote in _votes_of(aligned, members, config, scheduler, progress)
+        for vote in _votes_of(aligned, members, config, device, executor, progress)
     ]
     (first, _), *others = votes
     left_out = aligned.others
@@ -155,7 +154,7 @@ def fuse_into_store(
                 path,
                 config,
                 device,
-                scheduler,
+                executor,
                 progress,
             )
             for (members, vote), path in zip(votes, stores, strict=True)
@@ -220,18 +219,19 @@ def _votes_of(
     aligned: AlignedInputs,
     members: Members,
     config: RunConfig,
-    scheduler: Scheduler,
+    device: ComputeDevice,
+    executor: Executor | None,
     progress: Progress | None,
 ) -> Iterator[tuple[Members, StoredVote]]:
     """Yield the vote of a group, or those of two that contradict each other."""
     vote = prepare_stored_vote(members, aligned.lattices, config.fusion)
-    vote = vote.trusting(scheduler, progress)
+    vote = vote.trusting(device, executor, progress)
     parts = parts_of(members, vote.voter.trust)
     if len(parts) == 1:
         yield members, vote
         return
     for part in parts:
-        yield from _votes_of(aligned, part, config, scheduler, progress)
+        yield from _votes_of(aligned, part, config, device, executor, progress)
 
 
 def _vote_into(
@@ -242,7 +242,7 @@ def _vote_into(
     path: Path,
     config: RunConfig,
     device: ComputeDevice,
-    scheduler: Scheduler,
+    executor: Executor | None,
     progress: Progress | None,
 ) -> StoredFusion:
     """Hold the vote of a group; its store is put in place when all are written."""
@@ -258,7 +258,7 @@ def _vote_into(
         )
     )
     phantom_cells, worst = 0, []
-    for box, decided in vote.decide(scheduler, progress):
+    for box, decided in vote.decide(device, executor, progress):
         fused = np.where(decided.fused == 1, np.int8(OCCUPIED), decided.fused)
         opened.write(FUSED, box, fused)
         opened.write(AGREEMENT_ARRAY, box, decided.agreement)

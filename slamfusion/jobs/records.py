@@ -120,8 +120,6 @@ class NoAlignmentJson(TypedDict):
     """Null: it was not aligned."""
     runner_up: None
     """Null: it was not aligned."""
-    bound_gap: None
-    """Null: it was not aligned."""
     time_s: None
     """Null: it was not aligned."""
     strength: None

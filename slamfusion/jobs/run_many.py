@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import socket
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from slamfusion.config import RunConfig
-from slamfusion.errors import FleetError, SlamFusionError
+from slamfusion.errors import SlamFusionError
 from slamfusion.evidence.recommendation import Recommendation
-from slamfusion.fleet import InProcess, Scheduler
+from slamfusion.fleet import as_done
 from slamfusion.jobs.documents import path_text, settings_used
 from slamfusion.jobs.inputs import Progress, distinct_names
 from slamfusion.jobs.outputs import FUSED, REPORT, RUN_RECORD
@@ -140,7 +141,7 @@ def log_tasks(
 def run_logs(
     tasks: Sequence[LogTask],
     config: RunConfig,
-    scheduler: Scheduler | None = None,
+    executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> tuple[RunOfLog, ...]:
     """Run the main job on each log, and write its files; see ``run_log`` and ``save_run``.
@@ -151,21 +152,14 @@ def run_logs(
     Args:
         tasks: their folders differ.
         config: settings of everything.
-        scheduler: does the tasks; default: one after the other, here.
+        executor: does the tasks; default: one after the other, here.
         progress: told how many are done.
 
     Returns:
         What came of each, in order. One that fails is told there and raises nothing.
-
-    Raises:
-        FleetError: those that do the tasks are gone.
     """
-    scheduler = scheduler or InProcess(config.device.device)
-    handed = {scheduler.submit(run_one, task, config): task for task in tasks}
     done: dict[LogTask, RunOfLog] = {}
-    for job in scheduler.completed(list(handed)):
-        task = handed[job]
-        found, host = job.result()
+    for task, (found, host) in as_done(executor, run_one, tasks, config):
         done[task] = found if host == socket.gethostname() else _from_afar(found, host)
         if progress is not None:
             progress("logs", len(done), len(tasks))
@@ -189,8 +183,6 @@ def run_one(task: LogTask, config: RunConfig) -> tuple[RunOfLog, str]:
             prepare=load_report,
         )
         saved = save_run(run, task.folder, probabilities=task.probabilities)
-    except FleetError:
-        raise
     except (SlamFusionError, OSError) as error:
         words = " ".join(str(error).split())
         failed = RunOfLog(task.log, None, 0, None, words, tuple(warnings), None)

@@ -170,7 +170,6 @@ def alignment_table(
         "overlap",
         "error [F16]",
         "runner-up ratio",
-        "bound gap",
         "time s",
         "reason",
     )
@@ -189,15 +188,13 @@ def alignment_table(
                 number(alignment.overlap),
                 number(alignment.error, 1),
                 number(rival.ratio if rival else None, 2),
-                number(alignment.bound_gap),
                 number(alignment.time_s, 2),
                 Cell(alignment.reason),
             ]
         )
     note = (
         "A transform maps a point of the moving map's frame into the reference's. Runner-up: score "
-        "of the best distinct rival over the answer's; near 1, the place looks alike under both. "
-        "Bound gap: 0 is proven the best of the search set, - was not asked for."
+        "of the best distinct rival over the answer's; near 1, the place looks alike under both."
     )
     tables = [Table(title, columns, rows, note, folded=folded)]
     with_numbers = [item for item in alignments if item.statistics]

@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import time
 from collections import Counter
-from dataclasses import replace
 
 from rich.table import Table
 
@@ -29,13 +28,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--per-base", type=int, default=40)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--prove", action="store_true")
     parser.add_argument("--device", default="auto")
     add_record_option(parser)
     arguments = parser.parse_args()
     device = open_device(arguments.device)
     config = FusionConfig()
-    config = replace(config, align=replace(config.align, prove=arguments.prove))
     counts: Counter[tuple[str, str]] = Counter()
     seconds = []
     for case in drawn_cases(arguments.per_base, arguments.seed):

@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -67,8 +66,6 @@ ROWS: tuple[tuple[str, Callable[[MapError], float], str, Callable[..., float]], 
 def measure(folder: Path, device: ComputeDevice) -> tuple[dict[str, MapError], dict[str, float]]:
     """Return the errors of every map of a drive, and of its paths, metres."""
     config = RunConfig()
-    align = replace(config.fusion.align, prove=False)
-    config = replace(config, fusion=replace(config.fusion, align=align))
     drive = read_drive(folder)
     truth = load_map(folder / "truth.yaml")
     maps: dict[str, OccupancyGrid | None] = {

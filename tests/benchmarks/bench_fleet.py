@@ -32,7 +32,7 @@ import psutil
 from rich.table import Table
 
 from slamfusion.compute import open_device
-from slamfusion.fleet import Scheduler, open_scheduler
+from slamfusion.fleet import executor_for
 from slamfusion.geometry import Pose2
 from slamfusion.io import save_map
 from slamfusion.jobs.fuse import fuse_maps
@@ -56,16 +56,16 @@ def overhead(maps: int, workers: int, cells: int, runs: int, record: Path | None
         table.add_column(name, justify="left" if name == "tasks on" else "right")
     found: dict[str, list[tuple[float, float, float]]] = {}
     with (
-        open_scheduler(processes=workers) as processes,
-        open_scheduler(f"local:{workers}") as cluster,
+        executor_for(processes=workers) as processes,
+        executor_for(f"local:{workers}") as cluster,
     ):
-        schedulers: dict[str, Scheduler] = {"processes": processes, "Dask": cluster}
-        for scheduler in schedulers.values():
-            fuse_maps(grids, CONFIG, device, scheduler=scheduler)
+        executors = {"processes": processes, "Dask": cluster}
+        for executor in executors.values():
+            fuse_maps(grids, CONFIG, device, executor=executor)
         for _ in range(runs):
-            for name, scheduler in schedulers.items():
+            for name, executor in executors.items():
                 began_s, began = time.perf_counter(), cpu_of_all()
-                fuse_maps(grids, CONFIG, device, scheduler=scheduler)
+                fuse_maps(grids, CONFIG, device, executor=executor)
                 here, others = (b - a for a, b in zip(began, cpu_of_all(), strict=True))
                 wall_s = time.perf_counter() - began_s
                 found.setdefault(name, []).append((wall_s, here, others))

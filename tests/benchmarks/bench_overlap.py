@@ -21,7 +21,7 @@ import multiprocessing
 from collections import Counter, OrderedDict
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -129,9 +129,8 @@ class Result:
 class Aligner:
     """Makes and aligns pairs, and keeps the features of the maps it saw last."""
 
-    def __init__(self, on_device: str, *, prove: bool) -> None:
-        config = FusionConfig()
-        self.config = replace(config, align=replace(config.align, prove=prove))
+    def __init__(self, on_device: str) -> None:
+        self.config = FusionConfig()
         self.device = open_device(on_device)
         self.features: OrderedDict[tuple[Any, ...], GridFeatures] = OrderedDict()
 
@@ -177,9 +176,9 @@ class Aligner:
         )
 
 
-def _start_worker(on_device: str, prove: bool) -> None:
+def _start_worker(on_device: str) -> None:
     global _aligner  # noqa: PLW0603 - a process of the pool has one, made when it starts
-    _aligner = Aligner(on_device, prove=prove)
+    _aligner = Aligner(on_device)
 
 
 def _work(draft: Draft) -> tuple[str, Result | None]:
@@ -190,17 +189,17 @@ _aligner: Aligner
 
 
 def results_of(
-    drafts: list[Draft], processes: int, on_device: str, *, prove: bool
+    drafts: list[Draft], processes: int, on_device: str
 ) -> Iterator[tuple[str, Result | None]]:
     """Align all pairs, in several processes where asked; in no certain order."""
     if processes == 1:
-        aligner = Aligner(on_device, prove=prove)
+        aligner = Aligner(on_device)
         for draft in drafts:
             yield draft.what, aligner.align(draft)
         return
     # A device that was opened before a fork is of no use after it.
     context = multiprocessing.get_context("spawn")
-    with context.Pool(processes, _start_worker, (on_device, prove)) as pool:
+    with context.Pool(processes, _start_worker, (on_device,)) as pool:
         yield from pool.imap_unordered(_work, drafts, chunksize=8)
 
 
@@ -326,7 +325,6 @@ def main() -> None:
     parser.add_argument("--jsonl", type=Path, help="file for one line a pair")
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--device", default="auto")
-    parser.add_argument("--prove", action="store_true")
     parser.add_argument(
         "--cross-validate",
         type=Path,
@@ -363,7 +361,7 @@ def main() -> None:
         if arguments.jsonl is not None:
             arguments.jsonl.parent.mkdir(parents=True, exist_ok=True)
             file = stack.enter_context(arguments.jsonl.open("w", encoding="utf-8"))
-        found = results_of(drafts, arguments.processes, arguments.device, prove=arguments.prove)
+        found = results_of(drafts, arguments.processes, arguments.device)
         for what, result in track(found, "pairs", total=len(drafts), console=Console(stderr=True)):
             if result is None:
                 left_out[what] += 1

@@ -16,7 +16,6 @@ import itertools
 import math
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -65,9 +64,8 @@ def same_place() -> Iterator[Pair]:
 class Aligner:
     """Aligns pairs, keeping the features of each map and resolution."""
 
-    def __init__(self, device: ComputeDevice, *, prove: bool) -> None:
-        config = FusionConfig()
-        self.config = replace(config, align=replace(config.align, prove=prove))
+    def __init__(self, device: ComputeDevice) -> None:
+        self.config = FusionConfig()
         self.device = device
         self.features: dict[tuple[str, float], GridFeatures] = {}
 
@@ -192,14 +190,13 @@ def bench_halmstad(aligner: Aligner, console: Console) -> list[Counts]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--pictures", type=Path, help="folder for the pictures of one place")
-    parser.add_argument("--prove", action="store_true")
     parser.add_argument("--device", default="auto")
     parser.add_argument("--skip-different", action="store_true")
     add_record_option(parser)
     arguments = parser.parse_args()
     device = open_device(arguments.device)
     console = Console(width=180)
-    aligner = Aligner(device, prove=arguments.prove)
+    aligner = Aligner(device)
     rows = bench_halmstad(aligner, console) + bench_same(aligner, console, arguments.pictures)
     if not arguments.skip_different:
         rows += bench_different(aligner, console)

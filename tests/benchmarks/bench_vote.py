@@ -60,8 +60,6 @@ F64 = npt.NDArray[np.float64]
 
 THRESHOLDS = NormalizeConfig()
 TOLERANCE_M = EvaluateConfig().tolerance_m
-# Proofs end by themselves, so that a busy machine finds what an idle one does.
-PATIENCE_S = 60.0
 GOOD_WITHIN, F1_LOSS, ERROR_RATIO, ADDED_SHARE = 0.02, 0.01, 1.1, 0.95
 # Two good maps alone span no range: how far outside is still inside, metres and share.
 THICKNESS_SLACK_M, DOUBLED_SLACK = 0.005, 0.01
@@ -151,7 +149,7 @@ def fuse_case(
     made = {}
     for mode in modes:
         config = FusionConfig()
-        align = replace(config.align, deadline_s=PATIENCE_S, shared_frame=case.shared_frame)
+        align = replace(config.align, shared_frame=case.shared_frame)
         vote = replace(config.vote, mode=mode, extent="union")  # type: ignore[arg-type]
         config = replace(config, align=align, vote=vote)
         began_s = time.process_time()

@@ -126,14 +126,14 @@ class Recorder:
     def align(
         self, reference: OccupancyGrid, moving: OccupancyGrid
     ) -> tuple[Alignment, GridFeatures, GridFeatures]:
-        """Align two grids; no proof, since the decision does not look at it."""
+        """Align two grids."""
         normal = NormalizeConfig()
         size = common_resolution([reference, moving], normal)
         a, b = (
             GridFeatures(normalize_grid(grid, size, normal, self.device), self.device)
             for grid in (reference, moving)
         )
-        return align_features(a, b, AlignConfig(prove=False), self.device), a, b
+        return align_features(a, b, AlignConfig(), self.device), a, b
 
     def overlapping(self, drafts: Sequence[Draft]) -> Iterator[RecordedPair]:
         """Pairs of ``tests.support.overlap``."""

@@ -128,8 +128,6 @@ def _pose_in_truth(
     grid: OccupancyGrid, truth: OccupancyGrid, device: ComputeDevice, *, same_heading: bool = False
 ) -> Pose2:
     config = RunConfig()
-    align = replace(config.fusion.align, prove=False)
-    config = replace(config, fusion=replace(config.fusion, align=align))
     return against_truth(grid, truth, config, device, same_heading=same_heading).transform
 
 

@@ -257,7 +257,7 @@ def test_a_closed_pipe_is_silent(tmp_path: Path) -> None:
 
 
 def test_misspelt_config_key_names_the_nearest(tmp_path: Path) -> None:
-    (tmp_path / "config.yaml").write_text("fusion: {aline: {prove: true}}\n", encoding="utf-8")
+    (tmp_path / "config.yaml").write_text("fusion: {aline: {candidates: 6}}\n", encoding="utf-8")
     config = tmp_path / "config.yaml"
     done = run("fuse", *MAPS, "-o", tmp_path / "out", "--config", config)
     assert_one_line_failure(done, "config.yaml", "'aline'", "'align'")
@@ -293,8 +293,8 @@ USAGE = {
 
 BAD_VALUES = {
     "--occupied-percent 120": "'--occupied-percent': must lie in [0, 100] %, found 120.0",
-    "--deadline-s nan": "'--deadline-s': must lie in [0, inf] s, found nan",
-    "--deadline-s soon": "'--deadline-s': 'soon' is not a valid float.",
+    "--window-m nan": "'--window-m': must lie in [0, inf] m, found nan",
+    "--window-m soon": "'--window-m': 'soon' is not a valid float.",
     "--fused-resolution 0": "'--fused-resolution': must lie in [0.0001, inf] m, found 0.0",
     "--free-percent 80": "free_percent (80) must be below occupied_percent (65); swap them",
     "--mode loudest": "'consensus', 'majority', 'drawn'.",

@@ -65,7 +65,7 @@ def test_fuse_document_has_the_promised_keys(fused: tuple[Path, dict[str, Any]])
     _, document = fused
     for record in document["inputs"]:
         wanted = {"name", "accepted", "reason", "dx_m", "dy_m", "yaw_rad", "score", "overlap"}
-        assert wanted | {"error", "runner_up", "bound_gap", "time_s"} <= record.keys()
+        assert wanted | {"error", "runner_up", "time_s"} <= record.keys()
     assert document["fused_count"] == 3
     assert document["phantom_cells"] == 0
     assert set(document["weights"]) == {"map_a", "map_b", "map_c"}
@@ -276,7 +276,7 @@ def test_bare_images_take_the_resolution_option(tmp_path: Path) -> None:
 def test_options_override_the_config_file(tmp_path: Path) -> None:
     config = tmp_path / "config.yaml"
     config.write_text(
-        "seed: 7\nfusion: {vote: {unknown: abstain}, align: {candidates: 6, prove: false}}\n",
+        "seed: 7\nfusion: {vote: {unknown: abstain}, align: {candidates: 6}}\n",
         encoding="utf-8",
     )
     arguments = ("fuse", *MAPS[:2], "-o", tmp_path / "out", "--config", config)
@@ -286,7 +286,6 @@ def test_options_override_the_config_file(tmp_path: Path) -> None:
     assert effective["seed"] == 7
     assert effective["fusion"]["vote"]["unknown"] == "value"
     assert effective["fusion"]["align"]["candidates"] == 6
-    assert effective["fusion"]["align"]["prove"] is False
 
 
 def test_align_prints_one_record() -> None:

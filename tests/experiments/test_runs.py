@@ -12,11 +12,10 @@ import pytest
 
 from slamfusion.compute import NumpyDevice
 from slamfusion.config import ExperimentConfig, FailuresConfig, RunConfig
-from slamfusion.errors import FleetError, SlamFusionError
+from slamfusion.errors import SlamFusionError
 from slamfusion.evaluation import result_rows
 from slamfusion.experiments import runs as module
 from slamfusion.experiments.runs import RunResult, Setup, run_all
-from slamfusion.fleet import open_scheduler
 from slamfusion.slam.registry import with_settings
 
 TASKS = {"first": 1, "second": 2}
@@ -26,6 +25,10 @@ def double(task: int, config: RunConfig) -> RunResult:
     figures = {"error": 2.0 * task + config.seed, "ssim": None}
     rows = result_rows("hall", str(task), "graph", figures)
     return RunResult(rows, {"graph": "bent"}, b"maps" if task == 1 else None, "a remark")
+
+
+def die(_: int, __: RunConfig) -> RunResult:
+    os._exit(1)
 
 
 class Counted:
@@ -97,8 +100,6 @@ def test_other_processes_give_the_same_bytes(tmp_path: Path) -> None:
 
 
 def test_where_processes_died_the_way_to_go_on_is_told(tmp_path: Path) -> None:
-    with open_scheduler(processes=2) as pool:
-        with pytest.raises(FleetError, match="a process died"):
-            pool.submit(os._exit, 1).result()
-        with pytest.raises(SlamFusionError, match=r"a process died .* stays done: start .* again"):
-            run_all(TASKS, double, Setup(RunConfig(), NumpyDevice(), tmp_path, scheduler=pool))
+    setup = Setup(RunConfig(), NumpyDevice(), tmp_path, processes=2)
+    with pytest.raises(SlamFusionError, match=r"a process died .* stays done: start .* again"):
+        run_all(TASKS, die, setup)

@@ -26,7 +26,6 @@ from slamfusion.experiments.ground_obstacle import obstacle_trials
 from slamfusion.experiments.runs import RunResult, Setup
 from slamfusion.experiments.trials import Trial, alone, measure_trial, run_trials
 from slamfusion.experiments.voting import FUSIONS, against_truth, vote_every_way
-from slamfusion.fleet import open_scheduler
 from slamfusion.grid import OccupancyGrid
 from slamfusion.jobs.partial import Layers
 from slamfusion.sim import COURSES, simulate
@@ -118,10 +117,8 @@ def test_the_workers_of_a_cluster_give_the_same_results_too(
 ) -> None:
     pytest.importorskip("distributed", reason="Dask comes with the fleet extra")
     trials, results = done
-    with open_scheduler("local:2") as scheduler:
-        settings = GroundObstacleConfig()
-        where = replace(setup(tmp_path), scheduler=scheduler)
-        found = run_trials("t", "t", trials, settings, where)
+    where = replace(setup(tmp_path), scheduler="local:2")
+    found = run_trials("t", "t", trials, GroundObstacleConfig(), where)
     assert [row[:5] for row in found.rows] == [row[:5] for own in results for row in own.rows]
 
 

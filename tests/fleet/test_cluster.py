@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 import os
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
 from typing import Any
 
 import pytest
 
-from slamfusion.compute import ComputeDevice, open_device
+from slamfusion.compute import ComputeDevice, open_device, shared_device
 from slamfusion.config import AlignConfig, FusionConfig, RunConfig, VoteConfig
 from slamfusion.errors import ConfigError, FleetError
-from slamfusion.fleet import InProcess, Scheduler, open_scheduler
-from slamfusion.fleet.worker import WorkerFacts, worker_device
+from slamfusion.fleet import as_done, executor_for, tasks_ahead
+from slamfusion.fleet.children import THREAD_VARIABLES
 from slamfusion.fusion.align import align_features
 from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.normalize import normalize_grid
@@ -23,7 +25,7 @@ from slamfusion.fusion.pair_tasks import AlignmentTasks, PairSettings
 from slamfusion.fusion.records import FusionResult
 from slamfusion.jobs.fuse import fuse_maps
 from slamfusion.version import __version__
-from tests.fleet.test_scheduler import end_by_force, half
+from tests.fleet.test_executor import end_by_force, half
 from tests.support.sites import many_maps
 
 pytest.importorskip("distributed", reason="Dask comes with the fleet extra")
@@ -36,8 +38,8 @@ SITE = many_maps(7, 0, 200).grids
 
 
 def process_and_devices() -> tuple[int, int]:
-    worker_device("auto")
-    return os.getpid(), worker_device.cache_info().misses
+    shared_device("auto")
+    return os.getpid(), shared_device.cache_info().misses
 
 
 @pytest.fixture(scope="module")
@@ -46,19 +48,12 @@ def device() -> ComputeDevice:
 
 
 @pytest.fixture(scope="module")
-def cluster() -> Iterator[Scheduler]:
-    told: list[str] = []
-    before = variables()
-    with open_scheduler("local:2", warn=told.append) as scheduler:
-        assert told == []
-        yield scheduler
-    assert variables() == before
-
-
-def variables() -> dict[str, str]:
-    """Return the environment but what pytest sets for each test, and pyopencl for itself."""
-    passing = {"PYTEST_CURRENT_TEST", "POCL_DEVICES", "PYOPENCL_HOME", "LD_LIBRARY_PATH"}
-    return {name: value for name, value in os.environ.items() if name not in passing}
+def cluster() -> Iterator[Executor]:
+    before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
+    with executor_for("local:2") as executor:
+        assert executor is not None
+        yield executor
+    assert {name: os.environ.get(name) for name in THREAD_VARIABLES} == before
 
 
 def outcome(result: FusionResult) -> tuple[object, ...]:
@@ -72,29 +67,30 @@ def outcome(result: FusionResult) -> tuple[object, ...]:
     return hashlib.sha256(cells).hexdigest(), places, pairs
 
 
-def test_tasks_are_done_by_workers_and_errors_come_back(cluster: Scheduler) -> None:
-    assert cluster.slots == 2
-    tasks = [cluster.submit(half, number) for number in range(0, 40, 2)]
-    assert sorted(task.result() for task in cluster.completed(tasks)) == list(range(20))
+def test_tasks_are_done_by_workers_and_errors_come_back(cluster: Executor) -> None:
+    assert tasks_ahead(cluster) == 4
+    done = as_done(cluster, half, range(0, 40, 2))
+    assert sorted(number for _, number in done) == list(range(20))
     with pytest.raises(ConfigError, match="5 is odd"):
         cluster.submit(half, 5).result()
 
 
-def test_another_client_finds_the_scheduler_by_its_address(cluster: Scheduler) -> None:
-    address = cluster._client.scheduler.address
-    with open_scheduler(address) as other:
-        assert other.slots == 2
+def test_another_client_finds_the_scheduler_by_its_address(cluster: Executor) -> None:
+    address = cluster._client.scheduler.address  # type: ignore[attr-defined]
+    with executor_for(address) as other:
+        assert other is not None
+        assert tasks_ahead(other) == 4
         assert other.submit(half, 8).result() == 4
     assert cluster.submit(half, 8).result() == 4
 
 
 def test_a_killed_worker_costs_a_retry_and_not_a_byte(
-    cluster: Scheduler, device: ComputeDevice
+    cluster: Executor, device: ComputeDevice
 ) -> None:
-    settings = PairSettings(AlignConfig(prove=False), 21, thorough=False)
+    settings = PairSettings(AlignConfig(), 21, thorough=False)
     grids = [normalize_grid(grid, 0.05, CONFIG.fusion.normalize, device) for grid in SITE[:5]]
     features = [GridFeatures(grid, device) for grid in grids]
-    tasks = AlignmentTasks(cluster, settings)
+    tasks = AlignmentTasks(cluster, settings, device)
     for moving in features[1:]:
         tasks.begin(features[0], moving, None)
     killed = cluster.submit(os.getpid).result()
@@ -114,7 +110,7 @@ def test_a_killed_worker_costs_a_retry_and_not_a_byte(
 
 @pytest.mark.full
 def test_maps_fused_by_workers_are_the_same_bytes_also_when_one_is_killed(
-    cluster: Scheduler, device: ComputeDevice
+    cluster: Executor, device: ComputeDevice
 ) -> None:
     wanted = outcome(fuse_maps(SITE, CONFIG, device).result)
     victims: list[int] = []
@@ -125,33 +121,65 @@ def test_maps_fused_by_workers_are_the_same_bytes_also_when_one_is_killed(
             victims.append(cluster.submit(os.getpid).result())
             os.kill(victims[0], signal.SIGKILL)
 
-    with open_scheduler(processes=2) as processes:
-        for scheduler in (InProcess(), processes, cluster):
-            assert outcome(fuse_maps(SITE, CONFIG, device, scheduler=scheduler).result) == wanted
-    fused = fuse_maps(SITE, CONFIG, device, scheduler=cluster, progress=kill_one)
+    with executor_for(processes=2) as processes:
+        for executor in (processes, cluster):
+            assert outcome(fuse_maps(SITE, CONFIG, device, executor=executor).result) == wanted
+    fused = fuse_maps(SITE, CONFIG, device, executor=cluster, progress=kill_one)
     assert victims
     assert outcome(fused.result) == wanted
 
 
+def _work_until(where: str, something_happens: Callable[[], object]) -> None:
+    with executor_for(where) as executor:
+        jobs = as_done(executor, time.sleep, [0.0, 60.0])
+        assert next(jobs)[0] == 0.0
+        something_happens()
+        next(jobs)
+
+
 @pytest.mark.full
-def test_a_task_that_kills_its_workers_ends_the_job(cluster: Scheduler) -> None:
-    lost = cluster.submit(end_by_force, 0)
-    with pytest.raises(FleetError, match=r"several workers of local:2 died of one task, the last"):
-        lost.result()
-    assert cluster.submit(half, 4).result() == 2
+def test_a_task_that_kills_its_workers_ends_the_job() -> None:
+    with (
+        pytest.raises(FleetError, match=r"several workers of local:2 died of one task, the last"),
+        executor_for("local:2") as executor,
+    ):
+        list(as_done(executor, end_by_force, [0]))
+
+
+def test_a_scheduler_that_goes_away_ends_the_job() -> None:
+    distributed = pytest.importorskip("distributed")
+    own = distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=":0")
+    with pytest.raises(FleetError, match=f"the scheduler at {own.scheduler_address} went away"):
+        _work_until(own.scheduler_address, own.close)
+
+
+def test_workers_that_are_all_lost_end_the_job(monkeypatch: pytest.MonkeyPatch) -> None:
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setattr(cluster_module, "NO_WORKERS_S", 0.5)
+    monkeypatch.setattr(cluster_module, "LOOK_S", 0.1)
+    with (
+        distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=":0") as own,
+        pytest.raises(FleetError, match=r"has lost all its workers; start some"),
+    ):
+        _work_until(own.scheduler_address, lambda: own.scale(0))
+
+
+def refused(where: str) -> None:
+    with executor_for(where):
+        pytest.fail("there is nobody")
 
 
 def test_nobody_answers(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster_module, "ANSWER_S", 0.5)
     began_s = time.monotonic()
     with pytest.raises(FleetError, match=r"no Dask scheduler answers at tcp://127.0.0.1:9 within"):
-        open_scheduler("tcp://127.0.0.1:9")
+        refused("tcp://127.0.0.1:9")
     assert time.monotonic() - began_s < 20.0  # not the minutes that Dask would try
 
 
 def test_tls_without_certificates_says_where_they_are_named() -> None:
     with pytest.raises(FleetError, match="wants certificates: set DASK_DISTRIBUTED__COMM__TLS__CA"):
-        open_scheduler("tls://127.0.0.1:9")
+        refused("tls://127.0.0.1:9")
 
 
 def test_a_scheduler_without_workers_says_how_to_start_some(
@@ -172,24 +200,20 @@ def test_a_scheduler_without_workers_says_how_to_start_some(
         with pytest.raises(
             FleetError, match=f"has no workers; start some with `dask worker {where}"
         ):
-            open_scheduler(where)
+            refused(where)
 
 
-def test_workers_that_differ_are_named() -> None:
-    told: list[str] = []
+def test_workers_that_differ_are_named(caplog: pytest.LogCaptureFixture) -> None:
     check = cluster_module.check_workers
-    one, two = (
-        WorkerFacts(__version__, "one (driver 1)"),
-        WorkerFacts(__version__, "two (driver 1)"),
-    )
-    check("local", {"tcp://a:1": one, "tcp://b:1": one}, told.append)
-    assert not told
-    check("local", {"tcp://a:1": one, "tcp://b:1": two, "tcp://c:1": one}, told.append)
-    assert len(told) == 1
-    assert "one (driver 1) (tcp://a:1, tcp://c:1); two (driver 1) (tcp://b:1)" in told[0]
-    old = WorkerFacts("0.0.1", "one (driver 1)")
-    with pytest.raises(FleetError, match=r"another version of slamfusion: 0\.0\.1 \(tcp://b:1\)"):
-        check("local", {"tcp://a:1": one, "tcp://b:1": old}, told.append)
+    one, two = (__version__, "one"), (__version__, "two")
+    with caplog.at_level(logging.WARNING, "slamfusion.fleet"):
+        check("local", {"tcp://a:1": one, "tcp://b:1": one})
+        assert not caplog.messages
+        check("local", {"tcp://a:1": one, "tcp://b:1": two, "tcp://c:1": one})
+    (told,) = caplog.messages
+    assert "one (tcp://a:1, tcp://c:1); two (tcp://b:1)" in told
+    with pytest.raises(FleetError, match=r"tcp://b:1 has version 0\.0\.1 of slamfusion, and here"):
+        check("local", {"tcp://a:1": one, "tcp://b:1": ("0.0.1", "one")})
     broken = ConfigError("no OpenCL device fits 'x'")
     with pytest.raises(FleetError, match="the worker at tcp://b:1 cannot do the work: no OpenCL"):
-        check("local", {"tcp://a:1": one, "tcp://b:1": broken}, told.append)
+        check("local", {"tcp://a:1": one, "tcp://b:1": broken})

@@ -81,8 +81,8 @@ def features_of(
 
 
 def fusion_config(**align: Any) -> FusionConfig:
-    """Return the defaults without the proof, and with the given settings of the search."""
-    return FusionConfig(align=AlignConfig(**{"prove": False, **align}))
+    """Return the defaults with the given settings of the search."""
+    return FusionConfig(align=AlignConfig(**align))
 
 
 def with_origin(grid: OccupancyGrid, origin: Pose2) -> OccupancyGrid:

@@ -71,7 +71,6 @@ def evidence(**changes: Any) -> Evidence:
         "common_ground": 1.0,
         "is_plain": False,
         "is_sharp": False,
-        "gap": 0.0,
         "is_cut": False,
     }
     statistics = {"wall_match": 0.6, "wall_clash": 0.02, "chance": 0.1} | SAID_ONLY
@@ -96,10 +95,9 @@ GROUND = {"search": "tracked", "wall_match": 0.3, "share": 0.5, "witnesses": 12.
 # Looked for around a start, where one elsewhere is as good.
 STARTED = TIED | {"search": "window", "prior": 0.1, "better_inside": 20.0, "share": 0.81}
 
-# Weighed as two good maps; of maps that are not bent; with a proof that ended at its deadline.
+# Weighed as two good maps; of maps that are not bent.
 GOOD = {"is_plain": True}
 SHARP = {"is_sharp": True}
-UNPROVEN = {"share": WHOLE}
 
 # What is changed in evidence that is believed, what is decided then, and a word of the reason. Rows
 # that end on one limit follow each other: at it, and beyond it.
@@ -169,13 +167,6 @@ GATES: Sequence[tuple[dict[str, Any], DecisionKind, str]] = (
         "accepted",
         ": 92% of the 40 m",
     ),
-    # A proof that was not finished: five times the trials at most.
-    (UNPROVEN | {"gap": 1.0, "better": ENOUGH + math.log(5.0) + 1e-6}, "accepted", ""),
-    (UNPROVEN | {"gap": 1.0, "better": ENOUGH + math.log(5.0) - 1e-6}, "ambiguous", "gap 1.00"),
-    (UNPROVEN | {"gap": 0.5, "better": ENOUGH + math.log(3.0) + 1e-6}, "accepted", ""),
-    (UNPROVEN | {"gap": 0.5, "better": ENOUGH + math.log(3.0) - 1e-6}, "ambiguous", "not finished"),
-    (UNPROVEN | {"gap": 9.0, "better": ENOUGH + math.log(5.0) + 1e-6}, "accepted", ""),
-    (UNPROVEN | {"gap": 0.5, "better": ENOUGH - 1e-6}, "ambiguous", "the same place twice?"),
     # More pairs, more wrong ones; poses near a start, fewer.
     ({"share": WHOLE, "better": ENOUGH + math.log(10.0) + 1e-6, "pairs": 10}, "accepted", ""),
     ({"share": WHOLE, "better": ENOUGH + math.log(10.0) - 1e-6, "pairs": 10}, "ambiguous", ""),
@@ -201,10 +192,6 @@ GATES: Sequence[tuple[dict[str, Any], DecisionKind, str]] = (
         "ambiguous",
         "; walls fill",
     ),
-    ({"gap": 0.25}, "accepted", "; the proof was not finished in time (gap 0.25)"),
-    ({"gap": 0.05}, "accepted", "; the proof was not finished in time (gap 0.05)"),
-    (UNPROVEN | {"gap": 0.05, "better": ENOUGH + 1e-6}, "ambiguous", "not finished in time"),
-    (UNPROVEN | {"gap": 0.05, "better": ENOUGH - 1e-6}, "ambiguous", "the same place twice?"),
     # -- why not: a rival that may be the place as well, or too few pieces that tell it from others
     (SHORT | {"ratio": 0.5}, "ambiguous", "explains 50% of that"),
     (
@@ -252,7 +239,6 @@ GATES: Sequence[tuple[dict[str, Any], DecisionKind, str]] = (
         "too little in common",
         "1.3 m of walls",
     ),
-    (UNPROVEN | {"gap": 0.05, "better": ENOUGH + 1e-6, "ratio": 0.1}, "ambiguous", "not finished"),
     (TIED | {"share": 0.5}, "ambiguous", "another transform, at 1.00, 2.00 m, 90 deg, explains"),
     # ... of which both explain most of the smaller map; else the maps show two places.
     (TIED | {"common_ground": 0.5}, "ambiguous", "the best fit explains 80% of the 40 m"),
@@ -532,16 +518,8 @@ def test_maps_are_neither_good_nor_sharp_unless_it_is_said() -> None:
         common_ground=1.0,
         is_plain=False,
         is_sharp=False,
-        gap=0.0,
         is_cut=False,
     )
-
-
-@pytest.mark.parametrize("changes", [{}, TIED, TIED | {"gap": 0.3}, {"walls": 3, "gap": 0.3}])
-def test_a_proof_is_spoken_of_where_it_was_not_finished_and_something_hangs_on_it(
-    changes: dict[str, float],
-) -> None:
-    assert "proof" not in decide(evidence(**changes)).reason
 
 
 @pytest.mark.parametrize(("is_plain", "one_m2"), [(False, 5000.0), (True, 10000.0)])
@@ -556,10 +534,9 @@ def test_on_more_ground_there_are_more_places(
         assert found == pytest.approx(wanted)
 
 
-@pytest.mark.parametrize(("gap", "times"), [(-1.0, 1.0), (0.0, 1.0), (0.25, 2.0), (1.0, 5.0)])
-def test_what_a_proof_leaves_undecided_counts_as_trials(gap: float, times: float) -> None:
-    proven = expected_wrong(4.0, 0.8, 3, 0.5)
-    assert expected_wrong(4.0, 0.8, 3, 0.5, gap=gap) == pytest.approx(times * proven)
+def test_a_search_that_was_cut_counts_five_times_the_trials() -> None:
+    whole = expected_wrong(4.0, 0.8, 3, 0.5)
+    assert expected_wrong(4.0, 0.8, 3, 0.5, is_cut=True) == pytest.approx(5.0 * whole)
 
 
 def test_an_image_is_refused_only_where_it_fits_better() -> None:
@@ -664,11 +641,10 @@ def test_more_ground_in_common_never_harms(found: Evidence, shares: tuple[float,
 
 
 @settings(max_examples=examples(80), deadline=None)
-@given(found=any_evidence(), gaps=st.tuples(st.floats(0.0, 1.0), st.floats(0.0, 1.0)))
-def test_a_wider_gap_never_helps(found: Evidence, gaps: tuple[float, float]) -> None:
-    small, large = sorted(gaps)
-    wide = decide(replace(found, gap=large))
-    assert decide(replace(found, gap=small)).accepted or not wide.accepted
+@given(found=any_evidence())
+def test_a_search_that_was_cut_never_helps(found: Evidence) -> None:
+    cut, whole = (decide(replace(found, is_cut=value)) for value in (True, False))
+    assert whole.accepted or not cut.accepted
 
 
 @settings(max_examples=examples(80), deadline=None)

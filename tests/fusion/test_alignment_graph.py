@@ -15,7 +15,7 @@ def link(a: str, b: str, better: float = 20.0, off: Pose2 | None = None) -> Alig
     """Return an alignment of b to a as the places have it, or off by a motion."""
     transform = PLACES[a].inverse().compose(PLACES[b]).compose(off or Pose2())
     evidence = MatchEvidence(better, better, 0.9, 30.0, 0.1, 1e-6, None, None)
-    return Alignment(a, b, transform, True, "", 0.5, 0.5, 0.0, None, None, 0.0, evidence=evidence)
+    return Alignment(a, b, transform, True, "", 0.5, 0.5, 0.0, None, 0.0, evidence=evidence)
 
 
 def graph_of(*edges: str) -> AlignmentGraph:

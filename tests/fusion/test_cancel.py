@@ -71,7 +71,7 @@ def test_a_search_with_a_token_is_that_without_and_asks_between_all_operations(
             super().check()
 
     cancel = Watching(is_wanted, watched)
-    config = AlignConfig(prove=False, step=step)
+    config = AlignConfig(step=step)
     grids = [features(name, watched, cancel) for name in "ab"]
     pair = align_features(grids[0], grids[1], config, watched, None, cancel)
     start = pair.transform
@@ -87,7 +87,7 @@ def test_a_search_with_a_token_is_that_without_and_asks_between_all_operations(
 def test_a_search_is_given_up_at_any_question_and_can_be_begun_again(
     device: ComputeDevice,
 ) -> None:
-    config = AlignConfig(prove=False)
+    config = AlignConfig()
 
     def asking(answer: Callable[[int], bool]) -> tuple[CancelToken, list[int]]:
         asked: list[int] = []

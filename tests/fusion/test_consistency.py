@@ -46,7 +46,7 @@ def pair(
         x, y = CENTRES[moving]
         right = right.compose(Pose2(x, y)).compose(error).compose(Pose2(-x, -y))
     return Alignment(
-        reference, moving, right, accepted, "drawn by hand", score, 1.0, 0.0, None, None, 0.0
+        reference, moving, right, accepted, "drawn by hand", score, 1.0, 0.0, None, 0.0
     )
 
 
@@ -240,7 +240,7 @@ def around(error: Pose2, resolution: float) -> str:
     """Return who stays of three maps in one frame, one pair of which is off by ``error``."""
     still = Pose2()
     pairs = [
-        Alignment(b, a, pose, True, "drawn by hand", score, 1.0, 0.0, None, None, 0.0)
+        Alignment(b, a, pose, True, "drawn by hand", score, 1.0, 0.0, None, 0.0)
         for a, b, pose, score in (
             ("a", "b", still, 0.5),
             ("b", "c", still, 0.6),

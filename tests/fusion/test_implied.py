@@ -31,9 +31,7 @@ def part(grid: OccupancyGrid, name: str, low: float, high: float) -> OccupancyGr
 
 
 def rejected(reference: str, moving: str) -> Alignment:
-    return Alignment(
-        reference, moving, Pose2(9.0, 9.0), False, "by hand", 0.1, 0.1, 0.0, None, None, 0.0
-    )
+    return Alignment(reference, moving, Pose2(9.0, 9.0), False, "by hand", 0.1, 0.1, 0.0, None, 0.0)
 
 
 def looked(device: ComputeDevice, grids: dict[str, OccupancyGrid], at: Pose2) -> tuple[bool, str]:

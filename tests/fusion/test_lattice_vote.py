@@ -28,7 +28,7 @@ Places = list[tuple[OccupancyGrid, Pose2]]
 
 
 def aligned(name: str, transform: Pose2) -> Alignment:
-    return Alignment("map 0", name, transform, True, "", 1.0, 1.0, 0.0, None, None, 0.0)
+    return Alignment("map 0", name, transform, True, "", 1.0, 1.0, 0.0, None, 0.0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,7 +22,7 @@ from tests.fusion.live.maps import mirrored, transposed, trio
 # About searches, not about NumPy: one leg is enough.
 pytestmark = pytest.mark.once
 
-CONFIG = AlignConfig(prove=False)
+CONFIG = AlignConfig()
 
 
 def aligned(reference: OccupancyGrid, moving: OccupancyGrid, device: ComputeDevice) -> Alignment:

@@ -128,7 +128,7 @@ def test_where_walls_fill_the_coarse_cells_parallel_walls_lead_to_the_answer(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """As in maps of hundreds of metres, of which no finer cells can be searched at every yaw."""
-    config = replace(AlignConfig(), prove=False, coarse_cells=16)
+    config = replace(AlignConfig(), coarse_cells=16)
     monkeypatch.setattr("slamfusion.fusion.search.LEVEL_WORK_MAX", 1.0)
     a, b = max(site.neighbours, key=lambda pair: site.neighbours[pair])
     found = align_features(features[a], features[b], config, device)

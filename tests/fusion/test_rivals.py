@@ -57,7 +57,7 @@ def test_an_answer_by_sides_of_walls_needs_more_pieces(
     features = features_of(grid, device)
     coarse = CoarseSearch(4, np.zeros(1), np.ones(1), NOWHERE, np.ones(1), 1, is_cut=False)
     motion = np.array([[*features.centre, 0.0]])
-    found = Found(motion, coarse, None, "full")
+    found = Found(motion, coarse, "full")
     chosen = chosen_standing(features, features, device, found, 1, None)
     assert chosen.better == pytest.approx(better if is_sided else 12.0)
 
@@ -89,7 +89,7 @@ def table(*rows: tuple[np.ndarray, np.ndarray], doubt: float = 0.0) -> WallPiece
 
 def stood(places: np.ndarray, pieces: WallPieces, **options: Any) -> Standing:
     """Return the best of some motions, held against the others."""
-    return rivals._standing(Found(places, None, None, "full", **options), NARROW, pieces)
+    return rivals._standing(Found(places, None, "full", **options), NARROW, pieces)
 
 
 @pytest.mark.parametrize(
@@ -163,7 +163,7 @@ def test_wrong_answers_are_those_of_one_pair_everywhere_unless_said() -> None:
     stand = standing(3, 9.0, 2.0)
     assert stand.wrong() == expected_wrong(3.0, 1.0, is_plain=True)
     assert stand.wrong(4, 0.5) == pytest.approx(2.0 * stand.wrong())
-    assert Found(NOWHERE, None, None, "full").prior == 1.0
+    assert Found(NOWHERE, None, "full").prior == 1.0
 
 
 @pytest.mark.parametrize(("given", "share"), [(70, 0.5), (69, 0.0)])
@@ -224,7 +224,7 @@ class World:
         return chosen_standing(nothing, nothing, cast("ComputeDevice", None), found, 1, None)
 
 
-FOUND: dict[str, Any] = {"bound_gap": None, "search": "full"}
+FOUND: dict[str, Any] = {"search": "full"}
 SIDED, EVEN, WIDE = (NARROW, True), (NARROW, False), (BROAD, False)
 
 
@@ -292,7 +292,7 @@ def test_eight_are_fitted_at_most_the_best(monkeypatch: pytest.MonkeyPatch) -> N
     world = World({SIDED: rows})
     monkeypatch.setattr(rivals, "narrow_fits", world.narrow_fits)
     pieces = table(*rows.values(), doubt=2.0)
-    stand = rivals._standing(Found(at(*places), COARSE, None, "full"), NARROW, pieces)
+    stand = rivals._standing(Found(at(*places), COARSE, "full"), NARROW, pieces)
     nothing = cast("GridFeatures", None)
     rivals._narrow_rows(nothing, nothing, cast("ComputeDevice", None), stand, range(10), None)
     assert world.fitted == places[:8].tolist()

@@ -21,7 +21,7 @@ from tests.support.cuts import along, kept, move_frame
 # About searches, not about NumPy: one leg is enough.
 pytestmark = pytest.mark.once
 
-CONFIG = AlignConfig(prove=False)
+CONFIG = AlignConfig()
 
 
 def scaled(seed: int, factor: float) -> tuple[OccupancyGrid, OccupancyGrid]:

@@ -43,7 +43,7 @@ from tests.fusion.drawings import (
     random_grid,
 )
 
-CONFIG = AlignConfig(prove=False)
+CONFIG = AlignConfig()
 # No turn of these is a multiple of 45 degrees, where rounding would decide.
 START_YAW = 0.1234
 OPEN = SearchWindow()
@@ -117,7 +117,7 @@ def test_without_a_descent_the_peaks_are_those_of_the_shifts(device: ComputeDevi
 
 
 def test_peaks_are_distinct_best_first_and_each_with_its_evidence(device: ComputeDevice) -> None:
-    config = AlignConfig(coarse_cells=16, candidates=9, prove=False)
+    config = AlignConfig(coarse_cells=16, candidates=9)
     ref, mov = (features_of(fine_grid(seed), device) for seed in (51, 52))
     found = coarse_search(ref, mov, config, OPEN, device)
     assert found.step > found.last_step == 4
@@ -141,7 +141,7 @@ def test_peaks_are_distinct_best_first_and_each_with_its_evidence(device: Comput
 
 def test_the_descent_never_loses_evidence(device: ComputeDevice) -> None:
     """The best peak is no worse on the last level than where it came from."""
-    config = AlignConfig(coarse_cells=16, prove=False)
+    config = AlignConfig(coarse_cells=16)
     ref, mov = (features_of(fine_grid(seed), device) for seed in (53, 53))
     found = coarse_search(ref, mov, config, OPEN, device)
     scores = score_shifts(ref, mov, found.step, OPEN, device)
@@ -181,7 +181,7 @@ def test_the_window_limits_shift_and_yaw(device: ComputeDevice) -> None:
 def test_the_descent_leaves_the_window_by_less_than_a_cell_and_a_turn(
     device: ComputeDevice,
 ) -> None:
-    config = AlignConfig(coarse_cells=16, prove=False)
+    config = AlignConfig(coarse_cells=16)
     ref, mov = (features_of(fine_grid(seed), device) for seed in (51, 52))
     window = SearchWindow((50.3, 40.2, 1.0), 10.0, 0.3)
     found = coarse_search(ref, mov, config, window, device)
@@ -225,7 +225,7 @@ def test_what_is_inside_a_window_is_known_by_both_its_limits() -> None:
 def test_the_twins_find_the_same_coarse_peaks(
     device: ComputeDevice, twins: ComputeDevice, first: int, second: int, cells: int
 ) -> None:
-    config = AlignConfig(coarse_cells=cells, prove=False)
+    config = AlignConfig(coarse_cells=cells)
     window = SearchWindow((12.0, 12.0, START_YAW), 8.0)
     found = []
     for on_device in (device, twins):
@@ -238,7 +238,7 @@ def test_the_twins_find_the_same_coarse_peaks(
 
 
 def test_the_twins_go_down_alike(device: ComputeDevice, twins: ComputeDevice) -> None:
-    config = AlignConfig(coarse_cells=16, prove=False)
+    config = AlignConfig(coarse_cells=16)
     window = SearchWindow((50.3, 40.2, START_YAW), 8.0, 0.3)
     found = []
     for on_device in (device, twins):
@@ -268,7 +268,7 @@ def test_a_motion_with_an_overlap_of_a_third_is_found(
     west, east, pose = building_parts(seed, 0.3, yaw_rad=1.9 * seed - 4.0)
     ref, mov = features_of(west, device), features_of(east, device)
     wanted = motion_of(ref, mov, pose)
-    config = AlignConfig(coarse_cells=cells, prove=False)
+    config = AlignConfig(coarse_cells=cells)
     coarse, motions, evidence = search(ref, mov, config, OPEN, device)
     assert (coarse.step > coarse.last_step) == (cells == 28), "there was a descent"
     away = [displacement(motion, wanted) for motion in coarse.motions]
@@ -341,7 +341,7 @@ def test_what_a_quick_search_misses_a_thorough_one_finds(device: ComputeDevice) 
     truth = building(2, 36.0, 27.0, 0.05)
     moving, pose = degraded(truth, 2, "moving", yaw_rad=1.1, flip_share=0.05)
     pair = features_of(truth, device), features_of(moving, device)
-    config = AlignConfig(prove=False, coarse_cells=16)
+    config = AlignConfig(coarse_cells=16)
     assert not align_features(*pair, config, device, thorough=False).accepted
     found = align_features(*pair, config, device)
     assert found.accepted, found.reason

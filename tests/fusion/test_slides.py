@@ -56,9 +56,7 @@ def test_a_straight_wall_in_common_is_not_enough(device: ComputeDevice) -> None:
     """Two buildings that share one outer wall fit back to back, and all the better the longer."""
     a = building(34, 12.0, 10.0, 0.1).with_name("a")
     b = building(74, 12.0, 10.0, 0.1).with_name("b")
-    found = align_features(
-        features_of(a, device), features_of(b, device), AlignConfig(prove=False), device
-    )
+    found = align_features(features_of(a, device), features_of(b, device), AlignConfig(), device)
     assert not found.accepted, found.reason
 
 
@@ -68,7 +66,7 @@ def test_a_room_in_common_is_enough_although_it_slides(device: ComputeDevice) ->
     cells[:, : round(0.55 * cells.shape[1])] = -1
     right = replace(place, cells=cells).with_name("right")
     found = align_features(
-        features_of(place, device), features_of(right, device), AlignConfig(prove=False), device
+        features_of(place, device), features_of(right, device), AlignConfig(), device
     )
     assert found.accepted, found.reason
     assert found.evidence is not None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
+from concurrent.futures import Executor, Future
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,6 @@ import pytest
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, NormalizeConfig, VoteConfig
-from slamfusion.fleet import InProcess, Task
 from slamfusion.fusion import stored_vote
 from slamfusion.fusion.groups import Members
 from slamfusion.fusion.normalize import normalize_grid
@@ -36,8 +36,8 @@ def both_votes(
     ready = prepare_stored_vote(inputs.members, inputs.normalized.__getitem__, inputs.config)
     fused, agreement = np.full(ready.shape, -1, np.int8), np.full(ready.shape, -1, np.int8)
     phantom_cells = 0
-    ready = ready.trusting(InProcess("auto"))
-    for tile, decided in ready.decide(InProcess("auto")):
+    ready = ready.trusting(device, None)
+    for tile, decided in ready.decide(device, None):
         window = np.s_[tile.row0 : tile.row1, tile.col0 : tile.col1]
         fused[window], agreement[window] = decided.fused, decided.agreement
         phantom_cells += decided.phantom_cells
@@ -95,8 +95,9 @@ def test_tiles_follow_each_other_where_they_are_near_and_those_without_maps_are_
     config = FusionConfig(vote=VoteConfig("consensus", extent="union"))
     ready = prepare_stored_vote(members, lambda _: normalized, config)
     told: list[tuple[str, int, int]] = []
-    ready = ready.trusting(InProcess())
-    tiles = [tile for tile, _ in ready.decide(InProcess(), lambda *words: told.append(words))]
+    ready = ready.trusting(device, None)
+    decided = ready.decide(device, None, lambda *words: told.append(words))
+    tiles = [tile for tile, _ in decided]
     assert told[-1][1] == told[-1][2] > 4 * len(tiles)
     steps = [max(abs(a.row0 - b.row0), abs(a.col0 - b.col0)) for a, b in itertools.pairwise(tiles)]
     assert sorted(steps)[len(steps) // 2] == 16
@@ -116,16 +117,17 @@ def test_blocks_hold_the_cells_and_none_that_are_unknown(monkeypatch: pytest.Mon
     assert not packed.under(None).blocks
 
 
-class Weighing(InProcess):
+class Weighing(Executor):
     """Notes what travels with each tile."""
 
     def __init__(self) -> None:
-        super().__init__("auto")
         self.blocks: list[int] = []
 
-    def submit(self, function: Callable[..., Any], *arguments: Any) -> Task[Any]:
+    def submit(self, function: Callable[..., Any], /, *arguments: Any, **_: Any) -> Future[Any]:
         self.blocks.append(sum(len(voter.cells.blocks) for voter in arguments[2]))
-        return super().submit(function, *arguments)
+        future: Future[Any] = Future()
+        future.set_result(function(*arguments))
+        return future
 
 
 def test_of_a_large_map_travels_what_lies_under_a_tile(
@@ -137,7 +139,7 @@ def test_of_a_large_map_travels_what_lies_under_a_tile(
     places = [(OccupancyGrid(cells, SIZE), Pose2()), (OccupancyGrid(cells, SIZE), Pose2(1, 2, 0.7))]
     inputs = placed(places, device, mode="consensus")
     ready = prepare_stored_vote(inputs.members, inputs.normalized.__getitem__, inputs.config)
-    ready = ready.trusting(InProcess("auto"))
-    scheduler = Weighing()
-    assert len(list(ready.decide(scheduler))) > 50
-    assert max(scheduler.blocks) < 0.5 * sum(len(voter.cells.blocks) for voter in ready.inputs)
+    ready = ready.trusting(device, None)
+    executor = Weighing()
+    assert len(list(ready.decide(device, executor))) > 50
+    assert max(executor.blocks) < 0.5 * sum(len(voter.cells.blocks) for voter in ready.inputs)

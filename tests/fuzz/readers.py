@@ -70,7 +70,7 @@ free_thresh: 0.196
 mode: trinary
 """
 CONFIG = b"""seed: 3
-fusion: {align: {prove: true}, vote: {mode: majority}}
+fusion: {align: {shared_frame: true}, vote: {mode: majority}}
 start: {map_a: [1.0, 2.0, 0.1], map_b: "0,0,0"}
 producers:
   graph: {resolution: 0.05, matcher: {beams: 90}}

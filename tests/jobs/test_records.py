@@ -33,7 +33,7 @@ def aligned() -> dict[str, Any]:
     """What ``align`` prints, as JSON has it."""
     place = Pose2(1.0, -2.0, 0.5)
     found = Alignment(
-        "one", "other", place, True, "fits", 0.9, 0.8, 12.0, RunnerUp(place, 0.3, 0.4), 0.0, 0.1,
+        "one", "other", place, True, "fits", 0.9, 0.8, 12.0, RunnerUp(place, 0.3, 0.4), 0.1,
         {"z": 9.0},
     )  # fmt: skip
     return plain({**found.to_json(), **circumstances(RunConfig(), "numpy")})

@@ -16,7 +16,7 @@ from tests.support.degrade import Degradation, degrade_map
 
 pytestmark = pytest.mark.once
 
-CONFIG = FusionConfig(align=AlignConfig(prove=False))
+CONFIG = FusionConfig(align=AlignConfig())
 
 
 @pytest.fixture(scope="module")

@@ -64,7 +64,6 @@ def alignment(reference: str, moving: str, *, accepted: bool) -> Alignment:
         overlap=0.9,
         error=12.5,
         runner_up=RunnerUp(Pose2(1.0, 1.0, 3.0), 0.4, 0.5),
-        bound_gap=None,
         time_s=0.2,
         statistics={"walls": 123.0},
         yaw_profile=np.column_stack((yaw_rad, score)),

@@ -32,9 +32,7 @@ def offline(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, FusionResul
     """The log, and the fusion of what each producer makes of it without ROS."""
     log = write_log(tmp_path_factory.mktemp("drive"), COUNT)
     maps = [offline_log(kind, log, **given) for kind, given in SETTINGS.items()]
-    config = FusionConfig(
-        align=AlignConfig(prove=False), vote=VoteConfig(extent="union"), reference="graph"
-    )
+    config = FusionConfig(align=AlignConfig(), vote=VoteConfig(extent="union"), reference="graph")
     return log, fuse_grids(maps, config, open_device())
 
 

@@ -26,9 +26,7 @@ def fits(*maps: OccupancyGrid, **transforms: Pose2) -> FusionResult:
     records = []
     for item in maps:
         at = transforms.get(item.name, Pose2())
-        alignment = Alignment(
-            maps[0].name, item.name, at, True, "fits", 1.0, 1.0, 0.0, None, None, 0.0
-        )
+        alignment = Alignment(maps[0].name, item.name, at, True, "fits", 1.0, 1.0, 0.0, None, 0.0)
         records.append(InputRecord(item, alignment, True, "fits"))
     return FusionResult(
         reference=maps[0].name,

@@ -69,8 +69,8 @@ class Aligner:
         device: ComputeDevice,
         starts: Starts | None = None,
     ) -> None:
-        """Start without a frame; proofs are left out, they take seconds."""
-        self.config = replace(config, align=replace(config.align, prove=False))
+        """Start without a frame."""
+        self.config = config
         self.live = live
         self.lattice: Lattice | None = None
         self.has_searched = False

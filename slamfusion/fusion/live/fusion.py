@@ -78,8 +78,7 @@ class LiveFusion:
         """Start without inputs.
 
         Args:
-            config: ``fusion``, ``live`` and ``start`` count; proofs are left out, they take
-                seconds.
+            config: ``fusion``, ``live`` and ``start`` count.
             device: computes.
             inputs: names of those that are to come, which starts must name; None: any may come.
 

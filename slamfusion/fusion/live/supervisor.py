@@ -41,7 +41,7 @@ class InputSupervisor:
         device: ComputeDevice,
         starts: Starts | None = None,
     ) -> None:
-        """Start without inputs; proofs are left out, they take seconds."""
+        """Start without inputs."""
         self.tracks: dict[str, Track] = {}
         self.reference = ""
         self.problem = "no map yet"

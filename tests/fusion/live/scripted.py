@@ -41,9 +41,7 @@ def found(
     """Return what an alignment gave: the pose of the moving frame in the reference's, and more."""
     words = reason or ("walls match" if accepted else "walls do not match")
     pose = Pose2(x, y, yaw_rad)
-    return Alignment(
-        "", "", pose, accepted, words, score, 0.6, 0.0, None, None, 0.0, dict(statistics)
-    )
+    return Alignment("", "", pose, accepted, words, score, 0.6, 0.0, None, 0.0, dict(statistics))
 
 
 MISFIT = found(accepted=False, score=0.0)

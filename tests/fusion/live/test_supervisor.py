@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.fusion import align
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OCCUPIED, OccupancyGrid
 from tests.fusion.drawings import building
@@ -363,16 +362,3 @@ def test_a_map_that_came_too_soon_to_be_searched_is_searched_though_no_other_com
     for _ in range(50):
         drive.maybe()
     assert drive.accepted() == "b", drive.input("b").reason
-
-
-def test_nothing_is_proven_while_maps_wait(
-    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def prove(*_: object, **__: object) -> None:
-        pytest.fail("a proof takes seconds")
-
-    monkeypatch.setattr(align, "_prove", prove)
-    drive = Drive(live_fusion(device))
-    assert drive.live._config.align.prove
-    drive.step(*three().values())
-    assert drive.accepted() == "abc"

@@ -123,15 +123,6 @@ def _correlate(device: ComputeDevice, sample: Sample) -> Arrays:
     return fetch(device, [*everywhere, some])
 
 
-def _polyphase(device: ComputeDevice, sample: Sample) -> Arrays:
-    field = device.upload(sample.field)
-    height, width = sample.shape
-    corners = ((0, 0), (-3, 2), (height + 5, -width - 40))
-    return fetch(
-        device, [device.polyphase(field, corner, 4, (7, 11), FLAT_FILL) for corner in corners]
-    )
-
-
 def _bound_blocks(device: ComputeDevice, sample: Sample) -> Arrays:
     height, width = sample.shape
     fields = sample.rng.integers(0, 256, (2, height, width)).astype(np.uint8)
@@ -290,7 +281,6 @@ GRID_CHECKS: dict[str, Check] = {
     "confusion": _confusion,
     "squared_error": _squared_error,
     "correlate": _correlate,
-    "polyphase": _polyphase,
     "bound_blocks": _bound_blocks,
     "tile_peaks": _tile_peaks,
     "pose_counts": _pose_counts,
