@@ -19,7 +19,8 @@ from slamfusion.fusion import fuse_grids
 from slamfusion.grid import trinary_cells
 from slamfusion.io import load_map, write_atomic
 from slamfusion.palette import NAMED, Rgb, colours_of
-from slamfusion.report.plots import Classes, overlay_rgb
+from slamfusion.report.canvas import Classes
+from slamfusion.report.plots import overlay_rgb
 
 DATA = Path(__file__).resolve().parent
 NAMES = ("map_a", "map_b", "map_c")

@@ -9,8 +9,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["plain"]
-
 
 def plain(value: Any) -> Any:
     """Return nested values as JSON has them: no NumPy, no paths, no NaN, no infinity."""

@@ -10,25 +10,6 @@ import colorsys
 import itertools
 from collections.abc import Iterable, Iterator, Mapping
 
-__all__ = [
-    "AGREED_WALL_RGB",
-    "DISAGREEMENT_RGB",
-    "END_RGB",
-    "EXTRA_FREE_RGB",
-    "EXTRA_WALL_RGB",
-    "FREE_RGB",
-    "INK_RGB",
-    "MISSING_FREE_RGB",
-    "MISSING_WALL_RGB",
-    "NAMED",
-    "OTHERS",
-    "START_RGB",
-    "UNKNOWN_RGB",
-    "WALL_RGB",
-    "Rgb",
-    "colours_of",
-]
-
 Rgb = tuple[int, int, int]
 
 UNKNOWN_RGB: Rgb = (205, 209, 214)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from slamfusion.cli.options import common_options, map_resolution_option, with_config
-from slamfusion.cli.output import notice, number, print_json, print_table
+from slamfusion.cli.output import notice, print_json, print_table
 from slamfusion.cli.paths import MAP
 from slamfusion.cli.starts import (
     GivenStarts,
@@ -21,12 +21,11 @@ from slamfusion.cli.starts import (
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError
 from slamfusion.geometry import Pose2
+from slamfusion.jobs.documents import number
 from slamfusion.jobs.inputs import device_for, load_maps
 
 if TYPE_CHECKING:
     from slamfusion.fusion.records import Alignment
-
-__all__ = ["command"]
 
 
 @click.command("align", cls=JoinedStart)

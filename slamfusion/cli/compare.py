@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 import click
 
 from slamfusion.cli.options import check_picture, common_options, output_option
-from slamfusion.cli.output import notice, number, print_json, print_table
+from slamfusion.cli.output import notice, print_json, print_table
 from slamfusion.cli.paths import FILE
 from slamfusion.cli.results import print_by_case
 from slamfusion.cli.table_files import table_option
 from slamfusion.cli.tables import NOTHING
-from slamfusion.jobs.documents import p_text
+from slamfusion.jobs.documents import number, p_text
 
 if TYPE_CHECKING:
     from slamfusion.jobs.compare import ComparedResults, ComparisonJson

@@ -13,8 +13,6 @@ from slamfusion.cli.output import print_json, print_table
 if TYPE_CHECKING:
     from slamfusion.compute.records import DeviceJson
 
-__all__ = ["command", "print_devices"]
-
 NUMPY_NOTE = "numpy: always there (--device numpy), without OpenCL and slower"
 
 

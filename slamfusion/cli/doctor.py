@@ -15,8 +15,6 @@ from slamfusion.errors import SlamFusionError
 if TYPE_CHECKING:
     from slamfusion.jobs.tool_records import DoctorDocument
 
-__all__ = ["command"]
-
 
 @click.command("doctor")
 @with_config("device")

@@ -21,7 +21,7 @@ from slamfusion.cli.options import (
     report_option,
     with_config,
 )
-from slamfusion.cli.output import notice, number, print_json, print_table, progress_bar
+from slamfusion.cli.output import notice, print_json, print_table, progress_bar
 from slamfusion.cli.paths import CASE_MAP
 from slamfusion.cli.results import (
     print_items,
@@ -32,6 +32,7 @@ from slamfusion.cli.results import (
 from slamfusion.cli.table_files import table_option
 from slamfusion.config import RunConfig
 from slamfusion.jobs.cases import CaseFile, Placed, case_names, place_files
+from slamfusion.jobs.documents import number
 from slamfusion.jobs.inputs import device_for, distinct_names, load_maps, map_file
 
 if TYPE_CHECKING:
@@ -39,8 +40,6 @@ if TYPE_CHECKING:
     from slamfusion.grid import OccupancyGrid
     from slamfusion.jobs.evaluate import Evaluation
     from slamfusion.jobs.records import CasesEvaluationDocument, EvaluateDocument
-
-__all__ = ["command", "print_evaluations"]
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,6 @@ from pathlib import Path
 
 from slamfusion.cli.main import main
 
-__all__ = ["SUFFIX", "node"]
-
 # A program is called by its node's name and this.
 SUFFIX = "_node"
 

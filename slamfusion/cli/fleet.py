@@ -14,8 +14,6 @@ from slamfusion.errors import ConfigError
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-__all__ = ["asked_executor", "processes_option", "scheduler_option"]
-
 F = TypeVar("F", bound=Callable[..., Any])
 
 

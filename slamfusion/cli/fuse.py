@@ -45,8 +45,6 @@ if TYPE_CHECKING:
 
     from slamfusion.jobs.fuse import FusedMaps
 
-__all__ = ["command"]
-
 
 def _stem(out: Path) -> Path:
     """Take ``OUT`` as a stem; a .yaml written out by the user is dropped."""

@@ -7,7 +7,8 @@ import shlex
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from slamfusion.cli.output import notice, number, print_table
+from slamfusion.cli.output import notice, print_table
+from slamfusion.jobs.documents import number
 
 if TYPE_CHECKING:
     from slamfusion.fusion.records import (
@@ -17,8 +18,6 @@ if TYPE_CHECKING:
         InputRecord,
         StoredFusion,
     )
-
-__all__ = ["print_alignments", "print_frames", "print_pairs", "tell_left_out"]
 
 PAIR_COLUMNS = (
     "reference ",

@@ -8,15 +8,14 @@ from typing import TYPE_CHECKING
 import click
 
 from slamfusion.cli.options import common_options, output_option, with_config
-from slamfusion.cli.output import notice, number, print_json, print_table
+from slamfusion.cli.output import notice, print_json, print_table
 from slamfusion.cli.paths import FILE
 from slamfusion.config import RunConfig
+from slamfusion.jobs.documents import number
 
 if TYPE_CHECKING:
     from slamfusion.jobs.graph import OptimizedGraph
     from slamfusion.pose_graph import GraphFile
-
-__all__ = ["command"]
 
 # Outliers that the table names.
 NAMED = 10

@@ -19,14 +19,7 @@ from slamfusion.cli.options import (
     report_option,
     with_config,
 )
-from slamfusion.cli.output import (
-    fitted,
-    notice,
-    number,
-    print_json,
-    print_table,
-    progress_bar,
-)
+from slamfusion.cli.output import fitted, notice, print_json, print_table, progress_bar
 from slamfusion.cli.paths import CASE_FILE
 from slamfusion.cli.results import (
     print_items,
@@ -38,14 +31,13 @@ from slamfusion.cli.table_files import table_option
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.jobs.cases import CaseFile, Placed, case_names, files_by_case, place_files
+from slamfusion.jobs.documents import number
 from slamfusion.jobs.inputs import device_for
 
 if TYPE_CHECKING:
     from slamfusion.evidence import RankedPath, Recommendation
     from slamfusion.jobs.judge import JudgedPaths
     from slamfusion.jobs.trajectory import CaseFiles
-
-__all__ = ["command", "print_reasons", "print_recommendation"]
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,8 @@ import click
 
 from slamfusion.cli.node import import_rclpy
 from slamfusion.cli.options import common_options
-from slamfusion.cli.output import one_line, print_json, print_table
+from slamfusion.cli.output import print_json, print_table
+from slamfusion.cli.tables import one_line
 from slamfusion.errors import SlamFusionError
 
 if TYPE_CHECKING:
@@ -20,8 +21,6 @@ if TYPE_CHECKING:
         LiveLineJson,
         LiveStatusDocument,
     )
-
-__all__ = ["command"]
 
 # Of an input's figures, those that the table has, and their heads.
 SHOWN = {"score": "score", "overlap": "overlap", "age [s]": "age s", "rate [Hz]": "rate Hz"}

@@ -6,8 +6,6 @@ import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
-__all__ = ["print_next_steps"]
-
 
 def print_next_steps(map_file: Path, steps: Sequence[str]) -> None:
     """Print how nav2 and RViz load a map, and what can be done now.

@@ -9,10 +9,8 @@ from pathlib import Path
 
 import click
 
-from slamfusion.cli.output import one_line
+from slamfusion.cli.tables import one_line
 from slamfusion.errors import SlamFusionError
-
-__all__ = ["NODES", "command", "import_rclpy"]
 
 # The nodes that are no producer's, and their modules, which have ``make_node(kind) -> NodeBase``.
 NODES = {"fusion": "slamfusion.ros.fusion_node", "player": "slamfusion.ros.player_node"}

@@ -34,25 +34,6 @@ from slamfusion.config import (
 from slamfusion.errors import ConfigError
 from slamfusion.jobs.outputs import possible_report
 
-__all__ = [
-    "ConfigOption",
-    "case_option",
-    "check_picture",
-    "check_report",
-    "common_options",
-    "config_fields",
-    "drive_files",
-    "drive_options",
-    "file_option",
-    "map_resolution_option",
-    "option_name",
-    "output_option",
-    "report_option",
-    "shown_default",
-    "shown_value",
-    "with_config",
-]
-
 F = TypeVar("F", bound=Callable[..., Any])
 
 

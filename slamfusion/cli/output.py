@@ -15,19 +15,8 @@ from typing import Any
 import click
 
 from slamfusion.cli.tables import Table, one_line
-from slamfusion.jobs.documents import number, plain
 from slamfusion.jobs.inputs import Progress
-
-__all__ = [
-    "Settings",
-    "fitted",
-    "notice",
-    "number",
-    "one_line",
-    "print_json",
-    "print_table",
-    "progress_bar",
-]
+from slamfusion.json_values import plain
 
 # Narrower terminals break the lines themselves.
 LEAST_WIDTH = 40

@@ -14,18 +14,6 @@ from slamfusion.errors import SlamFusionError
 from slamfusion.jobs.cases import CaseFile
 from slamfusion.jobs.inputs import check_writable, map_file
 
-__all__ = [
-    "CASE_FILE",
-    "CASE_MAP",
-    "FILE",
-    "MAP",
-    "CasePath",
-    "Files",
-    "InputPath",
-    "OutputPath",
-    "check_paths",
-]
-
 # Files of a path, which stands beside the other values that the command was given, by name.
 Files = Callable[[Path, Mapping[str, Any]], Iterable[Path]]
 

@@ -34,10 +34,9 @@ from slamfusion.cli import (
     slam,
     trajectory,
 )
-from slamfusion.cli.output import Settings, one_line, print_json
+from slamfusion.cli.output import Settings, print_json
+from slamfusion.cli.tables import one_line
 from slamfusion.errors import SlamFusionError
-
-__all__ = ["COMMANDS", "cli", "run_program"]
 
 # Every subcommand; a new one is a module with a ``command`` and a line here.
 COMMANDS: tuple[click.Command, ...] = (

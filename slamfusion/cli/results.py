@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from slamfusion.cli.options import output_option
-from slamfusion.cli.output import Settings, notice, number, print_table
+from slamfusion.cli.output import Settings, notice, print_table
+from slamfusion.jobs.documents import number
 
 if TYPE_CHECKING:
     import pandas as pd

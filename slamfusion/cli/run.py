@@ -24,14 +24,7 @@ from slamfusion.cli.options import (
     output_option,
     with_config,
 )
-from slamfusion.cli.output import (
-    Settings,
-    notice,
-    number,
-    print_json,
-    print_table,
-    progress_bar,
-)
+from slamfusion.cli.output import Settings, notice, print_json, print_table, progress_bar
 from slamfusion.cli.paths import CASE_FILE, FILE, MAP
 from slamfusion.cli.run_many import run_many
 from slamfusion.cli.starts import GivenStarts, start_errors, start_option, with_starts
@@ -40,6 +33,7 @@ from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.jobs.cases import CaseFile
 from slamfusion.jobs.defaults import RUN_DEFAULTS
+from slamfusion.jobs.documents import number
 from slamfusion.jobs.outputs import (
     AGREEMENT,
     DRAWN,
@@ -57,8 +51,6 @@ if TYPE_CHECKING:
     from slamfusion.jobs.run import LogRun
     from slamfusion.jobs.run_files import SavedRun
     from slamfusion.jobs.trajectory import Measures
-
-__all__ = ["command"]
 
 # Suffixes of what may follow an option's value as one more; no log has such a name.
 MORE = {

@@ -8,15 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slamfusion.cli.output import notice, number, print_json, print_table, progress_bar
+from slamfusion.cli.output import notice, print_json, print_table, progress_bar
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
+from slamfusion.jobs.documents import number
 from slamfusion.jobs.outputs import FUSED, PAGE, REPORT
 
 if TYPE_CHECKING:
     from slamfusion.jobs.run_many import RunOfLog
-
-__all__ = ["run_many"]
 
 # What belongs to one log.
 OF_ONE_LOG = ("paths", "truth", "truth_trajectory", "relations", "odometry", "scan_odometry")

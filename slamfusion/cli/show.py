@@ -18,8 +18,6 @@ from slamfusion.errors import SlamFusionError
 if TYPE_CHECKING:
     from slamfusion.jobs.tool_records import ShowDocument
 
-__all__ = ["command"]
-
 DEFAULTS = FusionNodeConfig()
 
 

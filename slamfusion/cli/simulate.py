@@ -9,15 +9,14 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from slamfusion.cli.options import common_options, output_option, with_config
-from slamfusion.cli.output import notice, number, print_json, print_table, progress_bar
+from slamfusion.cli.output import notice, print_json, print_table, progress_bar
 from slamfusion.cli.paths import MAP, InputPath
 from slamfusion.config import RunConfig
+from slamfusion.jobs.documents import number
 
 if TYPE_CHECKING:
     from slamfusion.jobs.tool_records import SimulateDocument
     from slamfusion.sim import Course
-
-__all__ = ["command"]
 
 
 class _Command(click.Command):

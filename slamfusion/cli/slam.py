@@ -19,8 +19,9 @@ from slamfusion.cli.options import (
     report_option,
     with_config,
 )
-from slamfusion.cli.output import notice, one_line, print_json, print_table, progress_bar
+from slamfusion.cli.output import notice, print_json, print_table, progress_bar
 from slamfusion.cli.paths import FILE, MAP
+from slamfusion.cli.tables import one_line
 from slamfusion.cli.trajectory import print_measures
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
@@ -28,8 +29,6 @@ from slamfusion.jobs.outputs import PAGE, SUFFIXES, output_files
 
 if TYPE_CHECKING:
     from slamfusion.jobs.produced import ProducerResult
-
-__all__ = ["command"]
 
 
 class _Producers(click.Group):

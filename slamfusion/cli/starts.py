@@ -13,8 +13,6 @@ import click
 from slamfusion.config import START_M, START_RAD, RunConfig, checked_start
 from slamfusion.errors import StartError
 
-__all__ = ["GivenStarts", "JoinedStart", "start_errors", "start_option", "with_starts"]
-
 F = TypeVar("F", bound=Callable[..., Any])
 
 # What ``--start`` gave: names with 3 or 5 numbers each.

@@ -17,20 +17,19 @@ from slamfusion.cli.options import (
     report_option,
     with_config,
 )
-from slamfusion.cli.output import notice, number, print_json, print_table
+from slamfusion.cli.output import notice, print_json, print_table
 from slamfusion.cli.paths import CASE_FILE, MAP
 from slamfusion.cli.results import print_items, results_option, save_results
 from slamfusion.cli.table_files import table_option
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.jobs.cases import CaseFile, Placed, files_by_case, place_files, shared_case_names
+from slamfusion.jobs.documents import number
 
 if TYPE_CHECKING:
     from slamfusion.evaluation import DensePoses, ErrorStatistics
     from slamfusion.jobs.trajectory import CaseFiles, Measures
     from slamfusion.trajectory import Trajectory
-
-__all__ = ["command", "print_errors", "print_measures"]
 
 
 @dataclass(frozen=True)

@@ -13,20 +13,6 @@ from typing import Any, Literal, Protocol, TypeVar, Union, overload, runtime_che
 
 from slamfusion.errors import ConfigError, shown
 
-__all__ = [
-    "INTEGER_MAX",
-    "PUBLISHED",
-    "Checked",
-    "FieldInfo",
-    "Profiled",
-    "checked_value",
-    "field_infos",
-    "from_mapping",
-    "option",
-    "split_list",
-    "to_mapping",
-]
-
 T = TypeVar("T")
 
 # The profile with the values that an algorithm's authors published.

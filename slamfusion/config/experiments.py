@@ -8,14 +8,6 @@ from typing import Literal
 from slamfusion.config.core import Checked, option
 from slamfusion.errors import ConfigError
 
-__all__ = [
-    "CellModelsConfig",
-    "ExperimentConfig",
-    "FailuresConfig",
-    "GroundObstacleConfig",
-    "OccupancyEstimatorConfig",
-]
-
 
 @dataclass(frozen=True)
 class OccupancyEstimatorConfig(Checked):

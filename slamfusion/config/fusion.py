@@ -9,19 +9,6 @@ from typing import Literal, TypeAlias
 from slamfusion.config.core import Checked, option
 from slamfusion.errors import ConfigError
 
-__all__ = [
-    "SMALLEST",
-    "AlignConfig",
-    "EvaluateConfig",
-    "FusionConfig",
-    "FusionMode",
-    "LiveConfig",
-    "NormalizeConfig",
-    "VoteConfig",
-    "VoteMode",
-]
-
-
 # How maps vote; and how a fused map comes to be, by such a vote or drawn from scans.
 VoteMode: TypeAlias = Literal["consensus", "majority"]
 FusionMode: TypeAlias = Literal[VoteMode, "drawn"]

@@ -11,8 +11,6 @@ from dataclasses import dataclass
 from slamfusion.config.core import Checked, option
 from slamfusion.errors import ConfigError
 
-__all__ = ["GraphClosureConfig", "GraphRelocalizationConfig", "GraphTrackingConfig"]
-
 
 @dataclass(frozen=True)
 class GraphTrackingConfig(Checked):

@@ -7,12 +7,6 @@ from typing import Literal
 
 from slamfusion.config.core import Checked, option
 
-__all__ = [
-    "FusionNodeConfig",
-    "PlayerNodeConfig",
-    "ProducerNodeConfig",
-]
-
 
 @dataclass(frozen=True)
 class ProducerNodeConfig(Checked):

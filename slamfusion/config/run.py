@@ -13,17 +13,6 @@ from slamfusion.config.sim import SimulateConfig
 from slamfusion.config.slam import GraphOptimizerConfig
 from slamfusion.config.start import checked_starts
 
-__all__ = [
-    "PICTURE_FORMS",
-    "DeviceConfig",
-    "LogConfig",
-    "MapFileConfig",
-    "ReportConfig",
-    "RunConfig",
-    "SideBySideConfig",
-    "TrajectoryConfig",
-]
-
 # What pictures can be written as.
 PICTURE_FORMS = ("png", "svg", "pdf")
 

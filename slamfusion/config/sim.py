@@ -9,19 +9,6 @@ from typing import Literal, TypeAlias
 from slamfusion.config.core import Checked, option
 from slamfusion.errors import ConfigError
 
-__all__ = [
-    "ActionConfig",
-    "DrawnPlace",
-    "DriveConfig",
-    "LidarConfig",
-    "ObstacleConfig",
-    "PersonConfig",
-    "PlaceName",
-    "SimulateConfig",
-    "WorldConfig",
-]
-
-
 # Places that are drawn; a world may also be a map file.
 DrawnPlace: TypeAlias = Literal[
     "office",

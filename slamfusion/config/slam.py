@@ -13,18 +13,6 @@ from slamfusion.config.graph import (
     GraphTrackingConfig,
 )
 
-__all__ = [
-    "GMAPPING_PROFILES",
-    "CellModel",
-    "GmappingConfig",
-    "GraphConfig",
-    "GraphOptimizerConfig",
-    "MatcherConfig",
-    "OccupancyEstimator",
-    "TinySlamConfig",
-]
-
-
 CellModel: TypeAlias = Literal["base", "mean"]
 OccupancyEstimator: TypeAlias = Literal["constant", "area"]
 

@@ -8,8 +8,6 @@ from typing import Any
 
 from slamfusion.errors import StartError, shown
 
-__all__ = ["START_FORM", "START_M", "START_RAD", "checked_start", "checked_starts"]
-
 # How far a map may lie from its start where the start does not say: what a person who points at a
 # plan, or a robot that is put onto a mark, is off by.
 START_M = 2.0

@@ -10,8 +10,6 @@ import numpy.typing as npt
 from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY, UNKNOWN, CellBox, OccupancyGrid
 
-__all__ = ["sample_on_lattice", "wall_centres"]
-
 _ROWS_PER_BLOCK = 256
 
 # A centre that falls on the border of two cells belongs to the upper one, whatever the rounding of

@@ -25,14 +25,6 @@ from slamfusion.grid import OccupancyGrid, trinary_cells
 from slamfusion.io.regular import read_small
 from slamfusion.io.yaml_file import read_yaml
 
-__all__ = [
-    "DistanceComparison",
-    "DistanceRow",
-    "MeasuredDistance",
-    "compare_distances",
-    "load_distances",
-]
-
 _DEFAULT_NORMALIZE = NormalizeConfig()
 _COLUMNS = ("name", "x1", "y1", "x2", "y2", "distance_m")
 _NUMBERS = _COLUMNS[1:]

@@ -20,8 +20,6 @@ from slamfusion.config import NormalizeConfig
 from slamfusion.cores import usable_cores
 from slamfusion.grid import CellBox, OccupancyGrid, trinary_cells
 
-__all__ = ["doubled_wall_cells", "doubled_wall_share", "fused_doubled_shares"]
-
 # Rows and columns of a part of an array.
 Window = tuple[slice, slice]
 IsWall = Callable[[npt.NDArray[np.int8]], npt.NDArray[np.bool_]]

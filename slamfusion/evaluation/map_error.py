@@ -44,20 +44,6 @@ from slamfusion.grid import (
     trinary_cells,
 )
 
-__all__ = [
-    "AGREE_FREE",
-    "AGREE_UNKNOWN",
-    "AGREE_WALL",
-    "CLASS_NAMES",
-    "EXTRA_FREE",
-    "EXTRA_WALL",
-    "MISSING_FREE",
-    "MISSING_WALL",
-    "MapError",
-    "compare_to_truth",
-    "maps_of_differences",
-]
-
 # Codes of ``MapError.difference``.
 AGREE_UNKNOWN = 0
 AGREE_FREE = 1

@@ -26,15 +26,6 @@ from slamfusion.io.lines import ROW_BYTES, TextLines, read_head, strip_gz
 from slamfusion.io.trajectories import read_trajectory
 from slamfusion.trajectory import Trajectory
 
-__all__ = [
-    "DensePoses",
-    "OdometryMatch",
-    "match_odometry",
-    "poses_by_odometry",
-    "read_odometry",
-    "subsample_to_scans",
-]
-
 _LOGGER = logging.getLogger(__name__)
 _DEFAULT_CONFIG = LogConfig()
 

@@ -9,26 +9,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Literal, TypedDict
 
-__all__ = [
-    "DensePosesJson",
-    "DistanceComparisonJson",
-    "DistanceRowJson",
-    "ErrorStatisticsJson",
-    "FaceAgreementJson",
-    "MapErrorJson",
-    "MethodMeanJson",
-    "PlacedJson",
-    "RelationErrorsAtScansJson",
-    "RelationErrorsJson",
-    "RepetitionsJson",
-    "SummariesJson",
-    "TrajectoryAlignmentJson",
-    "TrajectoryErrorsJson",
-    "WallDistanceJson",
-    "WallFacesJson",
-    "WallThicknessJson",
-]
-
 
 class ErrorStatisticsJson(TypedDict):
     """Figures of absolute errors, in the unit of the key that holds them."""

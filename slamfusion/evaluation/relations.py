@@ -20,16 +20,6 @@ from slamfusion.geometry import compose_poses, invert_poses, wrap_angles
 from slamfusion.io.lines import ROW_BYTES, TextLines, strip_gz
 from slamfusion.trajectory import Trajectory
 
-__all__ = [
-    "AT_SCAN_S",
-    "REVISIT_S",
-    "RelationErrors",
-    "Relations",
-    "errors_at_scans",
-    "read_relations",
-    "relation_errors",
-]
-
 # A relation over more than this joins two visits of one place, not two moments of one visit.
 REVISIT_S = 30.0
 # A time this near to that of a scan is that scan's: what the digits of both files leave open.

@@ -27,8 +27,6 @@ from slamfusion.geometry import (
 from slamfusion.grid import IDENTITY
 from slamfusion.trajectory import Trajectory
 
-__all__ = ["TrajectoryErrors", "associate", "trajectory_errors"]
-
 _DEFAULT_CONFIG = TrajectoryConfig()
 
 # Sums of equal steps fall short of a whole delta by rounding.

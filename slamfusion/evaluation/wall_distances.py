@@ -10,14 +10,6 @@ import scipy
 
 from slamfusion.evaluation.records import WallDistanceJson
 
-__all__ = [
-    "WallDistance",
-    "distance_summary",
-    "harmonic_mean",
-    "nearest_distances",
-    "share_within",
-]
-
 # A wall exactly the tolerance away counts as found, whatever the last digits of the poses are.
 _TOLERANCE_SLACK_M = 1e-6
 

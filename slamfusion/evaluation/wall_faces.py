@@ -28,17 +28,6 @@ from slamfusion.evaluation.wall_distances import (
 from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY, UNKNOWN, OccupancyGrid, trinary_cells
 
-__all__ = [
-    "FACE_TOLERANCES_M",
-    "FaceAgreement",
-    "WallFaces",
-    "WallThickness",
-    "compare_faces",
-    "face_cells",
-    "outside_area",
-    "wall_thickness",
-]
-
 _DEFAULT_NORMALIZE = NormalizeConfig()
 
 # How far a face may lie from a true one and still be right, metres: a cell of the usual maps, two

@@ -16,8 +16,6 @@ from slamfusion.errors import LogError
 from slamfusion.io import LogScan
 from slamfusion.trajectory import Trajectory
 
-__all__ = ["CHUNKS", "JudgedScans", "judged_scans"]
-
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 

@@ -15,8 +15,6 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["BLOCKS", "Comparison", "compare_sums"]
-
 F64 = npt.NDArray[np.float64]
 
 # Parts of the judged scans that are drawn anew: four for each chunk, so that a path that is wrong

@@ -29,8 +29,6 @@ from slamfusion.evidence.comparison import SURE
 from slamfusion.evidence.parting import PART_M
 from slamfusion.evidence.predictive import NEIGHBOURS, OTHERS, DrawnChunks, PathEvidence
 
-__all__ = ["Displacement", "contradicted_share", "find_displacements"]
-
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 U32 = npt.NDArray[np.uint32]

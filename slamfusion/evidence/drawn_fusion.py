@@ -24,8 +24,6 @@ from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid
 from slamfusion.vote.boxes import hull
 from slamfusion.vote.tiles import GridLayer, TileVoter
 
-__all__ = ["fuse_with_drawn"]
-
 I8 = npt.NDArray[np.int8]
 B8 = npt.NDArray[np.bool_]
 

@@ -29,8 +29,6 @@ from slamfusion.slam.common.hit_cells import halve_counts
 from slamfusion.slam.common.shared_tiles import SharedTileMaps
 from slamfusion.trajectory import Trajectory
 
-__all__ = ["DrawnScan", "SensorModel", "draw_map", "drawn_scans"]
-
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
 

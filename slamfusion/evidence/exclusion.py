@@ -34,15 +34,6 @@ from slamfusion.evidence.predictive import PathEvidence, without_scans
 from slamfusion.geometry import fit_motion, moved_poses, with_levers
 from slamfusion.trajectory import flag_runs, nearest_stamps
 
-__all__ = [
-    "ExcludedSpan",
-    "Exclusions",
-    "UndecidedSpan",
-    "find_exclusions",
-    "lay_on",
-    "parted",
-]
-
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 B8 = npt.NDArray[np.bool_]

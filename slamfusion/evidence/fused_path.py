@@ -44,8 +44,6 @@ from slamfusion.geometry import compose_poses, invert_poses, travelled
 from slamfusion.pose_graph import PoseGraph, optimize
 from slamfusion.trajectory import Trajectory
 
-__all__ = ["FusedPath", "fuse_paths", "trust_in_paths"]
-
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 

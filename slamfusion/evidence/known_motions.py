@@ -29,8 +29,6 @@ import numpy.typing as npt
 from slamfusion.evidence.path_frames import geman_mcclure
 from slamfusion.geometry import compose_poses, invert_poses, wrap_angles
 
-__all__ = ["KnownMotions", "MotionEquations"]
-
 F64 = npt.NDArray[np.float64]
 B8 = npt.NDArray[np.bool_]
 

@@ -16,8 +16,6 @@ from slamfusion.evidence.predictive import PathEvidence
 from slamfusion.geometry import fit_motion, moved_poses, with_levers
 from slamfusion.trajectory import flag_runs
 
-__all__ = ["Span", "long_runs", "path_gap_m", "path_spans"]
-
 F64 = npt.NDArray[np.float64]
 B8 = npt.NDArray[np.bool_]
 

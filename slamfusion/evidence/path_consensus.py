@@ -13,8 +13,6 @@ import numpy.typing as npt
 from slamfusion.evidence.path_frames import LaidPaths, geman_mcclure, pose_distances
 from slamfusion.geometry import wrap_angles
 
-__all__ = ["consensus_poses", "find_modes"]
-
 F64 = npt.NDArray[np.float64]
 
 # How far apart poses are that name one place, metres (and half of that in radians): at least what

@@ -17,18 +17,6 @@ from slamfusion.errors import TrajectoryError
 from slamfusion.geometry import Pose2, fit_motion, moved_poses, with_levers, wrap_angles
 from slamfusion.trajectory import SAME_STAMP_S, Trajectory
 
-__all__ = [
-    "FROM_MEDIAN",
-    "TURN_M",
-    "LaidPaths",
-    "fit_frame",
-    "fit_onto",
-    "geman_mcclure",
-    "laid_onto",
-    "lay_paths",
-    "pose_distances",
-]
-
 F64 = npt.NDArray[np.float64]
 
 # Metres that a turn of one radian counts for: what it moves at the range of most walls.

@@ -32,20 +32,6 @@ from slamfusion.evidence.stamps import CoveredPath, cover_stamps, no_common_time
 from slamfusion.geometry import compose_poses, invert_poses, transform_points
 from slamfusion.trajectory import Trajectory
 
-__all__ = [
-    "NEIGHBOURS",
-    "OTHERS",
-    "Comparison",
-    "DrawnChunks",
-    "HitModel",
-    "PathEvidence",
-    "PathScore",
-    "log_likelihoods",
-    "score_paths",
-    "with_path",
-    "without_scans",
-]
-
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 B8 = npt.NDArray[np.bool_]

@@ -32,8 +32,6 @@ from slamfusion.evidence.records import Confidence, PathEvidenceJson, Recommenda
 from slamfusion.geometry import fit_motion, moved_poses
 from slamfusion.trajectory import Trajectory, nearest_stamps
 
-__all__ = ["Check", "RankedPath", "Recommendation", "choose_path", "distance_m", "recommend"]
-
 # Places that are named at most.
 MOST_CHECKS = 3
 # If most of what the robot saw was free space at other times, it was elsewhere; if more than the

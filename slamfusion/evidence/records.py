@@ -5,17 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal, TypeAlias, TypedDict
 
-__all__ = [
-    "CheckJson",
-    "Confidence",
-    "PathEvidenceJson",
-    "PathSpanJson",
-    "PathTimeJson",
-    "RecommendationJson",
-    "RefinementJson",
-    "RefinementStart",
-]
-
 # How far a recommended path can be trusted.
 Confidence: TypeAlias = Literal["high", "medium", "low"]
 

@@ -36,8 +36,6 @@ from slamfusion.evidence.stamps import cover_stamps
 from slamfusion.geometry import compose_poses, invert_poses, wrap_angles
 from slamfusion.trajectory import Trajectory
 
-__all__ = ["carried_along", "refine_path"]
-
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 

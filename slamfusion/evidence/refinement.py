@@ -28,8 +28,6 @@ from slamfusion.evidence.refined_path import carried_along, refine_path
 from slamfusion.evidence.stamps import cover_stamps
 from slamfusion.trajectory import Trajectory
 
-__all__ = ["RefinedPath", "refine_borne_out"]
-
 # What the refined path is called while it is held against the given one.
 _REFINED = "refined"
 # Odometry by which a hit is less likely than by the given path by more than this, log-likelihood,

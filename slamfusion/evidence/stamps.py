@@ -17,8 +17,6 @@ from slamfusion.evidence.beams import JudgedScans
 from slamfusion.geometry import blend_poses, compose_poses, invert_poses, travelled, wrap_angles
 from slamfusion.trajectory import Trajectory
 
-__all__ = ["CoveredPath", "cover_stamps", "no_common_time"]
-
 F64 = npt.NDArray[np.float64]
 B8 = npt.NDArray[np.bool_]
 

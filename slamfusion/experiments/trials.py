@@ -32,7 +32,7 @@ from slamfusion.experiments.examples import Example
 from slamfusion.experiments.faults import FAULTS
 from slamfusion.experiments.page import Experiment, percent
 from slamfusion.experiments.runs import RunResult, Setup, run_all
-from slamfusion.experiments.voting import FUSIONS, PATIENCE_S, against_truth, vote_every_way
+from slamfusion.experiments.voting import FUSIONS, against_truth, vote_every_way
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan
 from slamfusion.jobs.defaults import RUN_VOTE
@@ -248,7 +248,7 @@ def _fuse(
     notes: dict[str, str],
 ) -> dict[str, OccupancyGrid | None]:
     """Fuse as ``run`` does: the plain vote decides who votes, then the same maps vote otherwise."""
-    align = replace(config.fusion.align, step=None, deadline_s=PATIENCE_S)
+    align = replace(config.fusion.align, step=None)
     config = replace(config, fusion=replace(config.fusion, align=align))
     layers = drive_layers(grids, weighed, seen, fed, device)
     fused = vote_every_way(layers, config, device, notes)

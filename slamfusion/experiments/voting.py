@@ -23,8 +23,6 @@ from slamfusion.jobs.partial import Layers, fuse_layers
 # Every way to vote.
 FUSIONS: tuple[VoteMode, ...] = get_args(VoteMode)
 PLAIN: VoteMode = "majority"
-# Proofs of alignments end by themselves, so that a busy machine finds what an idle one does.
-PATIENCE_S = 60.0
 # A map that is turned by more against the true one lies wrong where both head alike, radians.
 MOST_TURN_RAD = 0.5 * math.pi
 
@@ -111,7 +109,7 @@ def against_truth(
     nothing = np.full((1, 1), UNKNOWN, dtype=np.int8)
     known = grid or OccupancyGrid(nothing, truth.resolution, truth.origin, "nothing")
     transforms = [IDENTITY]
-    align = replace(config.fusion.align, step=None, deadline_s=PATIENCE_S)
+    align = replace(config.fusion.align, step=None)
     settings = replace(config.fusion, align=align)
     if grid is not None:
         with suppress(GridError):  # not one known cell: it lies as well anywhere

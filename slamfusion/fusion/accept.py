@@ -33,20 +33,6 @@ import math
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias, get_args
 
-__all__ = [
-    "DECISIONS",
-    "Decision",
-    "DecisionKind",
-    "Evidence",
-    "Strength",
-    "decide",
-    "decide_mirrored",
-    "expected_wrong",
-    "piece_weight",
-    "strength_of",
-    "wrong_in_job",
-]
-
 DecisionKind: TypeAlias = Literal[
     "accepted",
     "different place",

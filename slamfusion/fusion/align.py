@@ -24,17 +24,15 @@ from slamfusion.fusion.refine import settle
 from slamfusion.fusion.rivals import Found
 from slamfusion.fusion.search import (
     FINER_CHANCE_MAX,
-    SearchWindow,
     finer_step,
     score_motions,
     search,
     wall_widths,
 )
+from slamfusion.fusion.shifts import SearchWindow
 from slamfusion.fusion.start import StartPose, pose_of
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
-
-__all__ = ["align_features", "align_grids", "rejected_alignment", "track_features"]
 
 F64 = npt.NDArray[np.float64]
 

@@ -10,8 +10,6 @@ from slamfusion.fusion.consistency import motion_from
 from slamfusion.fusion.records import Alignment
 from slamfusion.geometry import Pose2
 
-__all__ = ["AlignmentGraph", "Key", "key_of"]
-
 # The names of two maps.
 Key = frozenset[str]
 

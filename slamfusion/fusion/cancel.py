@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Protocol
 
-__all__ = ["CancelToken", "CancelledSearchError", "check_cancelled"]
-
 
 class _Finishes(Protocol):
     """A device that may take orders ahead."""

@@ -14,19 +14,6 @@ from dataclasses import dataclass
 from slamfusion.fusion.records import Alignment
 from slamfusion.geometry import Pose2, wrap_angle
 
-__all__ = [
-    "CLOSURE_CELLS",
-    "CLOSURE_YAW_RAD",
-    "PATH_GAP",
-    "Group",
-    "Stands",
-    "closure_error",
-    "largest_group",
-    "motion_from",
-    "path_transform",
-    "rank_of",
-]
-
 # Told a rejected pair and the transform that the accepted pairs of a group imply for it (moving map
 # frame to the reference's): whether the group may stand although the pair was rejected.
 Stands = Callable[[Alignment, Pose2], bool]

@@ -15,8 +15,6 @@ from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.scale import common_walls
 from slamfusion.fusion.search import wall_widths
 
-__all__ = ["beside_lines", "beside_lines_m"]
-
 F64 = npt.NDArray[np.float64]
 
 # A line takes what lies within such a band, metres, and the least in cells: a wall with both faces.

@@ -8,8 +8,6 @@ import numpy as np
 
 from slamfusion.grid import OccupancyGrid, row_parts
 
-__all__ = ["copy_words", "find_copies"]
-
 
 def find_copies(grids: Sequence[OccupancyGrid], preferred: Collection[str] = ()) -> dict[str, str]:
     """Return which inputs are copies, each with the name of the one that votes for all of them.

@@ -16,8 +16,6 @@ import numpy.typing as npt
 
 from slamfusion.compute.layout import FACES, FACES_NOWHERE, FACING_PARTS
 
-__all__ = ["facing_parts", "facings"]
-
 # How far free space is looked for, metres. Deeper than the rim of free cells that drawn maps have
 # behind their walls, and than what lies between both lines of a wall that was drawn twice; less
 # than half of a door. It is looked for on squares of cells, of which that are this many.

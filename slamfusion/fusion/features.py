@@ -33,9 +33,6 @@ from slamfusion.fusion.wall_evidence import (
     score_table,
 )
 
-__all__ = ["GridFeatures", "Level", "PointPieces", "ScoreTable", "score_table", "spread_sample"]
-
-
 # Farther than this from its walls the unknown says nothing, metres, and the least in cells.
 SEEN_M, SEEN_CELLS_MIN = 0.4, 3.0
 # Some maps fade from walls to free space: Cartographer's, plans with smoothed lines, sensor maps.

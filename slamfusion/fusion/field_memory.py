@@ -6,8 +6,6 @@ from typing import Protocol
 
 from slamfusion.io.memory import available_memory, return_freed_memory
 
-__all__ = ["LEAST_KEPT", "FieldMemory"]
-
 # Maps that keep their fields however little memory is left: those of a usual job.
 LEAST_KEPT = 3
 # What the fields of a cell take, in bytes, and the share of the free memory that all may take; and

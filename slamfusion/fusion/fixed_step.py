@@ -21,9 +21,7 @@ from slamfusion.errors import ConfigError
 from slamfusion.fusion.cancel import CancelToken, check_cancelled
 from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.motions import invert, to_lattice
-from slamfusion.fusion.search import SearchWindow
-
-__all__ = ["fixed_step_search"]
+from slamfusion.fusion.shifts import SearchWindow
 
 F64 = npt.NDArray[np.float64]
 

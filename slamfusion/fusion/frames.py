@@ -9,8 +9,6 @@ from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.motions import to_lattice
 from slamfusion.geometry import Pose2, wrap_angle
 
-__all__ = ["motion_of", "transform_of"]
-
 F64 = npt.NDArray[np.float64]
 
 

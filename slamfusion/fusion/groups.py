@@ -15,7 +15,7 @@ import numpy.typing as npt
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import SMALLEST, FusionConfig
 from slamfusion.errors import AlignmentError, ConfigError
-from slamfusion.fusion.align import align_features, rejected_alignment, track_features
+from slamfusion.fusion.align import align_features, track_features
 from slamfusion.fusion.consistency import (
     Group,
     largest_group,
@@ -24,6 +24,7 @@ from slamfusion.fusion.consistency import (
 )
 from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.implied import ImpliedPairs, words_over
+from slamfusion.fusion.judge import rejected_alignment
 from slamfusion.fusion.many import Candidate, SolvedGroup, align_many
 from slamfusion.fusion.pair_ranking import rank_pairs
 from slamfusion.fusion.pair_tasks import AlignmentTasks, PairSettings
@@ -32,15 +33,6 @@ from slamfusion.fusion.records import Alignment
 from slamfusion.fusion.start import StartPose, Starts, named_input, start_distance
 from slamfusion.geometry import Pose2
 from slamfusion.io.memory import return_freed_memory
-
-__all__ = [
-    "LEAST_FUSED",
-    "AlignedGroup",
-    "Progress",
-    "SecondLook",
-    "align_group",
-    "choose_reference",
-]
 
 # Told what is being done, how many steps are done, and of how many.
 Progress = Callable[[str, int, int], None]

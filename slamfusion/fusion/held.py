@@ -20,8 +20,6 @@ from slamfusion.fusion.features import GridFeatures, spread_sample
 from slamfusion.fusion.measure import NEAR_CELLS_MIN, NEAR_M
 from slamfusion.fusion.motions import invert, to_lattice
 
-__all__ = ["disc_around", "held_by", "held_m", "wall_normals", "walls_around"]
-
 U8 = npt.NDArray[np.uint8]
 I32 = npt.NDArray[np.int32]
 F64 = npt.NDArray[np.float64]

@@ -19,8 +19,6 @@ from slamfusion.fusion.records import Alignment
 from slamfusion.fusion.rivals import DISTINCT_CELLS, DISTINCT_YAW_RAD, is_distinct
 from slamfusion.geometry import Pose2
 
-__all__ = ["Implied", "ImpliedPairs", "words_over"]
-
 # Ground that both maps know, as a share of the smaller one's: on less their walls need not meet.
 MUCH_GROUND = 0.3
 

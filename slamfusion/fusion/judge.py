@@ -43,10 +43,9 @@ from slamfusion.fusion.rivals import (
     chosen_standing,
 )
 from slamfusion.fusion.scale import estimate_scale
-from slamfusion.fusion.search import CoarseSearch, SearchWindow, search, wall_widths
+from slamfusion.fusion.search import CoarseSearch, search, wall_widths
+from slamfusion.fusion.shifts import SearchWindow
 from slamfusion.geometry import Pose2, wrap_angle
-
-__all__ = ["ground_prior", "judge", "prior_within", "rejected_alignment"]
 
 F64 = npt.NDArray[np.float64]
 

@@ -31,20 +31,6 @@ from slamfusion.vote.tiles import (
     worst_place,
 )
 
-__all__ = [
-    "Lattices",
-    "bent_maps",
-    "contradicting",
-    "fused_box",
-    "own_box",
-    "parts_of",
-    "vote_on_lattice",
-    "wall_agreement_of",
-    "warp_onto",
-    "warp_pose",
-    "weights_of",
-]
-
 I8 = npt.NDArray[np.int8]
 
 # Gives an input at the common resolution, by its name.

@@ -32,8 +32,6 @@ from slamfusion.fusion.placement import solve_poses
 from slamfusion.fusion.records import Alignment
 from slamfusion.geometry import Pose2
 
-__all__ = ["Candidate", "SolvedGroup", "align_many"]
-
 # Aligns two maps, by name, in full.
 AlignPair = Callable[[str, str], Alignment]
 # Told the pairs that are likely to be asked for next; takes as many as it wants.

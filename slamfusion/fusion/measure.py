@@ -13,8 +13,6 @@ from slamfusion.fusion.cancel import CancelToken, check_cancelled
 from slamfusion.fusion.features import GridFeatures, spread_sample
 from slamfusion.fusion.motions import invert, to_lattice
 
-__all__ = ["NEAR_CELLS_MIN", "NEAR_M", "measure"]
-
 F64 = npt.NDArray[np.float64]
 
 # Tolerances in metres, and the least they are in cells where cells are coarse.

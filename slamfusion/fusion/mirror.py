@@ -20,8 +20,6 @@ from slamfusion.fusion.pieces import wall_pieces
 from slamfusion.fusion.search import search
 from slamfusion.fusion.shifts import SearchWindow
 
-__all__ = ["SURE_SHARE", "mirror_gain", "mirror_image"]
-
 F64 = npt.NDArray[np.float64]
 
 # An answer that is so much of what the common ground could give needs no look at a mirror image.

@@ -13,17 +13,6 @@ import numpy.typing as npt
 
 from slamfusion.compute.layout import FIXED_ONE
 
-__all__ = [
-    "both_ways",
-    "displacement",
-    "distinct",
-    "distinct_rows",
-    "fixed_similarities",
-    "invert",
-    "to_lattice",
-    "turned_about",
-]
-
 F64 = npt.NDArray[np.float64]
 Columns = tuple[F64, F64, F64, F64]
 

@@ -22,8 +22,6 @@ from slamfusion.fusion.refine import are_as_thick, polish
 from slamfusion.fusion.scale import common_middle, common_walls
 from slamfusion.fusion.search import score_motions, wall_widths
 
-__all__ = ["climbed", "narrow_fits"]
-
 F64 = npt.NDArray[np.float64]
 
 # Turns from which a fit begins, the motion's own first; the width of a wall, cells, by which the

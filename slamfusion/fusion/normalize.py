@@ -20,17 +20,6 @@ from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid, known_box, trinary_
 from slamfusion.io.memory import check_memory
 from slamfusion.vote.lattice import SAME_RESOLUTION, Extent, Lattice
 
-__all__ = [
-    "NormalizedGrid",
-    "VotingGrid",
-    "check_resampling",
-    "coarsening",
-    "common_resolution",
-    "normalize_grid",
-    "pool_cells",
-    "voting_grid",
-]
-
 # What each cell of an input takes that is aligned, and while it is looked at; and while it votes.
 ALIGNED_BYTES_PER_CELL, BYTES_PER_CELL, VOTED_BYTES_PER_CELL = 4, 24, 7
 # Cells on the longest side of a map that is aligned as it is: of larger ones a coarser copy is.

@@ -22,8 +22,6 @@ from slamfusion.fusion.parallel_walls import (
     wall_directions,
 )
 
-__all__ = ["RankedPair", "rank_pairs"]
-
 
 @dataclass(frozen=True)
 class RankedPair:

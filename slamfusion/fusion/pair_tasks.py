@@ -102,7 +102,7 @@ def _features(packed: Packed, device: ComputeDevice) -> GridFeatures:
     """Return what alignment looks at in a grid; small ones are kept for their next pairs."""
     data, is_small = packed
     make = _kept if is_small else _kept.__wrapped__
-    return make(data, device)  # type: ignore[arg-type]  # a protocol says nothing of hashes
+    return make(data, device)
 
 
 @lru_cache(maxsize=16)

@@ -26,17 +26,6 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.shifts import COARSE_SIGMA
 
-__all__ = [
-    "KeptSpectra",
-    "ParallelShifts",
-    "TurnedMap",
-    "level_for",
-    "parallel_motions",
-    "parallel_shifts",
-    "parallel_yaws",
-    "wall_directions",
-]
-
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
 C64 = npt.NDArray[np.complex64]

@@ -49,19 +49,6 @@ from slamfusion.geometry import (
 from slamfusion.grid import OccupancyGrid
 from slamfusion.trajectory import Trajectory
 
-__all__ = [
-    "PathGap",
-    "PathsApartError",
-    "Votes",
-    "agreeing",
-    "fallback_map",
-    "fit_paths",
-    "fuse_with_paths",
-    "moved_path",
-    "path_gaps",
-    "place_by_path",
-]
-
 # Of each path that has no vote for some of the drive, by its name: at which of its poses it has
 # one, (N,) bool.
 Votes = Mapping[str, npt.NDArray[np.bool_]]

@@ -22,8 +22,6 @@ from slamfusion.fusion.cancel import CancelToken, check_cancelled
 from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.motions import fixed_similarities
 
-__all__ = ["GOOD_DOUBT", "PIECE_M", "WallPieces", "wall_pieces"]
-
 F64 = npt.NDArray[np.float64]
 
 # Side of a piece, metres, where a wall is as wide as this; wider walls have larger pieces.

@@ -29,8 +29,6 @@ from slamfusion.grid import OccupancyGrid
 from slamfusion.vote.lattice import Extent, Lattice
 from slamfusion.vote.tiles import check_votes
 
-__all__ = ["AlignedInputs", "align_inputs", "fuse_grids", "left_out_areas", "vote_again"]
-
 
 def fuse_grids(
     grids: Sequence[OccupancyGrid],

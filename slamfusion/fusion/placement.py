@@ -20,8 +20,6 @@ from slamfusion.geometry import Pose2
 from slamfusion.pose_graph import PoseGraph, optimize
 from slamfusion.pose_graph.covariance import inverted, moved
 
-__all__ = ["placed", "solve_poses"]
-
 # What an alignment may be off in the middle between the two maps, metres and radians: maps are
 # bent by a few cells.
 SHIFT_SIGMA_M, YAW_SIGMA_RAD = 0.1, math.radians(0.4)

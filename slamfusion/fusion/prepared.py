@@ -22,8 +22,6 @@ from slamfusion.fusion.normalize import (
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.memory import return_freed_memory
 
-__all__ = ["PreparedInputs"]
-
 
 class PreparedInputs:
     """Inputs at the common resolution; of large ones coarser copies are aligned.

@@ -16,10 +16,9 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.compute.lattice import fixed_poses
 from slamfusion.compute.search import FitSide
 from slamfusion.fusion.cancel import CancelToken, check_cancelled
-from slamfusion.fusion.features import GridFeatures, ScoreTable, spread_sample
+from slamfusion.fusion.features import GridFeatures, spread_sample
 from slamfusion.fusion.motions import both_ways, invert, to_lattice
-
-__all__ = ["are_as_thick", "polish", "rank", "refine", "settle"]
+from slamfusion.fusion.wall_evidence import ScoreTable
 
 F64 = npt.NDArray[np.float64]
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-__all__ = ["odd_resolution", "odd_resolutions"]
-
 # How many times coarser or finer than the fused cells a map's may be. Walls are compared within
 # 0.15 m, which says nothing of cells of a metre; and cells of 1 mm make a hall too large.
 RATIO_MAX = 16.0

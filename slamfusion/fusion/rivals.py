@@ -31,16 +31,6 @@ from slamfusion.fusion.pieces import GOOD_DOUBT, WallPieces, wall_pieces
 from slamfusion.fusion.search import CoarseSearch, wall_widths
 from slamfusion.fusion.slides import slides
 
-__all__ = [
-    "DISTINCT_CELLS",
-    "DISTINCT_YAW_RAD",
-    "PLAIN_SHARE",
-    "Found",
-    "Standing",
-    "chosen_standing",
-    "is_distinct",
-]
-
 F64 = npt.NDArray[np.float64]
 
 DISTINCT_CELLS = 20.0

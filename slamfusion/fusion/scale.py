@@ -18,8 +18,6 @@ from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.pieces import WallPieces, wall_pieces
 from slamfusion.fusion.search import score_motions
 
-__all__ = ["ScaleFit", "common_middle", "common_walls", "estimate_scale"]
-
 F64 = npt.NDArray[np.float64]
 
 # Scales that are tried, coarse and then around the best.

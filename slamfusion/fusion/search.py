@@ -30,25 +30,8 @@ from slamfusion.fusion.shifts import (
     COARSE_SIGMA,
     SearchWindow,
     score_shifts,
-    shift_range,
     shift_work,
 )
-
-__all__ = [
-    "DOUBT",
-    "FINER_CHANCE_MAX",
-    "CoarseSearch",
-    "SearchWindow",
-    "coarse_search",
-    "coarse_step",
-    "finer_step",
-    "greatest_rows",
-    "inside",
-    "score_motions",
-    "search",
-    "shift_range",
-    "wall_widths",
-]
 
 F64 = npt.NDArray[np.float64]
 

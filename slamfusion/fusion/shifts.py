@@ -20,8 +20,6 @@ from slamfusion.compute.shift_spans import grouped, shift_spans
 from slamfusion.fusion.cancel import CancelToken, check_cancelled
 from slamfusion.fusion.features import GridFeatures, Level, spread_sample
 
-__all__ = ["SearchWindow", "ShiftScores", "score_shifts", "shift_range", "shift_work"]
-
 F64 = npt.NDArray[np.float64]
 I32 = npt.NDArray[np.int32]
 

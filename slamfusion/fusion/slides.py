@@ -15,8 +15,6 @@ from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.motions import distinct
 from slamfusion.fusion.search import score_motions
 
-__all__ = ["slides"]
-
 F64 = npt.NDArray[np.float64]
 
 # How far the farthest is, in distances of the nearest.

@@ -40,8 +40,6 @@ from slamfusion.vote.tiles import (
     worst_place,
 )
 
-__all__ = ["StoredVote", "Voter", "prepare_stored_vote"]
-
 I8 = npt.NDArray[np.int8]
 Result = TypeVar("Result")
 

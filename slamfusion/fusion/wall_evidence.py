@@ -27,8 +27,6 @@ import numpy.typing as npt
 
 from slamfusion.compute.layout import DISTANCE2_MAX
 
-__all__ = ["EvidenceTable", "ScoreTable", "evidence_table", "likeness", "score_table"]
-
 # Share of a map's walls that another map of the place shows again; what is left for all others.
 HIT = 0.75
 STRAY = 0.04

@@ -19,8 +19,6 @@ from typing import Any
 
 from slamfusion.errors import MapFileError
 
-__all__ = ["AtomicFiles", "write_atomic", "write_json_atomic", "write_text_atomic"]
-
 _FIXES = {
     errno.ENOSPC: "free some space or write elsewhere",
     errno.EDQUOT: "free some of the quota or write elsewhere",

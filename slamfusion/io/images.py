@@ -20,15 +20,6 @@ from slamfusion.errors import MapFileError, SlamFusionError
 from slamfusion.io.memory import WORKING_BYTES, check_memory, format_bytes
 from slamfusion.io.regular import open_regular
 
-__all__ = [
-    "Pixels",
-    "cannot_read",
-    "encode_image",
-    "looks_like_image",
-    "pixel_digest",
-    "read_image",
-]
-
 # (H, W) grey, (H, W, 3) colour or (H, W, 4) colour and alpha, uint8 or uint16; row 0 is the top.
 Pixels = npt.NDArray[Any]
 

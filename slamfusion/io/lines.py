@@ -14,15 +14,6 @@ from slamfusion.errors import LogError, SlamFusionError
 from slamfusion.io.memory import check_memory
 from slamfusion.io.regular import open_regular
 
-__all__ = [
-    "GZIP_MAGIC",
-    "ROW_BYTES",
-    "TextLines",
-    "packed_by_name",
-    "read_head",
-    "strip_gz",
-]
-
 # Of a row of some ten numbers while it is a list of Python floats, with the table made of it.
 ROW_BYTES = 600
 GZIP_MAGIC = b"\x1f\x8b"

@@ -12,8 +12,6 @@ from slamfusion.geometry import Pose2
 from slamfusion.io.stamps import StampGate
 from slamfusion.scan import LaserScan
 
-__all__ = ["FARTHEST_M", "Continuity", "LogScan", "ScanLog", "SkipJson", "Skips"]
-
 # No robot is farther from the origin of its frame; beyond, sums of poses lose their centimetres.
 FARTHEST_M = 1e9
 

@@ -14,8 +14,6 @@ from slamfusion.io.log import ScanLog
 from slamfusion.io.scan_odometry import read_scan_odometry
 from slamfusion.io.tinyslam_dat import FIELDS, TinySlamDat
 
-__all__ = ["log_sources", "open_log"]
-
 _DEFAULT_CONFIG = LogConfig()
 
 Reader = Callable[[Path, LogConfig], ScanLog]

@@ -14,8 +14,6 @@ from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, trinary_cells
 from slamfusion.io.images import Pixels
 from slamfusion.io.map_yaml import Rules
 
-__all__ = ["cells_from_image", "classes_of_greys", "pixels_from_cells"]
-
 Cells = npt.NDArray[np.int8]
 Shades = npt.NDArray[np.float64]
 

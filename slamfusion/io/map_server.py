@@ -43,8 +43,6 @@ from slamfusion.io.map_yaml import (
 )
 from slamfusion.io.memory import WORKING_BYTES, check_memory
 
-__all__ = ["load_map", "map_sources", "save_map", "saved_files"]
-
 # The thresholds of the vote: what is saved is what votes.
 VOTE = NormalizeConfig()
 # A writer replaces the picture and then, within a millisecond, the YAML.

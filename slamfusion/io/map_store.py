@@ -23,8 +23,6 @@ from slamfusion.errors import GridError, MapFileError
 from slamfusion.geometry import Pose2
 from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid, box_origin
 
-__all__ = ["MapStore", "check_store", "read_stored_map"]
-
 
 class MapStore:
     """A store that is being written; use it in a ``with`` block, which puts it in its place.

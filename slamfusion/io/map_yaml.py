@@ -19,19 +19,6 @@ from slamfusion.grid import OccupancyGrid, implausible
 from slamfusion.io.images import cannot_read
 from slamfusion.io.yaml_file import read_yaml
 
-__all__ = [
-    "FREE_THRESH",
-    "OCCUPIED_THRESH",
-    "MapFile",
-    "Rules",
-    "check_mode",
-    "check_resolution",
-    "check_thresholds",
-    "existing",
-    "map_yaml_text",
-    "read_map_yaml",
-]
-
 OCCUPIED_THRESH = 0.65
 FREE_THRESH = 0.196
 # A path of more characters is none.

@@ -8,8 +8,6 @@ import psutil
 
 from slamfusion.errors import MemoryBudgetError
 
-__all__ = ["available_memory", "check_memory", "format_bytes", "return_freed_memory"]
-
 # What the interpreter and its buffers take beside the map itself.
 WORKING_BYTES = 64 * 2**20
 

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["NoReturn", "NoReturnFinder"]
-
 # Readings are counted in millimetres up to a kilometre: constant memory, however long the log.
 _BINS_PER_M = 1000
 _LIMIT_M = 1000.0

@@ -9,8 +9,6 @@ from pathlib import Path
 
 from slamfusion.errors import SlamFusionError
 
-__all__ = ["refuse_overwriting"]
-
 
 def refuse_overwriting(
     reads: Iterable[tuple[Path, Path]], writes: Iterable[tuple[str, Path]]

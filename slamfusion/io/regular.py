@@ -10,8 +10,6 @@ from pathlib import Path
 from slamfusion.errors import SlamFusionError
 from slamfusion.io.memory import format_bytes
 
-__all__ = ["SMALL_BYTES", "open_regular", "read_small"]
-
 # Files that people write by hand: settings, courses, distances, maps' YAML.
 SMALL_BYTES = 2**20
 

@@ -17,8 +17,6 @@ from slamfusion.errors import LogError
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.io.lines import ROW_BYTES, TextLines
 
-__all__ = ["ScanOdometry", "read_scan_odometry"]
-
 INDEX = "index"
 POSE = ("odom_x", "odom_y", "odom_theta")
 # Where the file has them too: the poses of the log that it belongs to.

@@ -12,8 +12,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Generic, TypeVar
 
-__all__ = ["AHEAD_S", "CONFIRMING", "Jump", "Passed", "StampGate"]
-
 T = TypeVar("T")
 
 # Items in a row that must say that time has jumped.

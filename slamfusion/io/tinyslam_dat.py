@@ -23,8 +23,6 @@ from slamfusion.io.lines import TextLines
 from slamfusion.io.log import FARTHEST_M, Continuity, LogScan, Skips
 from slamfusion.scan import LaserScan
 
-__all__ = ["FIELDS", "TinySlamDat"]
-
 _DEFAULT_CONFIG = LogConfig()
 
 FIELDS = 707

@@ -18,8 +18,6 @@ from slamfusion.io.tinyslam_dat import FIELDS
 from slamfusion.io.tum import quaternion_yaw_rad
 from slamfusion.trajectory import Trajectory
 
-__all__ = ["read_trajectory"]
-
 _DEFAULT_CONFIG = LogConfig()
 
 _LOGGER = logging.getLogger(__name__)

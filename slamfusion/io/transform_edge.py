@@ -13,8 +13,6 @@ import numpy.typing as npt
 from slamfusion.errors import SlamFusionError
 from slamfusion.io.stamps import Passed, StampGate
 
-__all__ = ["HOLD_S", "REACH_S", "Around", "Edge", "Row", "Step", "TransformError"]
-
 Floats = npt.NDArray[np.float64]
 # x, y, z in metres, then the unit quaternion x, y, z, w.
 Row = tuple[float, float, float, float, float, float, float]

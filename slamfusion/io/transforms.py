@@ -22,24 +22,12 @@ from slamfusion.grid import IDENTITY
 from slamfusion.io.log import FARTHEST_M
 from slamfusion.io.transform_edge import (
     HOLD_S,
-    REACH_S,
     Around,
     Edge,
     Row,
     Step,
     TransformError,
 )
-
-__all__ = [
-    "HOLD_S",
-    "KEEP_S",
-    "REACH_S",
-    "TILT_MAX_RAD",
-    "Mount",
-    "TransformError",
-    "TransformTree",
-    "plan_poses",
-]
 
 Floats = npt.NDArray[np.float64]
 

@@ -13,8 +13,6 @@ from slamfusion.io.atomic import AtomicFiles, write_atomic
 from slamfusion.io.lines import packed_by_name
 from slamfusion.trajectory import Trajectory
 
-__all__ = ["quaternion_yaw_rad", "write_tum"]
-
 _HEADER = "# timestamp tx ty tz qx qy qz qw\n"
 
 

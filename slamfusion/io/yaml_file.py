@@ -15,8 +15,6 @@ import yaml
 from slamfusion.errors import SlamFusionError, shown
 from slamfusion.io.regular import read_small
 
-__all__ = ["read_yaml"]
-
 # 1 MiB of measured distances is 90 000 values; settings and courses are some hundred.
 VALUES_MAX = 100_000
 DEPTH_MAX = 50

@@ -6,8 +6,6 @@ from dataclasses import replace
 
 from slamfusion.config import SMALLEST, FusionConfig, RunConfig, VoteConfig, VoteMode
 
-__all__ = ["LIKE_PAPER", "RUN_DEFAULTS", "RUN_VOTE"]
-
 # How the maps of a drive vote where no map can be drawn of it; see docs/concepts/voting.md.
 RUN_VOTE: VoteMode = "consensus"
 # Of ``run_log``. The map that all scans draw at the fused path is nearer to the truth than any vote

@@ -11,8 +11,6 @@ from slamfusion.errors import DeviceError
 from slamfusion.jobs.documents import versions
 from slamfusion.jobs.tool_records import DevicesDocument, DoctorDocument
 
-__all__ = ["INSTALL", "check_installation", "devices_document", "has_two_rclpy"]
-
 # One line for each maker of devices; names of Ubuntu and Debian packages unless said otherwise.
 INSTALL = {
     "any CPU": "pip install pocl-binary-distribution (x86-64), or apt install pocl-opencl-icd",

@@ -16,17 +16,6 @@ from slamfusion.json_values import plain
 if TYPE_CHECKING:
     from slamfusion.jobs.records import CircumstancesJson, SettingsJson
 
-__all__ = [
-    "circumstances",
-    "number",
-    "p_text",
-    "path_text",
-    "plain",
-    "record_bytes",
-    "settings_used",
-    "versions",
-]
-
 DISTRIBUTIONS = ("numpy", "scipy", "opencv-python-headless", "pyopencl", "PyYAML", "click", "rich")
 
 

@@ -15,8 +15,6 @@ from slamfusion.jobs.defaults import RUN_VOTE
 from slamfusion.jobs.fuse_drive import DriveFusion
 from slamfusion.jobs.fused_path import DrivePath, draw_like
 
-__all__ = ["DRAWN_MODE", "DrawnRun", "draw_run", "is_drawn", "voting_config"]
-
 DRAWN_MODE = "drawn"
 NO_PATH = "fewer than two producers have a path, so there is no fused path to draw at"
 

@@ -33,19 +33,6 @@ from slamfusion.jobs.records import (
 )
 from slamfusion.vote.tiles import occupied_codes
 
-__all__ = [
-    "DoubledWalls",
-    "agreement_stem",
-    "failed_fuse_document",
-    "failure_document",
-    "frame_words",
-    "fusion_document",
-    "fusion_sentences",
-    "group_document",
-    "input_document",
-    "left_out_sentences",
-]
-
 NO_ALIGNMENT: NoAlignmentJson = {
     "dx_m": None,
     "dy_m": None,

@@ -28,8 +28,6 @@ from slamfusion.slam.common.runner import run_producer
 from slamfusion.slam.registry import loop_closers, make_producer
 from slamfusion.trajectory import Trajectory
 
-__all__ = ["DriveFusion", "DriveMaps", "fuse_drive", "produce_maps"]
-
 
 @dataclass(frozen=True, eq=False)
 class DriveMaps:

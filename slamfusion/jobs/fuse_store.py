@@ -39,8 +39,6 @@ from slamfusion.jobs.records import FuseDocument
 from slamfusion.vote.lattice import Extent, Lattice
 from slamfusion.vote.tiles import TILE
 
-__all__ = ["StoredMaps", "check_stores", "fuse_into_store"]
-
 _LOG = logging.getLogger(__name__)
 
 # Arrays of a store: the fused map is called as a run calls it.

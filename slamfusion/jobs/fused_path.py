@@ -37,8 +37,6 @@ from slamfusion.jobs.trajectory import Measures
 from slamfusion.slam.registry import loop_closers
 from slamfusion.trajectory import Trajectory
 
-__all__ = ["DrivePath", "draw_like", "drawn_document", "fuse_weighed_paths"]
-
 
 @dataclass(frozen=True, eq=False)
 class DrivePath:

@@ -19,21 +19,6 @@ if TYPE_CHECKING:
     from slamfusion.compute import ComputeDevice
     from slamfusion.jobs.records import GivenMapsJson
 
-__all__ = [
-    "NO_FILES",
-    "GivenMaps",
-    "MapInput",
-    "Progress",
-    "Warn",
-    "as_grids",
-    "as_path",
-    "check_writable",
-    "device_for",
-    "distinct_names",
-    "load_maps",
-    "map_file",
-]
-
 _LOG = logging.getLogger(__name__)
 
 # A map in memory, or a map_server YAML file or bare image.

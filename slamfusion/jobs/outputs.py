@@ -13,31 +13,6 @@ from pathlib import Path
 
 from slamfusion.config import PICTURE_FORMS
 
-__all__ = [
-    "AGREEMENT",
-    "AGREEMENT_END",
-    "DRAWN",
-    "FAILED",
-    "FUSED",
-    "FUSED_PATH",
-    "PAGE",
-    "PROBABILITY",
-    "REPORT",
-    "RUN_RECORD",
-    "STORE_END",
-    "SUFFIXES",
-    "earlier_results",
-    "failure_folder",
-    "group_stems",
-    "map_files",
-    "output_files",
-    "possible_outputs",
-    "possible_report",
-    "record_file",
-    "remove_empty",
-    "report_files",
-]
-
 # The files of a producer's run: the map, its picture, the path and the record.
 SUFFIXES = (".yaml", ".pgm", ".tum", ".json")
 # The map with its probabilities, where that is asked for: the map itself has three classes.

@@ -30,8 +30,6 @@ from slamfusion.jobs.inputs import Progress
 from slamfusion.jobs.run_records import PartialVoteJson
 from slamfusion.trajectory import Trajectory
 
-__all__ = ["LEAST_SHARE", "Filling", "Layers", "PartialVote", "draw_layers", "fuse_layers"]
-
 B8 = npt.NDArray[np.bool_]
 ScansOf = Callable[[str], Sequence[DrawnScan]]
 

@@ -18,8 +18,6 @@ from slamfusion.jobs.run_records import (
 from slamfusion.jobs.trajectory import Measures, Yardsticks
 from slamfusion.slam.common.runner import ProducerRun, skipped_scans
 
-__all__ = ["ProducerResult", "add_run", "measure_run", "run_remarks"]
-
 
 @dataclass(frozen=True)
 class ProducerResult:

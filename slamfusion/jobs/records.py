@@ -29,40 +29,6 @@ from slamfusion.evaluation.records import (
 from slamfusion.evidence.records import PathEvidenceJson, RecommendationJson, RefinementJson
 from slamfusion.fusion.records import AlignmentJson, BentJson
 
-__all__ = [
-    "AlignDocument",
-    "CaseEvaluationJson",
-    "CaseJudgementJson",
-    "CaseTrajectoryJson",
-    "CasesEvaluationDocument",
-    "CircumstancesJson",
-    "DoubledWallsJson",
-    "EvaluateDocument",
-    "EvaluationJson",
-    "FailedFuseDocument",
-    "FailureDocument",
-    "FuseDocument",
-    "FusedGroupJson",
-    "FusedInputJson",
-    "FusedPathJson",
-    "FusionJson",
-    "GivenMapsJson",
-    "JudgeDocument",
-    "JudgeRecordJson",
-    "JudgedPathJson",
-    "JudgementsDocument",
-    "MeasuresJson",
-    "NoAlignmentJson",
-    "PathErrorsJson",
-    "SettingsJson",
-    "TrajectoriesDocument",
-    "TrajectoryDocument",
-    "TrajectoryRecordJson",
-    "UnalignedInputJson",
-    "load_schema",
-]
-
-
 # --- what many documents share ----------------------------------------------------------------
 
 

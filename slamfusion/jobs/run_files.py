@@ -40,7 +40,7 @@ from slamfusion.jobs.run_records import (
 from slamfusion.slam.side_by_side import Outcome
 
 if TYPE_CHECKING:
-    from slamfusion.report.run_report import RunReport
+    from slamfusion.report.run_contents import RunReport
 
 __all__ = ["SavedRun", "load_report", "run_document", "save_run"]
 
@@ -150,8 +150,11 @@ def _add_report(files: AtomicFiles, run: LogRun, directory: Path) -> Path:
 
 def _reported(run: LogRun) -> RunReport:
     """Return what the report shows."""
-    from slamfusion.report.run_contents import ReportedPath  # noqa: PLC0415
-    from slamfusion.report.run_report import ReportedRun, RunReport  # noqa: PLC0415
+    from slamfusion.report.run_contents import (  # noqa: PLC0415  (an extra)
+        ReportedPath,
+        ReportedRun,
+        RunReport,
+    )
 
     runs = [
         ReportedRun(

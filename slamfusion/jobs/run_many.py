@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from slamfusion.jobs.run import LogRun
     from slamfusion.jobs.run_files import SavedRun
 
-__all__ = ["LogTask", "RunOfLog", "log_tasks", "run_logs", "runs_document"]
-
 
 @dataclass(frozen=True)
 class LogTask:

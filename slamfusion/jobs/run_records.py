@@ -29,23 +29,6 @@ from slamfusion.slam.records import (
     ProducerRunJson,
 )
 
-__all__ = [
-    "DrawnMapJson",
-    "ExcludedSpanJson",
-    "FailedProducerJson",
-    "LogFilesJson",
-    "PartialVoteJson",
-    "ProducerJson",
-    "RunDocument",
-    "RunFilesJson",
-    "RunOfLogJson",
-    "RunProducerJson",
-    "RunRecordDocument",
-    "RunsDocument",
-    "SlamDocument",
-    "SlamProducerJson",
-]
-
 
 class ProducerJson(ProducerRunJson, MeasuresJson):
     """What one producer made of a log, what it took, and the errors that could be measured."""

@@ -39,22 +39,6 @@ from slamfusion.slam.common.runner import ProducerRun
 from slamfusion.slam.side_by_side import Outcome
 from slamfusion.trajectory import Trajectory
 
-__all__ = [
-    "Drive",
-    "draw_drive_layers",
-    "evaluate_drive_maps",
-    "fuse_drive_paths",
-    "fuse_maps",
-    "fused_evidence",
-    "measure_fused_path",
-    "measure_producers",
-    "measure_saved_paths",
-    "recommend_for_drive",
-    "score_drive_paths",
-    "stage_timer",
-    "with_fallback",
-]
-
 
 @dataclass(frozen=True, eq=False)
 class Drive:

@@ -20,8 +20,6 @@ from slamfusion.jobs.trajectory import Measures
 from slamfusion.slam.registry import producer_names
 from slamfusion.trajectory import Trajectory
 
-__all__ = ["LEAST_COVERED", "SavedMaps", "SavedPath", "free_name", "path_at_scans"]
-
 # All paths of a drive are scored on the scans that each has a pose for; that of a saved map must
 # leave at least this share of them.
 LEAST_COVERED = 0.5

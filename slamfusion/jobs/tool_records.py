@@ -14,21 +14,6 @@ from typing import TypedDict
 from slamfusion.compute.records import DeviceJson, PoclJson
 from slamfusion.jobs.records import CircumstancesJson, SettingsJson
 
-__all__ = [
-    "DevicesDocument",
-    "DoctorDocument",
-    "GraphOptimizeDocument",
-    "LiveAnswerDocument",
-    "LiveLineJson",
-    "LiveStatusDocument",
-    "OdometryEndErrorJson",
-    "SelfTestJson",
-    "ShowDocument",
-    "SimulateDocument",
-    "SimulatedDriveJson",
-    "SimulatedWorldJson",
-]
-
 
 class GraphOptimizeDocument(SettingsJson):
     """``slamfusion graph optimize``."""

@@ -8,8 +8,6 @@ import threading
 from slamfusion.grid import OccupancyGrid
 from slamfusion.viewer.scene import Kind, Scene
 
-__all__ = ["Feed"]
-
 _LOG = logging.getLogger(__name__)
 
 

@@ -18,8 +18,6 @@ from slamfusion.page.feed import Feed
 from slamfusion.viewer import scene
 from slamfusion.viewer.scene import Kind, Scene, layer_name, unlaid
 
-__all__ = ["Finished", "ShownMap", "read_finished"]
-
 # The layers of the maps of a fusion, and their kinds, by the names of their files.
 FUSION: dict[str, tuple[str, Kind]] = {
     FUSED: (scene.FUSED, "fused"),

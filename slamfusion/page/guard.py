@@ -9,8 +9,6 @@ from __future__ import annotations
 import hmac
 import ipaddress
 
-__all__ = ["host_name", "is_loopback", "is_own_origin", "may_ask", "may_command"]
-
 LOOPBACK_NAMES = frozenset(("localhost",))
 
 

@@ -20,16 +20,6 @@ from typing import Any
 
 from slamfusion.errors import SlamFusionError
 
-__all__ = [
-    "COMMANDS",
-    "MESSAGE_BYTES",
-    "Command",
-    "Hello",
-    "PageMessageError",
-    "Seen",
-    "parse_message",
-]
-
 COMMANDS = ("save", "reset")
 # A page says no more than this at once.
 MESSAGE_BYTES = 4096

@@ -36,8 +36,6 @@ from slamfusion.viewer.front import front_end, with_fragments
 from slamfusion.viewer.messages import to_text
 from slamfusion.viewer.scene import Scene
 
-__all__ = ["Answer", "PageServer"]
-
 # Whether a command was carried out, and what to say.
 Answer = tuple[bool, str]
 

@@ -22,8 +22,6 @@ from slamfusion.geometry import compose_poses, invert_poses, wrap_angles
 from slamfusion.pose_graph.covariance import inverted, moved, turned
 from slamfusion.pose_graph.measurements import Measurements
 
-__all__ = ["Consensus", "find_consensus"]
-
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 

@@ -9,8 +9,6 @@ import numpy.typing as npt
 
 from slamfusion.pose_graph.normal_equations import NormalEquations
 
-__all__ = ["NEGLIGIBLE", "Descent", "descend"]
-
 Array = npt.NDArray[np.float64]
 
 # Damping after a first step that made it worse, and where damping is taken for hopeless.

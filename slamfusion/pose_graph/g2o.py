@@ -27,8 +27,6 @@ from slamfusion.pose_graph.graph import (
     part_labels,
 )
 
-__all__ = ["GraphFile", "read_g2o", "write_g2o"]
-
 # Of an edge's last six numbers, in the file's order, the places in the information matrix.
 _G2O_ORDER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 _TORO_ORDER = ((0, 0), (0, 1), (1, 1), (2, 2), (0, 2), (1, 2))

@@ -12,16 +12,6 @@ import scipy
 from slamfusion.errors import GraphError
 from slamfusion.geometry import compose_poses, invert_poses
 
-__all__ = [
-    "PoseGraph",
-    "chained_poses",
-    "disconnected",
-    "is_positive_definite",
-    "joining",
-    "loop_closing",
-    "part_labels",
-]
-
 
 @dataclass(frozen=True, eq=False)
 class PoseGraph:

@@ -13,8 +13,6 @@ import scipy
 
 from slamfusion.pose_graph.normal_equations import NormalEquations, factorise
 
-__all__ = ["rotations_first"]
-
 
 def rotations_first(
     equations: NormalEquations,

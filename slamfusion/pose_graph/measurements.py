@@ -7,8 +7,6 @@ import numpy.typing as npt
 
 from slamfusion.geometry import wrap_angles
 
-__all__ = ["Measurements"]
-
 Array = npt.NDArray[np.float64]
 
 

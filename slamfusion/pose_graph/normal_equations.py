@@ -21,8 +21,6 @@ import scipy
 
 from slamfusion.pose_graph.measurements import Measurements
 
-__all__ = ["NormalEquations", "elimination_order", "factorise"]
-
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 

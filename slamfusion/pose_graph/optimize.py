@@ -29,8 +29,6 @@ from slamfusion.pose_graph.robust import (
     gnc,
 )
 
-__all__ = ["Optimized", "Robust", "Start", "chi2_of", "optimize"]
-
 Array = npt.NDArray[np.float64]
 Robust = Literal["none", "consensus", "gnc", "dcs"]
 Start = Literal["best", "given", "odometry", "chordal"]

@@ -35,16 +35,6 @@ from slamfusion.pose_graph.measurements import Measurements
 from slamfusion.pose_graph.normal_equations import NormalEquations
 from slamfusion.pose_graph.uncertainty import Gates, Uncertainty, gates
 
-__all__ = [
-    "LIMIT",
-    "InlierSet",
-    "Problem",
-    "consensus",
-    "dcs",
-    "gnc",
-    "truncated_weights",
-]
-
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 

@@ -12,8 +12,6 @@ from slamfusion.pose_graph.covariance import inverted, turned, turned_vectors
 from slamfusion.pose_graph.measurements import Measurements
 from slamfusion.pose_graph.normal_equations import NormalEquations, factorise
 
-__all__ = ["Gates", "Uncertainty", "gates"]
-
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 

@@ -23,24 +23,6 @@ from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox
 from slamfusion.palette import FREE_RGB, INK_RGB, Rgb
 
-__all__ = [
-    "DPI",
-    "INK",
-    "WIDTH_IN",
-    "Classes",
-    "Drawing",
-    "crop_box",
-    "cut_cells",
-    "in_form",
-    "plain_text",
-    "pool_cells",
-    "style_axes",
-    "to_form",
-    "to_png",
-    "unit_rgb",
-    "write_note",
-]
-
 Classes = npt.NDArray[np.int8]
 
 INK = "#{:02x}{:02x}{:02x}".format(*INK_RGB)

@@ -24,8 +24,6 @@ from slamfusion.report.page import LegendEntry, Picture
 from slamfusion.slam.common.mapper import Closure
 from slamfusion.trajectory import Trajectory
 
-__all__ = ["closure_pictures", "closures_picture"]
-
 BELIEVED_FROM = 0.5
 
 

@@ -17,8 +17,6 @@ from slamfusion.report.layers import error_layers
 from slamfusion.report.maps import alignment_table, error_section, yaw_pictures
 from slamfusion.report.page import Banner, Fact, Page, Section, circumstances, write_page
 
-__all__ = ["write_difference_image", "write_evaluation_report"]
-
 
 def write_evaluation_report(
     evaluations: Sequence[MapError],

@@ -14,8 +14,6 @@ from slamfusion.palette import NAMED, Rgb, colours_of
 from slamfusion.report.canvas import DPI, INK, WIDTH_IN, style_axes, to_png, unit_rgb, write_note
 from slamfusion.report.page import Cell, LegendEntry, Picture, Section, Table, number
 
-__all__ = ["evidence_picture", "evidence_section"]
-
 # Heights of the two pairs of axes, and of what stands above and below each.
 _SCORE_IN, _GAP_IN, _HEAD_IN, _FOOT_IN = 1.6, 1.0, 0.3, 0.4
 # Where paths have parted, the background of the scores is tinted.

@@ -14,6 +14,7 @@ from slamfusion.grid import CellBox, OccupancyGrid
 from slamfusion.io.atomic import AtomicFiles
 from slamfusion.palette import DISAGREEMENT_RGB
 from slamfusion.report import plots
+from slamfusion.report.canvas import Classes, crop_box
 from slamfusion.report.layers import fusion_layers
 from slamfusion.report.maps import (
     alignment_table,
@@ -40,20 +41,6 @@ from slamfusion.report.page import (
     write_page,
 )
 from slamfusion.trajectory import Trajectory
-
-__all__ = [
-    "alignment_section",
-    "dissent_section",
-    "doubtful_lines",
-    "fused_section",
-    "fusion_banner",
-    "group_sections",
-    "inputs_section",
-    "shown_box",
-    "statistics_section",
-    "write_failure_report",
-    "write_fusion_report",
-]
 
 # Overlays of failed pairs.
 _MOST_OVERLAYS = 12
@@ -308,7 +295,7 @@ def shown_box(result: FusionResult) -> CellBox:
     for record in result.accepted:
         if record.aligned is not None:
             shown = shown | (record.aligned != -1)
-    return plots.crop_box(shown)
+    return crop_box(shown)
 
 
 def _agreement_steps(result: FusionResult) -> list[int]:
@@ -440,6 +427,6 @@ def statistics_section(
     return Section("Votes and maps in numbers", "numbers", "", tables=[votes, table])
 
 
-def _classes(grid: OccupancyGrid) -> plots.Classes:
+def _classes(grid: OccupancyGrid) -> Classes:
     """Return the classes of a fused grid, whose cells are -1, 0 or 100."""
     return np.sign(grid.cells).astype(np.int8)

@@ -22,8 +22,6 @@ from slamfusion.report.page import (
     write_page,
 )
 
-__all__ = ["write_judge_report"]
-
 
 def write_judge_report(
     answer: Recommendation,

@@ -14,8 +14,6 @@ from slamfusion.grid import OccupancyGrid
 from slamfusion.trajectory import Trajectory
 from slamfusion.viewer.scene import AGREEMENT, FUSED, TRUTH, Scene, layer_name, unlaid
 
-__all__ = ["MOST_CELLS", "Layers", "error_layers", "fusion_layers", "map_layers"]
-
 # A browser keeps five bytes of each: six maps of 4000 x 4000 are drawn, and more are not.
 MOST_CELLS = 100_000_000
 # How hard tiles are packed: at 9 an eighth less than at 6, in eight times the time.

@@ -26,17 +26,6 @@ from slamfusion.report.canvas import (
 )
 from slamfusion.report.page import LegendEntry
 
-__all__ = [
-    "Extent",
-    "draw_grid",
-    "draw_marks",
-    "grid_extent",
-    "map_axes",
-    "mark_legend",
-    "path_extent",
-]
-
-
 # A box grows by this at least where its growth is limited to a share of its size.
 _LEAST_GROWTH_M = 1.0
 _LONGEST = 1.25 * WIDTH_IN

@@ -19,18 +19,6 @@ from slamfusion.report import plots
 from slamfusion.report.page import Cell, LegendEntry, Picture, Section, Table, number
 from slamfusion.viewer.scene import layer_name
 
-__all__ = [
-    "alignment_table",
-    "error_section",
-    "input_colours",
-    "input_picture",
-    "layer_legend",
-    "pair_overlay",
-    "pairs_section",
-    "statistics_table",
-    "yaw_pictures",
-]
-
 # An overlay of a wrong alignment may spread over far more cells than either map.
 _OVERLAY_CELLS = 40_000_000
 

@@ -28,20 +28,6 @@ from slamfusion.report.layers import Layers
 from slamfusion.version import __version__
 from slamfusion.viewer.front import bundled, front_end
 
-__all__ = [
-    "Banner",
-    "Cell",
-    "Fact",
-    "LegendEntry",
-    "Page",
-    "Picture",
-    "Section",
-    "Table",
-    "circumstances",
-    "number",
-    "write_page",
-]
-
 _STEM_CHARACTERS = re.compile(r"[^A-Za-z0-9_-]+")
 _STEM_LENGTH = 40
 

@@ -41,19 +41,6 @@ from slamfusion.report.map_axes import (
 from slamfusion.report.page import LegendEntry
 from slamfusion.trajectory import Trajectory
 
-__all__ = [
-    "error_picture",
-    "laid_on_start",
-    "others_legend",
-    "path_picture",
-    "paths_legend",
-    "paths_picture",
-    "relations_picture",
-    "revisit_legend",
-    "run_paths_legend",
-    "run_paths_picture",
-]
-
 _NORMALIZE = NormalizeConfig()
 
 # What else a path may have been, beside it.

@@ -49,21 +49,6 @@ from slamfusion.report.canvas import (
     unit_rgb,
 )
 
-__all__ = [
-    "DIFFERENCE_COLOURS",
-    "Classes",
-    "Rgb",
-    "agreement_colour",
-    "agreement_picture",
-    "crop_box",
-    "difference_picture",
-    "dissent_picture",
-    "map_picture",
-    "overlay_picture",
-    "overlay_rgb",
-    "yaw_picture",
-]
-
 # In the order of visibility when cells are pooled: the last wins.
 DIFFERENCE_COLOURS: dict[int, tuple[str, Rgb]] = {
     AGREE_UNKNOWN: ("both unknown", UNKNOWN_RGB),

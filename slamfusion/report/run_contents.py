@@ -16,8 +16,6 @@ from slamfusion.report.maps import input_colours
 from slamfusion.slam.common.runner import ProducerRun
 from slamfusion.trajectory import Trajectory
 
-__all__ = ["ReportedPath", "ReportedRun", "RunReport"]
-
 # What the path is called that is made of those of the producers.
 FUSED_PATH = "fused path"
 

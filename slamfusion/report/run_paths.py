@@ -19,8 +19,6 @@ from slamfusion.report.trajectory_report import FIGURES, figure_cells
 from slamfusion.slam.common.mapper import Series
 from slamfusion.trajectory import flag_runs
 
-__all__ = ["path_errors_section", "paths_section"]
-
 
 def _placed(report: RunReport) -> dict[str, Pose2]:
     """Return the transform into the fused frame of each producer that voted."""

@@ -36,13 +36,11 @@ from slamfusion.report.page import (
     number,
     write_page,
 )
-from slamfusion.report.run_contents import ReportedRun, RunReport
+from slamfusion.report.run_contents import RunReport
 from slamfusion.report.run_paths import path_errors_section, paths_section
 from slamfusion.report.series import drawable, series_picture
 from slamfusion.slam.common.mapper import Series
 from slamfusion.slam.common.runner import ProducerRun
-
-__all__ = ["ReportedRun", "RunReport", "write_run_report"]
 
 BYTES_PER_MB = 1e6
 MOST_OVERLAYS = 6

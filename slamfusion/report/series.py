@@ -21,8 +21,6 @@ from slamfusion.report.canvas import (
 )
 from slamfusion.slam.common.mapper import Series
 
-__all__ = ["broken", "drawable", "series_picture"]
-
 # Heights of one pair of axes, of the name above it, and of the lettering below the last.
 _AXES_IN, _HEAD_IN, _FOOT_IN = 1.05, 0.25, 0.4
 # Half the columns of a picture: each shows the least and the greatest of what falls on it.

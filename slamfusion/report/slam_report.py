@@ -34,8 +34,6 @@ from slamfusion.report.trajectory_report import (
 from slamfusion.slam.common.mapper import Closure, Series
 from slamfusion.trajectory import Trajectory
 
-__all__ = ["write_slam_report"]
-
 
 def write_slam_report(
     directory: str | Path,

@@ -27,16 +27,6 @@ from slamfusion.report.page import (
 )
 from slamfusion.trajectory import Trajectory
 
-__all__ = [
-    "FIGURES",
-    "error_facts",
-    "figure_cells",
-    "path_pictures",
-    "relations_section",
-    "truth_section",
-    "write_trajectory_report",
-]
-
 FIGURES = ("mean", "std", "rmse", "median", "min", "max")
 
 

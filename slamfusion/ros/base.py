@@ -31,8 +31,6 @@ from slamfusion.ros import qos
 from slamfusion.ros.parameters import TypedNode, unknown_parameters
 from slamfusion.ros.session import is_first_to_say
 
-__all__ = ["Diagnostics", "Level", "NodeBase", "Status", "invalid_name", "run_node"]
-
 DIAGNOSTICS_TOPIC = "/diagnostics"
 DIAGNOSTICS_PERIOD_S = 1.0
 # A clock that goes on by more at once is worth a word; it is no reason to start over.

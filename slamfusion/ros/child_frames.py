@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 
-__all__ = ["ChildFrames", "in_namespace"]
-
 MAP_SUFFIX = "map"
 
 

@@ -7,8 +7,6 @@ from collections.abc import Callable, Collection
 
 from slamfusion.ros.base import Diagnostics, Level
 
-__all__ = ["SKEW_S", "Clocks"]
-
 # Clocks that differ by less are near enough, and messages come late by as much, seconds.
 SKEW_S = 2.0
 # Stamps kept of each input, and what they must be to tell a clock: so many, and so far apart that

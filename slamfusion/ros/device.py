@@ -9,8 +9,6 @@ from contextlib import contextmanager
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.ros.base import Diagnostics, Level
 
-__all__ = ["open_node_device"]
-
 # Whose warnings stay true while the node runs and cost it time: NumPy in place of OpenCL, kernels
 # that are built at each start. That the wheel's PoCL was changed costs nothing.
 LOGGERS = ("slamfusion.compute", "slamfusion.compute.pocl_cache")

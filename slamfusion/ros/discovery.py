@@ -9,8 +9,6 @@ from fnmatch import fnmatchcase
 from slamfusion.config import FusionNodeConfig
 from slamfusion.ros.base import NodeBase
 
-__all__ = ["Discovery", "fits"]
-
 MAP_TYPE = "nav_msgs/msg/OccupancyGrid"
 ANY_WORDS = "**"
 

@@ -9,8 +9,6 @@ from slamfusion.config import FusionNodeConfig
 from slamfusion.fusion.live.session import Believed
 from slamfusion.ros.base import Diagnostics, Level
 
-__all__ = ["FrameWarnings"]
-
 # publish_tf that has sent nothing for so long since somebody votes is named, seconds.
 TF_LATE_S = 5.0
 

@@ -17,7 +17,8 @@ from typing import Any
 from geometry_msgs.msg import Transform, TransformStamped
 
 from slamfusion.geometry import Pose2
-from slamfusion.io.transforms import KEEP_S, Mount, TransformError, TransformTree
+from slamfusion.io.transform_edge import TransformError
+from slamfusion.io.transforms import KEEP_S, Mount, TransformTree
 from slamfusion.ros import qos
 from slamfusion.ros.messages import stamp_s
 from slamfusion.ros.session import is_first_to_say
@@ -26,15 +27,6 @@ try:
     from tf2_msgs.msg import TFMessage
 except ImportError:  # only a sourced ROS has it
     TFMessage = None
-
-__all__ = [
-    "HAS_TF2",
-    "Mount",
-    "TransformError",
-    "TransformInput",
-    "TransformOutput",
-    "TransformStore",
-]
 
 HAS_TF2 = TFMessage is not None
 

@@ -13,14 +13,13 @@ from slamfusion.config import FusionNodeConfig
 from slamfusion.errors import TrajectoryError
 from slamfusion.fusion.live.session import Believed
 from slamfusion.geometry import Pose2
+from slamfusion.io.transform_edge import TransformError
 from slamfusion.ros import messages, qos
 from slamfusion.ros.base import Level, NodeBase
 from slamfusion.ros.child_frames import ChildFrames
 from slamfusion.ros.frame_warnings import FrameWarnings
-from slamfusion.ros.frames import TransformError, TransformInput, TransformOutput, TransformStore
+from slamfusion.ros.frames import TransformInput, TransformOutput, TransformStore
 from slamfusion.ros.map_source import HeardPose, MapSource
-
-__all__ = ["FusedFrames"]
 
 ODOM_TOPIC, POSE_TOPIC = "odom", "fused/pose"
 # A stamp of an input this far behind its last one begins a new time: a bag that loops.

@@ -12,8 +12,6 @@ from slamfusion.fusion.live.outbox import Fused, Outbox
 from slamfusion.ros import messages, qos
 from slamfusion.ros.base import NodeBase
 
-__all__ = ["AGREEMENT_TOPIC", "MAP_TOPIC", "FusedOutput"]
-
 MAP_TOPIC, AGREEMENT_TOPIC = "fused/map", "fused/agreement"
 
 

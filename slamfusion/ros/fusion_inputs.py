@@ -24,8 +24,6 @@ from slamfusion.ros.map_source import MapSource
 from slamfusion.ros.parameters import declare_names
 from slamfusion.slam.registry import BUILT_IN
 
-__all__ = ["FusionInputs", "Taken"]
-
 DEFAULT = tuple(f"{name}/map" for name in BUILT_IN)
 TEXT = (
     "what is fused: map topics, and file:PATH for saved maps; NAME=TOPIC gives a name of its own; "

@@ -40,8 +40,6 @@ from slamfusion.ros.state_keeper import Memory
 from slamfusion.ros.worker import Worker
 from slamfusion.ros.writers import Writers
 
-__all__ = ["FusionNode", "make_node"]
-
 CHANGEABLE = (
     *("discover", "discovery_rate_hz"),
     *("max_publish_rate_hz", "publish_tf", "save_path", "lost_after_s"),

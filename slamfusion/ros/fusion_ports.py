@@ -15,8 +15,6 @@ from slamfusion.ros.fused_output import FusedOutput
 from slamfusion.ros.fusion_inputs import FusionInputs
 from slamfusion.ros.map_source import MapSource
 
-__all__ = ["FusionPorts"]
-
 SHOWN_S = 10.0
 
 

@@ -26,8 +26,6 @@ try:
 except ImportError:
     Nav2LoadMap = Nav2SaveMap = None
 
-__all__ = ["SAVE_AS", "FusionServices", "Served"]
-
 SAVE_AS = "save_map_as"
 TEXT, NUMBER = (str,), (float, int)
 # What a request of ``save_map_as`` may say, as ``slamfusion.io.save_map`` calls it, and its types.

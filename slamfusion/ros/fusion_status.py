@@ -12,8 +12,6 @@ from slamfusion.grid import OccupancyGrid
 from slamfusion.ros.base import Level, Status
 from slamfusion.ros.map_source import MapSource
 
-__all__ = ["ENTRY", "FUSION", "PREFIX", "fusion_figures", "fusion_status", "input_status"]
-
 FUSION, PREFIX = "fusion", "input "
 # Of an input's figures: what it is called in ``inputs``.
 ENTRY = "entry"

@@ -22,8 +22,6 @@ from rclpy.event_handler import SubscriptionEventCallbacks, UnsupportedEventType
 from slamfusion.ros import qos
 from slamfusion.ros.base import NodeBase
 
-__all__ = ["Heartbeat", "Liveliness"]
-
 # A lease that ran out is believed after this long, seconds: when this process itself was stopped,
 # every lease seems to have run out at once, and the next sign of life is a third of a second away.
 DOUBT_S = 0.5

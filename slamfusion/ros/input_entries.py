@@ -11,16 +11,6 @@ from slamfusion.errors import ConfigError
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.map_server import load_map
 
-__all__ = [
-    "FILE_PREFIX",
-    "MAP_SUFFIX",
-    "entry_for",
-    "input_names",
-    "load_saved",
-    "saved_path",
-    "topic_of",
-]
-
 FILE_PREFIX = "file:"
 MAP_SUFFIX = "/map"
 # No topic has it in its name.

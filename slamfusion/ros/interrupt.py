@@ -6,8 +6,6 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-__all__ = ["Interrupt"]
-
 
 class Interrupt:
     """One condition for everything that a thread waits for, the end of the node among it.

@@ -28,8 +28,6 @@ from slamfusion.ros.fusion_status import ENTRY, FUSION, PREFIX
 from slamfusion.ros.input_entries import entry_for
 from slamfusion.ros.parameters import names_of
 
-__all__ = ["LiveClient", "LiveNodeError"]
-
 SPIN_S = 0.1
 INPUTS = "inputs"
 

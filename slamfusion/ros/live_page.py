@@ -18,8 +18,6 @@ from slamfusion.ros.fusion_status import PREFIX
 from slamfusion.ros.map_source import MapSource
 from slamfusion.viewer.scene import AGREEMENT, FUSED, Scene, layer_name
 
-__all__ = ["LivePage"]
-
 LEVELS = {Level.OK: "good", Level.WARN: "warn", Level.ERROR: "bad", Level.STALE: "warn"}
 # Holds the token of the page where that is to outlive the node.
 PAGE_TOKEN = "SLAMFUSION_PAGE_TOKEN"  # noqa: S105 - its name

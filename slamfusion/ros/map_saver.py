@@ -17,8 +17,6 @@ from slamfusion.ros.base import Level, NodeBase
 from slamfusion.ros.fusion_inputs import FusionInputs
 from slamfusion.ros.input_entries import saved_path
 
-__all__ = ["SHOWN_S", "MapSaver", "Saved", "save_target"]
-
 SHOWN_S = 10.0
 
 

@@ -22,8 +22,6 @@ from slamfusion.ros.input_entries import MAP_SUFFIX
 from slamfusion.ros.map_updates import MapUpdates
 from slamfusion.ros.stamps import Stamps
 
-__all__ = ["HeardPose", "MapSource"]
-
 SHOWN_S = 10.0
 
 

@@ -11,8 +11,6 @@ from slamfusion.ros import messages
 from slamfusion.ros.base import Level, NodeBase
 from slamfusion.ros.frames import TransformOutput
 
-__all__ = ["MapTransform"]
-
 # Scans that come for so long without a transform are a reason to name it, seconds.
 NEVER_SENT_S = 5.0
 

@@ -19,8 +19,6 @@ try:
 except ImportError:  # only a sourced ROS has it
     OccupancyGridUpdate = None
 
-__all__ = ["MapUpdates"]
-
 SUFFIX = "_updates"
 SHOWN_S = 10.0
 

@@ -24,24 +24,6 @@ from slamfusion.grid import IDENTITY
 from slamfusion.io.tum import quaternion_yaw_rad
 from slamfusion.trajectory import Trajectory
 
-__all__ = [
-    "grid_from_message",
-    "grid_to_message",
-    "metadata_to_message",
-    "ns_to_stamp",
-    "odometry_to_message",
-    "path_to_message",
-    "pose2_from_message",
-    "pose_to_message",
-    "scan_from_message",
-    "scan_to_message",
-    "stamp_ns",
-    "stamp_s",
-    "to_stamp",
-    "transform_to_message",
-    "updated_map",
-]
-
 NS = 10**9
 # A quaternion whose axis leaves the vertical by more (sine of half the tilt) is no yaw rotation.
 TILT_MAX = 0.02

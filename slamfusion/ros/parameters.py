@@ -36,16 +36,6 @@ from slamfusion.config import (
 )
 from slamfusion.errors import ConfigError, SlamFusionError
 
-__all__ = [
-    "TypedNode",
-    "declare",
-    "declare_names",
-    "declare_starts",
-    "names_of",
-    "parameter_names",
-    "unknown_parameters",
-]
-
 T = TypeVar("T")
 
 INT64 = 2**63 - 1

@@ -16,8 +16,6 @@ from slamfusion.ros import messages, qos
 from slamfusion.ros.base import NodeBase
 from slamfusion.ros.interrupt import Interrupt
 
-__all__ = ["AGAIN_S", "STAMP_TOLERANCE_S", "Answers"]
-
 # A scan that is not answered is sent again after this long: best-effort readers may lose one.
 AGAIN_S = 1.0
 # After a jump of the log's time producers wait for a scan to be sent again, and are not made to

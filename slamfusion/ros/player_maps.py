@@ -19,8 +19,6 @@ from slamfusion.ros.base import NodeBase
 from slamfusion.ros.interrupt import Interrupt
 from slamfusion.ros.player_answers import STAMP_TOLERANCE_S
 
-__all__ = ["PlayerMaps"]
-
 
 class PlayerMaps:
     """Keeps the newest map of every topic.

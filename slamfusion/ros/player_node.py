@@ -21,8 +21,6 @@ from slamfusion.ros.player_maps import PlayerMaps
 from slamfusion.ros.player_output import SCAN_TOPIC, ScanSender
 from slamfusion.ros.player_progress import ProgressLines
 
-__all__ = ["PlayerNode", "make_node"]
-
 # Between two scans the clock goes on in steps of this real time.
 CLOCK_STEP_S = 0.02
 # Writers are known a moment before their readers hear them.

@@ -14,8 +14,6 @@ from slamfusion.ros import messages, qos
 from slamfusion.ros.base import NodeBase
 from slamfusion.ros.frames import TransformOutput
 
-__all__ = ["SCAN_TOPIC", "ScanSender"]
-
 SCAN_TOPIC, ODOM_TOPIC, CLOCK_TOPIC = "scan", "odom", "/clock"
 # Reliable readers are given this long to take the last messages.
 ACKNOWLEDGE_S = 5.0

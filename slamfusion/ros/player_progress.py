@@ -6,8 +6,6 @@ import math
 import time
 from collections.abc import Callable
 
-__all__ = ["ProgressLines"]
-
 # A line for each tenth of the log, but no more often than this, seconds.
 PARTS, APART_S = 10, 5.0
 

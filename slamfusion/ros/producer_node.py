@@ -37,8 +37,6 @@ from slamfusion.slam.session import (
     UndrawnMap,
 )
 
-__all__ = ["ProducerNode", "make_node"]
-
 SCAN_TOPIC = "scan"
 # Fields of ``ProducerNodeConfig`` that may be changed while the node runs.
 CHANGEABLE = (

@@ -8,8 +8,6 @@ from slamfusion.ros.frames import TransformStore
 from slamfusion.ros.scan_gate import ScanGate
 from slamfusion.slam.session import Drawn, Snapshot
 
-__all__ = ["producer_figures"]
-
 STRAY = "a stamp far from those before and after it"
 
 

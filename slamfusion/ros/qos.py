@@ -17,22 +17,6 @@ from rclpy.qos import (
     ReliabilityPolicy,
 )
 
-__all__ = [
-    "CLOCK",
-    "LEASE_S",
-    "MAP",
-    "POSE",
-    "SENSOR",
-    "STREAM",
-    "TF",
-    "TF_STATIC",
-    "heartbeat",
-    "latched",
-    "map_qos",
-    "offered_durability",
-]
-
-
 # Poses are offered with this liveliness lease, seconds: DDS says three times in two of these that
 # the process lives, from a thread of its own that needs no interpreter.
 LEASE_S = 0.5

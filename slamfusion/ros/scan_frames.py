@@ -11,14 +11,14 @@ from slamfusion.config import ProducerNodeConfig
 from slamfusion.errors import ScanError, TrajectoryError
 from slamfusion.geometry import Pose2
 from slamfusion.io.log import FARTHEST_M
+from slamfusion.io.transform_edge import TransformError
+from slamfusion.io.transforms import Mount
 from slamfusion.ros import messages, qos
 from slamfusion.ros.base import Level, NodeBase
-from slamfusion.ros.frames import Mount, TransformError, TransformInput, TransformStore
+from slamfusion.ros.frames import TransformInput, TransformStore
 from slamfusion.ros.scan_gate import ODOMETRY_ALIVE_S, ArrivedScan
 from slamfusion.scan import LaserScan
 from slamfusion.slam.session import LeftOutError
-
-__all__ = ["ScanFrames"]
 
 ODOM_TOPIC = "odom"
 NO_LASER_FRAME = "no transform from the laser"

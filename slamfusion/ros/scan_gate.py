@@ -12,8 +12,6 @@ from slamfusion.ros import messages
 from slamfusion.ros.base import Diagnostics, Level
 from slamfusion.ros.frames import TransformStore
 
-__all__ = ["ODOMETRY_ALIVE_S", "ArrivedScan", "ScanGate"]
-
 # Odometry that has not been heard for longer has no say, seconds.
 ODOMETRY_ALIVE_S = 1.0
 # Scans that go on later than the last one by more are worth a word, seconds.

@@ -6,8 +6,6 @@ import hashlib
 import os
 from pathlib import Path
 
-__all__ = ["SESSION_VARIABLE", "is_first_to_say"]
-
 # A folder for as long as the nodes run; ``slamfusion.sh`` makes one. Without it each speaks for
 # itself.
 SESSION_VARIABLE = "SLAMFUSION_SESSION"

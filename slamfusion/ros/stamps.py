@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-__all__ = ["AHEAD_S", "Stamps"]
-
 # A stamp that is further ahead than this is wrong; clocks of machines that nobody has set together
 # differ by less, seconds.
 AHEAD_S = 60.0

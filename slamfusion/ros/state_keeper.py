@@ -16,8 +16,6 @@ from slamfusion.io.memory import check_memory
 from slamfusion.ros.base import Level, NodeBase
 from slamfusion.ros.worker import Worker
 
-__all__ = ["Memory", "StateKeeper"]
-
 # A state is written at most this often, seconds, and so that writing takes a tenth of the time.
 PAUSE_S, SHARE = 2.0, 0.1
 # What was wrong with the state that was found is shown this long, seconds.

@@ -7,8 +7,6 @@ from collections.abc import Mapping
 
 from slamfusion.ros.base import Level, NodeBase
 
-__all__ = ["Writers"]
-
 # A process that was killed is known to DDS for another 20 s; two writers of one name are more than
 # a dead one and its successor only after this long, seconds.
 DEAD_KNOWN_S = 45.0

@@ -8,8 +8,6 @@ from slamfusion.geometry import Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from slamfusion.sim.canvas import Canvas, Rect
 
-__all__ = ["draw_building"]
-
 MIN_SIDE_M = 6.0
 DOOR_M = 0.9
 

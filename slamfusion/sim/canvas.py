@@ -9,8 +9,6 @@ import numpy.typing as npt
 
 from slamfusion.grid import OCCUPIED, UNKNOWN
 
-__all__ = ["Canvas", "Rect"]
-
 WALL_M = 0.1
 # A rectangle as x0, y0, x1, y1 in metres from the canvas's lower-left corner.
 Rect = tuple[float, float, float, float]

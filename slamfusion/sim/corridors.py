@@ -16,8 +16,6 @@ from slamfusion.geometry import Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from slamfusion.sim.canvas import Canvas, Rect
 
-__all__ = ["draw_pillars", "draw_ring", "draw_rooms", "draw_wings"]
-
 Point = tuple[float, float]
 
 WAY_M = 2.2

@@ -36,15 +36,6 @@ from slamfusion.sim.drive import DRIVES
 from slamfusion.sim.lidar import LIDARS
 from slamfusion.sim.world import Person
 
-__all__ = [
-    "COURSES",
-    "Course",
-    "course_to_mapping",
-    "load_course",
-    "named_course",
-    "with_overrides",
-]
-
 T = TypeVar("T")
 Point = tuple[float, float]
 

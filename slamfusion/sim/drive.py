@@ -21,8 +21,6 @@ from slamfusion.geometry import Pose2, wrap_angle, wrap_angles
 from slamfusion.sim.route import FreeSpace
 from slamfusion.sim.world import World, zone_place
 
-__all__ = ["DRIVES", "Motion", "StuckError", "follow_ways", "read_odometry", "run_script"]
-
 F64 = npt.NDArray[np.float64]
 
 DRIVES: dict[str, DriveConfig] = {

@@ -12,11 +12,10 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
+from slamfusion.compute.layout import GLASS
 from slamfusion.config import LidarConfig
 from slamfusion.geometry import Pose2, compose_poses
-from slamfusion.sim.world import GLASS, World, tilt_of
-
-__all__ = ["LIDARS", "beam_angles", "mount_of", "sweep_ranges"]
+from slamfusion.sim.world import World, tilt_of
 
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]

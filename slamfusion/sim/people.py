@@ -15,8 +15,6 @@ from slamfusion.geometry import travelled
 from slamfusion.sim.route import FreeSpace
 from slamfusion.sim.world import Person
 
-__all__ = ["PERSON_RADIUS_M", "Walks", "draw_people", "walk"]
-
 F64 = npt.NDArray[np.float64]
 Point = tuple[float, float]
 

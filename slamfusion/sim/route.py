@@ -13,8 +13,6 @@ from slamfusion.errors import SimulationError
 from slamfusion.geometry import travelled
 from slamfusion.grid import FREE, OccupancyGrid
 
-__all__ = ["MARGIN_M", "FreeSpace"]
-
 Point = tuple[float, float]
 F64 = npt.NDArray[np.float64]
 

@@ -30,8 +30,6 @@ from slamfusion.sim.world import World, thin_walls
 from slamfusion.sim.worlds import Floor, draw_floor, pick_glass
 from slamfusion.trajectory import Trajectory
 
-__all__ = ["Recording", "simulate", "write_recording"]
-
 F64 = npt.NDArray[np.float64]
 Point = tuple[float, float]
 Progress = Callable[[str, int, int], None]

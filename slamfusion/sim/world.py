@@ -13,9 +13,6 @@ from slamfusion.errors import SimulationError
 from slamfusion.geometry import Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 
-__all__ = ["GLASS", "OPEN", "WALL", "Person", "World", "thin_walls", "tilt_of", "zone_place"]
-
-
 Point = tuple[float, float]
 
 

@@ -20,8 +20,6 @@ from slamfusion.sim.building import draw_building
 from slamfusion.sim.canvas import Canvas
 from slamfusion.sim.corridors import draw_pillars, draw_ring, draw_rooms, draw_wings
 
-__all__ = ["Floor", "draw_floor", "pick_glass"]
-
 Point = tuple[float, float]
 
 # Panes are about this long; thicker walls than this are masonry.

@@ -34,8 +34,6 @@ from slamfusion.slam.registry import (
     with_producers,
 )
 
-__all__ = ["Outcome", "SideBySide"]
-
 # Time between two words of a process on how far it is, seconds: a progress bar needs no more.
 TELL_S = 0.2
 # Patience with a process that was killed, or has let go of its pipe, seconds: moments are enough.

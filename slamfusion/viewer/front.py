@@ -5,8 +5,6 @@ from __future__ import annotations
 import importlib.resources
 import re
 
-__all__ = ["bundled", "front_end", "with_fragments"]
-
 FRAGMENT = re.compile(r"<!-- (\w+\.html) -->")
 # The only two forms in which our modules take from each other and give.
 IMPORT = re.compile(r'^import (\{ \w+(?:, \w+)* \}) from "\./(\w+)\.js";$', re.MULTILINE)

@@ -25,8 +25,6 @@ import numpy.typing as npt
 
 from slamfusion.json_values import plain
 
-__all__ = ["FASTEST", "TILE", "decode_tile", "encode_tile", "to_text"]
-
 # Cells along a tile's side.
 TILE = 128
 # How hard tiles are packed, of 1 to 9; maps are mostly alike, and this makes them nearly as small.

@@ -20,8 +20,6 @@ from slamfusion.palette import AGREED_WALL_RGB, DISAGREEMENT_RGB, FREE_RGB, Rgb,
 from slamfusion.viewer.messages import FASTEST, TILE, encode_tile, to_text
 from slamfusion.viewer.tiles import Lattice, Place, TiledLayer
 
-__all__ = ["AGREEMENT", "FUSED", "TRUTH", "Kind", "Scene", "layer_name", "unlaid"]
-
 # An input's map, what they are laid over (the fused map, the true one), or the share of votes for
 # the winner (0 to 100).
 Kind = Literal["input", "fused", "agreement"]

@@ -12,8 +12,6 @@ from slamfusion.geometry import Pose2
 from slamfusion.grid import UNKNOWN, OccupancyGrid
 from slamfusion.viewer.messages import TILE
 
-__all__ = ["Lattice", "TiledLayer"]
-
 # A map whose cells lie this far beside the lattice, in cells, has another one; and this much turned
 # (the farthest cell of 10^4 moves by a tenth of one).
 OFFSET_CELLS, TURNED_RAD = 1e-3, 1e-5

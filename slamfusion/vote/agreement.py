@@ -29,8 +29,6 @@ from slamfusion.compute.layout import (
     WALL_SIDES,
 )
 
-__all__ = ["AGREEING", "Trust", "WallCounts", "count_walls", "local_weights", "trust_of"]
-
 U8 = npt.NDArray[np.uint8]
 U16 = npt.NDArray[np.uint16]
 I64 = npt.NDArray[np.int64]

@@ -6,8 +6,6 @@ from collections.abc import Sequence
 
 from slamfusion.grid import CellBox
 
-__all__ = ["grown_inside", "hull", "joined", "moved", "overlap", "padded", "slices"]
-
 # Cells between two boxes that are sooner voted on again than left out.
 SPARE_CELLS = 1 << 16
 

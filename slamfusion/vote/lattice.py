@@ -10,8 +10,6 @@ from slamfusion.config import NormalizeConfig
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, OccupancyGrid, box_origin, row_parts, trinary_cells
 
-__all__ = ["SAME_RESOLUTION", "Extent", "Lattice"]
-
 # Origins this near to a whole number of cells apart lie on one lattice.
 SAME_PHASE = 1e-3
 SAME_YAW_RAD = 1e-6

@@ -34,20 +34,6 @@ from slamfusion.vote.agreement import (
 from slamfusion.vote.boxes import grown_inside, overlap, slices
 from slamfusion.vote.walls import margin_cells, wall_codes
 
-__all__ = [
-    "OUTVOTED",
-    "DecidedTile",
-    "GridLayer",
-    "TileVoter",
-    "check_votes",
-    "occupied_codes",
-    "sum_counts",
-    "tiles_of",
-    "unknown_votes",
-    "vote_grids",
-    "worst_place",
-]
-
 I8 = npt.NDArray[np.int8]
 U8 = npt.NDArray[np.uint8]
 Mask = npt.NDArray[np.bool_]

@@ -16,8 +16,6 @@ import numpy.typing as npt
 
 from slamfusion.compute.layout import WALL_FREE, WALL_NEAR, WALL_OCCUPIED, WALL_SIDES
 
-__all__ = ["margin_cells", "wall_codes"]
-
 I8 = npt.NDArray[np.int8]
 U8 = npt.NDArray[np.uint8]
 

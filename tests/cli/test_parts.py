@@ -21,8 +21,8 @@ from slamfusion.cli.program import COMMANDS, run_program
 from slamfusion.cli.tables import one_line
 from slamfusion.config import GMAPPING_PROFILES, MapFileConfig
 from slamfusion.errors import MapFileError
-from slamfusion.jobs.documents import plain
 from slamfusion.jobs.inputs import check_writable, distinct_names, load_maps
+from slamfusion.json_values import plain
 from slamfusion.slam.registry import BUILT_IN, producer
 from tests.cli.command import ROOT
 

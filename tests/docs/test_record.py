@@ -21,7 +21,8 @@ from slamfusion.experiments.runs import RunResult
 from slamfusion.experiments.trials import fusion_experiment
 from slamfusion.experiments.voting import FUSIONS
 from slamfusion.io import write_carmen, write_tum
-from slamfusion.jobs.documents import circumstances, plain
+from slamfusion.jobs.documents import circumstances
+from slamfusion.json_values import plain
 from slamfusion.slam.registry import BUILT_IN
 from tests.docs.test_pages import parse
 from tests.experiments.drives import room

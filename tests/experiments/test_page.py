@@ -12,13 +12,14 @@ from scipy import stats
 
 from slamfusion.config import RunConfig
 from slamfusion.evaluation import Row, result_rows
-from slamfusion.experiments.drive_paths import CHOICE, DRAWN, FUSED_PATH, HINDSIGHT, drawn_at
+from slamfusion.experiments.drive_paths import CHOICE, FUSED_PATH, HINDSIGHT, drawn_at
 from slamfusion.experiments.page import Experiment
 from slamfusion.experiments.runs import RunResult
 from slamfusion.experiments.trials import alone, fusion_experiment
 from slamfusion.experiments.voting import FUSIONS
 from slamfusion.jobs.defaults import RUN_VOTE
-from slamfusion.jobs.documents import plain
+from slamfusion.jobs.outputs import DRAWN
+from slamfusion.json_values import plain
 from slamfusion.slam.registry import BUILT_IN
 from tests.support.documents import check_document
 

@@ -18,7 +18,7 @@ from slamfusion.config import (
     from_mapping,
 )
 from slamfusion.errors import ConfigError, SlamFusionError
-from slamfusion.experiments.drive_paths import CHOICE, DRAWN, FUSED_PATH, HINDSIGHT, drawn_at
+from slamfusion.experiments.drive_paths import CHOICE, FUSED_PATH, HINDSIGHT, drawn_at
 from slamfusion.experiments.examples import read_example
 from slamfusion.experiments.failures import FAILURES, failure_trials
 from slamfusion.experiments.faults import FAULTS
@@ -27,6 +27,7 @@ from slamfusion.experiments.runs import RunResult, Setup
 from slamfusion.experiments.trials import Trial, alone, measure_trial, run_trials
 from slamfusion.experiments.voting import FUSIONS, against_truth, vote_every_way
 from slamfusion.grid import OccupancyGrid
+from slamfusion.jobs.outputs import DRAWN
 from slamfusion.jobs.partial import Layers
 from slamfusion.sim import COURSES, simulate
 from slamfusion.slam.registry import BUILT_IN, with_settings

@@ -18,7 +18,8 @@ from scipy import signal
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import AlignConfig
 from slamfusion.fusion.motions import displacement
-from slamfusion.fusion.search import SearchWindow, search
+from slamfusion.fusion.search import search
+from slamfusion.fusion.shifts import SearchWindow
 from slamfusion.grid import OccupancyGrid
 from tests.fusion.definitions import Side, landings, look_up, side_of
 from tests.fusion.drawings import building, degraded, features_of

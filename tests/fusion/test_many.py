@@ -11,9 +11,10 @@ import pytest
 from slamfusion.compute import ComputeDevice
 from slamfusion.errors import AlignmentError
 from slamfusion.fusion import groups, many
-from slamfusion.fusion.align import align_features, rejected_alignment
+from slamfusion.fusion.align import align_features
 from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.groups import AlignedGroup, Members, align_group
+from slamfusion.fusion.judge import rejected_alignment
 from slamfusion.fusion.pair_ranking import rank_pairs
 from slamfusion.fusion.records import Alignment
 from slamfusion.fusion.start import StartPose, Starts

@@ -14,7 +14,8 @@ from slamfusion.fusion import align, fuse_grids, groups, judge
 from slamfusion.fusion.align import align_features
 from slamfusion.fusion.mirror import mirror_gain, mirror_image
 from slamfusion.fusion.records import Alignment
-from slamfusion.fusion.search import SearchWindow, search, wall_widths
+from slamfusion.fusion.search import search, wall_widths
+from slamfusion.fusion.shifts import SearchWindow
 from slamfusion.grid import UNKNOWN, OccupancyGrid
 from tests.fusion.drawings import building, degraded, draw, features_of, picture_of
 from tests.fusion.live.maps import mirrored, transposed, trio

@@ -15,13 +15,11 @@ from slamfusion.fusion.features import spread_sample
 from slamfusion.fusion.frames import motion_of
 from slamfusion.fusion.motions import displacement
 from slamfusion.fusion.search import (
-    COARSE_SIGMA,
     DOUBT,
     FINE_TOP,
     FINER_CHANCE_MAX,
     SAMPLED,
     SETTLED,
-    SearchWindow,
     coarse_search,
     coarse_step,
     greatest_rows,
@@ -30,7 +28,13 @@ from slamfusion.fusion.search import (
     search,
     wall_widths,
 )
-from slamfusion.fusion.shifts import COARSE_TOP, score_shifts, shift_work
+from slamfusion.fusion.shifts import (
+    COARSE_SIGMA,
+    COARSE_TOP,
+    SearchWindow,
+    score_shifts,
+    shift_work,
+)
 from slamfusion.grid import OccupancyGrid
 from tests.fusion.definitions import evidence_of, level_side, side_of
 from tests.fusion.drawings import (

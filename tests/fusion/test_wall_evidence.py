@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.fusion.features import GridFeatures, score_table
-from slamfusion.fusion.wall_evidence import EvidenceTable, evidence_table, likeness
+from slamfusion.fusion.features import GridFeatures
+from slamfusion.fusion.wall_evidence import EvidenceTable, evidence_table, likeness, score_table
 from tests.fusion.definitions import likeness_of, side_of, surface_of
 from tests.fusion.drawings import draw, features_of, random_grid
 

@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
-from slamfusion.io.transforms import TransformError, TransformTree, plan_poses
+from slamfusion.io.transform_edge import TransformError
+from slamfusion.io.transforms import TransformTree, plan_poses
 
 Row = tuple[float, ...]
 

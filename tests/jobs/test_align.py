@@ -12,7 +12,7 @@ from slamfusion.fusion.start import StartPose
 from slamfusion.geometry import Pose2
 from slamfusion.io import save_map
 from slamfusion.jobs.align import align_document, align_maps
-from slamfusion.jobs.documents import plain
+from slamfusion.json_values import plain
 from tests.fusion.drawings import fusion_config
 from tests.jobs.maps import CONFIG, device, moved
 from tests.support.documents import check_document

@@ -11,7 +11,6 @@ import pytest
 from slamfusion.errors import MapFileError
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OCCUPIED, OccupancyGrid
-from slamfusion.jobs.documents import plain
 from slamfusion.jobs.evaluate import (
     agreement_items,
     compare_maps,
@@ -20,6 +19,7 @@ from slamfusion.jobs.evaluate import (
     measure_distances,
     write_evaluation,
 )
+from slamfusion.json_values import plain
 from tests.fusion.drawings import fusion_config
 from tests.jobs.maps import CONFIG, device, files, moved
 from tests.support.documents import check_document

@@ -18,7 +18,6 @@ from slamfusion.errors import (
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import AtomicFiles, load_map, save_map
 from slamfusion.jobs import fuse_documents
-from slamfusion.jobs.documents import plain
 from slamfusion.jobs.fuse import (
     AllRequiredError,
     fuse_maps,
@@ -26,6 +25,7 @@ from slamfusion.jobs.fuse import (
     write_failed_fusion,
 )
 from slamfusion.jobs.fuse_documents import DoubledWalls, failed_fuse_document
+from slamfusion.json_values import plain
 from tests.fusion.drawings import building, degraded
 from tests.jobs.maps import CONFIG, device, files, moved
 from tests.support.documents import check_document

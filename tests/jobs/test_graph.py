@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from slamfusion.errors import GraphError
-from slamfusion.jobs.documents import plain
 from slamfusion.jobs.graph import optimize_graph, save_optimized_graph
+from slamfusion.json_values import plain
 from tests.cli.test_graph_optimize import SQUARE
 from tests.support.documents import check_document
 

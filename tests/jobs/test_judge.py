@@ -11,8 +11,8 @@ from slamfusion.config import RunConfig
 from slamfusion.errors import LogError, TrajectoryError
 from slamfusion.io import read_trajectory, write_tum
 from slamfusion.io.carmen import write_carmen
-from slamfusion.jobs.documents import plain
 from slamfusion.jobs.judge import judge_paths, write_fused_path, write_judgement
+from slamfusion.json_values import plain
 from slamfusion.trajectory import Trajectory
 from tests.evidence.rooms import bent, circuit, moved, recorded
 from tests.support.documents import check_document

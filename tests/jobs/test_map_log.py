@@ -9,8 +9,8 @@ import pytest
 from slamfusion.compute import NumpyDevice
 from slamfusion.errors import LogError, SlamFusionError
 from slamfusion.io import load_map
-from slamfusion.jobs.documents import plain
 from slamfusion.jobs.map_log import map_log, save_mapped_log
+from slamfusion.json_values import plain
 from tests.cli.command import tree
 from tests.support.documents import check_document
 

@@ -20,7 +20,6 @@ from slamfusion.geometry import Pose2, compose_poses
 from slamfusion.grid import OccupancyGrid, trinary_cells
 from slamfusion.io import LogScan, load_map, write_carmen
 from slamfusion.jobs.defaults import RUN_DEFAULTS
-from slamfusion.jobs.documents import plain
 from slamfusion.jobs.partial import (
     LEAST_SHARE,
     Filling,
@@ -30,6 +29,7 @@ from slamfusion.jobs.partial import (
 )
 from slamfusion.jobs.run import run_log
 from slamfusion.jobs.run_files import save_run
+from slamfusion.json_values import plain
 from slamfusion.slam.registry import with_settings
 from slamfusion.trajectory import Trajectory
 from tests.slam.drives import drive

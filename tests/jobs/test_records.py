@@ -17,9 +17,10 @@ from slamfusion.cli.program import cli
 from slamfusion.config import RunConfig
 from slamfusion.fusion.records import Alignment, RunnerUp
 from slamfusion.geometry import Pose2
-from slamfusion.jobs.documents import circumstances, plain
+from slamfusion.jobs.documents import circumstances
 from slamfusion.jobs.records import load_schema
 from slamfusion.jobs.trajectory import measure_trajectory
+from slamfusion.json_values import plain
 from slamfusion.slam.common.mapper import Health
 from slamfusion.slam.registry import BUILT_IN
 from slamfusion.trajectory import Trajectory

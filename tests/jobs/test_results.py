@@ -21,7 +21,6 @@ from slamfusion.evaluation import Row, error_series, result_rows
 from slamfusion.jobs import results
 from slamfusion.jobs.cases import CaseFile, place_files
 from slamfusion.jobs.compare import CompareDocument, compare_results, write_comparison_plot
-from slamfusion.jobs.documents import plain
 from slamfusion.jobs.results import (
     ResultsFileError,
     map_inputs,
@@ -31,6 +30,7 @@ from slamfusion.jobs.results import (
     write_results_file,
 )
 from slamfusion.jobs.trajectory import CaseFiles
+from slamfusion.json_values import plain
 from tests.cli.command import MAPS
 from tests.support.documents import check_document
 

@@ -22,7 +22,6 @@ from slamfusion.grid import OccupancyGrid, trinary_cells
 from slamfusion.io import load_map, open_log, read_trajectory, save_map, write_carmen, write_tum
 from slamfusion.jobs.cases import CaseFile
 from slamfusion.jobs.defaults import RUN_DEFAULTS
-from slamfusion.jobs.documents import plain
 from slamfusion.jobs.drawn import draw_run
 from slamfusion.jobs.fuse_drive import DriveFusion
 from slamfusion.jobs.fused_path import DrivePath
@@ -32,6 +31,7 @@ from slamfusion.jobs.run_files import SavedRun, save_run
 from slamfusion.jobs.run_many import RunOfLog
 from slamfusion.jobs.run_stages import score_drive_paths
 from slamfusion.jobs.saved_maps import SavedMaps
+from slamfusion.json_values import plain
 from slamfusion.slam.side_by_side import Outcome
 from slamfusion.trajectory import Trajectory
 from tests.cli.command import tree

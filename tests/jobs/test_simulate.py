@@ -12,8 +12,8 @@ from slamfusion.compute import NumpyDevice
 from slamfusion.config import RunConfig, SimulateConfig
 from slamfusion.errors import SimulationError
 from slamfusion.io import read_trajectory
-from slamfusion.jobs.documents import plain
 from slamfusion.jobs.simulate import choose_course, save_simulated_drive, simulate_course
+from slamfusion.json_values import plain
 from tests.support.documents import check_document
 
 DEVICE = NumpyDevice()

@@ -11,7 +11,6 @@ import pytest
 from slamfusion.config import RunConfig
 from slamfusion.errors import TrajectoryError
 from slamfusion.io import read_trajectory
-from slamfusion.jobs.documents import plain
 from slamfusion.jobs.trajectory import (
     TrajectoryFiles,
     Yardsticks,
@@ -19,6 +18,7 @@ from slamfusion.jobs.trajectory import (
     measure_trajectory_file,
     write_trajectory,
 )
+from slamfusion.json_values import plain
 from slamfusion.trajectory import Trajectory
 from tests.support.documents import check_document
 

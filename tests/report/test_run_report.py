@@ -16,8 +16,8 @@ from slamfusion.fusion.path_check import moved_path, path_gaps
 from slamfusion.geometry import Pose2
 from slamfusion.io import AtomicFiles
 from slamfusion.palette import NAMED, OTHERS
-from slamfusion.report.run_contents import ReportedPath
-from slamfusion.report.run_report import ReportedRun, RunReport, write_run_report
+from slamfusion.report.run_contents import ReportedPath, ReportedRun, RunReport
+from slamfusion.report.run_report import write_run_report
 from slamfusion.slam.common.runner import ProducerRun, run_producer
 from slamfusion.trajectory import Trajectory
 from tests.report.drawn import NASTY, REASON, fusion, room

@@ -14,7 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from slamfusion.geometry import Pose2
-from slamfusion.ros.frames import TransformError, TransformStore
+from slamfusion.io.transform_edge import TransformError
+from slamfusion.ros.frames import TransformStore
 from slamfusion.ros.messages import to_stamp, transform_to_message
 
 pytestmark = pytest.mark.ros

@@ -7,12 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from slamfusion.compute.layout import GLASS, OPEN, WALL
 from slamfusion.config import ObstacleConfig, WorldConfig
 from slamfusion.errors import SimulationError
 from slamfusion.geometry import Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from slamfusion.io import save_map
-from slamfusion.sim.world import GLASS, OPEN, WALL, World, thin_walls, tilt_of, zone_place
+from slamfusion.sim.world import World, thin_walls, tilt_of, zone_place
 from slamfusion.sim.worlds import Floor, draw_floor, pick_glass
 from tests.sim.places import room, world_of
 

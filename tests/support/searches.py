@@ -10,7 +10,8 @@ from slamfusion.config import AlignConfig
 from slamfusion.fusion import align, judge, mirror
 from slamfusion.fusion.cancel import CancelToken, check_cancelled
 from slamfusion.fusion.features import GridFeatures
-from slamfusion.fusion.search import COARSE_CHANCE_MAX, SearchWindow, search
+from slamfusion.fusion.search import COARSE_CHANCE_MAX, search
+from slamfusion.fusion.shifts import SearchWindow
 
 __all__ = ["CALLERS", "RememberedSearches"]
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from slamfusion.compute import open_device
-from slamfusion.fusion.search import SearchWindow, search
+from slamfusion.fusion.search import search
+from slamfusion.fusion.shifts import SearchWindow
 from tests.fusion.drawings import building, features_of, fusion_config
 from tests.support.searches import RememberedSearches
 

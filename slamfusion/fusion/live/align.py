@@ -23,8 +23,6 @@ from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY
 from slamfusion.vote.lattice import Lattice
 
-__all__ = ["Aligner", "Held"]
-
 # New walls that fit worse than this share of what the search found may be mirrored.
 MIRROR_SHARE = 0.9
 # Messages, besides, after which an unchanged map that jumped is looked at once more.

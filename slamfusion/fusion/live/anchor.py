@@ -17,8 +17,6 @@ from slamfusion.fusion.normalize import normalize_grid
 from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY, OccupancyGrid
 
-__all__ = ["LAST_FUSED", "Anchor", "hold_map"]
-
 LAST_FUSED = "the last fused map"
 
 # The reference is laid onto the last fused map again when it has this many times the walls.

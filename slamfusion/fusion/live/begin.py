@@ -15,8 +15,6 @@ from slamfusion.fusion.normalize import common_resolution
 from slamfusion.fusion.resolutions import odd_resolution, odd_resolutions
 from slamfusion.vote.lattice import Lattice
 
-__all__ = ["align_first", "believe_first", "fusable"]
-
 
 def fusable(tracks: Sequence[Track], config: NormalizeConfig) -> list[Track]:
     """Return the inputs that can be brought to one resolution; refuse the others by name."""

@@ -62,8 +62,6 @@ from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.vote.tiles import check_votes
 
-__all__ = ["LiveFusion"]
-
 
 class LiveFusion:
     """Fuse maps that arrive again and again; the fused frame never moves.

@@ -8,8 +8,6 @@ from dataclasses import dataclass, replace
 
 from slamfusion.grid import OccupancyGrid
 
-__all__ = ["Inbox", "Received"]
-
 # How much the newest interval counts in the rate.
 RATE_WEIGHT = 0.3
 

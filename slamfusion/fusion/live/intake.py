@@ -15,8 +15,6 @@ from slamfusion.fusion.resolutions import odd_resolution
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 
-__all__ = ["Intake"]
-
 
 class Intake:
     """Empties an inbox into tracks.

@@ -17,8 +17,6 @@ from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid
 from slamfusion.vote.boxes import overlap, padded, slices
 from slamfusion.vote.lattice import SAME_RESOLUTION, Lattice
 
-__all__ = ["Layer", "carry", "lay_out"]
-
 I8 = npt.NDArray[np.int8]
 
 

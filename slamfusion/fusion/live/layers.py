@@ -26,8 +26,6 @@ from slamfusion.vote.lattice import Lattice
 from slamfusion.vote.tiles import TileVoter
 from slamfusion.vote.walls import margin_cells, wall_codes
 
-__all__ = ["FusedLayers"]
-
 I8 = npt.NDArray[np.int8]
 
 # Results and copies of a fused cell, and what a layer takes, in bytes.

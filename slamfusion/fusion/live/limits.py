@@ -18,8 +18,6 @@ from slamfusion.fusion.accept import WALLS_MIN
 from slamfusion.grid import OccupancyGrid, implausible
 from slamfusion.io.memory import check_memory
 
-__all__ = ["bands", "too_large", "unusable"]
-
 I8 = npt.NDArray[np.int8]
 
 # Cells that are looked at together, few enough for the processor's cache.

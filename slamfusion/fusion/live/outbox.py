@@ -11,8 +11,6 @@ import numpy as np
 
 from slamfusion.grid import OccupancyGrid
 
-__all__ = ["Fused", "Outbox", "Sent"]
-
 LATENCIES = 300
 # A fused map waits no longer than this for maps that came while it was made, seconds: sending one
 # of 16 MB keeps them waiting longer than fusing them does.

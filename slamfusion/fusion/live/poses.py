@@ -25,8 +25,6 @@ from slamfusion.config import LiveConfig
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.trajectory import SAME_STAMP_S
 
-__all__ = ["PoseWatch"]
-
 # Metres that two inputs drive together before they are taken to track one robot.
 LINK_M = 2.0
 # Shares of the limits: together, and together again.

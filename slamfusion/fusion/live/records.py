@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, OccupancyGrid
 
-__all__ = ["LiveInput", "LiveUpdate"]
-
 
 @dataclass(frozen=True, eq=False)
 class LiveInput:

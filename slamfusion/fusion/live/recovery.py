@@ -12,8 +12,6 @@ from slamfusion.fusion.records import Alignment
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 
-__all__ = ["Recovered", "recover"]
-
 LAST_AGREED = "the last map that a majority decided"
 # What ``Track.tried`` has in the place of a reference's version: all was tried in vain on the last
 # fused map; or the input was only held against it where it lay, and waits for its search.

@@ -8,8 +8,6 @@ from dataclasses import dataclass, replace
 from slamfusion.fusion.accept import CLASH_MAX, MATCH_MIN
 from slamfusion.fusion.records import Alignment
 
-__all__ = ["CLASH_MORE", "CLEAR_MATCH", "LASTING_SHARE", "Searched"]
-
 # An input that the search believed by clearly matching walls must go on to match; one that it
 # believed since its place stood out among all others, by this share of the walls that met then.
 CLEAR_MATCH = MATCH_MIN + 0.05

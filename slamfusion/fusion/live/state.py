@@ -23,8 +23,6 @@ from slamfusion.geometry import Pose2
 from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid
 from slamfusion.vote.lattice import Lattice
 
-__all__ = ["LiveState", "StateError", "is_state"]
-
 I8 = npt.NDArray[np.int8]
 
 KIND = b"slamfusion live state"

@@ -17,8 +17,6 @@ from slamfusion.fusion.start import Starts
 from slamfusion.grid import OccupancyGrid
 from slamfusion.vote.lattice import Lattice
 
-__all__ = ["InputSupervisor"]
-
 NEVER = float("-inf")
 # A steady voter is late when the usual share has changed this many times; then it waits for others
 # that are late alone, whatever comes.

@@ -22,8 +22,6 @@ from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.grid import CellBox, OccupancyGrid, known_box
 from slamfusion.vote.boxes import hull, moved, overlap, padded
 
-__all__ = ["GROWN_SHARE", "Change", "Track", "compare", "refuse_all"]
-
 I8 = npt.NDArray[np.int8]
 
 # Share of the old walls.

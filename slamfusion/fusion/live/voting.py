@@ -14,8 +14,6 @@ from slamfusion.grid import CellBox, OccupancyGrid
 from slamfusion.vote.boxes import hull, joined, moved
 from slamfusion.vote.lattice import Lattice
 
-__all__ = ["Voting"]
-
 # Voters of which two overrule one: what they say is on the fused map is agreed on by more than one.
 MAJORITY = 3
 

@@ -17,8 +17,6 @@ from slamfusion.io.log import Continuity, LogScan, Skips
 from slamfusion.io.transforms import TILT_MAX_RAD, Mount
 from slamfusion.scan import LaserScan
 
-__all__ = ["BagLog"]
-
 _DEFAULT_CONFIG = LogConfig()
 
 _SCAN_TYPES = ("sensor_msgs/msg/LaserScan",)

@@ -14,10 +14,9 @@ from slamfusion.errors import LogError
 from slamfusion.geometry import Pose2, compose_poses, wrap_angle
 from slamfusion.io.bags.reader import OpenBag, stamp_s
 from slamfusion.io.log import FARTHEST_M
-from slamfusion.io.transforms import HOLD_S, REACH_S, TransformTree, plan_poses
+from slamfusion.io.transform_edge import HOLD_S, REACH_S
+from slamfusion.io.transforms import TransformTree, plan_poses
 from slamfusion.io.tum import quaternion_yaw_rad
-
-__all__ = ["BagOdometry", "OdometrySurvey"]
 
 Floats = npt.NDArray[np.float64]
 

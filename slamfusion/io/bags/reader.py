@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
     from rosbags.interfaces import Connection
 
-__all__ = ["BagMessage", "OpenBag", "open_bag", "stamp_s"]
-
 METADATA = "metadata.yaml"
 _PARTS = (METADATA, "*.db3", "*.mcap", "*.zstd")
 

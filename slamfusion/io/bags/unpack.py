@@ -10,8 +10,6 @@ from typing import Any
 
 from slamfusion.io.memory import format_bytes
 
-__all__ = ["limit_unpacking"]
-
 # A chunk or a message; those of recorders are a thousand times smaller.
 PIECE_BYTES = 2**30
 

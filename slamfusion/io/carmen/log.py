@@ -19,8 +19,6 @@ from slamfusion.io.log import FARTHEST_M, Continuity, LogScan, Skips
 from slamfusion.io.scan_odometry import ScanOdometry
 from slamfusion.scan import LaserScan
 
-__all__ = ["CarmenLog"]
-
 _DEFAULT_CONFIG = LogConfig()
 
 # Above every range of a log whose readings are all real.

@@ -19,20 +19,6 @@ import numpy.typing as npt
 from slamfusion.io.lines import TextLines
 from slamfusion.io.log import FARTHEST_M, Skips
 
-__all__ = [
-    "CARMEN_WORDS",
-    "FORWARD_STEPS_RAD",
-    "LASERS",
-    "NO_RETURN_PARAM",
-    "NO_SCAN",
-    "OFFSET_PARAM",
-    "OTHER_LASERS",
-    "Message",
-    "PoseRow",
-    "forward_angles",
-    "read_messages",
-]
-
 PoseRow = tuple[float, float, float]
 
 # FLASER does not say its angles: 180 degrees forward, by convention in these steps.

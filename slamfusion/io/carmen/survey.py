@@ -37,8 +37,6 @@ from slamfusion.io.log import AHEAD_S, Skips
 from slamfusion.io.no_return import NoReturn, NoReturnFinder
 from slamfusion.io.stamps import StampGate
 
-__all__ = ["Survey", "count_of", "no_return_notes", "take_survey"]
-
 # Stamps are broken when this share of the scans, and this number at least, is lost to them ...
 _LOST_SHARE, _LOST_AT_LEAST = 0.05, 10
 # ... or, in a short log, most of them.
@@ -60,6 +58,7 @@ class StampCheck:
     _gate: StampGate[float] = field(default_factory=lambda: StampGate(math.inf, ahead_s=AHEAD_S))
 
     def add(self, stamp_s: float | None) -> None:
+        """Look at the stamp of the next scan, seconds; None: it has none."""
         self.scans += 1
         if stamp_s is None:
             self.absent += 1
@@ -99,6 +98,7 @@ class MountEstimate:
     farthest_m: float = 0.0
 
     def add(self, robot: PoseRow, laser: PoseRow) -> None:
+        """Look at the poses of robot and laser at the next scan, metres and radians."""
         relative = IDENTITY
         if robot != laser:
             relative = Pose2(*robot).inverse().compose(Pose2(*laser))

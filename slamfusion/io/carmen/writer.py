@@ -17,8 +17,6 @@ from slamfusion.io.lines import packed_by_name
 from slamfusion.io.log import LogScan
 from slamfusion.scan import LaserScan
 
-__all__ = ["write_carmen"]
-
 _RANGE_DIGITS = 4
 _RANGE_STEP_M = 10.0**-_RANGE_DIGITS
 _HOST = "slamfusion"

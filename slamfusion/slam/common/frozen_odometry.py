@@ -6,8 +6,6 @@ import numpy as np
 
 from slamfusion.trajectory import Trajectory, flag_runs
 
-__all__ = ["frozen_span"]
-
 # The path gets this far from where it was, metres, while the odometry says the same pose: more
 # than scan matching trembles, less than a dead encoder goes unseen on a drive.
 DRIVEN_M = 1.0

@@ -15,8 +15,6 @@ from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.layout import FULL_HITS, FULL_VISITS
 from slamfusion.grid import UNKNOWN
 
-__all__ = ["halve_counts", "percent_of_counts"]
-
 # Rows of a map that are turned into percent together: floating point takes memory for these alone.
 ROWS_AT_ONCE = 256
 # The limits of the map servers, in percent.

@@ -24,16 +24,6 @@ from slamfusion.compute.layout import CLIMBERS
 from slamfusion.config import MatcherConfig
 from slamfusion.geometry import wrap_angles
 
-__all__ = [
-    "FieldMap",
-    "Match",
-    "PoseHypothesis",
-    "ScanOnTiles",
-    "Spread",
-    "pose_table",
-    "search_pose",
-]
-
 F64 = npt.NDArray[np.float64]
 
 # Distance, metres, between the five cells of which the first look takes the best: basins as wide as

@@ -7,8 +7,6 @@ import numpy.typing as npt
 
 from slamfusion.geometry import Pose2, wrap_angle
 
-__all__ = ["pose_of", "row_of", "wrapped_row_of"]
-
 F64 = npt.NDArray[np.float64]
 
 

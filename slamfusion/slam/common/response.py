@@ -14,15 +14,6 @@ import numpy.typing as npt
 
 from slamfusion.slam.common.matcher import ScanOnTiles
 
-__all__ = [
-    "LEAST_SIGMA",
-    "MOST_SIGMA",
-    "information_of",
-    "keep_degenerate_prior",
-    "response_hessian",
-    "response_information",
-]
-
 F64 = npt.NDArray[np.float64]
 
 # Steps of the finite differences, metres and radians: a cell's width, and what moves a hit at 5 m

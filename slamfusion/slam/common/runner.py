@@ -23,15 +23,6 @@ from slamfusion.slam.common.mapper import ClosesLoops, Closure, Health, Mapper, 
 from slamfusion.slam.records import LogJson, ProducerRunJson, TimePerScanJson
 from slamfusion.trajectory import Trajectory
 
-__all__ = [
-    "FIRST_REPORTED",
-    "LogRecord",
-    "ProducerRun",
-    "Resumable",
-    "run_producer",
-    "skipped_scans",
-]
-
 
 @runtime_checkable
 class Resumable(Mapper, Protocol):

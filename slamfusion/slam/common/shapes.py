@@ -8,8 +8,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["check_indices", "check_kinds", "check_shapes"]
-
 Array = npt.NDArray[Any]
 
 

@@ -25,8 +25,6 @@ from slamfusion.slam.common.tile_map import (
     joined_tiles,
 )
 
-__all__ = ["SharedTileMaps"]
-
 # Factor by which a full pool grows: the number of copies stays logarithmic.
 GROWTH = 1.25
 # Tiles from which on a pool is large, and the factor by which it grows then: little is held in

@@ -30,8 +30,6 @@ from slamfusion.io import check_memory, write_atomic
 from slamfusion.io.log import Skips
 from slamfusion.io.regular import open_regular
 
-__all__ = ["SavedMapper", "Stateful", "pack", "unpack"]
-
 Arrays = dict[str, npt.NDArray[Any]]
 M = TypeVar("M", bound="SavedMapper")
 

@@ -18,8 +18,6 @@ from slamfusion.compute.layout import TILE
 from slamfusion.errors import MemoryBudgetError
 from slamfusion.slam.common.shapes import check_indices, check_kinds, check_shapes
 
-__all__ = ["TileMap", "check_tiles", "grown_window", "joined_tiles"]
-
 # Tiles of a new pool: a room's, so that a small map never grows.
 FIRST_TILES = 64
 # Factor by which a full pool grows: the number of copies stays logarithmic, and little is held for

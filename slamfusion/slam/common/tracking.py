@@ -30,8 +30,6 @@ from slamfusion.slam.common.pose_rows import row_of
 from slamfusion.slam.common.response import keep_degenerate_prior, response_hessian
 from slamfusion.slam.common.state import Stateful
 
-__all__ = ["Tracker"]
-
 # Share of the running mean score below which a match is low: while tracking holds that is rare.
 LOW_SHARE = 0.5
 # The second search after a low match: its spread and its draws, in those of the first one; wide

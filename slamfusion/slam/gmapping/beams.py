@@ -10,8 +10,6 @@ import numpy.typing as npt
 
 from slamfusion.scan import LaserScan
 
-__all__ = ["Beams", "beams_of"]
-
 F64 = npt.NDArray[np.float64]
 
 # Usable range where ``maxUrange`` is open: metres, and share of the laser's range, near whose end

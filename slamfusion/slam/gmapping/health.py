@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from slamfusion.slam.common.mapper import Health
 from slamfusion.slam.records import HealthJson
 
-__all__ = ["FilterHealth"]
-
 
 @dataclass
 class FilterHealth(Health):

@@ -11,8 +11,6 @@ import numpy.typing as npt
 from slamfusion.config import GmappingConfig
 from slamfusion.geometry import Pose2, compose_poses, invert_poses
 
-__all__ = ["BicycleModel", "DifferentialModel", "MotionModel", "make_motion_model"]
-
 F64 = npt.NDArray[np.float64]
 
 # Least standard deviations of x, y and yaw, metres and radians: a prior without width would decide

@@ -20,8 +20,6 @@ from slamfusion.slam.common.shared_tiles import SharedTileMaps
 from slamfusion.slam.common.state import Stateful
 from slamfusion.slam.gmapping.beams import Beams
 
-__all__ = ["MOST_MAPPED", "ParticleMaps"]
-
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 

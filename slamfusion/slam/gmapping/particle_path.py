@@ -11,8 +11,6 @@ from slamfusion.geometry import Pose2, compose_poses, wrap_angles
 from slamfusion.slam.common.state import Stateful
 from slamfusion.trajectory import Trajectory
 
-__all__ = ["ParticlePaths"]
-
 F64 = npt.NDArray[np.float64]
 
 # Least standard deviations of a cloud, metres, metres, radians: its entropy stays finite.

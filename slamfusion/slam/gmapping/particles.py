@@ -12,8 +12,6 @@ from slamfusion.slam.common.mapper import Series
 from slamfusion.slam.common.pose_rows import pose_of
 from slamfusion.slam.gmapping.proposal import effective_particles
 
-__all__ = ["Particles", "better_half", "normalised_weights"]
-
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 

@@ -20,8 +20,6 @@ from slamfusion.slam.common.matcher import pose_table
 from slamfusion.slam.gmapping.particle_maps import ParticleMaps
 from slamfusion.slam.gmapping.proposal import local_grid, propose
 
-__all__ = ["PoseSampler", "Sampled"]
-
 F64 = npt.NDArray[np.float64]
 
 # Squared distance of a hit beside every wall, m^2: as 0.7 m away; one outlier decides little.

@@ -6,8 +6,6 @@ from slamfusion.config import GmappingConfig
 from slamfusion.slam.gmapping.slam import Gmapping
 from slamfusion.slam.registry import Producer
 
-__all__ = ["PRODUCER"]
-
 
 def _map_interval_s(config: GmappingConfig) -> float:
     """Return seconds between two maps: gmapping has a parameter for that."""

@@ -7,8 +7,6 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Proposal", "effective_particles", "local_grid", "propose", "resample_systematic"]
-
 F64 = npt.NDArray[np.float64]
 
 

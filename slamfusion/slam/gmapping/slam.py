@@ -41,8 +41,6 @@ from slamfusion.slam.gmapping.pose_sampler import PoseSampler
 from slamfusion.slam.gmapping.proposal import resample_systematic
 from slamfusion.trajectory import Trajectory
 
-__all__ = ["Gmapping"]
-
 F64 = npt.NDArray[np.float64]
 NAME = "gmapping"
 

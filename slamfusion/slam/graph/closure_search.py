@@ -22,8 +22,6 @@ from slamfusion.slam.common.response import response_information
 from slamfusion.slam.graph.submap import UNSEEN_WALL, Submap, seen_score
 from slamfusion.slam.graph.window_search import WindowMatch, search_window
 
-__all__ = ["LOW_RESPONSE", "ClosureSearch", "Found"]
-
 F64 = npt.NDArray[np.float64]
 
 # Why a scan is not found, in the published words of the health record.

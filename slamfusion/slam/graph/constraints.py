@@ -16,8 +16,6 @@ import numpy.typing as npt
 
 from slamfusion.pose_graph import Optimized, PoseGraph, optimize
 
-__all__ = ["Constraint", "solve_constraints", "turned"]
-
 F64 = npt.NDArray[np.float64]
 
 

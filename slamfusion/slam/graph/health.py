@@ -7,8 +7,6 @@ from dataclasses import dataclass, field
 from slamfusion.slam.common.mapper import Health
 from slamfusion.slam.records import HealthJson
 
-__all__ = ["GraphHealth"]
-
 # Time without a scan, seconds, from which on the pause is named: the robot may have been moved.
 PAUSE_S = 60.0
 

@@ -14,8 +14,6 @@ from slamfusion.geometry import Pose2
 from slamfusion.slam.common.state import Stateful
 from slamfusion.slam.graph.pending_closures import PendingClosure, is_same_place
 
-__all__ = ["RelocalizationHypotheses", "RelocalizationHypothesis"]
-
 # Hypotheses that are tested at a node, and that are kept: what a node may cost.
 TESTED, MOST_HYPOTHESES = 2, 12
 

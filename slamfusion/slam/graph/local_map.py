@@ -23,8 +23,6 @@ from slamfusion.slam.graph.node_map import Node
 from slamfusion.slam.graph.submap import UNSEEN_WALL, Submap, seen_score
 from slamfusion.slam.graph.surfaces import fill_walls
 
-__all__ = ["LocalMap"]
-
 F64 = npt.NDArray[np.float64]
 
 # Distance between hits that are filled in on a wall, cells: a submap's walls have no gaps.

@@ -22,8 +22,6 @@ from slamfusion.slam.graph.local_map import LocalMap
 from slamfusion.slam.graph.node_map import Node
 from slamfusion.slam.graph.tracking_quality import TrackingQuality, TrackingStatus
 
-__all__ = ["Estimate", "Localizer", "Observation"]
-
 F64 = npt.NDArray[np.float64]
 
 

@@ -8,8 +8,6 @@ from slamfusion.geometry import Pose2
 from slamfusion.slam.graph.hypotheses import RelocalizationHypothesis
 from slamfusion.slam.graph.pending_closures import How
 
-__all__ = ["LoopCandidate"]
-
 
 @dataclass(frozen=True)
 class LoopCandidate:

@@ -25,8 +25,6 @@ from slamfusion.slam.graph.map_graph import BELIEVED_SHARE, MapGraph
 from slamfusion.slam.graph.pending_closures import PendingClosure, PendingClosures
 from slamfusion.slam.graph.relocalization import Relocalization
 
-__all__ = ["LoopClosure"]
-
 F64 = npt.NDArray[np.float64]
 
 # Why a closure is not accepted yet, in the published words of the health record.

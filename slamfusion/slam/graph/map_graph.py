@@ -17,8 +17,6 @@ from slamfusion.slam.graph.constraints import Constraint, solve_constraints
 from slamfusion.slam.graph.health import GraphHealth
 from slamfusion.slam.graph.node_map import Node
 
-__all__ = ["BELIEVED_SHARE", "MapGraph"]
-
 F64 = npt.NDArray[np.float64]
 
 # Share of the information that matches and odometry tell which is believed: scans on one submap

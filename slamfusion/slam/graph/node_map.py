@@ -23,8 +23,6 @@ from slamfusion.slam.common.hit_cells import halve_counts, percent_of_counts
 from slamfusion.slam.common.mapper import MapJob
 from slamfusion.slam.common.shared_tiles import SharedTileMaps
 
-__all__ = ["Node", "NodeMap"]
-
 F64 = npt.NDArray[np.float64]
 
 # Parts of a cell, and of a radian, that a pose is rounded to: what moves less is not drawn again.

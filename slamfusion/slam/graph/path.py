@@ -12,8 +12,6 @@ from slamfusion.slam.common.pose_rows import row_of
 from slamfusion.slam.common.state import Stateful
 from slamfusion.trajectory import Trajectory
 
-__all__ = ["DrivenPath"]
-
 F64 = npt.NDArray[np.float64]
 # Node of the scans before there is one: their poses are told from the start.
 NO_NODE = -1

@@ -11,8 +11,6 @@ from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.slam.common.state import Stateful
 from slamfusion.slam.graph.constraints import Constraint
 
-__all__ = ["How", "PendingClosure", "PendingClosures", "is_same_place"]
-
 # How a place was searched: where the graph has the robot; where odometry has a kidnapped one; all
 # over.
 How = Literal["known", "odometry", "anywhere"]

@@ -6,8 +6,6 @@ from slamfusion.config import GraphConfig
 from slamfusion.slam.graph.slam import GraphSlam
 from slamfusion.slam.registry import Producer
 
-__all__ = ["PRODUCER"]
-
 PRODUCER = Producer(
     name="graph",
     summary="graph SLAM: scans on submaps, loop closures, a pose graph",

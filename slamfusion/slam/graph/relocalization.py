@@ -16,8 +16,6 @@ from slamfusion.slam.graph.loop_candidates import LoopCandidate
 from slamfusion.slam.graph.map_graph import MapGraph
 from slamfusion.slam.graph.pending_closures import PendingClosure
 
-__all__ = ["Relocalization"]
-
 # Submaps that are searched all over at a node; and once each has been, nodes until the next round.
 SEARCHED_AT_NODE, ROUND_NODES = 3, 4
 

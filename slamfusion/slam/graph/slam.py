@@ -41,8 +41,6 @@ from slamfusion.slam.graph.pending_closures import PendingClosure
 from slamfusion.slam.graph.tracking_quality import TrackingQuality
 from slamfusion.trajectory import Trajectory
 
-__all__ = ["GraphSlam"]
-
 NAME = "graph"
 
 

@@ -24,8 +24,6 @@ from slamfusion.slam.common.matcher import FieldMap
 from slamfusion.slam.common.shapes import check_indices, check_kinds, check_shapes
 from slamfusion.slam.common.tile_map import TileMap
 
-__all__ = ["UNSEEN_WALL", "Pyramid", "Submap", "likelihood_rule", "seen_score"]
-
 F64 = npt.NDArray[np.float64]
 
 # Likelihood, of 255, of a cell that no scan has seen: a little, so that new space does not repel

@@ -11,8 +11,6 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["fill_walls"]
-
 F64 = npt.NDArray[np.float64]
 
 # Distance between hits, metres, from which on they are not joined: there may be a door.

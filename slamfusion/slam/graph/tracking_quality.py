@@ -7,9 +7,6 @@ from typing import Literal
 
 from slamfusion.config import GraphTrackingConfig
 
-__all__ = ["TrackingQuality", "TrackingStatus"]
-
-
 TrackingStatus = Literal["tracked", "unsure", "failed", "kidnapped"]
 
 

@@ -18,8 +18,6 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.geometry import wrap_angles
 from slamfusion.slam.graph.submap import Pyramid
 
-__all__ = ["WindowMatch", "search_window"]
-
 F64 = npt.NDArray[np.float64]
 I32 = npt.NDArray[np.int32]
 

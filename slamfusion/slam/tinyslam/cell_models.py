@@ -13,8 +13,6 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["CELL_MODELS", "UNKNOWN_VALUE", "CellModel", "area_behind", "base_cell", "mean_cell"]
-
 F64 = npt.NDArray[np.float64]
 CellModel = Callable[[npt.ArrayLike, npt.ArrayLike], F64]
 

@@ -6,8 +6,6 @@ from slamfusion.config import TinySlamConfig
 from slamfusion.slam.registry import Producer
 from slamfusion.slam.tinyslam.slam import TinySlam
 
-__all__ = ["PRODUCER"]
-
 PRODUCER = Producer(
     name="tinyslam",
     summary="tinySLAM: one map and a Monte-Carlo scan matcher",

@@ -27,8 +27,6 @@ from slamfusion.slam.common.tracking import Tracker
 from slamfusion.slam.tinyslam.cell_models import area_behind
 from slamfusion.trajectory import Trajectory
 
-__all__ = ["TinySlam"]
-
 NAME = "tinyslam"
 # Value, 0 to 1, that a cell is told by a beam that ends in it and by one that passes it: [H16],
 # Table II.
