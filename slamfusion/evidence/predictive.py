@@ -147,11 +147,6 @@ class PathEvidence:
     is_judged: B8
     scores: Mapping[str, PathScore]
 
-    @property
-    def judged_share(self) -> float:
-        """Share of the scans that were judged."""
-        return float(self.is_judged.mean())
-
     def of_paths(self, names: Collection[str]) -> PathEvidence:
         """Return what was said of some of the paths, in the order of the names."""
         return replace(self, scores={name: self.scores[name] for name in names})

@@ -140,7 +140,7 @@ def align_group(
     group, poses = found[0]
     reference = choose_reference(group.members, features, config.reference, names, in_part)
     anchor = _most_agreeing(_whole(group.members, in_part), pairs)
-    alignments = _in_frame(reference, anchor, group, poses, features, pairs, device)
+    alignments = _to_reference(reference, anchor, group, poses, features, pairs, device)
     left_out = {
         name: _left_out(name, reference, group, pairs, implied)
         for name in features
@@ -152,7 +152,7 @@ def align_group(
             wanted = None if named_input(config.reference, names) in names else config.reference
             own = choose_reference(other.members, features, wanted, names)
             anchor = _most_agreeing(other.members, pairs)
-            placed_ones = _in_frame(own, anchor, other, its_poses, features, pairs, device)
+            placed_ones = _to_reference(own, anchor, other, its_poses, features, pairs, device)
             others.append(Members(own, placed_ones))
     return AlignedGroup(reference, alignments, left_out, tuple(pairs), tuple(others))
 
@@ -379,30 +379,9 @@ def _smallest(
     return min(grown, key=lambda name: math.prod(features[name].shape))
 
 
-def _in_frame(
-    reference: str,
-    anchor: str,
-    group: Group,
-    poses: Mapping[str, Pose2] | None,
-    features: Mapping[str, GridFeatures],
-    pairs: Sequence[Alignment],
-    device: ComputeDevice,
-) -> dict[str, Alignment]:
-    """Return each member's alignment to the reference.
-
-    Args:
-        reference: the member in whose frame the fused map is.
-        anchor: the member that the others are aligned to, where ``poses`` are not known.
-        group, poses, features, pairs, device: see ``_to_reference``.
-    """
-    if poses is None and anchor != reference:
-        anchored = _to_reference(anchor, group, None, features, pairs, device)
-        poses = {name: pair.transform for name, pair in anchored.items()}
-    return _to_reference(reference, group, poses, features, pairs, device)
-
-
 def _to_reference(
     reference: str,
+    anchor: str,
     group: Group,
     poses: Mapping[str, Pose2] | None,
     features: Mapping[str, GridFeatures],
@@ -412,14 +391,18 @@ def _to_reference(
     """Return each member's alignment to the reference, the reference's own the identity.
 
     Args:
-        reference: name of the reference.
-        group: the members.
-        poses: where all alignments together put them; None: every pair speaks for itself. A pair
+        reference: the member in whose frame the fused map is.
+        anchor: the member that the others are aligned to, where ``poses`` are not known. A pair
             aligned directly is then taken as it is; one aligned the other way round, or connected
             over others only, is refined from the transform that is known and keeps what the search
             said of it.
+        group: the members.
+        poses: where all alignments together put them; None: not known.
         features, pairs, device: see ``align_group``.
     """
+    if poses is None and anchor != reference:
+        anchored = _to_reference(anchor, anchor, group, None, features, pairs, device)
+        poses = {name: pair.transform for name, pair in anchored.items()}
     direct = {(pair.reference, pair.moving): pair for pair in pairs if pair.accepted}
     tried = {frozenset((pair.reference, pair.moving)) for pair in pairs}
     out = {}

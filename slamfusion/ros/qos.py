@@ -48,7 +48,6 @@ MAP = _profile(1, reliable=True, latched=True)
 # As tf2 has them.
 TF = _profile(100, reliable=True, latched=False)
 TF_STATIC = _profile(1, reliable=True, latched=True)
-CLOCK = _profile(1, reliable=False, latched=False)
 
 
 def latched(depth: int) -> QoSProfile:
