@@ -93,11 +93,12 @@ MOST_INPUTS: Final = 32
 BLOCK_CELLS: Final = 32
 # Spreads a byte over the eight lanes of a word.
 EACH_LANE: Final = np.uint64(0x0101010101010101)
-# Bits of what a map shows at a cell: a wall, free, a wall within the tolerance; from WALL_SIDES on
-# the four ways that walls face (``vote.walls``).
+# Bits of what a map shows at a cell: a wall, free, a wall within the tolerance, the face of a wall;
+# from WALL_SIDES on the four ways that walls face (``vote.walls``).
 WALL_OCCUPIED: Final = 1
 WALL_FREE: Final = 2
 WALL_NEAR: Final = 4
+WALL_FACE: Final = 8
 WALL_SIDES: Final = 4
 # The greatest weight of a vote.
 VOTE_ONE: Final = 255

@@ -274,7 +274,13 @@ def second_opinion(trust: Trust) -> tuple[str, ...]:
     Returns:
         Two or more of the maps without a vote.
     """
-    mute = [n for n, weight in enumerate(trust.weights) if weight == 0]
+    decides = int(np.argmax((trust.pairs**2).sum(axis=1)))
+    # Maps that bear out the deciding one have thicker walls, and contradict nothing.
+    mute = [
+        n
+        for n, weight in enumerate(trust.weights)
+        if weight == 0 and trust.pairs[decides, n] < AGREEING
+    ]
     if len(mute) < 2:
         return ()
     inside = trust.pairs[np.ix_(mute, mute)]

@@ -23,6 +23,7 @@ import numpy.typing as npt
 
 from slamfusion.compute.layout import (
     VOTE_ONE,
+    WALL_FACE,
     WALL_FREE,
     WALL_NEAR,
     WALL_OCCUPIED,
@@ -59,7 +60,7 @@ class WallCounts:
         met: of these, the ones with a wall of j within the tolerance.
         same: the ones that are wall cells of j.
         moved: those that j shows elsewhere: no wall of j is within the tolerance, but one that
-            faces the same way is close by.
+            faces the same way is close by. What is behind the face of a solid wall j need not know.
     """
 
     seen: I64
@@ -156,13 +157,15 @@ def count_walls(codes: Sequence[U8], shift: int, phase: tuple[int, int] = (0, 0)
         rows, cols = np.nonzero(own & WALL_OCCUPIED)
         block = (rows + phase[0] >> shift) * shape[1] + (cols + phase[1] >> shift)
         ways = own[rows, cols] >> WALL_SIDES
+        is_face = own[rows, cols] & WALL_FACE != 0
         for j, other in enumerate(codes):
             if i == j:
                 continue
             there = other[rows, cols]
             is_met = there & WALL_NEAR != 0
-            is_moved = ~is_met & (there >> WALL_SIDES & ways != 0)
-            is_seen = is_met | is_moved | (there & WALL_FREE != 0)
+            is_free = there & WALL_FREE != 0
+            is_moved = ~is_met & (there >> WALL_SIDES & ways != 0) & (is_face | is_free)
+            is_seen = is_met | is_moved | is_free
             is_same = there & WALL_OCCUPIED != 0
             for table, mask in (
                 (seen, is_seen),
@@ -183,7 +186,9 @@ def trust_of(names: Sequence[str], counts: WallCounts) -> Trust:
     """
     moved = (counts.moved + 0.5) / (counts.seen + 2.0)
     extra = (counts.extra + 0.5) / (counts.seen + 2.0)
-    pairs = 1.0 - _own_share(moved, moved.T) - np.maximum(extra, extra.T)
+    # What both draw elsewhere is an error of both; a thick wall is one of the map that has it.
+    both = np.sqrt(moved * moved.T)
+    pairs = 1.0 - np.maximum(moved + extra, both + extra.T)
     np.fill_diagonal(pairs, 0.0)
     best = int(np.argmax((pairs**2).sum(axis=1)))
     agreement = np.zeros(len(names))
@@ -224,12 +229,9 @@ def local_weights(counts: WallCounts, trust: Trust, resolution: float) -> tuple[
         seen, met, known = np.zeros(shape), np.zeros(shape), np.zeros(shape)
         for i in range(count):
             if i != j and amount[i] > 0.0:
-                there = counts.seen[i, j] + counts.seen[j, i]
-                own, other = _window(counts.moved[j, i]), _window(counts.moved[i, j])
-                wrong = _window(counts.extra[i, j] + counts.extra[j, i])
-                there, wrong = _window(there), wrong + 2.0 * _own_share(own, other)
+                there = _window(counts.seen[i, j] + counts.seen[j, i])
                 seen += amount[i] * there
-                met += amount[i] * np.maximum(there - wrong, 0.0)
+                met += amount[i] * _window(counts.met[i, j] + counts.met[j, i])
                 known += amount[i] * (there > 0)
         others = np.maximum(known, 1e-9)
         odds[j] = _log_odds((met / others + prior * trust.agreement[j]) / (seen / others + prior))
@@ -258,11 +260,6 @@ def disagreeing(counts: WallCounts, trust: Trust) -> Mapping[str, tuple[int, int
         row, col = np.unravel_index(int(np.argmax(around)), around.shape)
         found[name] = (int(around[row, col]), int(row), int(col))
     return found
-
-
-def _own_share(own: F64, other: F64) -> F64:
-    """Return how far a map errs that draws this much elsewhere, as the other map does beside it."""
-    return np.asarray(np.maximum(own, np.sqrt(own * other)))
 
 
 def _log_odds(share: F64) -> F64:

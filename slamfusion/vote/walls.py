@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute.layout import WALL_FREE, WALL_NEAR, WALL_OCCUPIED, WALL_SIDES
+from slamfusion.compute.layout import WALL_FACE, WALL_FREE, WALL_NEAR, WALL_OCCUPIED, WALL_SIDES
 
 I8 = npt.NDArray[np.int8]
 U8 = npt.NDArray[np.uint8]
@@ -47,8 +47,9 @@ def wall_codes(cells: I8, resolution: float) -> U8:
 
     Returns:
         (H, W) uint8 of bits: ``WALL_OCCUPIED``, ``WALL_FREE``, ``WALL_NEAR`` (a wall within the
-        tolerance), and from ``WALL_SIDES`` on one for each way that walls face: at a wall cell the
-        ways that this wall faces, elsewhere those of walls up to 0.4 m away.
+        tolerance), ``WALL_FACE`` (a wall that faces free cells itself), and from ``WALL_SIDES`` on
+        one for each way that walls face: at a wall cell the ways that this wall faces, elsewhere
+        those of walls up to 0.4 m away.
     """
     height = cells.shape[0]
     codes = np.empty(cells.shape, dtype=np.uint8)
@@ -76,7 +77,8 @@ def _codes_of_strip(cells: I8, resolution: float) -> U8:
     near_walls = np.asarray(cv2.dilate(walls, _disc(TOLERANCE_M / resolution)), dtype=np.uint8)
     near_walls *= _is_shown(known, ways, near)
     sides = np.where(walls != 0, ways, elsewhere) << np.uint8(WALL_SIDES)
-    return np.asarray(known | near_walls * np.uint8(WALL_NEAR) | sides, dtype=np.uint8)
+    faces = (fronts != 0) * np.uint8(WALL_FACE)
+    return np.asarray(known | faces | near_walls * np.uint8(WALL_NEAR) | sides, dtype=np.uint8)
 
 
 def _same_wall_cells(resolution: float) -> int:

@@ -112,7 +112,7 @@ CASES: dict[str, Case] = {
     ),
     "a map of an experiment": (
         "experiment real-logs --datasets data --inputs intel=here/plan.yaml -o here",
-        "here/report.html",
+        "here/real-logs.png",
         "-o here",
     ),
     "what an experiment keeps": (
@@ -148,7 +148,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     save("i_b.yaml", "i_b.png")
     save("i_one_b.yaml", "i_one_b.png")
     save("01-plan.yaml", "01-plan.png")
-    save("here/plan.yaml", "report.html")
+    save("here/plan.yaml", "real-logs.png")
     save("packed.yaml", "grey.pgm")
     (folder / "grey.pgm.gz").write_bytes(gzip.compress((folder / "grey.pgm").read_bytes()))
     (folder / "grey.pgm").unlink()

@@ -312,7 +312,7 @@ def test_an_experiment_is_saved_too(ask: Ask) -> None:
     assert code == 0
     found = document(ask("compare", "a.zip", "a.zip", "--json"), "compare")
     assert found["results"][0]["command"] == "experiment cell-models"
-    assert found["figures"][0]["count_first"] == 12
+    assert found["figures"][0]["count_first"] == 24
     assert found["figures"][0]["difference"] == 0.0
     assert found["figures"][0]["better"] is None
 

@@ -90,8 +90,8 @@ def test_without_a_truth_maps_are_compared_with_each_other() -> None:
     result = compare_maps(maps, CONFIG, device())
     found = {item["name"]: item for item in agreement_items(result)}
     assert list(found) == ["crooked", "a", grid.name]
-    assert found["crooked"]["bent"] is not None
-    assert found["crooked"]["agreement"] == found["crooked"]["bent"]["share"] < 0.8
+    assert found["crooked"]["agreement"] < 0.85
+    assert found["crooked"]["weight"] < 0.3
     for name in ("a", grid.name):
         assert found[name]["bent"] is None
         assert found[name]["weight"] > 0.8

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from slamfusion.compute.layout import WALL_FREE, WALL_NEAR, WALL_OCCUPIED, WALL_SIDES
+from slamfusion.compute.layout import WALL_FACE, WALL_FREE, WALL_NEAR, WALL_OCCUPIED, WALL_SIDES
 from slamfusion.vote.walls import margin_cells, wall_codes
 from tests.vote.rooms import EDGE, INNER, bent, cells_of, fuse, moved, room
 
@@ -81,7 +81,7 @@ def test_codes_say_what_a_wall_is_and_which_way_it_faces() -> None:
     cells[:, 12] = 1
     row = wall_codes(cells, 0.1)[12]
     west = 1 << WALL_SIDES + 1
-    assert row[12] == WALL_OCCUPIED | WALL_NEAR | west
+    assert row[12] == WALL_OCCUPIED | WALL_NEAR | WALL_FACE | west
     assert row[11] == WALL_FREE | WALL_NEAR | west
     assert row[13] == WALL_NEAR | west
     # The same wall elsewhere: up to 0.4 m away, on both sides.
