@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slamfusion.compute.arrays import I32, I64, U8, ArrayDevice, DeviceArray, host
+from slamfusion.compute.arrays import I32, I64, U8, U32, ArrayDevice, DeviceArray, host
 from slamfusion.compute.layout import (
     BEAM_HALF,
     BEAM_SHIFT,
@@ -44,7 +44,7 @@ class ScanRule(NamedTuple):
         behind: least value that is written behind a hit, 0 to 4095.
         free: value of a passed cell for the matcher, 0 to 4095.
         map_free: the same for the published map.
-        quality: how much of the scan is believed, in 1/1024.
+        quality: weight of the scan, in 1/1024.
         is_mean: cell model ``mean``; otherwise ``base``.
         wall_floor: mean of a cell, in 1/2^20, up to which the score field is 0.
         wall_gain: what a mean above it adds to the field; at most 2000.
@@ -117,6 +117,18 @@ def _joined(state: I64, value: I64, rule: ScanRule) -> I64:
     return np.asarray(following << MEAN_SHIFT | np.minimum(seen + 1, MOST_OBSERVATIONS))
 
 
+def _put(observed: U32, pages: I32, wanted: I32, row: I64, col: I64, words: I64) -> bool:
+    """Put words into cells, of which the strongest stays; return whether a page was missing."""
+    tiles = pages[row // TILE, col // TILE]
+    missing = tiles == 0
+    wanted[1 + (row // TILE * pages.shape[1] + col // TILE)[missing]] = 1
+    wanted[0] |= int(missing.any())
+    put = ~missing
+    at = (tiles[put], row[put] % TILE, col[put] % TILE)
+    np.maximum.at(observed, at, words[put].astype(np.uint32))
+    return bool(wanted[0])
+
+
 def _near_cells(beams: I32, reach: int) -> tuple[I64, I64, I64, I64]:
     """Return beam, column and row of every cell that beams speak of, and whether it is passed."""
     flat = np.column_stack((beams, np.zeros((len(beams), 2), dtype=np.int32)))
@@ -182,14 +194,7 @@ class CellMeanDevice(ArrayDevice):
         keep = (w.i >= 0) | (value >= rule.behind)
         value[w.i == 0] = beams[w.beam[w.i == 0], 5]
         word = (w.i == 0).astype(np.int64) << HIT_SHIFT | value << VALUE_SHIFT | (w.i >= 0)
-        tiles = pages[w.row // TILE, w.col // TILE]
-        missing = keep & (tiles == 0)
-        wanted[1 + (w.row // TILE * pages.shape[1] + w.col // TILE)[missing]] = 1
-        wanted[0] |= int(missing.any())
-        put = keep & (tiles != 0)
-        at = (tiles[put], w.row[put] % TILE, w.col[put] % TILE)
-        np.maximum.at(observed, at, word[put].astype(np.uint32))
-        return bool(wanted[0])
+        return _put(observed, pages, wanted, w.row[keep], w.col[keep], word[keep])
 
     def integrate_scan(
         self,
@@ -278,14 +283,7 @@ class CellMeanDevice(ArrayDevice):
         dx, dy = hit_x - (col << BEAM_SHIFT) - BEAM_HALF, hit_y - (row << BEAM_SHIFT) - BEAM_HALF
         step = np.minimum((dx * dx + dy * dy) >> rule.shift, TABLE_LAST)
         value = np.where(passed == 1, 0, rule.table[step].astype(np.int64))
-        tiles = pages[row // TILE, col // TILE]
-        missing = tiles == 0
-        wanted[1 + (row // TILE * pages.shape[1] + col // TILE)[missing]] = 1
-        wanted[0] |= int(missing.any())
-        put = ~missing
-        at = (tiles[put], row[put] % TILE, col[put] % TILE)
-        np.maximum.at(observed, at, (value[put] << LIKELIHOOD_SHIFT | 1).astype(np.uint32))
-        return bool(wanted[0])
+        return _put(observed, pages, wanted, row, col, value << LIKELIHOOD_SHIFT | 1)
 
     def update_likelihood(
         self,

@@ -214,6 +214,15 @@ class OpenCLDevice(ComputeDevice):
             failure = self._failed(f"kernel {name}", error)
             raise failure from error
 
+    def launch_into(
+        self, result: npt.NDArray[Scalar], name: str, size: tuple[int, ...], *arguments: Any
+    ) -> npt.NDArray[Scalar]:
+        """Start a kernel whose last argument is a host array to fill; return that array, filled."""
+        out = self.wrap_host(result, writable=True)
+        self.launch(name, size, *arguments, out)
+        self.map_host(out, result)
+        return result
+
     @staticmethod
     def _buffer(handle: DeviceArray[Any]) -> Any:
         """Return the memory of an array.

@@ -33,6 +33,23 @@ def _smooth(field: U8, pages: I32, east: F32, north: F32) -> I64:
     return np.asarray(blended >> SIXTEENTHS_SHIFT)
 
 
+def _moved(points: F32, poses: F32) -> tuple[F32, F32]:
+    """Return x and y of (P, 2) points under (N, 4) poses x, y, cos, sin; each (N, P)."""
+    px, py = points.T
+    x, y, cos, sin = (poses[:, i : i + 1] for i in range(4))
+    return x + (cos * px - sin * py), y + (sin * px + cos * py)
+
+
+def _losses(poses: F32, hypotheses: F32) -> F32:
+    """Return the weighted squares of how far poses x, y, yaw lie from hypotheses, and their loss.
+
+    The arrays are broadcast together but for their last axis; see ``climb``.
+    """
+    away = poses[..., :3] - hypotheses[..., :3]
+    squares = away * away * hypotheses[..., 3:6]
+    return np.asarray(((squares[..., 0] + squares[..., 1]) + squares[..., 2]) + hypotheses[..., 6])
+
+
 def _ways() -> I64:
     """Return (3) signs along x, y and yaw: stay, the axes, the diagonals."""
     axes = [np.roll((sign, 0, 0), axis) for axis in range(3) for sign in (1, -1)]
@@ -71,21 +88,16 @@ class ScanMatchDevice(ArrayDevice):
         """
         if self.opencl:
             n = len(poses)
-            sums = np.empty(n, dtype=np.int32)
-            out = self.opencl.wrap_host(sums, writable=True)
             height, width = pages.shape
             wide = [reach] if reach else []
-            self.opencl.launch(
-                "score_wide" if reach else "score_smooth", (n,), field, pages, width, height,
-                points, points.shape[0], self.opencl.wrap_host(poses), n, *wide, out,
+            sums = self.opencl.launch_into(
+                np.empty(n, dtype=np.int32), "score_wide" if reach else "score_smooth", (n,), field,
+                pages, width, height, points, points.shape[0], self.opencl.wrap_host(poses), n,
+                *wide,
             )  # fmt: skip
-            self.opencl.map_host(out, sums)
             return sums.astype(np.int64)
         field, pages, points = host(field), host(pages), host(points)
-        px, py = points.T
-        x, y, cos, sin = (poses[:, i : i + 1] for i in range(4))
-        east = x + (cos * px - sin * py)
-        north = y + (sin * px + cos * py)
+        east, north = _moved(points, poses)
         if reach:
             col, row = east.astype(np.int64), north.astype(np.int64)
             around = [(0, 0), (-reach, -reach), (reach, -reach), (-reach, reach), (reach, reach)]
@@ -124,17 +136,13 @@ class ScanMatchDevice(ArrayDevice):
             (G, 6) float32: x, y, yaw, cos, sin and the value of where each climber ended.
         """
         if self.opencl:
-            found = np.empty((len(starts), FOUND_FLOATS), dtype=np.float32)
-            out = self.opencl.wrap_host(found, writable=True)
             height, width = pages.shape
-            self.opencl.launch(
-                "climb", (len(starts) * CLIMBERS,), field, pages, width, height, points,
-                points.shape[0], self.opencl.wrap_host(hypotheses), len(hypotheses),
-                self.opencl.wrap_host(starts), self.opencl.wrap_host(steps), len(steps), scale,
-                out,
+            return self.opencl.launch_into(
+                np.empty((len(starts), FOUND_FLOATS), dtype=np.float32), "climb",
+                (len(starts) * CLIMBERS,), field, pages, width, height, points, points.shape[0],
+                self.opencl.wrap_host(hypotheses), len(hypotheses), self.opencl.wrap_host(starts),
+                self.opencl.wrap_host(steps), len(steps), scale,
             )  # fmt: skip
-            self.opencl.map_host(out, found)
-            return found
         field, pages, points = host(field), host(pages), host(points)
         best = starts.copy()
         values = np.zeros(len(starts), dtype=np.float32)
@@ -149,9 +157,7 @@ class ScanMatchDevice(ArrayDevice):
             )
             poses = tried[..., [0, 1, 3, 4]].reshape(-1, 4)
             sums = self.score_poses(field, pages, points, poses)
-            away = tried[:, :, None, :3] - hypotheses[:, :3]
-            squares = away * away * hypotheses[:, 3:6]
-            losses = ((squares[..., 0] + squares[..., 1]) + squares[..., 2]) + hypotheses[:, 6]
+            losses = _losses(tried[:, :, None], hypotheses)
             told = sums.reshape(tried.shape[:2]).astype(np.float32) * np.float32(scale)
             value = told - losses.min(axis=-1)
             winner = value.argmax(axis=1)
@@ -191,16 +197,13 @@ class ScanMatchDevice(ArrayDevice):
             (N, 6) float32: x, y, yaw, cos, sin and the value of where each climb ended.
         """
         if self.opencl:
-            found = np.empty((len(starts), FOUND_FLOATS), dtype=np.float32)
-            out = self.opencl.wrap_host(found, writable=True)
             _, height, width = pages.shape
-            self.opencl.launch(
-                "climb_maps", (len(starts) * CLIMBERS,), field, pages, width, height, points,
-                points.shape[0], self.opencl.wrap_host(hypotheses), self.opencl.wrap_host(starts),
-                self.opencl.wrap_host(sizes), len(sizes), tries, scale, out,
+            return self.opencl.launch_into(
+                np.empty((len(starts), FOUND_FLOATS), dtype=np.float32), "climb_maps",
+                (len(starts) * CLIMBERS,), field, pages, width, height, points, points.shape[0],
+                self.opencl.wrap_host(hypotheses), self.opencl.wrap_host(starts),
+                self.opencl.wrap_host(sizes), len(sizes), tries, scale,
             )  # fmt: skip
-            self.opencl.map_host(out, found)
-            return found
         field, pages, points = host(field), host(pages), host(points)
         found = np.empty((len(starts), FOUND_FLOATS), dtype=np.float32)
         ways = _ways().astype(np.float32)
@@ -215,9 +218,7 @@ class ScanMatchDevice(ArrayDevice):
                 moved = best[:2] + ways[:, :2] * cells, best[2] + turn * radians
                 tried = np.column_stack((*moved, *turned))
                 sums = self.score_poses(field, own, points, tried[:, [0, 1, 3, 4]])
-                away = tried[:, :3] - hypothesis[:3]
-                squares = away * away * hypothesis[3:6]
-                losses = ((squares[:, 0] + squares[:, 1]) + squares[:, 2]) + hypothesis[6]
+                losses = _losses(tried, hypothesis)
                 values = sums.astype(np.float32) * np.float32(scale) - losses
                 winner = int(values.argmax())
                 best, place[5] = tried[winner], values[winner]
@@ -249,20 +250,15 @@ class ScanMatchDevice(ArrayDevice):
         """
         if self.opencl:
             maps, each = poses.shape[:2]
-            whole = np.empty((maps, each), dtype=np.int32)
-            wrapped = self.opencl.wrap_host(whole, writable=True)
             _, height, width = pages.shape
-            self.opencl.launch(
-                "score_maps", (maps * each,), field, pages, width, height, points, points.shape[0],
-                self.opencl.wrap_host(poses), maps, each, self.opencl.wrap_host(table), wrapped,
+            whole = self.opencl.launch_into(
+                np.empty((maps, each), dtype=np.int32), "score_maps", (maps * each,), field, pages,
+                width, height, points, points.shape[0], self.opencl.wrap_host(poses), maps, each,
+                self.opencl.wrap_host(table),
             )  # fmt: skip
-            self.opencl.map_host(wrapped, whole)
             return whole.astype(np.int64)
         field, pages, points = host(field), host(pages), host(points)
-        px, py = points.T
         sums = np.empty(poses.shape[:2], dtype=np.int64)
         for own, at, out in zip(pages, poses, sums, strict=True):
-            x, y, cos, sin = (at[:, i : i + 1] for i in range(4))
-            east, north = x + (cos * px - sin * py), y + (sin * px + cos * py)
-            out[:] = table[_smooth(field, own, east, north)].sum(axis=1)
+            out[:] = table[_smooth(field, own, *_moved(points, at))].sum(axis=1)
         return sums

@@ -287,16 +287,12 @@ class SearchDevice(ArrayDevice):
             (B,) int32; -1 where the sum is of no use.
         """
         if self.opencl:
-            bounds = np.empty(len(blocks), dtype=np.int32)
-            wrapped = self.opencl.wrap_host(bounds, writable=True)
             _, height, width = fields.shape
-            self.opencl.launch(
-                "bound_blocks", (len(blocks),), self.opencl.wrap_host(blocks), len(blocks), starts,
-                self.opencl.wrap_host(classes), len(classes), fields, height, width,
-                np.uint8(fill), least, wrapped,
+            return self.opencl.launch_into(
+                np.empty(len(blocks), dtype=np.int32), "bound_blocks", (len(blocks),),
+                self.opencl.wrap_host(blocks), len(blocks), starts, self.opencl.wrap_host(classes),
+                len(classes), fields, height, width, np.uint8(fill), least,
             )  # fmt: skip
-            self.opencl.map_host(wrapped, bounds)
-            return bounds
         starts, fields = host(starts), host(fields)
         _, height, width = fields.shape
         out = np.zeros(len(blocks), dtype=np.int32)

@@ -75,8 +75,8 @@ class TileDevice(ArrayDevice):
             tiles = np.empty((count, TILE, TILE), dtype=pool.dtype)
             if count:
                 words = TILE_CELLS * pool.dtype.itemsize // TAKEN_BYTES
-                table, out = self.upload(numbers), self.opencl.wrap_host(tiles, writable=True)
-                self.opencl.launch("take_tiles", (words, count), pool, words, table, count, out)
-                self.opencl.map_host(out, tiles)
+                table = self.upload(numbers)
+                size = (words, count)
+                self.opencl.launch_into(tiles, "take_tiles", size, pool, words, table, count)
             return tiles
         return np.asarray(host(pool)[numbers])
