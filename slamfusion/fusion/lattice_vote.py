@@ -1,4 +1,4 @@
-"""Aligned grids on one lattice: warp them there, vote, and say what became of each."""
+"""Aligned grids on one lattice: warp them there, vote, and report the result of each."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from slamfusion.fusion.records import Bent, FusionResult, InputRecord
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, box_origin
 from slamfusion.io.memory import check_memory
-from slamfusion.vote.agreement import AGREEING, Trust
+from slamfusion.vote.agreement import AGREEING, Trust, most_borne_out
 from slamfusion.vote.boxes import hull, moved, overlap, padded, slices
 from slamfusion.vote.lattice import Extent, Lattice
 from slamfusion.vote.tiles import (
@@ -36,7 +36,7 @@ I8 = npt.NDArray[np.int8]
 # Gives an input at the common resolution, by its name.
 Lattices: TypeAlias = Callable[[str], VotingGrid]
 
-# What a vote in memory holds for each fused cell: itself, its agreement, and what is told of both.
+# Bytes that a vote in memory holds for each fused cell: itself, its agreement, and a copy of both.
 VOTED_BYTES = 4
 
 
@@ -274,8 +274,8 @@ def second_opinion(trust: Trust) -> tuple[str, ...]:
     Returns:
         Two or more of the maps without a vote.
     """
-    decides = int(np.argmax((trust.pairs**2).sum(axis=1)))
-    # Maps that bear out the deciding one have thicker walls, and contradict nothing.
+    decides = most_borne_out(trust.pairs)
+    # A map that agrees with the deciding one on that one's walls only has thicker walls.
     mute = [
         n
         for n, weight in enumerate(trust.weights)
@@ -284,7 +284,7 @@ def second_opinion(trust: Trust) -> tuple[str, ...]:
     if len(mute) < 2:
         return ()
     inside = trust.pairs[np.ix_(mute, mute)]
-    best = int(np.argmax((inside**2).sum(axis=1)))
+    best = most_borne_out(inside)
     if inside[best].max() < AGREEING:
         return ()
     return tuple(

@@ -54,7 +54,7 @@ class PackedBlocks:
     Attributes:
         shape: rows and columns.
         blocks: ``BLOCK`` cells on a side, compressed, by row and column of blocks; of those that
-            are not here all cells are unknown, or nobody asks for them.
+            are not here all cells are unknown, or not needed.
     """
 
     shape: tuple[int, int]

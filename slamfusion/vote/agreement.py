@@ -6,10 +6,10 @@ elsewhere is an error of the map that draws it here: where a map is bent both ha
 share them; of a thick wall and a thin one only the thick one has. A wall that the other does not
 have is an error of both, for two maps do not say whose.
 
-The best map is the one that the others bear out most. A map is as right as the best one bears it
-out, or the weakest link in a chain of maps from there. Independent voters that are right with
-probability p are best weighed by the log-odds of p (Nitzan and Paroush, International Economic
-Review 1982).
+The best map is the one that agrees most with all others. A map is as right as its agreement with
+the best one, or the weakest link in a chain of maps from there. Independent voters that are right
+with probability p are best weighed by the log-odds of p (Nitzan and Paroush, International
+Economic Review 1982).
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ SUREST = 0.999
 LEAST_WEIGHT = 0.1
 # Weights have this many levels above 0, so that a few cells more or less change none.
 LEVELS = 15
-# Shares are told in so many steps, for the same reason.
+# Shares are rounded to 1/200, for the same reason.
 STEPS = 200
 # Walls, in metres, that a map's agreement in all counts for in a window.
 PRIOR_M = 2.0
@@ -53,7 +53,7 @@ RANK_ONE, RANK_SHIFT = 1023, 6
 
 @dataclass(frozen=True, eq=False)
 class WallCounts:
-    """Wall cells of each map beside each other one, (N, N) or (N, N, H, W) integers.
+    """How the wall cells of each map compare with each other map, (N, N) or (N, N, H, W) integers.
 
     Attributes:
         seen: wall cells of map i that map j knows, or has elsewhere.
@@ -190,7 +190,7 @@ def trust_of(names: Sequence[str], counts: WallCounts) -> Trust:
     both = np.sqrt(moved * moved.T)
     pairs = 1.0 - np.maximum(moved + extra, both + extra.T)
     np.fill_diagonal(pairs, 0.0)
-    best = int(np.argmax((pairs**2).sum(axis=1)))
+    best = most_borne_out(pairs)
     agreement = np.zeros(len(names))
     agreement[best] = 1.0
     for _ in names[1:]:
@@ -204,6 +204,11 @@ def trust_of(names: Sequence[str], counts: WallCounts) -> Trust:
     )
     steps = np.rint(STEPS * np.array([agreement, precision])) / STEPS
     return Trust(tuple(names), steps[0], weights.astype(np.uint8), steps[1], pairs)
+
+
+def most_borne_out(pairs: F64) -> int:
+    """Return the map with the greatest sum of squares of (N, N) agreements with the others."""
+    return int(np.argmax((pairs**2).sum(axis=1)))
 
 
 def local_weights(counts: WallCounts, trust: Trust, resolution: float) -> tuple[U8, U16]:
@@ -250,13 +255,11 @@ def local_weights(counts: WallCounts, trust: Trust, resolution: float) -> tuple[
 
 def disagreeing(counts: WallCounts, trust: Trust) -> Mapping[str, tuple[int, int, int]]:
     """Return where each map disagrees most: wall cells that do not agree, and the block."""
-    amount = (trust.weights > 0).astype(np.int64)
+    missed = counts.seen - counts.met
+    missed = (missed + missed.swapaxes(0, 1))[trust.weights > 0].sum(axis=0)
     found = {}
-    for j, name in enumerate(trust.names):
-        missed = (counts.seen[:, j] - counts.met[:, j] + counts.seen[j] - counts.met[j]).astype(
-            np.int64
-        )
-        around = _window((amount[:, None, None] * missed).sum(axis=0))
+    for name, own in zip(trust.names, missed, strict=True):
+        around = _window(own)
         row, col = np.unravel_index(int(np.argmax(around)), around.shape)
         found[name] = (int(around[row, col]), int(row), int(col))
     return found

@@ -32,7 +32,7 @@ from slamfusion.vote.agreement import (
     trust_of,
 )
 from slamfusion.vote.boxes import grown_inside, overlap, slices
-from slamfusion.vote.walls import margin_cells, wall_codes
+from slamfusion.vote.walls import codes_on, margin_cells
 
 I8 = npt.NDArray[np.int8]
 U8 = npt.NDArray[np.uint8]
@@ -146,7 +146,7 @@ class DecidedTile:
 
 @dataclass(frozen=True)
 class TileVoter:
-    """A vote on one lattice: all that decides a tile beside what the inputs show there.
+    """A vote on one lattice: all that decides a tile, apart from what the inputs show there.
 
     Attributes:
         whole: the fused cells.
@@ -224,9 +224,7 @@ class TileVoter:
         """
         if not self.weighs:
             return read(box)
-        wide = grown_inside(box, margin_cells(self.resolution), self.whole)
-        codes = wall_codes(read(wide), self.resolution)
-        return np.ascontiguousarray(codes[slices(box, wide.row0, wide.col0)])
+        return codes_on(box, self.whole, self.resolution, read)
 
     def count(self, tile: CellBox, shown: Mapping[str, I8 | U8]) -> WallCounts:
         """Count how the walls in a tile agree, (N, N) in the order of ``names``.

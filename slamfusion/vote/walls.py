@@ -9,12 +9,15 @@ side of a thin wall faces the other way.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from slamfusion.compute.layout import WALL_FACE, WALL_FREE, WALL_NEAR, WALL_OCCUPIED, WALL_SIDES
+from slamfusion.grid import CellBox
+from slamfusion.vote.boxes import grown_inside, slices
 
 I8 = npt.NDArray[np.int8]
 U8 = npt.NDArray[np.uint8]
@@ -60,6 +63,20 @@ def wall_codes(cells: I8, resolution: float) -> U8:
         strip = _codes_of_strip(cells[first : stop + reach], resolution)
         codes[row:stop] = strip[row - first : stop - first]
     return codes
+
+
+def codes_on(box: CellBox, whole: CellBox, resolution: float, read: Callable[[CellBox], I8]) -> U8:
+    """Return what a map shows on a box of cells; see ``wall_codes``.
+
+    Args:
+        box: of the whole.
+        whole: all cells that there are.
+        resolution: metres a cell.
+        read: returns the map's cells, in {-1, 0, 1}, on a box.
+    """
+    wide = grown_inside(box, margin_cells(resolution), whole)
+    codes = wall_codes(read(wide), resolution)
+    return np.ascontiguousarray(codes[slices(box, wide.row0, wide.col0)])
 
 
 def _codes_of_strip(cells: I8, resolution: float) -> U8:

@@ -150,7 +150,7 @@ def fuse_case(
     for mode in modes:
         config = FusionConfig()
         align = replace(config.align, shared_frame=case.shared_frame)
-        vote = replace(config.vote, mode=mode, extent="union")  # type: ignore[arg-type]
+        vote = replace(config.vote, mode=mode, extent="union")  # type: ignore[arg-type]  # words of a command line
         config = replace(config, align=align, vote=vote)
         began_s = time.process_time()
         try:

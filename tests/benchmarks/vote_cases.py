@@ -221,7 +221,7 @@ def _jitter(cells: I8, rng: np.random.Generator, *, reach: float, smooth: float)
     return np.ascontiguousarray(cells[rows, cols])
 
 
-def _shake(cells: I8, resolution: float, rng: np.random.Generator) -> I8:  # noqa: ARG001
+def _shake(cells: I8, resolution: float, rng: np.random.Generator) -> I8:  # noqa: ARG001 - all faults are called alike
     """Move every cell on its own, by up to two cells."""
     return _jitter(cells, rng, reach=2.0, smooth=0.7)
 
@@ -269,7 +269,7 @@ def _leak(cells: I8, resolution: float, rng: np.random.Generator) -> I8:
     return leaky
 
 
-def _blur(cells: I8, resolution: float, rng: np.random.Generator) -> I8:  # noqa: ARG001
+def _blur(cells: I8, resolution: float, rng: np.random.Generator) -> I8:  # noqa: ARG001 - all faults are called alike
     """Return percent: walls fade into what is around them."""
     sigma = float(rng.uniform(1.0, 2.0))
     walls = scipy.ndimage.gaussian_filter((cells == OCCUPIED).astype(np.float64), sigma)
@@ -288,7 +288,7 @@ GOOD = Degradation(bend_cells=0.3, crop_share=0.995, flip_share=0.0003, speckle_
 def _rendered(rng: np.random.Generator, **ranges: tuple[float, float]) -> Copy:
     """Return a good copy but for some figures, each drawn from its range."""
     drawn = {name: float(rng.uniform(*ends)) for name, ends in ranges.items()}
-    return replace(GOOD, **drawn), None, None  # type: ignore[arg-type]
+    return replace(GOOD, **drawn), None, None  # type: ignore[arg-type]  # fields of floats
 
 
 COPIES: dict[str, Callable[[np.random.Generator], Copy]] = {

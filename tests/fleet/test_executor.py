@@ -56,7 +56,7 @@ def test_few_calls_are_handed_over_at_a_time() -> None:
             yield (number,)
 
     with ThreadPoolExecutor(1) as executor:
-        executor.slots = 2  # type: ignore[attr-defined]
+        executor.slots = 2  # type: ignore[attr-defined]  # as ours have
         assert tasks_ahead(executor) == 4
         assert next(in_order(executor, half, calls())) == 0
     assert len(begun) == 4

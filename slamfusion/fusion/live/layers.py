@@ -24,7 +24,7 @@ from slamfusion.vote.agreement import Trust, WallCounts, count_walls
 from slamfusion.vote.boxes import grown_inside, hull, overlap, padded, slices
 from slamfusion.vote.lattice import Lattice
 from slamfusion.vote.tiles import TileVoter
-from slamfusion.vote.walls import margin_cells, wall_codes
+from slamfusion.vote.walls import codes_on, margin_cells
 
 I8 = npt.NDArray[np.int8]
 
@@ -188,11 +188,14 @@ class FusedLayers:
     def _show(self, name: str, touched: CellBox, whole: CellBox) -> None:
         """Find what a layer shows around the cells that changed."""
         size = self.lattice.resolution
-        box, seen = (grown_inside(touched, cells * margin_cells(size), whole) for cells in (1, 2))
-        cells = self._carried[name][slices(seen, whole.row0, whole.col0)]
-        codes = wall_codes(np.ascontiguousarray(cells), size)
+        box = grown_inside(touched, margin_cells(size), whole)
+        cells = self._carried[name]
+
+        def read(part: CellBox) -> I8:
+            return np.ascontiguousarray(cells[slices(part, whole.row0, whole.col0)])
+
         window = slices(box, whole.row0, whole.col0)
-        self._walls[name][window] = codes[slices(box, seen.row0, seen.col0)]
+        self._walls[name][window] = codes_on(box, whole, size, read)
 
     def lift(self, name: str) -> CellBox | None:
         """Take an input's layer away; return the cells that it had covered."""
