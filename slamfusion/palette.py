@@ -41,7 +41,7 @@ MISSING_WALL_RGB: Rgb = (226, 45, 45)
 # The ends of a path.
 START_RGB: Rgb = (47, 158, 68)
 END_RGB: Rgb = (110, 0, 60)
-# Lettering, and lines of nobody: a contrast of about 4 to 1 on white and on a dark page.
+# Lettering, and lines of no map: a contrast of about 4 to 1 on white and on a dark page.
 INK_RGB: Rgb = (123, 130, 140)
 
 # Hues a golden section of the circle apart never meet.

@@ -14,7 +14,7 @@ from slamfusion.errors import SlamFusionError
 from slamfusion.jobs.cases import CaseFile
 from slamfusion.jobs.inputs import check_writable, map_file
 
-# Files of a path, which stands beside the other values that the command was given, by name.
+# Files of a path, kept by name among the values that the command was given.
 Files = Callable[[Path, Mapping[str, Any]], Iterable[Path]]
 
 

@@ -41,7 +41,7 @@ class FieldDevice(ArrayDevice):
     def solid_walls(self, cells: DeviceArray[np.int8]) -> DeviceArray[np.uint8]:
         """Return (H, W) uint8, 1 where an occupied cell has at most six free neighbours.
 
-        With seven or eight it stands in free space alone, or beside one other: a speck of noise.
+        With seven or eight it stands in free space alone, or next to one other: a speck of noise.
 
         Args:
             cells: (H, W) int8 in {-1, 0, 1}.

@@ -45,7 +45,7 @@ class WallPieceDevice(ArrayDevice):
     ) -> I64:
         """Return what the points of each piece meet under each pose.
 
-        A wall that the field speaks for and that was seen from another side meets nothing.
+        A wall that the field has, but that was seen from another side, meets nothing.
 
         Args:
             points: (N, 2) int32 lattice positions, x and y in half cells, piece by piece.

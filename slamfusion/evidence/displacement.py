@@ -1,6 +1,6 @@
-"""``find_displacements``: where a path draws walls beside where it has drawn them before.
+"""``find_displacements``: where a path draws walls away from where it has drawn them before.
 
-A map that is bent shows what the robot saw on one visit beside what it saw on another one. So the
+A map that is bent shows what the robot saw on one visit next to what it saw on another one. So the
 hits of each chunk of the drive are moved together over the map that the path draws of the chunks
 before some time, or after it. If they fit another place better than their own, the path is wrong
 there, and the distance says by how much. People, glass, vegetation and a noisy laser make hits
@@ -44,17 +44,17 @@ REACH_CELLS = 2
 BLOCKS = 8
 # Hits that are moved at most: 200 a chunk.
 MOST_HITS = 200 * CHUNKS
-# What was seen before these shares of the drive is held against what was seen after them.
+# What was seen before each of these shares of the drive is compared with what was seen after it.
 SPLITS = (0.25, 0.5, 0.75)
 
 
 @dataclass(frozen=True)
 class Displacement:
-    """A part of the drive in which walls stand beside where other parts of the drive saw them.
+    """A part of the drive in which walls stand away from where other parts of the drive saw them.
 
     Attributes:
         from_s, to_s: seconds since the first scan.
-        away_m: how far beside, metres.
+        away_m: how far away, metres.
         p_value: one-sided, that the hits fit the other place no better than their own.
     """
 

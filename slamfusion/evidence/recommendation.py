@@ -5,7 +5,7 @@ two that are off by centimetres noise decides. The fused path, along which all s
 nearer to the truth than either. So it is the answer unless the scans surely support a SLAM's own
 path more, and of the SLAMs the one nearest to it is the one to take alone.
 
-A place is one to check if walls there stand beside where they were seen at another time
+A place is one to check if walls there stand away from where they were seen at another time
 (``find_displacements``), or if a path that cannot be told from the answer has parted from it there
 and nothing tells which one is right (``find_exclusions``, which also decides who votes). If walls
 stand as far apart as paths that have parted in a quarter of the drive, or if most of what the robot
@@ -74,7 +74,7 @@ class Check:
 
 @dataclass(frozen=True)
 class RankedPath:
-    """A path beside the recommended one.
+    """A path other than the recommended one.
 
     Attributes:
         name: of the path.

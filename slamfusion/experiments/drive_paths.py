@@ -95,7 +95,7 @@ def weigh_paths(
     device: ComputeDevice,
     notes: dict[str, str],
 ) -> WeighedPaths:
-    """Ask the scans of a drive which path they bear out, and make one path of all.
+    """Ask the scans of a drive which path they support, and make one path of all.
 
     Args:
         judged: see ``judge_scans``.

@@ -146,7 +146,7 @@ class DriveRun:
         method: the producer, as it is set.
         drive: the drive's name.
         seed: of the producer.
-        setting: what the producer is made with beside its method.
+        setting: further settings of the producer.
     """
 
     case: str

@@ -362,7 +362,7 @@ class Experiment:
 
         Args:
             folder: made when missing; older files of the same names are replaced.
-            forms: of the plot beside PNG: ``svg``, ``pdf``.
+            forms: further ones of the plot: ``svg``, ``pdf``.
 
         Raises:
             SlamFusionError: matplotlib is missing, or a file cannot be written.

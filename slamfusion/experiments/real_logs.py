@@ -50,7 +50,7 @@ _LOG = logging.getLogger(__name__)
 
 TITLE = "Fusion on recorded drives"
 REFERENCE = "reference"
-# Rows of the table beside the producers' maps and what the scans draw at the fused path.
+# Rows of the table after the producers' maps and what the scans draw at the fused path.
 ROWS = (REFERENCE, FUSED_PATH, *FUSIONS, *map(drawn_at, BUILT_IN))
 # A scan belongs to a pose of the reference at its very time; stamps are rounded here and there.
 SAME_TIME_S = 0.02

@@ -41,7 +41,7 @@ def executor_for(
     Args:
         where: ``local`` or ``local:N``: a Dask cluster of N processes of this machine; or
             ``tcp://HOST:PORT`` or ``tls://HOST:PORT``: one that runs; None: no cluster.
-        processes: without a cluster, so many processes; None or 1: no executor. A program that uses
+        processes: their number, without a cluster; None or 1: no executor. A program that uses
             them needs the usual ``if __name__ == "__main__":``.
         device: what workers of a cluster must be able to open, see ``open_device``.
 

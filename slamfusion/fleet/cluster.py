@@ -120,7 +120,7 @@ class _Workers(ClientExecutor):  # type: ignore[misc]  # Dask has no types
         return self.slots
 
     def _look(self) -> None:
-        """Count the workers now and then; end all tasks where nobody is left to do them."""
+        """Count the workers now and then; end all tasks if no worker is left."""
         seen_s = time.monotonic()
         message = f"the scheduler at {self._where} has lost all its workers; start some"
         while time.monotonic() - seen_s < NO_WORKERS_S:
@@ -129,7 +129,7 @@ class _Workers(ClientExecutor):  # type: ignore[misc]  # Dask has no types
             try:
                 if self._count():
                     seen_s = time.monotonic()
-            except Exception:  # noqa: BLE001 - whatever it says, nobody answers
+            except Exception:  # noqa: BLE001 - whatever it says, there is no answer
                 message = _gone(self._where)
                 break
         for future in list(self._given):
@@ -139,7 +139,7 @@ class _Workers(ClientExecutor):  # type: ignore[misc]  # Dask has no types
 
 @contextlib.contextmanager
 def _local_cluster(processes: int) -> Iterator[Any]:
-    """Start a cluster of processes of this machine, which nobody else can reach."""
+    """Start a cluster of processes of this machine, which no other machine can reach."""
     with threads_limited(max(1, usable_cores() // processes)):
         # Dask would set variables that are meant for workers here.
         ours = dask.config.set({"distributed.nanny.pre-spawn-environ": {}})

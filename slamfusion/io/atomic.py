@@ -1,6 +1,6 @@
 """Files that appear whole or not at all.
 
-The data goes into a temporary file beside its target, is forced to disk, and is only then renamed
+The data goes into a temporary file next to its target, is forced to disk, and is only then renamed
 over the target. The old file stays until that moment, and stays for good if anything fails.
 """
 
@@ -33,13 +33,13 @@ _FIXES = {
 class AtomicFiles:
     """Several files that are put in place together when the ``with`` block ends well.
 
-    Within the block ``add`` writes each file beside its target. At the end of the block all of them
+    Within the block ``add`` writes each file next to its target. At the end of the block they all
     are renamed over their targets, in the order in which they were added, and then the files passed
     to ``remove`` are removed; two processes that do so in one folder take turns. An exception in
     the block, also a keyboard interrupt, removes what was written and leaves the old files as they
     were. Missing parent folders are made. Links are followed, so a linked file stays a link.
 
-    A process that is killed between two renames leaves new files beside old ones, each of them
+    A process that is killed between two renames leaves new files next to old ones, each of them
     whole. A file that depends on another one is therefore added after it, and holds its digest
     (``save_map``).
 
@@ -53,7 +53,7 @@ class AtomicFiles:
         self._made_folders: list[Path] = []
 
     def add(self, path: str | Path, *parts: bytes | bytearray | memoryview) -> None:
-        """Write one file beside its target.
+        """Write one file next to its target.
 
         Args:
             path: the target; absent or a regular file.

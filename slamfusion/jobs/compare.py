@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 PAIRED_BY = (["case", "seed", "method"], ["case", "seed"], ["case", "method"], ["case"])
 # Errors whose places differ by less than this are at one place: seconds or metres.
 SAME_PLACE = 1e-6
-# A path is cut into at most this many spans of neighbours, each of at least so many errors.
+# A path is cut into at most this many spans of neighbours, each with at least this many errors.
 SPANS, SPAN_ERRORS = 24, 5
 # A difference with a smaller p-value counts as one.
 SIGNIFICANT = 0.05

@@ -22,7 +22,7 @@ from slamfusion.report.canvas import plain_text, to_form, unit_rgb
 MOST_PATHS, MOST_FIGURES, POINTS = 6, 6, 2000
 WIDTH_IN, ROW_IN, FOOT_IN = 7.0, 2.0, 0.45
 MARKERS, STYLES = "osD^vP", ("-", "--", "-.", ":")
-# An error that is so many times the median one is drawn on a logarithmic axis.
+# An error that is this many times the median one is drawn on a logarithmic axis.
 LARGE = 50.0
 
 

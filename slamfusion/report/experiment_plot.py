@@ -46,10 +46,10 @@ def experiment_plot(summaries: pd.DataFrame, figures: Sequence[str], form: str) 
         for number, method in enumerate(own.index.unique("method")):
             values = own.xs(method, level="method")
             # Methods of one case are drawn below each other.
-            beside = 0.6 * (number / max(len(methods) - 1, 1) - 0.5)
+            shift = 0.6 * (number / max(len(methods) - 1, 1) - 0.5)
             handles[method] = axes.errorbar(
                 values["mean"],
-                [cases.index(case) + beside for case in values.index],
+                [cases.index(case) + shift for case in values.index],
                 xerr=values["std"].fillna(0.0),
                 color=unit_rgb(colours[method]),
                 marker=MARKERS[methods.index(method) % len(MARKERS)],

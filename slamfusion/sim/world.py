@@ -81,8 +81,8 @@ def thin_walls(truth: OccupancyGrid) -> OccupancyGrid:
         The same lattice and name.
     """
     free = np.pad(truth.cells == FREE, 1)
-    beside = free[:-2, 1:-1] | free[2:, 1:-1] | free[1:-1, :-2] | free[1:-1, 2:]
-    is_inside = (truth.cells == OCCUPIED) & ~beside
+    next_to_free = free[:-2, 1:-1] | free[2:, 1:-1] | free[1:-1, :-2] | free[1:-1, 2:]
+    is_inside = (truth.cells == OCCUPIED) & ~next_to_free
     cells = np.where(is_inside, np.int8(UNKNOWN), truth.cells)
     return OccupancyGrid(cells, truth.resolution, truth.origin, truth.name)
 
