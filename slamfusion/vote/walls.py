@@ -28,6 +28,8 @@ TOLERANCE_M = 0.08
 SAME_WALL_M = 0.4
 # A wall faces free cells up to this many cells away; the cells between may be unknown.
 FRONT_CELLS = 3
+# Cells this far away say whether a cell is of a lone beam, or a wall near one.
+BEAM_CELLS = 7
 # Steps in rows and columns to what a wall may face: the first two along a row, the others along a
 # column. Each has the bit of its place.
 SIDES = ((0, 1), (0, -1), (1, 0), (-1, 0))
@@ -38,7 +40,7 @@ STRIP_ROWS = 128
 
 def margin_cells(resolution: float) -> int:
     """Return how far, in cells of a size in metres, a cell has a say in the codes of others."""
-    return _same_wall_cells(resolution) + FRONT_CELLS
+    return max(_same_wall_cells(resolution) + FRONT_CELLS, BEAM_CELLS)
 
 
 def wall_codes(cells: I8, resolution: float) -> U8:
@@ -80,8 +82,8 @@ def codes_on(box: CellBox, whole: CellBox, resolution: float, read: Callable[[Ce
 
 
 def _codes_of_strip(cells: I8, resolution: float) -> U8:
-    walls = (cells == 1).view(np.uint8)
-    known: U8 = walls * np.uint8(WALL_OCCUPIED) | (cells == 0) * np.uint8(WALL_FREE)
+    known = _without_lone_beams(cells)
+    walls = known & np.uint8(WALL_OCCUPIED)
     if not walls.any():
         return known
     same, near = _same_wall_cells(resolution), max(1, math.floor(TOLERANCE_M / resolution))
@@ -96,6 +98,32 @@ def _codes_of_strip(cells: I8, resolution: float) -> U8:
     sides = np.where(walls != 0, ways, elsewhere) << np.uint8(WALL_SIDES)
     faces = (fronts != 0) * np.uint8(WALL_FACE)
     return np.asarray(known | faces | near_walls * np.uint8(WALL_NEAR) | sides, dtype=np.uint8)
+
+
+def _without_lone_beams(cells: I8) -> U8:
+    """Return known cells as ``WALL_OCCUPIED`` and ``WALL_FREE``, (H, W), lone beams left out.
+
+    Beams that leak through a wall or a window leave streaks of free cells, one or two wide, with an
+    end point that has no wall beside it. They are no place that a map knows: what it knows is three
+    cells wide, gaps of two cells between beams not counted.
+    """
+    walls, free = (cells == 1).view(np.uint8), (cells == 0).view(np.uint8)
+    square = np.ones((3, 3), dtype=np.uint8)
+    filled = cv2.morphologyEx(walls | free, cv2.MORPH_CLOSE, square)
+    narrow = 1 - np.asarray(cv2.morphologyEx(filled, cv2.MORPH_OPEN, square), dtype=np.uint8)
+    beams = free & narrow
+    ends = walls & narrow & np.asarray(cv2.dilate(beams, square), dtype=np.uint8)
+    if ends.any():
+        ends &= _walls_in(walls, 9) == _walls_in(walls, 5)
+    known: U8 = (walls - ends) * np.uint8(WALL_OCCUPIED) | (free - beams) * np.uint8(WALL_FREE)
+    return known
+
+
+def _walls_in(walls: U8, side: int) -> U8:
+    """Return how many wall cells lie in the square around each cell, (H, W)."""
+    box = (side, side)
+    counts = cv2.boxFilter(walls, -1, box, normalize=False, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(counts, dtype=np.uint8)
 
 
 def _same_wall_cells(resolution: float) -> int:

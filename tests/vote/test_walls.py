@@ -91,6 +91,35 @@ def test_codes_say_what_a_wall_is_and_which_way_it_faces() -> None:
     assert not wall_codes(nothing, 0.1).any()
 
 
+def test_lone_beams_and_their_ends_show_nothing() -> None:
+    room = np.full((40, 60), -1, dtype=np.int8)
+    room[10:30, 5:30] = 1
+    room[11:29, 6:29] = 0
+    leaking = room.copy()
+    leaking[20, 29:50] = 0
+    leaking[20, 50] = 1
+    leaking[np.arange(29, 38), np.arange(10, 19)] = 0
+    through = [(20, 29), (29, 10)]  # here the wall is open
+    known = wall_codes(leaking, 0.1) & (WALL_OCCUPIED | WALL_FREE)
+    wanted = wall_codes(room, 0.1) & (WALL_OCCUPIED | WALL_FREE)
+    for row, col in through:
+        around = np.s_[row - 1 : row + 2, col - 1 : col + 2]
+        known[around] = wanted[around]
+    assert np.array_equal(known, wanted)
+
+
+def test_beams_side_by_side_and_walls_without_free_cells_stay() -> None:
+    fan = np.full((20, 40), -1, dtype=np.int8)
+    fan[2:18:3, :30] = 0
+    fan[2:18:3, 30] = 1
+    drawn = np.full((20, 40), -1, dtype=np.int8)
+    drawn[5, 3:35] = drawn[5:15, 3] = 1
+    for cells in (fan, drawn):
+        codes = wall_codes(cells, 0.1)
+        assert np.array_equal(codes & WALL_OCCUPIED != 0, cells == 1)
+        assert np.array_equal(codes & WALL_FREE != 0, cells == 0)
+
+
 @pytest.mark.parametrize("resolution", [0.05, 0.1, 0.4])
 def test_cells_beyond_the_margin_have_no_say(resolution: float) -> None:
     rng = np.random.default_rng(0)
