@@ -8,11 +8,12 @@ failed. Readers turn what their format writes for "no return" (0, 81.91) into +i
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
+from slamfusion.config import LaserMounting
 from slamfusion.errors import ScanError
 from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY
@@ -94,6 +95,20 @@ class LaserScan:
         """Return which beams met nothing up to ``range_max_m``, (N,): +inf or over-range."""
         with np.errstate(invalid="ignore"):
             return np.asarray(self.ranges >= self.range_max_m)
+
+    def remounted(self, mounting: LaserMounting) -> LaserScan:
+        """Return the scan as of a laser that is mounted otherwise than it says.
+
+        Args:
+            mounting: ``mirrored``: it hangs upside down, or turns the other way, so each beam goes
+                to the other side; ``backward``: it looks back where it says ahead.
+        """
+        if mounting == "mirrored":
+            first, step = -self.angle_min_rad, -self.angle_increment_rad
+            return replace(self, angle_min_rad=first, angle_increment_rad=step)
+        if mounting == "backward":
+            return replace(self, mount=self.mount.compose(Pose2(0.0, 0.0, math.pi)))
+        return self
 
     def points(self, beams: npt.NDArray[np.bool_] | None = None) -> npt.NDArray[np.float64]:
         """Return the ends of beams in the robot's base frame.

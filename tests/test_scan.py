@@ -50,6 +50,15 @@ def test_points_of_a_mounted_laser(direction: float):
     np.testing.assert_allclose(mounted.points(), [(-0.7, -0.1), (0.3, -2.1)], atol=1e-12)
 
 
+def test_a_laser_that_is_mounted_otherwise():
+    given = LaserScan(0.0, [1.0, 2.0, 3.0], -0.5, 0.5, 0.1, 10.0, Pose2(0.2, 0.0, 0.0))
+    x, y = given.points().T
+    assert np.allclose(given.remounted("mirrored").points(), np.stack((x, -y), axis=-1))
+    backward = given.remounted("backward").points()
+    assert np.allclose(backward, np.stack((0.4 - x, -y), axis=-1), atol=1e-6)
+    assert given.remounted("as-given") is given
+
+
 def test_chosen_beams_only():
     chosen = np.array([False, True, False])
     np.testing.assert_allclose(scan([1.0, 2.0, 3.0]).points(chosen), [(0.0, 2.0)], atol=1e-12)

@@ -47,6 +47,7 @@ from slamfusion.config.ros import FusionNodeConfig, PlayerNodeConfig, ProducerNo
 from slamfusion.config.run import (
     PICTURE_FORMS,
     DeviceConfig,
+    LaserMounting,
     LogConfig,
     MapFileConfig,
     ReportConfig,
@@ -114,6 +115,7 @@ __all__ = [
     "GraphRelocalizationConfig",
     "GraphTrackingConfig",
     "GroundObstacleConfig",
+    "LaserMounting",
     "LidarConfig",
     "LiveConfig",
     "LogConfig",

@@ -28,6 +28,10 @@ class MapFileConfig(Checked):
     )
 
 
+# How a laser really sits, where the transforms or the order of its ranges say otherwise.
+LaserMounting = Literal["as-given", "mirrored", "backward"]
+
+
 @dataclass(frozen=True)
 class LogConfig(Checked):
     """Reading logs and bags."""
@@ -45,6 +49,11 @@ class LogConfig(Checked):
         "readings at or above this saw nothing; default: found from the log",
         unit="m",
         low=0.1,
+    )
+    laser: LaserMounting = option(
+        "as-given",
+        "how the laser sits, where log and transforms say otherwise: mirrored (upside down, or it "
+        "turns the other way) or backward",
     )
     index_period_s: float = option(
         0.1, "time between scans where the stamps are broken", unit="s", low=1e-3, high=60.0

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol, TypedDict
 
+from slamfusion.config import LaserMounting
 from slamfusion.geometry import Pose2
 from slamfusion.io.stamps import StampGate
 from slamfusion.scan import LaserScan
@@ -98,9 +99,11 @@ class Continuity:
     Args:
         skips: where refused scans are counted.
         warnings: where gaps and jumps are counted.
+        mounting: of the laser, see ``LaserScan.remounted``.
     """
 
-    def __init__(self, skips: Skips, warnings: Skips) -> None:
+    def __init__(self, skips: Skips, warnings: Skips, mounting: LaserMounting) -> None:
+        self._mounting = mounting
         self._skips = skips
         self._warnings = warnings
         # Scans that are older never come to it.
@@ -143,7 +146,7 @@ class Continuity:
                     self._warnings.add(f"odometry jumps by {JUMP_M:g} m or more", line)
                 self._odometry = odometry
             self._stamp_s = stamp_s
-            yield item
+            yield replace(item, scan=item.scan.remounted(self._mounting))
 
 
 class ScanLog(Protocol):

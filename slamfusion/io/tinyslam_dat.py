@@ -73,6 +73,7 @@ class TinySlamDat:
         ]
         self.has_stamps = True
         self.fraction_read = 0.0
+        self._laser = config.laser
         self._range_max_m = config.no_return_m or _RANGE_MAX_M
         if next(iter(self), None) is None:
             reasons = "; ".join(self.skips.sentences()) or "the file is empty"
@@ -86,7 +87,7 @@ class TinySlamDat:
     def __iter__(self) -> Iterator[LogScan]:
         """Yield the scans; stamps strictly increase."""
         self.skips, self.warnings = Skips(), Skips()
-        continuity = Continuity(self.skips, self.warnings)
+        continuity = Continuity(self.skips, self.warnings, self._laser)
         lines = TextLines(self.path)
         clock_us = _Unwrapped(_CLOCK_TURNS)
         left, right = _Unwrapped(_TICK_TURNS), _Unwrapped(_TICK_TURNS)

@@ -78,7 +78,7 @@ class BagLog:
     def __iter__(self) -> Iterator[LogScan]:
         """Yield the scans; stamps strictly increase."""
         self.skips, self.warnings, self.fraction_read = Skips(), Skips(), 0.0
-        continuity = Continuity(self.skips, self.warnings)
+        continuity = Continuity(self.skips, self.warnings, self._config.laser)
         with open_bag(self.path) as bag:
             total = max(bag.count(self._scan_topic), 1)
             for number, (_, recorded_ns, message) in enumerate(

@@ -79,7 +79,7 @@ class CarmenLog:
             LogError: the odometry was made for other scans.
         """
         self.skips, self.warnings = Skips(), Skips()
-        continuity = Continuity(self.skips, self.warnings)
+        continuity = Continuity(self.skips, self.warnings, self._config.laser)
         lines = TextLines(self.path)
         kinds = self._survey.kinds()
         index = 0

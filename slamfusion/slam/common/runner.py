@@ -18,8 +18,8 @@ import numpy.typing as npt
 from slamfusion.errors import SlamFusionError
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.log import LogScan, ScanLog, Skips
-from slamfusion.slam.common.frozen_odometry import frozen_span
 from slamfusion.slam.common.mapper import ClosesLoops, Closure, Health, Mapper, Series, Step
+from slamfusion.slam.common.odometry_check import contradictions
 from slamfusion.slam.records import LogJson, ProducerRunJson, TimePerScanJson
 from slamfusion.trajectory import Trajectory
 
@@ -187,16 +187,8 @@ class ProducerRun:
                 f"tracking may be lost: {skipped} of {health.scans} scans could not be used "
                 f"({'; '.join(skipped_scans(health))}); there its pose is dead reckoning"
             )
-        span = None
         if self.odometry is not None:
-            span = frozen_span(self.odometry, self.trajectory)
-        if span is not None:
-            began_s = float(self.trajectory.stamps_s[0])
-            sentences.append(
-                f"the odometry stands still from {span[0] - began_s:.0f} s to "
-                f"{span[1] - began_s:.0f} s, where the scans say that the robot drives: a dead "
-                "encoder or topic; give other odometry, or none"
-            )
+            sentences += contradictions(self.odometry, self.trajectory)
         sentences += health.warnings()
         if self.stopped_by == "deadline":
             sentences.append(

@@ -1,0 +1,197 @@
+"""Hold a producer's path against the raw odometry: a wrong sensor makes the two contradict.
+
+A laser that is mounted otherwise than the robot's transforms say gives a map that looks right: the
+producers agree, for they see the same scans. But the robot's own motion tells. Both paths are cut
+into steps of about half a metre or half a radian; of each step the turn, the direction as seen from
+the robot, and the length are compared. A mirrored laser turns the other way, one that looks back
+drives the other way, one that is turned by some degrees drives askew.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.geometry import compose_poses, invert_poses, wrap_angles
+from slamfusion.trajectory import Trajectory, flag_runs
+
+F64 = npt.NDArray[np.float64]
+
+# The path gets this far from where it was, metres, while the odometry says the same pose: more
+# than scan matching trembles, less than a dead encoder goes unseen on a drive.
+DRIVEN_M = 1.0
+# Written odometry has this many metres or radians at least between two poses of a robot that moves.
+STANDS = 1e-9
+
+# A step ends where either path has moved this far, metres plus radians.
+STEP = 0.5
+# Steps that turn, and steps that drive, have at least this much of it: radians, metres.
+TURNING_RAD, DRIVING_M = 0.2, 0.2
+# So many steps of a kind are enough motion to judge by.
+LEAST_STEPS = 10
+# Steps belong together where they differ from their median by no more, as a share of the step.
+SPREAD = 0.4
+# At least this share of the steps must belong together.
+TOGETHER = 0.5
+# Worth a word: an offset of the laser's mount, and odometry that is too long or too short.
+OFFSET_RAD, SCALE = math.radians(5.0), 0.1
+# From here on the laser looks back.
+BACKWARD_RAD = math.radians(150.0)
+
+
+@dataclass(frozen=True)
+class OdometryFit:
+    """How a path moves compared with the odometry; None where there is too little motion to say.
+
+    Attributes:
+        turn: the path's turns over the odometry's, median of the steps: 1 where they agree, -1
+            where one of them is mirrored.
+        offset_rad: from the direction in which the odometry drives to the path's, both seen from
+            the robot; median.
+        length: the path's length over the odometry's, median.
+        turns_together: share of the turning steps that are near the median.
+        drives_together: share of the driving steps that are near the median offset and length.
+    """
+
+    turn: float | None
+    offset_rad: float | None
+    length: float | None
+    turns_together: float
+    drives_together: float
+
+
+def fit_odometry(odometry: Trajectory, path: Trajectory) -> OdometryFit:
+    """Compare the steps of a path with those of raw odometry.
+
+    Args:
+        odometry: raw, of the scans.
+        path: what a producer made of them.
+    """
+    steps = _steps(odometry, path)
+    wheels, scans = steps[:, 0], steps[:, 1]
+    turning = np.abs(wheels[:, 2]) >= TURNING_RAD
+    turn, turns_together = None, 0.0
+    if np.count_nonzero(turning) >= LEAST_STEPS:
+        ratios = scans[turning, 2] / wheels[turning, 2]
+        turn = float(np.median(ratios))
+        turns_together = float((np.abs(ratios - turn) <= SPREAD).mean())
+    lengths = np.hypot(steps[..., 0], steps[..., 1])
+    driving = lengths.min(axis=1) >= DRIVING_M
+    if np.count_nonzero(lengths.max(axis=1) >= DRIVING_M) < LEAST_STEPS:
+        return OdometryFit(turn, None, None, turns_together, 0.0)
+    if not driving.any():
+        return OdometryFit(turn, None, 0.0, turns_together, 0.0)
+    # On an arc the robot drives where it looks half-way.
+    angles = np.arctan2(steps[driving, :, 1], steps[driving, :, 0]) - 0.5 * steps[driving, :, 2]
+    askew = wrap_angles(angles[:, 1] - angles[:, 0])
+    # The median of angles, seen from their mean direction.
+    mean = math.atan2(float(np.sin(askew).mean()), float(np.cos(askew).mean()))
+    offset = float(wrap_angles(mean + np.median(wrap_angles(askew - mean))))
+    ratios = lengths[driving, 1] / lengths[driving, 0]
+    length = float(np.median(ratios))
+    is_near = (np.abs(wrap_angles(askew - offset)) <= SPREAD) & (
+        np.abs(ratios - length) <= SPREAD * length
+    )
+    together = np.count_nonzero(is_near) / np.count_nonzero(lengths.max(axis=1) >= DRIVING_M)
+    return OdometryFit(turn, offset, length, turns_together, float(together))
+
+
+def _steps(odometry: Trajectory, path: Trajectory) -> F64:
+    """Return steps of the odometry and of the path from one scan to a later one, (N, 2, 3)."""
+    at, is_known = path.matches(odometry.stamps_s)
+    both = np.stack((odometry.poses[is_known], path.poses[at[is_known]]), axis=1)
+    single = compose_poses(invert_poses(both[:-1]), both[1:])
+    moved = (np.hypot(single[..., 0], single[..., 1]) + np.abs(single[..., 2])).max(axis=1)
+    whole = np.floor(np.cumsum(moved) / STEP)
+    ends = np.flatnonzero(np.diff(whole, prepend=0.0) > 0) + 1
+    starts = np.r_[0, ends[:-1]] if len(ends) else ends
+    return compose_poses(invert_poses(both[starts]), both[ends])
+
+
+def contradictions(odometry: Trajectory, path: Trajectory) -> Iterator[str]:
+    """Yield a sentence for each way in which raw odometry and a path contradict each other.
+
+    Args:
+        odometry: raw, of the scans.
+        path: what a producer made of them.
+    """
+    began_s = float(path.stamps_s[0])
+    span = frozen_span(odometry, path)
+    if span is not None:
+        yield (
+            f"the odometry stands still from {span[0] - began_s:.0f} s to "
+            f"{span[1] - began_s:.0f} s, where the scans say that the robot drives: a dead "
+            "encoder or topic; give other odometry, or none"
+        )
+        return
+    fit = fit_odometry(odometry, path)
+    if fit.turn is not None and fit.turns_together < TOGETHER:
+        yield (
+            f"the path turns unlike the odometry ({100 * fit.turns_together:.0f} % of the turns "
+            "agree): the odometry is of another robot or drive, or tracking was lost; look at the "
+            "map"
+        )
+        return
+    if fit.turn is not None and fit.turn < 0.0:
+        yield (
+            f"the path turns against the odometry (slope {fit.turn:+.2f}): the laser is mounted "
+            "upside down or turns the other way, and the map is mirrored; use --laser mirrored"
+        )
+    elif fit.turn is not None and abs(fit.turn - 1.0) > SCALE:
+        yield (
+            f"the path turns {fit.turn:.2f} times as far as the odometry: check the distance "
+            "between the wheels that the odometry assumes"
+        )
+    if fit.length is None:
+        return
+    if fit.offset_rad is None or fit.drives_together < TOGETHER:
+        yield (
+            f"the path drives unlike the odometry ({100 * fit.drives_together:.0f} % of the steps "
+            "agree): the odometry is of another robot or drive, or tracking was lost; look at the "
+            "map"
+        )
+        return
+    offset_deg = math.degrees(fit.offset_rad)
+    if abs(fit.offset_rad) >= BACKWARD_RAD:
+        yield (
+            f"the path drives against the odometry ({abs(offset_deg):.0f} degrees): the laser "
+            "looks back, and the map and path are turned by half; use --laser backward"
+        )
+    elif abs(fit.offset_rad) > OFFSET_RAD:
+        yield (
+            f"the path drives {offset_deg:+.0f} degrees away from where the odometry goes: the "
+            f"laser is mounted turned by {-offset_deg:+.0f} degrees against its transform; correct "
+            "the transform"
+        )
+    if abs(fit.length - 1.0) > SCALE:
+        yield (
+            f"the path is {fit.length:.2f} times as long as the odometry: check the wheel radius "
+            "that the odometry assumes"
+        )
+
+
+def frozen_span(odometry: Trajectory, path: Trajectory) -> tuple[float, float] | None:
+    """Return the longest time in which raw odometry stands still and the path does not.
+
+    Args:
+        odometry: raw, of the scans.
+        path: what a producer made of them.
+
+    Returns:
+        (from, to), seconds of their stamps; None where the odometry goes along.
+    """
+    stands = np.asarray((np.abs(np.diff(odometry.poses, axis=0)) < STANDS).all(axis=1))
+    longest: tuple[float, float] | None = None
+    for here in flag_runs(stands):
+        from_s, to_s = float(odometry.stamps_s[here.start]), float(odometry.stamps_s[here.stop])
+        if longest is not None and to_s - from_s <= longest[1] - longest[0]:
+            continue
+        during = (path.stamps_s >= from_s) & (path.stamps_s <= to_s)
+        places = path.poses[during, :2]
+        if len(places) and np.hypot(*(places - places[0]).T).max() > DRIVEN_M:
+            longest = from_s, to_s
+    return longest
