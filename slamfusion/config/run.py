@@ -38,7 +38,13 @@ class LogConfig(Checked):
 
     scan_topic: str | None = option(None, "laser topic of a bag; default: its only one")
     odom_topic: str | None = option(
-        None, "odometry topic of a bag; default: its only one, or else the transforms"
+        None,
+        "odometry topic of a bag, tf for the transforms, or none; default: its only one, or else "
+        "the transforms",
+    )
+    tf_topic: str | None = option(
+        None,
+        "transforms of a bag of several robots, e.g. /robot1/tf; default: the laser's own",
     )
     base_frame: str | None = option(
         None, "the robot's frame in a bag's transforms; default: base_footprint or base_link"

@@ -102,7 +102,7 @@ class Continuity:
         mounting: of the laser, see ``LaserScan.remounted``.
     """
 
-    def __init__(self, skips: Skips, warnings: Skips, mounting: LaserMounting) -> None:
+    def __init__(self, skips: Skips, warnings: Skips, mounting: LaserMounting = "as-given") -> None:
         self._mounting = mounting
         self._skips = skips
         self._warnings = warnings

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from slamfusion.config import LogConfig
 from slamfusion.errors import LogError, ScanError
@@ -19,12 +22,58 @@ from slamfusion.scan import LaserScan
 
 _DEFAULT_CONFIG = LogConfig()
 
-_SCAN_TYPES = ("sensor_msgs/msg/LaserScan",)
+_SCAN_TYPES = ("sensor_msgs/msg/LaserScan", "sensor_msgs/msg/MultiEchoLaserScan")
 # A laser tilted by more is worth a word.
 _TILT_NOTED_RAD = math.radians(5.0)
 
+# So many scans tell whether there are stamps, and the unit of the ranges.
+FIRST_MESSAGES = 20
+# Nine of ten readings beyond ``range_max`` by this factor are in another unit.
+OTHER_UNIT = 10.0
+# Parts of a sweep join where their angles differ by no more beams from going on.
+JOIN_BEAMS = 1.5
+
+NO_STAMP = "no time stamp"
 UNREADABLE = "message that cannot be read"
 NO_SCAN = "angles or ranges that cannot be a scan"
+
+
+def first_echoes(message: Any) -> npt.NDArray[np.float32]:
+    """Return the ranges of a scan, (N,) metres; of several echoes the first, +inf where none is."""
+    if message.__msgtype__.endswith("MultiEchoLaserScan"):
+        echoes = (beam.echoes for beam in message.ranges)
+        return np.array([beam[0] if len(beam) else np.inf for beam in echoes], dtype=np.float32)
+    return np.asarray(message.ranges, dtype=np.float32)
+
+
+def joined_sweeps(scans: Iterable[tuple[int, LaserScan]]) -> Iterator[tuple[int, LaserScan]]:
+    """Yield whole sweeps of a laser that sends each in several messages.
+
+    Scans whose first beam follows the last beam of the scan before belong to one sweep, up to a
+    whole turn. It has the stamp and the number of its first part.
+
+    Args:
+        scans: with the numbers of their messages.
+    """
+    sweep: tuple[int, LaserScan] | None = None
+    for number, scan in scans:
+        if sweep is None:
+            sweep = number, scan
+            continue
+        first, begun = sweep
+        step = begun.angle_increment_rad
+        gap = scan.angle_min_rad - (begun.angle_min_rad + len(begun) * step)
+        turn = abs(step) * (len(begun) + len(scan) - JOIN_BEAMS)
+        if step == scan.angle_increment_rad and (
+            abs(gap) < JOIN_BEAMS * abs(step) and turn < 2.0 * math.pi
+        ):
+            ranges = np.concatenate((begun.ranges, scan.ranges))
+            sweep = first, replace(begun, ranges=ranges)
+            continue
+        yield sweep
+        sweep = number, scan
+    if sweep is not None:
+        yield sweep
 
 
 class BagLog:
@@ -59,15 +108,20 @@ class BagLog:
         self.fraction_read = 0.0
         self._config = config
         self._mounts: dict[str, Mount] = {}
-        survey = OdometrySurvey(self.path, config, notes=self.notes)
         with open_bag(self.path) as bag:
             self._scan_topic = bag.choose_topic(_SCAN_TYPES, config.scan_topic, "scan_topic")
+            first = self._first_messages(bag)
+            survey = OdometrySurvey(
+                self.path, config, self._scan_topic, first[0].header.frame_id.lstrip("/"),
+                notes=self.notes,
+            )  # fmt: skip
             survey.read(bag)
-            self._uses_record_time = self._is_without_stamps(bag)
+        # One or a few of many scans may lack a stamp.
+        self._uses_record_time = not any(stamp_s(message) for message in first)
         survey.check_frames()
         self._tree, self._odometry = survey.tree, survey.odometry
         self._base_frame = survey.base_frame
-        if self._odometry is None:
+        if self._odometry is None and config.odom_topic != "none":
             self.notes.append(
                 "no odometry: neither nav_msgs/Odometry nor transforms from "
                 f"{config.odom_frame!r} to the robot; scans come without"
@@ -79,36 +133,72 @@ class BagLog:
         """Yield the scans; stamps strictly increase."""
         self.skips, self.warnings, self.fraction_read = Skips(), Skips(), 0.0
         continuity = Continuity(self.skips, self.warnings, self._config.laser)
+        spoken_for, times_s = 0, []
         with open_bag(self.path) as bag:
-            total = max(bag.count(self._scan_topic), 1)
-            for number, (_, recorded_ns, message) in enumerate(
-                bag.messages(self._scan_topic), start=1
-            ):
-                self.fraction_read = min(number / total, 1.0)
-                if message is None:
-                    self.skips.add(UNREADABLE, number)
-                    continue
-                time_s = recorded_ns * 1e-9 if self._uses_record_time else stamp_s(message)
-                try:
-                    scan = self._scan(message, time_s)
-                except ScanError:
-                    self.skips.add(NO_SCAN, number)
-                    continue
-                pose = None if self._odometry is None else self._odometry.at(time_s)
+            for number, scan in joined_sweeps(self._scans(bag)):
+                times_s.append(scan.stamp_s)
+                pose = None if self._odometry is None else self._odometry.at(scan.stamp_s)
                 if isinstance(pose, str):
                     self.skips.add(pose, number)
                 else:
+                    spoken_for += 1
                     yield from continuity.passed(LogScan(scan, pose, number))
             yield from continuity.rest()
+        if times_s and not spoken_for and self._odometry is not None:
+            raise LogError(self._other_clock(times_s, self._odometry.stamps_s))
         self.fraction_read = 1.0
 
-    def _is_without_stamps(self, bag: OpenBag) -> bool:
-        """Whether the first scan has no time of its own."""
-        for _, _, message in bag.messages(self._scan_topic):
-            if message is not None:
-                return stamp_s(message) == 0.0
-        text = f"{self.path}: no readable scan on {self._scan_topic}; record the laser again"
-        raise LogError(text)
+    def _scans(self, bag: OpenBag) -> Iterator[tuple[int, LaserScan]]:
+        """Yield the scans with the numbers of their messages; others are counted."""
+        total = max(bag.count(self._scan_topic), 1)
+        for number, (_, recorded_ns, message) in enumerate(bag.messages(self._scan_topic), start=1):
+            self.fraction_read = min(number / total, 1.0)
+            if message is None:
+                self.skips.add(UNREADABLE, number)
+                continue
+            time_s = recorded_ns * 1e-9 if self._uses_record_time else stamp_s(message)
+            if time_s == 0.0:
+                self.skips.add(NO_STAMP, number)
+                continue
+            try:
+                scan = self._scan(message, time_s)
+            except ScanError:
+                self.skips.add(NO_SCAN, number)
+            else:
+                yield number, scan
+
+    def _other_clock(self, times_s: Sequence[float], odometry_s: npt.NDArray[np.float64]) -> str:
+        """Say that scans and odometry are of two clocks."""
+        first_s, last_s = float(odometry_s[0]), float(odometry_s[-1])
+        return (
+            f"{self.path}: no scan lies in the time of the odometry: scans from {times_s[0]:.3f} s "
+            f"to {times_s[-1]:.3f} s, odometry from {first_s:.3f} s to {last_s:.3f} s, "
+            f"{first_s - times_s[0]:+.3f} s later: two clocks? record both with one, or read the "
+            "scans alone with odom_topic none"
+        )
+
+    def _first_messages(self, bag: OpenBag) -> list[Any]:
+        """Return the first readable scans.
+
+        Raises:
+            LogError: there is none, or their ranges are in another unit.
+        """
+        readable = (message for _, _, message in bag.messages(self._scan_topic) if message)
+        first = list(islice(readable, FIRST_MESSAGES))
+        if not first:
+            text = f"{self.path}: no readable scan on {self._scan_topic}; record the laser again"
+            raise LogError(text)
+        ranges = np.concatenate([first_echoes(message) for message in first])
+        ranges = ranges[np.isfinite(ranges) & (ranges > 0.0)]
+        limit_m = max(float(message.range_max) for message in first)
+        if limit_m > 0.0 and len(ranges) and np.percentile(ranges, 10.0) > OTHER_UNIT * limit_m:
+            text = (
+                f"{self.path}: the ranges on {self._scan_topic} have a median of "
+                f"{np.median(ranges):.0f} with a range_max of {limit_m:g} m: millimetres? wanted "
+                "metres; correct the driver, or convert the bag"
+            )
+            raise LogError(text)
+        return first
 
     def _scan(self, message: Any, time_s: float) -> LaserScan:
         """Return the sweep of a message, its angles counter-clockwise seen from above."""
@@ -119,7 +209,7 @@ class BagLog:
             limit_m = min(limit_m, self._config.no_return_m)
         return LaserScan(
             stamp_s=time_s,
-            ranges=np.asarray(message.ranges, dtype=np.float32),
+            ranges=first_echoes(message),
             angle_min_rad=turn * float(message.angle_min),
             angle_increment_rad=turn * float(message.angle_increment),
             range_min_m=max(float(message.range_min), 0.0),

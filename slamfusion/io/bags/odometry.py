@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -66,6 +67,8 @@ class OdometrySurvey:
     Attributes:
         path: of the bag, for errors.
         config: topics and frames.
+        scan_topic: of several robots the one in this topic's namespace is read.
+        laser_frame: of the scans.
         tree: every transform of the bag.
         odometry: by messages, else by transforms; None where neither is there.
         base_frame: the frame whose pose the odometry is; empty where nothing says it.
@@ -74,6 +77,8 @@ class OdometrySurvey:
 
     path: Path
     config: LogConfig
+    scan_topic: str
+    laser_frame: str
     tree: TransformTree = field(default_factory=TransformTree)
     odometry: BagOdometry | None = None
     base_frame: str = ""
@@ -103,11 +108,20 @@ class OdometrySurvey:
             raise LogError(self._no_way(self.config.odom_frame, wanted))
 
     def _read_transforms(self, bag: OpenBag) -> None:
-        """Take in every transform of the bag."""
+        """Take in the transforms of the robot."""
         unusable = 0
-        for topic, _, message in bag.messages_of(_TRANSFORM_TYPES):
+        senders: dict[str, str] = {}
+        for topic, _, message in bag.messages(*self._transform_topics(bag)):
             is_static = topic.endswith("tf_static")
             for item in () if message is None else message.transforms:
+                namespace = topic.rpartition("/")[0]
+                other = senders.setdefault(item.child_frame_id, namespace)
+                if other != namespace:
+                    text = (
+                        f"{self.path}: frame {item.child_frame_id!r} is sent on {other}/tf and on "
+                        f"{namespace}/tf: two robots? choose one with tf_topic"
+                    )
+                    raise LogError(text)
                 move, turn = item.transform.translation, item.transform.rotation
                 row = (move.x, move.y, move.z, turn.x, turn.y, turn.z, turn.w)
                 unusable += not self.tree.add(
@@ -123,11 +137,31 @@ class OdometrySurvey:
                 f"{unusable} transforms are not finite, no rotation, or not of two frames; left out"
             )
 
+    def _transform_topics(self, bag: OpenBag) -> list[str]:
+        """Return the topics of the robot's transforms."""
+        wanted = self.config.tf_topic
+        found = bag.topics(_TRANSFORM_TYPES, self.scan_topic if wanted is None else "")
+        if wanted is None:
+            return found
+        names = {wanted.strip("/"), f"{wanted.strip('/')}_static"}
+        own = [topic for topic in found if topic.strip("/") in names]
+        if not own:
+            message = (
+                f"{self.path}: no transforms on {wanted!r}; found {', '.join(found) or 'none'}; "
+                "change tf_topic or leave it out"
+            )
+            raise LogError(message)
+        return own
+
     def _find_odometry(self, bag: OpenBag) -> BagOdometry | None:
         """Return the odometry by messages, else by transforms, else None."""
         config = self.config
-        if config.odom_topic is not None or bag.has_messages(_ODOMETRY_TYPES):
-            topic = bag.choose_topic(_ODOMETRY_TYPES, config.odom_topic, "odom_topic")
+        if config.odom_topic == "none":
+            return None
+        if config.odom_topic != "tf" and (config.odom_topic or bag.topics(_ODOMETRY_TYPES)):
+            topic = bag.choose_topic(
+                _ODOMETRY_TYPES, config.odom_topic, "odom_topic", self.scan_topic
+            )
             odometry = self._odometry_by_messages(bag, topic)
             if odometry is not None:
                 return odometry
@@ -140,7 +174,8 @@ class OdometrySurvey:
 
     def _odometry_by_messages(self, bag: OpenBag, topic: str) -> BagOdometry | None:
         """Return the poses of an odometry topic, in the order of time."""
-        stamps, poses, base_frame, unusable = [], [], "", 0
+        stamps: list[float] = []
+        poses, base_frame, unusable = [], "", 0
         for _, _, message in bag.messages(topic):
             if message is None:
                 unusable += 1
@@ -153,7 +188,8 @@ class OdometrySurvey:
             ):
                 unusable += 1
                 continue
-            base_frame = base_frame or message.child_frame_id.lstrip("/")
+            if not stamps:
+                base_frame = self._moving_frame(topic, message)
             stamps.append(stamp_s(message))
             poses.append(row)
         if unusable:
@@ -167,6 +203,32 @@ class OdometrySurvey:
             return BagOdometry(times, rows, base_frame)
         rows = self._moved_to(rows, times, base_frame, wanted)
         return BagOdometry(times, rows, wanted.lstrip("/"))
+
+    def _moving_frame(self, topic: str, message: Any) -> str:
+        """Return the frame whose pose odometry is: the one named, if that can move with the laser.
+
+        A message that names its own frame, the laser, the map, no frame or one that no transform
+        knows, means the robot's base.
+        """
+        named, own = message.child_frame_id.lstrip("/"), message.header.frame_id.lstrip("/")
+        frames = self.tree.frames
+        odd = {own, "", "map", self.config.odom_frame, self.laser_frame}
+        if self.laser_frame not in frames or (named in frames and named not in odd):
+            return str(named)
+        rigid = {
+            frame
+            for frame in frames - odd
+            if self.tree.is_connected(frame, self.laser_frame)
+            and self.tree.is_constant(frame, self.laser_frame)
+        }
+        bases = [frame for frame in (*_BASE_FRAMES, *sorted(rigid)) if frame in rigid]
+        if not bases:
+            return str(named)
+        self.notes.append(
+            f"odometry on {topic} says that it is of {named!r}, which is no frame of the robot; "
+            f"taken: {bases[0]!r}, which moves with the laser"
+        )
+        return bases[0]
 
     def _moved_to(self, poses: Floats, stamps_s: Floats, base_frame: str, wanted: str) -> Floats:
         """Return the poses of another frame on the robot."""

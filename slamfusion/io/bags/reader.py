@@ -8,8 +8,9 @@ from __future__ import annotations
 import errno
 import tempfile
 import textwrap
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from rosbags.interfaces import Connection
 
 METADATA = "metadata.yaml"
+POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 _PARTS = (METADATA, "*.db3", "*.mcap", "*.zstd")
 
 
@@ -47,18 +49,22 @@ class OpenBag:
         self._path = path
         self._reader = reader
 
-    def choose_topic(self, types: Sequence[str], wanted: str | None, key: str) -> str:
+    def choose_topic(
+        self, types: Sequence[str], wanted: str | None, key: str, beside: str = ""
+    ) -> str:
         """Return the topic that was asked for, or the only one of its type.
 
         Args:
             types: message types that will do, the one to name in errors first.
-            wanted: the topic that was asked for; None: any.
+            wanted: the topic that was asked for; None: any with messages.
             key: the setting that asks for it.
+            beside: a topic; of several ones those in its namespace are taken.
 
         Raises:
             LogError: there is none, or there are several and none was asked for.
         """
         topics = sorted({item.topic for item in self._reader.connections if item.msgtype in types})
+        filled = self.topics(types, beside)
         kind = types[0].replace("/msg/", "/")
         if wanted is not None:
             for topic in topics:
@@ -70,45 +76,56 @@ class OpenBag:
                 "leave it out"
             )
             raise LogError(message)
-        if not topics:
+        if not filled:
             others = ", ".join(sorted({item.topic for item in self._reader.connections}))
+            advice = "give a bag that recorded one"
+            if self.topics([POINT_CLOUD]):
+                advice = "make one of the point cloud with the ROS package pointcloud_to_laserscan"
+            found = f"{', '.join(topics)} without a message" if topics else others or "nothing"
             message = (
-                f"{self._path}: no laser in it: wanted a {kind} topic, found "
-                f"{others or 'nothing'}; give a bag that recorded one"
+                f"{self._path}: no laser in it: wanted a {kind} topic, found {found}; {advice}"
             )
             raise LogError(message)
-        if len(topics) > 1:
+        if len(filled) > 1:
             message = (
-                f"{self._path}: several {kind} topics: {', '.join(topics)}; choose one with {key}"
+                f"{self._path}: several {kind} topics: {', '.join(filled)}; choose one with {key}"
             )
             raise LogError(message)
-        return topics[0]
+        return filled[0]
 
-    def has_messages(self, types: Sequence[str]) -> bool:
-        """Whether there is any message of these types."""
-        return any(item.msgtype in types and item.msgcount for item in self._reader.connections)
+    def topics(self, types: Sequence[str], beside: str = "") -> list[str]:
+        """Return the topics of these types that have messages, in order.
+
+        Args:
+            types: of messages.
+            beside: a topic; only those in its namespace are returned, if there are any.
+        """
+        found = sorted(
+            {
+                item.topic
+                for item in self._reader.connections
+                if item.msgtype in types and item.msgcount
+            }
+        )
+        namespace = beside.rpartition("/")[0]
+        own = [topic for topic in found if topic.rpartition("/")[0] == namespace]
+        return own if beside and own else found
 
     def count(self, topic: str) -> int:
         """Return how many messages a topic has."""
-        return sum(item.msgcount for item in self._connections(topic))
+        return sum(item.msgcount for item in self._connections([topic]))
 
-    def messages(self, topic: str) -> Iterator[BagMessage]:
-        """Yield the messages of a topic, in the order of recording."""
-        return self._read(self._connections(topic))
-
-    def messages_of(self, types: Sequence[str]) -> Iterator[BagMessage]:
-        """Yield the messages of all topics of these types, in the order of recording."""
-        return self._read([item for item in self._reader.connections if item.msgtype in types])
-
-    def _connections(self, topic: str) -> list[Connection]:
-        return [item for item in self._reader.connections if item.topic == topic]
-
-    def _read(self, connections: list[Connection]) -> Iterator[BagMessage]:
+    def messages(self, *topics: str) -> Iterator[BagMessage]:
+        """Yield the messages of topics, in the order of recording."""
+        connections = self._connections(topics)
         # The reader takes an empty list for all topics.
         for connection, recorded_ns, raw in (
             self._reader.messages(connections) if connections else ()
         ):
             yield BagMessage(connection.topic, recorded_ns, self._content(connection, raw))
+
+    def _connections(self, topics: Sequence[str]) -> list[Connection]:
+        return [item for item in self._reader.connections if item.topic in topics]
 
     def _content(self, connection: Connection, raw: bytes) -> Any:
         """Return the message, or None when its bytes are none."""
@@ -136,8 +153,8 @@ def open_bag(path: Path) -> Iterator[OpenBag]:
         store = get_typestore(Stores.LATEST)
         _check_files(path)
         limit_unpacking()
-        with AnyReader(_files(path), default_typestore=store) as reader:
-            yield OpenBag(path, reader)
+        with ExitStack() as stack:
+            yield OpenBag(path, _reader(path, partial(AnyReader, default_typestore=store), stack))
     except (SlamFusionError, PermissionError):
         raise
     except FileNotFoundError:
@@ -161,6 +178,20 @@ def open_bag(path: Path) -> Iterator[OpenBag]:
         raise _not_a_bag(path, error) from error
 
 
+def _reader(path: Path, make: Callable[[list[Path]], AnyReader], stack: ExitStack) -> AnyReader:
+    """Return the open reader of a bag; where its index leads to nothing, of its storage files."""
+    files = _storage(path) if path.is_dir() else []
+    try:
+        reader = stack.enter_context(make(_files(path)))
+        # People edit the index by hand; the messages may be whole.
+        is_empty = next(reader.messages(), None) is None
+    except Exception:
+        if not files:
+            raise
+        is_empty = True
+    return stack.enter_context(make(files)) if is_empty and files else reader
+
+
 def _not_a_bag(path: Path, error: Exception) -> LogError:
     """Say in one line what the library stumbled over."""
     reason = textwrap.shorten(str(error), 120) or type(error).__name__
@@ -173,12 +204,14 @@ def _not_a_bag(path: Path, error: Exception) -> LogError:
 
 def _files(path: Path) -> list[Path]:
     """Return what to open: the path itself, or the storage files of a folder without index."""
-    if path.is_dir() and not (path / METADATA).exists():
-        for pattern in ("*.mcap", "*.db3"):
-            files = sorted(path.glob(pattern))
-            if files:
-                return files
-    return [path]
+    is_indexed = not path.is_dir() or (path / METADATA).exists()
+    return [path] if is_indexed else _storage(path) or [path]
+
+
+def _storage(path: Path) -> list[Path]:
+    """Return the storage files of a bag's folder, of one kind."""
+    kinds = (sorted(path.glob(pattern)) for pattern in ("*.mcap", "*.db3"))
+    return next((files for files in kinds if files), [])
 
 
 def _check_files(path: Path) -> None:
