@@ -65,10 +65,10 @@ def classes_of_greys(rules: Rules) -> list[int]:
 def cells_from_image(
     pixels: Pixels, rules: Rules, *, legacy_unknown: bool = False
 ) -> tuple[Cells, int]:
-    """Return the cells of a picture, and how many of them are unknown but read as free.
+    """Return the cells of a picture, and how many of them are unknown but do not read so.
 
-    Those have the grey that map savers write for unknown, under a trinary ``free_thresh`` that
-    takes it for free.
+    Those have the grey that map savers write for unknown, under trinary thresholds that take it for
+    free or occupied, or with an alpha channel, which makes it brighter.
 
     Args:
         pixels: (H, W), (H, W, 3) or (H, W, 4), uint8 or uint16, top row first.
@@ -82,24 +82,23 @@ def cells_from_image(
     height, width = pixels.shape[:2]
     maxval = int(np.iinfo(pixels.dtype).max)
     grey = UNKNOWN_GREY * maxval // 255
-    is_trap = rules.mode == "trinary" and not rules.negate
-    is_trap = is_trap and classes_of_greys(rules)[1] == FREE
+    may_be_unknown = rules.mode == "trinary" and not rules.negate
     count = 0
     if pixels.ndim == 2:
         table = _MODES[rules.mode](_shade(np.arange(maxval + 1), maxval), rules)
-        if is_trap:
+        if may_be_unknown and table[grey] != UNKNOWN:
             bands = (pixels[top:bottom] == grey for top, bottom in _bands(height, width))
             count = sum(int(np.count_nonzero(band)) for band in bands)
-        if is_trap and legacy_unknown:
-            table[grey] = UNKNOWN
+            if legacy_unknown:
+                table[grey] = UNKNOWN
         cells = _look_up_flipped(pixels, table)
     else:
         cells = np.empty((height, width), dtype=np.int8)
         for top, bottom in _bands(height, width):
             band = pixels[top:bottom][::-1]
             own = _colour_cells(band, maxval, rules)
-            if is_trap:
-                is_grey = (band[..., :3] == grey).all(axis=-1)
+            if may_be_unknown:
+                is_grey = (band[..., :3] == grey).all(axis=-1) & (own != UNKNOWN)
                 count += int(np.count_nonzero(is_grey))
                 if legacy_unknown:
                     own[is_grey] = UNKNOWN

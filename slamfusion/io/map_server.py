@@ -73,7 +73,11 @@ def load_map(
     another one, another process may be replacing both: they are read again before they are refused.
 
     Map savers write the grey 205 for unknown; with a ``free_thresh`` above 0.196, 0.25 for example,
-    it reads as free, as in nav2. That is warned of with the number of cells.
+    it reads as free, as in nav2; so it does with an alpha channel, which nav2 averages in. That is
+    warned of with the number of cells.
+
+    If nothing is at the picture's path, as in a YAML of another machine, a picture of this name
+    beside the YAML is read, with a warning.
 
     Args:
         path: the YAML, or a PGM, PNG or BMP (each also gzipped).
@@ -121,11 +125,23 @@ def _load(
         )
         raise _OtherPictureError(message)
     cells, count = cells_from_image(pixels, entry.rules, legacy_unknown=legacy_unknown)
-    if count and not legacy_unknown:
+    if entry.named is not None:
         warn(
-            f"{path}: {count} cells of grey 205, which map savers write for unknown, read as free "
-            f"under 'free_thresh' {entry.rules.free_thresh:g}; read them as unknown with "
-            "--legacy-unknown (nodes: legacy_unknown:=true), or write free_thresh: 0.196"
+            f"{path}: its picture {entry.named!r} is not there; read instead: {entry.image.name} "
+            "beside the YAML"
+        )
+    if count and not legacy_unknown:
+        has_alpha = pixels.shape[2:] == (4,)
+        cause = (
+            "because map servers average the alpha channel in"
+            if has_alpha
+            else f"under 'free_thresh' {entry.rules.free_thresh:g}"
+        )
+        mend = "save it without alpha" if has_alpha else "write free_thresh: 0.196"
+        warn(
+            f"{path}: {count} cells of grey 205, which map savers write for unknown, do not read "
+            f"as unknown {cause}; read them so with --legacy-unknown (nodes: "
+            f"legacy_unknown:=true), or {mend}"
         )
     if name is None:
         name = Path(path.name.removesuffix(".gz")).stem

@@ -7,8 +7,9 @@ import logging
 import math
 import re
 import reprlib
+from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from typing import Any
 
 import yaml
@@ -57,9 +58,14 @@ class Rules:
 
 @dataclass(frozen=True)
 class MapFile:
-    """What a map's YAML says, checked; ``image`` may be there with ``.gz`` alone.
+    """What a map's YAML says, checked.
 
-    ``digest`` is that of the picture's pixels; None if the YAML has none.
+    Attributes:
+        image: the picture; may be there with ``.gz`` alone.
+        resolution, origin, rules: of its cells.
+        digest: of the picture's pixels; None if the YAML has none.
+        named: the path that the YAML names, where nothing is there and ``image`` lies beside the
+            YAML; None elsewhere.
     """
 
     image: Path
@@ -67,6 +73,7 @@ class MapFile:
     origin: Pose2
     rules: Rules
     digest: str | None = None
+    named: str | None = None
 
 
 def read_map_yaml(path: Path) -> MapFile:
@@ -106,9 +113,20 @@ def read_map_yaml(path: Path) -> MapFile:
         free_thresh=_number(values.get("free_thresh", str(FREE_THRESH))),
     )
     check_thresholds(str(path), rules)
-    picture = path.parent / image
+    picture, named = path.parent / image, None
+    # A path of the machine on which the map was made, with / or with \.
+    name = PureWindowsPath(image).name
+    if name and not _is_there(picture) and _is_there(path.parent / name):
+        picture, named = path.parent / name, image
     existing(picture, f"{path}: 'image' names ")
-    return MapFile(picture, resolution, Pose2(*numbers), rules, values.get(DIGEST))
+    return MapFile(picture, resolution, Pose2(*numbers), rules, values.get(DIGEST), named)
+
+
+def _is_there(path: Path) -> bool:
+    """Whether a picture, or the packed one, is there."""
+    with suppress(MapFileError):
+        return bool(existing(path))
+    return False
 
 
 def _parse_yaml(path: Path) -> dict[Any, Any]:
