@@ -61,6 +61,13 @@ class LogConfig(Checked):
         "how the laser sits, where log and transforms say otherwise: mirrored (upside down, or it "
         "turns the other way) or backward",
     )
+    axes: Literal["robot", "camera"] = option(
+        "robot",
+        "axes of a TUM file: of a robot (x ahead, z up) or of a camera (z ahead, y down)",
+    )
+    quaternion: Literal["xyzw", "wxyz"] = option(
+        "xyzw", "order in which a TUM file has its quaternions"
+    )
     index_period_s: float = option(
         0.1, "time between scans where the stamps are broken", unit="s", low=1e-3, high=60.0
     )

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Iterator
+import re
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from slamfusion.config import LogConfig
 from slamfusion.errors import TrajectoryError
@@ -18,6 +20,8 @@ from slamfusion.io.tinyslam_dat import FIELDS
 from slamfusion.io.tum import quaternion_yaw_rad
 from slamfusion.trajectory import Trajectory
 
+F64 = npt.NDArray[np.float64]
+
 _DEFAULT_CONFIG = LogConfig()
 
 _LOGGER = logging.getLogger(__name__)
@@ -27,10 +31,13 @@ _NANOSECONDS_FROM = 1e14
 # Quaternions of few digits are this far from length 1.
 _QUATERNION_SLACK = 0.05
 _BAG_SUFFIXES = (".bag", ".db3", ".mcap")
-_CSV_HEADER = ("ipc_timestamp", "x", "y", "theta")
+# Columns of ``t x y theta``, and of a TUM file.
+_PLANAR, _TUM = 4, 8
+# A robot on a floor tilts by less, and climbs less: metres, and as a share of where it went.
+_TILT_MAX_DEG, _CLIMB_MAX_M, _CLIMB_MAX = 30.0, 0.5, 0.5
 _WANTED = (
-    "a TUM file (8 columns, time x y z qx qy qz qw), rows of 'time x y theta', a CSV file with "
-    "ipc_timestamp,x,y,theta, a log, or a reference graph"
+    "a TUM file (8 columns, time x y z qx qy qz qw), rows of 'time x y theta', a heading that "
+    "names such columns, a log, or a reference graph"
 )
 
 Row = tuple[float, float, float, float]
@@ -42,9 +49,12 @@ def read_trajectory(path: str | Path, config: LogConfig = _DEFAULT_CONFIG) -> Tr
     The content decides what the file is:
 
     - 8 columns ``t x y z qx qy qz qw``: TUM, in the order of time; z, roll and pitch are dropped.
-    - 4 columns ``t x y theta``, or CSV with the heading ``ipc_timestamp,x,y,theta``; t in
-      nanoseconds where it is 1e14 or more, else in seconds. Recorded odometry need not be in
-      order: it is sorted by time (equal times keep their order), and a warning is logged.
+      A path that does not lie in the plane is refused, with the likely cause: quaternions written
+      w first, or the axes of a camera, which the config can say.
+    - 4 columns ``t x y theta``. Recorded odometry need not be in order: it is sorted by time (equal
+      times keep their order), and a warning is logged.
+    - the same in other columns, between blanks or commas, under a heading that names them, as of
+      EuRoC. t is in nanoseconds where it is 1e14 or more, else in seconds.
     - a reference graph: each ``VERTEX2`` with the stamp of the ``ROBOTLASER1`` after it, sorted
       by time; of equal stamps the first stays, and a warning is logged.
     - any log or bag that ``open_log`` reads: the odometry of its scans.
@@ -57,7 +67,8 @@ def read_trajectory(path: str | Path, config: LogConfig = _DEFAULT_CONFIG) -> Tr
         The poses in the order of time, named after the file.
 
     Raises:
-        TrajectoryError: not such a file, a damaged line (its number is given), or no pose in it.
+        TrajectoryError: not such a file, a damaged line (its number is given), no pose in it, or
+            a path that does not lie in the plane.
         LogError: it is a log that cannot be read.
         OSError: the file cannot be opened.
     """
@@ -65,15 +76,17 @@ def read_trajectory(path: str | Path, config: LogConfig = _DEFAULT_CONFIG) -> Tr
     name = Path(strip_gz(where.name)).stem or where.name
     if where.is_dir() or strip_gz(where.name).endswith(_BAG_SUFFIXES):
         return _log_odometry(where, config, name)
-    first = _first_fields(where)
+    first, columns = _first_fields(where)
     if first and (first[0] in CARMEN_WORDS or len(first) == FIELDS):
         graph = _read_graph(where, name)
         return _log_odometry(where, config, name) if graph is None else graph
-    rows = list(_rows(where, first)) if first else []
+    rows = list(_rows(where, first, columns)) if first else []
     if not rows:
         message = f"{where}: wanted {_WANTED}, found no pose at all; give a file with poses"
         raise TrajectoryError(message)
     table = np.array(rows)
+    if table.shape[1] == _TUM:
+        table = _in_plane(where, table, config)
     backward = int((np.diff(table[:, 0]) < 0.0).sum())
     if backward:
         _warn(where, backward, "rows are earlier than the one before; sorted by time")
@@ -81,50 +94,80 @@ def read_trajectory(path: str | Path, config: LogConfig = _DEFAULT_CONFIG) -> Tr
     return Trajectory(table[:, 0], table[:, 1:], name)
 
 
-def _first_fields(where: Path) -> list[bytes]:
-    """Return the fields of the first line that says something."""
-    for line in read_head(where).splitlines():
+def _first_fields(where: Path) -> tuple[list[bytes], list[int] | None]:
+    """Return the fields of the first line that says something, and the columns of a pose.
+
+    The columns are those that a heading names, which may be a comment; None without a heading.
+    """
+    columns = None
+    for line in read_head(where).removeprefix(b"\xef\xbb\xbf").splitlines():
+        named = _named_columns(_split(line.strip().lstrip(b"#%")))
+        columns = columns if named is None else named
         fields = _fields(line)
-        if fields:
-            return fields
-    return []
+        if fields and (_is_number(fields[0]) or named is None):
+            is_whole = columns is not None and max(columns) < len(fields)
+            return fields, columns if is_whole else None
+    return [], None
+
+
+def _named_columns(names: list[bytes]) -> list[int] | None:
+    """Return where a heading says that a pose stands: t x y theta, or t x y z qx qy qz qw."""
+    plain = (name.decode("ascii", "replace").lower() for name in names)
+    words = [re.sub(r"\[.*?\]|[\"'\s]", "", name) for name in plain]
+
+    def find(pattern: str) -> int | None:
+        return next((i for i, word in enumerate(words) if re.fullmatch(pattern, word)), None)
+
+    time = find(r"(ipc_?)?(time_?stamp|time|stamp|t|sec|seconds)(_?n?s)?")
+    place = [find(rf"((p|t|pos\w*|translation)[._]?(\w+[._])*)?{axis}") for axis in "xyz"]
+    turn = [find(rf"(q|quat\w*|rot\w*|orientation)[._]?(\w+[._])*{axis}") for axis in "xyzw"]
+    yaw = find("theta|yaw|heading")
+    columns = [time, *place, *turn]
+    if None in columns:
+        columns = [time, *place[:2], yaw]
+    return None if None in columns else [i for i in columns if i is not None]
+
+
+def _split(line: bytes) -> list[bytes]:
+    """Return the fields of a line between commas, or else blanks."""
+    if b"," in line:
+        return [item.strip() for item in line.rstrip(b", \t\r\n").split(b",")]
+    return line.split()
 
 
 def _fields(line: bytes) -> list[bytes]:
     """Return the fields of a line between blanks or commas; none for a comment."""
-    stripped = line.strip()
-    if not stripped or stripped.startswith((b"#", b"%")):
-        return []
-    return [item.strip() for item in stripped.split(b",")] if b"," in line else stripped.split()
+    stripped = line.strip().removeprefix(b"\xef\xbb\xbf")
+    return [] if stripped.startswith((b"#", b"%")) else _split(stripped)
 
 
 # --- tables --------------------------------------------------------------------------------------
 
 
-def _rows(where: Path, first: list[bytes]) -> Iterator[Row]:
-    """Yield time in seconds, x, y and yaw of every line.
+def _rows(where: Path, first: list[bytes], columns: list[int] | None) -> Iterator[list[float]]:
+    """Yield time in seconds, x, y and yaw of every line, or what a TUM file has.
 
     Args:
         where: the file.
-        first: its first line's fields, which decide the columns.
+        first: the fields of its first line.
+        columns: where these stand; None: in this order.
     """
-    header = tuple(item.decode("ascii", "replace") for item in first)
-    has_header = header == _CSV_HEADER
-    to_row = _COLUMNS.get(len(first))
-    if to_row is None or not (has_header or _is_number(first[0])):
-        shown = " ".join(header)[:60]
-        columns = f"{len(first)} column{'s' if len(first) > 1 else ''}"
-        cause = "" if to_row is None else ", the first of them no time"
-        message = (
-            f"{where}: wanted {_WANTED}, found {columns}{cause}: {_printable(shown)!r} in the "
-            "first line; check the file"
-        )
-        raise TrajectoryError(message)
+    if columns is None:
+        if len(first) not in {_PLANAR, _TUM} or not _is_number(first[0]):
+            shown = " ".join(item.decode("ascii", "replace") for item in first)[:60]
+            count = f"{len(first)} column{'s' if len(first) > 1 else ''}"
+            cause = ", the first of them no time" if len(first) in {_PLANAR, _TUM} else ""
+            message = (
+                f"{where}: wanted {_WANTED}, found {count}{cause}: {_printable(shown)!r} in the "
+                "first line; check the file"
+            )
+            raise TrajectoryError(message)
+        columns = list(range(len(first)))
     last_s = -math.inf
     lines = TextLines(where, kept_bytes=ROW_BYTES, if_cut_off=TrajectoryError)
     for number, line in lines:
         fields = _fields(line)
-        if not fields or (has_header and number == 1):
+        if not fields or (last_s == -math.inf and _named_columns(fields) is not None):
             continue
         if len(fields) != len(first):
             message = (
@@ -132,20 +175,21 @@ def _rows(where: Path, first: list[bytes]) -> Iterator[Row]:
                 f"found {len(fields)}; mend or remove the line"
             )
             raise TrajectoryError(message)
-        values = _floats(fields, where, number)
-        row = to_row(values)
-        if not all(map(math.isfinite, row)):
-            wrong = [i for i, value in enumerate(values, 1) if not math.isfinite(value)]
+        values = _floats([fields[i] for i in columns], where, number)
+        wrong = [columns[i] + 1 for i, value in enumerate(values) if not math.isfinite(value)]
+        if wrong or not any(values[4:] or [1.0]):
             which = f"column {wrong[0]}" if wrong else "the quaternion of columns 5 to 8"
             message = (
                 f"{where}: line {number}, {which} of {len(fields)}: not a finite pose; mend or "
                 "remove the line"
             )
             raise TrajectoryError(message)
-        if to_row is _tum_row:
+        if abs(values[0]) >= _NANOSECONDS_FROM:
+            values[0] *= 1e-9
+        if len(values) == _TUM:
             _check_tum(where, number, values, last_s)
-        last_s = row[0]
-        yield row
+        last_s = values[0]
+        yield values
 
 
 def _check_tum(where: Path, number: int, values: list[float], last_s: float) -> None:
@@ -190,19 +234,65 @@ def _printable(text: str) -> str:
     return "".join(item if item.isprintable() else "?" for item in text)
 
 
-def _planar_row(values: list[float]) -> Row:
-    """Return a row of ``t x y theta``."""
-    time, x, y, yaw_rad = values
-    return (time * 1e-9 if abs(time) >= _NANOSECONDS_FROM else time, x, y, yaw_rad)
+# --- the plane ------------------------------------------------------------------------------------
 
 
-def _tum_row(values: list[float]) -> Row:
-    """Return a row of ``t x y z qx qy qz qw``; NaN for a quaternion that is no rotation."""
-    time_s, x, y, _, *quaternion = values
-    return (time_s, x, y, quaternion_yaw_rad(*quaternion))
+def _in_plane(where: Path, rows: F64, config: LogConfig) -> F64:
+    """Return time, x, y and yaw, (N, 4), of rows ``t x y z qx qy qz qw``, (N, 8).
+
+    Raises:
+        TrajectoryError: the path does not lie in the plane.
+    """
+    poses = _robot_poses(rows, config.quaternion, config.axes)
+    problem = _out_of_plane(poses)
+    if problem is not None:
+        advice = "wanted the path of a robot on one floor, with z up"
+        for quaternion, axes, words in (
+            ("wxyz", config.axes, "are its quaternions written w first? use --quaternion wxyz"),
+            (config.quaternion, "camera", "are its axes those of a camera? use --axes camera"),
+            ("wxyz", "camera", "use --quaternion wxyz and --axes camera"),
+            ("xyzw", "robot", "use --quaternion xyzw and --axes robot"),
+        ):
+            if _out_of_plane(_robot_poses(rows, quaternion, axes)) is None:
+                advice = words
+                break
+        message = f"{where}: the path does not lie in the plane: {problem}; {advice}"
+        raise TrajectoryError(message)
+    yaws = [quaternion_yaw_rad(*turn) for turn in poses[:, 3:].tolist()]
+    return np.column_stack((rows[:, 0], poses[:, :2], yaws))
 
 
-_COLUMNS: dict[int, Callable[[list[float]], Row]] = {4: _planar_row, 8: _tum_row}
+def _robot_poses(rows: F64, quaternion: str, axes: str) -> F64:
+    """Return places and quaternions x y z w, (N, 7), x ahead and z up, of rows of a TUM file."""
+    places, turns = rows[:, 1:4], rows[:, 4:]
+    if quaternion == "wxyz":
+        turns = turns[:, [1, 2, 3, 0]]
+    poses = np.column_stack((places, turns))
+    if axes == "robot":
+        return poses
+    from scipy.spatial.transform import Rotation  # noqa: PLC0415  (who reads maps needs none)
+
+    # A camera looks along z, with x right and y down. Either only the camera has such axes ...
+    ahead = (Rotation.from_quat(turns) * Rotation.from_quat([0.5, -0.5, 0.5, 0.5])).as_quat()
+    upright = np.column_stack((places, ahead))
+    if _out_of_plane(upright) is None:
+        return np.asarray(upright, dtype=np.float64)
+    # ... or the world has them, too, as that of a camera's first pose.
+    order, signs = [2, 0, 1, 5, 3, 4, 6], (1.0, -1.0, -1.0, 1.0, -1.0, -1.0, 1.0)
+    return np.asarray(poses[:, order] * signs, dtype=np.float64)
+
+
+def _out_of_plane(poses: F64) -> str | None:
+    """Say how a path of (N, 7) places and quaternions leaves the plane; None where it does not."""
+    turns = poses[:, 3:]
+    upward = 1.0 - 2.0 * (turns[:, :2] ** 2).sum(axis=1) / (turns**2).sum(axis=1)
+    tilt_deg = float(np.percentile(np.degrees(np.arccos(np.clip(upward, -1.0, 1.0))), 95.0))
+    if tilt_deg > _TILT_MAX_DEG:
+        return f"the robot tilts by {tilt_deg:.0f} degrees"
+    extents = np.ptp(poses[:, :3], axis=0)
+    if extents[2] > max(_CLIMB_MAX_M, _CLIMB_MAX * float(extents[:2].max())):
+        return f"z varies by {extents[2]:.1f} m, x and y by {extents[0]:.1f} and {extents[1]:.1f} m"
+    return None
 
 
 # --- graphs and logs -----------------------------------------------------------------------------

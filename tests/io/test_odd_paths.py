@@ -1,0 +1,107 @@
+"""Paths as other programs write them: other columns are read, other axes are named."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from slamfusion.config import LogConfig
+from slamfusion.errors import TrajectoryError
+from slamfusion.geometry import compose_poses, invert_poses
+from slamfusion.io import read_trajectory
+
+STAMPS_S = 1.7e9 + np.arange(30.0)
+YAWS = np.linspace(0.3, 2.9, 30)
+POSES = np.column_stack((4.0 * np.sin(YAWS), -4.0 * np.cos(YAWS), YAWS))
+# Axes of a camera that looks ahead: x right, y down, z ahead.
+OPTICAL = Rotation.from_matrix([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+
+
+def rows(world: Rotation | None = None, body: Rotation | None = None) -> np.ndarray:
+    """Rows ``t x y z qx qy qz qw`` of the path, in other axes of the world and of the robot."""
+    places = np.column_stack((POSES[:, :2], np.full(len(POSES), 0.4)))
+    turns = Rotation.from_euler("z", POSES[:, 2:])
+    if body is not None:
+        turns = turns * body
+    if world is not None:
+        places, turns = world.inv().apply(places), world.inv() * turns
+    return np.column_stack((STAMPS_S, places, turns.as_quat()))
+
+
+def written(folder: Path, table: np.ndarray, *heading: str, between: str = " ") -> Path:
+    path = folder / "path.txt"
+    lines = [between.join(f"{value:.9f}" for value in row) for row in table.tolist()]
+    path.write_text("\n".join([*heading, *lines]) + "\n", encoding="utf-8")
+    return path
+
+
+def test_quaternions_written_w_first(tmp_path: Path) -> None:
+    path = written(tmp_path, rows()[:, [0, 1, 2, 3, 7, 4, 5, 6]])
+    with pytest.raises(TrajectoryError, match="use --quaternion wxyz"):
+        read_trajectory(path)
+    found = read_trajectory(path, LogConfig(quaternion="wxyz"))
+    assert np.allclose(found.poses, POSES, atol=1e-6)
+
+
+@pytest.mark.parametrize("world", [None, OPTICAL])
+def test_the_axes_of_a_camera(tmp_path: Path, world: Rotation | None) -> None:
+    path = written(tmp_path, rows(world, OPTICAL))
+    with pytest.raises(TrajectoryError, match="use --axes camera"):
+        read_trajectory(path)
+    found = read_trajectory(path, LogConfig(axes="camera")).poses
+    wanted, got = (compose_poses(invert_poses(item[:1]), item) for item in (POSES, found))
+    assert np.allclose(got, wanted, atol=1e-6)
+
+
+def test_options_that_do_not_fit_are_named(tmp_path: Path) -> None:
+    with pytest.raises(TrajectoryError, match="use --quaternion xyzw"):
+        read_trajectory(written(tmp_path, rows()), LogConfig(quaternion="wxyz"))
+
+
+def test_a_path_on_no_floor_is_refused(tmp_path: Path) -> None:
+    table = rows()
+    table[:, 3] = 8.0 * table[:, 1]
+    with pytest.raises(TrajectoryError, match=r"z varies by .* m"):
+        read_trajectory(written(tmp_path, table))
+    table[:, 3] = 0.1 * table[:, 1]  # a ramp
+    assert len(read_trajectory(written(tmp_path, table))) == len(table)
+
+
+EUROC = (
+    "#timestamp [ns],p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],q_RS_w [],q_RS_x [],q_RS_y [],"
+    "q_RS_z [],v_RS_R_x [m s^-1],v_RS_R_y [m s^-1],v_RS_R_z [m s^-1]"
+)
+
+
+def test_rows_of_euroc(tmp_path: Path) -> None:
+    table = np.column_stack((rows()[:, [0, 1, 2, 3, 7, 4, 5, 6]], np.ones((30, 3))))
+    table[:, 0] *= 1e9
+    found = read_trajectory(written(tmp_path, table, EUROC, between=","))
+    assert np.allclose(found.poses, POSES, atol=1e-6)
+    assert np.allclose(found.stamps_s, STAMPS_S)
+
+
+@pytest.mark.parametrize(
+    "heading", ["time,x,y,theta", "# stamp, x, y, yaw", "\ufefft,x,y,heading", "# a comment"]
+)
+@pytest.mark.parametrize("between", [",", ", "])
+def test_headings_with_commas_and_marks(tmp_path: Path, heading: str, between: str) -> None:
+    table = np.column_stack((STAMPS_S, POSES))
+    path = written(tmp_path, table, heading, between=between)
+    path.write_text(path.read_text(encoding="utf-8").replace("\n", ",\n"), encoding="utf-8")
+    assert np.allclose(read_trajectory(path).poses, POSES)
+
+
+def test_a_heading_may_name_columns_in_any_order(tmp_path: Path) -> None:
+    table = np.column_stack((POSES[:, 2], np.zeros(30), POSES[:, 1], POSES[:, 0], STAMPS_S))
+    found = read_trajectory(written(tmp_path, table, "yaw battery y x timestamp"))
+    assert np.allclose(found.poses, POSES)
+
+
+def test_nanoseconds_in_a_tum_file(tmp_path: Path) -> None:
+    table = rows()
+    table[:, 0] *= 1e9
+    assert np.allclose(read_trajectory(written(tmp_path, table)).stamps_s, STAMPS_S)
