@@ -20,6 +20,8 @@ from typing import TYPE_CHECKING, Any
 from slamfusion.version import __version__
 
 if TYPE_CHECKING:
+    from slamfusion.align.records import Alignment, FusionResult
+    from slamfusion.align.start import StartPose
     from slamfusion.compute import ComputeDevice, open_device
     from slamfusion.config import RunConfig
     from slamfusion.errors import (
@@ -37,8 +39,6 @@ if TYPE_CHECKING:
         StartError,
         TrajectoryError,
     )
-    from slamfusion.fusion.records import Alignment, FusionResult
-    from slamfusion.fusion.start import StartPose
     from slamfusion.geometry import Pose2
     from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
     from slamfusion.io import AtomicFiles, load_map, open_log, read_trajectory, save_map
@@ -174,8 +174,8 @@ _MODULES: dict[str, tuple[str, ...]] = {
         "StartError",
         "TrajectoryError",
     ),
-    "fusion.records": ("Alignment", "FusionResult"),
-    "fusion.start": ("StartPose",),
+    "align.records": ("Alignment", "FusionResult"),
+    "align.start": ("StartPose",),
     "geometry": ("Pose2",),
     "grid": ("FREE", "OCCUPIED", "UNKNOWN", "OccupancyGrid"),
     "io": ("AtomicFiles", "load_map", "open_log", "read_trajectory", "save_map"),

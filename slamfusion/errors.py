@@ -90,7 +90,7 @@ class AlignmentError(SlamFusionError):
     """The grids could not be brought into one frame, so nothing may be fused.
 
     Attributes:
-        pairs: the alignments that were tried (``slamfusion.fusion.records.Alignment``).
+        pairs: the alignments that were tried (``slamfusion.align.records.Alignment``).
     """
 
     def __init__(self, message: str, pairs: tuple[Any, ...] = ()) -> None:

@@ -25,7 +25,7 @@ from slamfusion.jobs.documents import number
 from slamfusion.jobs.inputs import device_for, load_maps
 
 if TYPE_CHECKING:
-    from slamfusion.fusion.records import Alignment
+    from slamfusion.align.records import Alignment
 
 
 @click.command("align", cls=JoinedStart)

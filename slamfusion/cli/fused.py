@@ -11,7 +11,7 @@ from slamfusion.cli.output import notice, print_table
 from slamfusion.jobs.documents import number
 
 if TYPE_CHECKING:
-    from slamfusion.fusion.records import (
+    from slamfusion.align.records import (
         Alignment,
         Fusion,
         FusionResult,

@@ -14,11 +14,11 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from slamfusion.align.normalize import NormalizedGrid, normalize_grid
+from slamfusion.align.records import FusionResult
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig
 from slamfusion.fusion.lattice_vote import wall_agreement_of, warp_onto, weights_of
-from slamfusion.fusion.normalize import NormalizedGrid, normalize_grid
-from slamfusion.fusion.records import FusionResult
 from slamfusion.geometry import Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid
 from slamfusion.vote.boxes import hull

@@ -9,13 +9,13 @@ from typing import get_args
 
 import numpy as np
 
+from slamfusion.align.align import align_grids
+from slamfusion.align.records import FusionResult
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, RunConfig, VoteMode
 from slamfusion.errors import GridError
 from slamfusion.evaluation import MapError, compare_to_truth
-from slamfusion.fusion.align import align_grids
 from slamfusion.fusion.pipeline import vote_again
-from slamfusion.fusion.records import FusionResult
 from slamfusion.geometry import wrap_angle
 from slamfusion.grid import IDENTITY, UNKNOWN, OccupancyGrid
 from slamfusion.jobs.partial import Layers, fuse_layers

@@ -7,9 +7,9 @@ is ``slamfusion.vote``.
 
 from __future__ import annotations
 
-from slamfusion.fusion.align import align_grids
+from slamfusion.align.align import align_grids
+from slamfusion.align.records import Alignment, FusionResult, InputRecord, RunnerUp
 from slamfusion.fusion.pipeline import fuse_grids
-from slamfusion.fusion.records import Alignment, FusionResult, InputRecord, RunnerUp
 
 __all__ = [
     "Alignment",

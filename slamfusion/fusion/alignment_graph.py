@@ -6,8 +6,8 @@ import itertools
 from collections import Counter
 from collections.abc import Sequence
 
+from slamfusion.align.records import Alignment
 from slamfusion.fusion.consistency import motion_from
-from slamfusion.fusion.records import Alignment
 from slamfusion.geometry import Pose2
 
 # The names of two maps.

@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from slamfusion.fusion.records import Alignment
+from slamfusion.align.records import Alignment
 from slamfusion.geometry import Pose2, wrap_angle
 
 # Told a rejected pair and the transform that the accepted pairs of a group imply for it (moving map

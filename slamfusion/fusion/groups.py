@@ -12,25 +12,25 @@ from statistics import median
 import numpy as np
 import numpy.typing as npt
 
+from slamfusion.align.align import align_features, track_features
+from slamfusion.align.features import GridFeatures
+from slamfusion.align.judge import rejected_alignment
+from slamfusion.align.records import Alignment
+from slamfusion.align.start import StartPose, Starts, named_input, start_distance
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import SMALLEST, FusionConfig
 from slamfusion.errors import AlignmentError, ConfigError
-from slamfusion.fusion.align import align_features, track_features
 from slamfusion.fusion.consistency import (
     Group,
     largest_group,
     path_transform,
     rank_of,
 )
-from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.implied import ImpliedPairs, words_over
-from slamfusion.fusion.judge import rejected_alignment
 from slamfusion.fusion.many import Candidate, SolvedGroup, align_many
 from slamfusion.fusion.pair_ranking import rank_pairs
 from slamfusion.fusion.pair_tasks import AlignmentTasks, PairSettings
 from slamfusion.fusion.placement import placed
-from slamfusion.fusion.records import Alignment
-from slamfusion.fusion.start import StartPose, Starts, named_input, start_distance
 from slamfusion.geometry import Pose2
 from slamfusion.io.memory import return_freed_memory
 

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from slamfusion.align.accept import CLASH_MAX, EXPECTED_WRONG_MAX, SHARE_MIN, expected_wrong
+from slamfusion.align.align import track_features
+from slamfusion.align.features import GridFeatures
+from slamfusion.align.frames import motion_of
+from slamfusion.align.judge import prior_within
+from slamfusion.align.records import Alignment
+from slamfusion.align.rivals import DISTINCT_CELLS, DISTINCT_YAW_RAD, is_distinct
 from slamfusion.compute import ComputeDevice
-from slamfusion.fusion.accept import CLASH_MAX, EXPECTED_WRONG_MAX, SHARE_MIN, expected_wrong
-from slamfusion.fusion.align import track_features
-from slamfusion.fusion.features import GridFeatures
-from slamfusion.fusion.frames import motion_of
-from slamfusion.fusion.judge import prior_within
-from slamfusion.fusion.records import Alignment
-from slamfusion.fusion.rivals import DISTINCT_CELLS, DISTINCT_YAW_RAD, is_distinct
 from slamfusion.geometry import Pose2
 
 # Ground that both maps know, as a share of the smaller one's: on less their walls need not meet.

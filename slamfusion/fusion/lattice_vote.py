@@ -9,13 +9,13 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from slamfusion.align.normalize import VotingGrid
+from slamfusion.align.records import Bent, FusionResult, InputRecord
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.lattice import fixed_cells, fixed_poses
 from slamfusion.compute.layout import FIXED_ONE, MOST_INPUTS, VOTE_ONE
 from slamfusion.config import FusionConfig
 from slamfusion.fusion.groups import Members
-from slamfusion.fusion.normalize import VotingGrid
-from slamfusion.fusion.records import Bent, FusionResult, InputRecord
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, box_origin
 from slamfusion.io.memory import check_memory

@@ -21,15 +21,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from slamfusion.fusion.accept import DecisionKind
+from slamfusion.align.accept import DecisionKind
+from slamfusion.align.features import GridFeatures
+from slamfusion.align.frames import motion_of
+from slamfusion.align.motions import displacement
+from slamfusion.align.records import Alignment
 from slamfusion.fusion.alignment_graph import AlignmentGraph, Key, key_of
 from slamfusion.fusion.consistency import CLOSURE_CELLS, CLOSURE_YAW_RAD
-from slamfusion.fusion.features import GridFeatures
-from slamfusion.fusion.frames import motion_of
 from slamfusion.fusion.implied import ImpliedPairs
-from slamfusion.fusion.motions import displacement
 from slamfusion.fusion.placement import solve_poses
-from slamfusion.fusion.records import Alignment
 from slamfusion.geometry import Pose2
 
 # Aligns two maps, by name, in full.

@@ -12,15 +12,15 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from slamfusion.compute import ComputeDevice
-from slamfusion.fusion.features import GridFeatures
-from slamfusion.fusion.parallel_walls import (
+from slamfusion.align.features import GridFeatures
+from slamfusion.align.parallel_walls import (
     KeptSpectra,
     TurnedMap,
     level_for,
     parallel_shifts,
     wall_directions,
 )
+from slamfusion.compute import ComputeDevice
 
 
 @dataclass(frozen=True)

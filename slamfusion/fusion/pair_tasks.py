@@ -15,14 +15,14 @@ from concurrent.futures import Executor, Future
 from dataclasses import dataclass
 from functools import lru_cache
 
+from slamfusion.align.align import align_features
+from slamfusion.align.features import GridFeatures
+from slamfusion.align.normalize import NormalizedGrid
+from slamfusion.align.records import Alignment
+from slamfusion.align.start import StartPose
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import AlignConfig
 from slamfusion.fleet import tasks_ahead
-from slamfusion.fusion.align import align_features
-from slamfusion.fusion.features import GridFeatures
-from slamfusion.fusion.normalize import NormalizedGrid
-from slamfusion.fusion.records import Alignment
-from slamfusion.fusion.start import StartPose
 
 # Cells of a grid whose fields a worker keeps, of which each takes some 24 bytes.
 KEPT_CELLS = 1 << 20

@@ -21,23 +21,23 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute import ComputeDevice
-from slamfusion.config import FusionConfig
-from slamfusion.errors import AlignmentError
-from slamfusion.fusion.accept import CLASH_MAX
-from slamfusion.fusion.align import track_features
-from slamfusion.fusion.consistency import PATH_GAP
-from slamfusion.fusion.features import GridFeatures
-from slamfusion.fusion.groups import LEAST_FUSED
-from slamfusion.fusion.pipeline import fuse_grids
-from slamfusion.fusion.records import (
+from slamfusion.align.accept import CLASH_MAX
+from slamfusion.align.align import track_features
+from slamfusion.align.features import GridFeatures
+from slamfusion.align.records import (
     Alignment,
     FusionResult,
     InputRecord,
     PathGapJson,
     RunnerUp,
 )
-from slamfusion.fusion.start import Starts
+from slamfusion.align.start import Starts
+from slamfusion.compute import ComputeDevice
+from slamfusion.config import FusionConfig
+from slamfusion.errors import AlignmentError
+from slamfusion.fusion.consistency import PATH_GAP
+from slamfusion.fusion.groups import LEAST_FUSED
+from slamfusion.fusion.pipeline import fuse_grids
 from slamfusion.geometry import (
     Pose2,
     blend_poses,

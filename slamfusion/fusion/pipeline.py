@@ -7,6 +7,9 @@ from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
+from slamfusion.align.normalize import common_resolution, normalize_grid
+from slamfusion.align.records import Alignment, FusionResult, InputRecord
+from slamfusion.align.start import Starts, named_input
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig
 from slamfusion.errors import AlignmentError, ConfigError
@@ -20,11 +23,8 @@ from slamfusion.fusion.groups import (
     align_group,
 )
 from slamfusion.fusion.lattice_vote import Lattices, vote_on_lattice
-from slamfusion.fusion.normalize import common_resolution, normalize_grid
 from slamfusion.fusion.prepared import PreparedInputs
-from slamfusion.fusion.records import Alignment, FusionResult, InputRecord
 from slamfusion.fusion.resolutions import odd_resolutions
-from slamfusion.fusion.start import Starts, named_input
 from slamfusion.grid import OccupancyGrid
 from slamfusion.vote.lattice import Extent, Lattice
 from slamfusion.vote.tiles import check_votes

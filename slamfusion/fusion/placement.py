@@ -9,13 +9,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from slamfusion.align.features import GridFeatures
+from slamfusion.align.frames import motion_of
+from slamfusion.align.judge import judge
+from slamfusion.align.records import Alignment
+from slamfusion.align.rivals import Found
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import AlignConfig
-from slamfusion.fusion.features import GridFeatures
-from slamfusion.fusion.frames import motion_of
-from slamfusion.fusion.judge import judge
-from slamfusion.fusion.records import Alignment
-from slamfusion.fusion.rivals import Found
 from slamfusion.geometry import Pose2
 from slamfusion.pose_graph import PoseGraph, optimize
 from slamfusion.pose_graph.covariance import inverted, moved

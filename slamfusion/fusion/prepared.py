@@ -5,12 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from slamfusion.compute import ComputeDevice
-from slamfusion.config import FusionConfig
-from slamfusion.errors import GridError
-from slamfusion.fusion.features import GridFeatures
-from slamfusion.fusion.field_memory import FieldMemory
-from slamfusion.fusion.normalize import (
+from slamfusion.align.features import GridFeatures
+from slamfusion.align.field_memory import FieldMemory
+from slamfusion.align.normalize import (
     NormalizedGrid,
     VotingGrid,
     check_resampling,
@@ -19,6 +16,9 @@ from slamfusion.fusion.normalize import (
     normalize_grid,
     voting_grid,
 )
+from slamfusion.compute import ComputeDevice
+from slamfusion.config import FusionConfig
+from slamfusion.errors import GridError
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.memory import return_freed_memory
 

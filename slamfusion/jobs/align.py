@@ -5,11 +5,11 @@ from __future__ import annotations
 import logging
 import math
 
+from slamfusion.align.records import Alignment
+from slamfusion.align.start import StartPose, place_starts
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.fusion import align_grids
-from slamfusion.fusion.records import Alignment
-from slamfusion.fusion.start import StartPose, place_starts
 from slamfusion.geometry import Pose2
 from slamfusion.jobs.documents import circumstances
 from slamfusion.jobs.inputs import MapInput, Warn, as_grids, device_for

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from slamfusion.align.records import Alignment, FusionResult
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.evaluation import (
@@ -20,7 +21,6 @@ from slamfusion.evaluation import (
     result_rows,
 )
 from slamfusion.fusion import align_grids, fuse_grids
-from slamfusion.fusion.records import Alignment, FusionResult
 from slamfusion.geometry import Pose2
 from slamfusion.io import AtomicFiles
 from slamfusion.jobs.cases import CaseFile, Placed, place_files

@@ -8,16 +8,16 @@ from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
 
+from slamfusion.align.records import (
+    Fusion,
+    FusionResult,
+)
+from slamfusion.align.start import place_starts
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError, SlamFusionError
 from slamfusion.fusion import fuse_grids
 from slamfusion.fusion.groups import LEAST_FUSED
-from slamfusion.fusion.records import (
-    Fusion,
-    FusionResult,
-)
-from slamfusion.fusion.start import place_starts
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import AtomicFiles, save_map
 from slamfusion.jobs.documents import circumstances, record_bytes

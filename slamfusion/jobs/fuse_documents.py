@@ -6,17 +6,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from slamfusion.compute import ComputeDevice
-from slamfusion.config import RunConfig
-from slamfusion.errors import AlignmentError
-from slamfusion.evaluation import doubled_wall_share, fused_doubled_shares
-from slamfusion.fusion.records import (
+from slamfusion.align.records import (
     Alignment,
     Fusion,
     FusionResult,
     InputRecord,
     StoredFusion,
 )
+from slamfusion.compute import ComputeDevice
+from slamfusion.config import RunConfig
+from slamfusion.errors import AlignmentError
+from slamfusion.evaluation import doubled_wall_share, fused_doubled_shares
 from slamfusion.grid import OccupancyGrid
 from slamfusion.jobs.documents import circumstances, path_text
 from slamfusion.jobs.inputs import NO_FILES, GivenMaps

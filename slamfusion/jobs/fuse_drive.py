@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from slamfusion.align.records import Alignment, FusionResult
+from slamfusion.align.start import Starts
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError, SlamFusionError
@@ -19,8 +21,6 @@ from slamfusion.fusion.path_check import (
     fallback_map,
     fuse_with_paths,
 )
-from slamfusion.fusion.records import Alignment, FusionResult
-from slamfusion.fusion.start import Starts
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan
 from slamfusion.jobs.inputs import Progress

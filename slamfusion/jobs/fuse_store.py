@@ -12,6 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
+from slamfusion.align.records import Fusion, InputRecord, StoredFusion
+from slamfusion.align.start import place_starts
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.fusion.groups import Members
@@ -23,8 +25,6 @@ from slamfusion.fusion.lattice_vote import (
     weights_of,
 )
 from slamfusion.fusion.pipeline import AlignedInputs, align_inputs, left_out_areas
-from slamfusion.fusion.records import Fusion, InputRecord, StoredFusion
-from slamfusion.fusion.start import place_starts
 from slamfusion.fusion.stored_vote import StoredVote, prepare_stored_vote
 from slamfusion.grid import OCCUPIED
 from slamfusion.io import AtomicFiles, save_map

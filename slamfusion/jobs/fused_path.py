@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from slamfusion.align.records import FusionResult
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.evaluation import doubled_wall_share, wall_thickness
@@ -28,7 +29,6 @@ from slamfusion.evidence import (
 from slamfusion.evidence.drawn_map import DrawnScan, draw_map
 from slamfusion.evidence.path_frames import fit_onto
 from slamfusion.fusion.path_check import moved_path
-from slamfusion.fusion.records import FusionResult
 from slamfusion.grid import OccupancyGrid
 from slamfusion.jobs.outputs import DRAWN, FUSED
 from slamfusion.jobs.records import FusedPathJson

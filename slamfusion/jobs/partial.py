@@ -15,6 +15,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
+from slamfusion.align.records import InputRecord
+from slamfusion.align.start import Starts
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.evidence import ExcludedSpan, Exclusions, UndecidedSpan
@@ -22,8 +24,6 @@ from slamfusion.evidence.drawn_map import DrawnScan, draw_map
 from slamfusion.evidence.path_frames import fit_onto
 from slamfusion.fusion.groups import LEAST_FUSED
 from slamfusion.fusion.path_check import Votes, moved_path
-from slamfusion.fusion.records import InputRecord
-from slamfusion.fusion.start import Starts
 from slamfusion.grid import OccupancyGrid
 from slamfusion.jobs.fuse_drive import DriveFusion, fuse_drive
 from slamfusion.jobs.inputs import Progress

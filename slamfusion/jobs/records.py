@@ -16,6 +16,7 @@ from collections.abc import Mapping, Sequence
 from importlib import resources
 from typing import Any, TypedDict
 
+from slamfusion.align.records import AlignmentJson, BentJson
 from slamfusion.evaluation.records import (
     DensePosesJson,
     DistanceComparisonJson,
@@ -27,7 +28,6 @@ from slamfusion.evaluation.records import (
     TrajectoryAlignmentJson,
 )
 from slamfusion.evidence.records import PathEvidenceJson, RecommendationJson, RefinementJson
-from slamfusion.fusion.records import AlignmentJson, BentJson
 
 # --- what many documents share ----------------------------------------------------------------
 

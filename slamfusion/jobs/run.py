@@ -11,11 +11,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from slamfusion.align.records import FusionResult
+from slamfusion.align.start import place_starts
 from slamfusion.config import FusionMode, RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.evidence import PathEvidence, Recommendation, find_exclusions
-from slamfusion.fusion.records import FusionResult
-from slamfusion.fusion.start import place_starts
 from slamfusion.grid import OccupancyGrid
 from slamfusion.jobs.cases import CaseFile
 from slamfusion.jobs.defaults import RUN_DEFAULTS

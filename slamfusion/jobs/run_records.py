@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Literal, TypedDict
 
+from slamfusion.align.records import (
+    PathGapJson,
+)
 from slamfusion.config import FusionMode
 from slamfusion.evaluation.records import (
     WallThicknessJson,
@@ -12,9 +15,6 @@ from slamfusion.evaluation.records import (
 from slamfusion.evidence.records import (
     PathEvidenceJson,
     RecommendationJson,
-)
-from slamfusion.fusion.records import (
-    PathGapJson,
 )
 from slamfusion.jobs.records import (
     CircumstancesJson,

@@ -12,14 +12,14 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
+from slamfusion.align.records import FusionResult
+from slamfusion.align.start import Starts
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError, SlamFusionError
 from slamfusion.evidence import Exclusions, PathEvidence, Recommendation, recommend, with_path
 from slamfusion.evidence.drawn_map import DrawnScan, drawn_scans
 from slamfusion.fusion.groups import LEAST_FUSED
-from slamfusion.fusion.records import FusionResult
-from slamfusion.fusion.start import Starts
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import open_log
 from slamfusion.jobs.drawn import voting_config

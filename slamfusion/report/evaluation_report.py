@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from slamfusion.align.records import Alignment
 from slamfusion.config import PICTURE_FORMS, RunConfig
 from slamfusion.errors import MapFileError
 from slamfusion.evaluation import MapError
-from slamfusion.fusion.records import Alignment
 from slamfusion.io.atomic import AtomicFiles, write_atomic
 from slamfusion.report import plots
 from slamfusion.report.canvas import in_form

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from slamfusion.align.records import Alignment, FusionResult, InputRecord
 from slamfusion.config import RunConfig
 from slamfusion.evaluation import MapError
-from slamfusion.fusion.records import Alignment, FusionResult, InputRecord
 from slamfusion.grid import CellBox, OccupancyGrid
 from slamfusion.io.atomic import AtomicFiles
 from slamfusion.palette import DISAGREEMENT_RGB

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from slamfusion.align.records import FusionResult, InputRecord
 from slamfusion.evaluation import MapError, maps_of_differences
-from slamfusion.fusion.records import FusionResult, InputRecord
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.trajectory import Trajectory

@@ -8,10 +8,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
+from slamfusion.align.records import Alignment
 from slamfusion.config import NormalizeConfig
 from slamfusion.evaluation import MapError, doubled_wall_share
 from slamfusion.evaluation.cells import sample_on_lattice
-from slamfusion.fusion.records import Alignment
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, OccupancyGrid, known_box, trinary_cells
 from slamfusion.palette import Rgb, colours_of

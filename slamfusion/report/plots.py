@@ -12,6 +12,7 @@ from matplotlib.figure import Figure  # noqa: TID251
 from matplotlib.ticker import MaxNLocator  # noqa: TID251
 from matplotlib.transforms import Affine2D  # noqa: TID251
 
+from slamfusion.align.records import Alignment
 from slamfusion.evaluation import (
     AGREE_FREE,
     AGREE_UNKNOWN,
@@ -21,7 +22,6 @@ from slamfusion.evaluation import (
     MISSING_FREE,
     MISSING_WALL,
 )
-from slamfusion.fusion.records import Alignment
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, box_origin
 from slamfusion.palette import (

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+from slamfusion.align.records import Alignment, FusionResult
 from slamfusion.evaluation import MapError, RelationErrors, TrajectoryErrors
 from slamfusion.evidence.predictive import PathEvidence
 from slamfusion.evidence.recommendation import Recommendation
 from slamfusion.fusion.path_check import PathGap
-from slamfusion.fusion.records import Alignment, FusionResult
 from slamfusion.grid import OccupancyGrid
 from slamfusion.palette import NAMED, Rgb
 from slamfusion.report.maps import input_colours

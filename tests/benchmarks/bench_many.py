@@ -20,9 +20,9 @@ from dataclasses import dataclass, replace
 
 from rich.table import Table
 
+from slamfusion.align.records import FusionResult
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import RunConfig, VoteConfig
-from slamfusion.fusion.records import FusionResult
 from slamfusion.jobs.fuse import fuse_maps
 from tests.benchmarks.record import add_record_option, console_for
 from tests.support.sites import ManyMaps, many_maps

@@ -30,20 +30,20 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from slamfusion.compute import open_device
-from slamfusion.config import FusionConfig
-from slamfusion.fusion.accept import (
+from slamfusion.align.accept import (
     EXPECTED_WRONG_MAX,
     RATE,
     RIVAL_RATIO,
     SHARE_FLOOR,
     TRIALS,
 )
-from slamfusion.fusion.align import align_features
-from slamfusion.fusion.features import GridFeatures
-from slamfusion.fusion.normalize import common_resolution, normalize_grid
-from slamfusion.fusion.records import AlignmentJson
-from slamfusion.fusion.rivals import WITNESSES_A_METRE
+from slamfusion.align.align import align_features
+from slamfusion.align.features import GridFeatures
+from slamfusion.align.normalize import common_resolution, normalize_grid
+from slamfusion.align.records import AlignmentJson
+from slamfusion.align.rivals import WITNESSES_A_METRE
+from slamfusion.compute import open_device
+from slamfusion.config import FusionConfig
 from slamfusion.grid import OccupancyGrid
 from tests.benchmarks.overlap_folds import load_counted, print_folds
 from tests.benchmarks.record import add_record_option, console_for

@@ -24,13 +24,13 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from slamfusion.align.align import align_features
+from slamfusion.align.features import GridFeatures
+from slamfusion.align.normalize import normalize_grid
+from slamfusion.align.records import Alignment
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import FusionConfig
-from slamfusion.fusion.align import align_features
-from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.lattice_vote import warp_onto
-from slamfusion.fusion.normalize import normalize_grid
-from slamfusion.fusion.records import Alignment
 from slamfusion.grid import CellBox
 from tests.benchmarks.record import add_record_option, console_for
 from tests.support.datasets import MapEntry, load_entry, map_entries

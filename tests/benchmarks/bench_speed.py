@@ -16,12 +16,12 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
+from slamfusion.align.align import track_features
+from slamfusion.align.features import GridFeatures
+from slamfusion.align.normalize import normalize_grid
 from slamfusion.compute import ComputeDevice, NumpyDevice, open_device
 from slamfusion.config import FusionConfig
 from slamfusion.fusion import align_grids, fuse_grids
-from slamfusion.fusion.align import track_features
-from slamfusion.fusion.features import GridFeatures
-from slamfusion.fusion.normalize import normalize_grid
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, OccupancyGrid
 from slamfusion.sim import draw_building

@@ -40,17 +40,17 @@ import scipy
 from rich.progress import track
 from rich.table import Table
 
+from slamfusion.align.align import track_features
+from slamfusion.align.features import GridFeatures
+from slamfusion.align.normalize import common_resolution, normalize_grid
+from slamfusion.align.records import FusionResult
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import EvaluateConfig, FusionConfig, NormalizeConfig, VoteMode
 from slamfusion.errors import AlignmentError
 from slamfusion.evaluation import doubled_wall_share, wall_thickness
 from slamfusion.evaluation.cells import sample_on_lattice, wall_centres
 from slamfusion.evaluation.wall_distances import harmonic_mean, nearest_distances, share_within
-from slamfusion.fusion.align import track_features
-from slamfusion.fusion.features import GridFeatures
-from slamfusion.fusion.normalize import common_resolution, normalize_grid
 from slamfusion.fusion.pipeline import fuse_grids, vote_again
-from slamfusion.fusion.records import FusionResult
 from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, trinary_cells
 from tests.benchmarks.record import add_record_option, console_for

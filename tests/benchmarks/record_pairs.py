@@ -1,6 +1,6 @@
 """Align pairs of maps whose right answer is known, and keep the nearest to the decision as a CSV.
 
-    python -m tests.benchmarks.record_pairs --out tests/fusion/recorded_pairs.csv
+    python -m tests.benchmarks.record_pairs --out tests/align/recorded_pairs.csv
 
 With --everything FILE all pairs are kept, too; --pairs FILE decides those once more and chooses
 among them, without aligning anything, after a limit of the decision has moved.
@@ -29,14 +29,14 @@ from typing import TypeVar
 import numpy as np
 from rich.console import Console
 
+from slamfusion.align.accept import Evidence, decide
+from slamfusion.align.align import align_features
+from slamfusion.align.features import GridFeatures
+from slamfusion.align.judge import ground_prior
+from slamfusion.align.normalize import common_resolution, normalize_grid
+from slamfusion.align.records import Alignment
 from slamfusion.compute import open_device
 from slamfusion.config import AlignConfig, NormalizeConfig
-from slamfusion.fusion.accept import Evidence, decide
-from slamfusion.fusion.align import align_features
-from slamfusion.fusion.features import GridFeatures
-from slamfusion.fusion.judge import ground_prior
-from slamfusion.fusion.normalize import common_resolution, normalize_grid
-from slamfusion.fusion.records import Alignment
 from slamfusion.grid import OccupancyGrid
 from slamfusion.sim import draw_building
 from tests.support.drawn import BASES, case_error, drawn_cases
@@ -78,7 +78,7 @@ KEPT = 4
 # Larger by more than what is believed with a word.
 WRONG_SCALES = (1.05, 1.1)
 SEED = 1
-COMMAND = "python -m tests.benchmarks.record_pairs --out tests/fusion/recorded_pairs.csv"
+COMMAND = "python -m tests.benchmarks.record_pairs --out tests/align/recorded_pairs.csv"
 
 
 class Recorder:

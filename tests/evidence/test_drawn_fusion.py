@@ -8,11 +8,11 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from slamfusion.align.records import FusionResult, InputRecord
 from slamfusion.compute import NumpyDevice
 from slamfusion.config import FusionConfig, VoteConfig
 from slamfusion.errors import GridError
 from slamfusion.evidence.drawn_fusion import fuse_with_drawn
-from slamfusion.fusion.records import FusionResult, InputRecord
 from slamfusion.geometry import Pose2
 from slamfusion.grid import UNKNOWN, OccupancyGrid
 from tests.support.written_maps import CELL, MEANING, fits, written_map

@@ -13,16 +13,16 @@ from typing import Any
 
 import pytest
 
+from slamfusion.align.align import align_features
+from slamfusion.align.features import GridFeatures
+from slamfusion.align.normalize import normalize_grid
+from slamfusion.align.records import FusionResult
 from slamfusion.compute import ComputeDevice, open_device, shared_device
 from slamfusion.config import AlignConfig, FusionConfig, RunConfig, VoteConfig
 from slamfusion.errors import ConfigError, FleetError
 from slamfusion.fleet import as_done, executor_for, tasks_ahead
 from slamfusion.fleet.children import THREAD_VARIABLES
-from slamfusion.fusion.align import align_features
-from slamfusion.fusion.features import GridFeatures
-from slamfusion.fusion.normalize import normalize_grid
 from slamfusion.fusion.pair_tasks import AlignmentTasks, PairSettings
-from slamfusion.fusion.records import FusionResult
 from slamfusion.jobs.fuse import fuse_maps
 from slamfusion.version import __version__
 from tests.fleet.test_executor import end_by_force, half

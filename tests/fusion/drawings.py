@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from slamfusion.align.features import GridFeatures
+from slamfusion.align.normalize import normalize_grid
+from slamfusion.align.records import Alignment
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import AlignConfig, FusionConfig, NormalizeConfig
-from slamfusion.fusion.features import GridFeatures
-from slamfusion.fusion.normalize import normalize_grid
-from slamfusion.fusion.records import Alignment
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid
 from slamfusion.sim import draw_building

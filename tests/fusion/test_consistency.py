@@ -11,6 +11,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from slamfusion.align.records import Alignment
 from slamfusion.fusion import consistency
 from slamfusion.fusion.consistency import (
     PATH_GAP,
@@ -18,7 +19,6 @@ from slamfusion.fusion.consistency import (
     largest_group,
     path_transform,
 )
-from slamfusion.fusion.records import Alignment
 from slamfusion.geometry import Pose2
 
 SIZE = 0.05

@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from slamfusion.align.features import GridFeatures
+from slamfusion.align.records import Alignment
 from slamfusion.compute import ComputeDevice
 from slamfusion.fusion import fuse_grids
-from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.groups import SecondLook
 from slamfusion.fusion.implied import ImpliedPairs, words_over
-from slamfusion.fusion.records import Alignment
 from slamfusion.geometry import Pose2
 from slamfusion.grid import UNKNOWN, OccupancyGrid
 from tests.fusion.drawings import building, features_of, fusion_config

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from slamfusion.align.normalize import NormalizedGrid, normalize_grid, voting_grid
+from slamfusion.align.records import Alignment
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, NormalizeConfig, VoteConfig
 from slamfusion.errors import GridError
 from slamfusion.fusion import FusionResult, lattice_vote
 from slamfusion.fusion.groups import Members
 from slamfusion.fusion.lattice_vote import vote_on_lattice, warp_onto, warp_pose
-from slamfusion.fusion.normalize import NormalizedGrid, normalize_grid, voting_grid
-from slamfusion.fusion.records import Alignment
 from slamfusion.geometry import Pose2
 from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid
 from tests.fusion.drawings import random_cells

@@ -8,16 +8,16 @@ from typing import Any
 
 import pytest
 
+from slamfusion.align.align import align_features
+from slamfusion.align.features import GridFeatures
+from slamfusion.align.judge import rejected_alignment
+from slamfusion.align.records import Alignment
+from slamfusion.align.start import StartPose, Starts
 from slamfusion.compute import ComputeDevice
 from slamfusion.errors import AlignmentError
 from slamfusion.fusion import groups, many
-from slamfusion.fusion.align import align_features
-from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.groups import AlignedGroup, Members, align_group
-from slamfusion.fusion.judge import rejected_alignment
 from slamfusion.fusion.pair_ranking import rank_pairs
-from slamfusion.fusion.records import Alignment
-from slamfusion.fusion.start import StartPose, Starts
 from slamfusion.geometry import Pose2
 from tests.fusion.drawings import features_of, fusion_config
 from tests.support.sites import ManyMaps, many_maps

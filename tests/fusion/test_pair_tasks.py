@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from slamfusion.align.align import align_features
+from slamfusion.align.features import GridFeatures
+from slamfusion.align.normalize import normalize_grid
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import AlignConfig, NormalizeConfig
 from slamfusion.fusion import pair_tasks
-from slamfusion.fusion.align import align_features
-from slamfusion.fusion.features import GridFeatures
-from slamfusion.fusion.normalize import normalize_grid
 from slamfusion.fusion.pair_tasks import AlignmentTasks, PairSettings
 from tests.support.sites import RESOLUTION, many_maps
 

@@ -12,11 +12,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from slamfusion.align.features import GridFeatures
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import SMALLEST, VoteConfig
 from slamfusion.errors import AlignmentError, ConfigError, MemoryBudgetError
 from slamfusion.fusion import FusionResult, fuse_grids, normalize
-from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.groups import choose_reference
 from slamfusion.fusion.pipeline import vote_again
 from slamfusion.geometry import Pose2

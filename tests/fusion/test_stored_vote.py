@@ -11,11 +11,11 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from slamfusion.align.normalize import normalize_grid
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, NormalizeConfig, VoteConfig
 from slamfusion.fusion import stored_vote
 from slamfusion.fusion.groups import Members
-from slamfusion.fusion.normalize import normalize_grid
 from slamfusion.fusion.stored_vote import PackedBlocks, prepare_stored_vote
 from slamfusion.geometry import Pose2
 from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid

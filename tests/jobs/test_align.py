@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from slamfusion.align.start import StartPose
 from slamfusion.errors import MapFileError, StartError
-from slamfusion.fusion.start import StartPose
 from slamfusion.geometry import Pose2
 from slamfusion.io import save_map
 from slamfusion.jobs.align import align_document, align_maps

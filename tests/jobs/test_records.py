@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from jsonschema import Draft202012Validator, ValidationError
 
+from slamfusion.align.records import Alignment, RunnerUp
 from slamfusion.cli.main import main
 from slamfusion.cli.program import cli
 from slamfusion.config import RunConfig
-from slamfusion.fusion.records import Alignment, RunnerUp
 from slamfusion.geometry import Pose2
 from slamfusion.jobs.documents import circumstances
 from slamfusion.jobs.records import load_schema

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.fusion.records import (
+from slamfusion.align.records import (
     Alignment,
     FusionResult,
     InputRecord,

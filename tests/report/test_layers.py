@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from slamfusion.align.records import InputRecord
 from slamfusion.config import NormalizeConfig, RunConfig
 from slamfusion.evaluation import compare_to_truth
-from slamfusion.fusion.records import InputRecord
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.palette import colours_of

@@ -9,7 +9,7 @@ from functools import cache
 
 import numpy as np
 
-from slamfusion.fusion.records import Alignment
+from slamfusion.align.records import Alignment
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.map_server import load_map

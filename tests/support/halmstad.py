@@ -6,7 +6,7 @@ import csv
 import math
 from functools import cache
 
-from slamfusion.fusion.records import Alignment
+from slamfusion.align.records import Alignment
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.map_server import load_map

@@ -5,13 +5,13 @@ from __future__ import annotations
 import hashlib
 from typing import Any
 
+from slamfusion.align.cancel import CancelToken, check_cancelled
+from slamfusion.align.features import GridFeatures
+from slamfusion.align.search import COARSE_CHANCE_MAX, search
+from slamfusion.align.shifts import SearchWindow
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import AlignConfig
 from slamfusion.fusion import align, judge, mirror
-from slamfusion.fusion.cancel import CancelToken, check_cancelled
-from slamfusion.fusion.features import GridFeatures
-from slamfusion.fusion.search import COARSE_CHANCE_MAX, search
-from slamfusion.fusion.shifts import SearchWindow
 
 __all__ = ["CALLERS", "RememberedSearches"]
 

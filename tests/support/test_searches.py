@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from slamfusion.align.search import search
+from slamfusion.align.shifts import SearchWindow
 from slamfusion.compute import open_device
-from slamfusion.fusion.search import search
-from slamfusion.fusion.shifts import SearchWindow
 from tests.fusion.drawings import building, features_of, fusion_config
 from tests.support.searches import RememberedSearches
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from slamfusion.fusion.records import Alignment, FusionResult, InputRecord
+from slamfusion.align.records import Alignment, FusionResult, InputRecord
 from slamfusion.geometry import Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 

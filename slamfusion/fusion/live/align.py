@@ -6,19 +6,19 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from slamfusion.align.accept import DecisionKind, decide_mirrored
+from slamfusion.align.align import align_features, track_features
+from slamfusion.align.cancel import CancelledSearchError, CancelToken
+from slamfusion.align.features import GridFeatures
+from slamfusion.align.frames import motion_of
+from slamfusion.align.mirror import SURE_SHARE, mirror_gain
+from slamfusion.align.records import Alignment
+from slamfusion.align.search import wall_widths
+from slamfusion.align.start import StartPose, Starts
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, LiveConfig
-from slamfusion.fusion.accept import DecisionKind, decide_mirrored
-from slamfusion.fusion.align import align_features, track_features
-from slamfusion.fusion.cancel import CancelledSearchError, CancelToken
-from slamfusion.fusion.features import GridFeatures
-from slamfusion.fusion.frames import motion_of
 from slamfusion.fusion.live.searched import Searched
 from slamfusion.fusion.live.track import Track
-from slamfusion.fusion.mirror import SURE_SHARE, mirror_gain
-from slamfusion.fusion.records import Alignment
-from slamfusion.fusion.search import wall_widths
-from slamfusion.fusion.start import StartPose, Starts
 from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY
 from slamfusion.vote.lattice import Lattice

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable
 
-from slamfusion.fusion.features import GridFeatures
+from slamfusion.align.features import GridFeatures
+from slamfusion.align.normalize import normalize_grid
 from slamfusion.fusion.live.align import Aligner, Held
 from slamfusion.fusion.live.limits import unusable
 from slamfusion.fusion.live.track import GROWN_SHARE, Track
-from slamfusion.fusion.normalize import normalize_grid
 from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY, OccupancyGrid
 

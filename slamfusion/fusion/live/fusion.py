@@ -48,6 +48,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 
+from slamfusion.align.start import place_starts
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import LiveConfig, RunConfig
 from slamfusion.fusion.live.inbox import Inbox
@@ -57,7 +58,6 @@ from slamfusion.fusion.live.records import LiveInput, LiveUpdate
 from slamfusion.fusion.live.state import LiveState, StateError
 from slamfusion.fusion.live.supervisor import InputSupervisor
 from slamfusion.fusion.live.voting import Voting
-from slamfusion.fusion.start import place_starts
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.vote.tiles import check_votes

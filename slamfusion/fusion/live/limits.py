@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from slamfusion.align.accept import WALLS_MIN
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import MemoryBudgetError
-from slamfusion.fusion.accept import WALLS_MIN
 from slamfusion.grid import OccupancyGrid, implausible
 from slamfusion.io.memory import check_memory
 

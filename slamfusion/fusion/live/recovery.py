@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+from slamfusion.align.records import Alignment
 from slamfusion.fusion.live.align import Aligner, Held
 from slamfusion.fusion.live.anchor import LAST_FUSED, hold_map
 from slamfusion.fusion.live.track import Track, refuse_all
-from slamfusion.fusion.records import Alignment
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from slamfusion.fusion.accept import CLASH_MAX, MATCH_MIN
-from slamfusion.fusion.records import Alignment
+from slamfusion.align.accept import CLASH_MAX, MATCH_MIN
+from slamfusion.align.records import Alignment
 
 # An input that the search believed by clearly matching walls must go on to match; one that it
 # believed since its place stood out among all others, by this share of the walls that met then.

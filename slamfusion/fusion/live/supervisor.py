@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
+from slamfusion.align.cancel import CancelledSearchError
+from slamfusion.align.start import Starts
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, LiveConfig
 from slamfusion.errors import SlamFusionError
-from slamfusion.fusion.cancel import CancelledSearchError
 from slamfusion.fusion.live.align import Aligner
 from slamfusion.fusion.live.anchor import Anchor
 from slamfusion.fusion.live.begin import align_first, believe_first, fusable
 from slamfusion.fusion.live.recovery import recover
 from slamfusion.fusion.live.track import Track, refuse_all
-from slamfusion.fusion.start import Starts
 from slamfusion.grid import OccupancyGrid
 from slamfusion.vote.lattice import Lattice
 

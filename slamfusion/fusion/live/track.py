@@ -10,14 +10,14 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from slamfusion.align.accept import WALLS_MIN
+from slamfusion.align.cancel import CancelToken
+from slamfusion.align.features import GridFeatures
+from slamfusion.align.normalize import normalize_grid
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import LiveConfig, NormalizeConfig
-from slamfusion.fusion.accept import WALLS_MIN
-from slamfusion.fusion.cancel import CancelToken
-from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.live.lattice import Layer, carry, lay_out
 from slamfusion.fusion.live.limits import bands
-from slamfusion.fusion.normalize import normalize_grid
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.grid import CellBox, OccupancyGrid, known_box
 from slamfusion.vote.boxes import hull, moved, overlap, padded

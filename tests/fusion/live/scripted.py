@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from slamfusion.fusion.accept import DecisionKind
-from slamfusion.fusion.cancel import CancelToken
+from slamfusion.align.accept import DecisionKind
+from slamfusion.align.cancel import CancelToken
+from slamfusion.align.records import Alignment
 from slamfusion.fusion.live import align
 from slamfusion.fusion.live.align import Aligner
 from slamfusion.fusion.live.lattice import Layer
 from slamfusion.fusion.live.track import Track
-from slamfusion.fusion.records import Alignment
 from slamfusion.geometry import Pose2
 from slamfusion.vote.lattice import Lattice
 

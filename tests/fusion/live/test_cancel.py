@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from slamfusion.align.cancel import CancelledSearchError, CancelToken, check_cancelled
 from slamfusion.compute import ComputeDevice
-from slamfusion.fusion.cancel import CancelledSearchError, CancelToken, check_cancelled
 from slamfusion.fusion.live import LiveInput, LiveUpdate
 from tests.fusion.live.maps import Drive, started, three, touched
 

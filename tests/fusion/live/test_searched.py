@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import pytest
 
+from slamfusion.align.records import Alignment, MatchEvidence
 from slamfusion.fusion.live.searched import CLASH_MORE, LASTING_SHARE, Searched
-from slamfusion.fusion.records import Alignment, MatchEvidence
 from tests.fusion.live.scripted import found
 
 SHARE = 0.5

@@ -1,0 +1,315 @@
+"""Bring inputs to one resolution, cropped to what they know, as unknown / free / occupied."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.align.cancel import CancelToken, check_cancelled
+from slamfusion.align.field_memory import LEAST_KEPT
+from slamfusion.compute import ComputeDevice
+from slamfusion.compute.layout import FIXED_ONE
+from slamfusion.config import NormalizeConfig
+from slamfusion.errors import GridError
+from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid, known_box, trinary_cells
+from slamfusion.io.memory import check_memory
+from slamfusion.vote.lattice import SAME_RESOLUTION, Extent, Lattice
+
+# What each cell of an input takes that is aligned, and while it is looked at; and while it votes.
+ALIGNED_BYTES_PER_CELL, BYTES_PER_CELL, VOTED_BYTES_PER_CELL = 4, 24, 7
+# Cells on the longest side of a map that is aligned as it is: of larger ones a coarser copy is.
+ALIGNED_CELLS = 3000
+# Where little memory is wanted copies are coarser still, as long as all of them together have more
+# cells than this, up to cells of this size, metres, on which walls of a building are still apart.
+SPARING_CELLS, SPARING_CELL_M = 2**27, 0.15
+# Rows of blocks that are pooled at once.
+POOLED_ROWS = 16
+
+INT16_MAX = 2**15 - 1
+
+Part = TypeVar("Part", np.int8, np.int16, np.int32)
+
+
+@dataclass(frozen=True, eq=False)
+class VotingGrid:
+    """A grid ready to vote.
+
+    Attributes:
+        grid: occupancy in percent, at the common resolution, cropped to known cells; its origin
+            keeps the lattice (yaw and sub-cell offset) of the input.
+        cells: (H, W) int8 in {-1, 0, 1}, the same lattice.
+    """
+
+    grid: OccupancyGrid
+    cells: npt.NDArray[np.int8]
+
+    @property
+    def name(self) -> str:
+        """The input's name."""
+        return self.grid.name
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.grid.height, self.grid.width
+
+    @property
+    def extent(self) -> Extent:
+        """Where its cells lie."""
+        return Extent(Lattice(self.grid.resolution, self.grid.origin), self.shape)
+
+
+@dataclass(frozen=True, eq=False)
+class NormalizedGrid(VotingGrid):
+    """A grid ready to be aligned and to vote.
+
+    Attributes:
+        solid: (H, W) uint8, 1 at the wall cells that alignment looks at: no specks of noise, judged
+            at the input's own resolution; every wall cell where all are specks.
+    """
+
+    solid: npt.NDArray[np.uint8]
+
+
+def common_resolution(grids: list[OccupancyGrid], config: NormalizeConfig) -> float:
+    """Return the resolution to bring every grid to: the given one, else the finest."""
+    if config.resolution is not None:
+        return config.resolution
+    return min(grid.resolution for grid in grids)
+
+
+def check_resampling(
+    grids: Sequence[OccupancyGrid], config: NormalizeConfig, what: str, *, is_stored: bool = False
+) -> None:
+    """Refuse grids that would not fit into memory at their common resolution.
+
+    Args:
+        grids: one or more.
+        config: may give the resolution.
+        what: is done with them: ``fusing``, ``aligning``.
+        is_stored: they will vote tile by tile, which takes no memory to speak of.
+
+    Raises:
+        MemoryBudgetError: with the sizes, the resolutions and what to do; nothing was allocated.
+    """
+    resolution = common_resolution(list(grids), config)
+    own_cells = [_cells_at(grid, resolution) for grid in grids]
+    largest = grids[own_cells.index(max(own_cells))]
+    finest = min(grids, key=lambda grid: grid.resolution)
+    said = (
+        f"{what} {sum(own_cells)} known-box cells at {resolution:g} m (this map: {max(own_cells)})"
+    )
+    if config.resolution is None and finest.resolution < largest.resolution:
+        said += (
+            f", the cell size of {finest.name}, to which this map's {largest.resolution:g} m is "
+            "brought (is it right? fusion.normalize.resolution sets another),"
+        )
+    factor = coarsening(grids, resolution, is_sparing=is_stored)
+    looked_at = sum(sorted(own_cells)[-LEAST_KEPT:])
+    needed = sum(own_cells) * ALIGNED_BYTES_PER_CELL
+    needed += looked_at * (BYTES_PER_CELL - ALIGNED_BYTES_PER_CELL)
+    needed //= factor**2
+    if factor > 1:
+        # Of one input at a time everything, or of all of them what votes.
+        needed += max(own_cells) * BYTES_PER_CELL if is_stored else 0
+        needed += 0 if is_stored else sum(own_cells) * VOTED_BYTES_PER_CELL
+    check_memory(needed, said, largest.name)
+
+
+def coarsening(
+    grids: Sequence[OccupancyGrid], resolution: float, *, is_sparing: bool = False
+) -> int:
+    """Return how many times coarser the cells are on which grids are aligned than those fused.
+
+    1 but for maps so large that their fields would not fit into memory. Alignments are told in
+    metres and are finer than a cell, so a coarser copy costs less than one fused cell.
+
+    Args:
+        grids: one or more.
+        resolution: of the fused cells, metres.
+        is_sparing: of many maps also for the copies to take little memory together.
+    """
+    boxes = [(box, grid.resolution) for grid in grids if (box := grid.known_box()) is not None]
+    sides = [max(box.height, box.width) * size for box, size in boxes]
+    factor = max(1, math.ceil(max(sides, default=0.0) / resolution / ALIGNED_CELLS))
+    if is_sparing:
+        cells = sum(box.area * (size / resolution) ** 2 for box, size in boxes)
+        wanted = math.ceil(math.sqrt(cells / SPARING_CELLS))
+        factor = max(factor, min(wanted, math.floor(SPARING_CELL_M / resolution + 1e-9)))
+    return factor
+
+
+def _cells_at(grid: OccupancyGrid, resolution: float) -> int:
+    """Return how many cells the known box of a grid has at another resolution."""
+    box = grid.known_box()
+    return 0 if box is None else int(box.area * (grid.resolution / resolution) ** 2)
+
+
+def normalize_grid(
+    grid: OccupancyGrid,
+    resolution: float,
+    config: NormalizeConfig,
+    device: ComputeDevice,
+    cancel: CancelToken | None = None,
+) -> NormalizedGrid:
+    """Resample to ``resolution``, threshold, crop to the known cells, and find the solid walls.
+
+    Args:
+        grid: any occupancy grid.
+        resolution: metres per cell of the result.
+        config: thresholds.
+        device: does the resampling.
+        cancel: asked between the operations.
+
+    Raises:
+        CancelledSearchError: ``cancel`` says so.
+        GridError: no cell of the grid is known under these thresholds.
+    """
+    given, grid = grid, _without_margins(grid, config)
+    check_cancelled(cancel)
+    cells = device.upload(trinary_cells(grid.cells, config))
+    solid = device.download(device.solid_walls(cells))
+    del cells
+    check_cancelled(cancel)
+    voting, box = _voting_part(given, grid, resolution, config, device)
+    check_cancelled(cancel)
+    blocks = _blocks(solid.view(np.int8), resolution / grid.resolution, 0, device)
+    window = np.s_[box.row0 : box.row1, box.col0 : box.col1]
+    walls = (_each_part(np.maximum, blocks)[window] != 0) & (voting.cells == 1)
+    if not walls.any():
+        walls = voting.cells == 1
+    walls = walls.view(np.uint8)
+    walls.flags.writeable = False
+    return NormalizedGrid(voting.grid, voting.cells, walls)
+
+
+def voting_grid(
+    grid: OccupancyGrid, resolution: float, config: NormalizeConfig, device: ComputeDevice
+) -> VotingGrid:
+    """Resample to ``resolution``, threshold, and crop to the known cells.
+
+    Args:
+        grid, resolution, config, device: as for ``normalize_grid``.
+
+    Raises:
+        GridError: no cell of the grid is known under these thresholds.
+    """
+    return _voting_part(grid, _without_margins(grid, config), resolution, config, device)[0]
+
+
+def _without_margins(grid: OccupancyGrid, config: NormalizeConfig) -> OccupancyGrid:
+    """Return a grid without unknown margins: a small place on a huge canvas costs no more."""
+    box = grid.known_box()
+    if box is None:
+        raise _nothing_known(grid, config)
+    return grid.crop(box)
+
+
+def _nothing_known(grid: OccupancyGrid, config: NormalizeConfig) -> GridError:
+    return GridError(
+        f"{grid.name}: all {grid.height} x {grid.width} cells are unknown at "
+        f"free <= {config.free_percent:g} % and occupied >= {config.occupied_percent:g} %; "
+        "give a map with known cells or other thresholds"
+    )
+
+
+def _voting_part(
+    given: OccupancyGrid,
+    grid: OccupancyGrid,
+    resolution: float,
+    config: NormalizeConfig,
+    device: ComputeDevice,
+) -> tuple[VotingGrid, CellBox]:
+    """Return a grid that votes, and which cells of the resampled grid it has.
+
+    Args:
+        given: the grid as it was given.
+        grid: the same without margins.
+        resolution, config, device: as for ``normalize_grid``.
+    """
+    resampled = _resample(grid, resolution, config, device)
+    cells = trinary_cells(resampled.cells, config)
+    box = known_box(cells)
+    if box is None:
+        raise _nothing_known(given, config)
+    kept = np.ascontiguousarray(cells[box.row0 : box.row1, box.col0 : box.col1])
+    kept.flags.writeable = False
+    return VotingGrid(resampled.crop(box), kept), box
+
+
+def _resample(
+    grid: OccupancyGrid, resolution: float, config: NormalizeConfig, device: ComputeDevice
+) -> OccupancyGrid:
+    """Return the grid on its own axes and corner, with cells of another size.
+
+    To finer cells: the nearest cell. To coarser cells: the source is read at a whole number of
+    points a cell; a wall at any of them stays a wall, so that thin walls survive.
+    """
+    if grid.resolution == resolution:
+        return grid
+    blocks = _blocks(grid.cells, resolution / grid.resolution, UNKNOWN, device)
+    fine = blocks[:, 0, :, 0] if blocks.shape[1] == 1 else pool_cells(blocks, config)
+    return OccupancyGrid(fine, resolution, grid.origin, grid.name)
+
+
+def _blocks(
+    cells: npt.NDArray[np.int8], ratio: float, fill: int, device: ComputeDevice
+) -> npt.NDArray[np.int8]:
+    """Return the points (H, n, W, n) at which cells of another size read those of a grid.
+
+    Args:
+        cells: of the grid.
+        ratio: size of the others, in cells of the grid.
+        fill: where a point lies beyond the grid.
+        device: reads points that are not cells.
+    """
+    if abs(ratio - 1.0) < SAME_RESOLUTION:
+        return cells.reshape(cells.shape[0], 1, cells.shape[1], 1)
+    height, width = (max(1, int(np.ceil(size / ratio - 1e-9))) for size in cells.shape)
+    parts = max(1, int(np.ceil(ratio - 1e-9)))
+    scale = round(ratio / parts * FIXED_ONE)
+    size = (height * parts, width * parts)
+    if scale == FIXED_ONE:
+        # The points are the cells.
+        fine = np.pad(
+            cells,
+            [(0, wanted - own) for wanted, own in zip(size, cells.shape, strict=True)],
+            constant_values=fill,
+        )
+    else:
+        poses = np.array([[scale, 0, 0, 0]], dtype=np.int64)
+        fine = device.download(device.warp(device.upload(cells), poses, size, fill))[0]
+    return fine.reshape(height, parts, width, parts)
+
+
+def pool_cells(blocks: npt.NDArray[np.int8], config: NormalizeConfig) -> npt.NDArray[np.int8]:
+    """Return one cell a block (H, n, W, n): any wall wins, else the mean if half is known."""
+    height, parts, width, _ = blocks.shape
+    pooled = np.empty((height, width), dtype=np.int8)
+    kind: npt.DTypeLike = np.int16 if 100 * parts**2 <= INT16_MAX else np.int32
+    # A few rows at once, whose sums fit into the cache.
+    for first in range(0, height, POOLED_ROWS):
+        some = blocks[first : first + POOLED_ROWS]
+        highest = _each_part(np.maximum, some)
+        count = _each_part(np.add, (some >= 0).astype(kind))
+        total = _each_part(np.add, np.maximum(some, 0).astype(kind))
+        mean = (total / np.maximum(count, 1)).round().astype(np.int8)
+        out = np.where(2 * count >= parts**2, mean, np.int8(UNKNOWN))
+        is_wall = highest >= config.occupied_percent
+        pooled[first : first + POOLED_ROWS] = np.where(is_wall, highest, out)
+    return pooled
+
+
+def _each_part(join: np.ufunc, blocks: npt.NDArray[Part]) -> npt.NDArray[Part]:
+    """Return the parts of each block (H, n, W, n) joined to one, (H, W): first whole rows."""
+    height, parts, width, _ = blocks.shape
+    rows = join.reduce(blocks.reshape(height, parts, width * parts), axis=1, dtype=blocks.dtype)
+    joined: npt.NDArray[Part] = rows[:, ::parts].copy()
+    for column in range(1, parts):
+        join(joined, rows[:, column::parts], out=joined)
+    return joined

@@ -1,0 +1,329 @@
+"""Every shift of one map over another at the few yaws at which their walls are parallel.
+
+Walls of two maps of one place are parallel at few yaws: the peaks of the circular correlation of
+their histograms of wall directions. At these yaws the evidence of walls (``wall_evidence``) of
+every shift is one product of Fourier spectra, on cells of some half a metre. The larger a map is
+the larger are its spectra: in cells wider than a corridor its walls are one.
+
+Sources: Carpin, Fast and accurate map merging for multi-robot systems, Autonomous Robots 25 (2008),
+yaws from the directions of walls; Bigun and Granlund, Optimal orientation detection of linear
+symmetry, ICCV 1987, the structure tensor.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections import OrderedDict
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from slamfusion.align.features import GridFeatures
+from slamfusion.align.shifts import COARSE_SIGMA
+from slamfusion.compute import ComputeDevice
+
+F32 = npt.NDArray[np.float32]
+F64 = npt.NDArray[np.float64]
+C64 = npt.NDArray[np.complex64]
+
+# Cells on the longest side of the larger map of a pair, and on each side of its spectra, where a
+# turned map must fit: beyond half of them shifts of little common ground are taken for others.
+CELLS, SIZE = 64, 128
+# The widest coarse cell, metres: a third of a narrow corridor with its two walls. Where a map has
+# more of them than CELLS on a side its spectra are twice as large, or four or eight times.
+CELL_MAX_M, GROWTH_MAX = 0.75, 8
+# Steps of coarse levels grow by this factor, so that pairs of like sizes share them.
+STEP_GROWTH = 1.25
+FIELD_TOP = 255
+# Directions of walls, degrees; a wall has none beyond 180. Histogram of one degree.
+DIRECTIONS = 180
+# Cells on the longest side of the picture whose gradients are the directions, its blur, and the
+# reach over which gradients of a wall are one direction, both cells.
+DIRECTION_CELLS, DIRECTION_BLUR, DIRECTION_REACH = 768, 2.0, 3.0
+SMOOTHING = np.array([1.0, 2.0, 3.0, 4.0, 3.0, 2.0, 1.0])
+# Peaks of parallel walls: at least so far apart, so high, and not more.
+PEAKS_APART, PEAK_SHARE, PEAKS_MAX = 12, 0.5, 3
+# Turned maps are kept at multiples of this from their main direction, degrees, where a map has
+# CELLS on a side; of more cells at finer ones, since the ends of a map move by as much.
+YAW_STEP_DEG = 2.0
+KEYS_PER_DEG = 4
+# Spectra that are kept, bytes: all of a hundred maps of CELLS; of larger ones the last ones.
+KEPT_BYTES = 2**28
+# Shifts this near to the best one, coarse cells, are the same place.
+SAME_PLACE_CELLS = 4
+
+
+def level_for(side: int, resolution: float) -> tuple[int, int]:
+    """Return the fine cells per coarse cell for maps of this side, and by what spectra grow."""
+    growth = 1
+    while (step := _step(side / (CELLS * growth))) * resolution > CELL_MAX_M:
+        if growth == GROWTH_MAX:
+            break
+        growth *= 2
+    return step, growth
+
+
+def _step(least: float) -> int:
+    """Return a step of at least so many cells that others share."""
+    power = math.ceil(math.log(max(1.0, least), STEP_GROWTH) - 1e-9)
+    return math.ceil(STEP_GROWTH**power)
+
+
+class KeptSpectra:
+    """Spectra by any key; beyond so many bytes those that were not asked for longest go."""
+
+    def __init__(self) -> None:
+        self._spectra: OrderedDict[object, tuple[C64, C64]] = OrderedDict()
+        self._bytes = 0
+
+    def get(self, key: object) -> tuple[C64, C64] | None:
+        """Return what is kept under a key."""
+        found = self._spectra.get(key)
+        if found is not None:
+            self._spectra.move_to_end(key)
+        return found
+
+    def keep(self, key: object, spectra: tuple[C64, C64]) -> None:
+        """Keep spectra under a key."""
+        self._spectra[key] = spectra
+        self._bytes += sum(item.nbytes for item in spectra)
+        while self._bytes > KEPT_BYTES and len(self._spectra) > 1:
+            _, oldest = self._spectra.popitem(last=False)
+            self._bytes -= sum(item.nbytes for item in oldest)
+
+
+class TurnedMap:
+    """A map on coarse cells, and its spectra at the yaws that were asked for."""
+
+    def __init__(
+        self,
+        features: GridFeatures,
+        step: int,
+        growth: int,
+        directions: F64,
+        device: ComputeDevice,
+        kept: KeptSpectra,
+    ) -> None:
+        """Take evidence and walls of one level.
+
+        Args:
+            features: of the map.
+            step: fine cells per coarse cell.
+            growth: of the spectra's sides.
+            directions: of its walls, see ``wall_directions``.
+            device: computed the map.
+            kept: spectra of all maps.
+        """
+        level = features.level(step)
+        table = features.evidence_table(step, COARSE_SIGMA, FIELD_TOP)
+        field = device.download(features.field(step, table)).astype(np.float32)
+        self._evidence: F32 = (field - np.float32(table.base)) * np.float32(table.unit)
+        rows, cols = np.nonzero(device.download(level.wall))
+        self._walls = np.column_stack((cols, rows)).astype(np.float64)
+        self.directions = directions
+        folded = self.directions[: DIRECTIONS // 2] + self.directions[DIRECTIONS // 2 :]
+        # The direction of most walls, to which the grid is turned first, degrees.
+        self.main_deg = int(folded.argmax())
+        self.step = step
+        # Of the level, and of the map, fine cells, x and y.
+        self.middle: F64 = np.array(field.shape[::-1]) * step / 2.0
+        self.centre: F64 = np.array(features.centre)
+        self.size, self.yaw_step_deg = SIZE * growth, YAW_STEP_DEG / growth
+        self._kept = kept
+
+    def spectra(self, yaw_deg: float) -> tuple[C64, C64]:
+        """Return the spectra of the evidence and of the walls, turned by a yaw about the centre."""
+        half_turns, key = divmod(round(yaw_deg * KEYS_PER_DEG), 180 * KEYS_PER_DEG)
+        found = self._kept.get((self, key))
+        if found is None:
+            found = self._turned(key / KEYS_PER_DEG)
+            self._kept.keep((self, key), found)
+        if half_turns % 2 == 0:
+            return found
+        # Read from its end, a picture has the conjugate spectrum, shifted by one cell.
+        turn = _half_turn(self.size)
+        return np.conj(found[0]) * turn, np.conj(found[1]) * turn
+
+    def _turned(self, yaw_deg: float) -> tuple[C64, C64]:
+        height, width = self._evidence.shape
+        turn = _turn(math.radians(yaw_deg))
+        centre = np.array([(width - 1) / 2.0, (height - 1) / 2.0])
+        shift = (self.size - 1) / 2.0 - turn @ centre
+        sides = (self.size, self.size)
+        evidence = cv2.warpAffine(self._evidence, np.column_stack((turn, shift)), sides)
+        cols, rows = np.rint(self._walls @ turn.T + shift).astype(np.int64).T % self.size
+        walls = np.zeros(sides, dtype=np.float32)
+        np.add.at(walls, (rows, cols), np.float32(1.0))
+        spectra: C64 = scipy.fft.rfft2(np.stack((evidence, walls))).astype(np.complex64, copy=False)
+        return spectra[0], spectra[1]
+
+
+@functools.cache
+def _half_turn(size: int) -> C64:
+    """Return what the conjugate spectrum of a square picture is to be multiplied by."""
+    phase = np.exp(2j * math.pi * np.arange(size) / size)
+    return np.asarray(np.outer(phase, phase[: size // 2 + 1]), dtype=np.complex64)
+
+
+def wall_directions(solid: npt.NDArray[np.uint8]) -> F64:
+    """Return the histogram (180,) of directions across walls, mean 0 and length 1.
+
+    Args:
+        solid: (H, W) uint8, 1 at wall cells.
+    """
+    shrink = min(1.0, DIRECTION_CELLS / max(solid.shape))
+    size = (max(1, round(solid.shape[1] * shrink)), max(1, round(solid.shape[0] * shrink)))
+    # Shrunken in whole numbers: of a large map a picture of floats is much memory.
+    small = cv2.resize(solid * np.uint8(255), size, interpolation=cv2.INTER_AREA)
+    picture = cv2.GaussianBlur(small.astype(np.float32), (0, 0), DIRECTION_BLUR)
+    along_x = cv2.Scharr(picture, cv2.CV_32F, 1, 0)
+    along_y = cv2.Scharr(picture, cv2.CV_32F, 0, 1)
+    xx, yy, xy = (
+        cv2.GaussianBlur(product, (0, 0), DIRECTION_REACH)
+        for product in (along_x * along_x, along_y * along_y, along_x * along_y)
+    )
+    # The structure tensor's main axis, and how much longer it is than the other.
+    weight = np.hypot(xx - yy, 2.0 * xy)
+    strong = weight > 0.01 * weight.max()
+    degrees = np.degrees(np.arctan2(2.0 * xy[strong], (xx - yy)[strong]) / 2.0) % DIRECTIONS
+    # Shared by the two whole degrees beside it.
+    below = np.floor(degrees)
+    above = (degrees - below) * weight[strong]
+    counts: F64 = np.zeros(DIRECTIONS)
+    for more, part in enumerate((weight[strong] - above, above)):
+        counts += np.bincount((below.astype(np.int64) + more) % DIRECTIONS, part, DIRECTIONS)
+    reach = len(SMOOTHING) // 2
+    wrapped = np.concatenate((counts[-reach:], counts, counts[:reach]))
+    smooth = np.convolve(wrapped, SMOOTHING, "valid")
+    smooth -= smooth.mean()
+    length = float(np.linalg.norm(smooth))
+    return np.asarray(smooth / length if length > 0.0 else smooth)
+
+
+def parallel_yaws(reference: F64, moving: F64) -> list[float]:
+    """Return the turns (degrees, 0 to 180) under which walls of two maps are parallel.
+
+    Args:
+        reference, moving: see ``wall_directions``.
+    """
+    spectrum = np.fft.rfft(reference) * np.conj(np.fft.rfft(moving))
+    whole = np.fft.irfft(spectrum, DIRECTIONS)
+    fit = whole.copy()
+    least = PEAK_SHARE * float(fit.max())
+    yaws: list[float] = []
+    around = np.arange(-PEAKS_APART, PEAKS_APART + 1)
+    while len(yaws) < PEAKS_MAX and (not yaws or float(fit.max()) >= least):
+        peak = int(fit.argmax())
+        before, top, after = (float(whole[(peak + near) % DIRECTIONS]) for near in (-1, 0, 1))
+        bend = 2.0 * top - before - after
+        yaws.append(peak + ((after - before) / (2.0 * bend) if bend > 0.0 else 0.0))
+        fit[(peak + around) % DIRECTIONS] = -np.inf
+    return yaws
+
+
+@dataclass(frozen=True, eq=False)
+class ParallelShifts:
+    """The evidence for every shift at each yaw at which walls are parallel.
+
+    Attributes:
+        yaws_deg: (K,) of the moving map, after the reference is turned by ``-main_deg``.
+        main_deg: direction of most walls of the reference.
+        scores: (K, S, S) nats a coarse cell; shifts run around, so the second half is negative.
+    """
+
+    yaws_deg: F64
+    main_deg: float
+    scores: F32
+
+    def peak(self) -> tuple[float, tuple[int, int, int]]:
+        """Return the most evidence, and where in ``scores`` it is."""
+        best = int(self.scores.argmax())
+        index, row, col = (int(value) for value in np.unravel_index(best, self.scores.shape))
+        return float(self.scores[index, row, col]), (index, row, col)
+
+    def forget(self, place: tuple[int, int, int]) -> None:
+        """Take a peak and the shifts that are the same place out of ``scores``."""
+        index, row, col = place
+        size = self.scores.shape[1]
+        around = np.arange(-SAME_PLACE_CELLS, SAME_PLACE_CELLS + 1)
+        self.scores[index][np.ix_((row + around) % size, (col + around) % size)] = -np.inf
+
+    def motions(self, reference: TurnedMap, moving: TurnedMap, most: int) -> F64:
+        """Return the best motions (P, 3), ``most`` at each yaw: see ``motions``; takes them out.
+
+        Args:
+            reference, moving: that were compared.
+            most: at each yaw.
+        """
+        size, found = self.scores.shape[1], []
+        for index, yaw_deg in enumerate(self.yaws_deg):
+            plane = self.scores[index]
+            for _ in range(most):
+                row, col = divmod(int(plane.argmax()), size)
+                self.forget((index, row, col))
+                shift = [(value + size // 2) % size - size // 2 for value in (col, row)]
+                yaw = math.radians(yaw_deg + self.main_deg)
+                place = reference.middle + reference.step * (
+                    _turn(math.radians(self.main_deg)) @ shift
+                )
+                place = place + _turn(yaw) @ (moving.centre - moving.middle)
+                found.append((*place, math.remainder(yaw, 2.0 * math.pi)))
+        return np.array(found).reshape(-1, 3)
+
+
+def _turn(yaw: float) -> F64:
+    """Return a rotation (2, 2) by radians."""
+    return np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
+
+
+def parallel_shifts(reference: TurnedMap, moving: TurnedMap) -> ParallelShifts:
+    """Score every shift of one map over another at the yaws at which their walls are parallel.
+
+    Args:
+        reference, moving: of one level.
+    """
+    still, still_walls = reference.spectra(-reference.main_deg)
+    yaws = []
+    for yaw in parallel_yaws(reference.directions, moving.directions):
+        # Turned to the main direction of either, a yaw is nearly a multiple of the step.
+        step_deg = moving.yaw_step_deg
+        beyond = (yaw - reference.main_deg + moving.main_deg) / step_deg
+        turned = round(beyond) * step_deg - moving.main_deg
+        yaws += [turned, turned + 180.0]
+    sides = (reference.size, reference.size)
+    scores: F32 = np.empty((len(yaws), *sides), dtype=np.float32)
+    for plane, yaw in zip(scores, yaws, strict=True):
+        evidence, walls = moving.spectra(yaw)
+        product = still * np.conj(walls)
+        product += np.conj(evidence) * still_walls
+        plane[:] = scipy.fft.irfft2(product, s=sides, overwrite_x=True)
+    return ParallelShifts(np.array(yaws), reference.main_deg, scores)
+
+
+def parallel_motions(
+    reference: GridFeatures, moving: GridFeatures, most: int, device: ComputeDevice
+) -> tuple[F64, int, float]:
+    """Return the best motions at the yaws at which walls of two maps are parallel.
+
+    Args:
+        reference, moving: the two grids.
+        most: motions at each yaw.
+        device: computes.
+
+    Returns:
+        Motions (P, 3), see ``motions``; fine cells per cell of the level; yaw from one that is
+        looked at to the next, rad.
+    """
+    size = reference.grid.grid.resolution
+    level = level_for(max(*reference.shape, *moving.shape), size)
+    kept = KeptSpectra()
+    still, turned = (
+        TurnedMap(item, *level, wall_directions(item.grid.solid), device, kept)
+        for item in (reference, moving)
+    )
+    motions = parallel_shifts(still, turned).motions(still, turned, most)
+    return motions, level[0], math.radians(still.yaw_step_deg)

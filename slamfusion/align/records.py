@@ -1,0 +1,456 @@
+"""What alignment and fusion answer: plain records, shared by the tables, JSON and the report."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TypedDict
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.align.accept import DecisionKind, Strength, strength_of
+from slamfusion.geometry import Pose2
+from slamfusion.grid import OccupancyGrid
+from slamfusion.vote.tiles import GridLayer
+
+__all__ = [
+    "Alignment",
+    "AlignmentJson",
+    "Bent",
+    "BentJson",
+    "Fusion",
+    "FusionResult",
+    "InputRecord",
+    "MatchEvidence",
+    "MatchEvidenceJson",
+    "PathGapJson",
+    "RunnerUp",
+    "RunnerUpJson",
+    "StoredFusion",
+]
+
+
+class RunnerUpJson(TypedDict):
+    """The best distinct peak of a search beside its answer."""
+
+    dx_m: float
+    """Pose of the moving map's frame in the reference's: x, metres."""
+    dy_m: float
+    """Its y, metres."""
+    yaw_rad: float
+    """Its heading, radians."""
+    score: float
+    """On the scale of the alignment's score."""
+    ratio: float
+    """Score over the answer's; near 1 the place looks alike under both."""
+
+
+class MatchEvidenceJson(TypedDict):
+    """How much speaks for an alignment, counted in independent pieces of wall."""
+
+    pieces: float
+    """Pieces of wall of equal weight that speak for it."""
+    better: float
+    """Pieces of equal weight that say that it is better than the best answer elsewhere."""
+    share: float
+    """Evidence as a share of what the common ground could give, at most 1."""
+    common_m: float
+    """Wall that lies where the other map has seen something, metres."""
+    rival_ratio: float
+    """The evidence for the best answer elsewhere over that for this one."""
+    expected_wrong: float
+    """Wrong answers of the whole job that would look as good; accepted below 0.01."""
+    mirrored: float | None
+    """The evidence for the mirror image over that for the answer; null: not looked for."""
+    scale: float | None
+    """The moving map's metre in the reference's; null: not estimated."""
+    scaled_share: float | None
+    """The share at that scale; null: not estimated."""
+    rival_share: float
+    """The highest share of another answer that gives at least 0.7 of its evidence."""
+    held_m: float | None
+    """Wall that holds it in the direction in which the least does, metres; null: not asked."""
+    beside_lines_m: float | None
+    """Common wall beside the two straight lines with most of it, metres; null: not asked."""
+    good_maps: bool
+    """Whether answers are compared as of two good maps: what is unexplained speaks against them."""
+    sharp_maps: bool
+    """Whether walls meet so well, or not at all, that neither map can be bent."""
+
+
+class AlignmentJson(TypedDict):
+    """One moving map against one reference map."""
+
+    name: str
+    """The moving map."""
+    reference: str
+    """The reference map."""
+    accepted: bool
+    """Whether the alignment may be believed."""
+    reason: str
+    """Why (not)."""
+    dx_m: float
+    """Transform of a point of the moving map's frame into the reference's: x, metres."""
+    dy_m: float
+    """Its y, metres."""
+    yaw_rad: float
+    """Its heading, radians."""
+    score: float
+    """Symmetric wall score, 1 for identical maps; larger is better."""
+    overlap: float
+    """Cells known in both over known cells of the smaller map, 0 to 1."""
+    error: float
+    """[F16] map error over the reference's known box; smaller is better."""
+    runner_up: RunnerUpJson | None
+    """The best distinct peak beside the answer; null when there is none."""
+    time_s: float
+    """Wall time, seconds."""
+    statistics: Mapping[str, float | None]
+    """Further numbers of the answer, by name."""
+    match_evidence: MatchEvidenceJson | None
+    """How much speaks for it; null where nothing could be searched."""
+    match_decision: DecisionKind
+    """What was decided: accepted, or why not, in one of a few words."""
+    strength: Strength | None
+    """How good an accepted match is: by the share of the common walls that it explains, strong from
+    0.85 on, fair from 0.7 on, else weak; null: not accepted, or nothing was searched."""
+
+
+class BentJson(TypedDict):
+    """A map whose walls do not agree with those of the others."""
+
+    share: float
+    """Share of its walls that agree, 0 to 1."""
+    x: float
+    """Where it agrees least, in the frame of the fused map, metres."""
+    y: float
+    """Its y, metres."""
+
+
+class PathGapJson(TypedDict):
+    """How far two paths of one drive lie apart in the fused frame, also while one has no vote."""
+
+    a: str
+    """One producer."""
+    b: str
+    """The other producer."""
+    median_m: float
+    """Half of the time the paths are nearer than this, metres."""
+    max_m: float
+    """Where they are farthest apart, metres."""
+    start_m: float
+    """How far apart they begin, metres."""
+    median_yaw_rad: float
+    """Median of the differences of the headings, 0 to pi, radians."""
+    voting_median_m: float | None
+    """``median_m`` over the times in which both have a vote; null where there are none."""
+    voting_max_m: float | None
+    """``max_m`` over the times in which both have a vote; null where there are none."""
+
+
+@dataclass(frozen=True)
+class RunnerUp:
+    """The best distinct peak of the search beside the answer.
+
+    Attributes:
+        transform: pose of the moving map frame in the reference map frame, metres.
+        score: on the scale of ``Alignment.score``.
+        ratio: score over the answer's score; near 1 means the place looks alike under both.
+    """
+
+    transform: Pose2
+    score: float
+    ratio: float
+
+
+@dataclass(frozen=True)
+class MatchEvidence:
+    """How much speaks for an alignment, counted in independent pieces of wall.
+
+    Attributes:
+        pieces: pieces of equal weight that speak for it.
+        better: pieces of equal weight that say that it is better than the best answer elsewhere.
+        share: evidence as a share of what the common ground could give.
+        common_m: metres of wall that lie where the other map has seen something.
+        rival_ratio: the evidence for the best answer elsewhere over that for this one.
+        expected_wrong: wrong answers of the whole job that would look as good.
+        mirrored: the evidence for the mirror image over that for the answer; None: not looked for.
+        scale: the moving map's metre in the reference's; None: not estimated.
+        scaled_share: ``share`` at that scale; None: not estimated.
+        rival_share: the highest share of another answer that gives at least 0.7 of its evidence.
+        held_m: metres of wall that hold it in the direction in which the fewest do; None: not
+            asked, since it is not believed anyway.
+        beside_lines_m: metres of common wall beside the two straight lines on which most of it
+            lies; None: not asked.
+        good_maps: whether answers are compared as of two good maps of one place, so that what one
+            leaves unexplained speaks against it; otherwise as of maps that may be bent.
+        sharp_maps: whether walls meet so well, or not at all, that neither map can be bent.
+    """
+
+    pieces: float
+    better: float
+    share: float
+    common_m: float
+    rival_ratio: float
+    expected_wrong: float
+    mirrored: float | None
+    scale: float | None
+    scaled_share: float | None = None
+    rival_share: float = 0.0
+    held_m: float | None = None
+    beside_lines_m: float | None = None
+    good_maps: bool = False
+    sharp_maps: bool = False
+
+    def to_json(self) -> MatchEvidenceJson:
+        """Return the keys that other programs rely on."""
+        return {
+            "pieces": self.pieces,
+            "better": self.better,
+            "share": self.share,
+            "common_m": self.common_m,
+            "rival_ratio": self.rival_ratio,
+            "expected_wrong": self.expected_wrong,
+            "mirrored": self.mirrored,
+            "scale": self.scale,
+            "scaled_share": self.scaled_share,
+            "rival_share": self.rival_share,
+            "held_m": self.held_m,
+            "beside_lines_m": self.beside_lines_m,
+            "good_maps": self.good_maps,
+            "sharp_maps": self.sharp_maps,
+        }
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """One moving grid against one reference grid.
+
+    Attributes:
+        reference, moving: names of the grids.
+        transform: maps a point of the moving grid's map frame into the reference's, metres.
+        accepted: whether it may be believed; ``reason`` says why (not).
+        score: symmetric wall score, 1 for identical maps; larger is better.
+        overlap: cells known in both over known cells of the smaller map, 0..1.
+        error: [F16] map error, sqrt of the sum of squared differences of -1 / 0 / 1 over the
+            reference's known box.
+        runner_up: best distinct peak, None when there is none.
+        time_s: wall time of this alignment.
+        statistics: further numbers of the answer, by name.
+        yaw_profile: (K, 2) float64, yaw in rad (of ``transform``) and the most evidence there, as a
+            share of the most anywhere.
+        evidence: how much speaks for it; None where nothing could be searched.
+        decision: one of ``accept.DECISIONS``.
+    """
+
+    reference: str
+    moving: str
+    transform: Pose2
+    accepted: bool
+    reason: str
+    score: float
+    overlap: float
+    error: float
+    runner_up: RunnerUp | None
+    time_s: float
+    statistics: dict[str, float] = field(default_factory=dict)
+    yaw_profile: npt.NDArray[np.float64] | None = None
+    evidence: MatchEvidence | None = None
+    decision: DecisionKind = "not searched"
+
+    @property
+    def strength(self) -> Strength | None:
+        """How good an accepted alignment is; None: not accepted, or there is no evidence."""
+        if not self.accepted or self.evidence is None:
+            return None
+        return strength_of(self.evidence.share)
+
+    def to_json(self) -> AlignmentJson:
+        """Return the keys that other programs rely on."""
+        runner_up: RunnerUpJson | None = None
+        if self.runner_up is not None:
+            runner_up = {
+                "dx_m": self.runner_up.transform.x,
+                "dy_m": self.runner_up.transform.y,
+                "yaw_rad": self.runner_up.transform.yaw_rad,
+                "score": self.runner_up.score,
+                "ratio": self.runner_up.ratio,
+            }
+        return {
+            "name": self.moving,
+            "reference": self.reference,
+            "accepted": self.accepted,
+            "reason": self.reason,
+            "dx_m": self.transform.x,
+            "dy_m": self.transform.y,
+            "yaw_rad": self.transform.yaw_rad,
+            "score": self.score,
+            "overlap": self.overlap,
+            "error": self.error,
+            "runner_up": runner_up,
+            "time_s": self.time_s,
+            "statistics": self.statistics,
+            "match_evidence": None if self.evidence is None else self.evidence.to_json(),
+            "match_decision": self.decision,
+            "strength": self.strength,
+        }
+
+
+@dataclass(frozen=True)
+class Bent:
+    """A map whose walls do not agree with those of the others.
+
+    Attributes:
+        share: of its walls that agree, 0 to 1.
+        x, y: where it agrees least, metres in the frame of the fused map.
+    """
+
+    share: float
+    x: float
+    y: float
+
+    @property
+    def place(self) -> str:
+        """Where it agrees least, in words."""
+        return f"x {self.x:.1f}, y {self.y:.1f} m"
+
+    def to_json(self) -> BentJson:
+        """Return the keys that other programs rely on."""
+        return {"share": self.share, "x": self.x, "y": self.y}
+
+
+@dataclass(frozen=True)
+class InputRecord:
+    """One input of a fusion: its grid, what became of it, and its cells on the fused lattice.
+
+    Attributes:
+        grid: as given.
+        alignment: against the reference; the reference's own is the identity. None when the
+            grid could not be searched at all (e.g. all unknown); then ``reason`` says why.
+        accepted: whether it voted.
+        reason: why (not); one line.
+        layer: what it says on the fused lattice; None when it did not vote.
+        copy_of: the input that this one is a copy of, which votes for both; None: it is none.
+    """
+
+    grid: OccupancyGrid
+    alignment: Alignment | None
+    accepted: bool
+    reason: str
+    layer: GridLayer | None = None
+    copy_of: str | None = None
+
+    @property
+    def name(self) -> str:
+        """The input's name."""
+        return self.grid.name
+
+    @property
+    def aligned(self) -> npt.NDArray[np.int8] | None:
+        """(H, W) int8 in {-1, 0, 1} on all of the fused lattice; None when it did not vote."""
+        return None if self.layer is None else self.layer.aligned()
+
+    @property
+    def dissent(self) -> npt.NDArray[np.bool_] | None:
+        """(H, W) bool, where this input voted and was outvoted; None when it did not vote."""
+        return None if self.layer is None else self.layer.dissent()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fusion:
+    """What became of the inputs of a fusion.
+
+    Attributes:
+        reference: name of the reference input, whose frame and lattice the fused map has.
+        inputs: one record per input, in the order given.
+        pairs: every pair that was aligned, also between rejected inputs.
+        phantom_cells: occupied in the fused map by vote, occupied in no input.
+        weights: vote weight of each accepted input, by name, 0 to 1.
+        wall_agreement: share of its walls that agree with the other maps', by name, 0 to 1; of the
+            accepted inputs, where the vote weighs them.
+        bent: the accepted inputs whose walls do not agree, by name.
+        device: the device that computed it, in words.
+        time_s: wall time of the whole fusion.
+        left_out_m2: area that inputs know outside of the box that the fused map was cut to, square
+            metres, by name; empty where nothing was cut.
+    """
+
+    reference: str
+    inputs: tuple[InputRecord, ...]
+    pairs: tuple[Alignment, ...]
+    phantom_cells: int
+    weights: dict[str, float]
+    wall_agreement: dict[str, float] = field(default_factory=dict)
+    bent: dict[str, Bent] = field(default_factory=dict)
+    device: str
+    time_s: float
+    left_out_m2: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def accepted(self) -> tuple[InputRecord, ...]:
+        """The inputs that voted."""
+        return tuple(record for record in self.inputs if record.accepted)
+
+    @property
+    def rejected(self) -> tuple[InputRecord, ...]:
+        """The inputs that do not fit; copies of others are none of them."""
+        return tuple(
+            record for record in self.inputs if not record.accepted and record.copy_of is None
+        )
+
+    @property
+    def copies(self) -> tuple[InputRecord, ...]:
+        """The inputs for which another votes that is the same map."""
+        return tuple(record for record in self.inputs if record.copy_of is not None)
+
+    @property
+    def bent_sentences(self) -> tuple[str, ...]:
+        """One sentence for each bent map; one for both where there are two."""
+        if len(self.bent) == len(self.accepted) == 2:
+            (first, found), (second, _) = self.bent.items()
+            return (
+                (
+                    f"{first} and {second} agree on only {100.0 * found.share:.0f} % of their "
+                    f"walls, worst at {found.place}: one of them is bent"
+                ),
+            )
+        return tuple(
+            f"{name}: bent, agrees with the others on {100.0 * found.share:.0f} % of its walls; "
+            f"worst at {found.place}"
+            + ("; it votes only where it agrees" if name in self.weights else "")
+            for name, found in self.bent.items()
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class FusionResult(Fusion):
+    """A fused map and everything needed to judge it.
+
+    Attributes:
+        fused: cells in {-1, 0, 100}; frame and lattice of the reference.
+        agreement: cells 0..100 or -1 on the same lattice.
+        others: fusions of further groups of inputs, which share nothing that could be found with
+            those of this one; the larger first. Their inputs are the members of the group.
+    """
+
+    fused: OccupancyGrid
+    agreement: OccupancyGrid
+    others: tuple[FusionResult, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class StoredFusion(Fusion):
+    """A fused map in a store, and everything that is known of it without reading it again.
+
+    Attributes:
+        shape: rows and columns of the fused map.
+        resolution: metres a cell.
+        origin: pose of the lower-left corner of its first cell; the frame is the reference's.
+        others: see ``FusionResult``.
+    """
+
+    shape: tuple[int, int]
+    resolution: float
+    origin: Pose2
+    others: tuple[StoredFusion, ...] = ()

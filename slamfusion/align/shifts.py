@@ -1,0 +1,269 @@
+"""Every whole-cell shift of one coarse grid over another, at every yaw: ranges, planes, scores.
+
+The walls of each map on the evidence field of the other, both ways (see ``wall_evidence``). The
+planes are padded, so that all shifts of a point lie side by side in memory.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.align.cancel import CancelToken, check_cancelled
+from slamfusion.align.features import GridFeatures, Level, spread_sample
+from slamfusion.compute import ComputeDevice
+from slamfusion.compute.arrays import DeviceArray
+from slamfusion.compute.lattice import fixed_poses
+from slamfusion.compute.layout import SHIFT_LANES
+from slamfusion.compute.shift_spans import grouped, shift_spans
+
+F64 = npt.NDArray[np.float64]
+I32 = npt.NDArray[np.int32]
+
+# Sixteen values fit the packed adds of the correlate kernel.
+COARSE_TOP = 15
+# Width of a wall on coarse levels, cells.
+COARSE_SIGMA = 0.75
+# Walls of each map that judge a shift; of half as many and of nearly three times as many the
+# right one ranks as high.
+COARSE_POINTS = 384
+# Cells that the walls at this percentile of their radii move from one yaw to the next.
+YAW_STEP_CELLS = 1.3
+RIM_PERCENTILE = 90.0
+# Memory that yaws take that are scored at once: of more, each batch would be given new pages, which
+# costs more than more launches do.
+BATCH_BYTES = 1 << 23
+
+
+@dataclass(frozen=True)
+class SearchWindow:
+    """Where to search: motions within these distances of a start; None for everywhere.
+
+    Attributes:
+        start: (3,) x, y in cells, yaw in rad.
+        shift_cells: largest distance of the centre from the start, None for any.
+        yaw_rad: largest turn from the start.
+    """
+
+    start: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    shift_cells: float | None = None
+    yaw_rad: float = math.pi
+
+
+@dataclass(frozen=True, eq=False)
+class ShiftScores:
+    """The evidence for the best shift of each tile at each yaw.
+
+    Attributes:
+        step: fine cells per cell.
+        yaws: (K,) yaw in rad.
+        yaw_step: rad from one yaw to the next.
+        evidence: (K, T) nats per cell of wall, summed over the sampled walls of both maps.
+        rows, cols: (K, T) cell of the level where the moving centre lands.
+        work: field values that were added.
+    """
+
+    step: int
+    yaws: F64
+    yaw_step: float
+    evidence: F64
+    rows: I32
+    cols: I32
+    work: float
+
+    def motions(self, chosen: npt.NDArray[np.intp]) -> F64:
+        """Return (P, 3) where the moving centre lands, fine cells, and yaw.
+
+        Args:
+            chosen: (P,) of the tiles of all yaws, counted along ``evidence``.
+        """
+        x, y = ((axis.ravel()[chosen] + 0.5) * self.step for axis in (self.cols, self.rows))
+        return np.stack((x, y, self.yaws[chosen // self.evidence.shape[1]]), axis=1)
+
+
+def shift_range(
+    size: int,
+    reach: int,
+    start: float,
+    window: SearchWindow,
+    step: int,
+) -> tuple[int, int]:
+    """Return the half-open range of cells where the moving centre may land along one axis.
+
+    Wherever the circle around the moving walls overlaps the reference at all.
+    """
+    if window.shift_cells is not None:
+        half = window.shift_cells / step
+        return math.floor(start - half), math.floor(start + half) + 1
+    return -reach, size + reach + 1
+
+
+def shift_work(
+    reference: GridFeatures, moving: GridFeatures, step: int, window: SearchWindow
+) -> float:
+    """Return how many field values ``score_shifts`` adds at most: it grows as ``step``^-3.
+
+    Args:
+        reference, moving, step, window: as there.
+    """
+    rim = math.hypot(*moving.shape) / (2.0 * step)
+    reach = math.ceil(rim) + 1
+    sides = [
+        np.diff(shift_range(math.ceil(size / step), reach, start / step, window, step)).item()
+        for size, start in zip(reference.shape, (window.start[1], window.start[0]), strict=True)
+    ]
+    yaws = len(_yaw_lattice(YAW_STEP_CELLS / max(1.0, rim), window)[0])
+    return 2.0 * COARSE_POINTS * yaws * math.prod(sides)
+
+
+def score_shifts(
+    reference: GridFeatures,
+    moving: GridFeatures,
+    step: int,
+    window: SearchWindow,
+    device: ComputeDevice,
+    cancel: CancelToken | None = None,
+) -> ShiftScores:
+    """Score every whole-cell shift at every yaw on one level of both grids.
+
+    Args:
+        reference, moving: the two grids.
+        step: of the level, fine cells per cell.
+        window: where to search.
+        device: computes.
+        cancel: asked before each operation.
+
+    Raises:
+        CancelledSearchError: ``cancel`` says so.
+    """
+    ref, mov = reference.level(step, cancel), moving.level(step, cancel)
+    centre = np.array(moving.centre) / step
+    from_mov = spread_sample(mov.points, COARSE_POINTS)
+    from_ref = spread_sample(ref.points, COARSE_POINTS)
+    from_mov, from_ref = from_mov[grouped(from_mov)], from_ref[grouped(from_ref)]
+    own = from_mov / 2.0 - centre
+    radii = np.hypot(own[:, 0], own[:, 1])
+    rim = max(1.0, float(np.percentile(radii, RIM_PERCENTILE)))
+    yaws, yaw_step = _yaw_lattice(YAW_STEP_CELLS / rim, window)
+    reach = math.ceil(float(radii.max())) + 1
+    rows = shift_range(ref.shape[0], reach, window.start[1] / step, window, step)
+    cols = shift_range(ref.shape[1], reach, window.start[0] / step, window, step)
+    surface = _ShiftSurface(ref, mov, rows, cols, reach, cancel)
+    ours = reference.evidence_table(step, COARSE_SIGMA, COARSE_TOP, cancel)
+    theirs = moving.evidence_table(step, COARSE_SIGMA, COARSE_TOP, cancel)
+    on_ref, on_mov = reference.field(step, ours, cancel), moving.field(step, theirs, cancel)
+    width = cols[1] - cols[0]
+    peaks = []
+    for some in np.array_split(yaws, surface.batches(len(yaws))):
+        forward = surface.forward(on_ref, ours.base, some, own, device)
+        backward = surface.backward(on_mov, theirs.base, some, from_ref // 2, centre, device)
+        check_cancelled(cancel)
+        found = device.tile_peaks(forward, backward, width)
+        peaks.append([part.reshape(len(some), -1) for part in found])
+    values, places = (np.concatenate(parts) for parts in zip(*peaks, strict=True))
+    floor = len(from_mov) * ours.base + len(from_ref) * theirs.base
+    row, col = np.divmod(places, width)
+    evidence = np.asarray((values - floor) * ours.unit, dtype=np.float64)
+    work = float(len(yaws) * surface.height * surface.lanes) * (len(from_mov) + len(from_ref))
+    return ShiftScores(step, yaws, yaw_step, evidence, row + rows[0], col + cols[0], work)
+
+
+def _yaw_lattice(step: float, window: SearchWindow) -> tuple[F64, float]:
+    """Return evenly spaced yaws, the start's among them, and their distance.
+
+    A full turn, or the window.
+    """
+    if window.yaw_rad >= math.pi:
+        count = max(4, math.ceil(2.0 * math.pi / step))
+        own = 2.0 * math.pi / count
+        return np.asarray(window.start[2] + np.arange(count) * own), own
+    half = math.ceil(window.yaw_rad / step)
+    if half == 0:
+        return np.array([window.start[2]]), step
+    own = window.yaw_rad / half
+    return np.asarray(window.start[2] + np.arange(-half, half + 1) * own), own
+
+
+class _ShiftSurface:
+    """The padded planes and offsets that turn shifts into contiguous reads."""
+
+    def __init__(
+        self,
+        ref: Level,
+        mov: Level,
+        rows: tuple[int, int],
+        cols: tuple[int, int],
+        reach: int,
+        cancel: CancelToken | None,
+    ) -> None:
+        self.ref, self.mov, self.cancel = ref, mov, cancel
+        self.rows, self.cols, self.reach = rows, cols, reach
+        self.height = rows[1] - rows[0]
+        self.width = cols[1] - cols[0]
+        self.lanes = -(-self.width // SHIFT_LANES) * SHIFT_LANES
+
+    def batches(self, yaws: int) -> int:
+        """Return in how many batches so many yaws are scored, for all to fit into memory."""
+        plane = (self.ref.shape[0] + self.height) * (self.ref.shape[1] + self.lanes)
+        scores = 2 * np.dtype(np.int32).itemsize * self.height * self.lanes
+        return min(yaws, -(-yaws * (plane + scores) // BATCH_BYTES))
+
+    def forward(
+        self, field: DeviceArray[np.uint8], base: int, yaws: F64, own: F64, device: ComputeDevice
+    ) -> DeviceArray[np.int32]:
+        """Moving walls on the reference's field: scores (K, shifts)."""
+        reach = self.reach
+        plane_shape = (self.height + 2 * reach + 1, self.lanes + 2 * reach + 1)
+        corner = (self.cols[0] - reach, self.rows[0] - reach, 0.0)
+        check_cancelled(self.cancel)
+        plane = device.warp(field, fixed_poses(corner), plane_shape, base)
+        cos, sin = np.cos(yaws)[:, None], np.sin(yaws)[:, None]
+        x = np.floor(cos * own[:, 0] - sin * own[:, 1] + 0.5).astype(np.int32)
+        y = np.floor(sin * own[:, 0] + cos * own[:, 1] + 0.5).astype(np.int32)
+        y, x = y + reach, x + reach
+        row, col = reach - self.rows[0], reach - self.cols[0]
+        box = (row, row + self.ref.shape[0], col, col + self.ref.shape[1])
+        spans = shift_spans(y, x, np.array([box]))
+        offsets = y * plane_shape[1] + x
+        check_cancelled(self.cancel)
+        return device.correlate(plane, offsets, (self.height, self.lanes), spans, base)
+
+    def backward(
+        self,
+        field: DeviceArray[np.uint8],
+        base: int,
+        yaws: F64,
+        points: I32,
+        centre: F64,
+        device: ComputeDevice,
+    ) -> DeviceArray[np.int32]:
+        """Reference walls on the moving field, turned; read with shifts running backwards."""
+        plane_shape = (self.ref.shape[0] + self.height, self.ref.shape[1] + self.lanes)
+        dx = 0.5 - self.cols[0] - self.width
+        dy = 0.5 - self.rows[0] - self.height
+        cos, sin = np.cos(yaws), np.sin(yaws)
+        poses = np.stack(
+            (cos * dx + sin * dy + centre[0], -sin * dx + cos * dy + centre[1], -yaws), axis=1
+        )
+        check_cancelled(self.cancel)
+        planes = device.warp(field, fixed_poses(poses), plane_shape, base)
+        spans = shift_spans(
+            points[None, :, 1], points[None, :, 0], self._boxes(yaws, centre, dx, dy)
+        )
+        offsets = (points[:, 1] * plane_shape[1] + points[:, 0]).astype(np.int32)[None, :]
+        check_cancelled(self.cancel)
+        return device.correlate(planes, offsets, (self.height, self.lanes), spans, base)
+
+    def _boxes(self, yaws: F64, centre: F64, dx: float, dy: float) -> npt.NDArray[np.int32]:
+        """Return (K, 4) from and to which row and column ``backward``'s planes show the field."""
+        height, width = self.mov.shape
+        corners = np.array([(0, 0), (width, 0), (0, height), (width, height)])
+        x, y = (corners - centre).T
+        cos, sin = np.cos(yaws)[:, None], np.sin(yaws)[:, None]
+        sides = []
+        for at in (sin * x + cos * y - dy, cos * x - sin * y - dx):
+            sides += [np.floor(at.min(axis=1)) - 1, np.ceil(at.max(axis=1)) + 1]
+        return np.stack(sides, axis=1).astype(np.int32)

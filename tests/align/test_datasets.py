@@ -1,0 +1,468 @@
+"""Recorded maps: those of one place come together, those of two never do."""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import math
+import time
+from collections.abc import Callable, Iterable, Iterator
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slamfusion.align.align import align_features
+from slamfusion.align.features import GridFeatures
+from slamfusion.align.judge import judge
+from slamfusion.align.records import Alignment
+from slamfusion.align.rivals import Found
+from slamfusion.align.search import CoarseSearch
+from slamfusion.compute import ComputeDevice
+from slamfusion.compute.lattice import fixed_poses
+from slamfusion.config import FusionConfig
+from slamfusion.fusion import FusionResult, align_grids, fuse_grids
+from slamfusion.fusion.consistency import closure_error
+from slamfusion.geometry import Pose2
+from slamfusion.grid import OccupancyGrid
+from slamfusion.io.map_server import load_map
+from tests.fusion.drawings import features_of, fusion_config, off_by, with_origin
+from tests.support import halmstad
+from tests.support.datasets import MAPS, MapEntry, load_entry, map_entries
+from tests.support.drawn import case_error, drawn_cases
+from tests.support.overlap import (
+    Draft,
+    cross_slam_pairs,
+    disjoint_halves,
+    drawn,
+    half_pairs,
+    load_source,
+    mirrored,
+    scaled,
+)
+
+pytestmark = pytest.mark.datasets
+
+QUICK = fusion_config()
+HOME = ("cartographer", "gmapping", "karto")
+ROOM = ("crsm", "gmapping", "hector", "karto")
+
+
+@cache
+def load(folder: str, *names: str) -> tuple[OccupancyGrid, ...]:
+    path = MAPS / "multi-slam" / folder
+    return tuple(load_map(path / f"{name}.yaml").with_name(name) for name in names)
+
+
+def rotated(
+    grid: OccupancyGrid, angle: float, device: ComputeDevice
+) -> tuple[OccupancyGrid, Pose2]:
+    """Return the content turned on a lattice of its own, and the new frame in the old one."""
+    height, width = grid.cells.shape
+    cos, sin = math.cos(angle), math.sin(angle)
+    rows = math.ceil(height * abs(cos) + width * abs(sin)) + 4
+    cols = math.ceil(width * abs(cos) + height * abs(sin)) + 4
+    # Middle onto middle, off by a part of a cell.
+    x = width / 2 - (cos * cols - sin * rows) / 2 + 0.37
+    y = height / 2 - (sin * cols + cos * rows) / 2 - 0.21
+    pose = fixed_poses((x, y, angle))
+    warped = device.warp(device.upload(grid.cells), pose, (rows, cols), -1)
+    cells = np.ascontiguousarray(device.download(warped)[0])
+    size = grid.resolution
+    turned = OccupancyGrid(cells, size, Pose2(), grid.name)
+    return turned, grid.origin.compose(Pose2(x * size, y * size, angle))
+
+
+def assert_home(
+    result: FusionResult, grids: tuple[OccupancyGrid, ...], frames: dict[str, Pose2]
+) -> None:
+    """All accepted, and identical start frames come out within 0.35 m and 3 degrees.
+
+    Args:
+        frames: pose of each given map's frame in the frame that the recordings share.
+    """
+    assert len(result.accepted) == 3, [record.reason for record in result.rejected]
+    assert result.phantom_cells == 0
+    base = frames[result.reference]
+    for record, grid in zip(result.inputs, grids, strict=True):
+        assert record.alignment is not None
+        wanted = base.inverse().compose(frames[record.name])
+        shift, turn = off_by(grid, record.alignment.transform, wanted)
+        assert shift * grid.resolution <= 0.35, record.name
+        assert turn <= 3.0, record.name
+
+
+def test_three_slams_of_one_home_come_together(device: ComputeDevice) -> None:
+    grids = load("nanorobot-real", *HOME)
+    result = fuse_grids(grids, QUICK, device)
+    assert_home(result, grids, dict.fromkeys(HOME, Pose2()))
+
+
+@pytest.mark.parametrize(
+    "angles",
+    [
+        (0.3, -1.2, 2.6),
+        pytest.param((-3.0, 1.7, 0.9), marks=pytest.mark.full),
+        pytest.param((1.0, 2.0, 3.0), marks=pytest.mark.full),
+    ],
+)
+def test_the_home_comes_together_from_any_turn(
+    device: ComputeDevice, angles: tuple[float, float, float]
+) -> None:
+    """The content turned on new lattices, and the frames moved besides."""
+    grids, frames = [], {}
+    for grid, angle in zip(load("nanorobot-real", *HOME), angles, strict=True):
+        turned, frame = rotated(grid, angle, device)
+        there = Pose2(7.0 * angle, -3.0, 2.0 * angle)
+        grids.append(with_origin(turned, there.compose(turned.origin)))
+        frames[grid.name] = frame.compose(there.inverse())
+    assert_home(fuse_grids(grids, QUICK, device), tuple(grids), frames)
+
+
+@pytest.mark.parametrize(
+    "angles", [(0.3, -1.2, 2.6), pytest.param((-3.0, 1.7, 0.9), marks=pytest.mark.full)]
+)
+def test_the_home_comes_together_from_other_frames(
+    device: ComputeDevice, angles: tuple[float, float, float]
+) -> None:
+    """The frames alone turned and moved, through the origins."""
+    grids, frames = [], {}
+    for grid, angle in zip(load("nanorobot-real", *HOME), angles, strict=True):
+        there = Pose2(-40.0 * angle, 12.0, angle)
+        grids.append(with_origin(grid, there.compose(grid.origin)))
+        frames[grid.name] = there.inverse()
+    assert_home(fuse_grids(grids, QUICK, device), tuple(grids), frames)
+
+
+def test_a_lost_slam_is_rejected_and_the_other_two_fused(
+    device: ComputeDevice,
+) -> None:
+    grids = load("mit-csail", "gmapping", "karto", "tinyslam-lost")
+    result = fuse_grids(grids, QUICK, device)
+    assert [record.name for record in result.accepted] == ["gmapping", "karto"]
+    (lost,) = result.rejected
+    assert lost.name == "tinyslam-lost"
+    assert lost.reason
+    assert result.phantom_cells == 0
+    assert len(result.weights) == 2
+    moving = next(record for record in result.accepted if record.name != result.reference)
+    with (MAPS / "multi-slam/mit-csail/transforms.csv").open(encoding="utf-8") as file:
+        rows = {(row["source"], row["destination"]): row for row in csv.DictReader(file)}
+    row = rows[moving.name, result.reference]
+    wanted = Pose2(float(row["dx_m"]), float(row["dy_m"]), float(row["yaw_rad"]))
+    assert moving.alignment is not None
+    shift, turn = off_by(moving.grid, moving.alignment.transform, wanted)
+    assert shift <= 6.0
+    assert turn <= 0.3
+
+
+def assert_triangles_close(grids: tuple[OccupancyGrid, ...], pairs: list[Alignment]) -> None:
+    """Every triangle closes within 3 cells and 1 degree at the centre of its first map."""
+    motions = {(p.moving, p.reference): p.transform for p in pairs}
+    motions |= {(p.reference, p.moving): p.transform.inverse() for p in pairs}
+    for a, b, c in itertools.combinations(grids, 3):
+        box = a.known_box()
+        assert box is not None
+        middle = ((box.col0 + box.col1) / 2, (box.row0 + box.row1) / 2)
+        centre = a.origin.transform(np.array(middle) * a.resolution)
+        sides = [motions[pair] for pair in ((a.name, b.name), (b.name, c.name), (c.name, a.name))]
+        shift, turn = closure_error(*sides, (float(centre[0]), float(centre[1])))
+        assert shift <= 3 * a.resolution, (a.name, b.name, c.name)
+        assert math.degrees(turn) <= 1.0, (a.name, b.name, c.name)
+
+
+@pytest.mark.parametrize(("folder", "names"), [("nanobot-new", ROOM), ("nanorobot-real", HOME)])
+def test_all_pairs_of_a_place_are_accepted_and_their_triangles_close(
+    device: ComputeDevice, folder: str, names: tuple[str, ...]
+) -> None:
+    grids = load(folder, *names)
+    pairs = [align_grids(a, b, QUICK, device) for a, b in itertools.combinations(grids, 2)]
+    assert [f"{p.moving}-{p.reference}: {p.reason}" for p in pairs if not p.accepted] == []
+    assert_triangles_close(grids, pairs)
+
+
+def test_the_husky_pair_is_accepted(device: ComputeDevice) -> None:
+    grids = load("husky-lar-gazebo-sim", "map_gmapping", "map_hector")
+    found = align_grids(*grids, QUICK, device)
+    assert found.accepted, found.reason
+
+
+def different_places() -> Iterator[tuple[MapEntry, MapEntry]]:
+    """Pairs of maps of different places; worlds/stage may repeat places of rendered."""
+    for a, b in itertools.combinations(map_entries(), 2):
+        folders = {Path(entry.file).parts[0] for entry in (a, b)}
+        is_repeat = folders == {"worlds", "rendered"} and "stage" in a.file + b.file
+        if a.place != b.place and not is_repeat:
+            yield a, b
+
+
+class Prepared:
+    """Features of recorded maps, each made once a resolution."""
+
+    def __init__(self, device: ComputeDevice) -> None:
+        self.device = device
+        self.kept: dict[tuple[str, float], GridFeatures] = {}
+
+    def features(self, entry: MapEntry, resolution: float) -> GridFeatures:
+        key = (entry.file, resolution)
+        if key not in self.kept:
+            self.kept[key] = features_of(load_entry(entry), self.device, resolution)
+        return self.kept[key]
+
+    def align(self, a: MapEntry, b: MapEntry, config: FusionConfig = QUICK) -> Alignment:
+        size = min(entry.cell_size_m or 0.05 for entry in (a, b))
+        pair = sorted(
+            (self.features(entry, size) for entry in (a, b)), key=lambda f: math.prod(f.shape)
+        )
+        return align_features(pair[0], pair[1], config.align, self.device)
+
+
+def test_maps_of_different_places_are_never_accepted(
+    device: ComputeDevice, request: pytest.FixtureRequest
+) -> None:
+    prepared = Prepared(device)
+    pairs = list(different_places())
+    # Of some two thousand pairs, evenly: maps against maps of every kind.
+    wanted = 40 if request.config.getoption("--full") else 6
+    chosen = pairs[11 :: len(pairs) // wanted]
+    found = [prepared.align(a, b) for a, b in chosen]
+    assert len(found) >= wanted
+    assert [f"{p.moving}-{p.reference}: {p.reason}" for p in found if p.accepted] == []
+
+
+def test_homes_are_not_taken_for_each_other(
+    device: ComputeDevice, request: pytest.FixtureRequest
+) -> None:
+    """Places of one size and one maker, the likeliest to be mistaken."""
+    prepared = Prepared(device)
+    small = [entry for entry in map_entries() if entry.place.startswith(("nano", "turtle"))]
+    pairs = [(a, b) for a, b in itertools.combinations(small, 2) if a.place != b.place]
+    assert len(pairs) >= 15
+    chosen = pairs if request.config.getoption("--full") else pairs[::6]
+    found = [prepared.align(a, b) for a, b in chosen]
+    assert [f"{p.moving}-{p.reference}: {p.reason}" for p in found if p.accepted] == []
+
+
+def test_halmstad_pairs_are_right_as_people_marked_them(device: ComputeDevice) -> None:
+    right = accepted = 0
+    names = {"F5": ("F5_01", "F5_02", "F5_03", "F5_04"), "HIH": ("HIH_01", "HIH_02", "HIH_03")}
+    pairs = [(place, *pair) for place in names for pair in itertools.combinations(names[place], 2)]
+    pairs.append(("HIH", "HIH_01", "HIH_04"))
+    for place, first, second in pairs:
+        grids = {
+            name: load_map(
+                halmstad.FOLDER / "maps" / place / "pseudo_occupancy" / f"{name}.png",
+                resolution=halmstad.CELL_M,
+            ).with_name(name)
+            for name in (first, second)
+        }
+        found = align_grids(grids[first], grids[second], QUICK, device)
+        pixels, degrees = halmstad.annotated_error(grids[second], found)
+        is_right = pixels < halmstad.RIGHT_PIXELS and degrees < halmstad.RIGHT_DEGREES
+        assert is_right or not found.accepted, f"{second} to {first}: {pixels:.1f} px"
+        right += is_right
+        accepted += found.accepted
+    assert len(pairs) == 10
+    assert right >= 9
+    assert accepted >= 8
+
+
+# Recorded maps, what their halves share, and the axis across which they are cut.
+SHARED_PARTS = (
+    ("carpin/LongRun6.txt.gz", 0.2, "x"),
+    pytest.param("giraff/Sarmis2_map_adj.yaml", 0.3, "y", marks=pytest.mark.full),
+    pytest.param("worlds/willow-full-0.1.pgm.gz", 0.2, "x", marks=pytest.mark.full),
+)
+
+
+def believed_wrongly(device: ComputeDevice, drafts: Iterable[Draft]) -> list[str]:
+    """Return the pairs that are accepted although they are not right."""
+    out = []
+    for case in drawn(drafts):
+        found = align_grids(case.reference, case.moving, QUICK, device)
+        if found.accepted and not case.is_right(found.transform):
+            out.append(f"{case.name}: {found.reason}")
+    return out
+
+
+@pytest.mark.once
+@pytest.mark.parametrize(("file", "overlap", "axis"), SHARED_PARTS)
+def test_halves_that_share_a_part_are_found_and_believed(
+    device: ComputeDevice, file: str, overlap: float, axis: str
+) -> None:
+    drafts = half_pairs(1, (overlap,), (file,))
+    for case in drawn(draft for draft in drafts if draft.reference.axis == axis):
+        found = align_grids(case.reference, case.moving, QUICK, device)
+        assert found.accepted, f"{case.name}: {found.reason}"
+        assert case.is_right(found.transform), case.name
+
+
+@pytest.mark.once
+@pytest.mark.full
+def test_two_slams_of_halves_of_one_building_come_together(device: ComputeDevice) -> None:
+    drafts = [d for d in cross_slam_pairs(1, (0.4, 0.3, 0.2)) if "mit-csail" in d.reference.source]
+    assert len(drafts) == 24
+    for case in drawn(drafts):
+        found = align_grids(case.reference, case.moving, QUICK, device)
+        assert found.accepted, f"{case.name}: {found.reason}"
+        assert case.is_right(found.transform), case.name
+
+
+# Maps that were believed to fit themselves drawn 1.1 times as large, or their other halves: a wing
+# of one fits; and 2.8 m of wall.
+ENLARGED = (
+    "giraff/map_05_03_2019_4.yaml to giraff/map_05_03_2019_4.yaml",
+    pytest.param("aaf_y3/aaf_deployment16-cropped.pgm.gz x high to", marks=pytest.mark.full),
+    "nanorobot-real/cartographer.yaml y low to",
+)
+
+
+@pytest.mark.once
+@pytest.mark.parametrize("pair", ENLARGED)
+def test_a_map_is_not_itself_drawn_larger(device: ComputeDevice, pair: str) -> None:
+    (draft,) = (
+        draft
+        for draft in scaled(7, 1.1)
+        if pair in f"{draft.moving.name} to {draft.reference.name}"
+    )
+    case = draft.draw()
+    assert case is not None
+    reference, moving = (features_of(grid, device) for grid in (case.reference, case.moving))
+    found = align_features(reference, moving, QUICK.align, device)
+    assert not found.accepted, found.reason
+
+
+# What a few walls of two maps were believed for: 5 m at the edge of a room and of a floor, and the
+# corner of a depot on the map of a lost SLAM, in one direction alone.
+FEW_WALLS = (
+    ("multi-slam/nanobot-new/crsm.yaml", "halmstad/maps/F5/pseudo_occupancy/F5_07.png"),
+    ("worlds/nav2/depot.yaml", "multi-slam/mit-csail/tinyslam-lost.yaml"),
+)
+
+
+@pytest.mark.once
+@pytest.mark.parametrize("files", FEW_WALLS)
+def test_a_corner_that_two_maps_share_is_no_common_place(
+    device: ComputeDevice, files: tuple[str, str]
+) -> None:
+    entries = {entry.file: entry for entry in map_entries()}
+    a, b = (features_of(load_entry(entries[file]), device) for file in files)
+    for reference, moving in ((a, b), (b, a)):
+        found = align_features(reference, moving, QUICK.align, device)
+        assert not found.accepted, found.reason
+
+
+@pytest.mark.once
+def test_a_map_is_not_taken_for_its_image_or_at_another_scale(device: ComputeDevice) -> None:
+    files = ("giraff/Sarmis2_map_adj.yaml",)
+    drafts = (*mirrored(1, files)[:2], *scaled(1, 1.1, files)[:2])
+    assert believed_wrongly(device, drafts) == []
+
+
+@pytest.mark.once
+@pytest.mark.full
+@pytest.mark.parametrize(
+    "drafts_of",
+    [mirrored, lambda seed: scaled(seed, 1.1), disjoint_halves],
+    ids=["mirrored", "scaled", "disjoint"],
+)
+def test_no_map_is_taken_for_its_image_at_another_scale_or_for_its_other_half(
+    device: ComputeDevice, drafts_of: Callable[[int], tuple[Draft, ...]]
+) -> None:
+    assert believed_wrongly(device, drafts_of(1)) == []
+
+
+@pytest.mark.parametrize(
+    ("seed", "per_base"),
+    [(20, 1), *(pytest.param(seed, 3, marks=pytest.mark.full) for seed in (20, 21))],
+)
+def test_drawn_cases_are_right_or_rejected(device: ComputeDevice, seed: int, per_base: int) -> None:
+    """Recorded maps against degraded copies of themselves; none wrong and believed."""
+    right = total = 0
+    for case in drawn_cases(per_base, seed):
+        found = align_grids(case.truth, case.moving, QUICK, device)
+        cells, degrees = case_error(case, found)
+        told = f"{case.base}: {cells:.2f} cells, {degrees:.2f} deg, {found.reason}"
+        if found.accepted:
+            assert cells <= 2.0, told
+            assert degrees <= 1.0, told
+        right += cells <= 1.0 and degrees <= 0.5
+        total += 1
+    assert total == 8 * per_base
+    assert right >= total - (per_base + 1) // 2
+
+
+def test_a_room_is_not_found_among_the_many_of_a_large_building(device: ComputeDevice) -> None:
+    """96 % of 38 m of walls meet, and of all other places the best has 68 % of that."""
+    room = load_source("multi-slam/nanobot-new/karto.yaml")
+    building = load_source("strands/aaf_y3/aaf_deployment16-cropped.pgm.gz")
+    found = align_grids(room, building, QUICK, device)
+    assert not found.accepted, found.reason
+    assert found.evidence is not None
+    assert found.evidence.share > 0.9
+
+
+# What a search left of two halves of a corridor 35 m long that share 3.5 m: none is right. By walls
+# 0.45 m wide the first gives 0.61 of what it could, by walls of 0.15 m 0.22.
+BESIDE = (
+    (356.21, 101.96, 0.0032),
+    (346.17, 180.05, 0.1215),
+    (755.89, 298.19, 4.7326),
+    (762.35, -76.56, 4.742),
+    (763.37, -127.68, 4.7406),
+)
+
+
+def test_a_wide_width_alone_is_not_believed(device: ComputeDevice) -> None:
+    maps = ["rendered/freiburg_building79.png"]
+    drafts = [d for d in half_pairs(1, (0.1,), maps) if d.reference.axis == "y"]
+    case = next(drawn(d for d in drafts if d.moving.side == "low"))
+    pair = [features_of(grid, device) for grid in (case.reference, case.moving)]
+    none = np.zeros(0)
+    coarse = CoarseSearch(1, none, none, np.zeros((0, 3)), none, 1, is_cut=False)
+    found = Found(np.array(BESIDE), coarse, "full")
+    began = time.perf_counter()
+    answer = judge(pair[0], pair[1], QUICK.align, device, found, None, 1, began, None)
+    assert not answer.accepted, answer.reason
+    assert answer.evidence is not None
+    assert answer.evidence.share < 0.25
+
+
+@pytest.mark.once
+def test_a_plan_with_smoothed_lines_is_no_warehouse(device: ComputeDevice) -> None:
+    """Of its walls one in seven is beside free space, and those fit on an outer wall."""
+    named = {entry.file: entry for entry in map_entries()}
+    plan = named["halmstad/maps/HIH/layout/HIH_layout.png"]
+    warehouse = named["worlds/nav2/warehouse.yaml"]
+    prepared = Prepared(device)
+    for pair in ((plan, warehouse), (warehouse, plan)):
+        found = prepared.align(*pair)
+        assert not found.accepted, found.reason
+
+
+@pytest.mark.once
+def test_halves_that_fit_nearly_are_laid_where_they_fit(device: ComputeDevice) -> None:
+    """Found 1 degree beside the right place, as two bent maps, and believed 3.5 degrees off."""
+    drafts = half_pairs(0, (0.1,), ("worlds/willow-full-0.1.pgm.gz",))
+    chosen = [draft for draft in drafts if draft.reference.axis == "x"]
+    for case in drawn(chosen):
+        found = align_grids(case.reference, case.moving, QUICK, device)
+        assert found.accepted, f"{case.name}: {found.reason}"
+        assert case.is_right(found.transform), case.name
+
+
+@pytest.mark.once
+def test_a_corridor_in_common_is_fitted_narrowly_before_it_is_judged(device: ComputeDevice) -> None:
+    """The wide fit leaves a fifth of 100 m of walls, and the mirror image fits better."""
+    maps = ("rendered/freiburg_building79.png",)
+    for seed in (1, 2):
+        chosen = [
+            draft
+            for draft in half_pairs(seed, (0.3,), maps)
+            if (draft.reference.axis, draft.reference.side) == ("y", "high")
+        ]
+        for case in drawn(chosen):
+            found = align_grids(case.reference, case.moving, QUICK, device)
+            assert found.accepted, f"{case.name}: {found.reason}"
+            assert case.is_right(found.transform), case.name

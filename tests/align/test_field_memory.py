@@ -1,0 +1,116 @@
+"""Fields of many maps: released where they are too many, and the same when they are made again."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from slamfusion.align.features import GridFeatures
+from slamfusion.align.field_memory import LEAST_KEPT, FieldMemory
+from slamfusion.align.normalize import NormalizedGrid, check_resampling, normalize_grid
+from slamfusion.compute import ComputeDevice
+from slamfusion.config import FusionConfig, NormalizeConfig
+from slamfusion.fusion import field_memory
+from slamfusion.fusion.prepared import PreparedInputs
+from slamfusion.grid import OccupancyGrid
+from tests.fusion.drawings import building
+
+SIZE = 0.1
+
+
+def maps(count: int, device: ComputeDevice) -> list[NormalizedGrid]:
+    grids = (building(seed, 8.0, 7.0, SIZE) for seed in range(count))
+    return [normalize_grid(grid, SIZE, NormalizeConfig(), device) for grid in grids]
+
+
+def holds_fields(features: GridFeatures) -> bool:
+    return bool(features._levels)
+
+
+@pytest.mark.parametrize(("share", "kept"), [(0.0, [3, 4, 5]), (4.5 / 6, [2, 3, 4, 5])])
+def test_maps_looked_at_last_keep_their_fields(
+    device: ComputeDevice, share: float, kept: list[int]
+) -> None:
+    grids = maps(6, device)
+    cells = sum(grid.cells.size for grid in grids)
+    memory = FieldMemory(int(share * cells))
+    features = [GridFeatures(grid, device, memory) for grid in grids]
+    for item in features:
+        item.level(1)
+    # Room is made before a map is looked at, and it is one of those that stay.
+    assert [n for n, item in enumerate(features) if holds_fields(item)] == kept
+    features[3].level(1)
+    features[0].level(2)
+    features[1].level(2)
+    assert holds_fields(features[3])
+    memory.clear()
+    assert not any(map(holds_fields, features))
+
+
+def test_a_map_that_was_let_go_of_takes_no_other_map_s_room(device: ComputeDevice) -> None:
+    grids = maps(6, device)
+    memory = FieldMemory(sum(grid.cells.size for grid in grids) - grids[4].cells.size)
+    features = [GridFeatures(grid, device, memory) for grid in grids]
+    for item in features[:-1]:
+        item.level(1)
+    features[4].release()
+    features[5].level(1)
+    assert [n for n, item in enumerate(features) if holds_fields(item)] == [0, 1, 2, 3, 5]
+
+
+def test_what_is_made_again_is_the_same(device: ComputeDevice) -> None:
+    (grid,) = maps(1, device)
+    features, whole = GridFeatures(grid, device), GridFeatures(grid, device)
+
+    def looked_at(item: GridFeatures) -> list[object]:
+        table = item.evidence_table(2, 0.75, 191)
+        arrays = (
+            item.cells, item.known, item.level(1).distance, item.level(2).far_distance,
+            item.solid_level().distance2, item.field(2, table), item.seen(4),
+        )  # fmt: skip
+        own = (*item.pieces(0.1, 500), item.level(2).points, item.wall_points)
+        return [*(device.download(array).tolist() for array in arrays), *(a.tolist() for a in own)]
+
+    before = looked_at(features)
+    features.release()
+    assert not holds_fields(features)
+    assert looked_at(features) == before == looked_at(whole)
+
+
+def test_the_memory_that_is_free_says_how_many_keep_their_fields(
+    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    grids = [building(seed, 8.0, 7.0, SIZE).with_name(f"map {seed}") for seed in range(5)]
+    for free, kept in ((1 << 40, 5), (0, LEAST_KEPT)):
+        monkeypatch.setattr(field_memory, "available_memory", lambda free=free: free)
+        inputs = PreparedInputs(grids, FusionConfig(), device)
+        features = list(inputs.features.values())
+        for item in features:
+            item.level(1)
+        assert sum(map(holds_fields, features)) == kept
+        inputs.release()
+        assert not any(map(holds_fields, features))
+
+
+def test_of_many_maps_a_few_need_room_for_fields(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int] = []
+    monkeypatch.setattr(
+        "slamfusion.align.normalize.check_memory", lambda needed, *_: asked.append(needed)
+    )
+    grid = OccupancyGrid(np.zeros((100, 100), dtype=np.int8), SIZE)
+    for count in (1, 3, 60):
+        check_resampling([grid] * count, NormalizeConfig(), "fusing")
+    assert asked == [24 * 10_000, 3 * 24 * 10_000, (3 * 24 + 57 * 4) * 10_000]
+
+
+@pytest.mark.parametrize(("is_stored", "kept"), [(True, [3, 4, 5]), (False, list(range(6)))])
+def test_for_a_vote_in_a_store_little_memory_is_taken(
+    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch, is_stored: bool, kept: list[int]
+) -> None:
+    monkeypatch.setattr(field_memory, "SPARING_BYTES", 1)
+    grids = [grid.grid.with_name(f"map {n}") for n, grid in enumerate(maps(6, device))]
+    prepared = PreparedInputs(grids, FusionConfig(), device, is_stored=is_stored)
+    features = list(prepared.features.values())
+    for item in features:
+        item.level(1)
+    assert [n for n, item in enumerate(features) if holds_fields(item)] == kept

@@ -1,0 +1,344 @@
+"""What is measured of an answer and its rivals: two of one room, bent maps, starts."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from slamfusion.align.accept import expected_wrong
+from slamfusion.align.align import align_features
+from slamfusion.align.judge import prior_within, rejected_alignment
+from slamfusion.align.records import Alignment
+from slamfusion.align.rivals import is_distinct
+from slamfusion.compute import ComputeDevice
+from slamfusion.config import FusionConfig
+from slamfusion.fusion import align_grids
+from slamfusion.geometry import Pose2
+from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
+from slamfusion.sim import draw_building
+from tests.fusion.drawings import (
+    assert_right,
+    building,
+    building_parts,
+    degraded,
+    draw,
+    features_of,
+    fusion_config,
+    off_by,
+    with_origin,
+)
+from tests.support.cuts import along, halves_of, kept
+
+# About searches, not about NumPy: one leg is enough.
+pytestmark = pytest.mark.once
+
+QUICK = fusion_config()
+WINDOW = fusion_config(window_m=1.0, window_yaw_rad=0.3)
+# A room of 4 x 3 m with a niche and a pillar: it looks like itself from one side only.
+ROOM = (
+    "#" * 40,
+    *["#" + "." * 38 + "#"] * 10,
+    "#" + "." * 10 + "#" * 6 + "." * 22 + "#",
+    *["#" + "." * 30 + "#" * 3 + "." * 5 + "#"] * 6,
+    *["#" + "." * 38 + "#"] * 9,
+    "#" * 40,
+)
+
+
+def part_pair(seed: int) -> tuple[OccupancyGrid, OccupancyGrid, Pose2]:
+    """Return two halves of a building with 7 % of each in common, and the pose of the second."""
+    truth = building(seed, 16.0, 12.0, 0.05)
+    places = along(truth, truth, Pose2(), "x")
+    known = places[truth.cells >= 0]
+    halves = halves_of(int(known.min()), int(known.max()), 0.07)
+    low = kept(truth, places, (halves.low, halves.low_end)).with_name("low")
+    high = kept(truth, places, (halves.high_start, halves.high))
+    moving, pose = degraded(high, seed, "high", yaw_rad=1.2, flip_share=0.01)
+    return low, moving, pose
+
+
+def record_of(found: Alignment) -> dict[str, float | None]:
+    assert found.evidence is not None
+    return dict(found.evidence.to_json())
+
+
+def test_a_room_that_stands_twice_is_ambiguous_and_both_places_are_said(
+    device: ComputeDevice,
+) -> None:
+    two = draw("\n".join(line + " " * 20 + line for line in ROOM))
+    frame = Pose2(7.0, -3.0, 0.9)
+    away = with_origin(draw("\n".join(ROOM), name="room"), frame)
+    found = align_grids(two, away, QUICK, device)
+    assert found.decision == "ambiguous"
+    assert found.runner_up is not None
+    lands = [pose.compose(frame) for pose in (found.transform, found.runner_up.transform)]
+    for pose, x in zip(sorted(lands, key=lambda pose: pose.x), (0.0, 6.0), strict=True):
+        assert (pose.x, pose.y) == pytest.approx((x, 0.0), abs=0.05)
+        assert pose.yaw_rad == pytest.approx(0.0, abs=0.01)
+    rival = found.runner_up.transform
+    degrees = math.degrees(rival.yaw_rad)
+    assert f"at {rival.x:.2f}, {rival.y:.2f} m, {degrees:.0f} deg" in found.reason
+    assert record_of(found)["rival_ratio"] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_two_buildings_are_not_one_place_that_is_there_twice(
+    device: ComputeDevice, seed: int
+) -> None:
+    """An outer wall of one lies well on that of the other, in many places, back to back."""
+    first, second = (
+        draw_building(np.random.default_rng([seed, which]), 12.0, 10.0, 0.1).with_name(name)
+        for which, name in enumerate(("first", "second"))
+    )
+    found = align_grids(first, second, QUICK, device)
+    assert found.decision == "different place"
+    assert found.strength is None
+    best, chance = (found.statistics[name] for name in ("explained", "explained_by_chance"))
+    assert found.reason.startswith(
+        f"the maps do not show the same place: the best fit explains {best:.0%} of the smaller "
+        f"map's walls, a random one {chance:.0%}; "
+    )
+
+
+def storey(seed: int, rooms: int) -> OccupancyGrid:
+    """Return a storey of an L-shaped building of 30 x 20 m with this number of walls inside."""
+    cells = np.full((440, 640), UNKNOWN, dtype=np.int8)
+    for edge, value in ((20, OCCUPIED), (22, FREE)):
+        cells[edge : 440 - edge, edge : 430 - edge] = value
+        cells[edge : 280 - edge, edge : 640 - edge] = value
+    rng = np.random.default_rng(seed)
+    for _ in range(rooms):
+        row, col = rng.integers(30, (360, 560))
+        height, width = rng.permutation((2, int(rng.integers(40, 80))))
+        wall = cells[row : row + height, col : col + width]
+        wall[wall == FREE] = OCCUPIED
+    return OccupancyGrid(cells, 0.05, name=f"storey {seed}")
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize(("rooms", "strength"), [(10, "weak"), (12, None)])
+def test_storeys_with_the_same_outer_walls_are_a_weak_match_at_most(
+    device: ComputeDevice, seed: int, rooms: int, strength: str | None
+) -> None:
+    found = align_grids(storey(seed, rooms), storey(seed + 100, rooms), QUICK, device)
+    assert found.strength == strength, found.reason
+    assert found.to_json()["strength"] == strength
+    contradiction = 1.0 - record_of(found)["share"]
+    assert (
+        f"{contradiction:.0%} of the common walls contradict: another storey or another time?"
+        in found.reason
+    )
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("cells", [4.0, 30.0])
+def test_a_map_that_is_bent_much_is_not_believed(
+    device: ComputeDevice, seed: int, cells: float
+) -> None:
+    truth = building(seed, 14.0, 11.0, 0.05)
+    moving, pose = degraded(truth, seed, yaw_rad=0.4, bend_cells=cells)
+    found = align_grids(truth, moving, QUICK, device)
+    if cells < 10.0:
+        assert_right(found, moving, pose)
+    else:
+        assert found.decision in {"bent", "different place", "ambiguous"}, found.reason
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_a_wide_fit_that_loses_the_place_is_not_taken(
+    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch, seed: int
+) -> None:
+    """Half of a recorded map was found, and then moved by 4 m to where nothing meets."""
+    truth = building(seed, 14.0, 11.0, 0.05)
+    moving, _ = degraded(truth, seed, yaw_rad=0.4, bend_cells=30.0)
+    moves = []
+
+    def spread(off_cells: float) -> Alignment:
+        def fit(
+            _reference: object, _moving: object, motions: np.ndarray, *_: object, **__: object
+        ) -> Any:
+            moves.append(off_cells)
+            return motions + np.array([off_cells, 0.0, 0.0])
+
+        monkeypatch.setattr("slamfusion.align.judge.refine", fit)
+        return align_grids(truth, moving, QUICK, device)
+
+    stays, near, lost = spread(0.0), spread(2.0), spread(60.0)
+    assert moves == [0.0, 2.0, 60.0]
+    assert near.transform != stays.transform
+    assert lost.transform == stays.transform
+
+
+def test_thick_walls_are_not_taken_for_a_bent_map(device: ComputeDevice) -> None:
+    """A fit of a bent map is wide, and leaves a sharp one: here it would turn by a degree."""
+    truth = building(1, 9.0, 7.0, 0.05)
+    moving, pose = degraded(truth, 1, yaw_rad=1.3, resolution=0.1, wall_change_cells=2)
+    found = align_grids(truth, moving, QUICK, device)
+    assert record_of(found)["share"] == pytest.approx(0.34, abs=0.05)
+    assert_right(found, moving, pose, cells=0.3, degrees=0.2)
+
+
+def test_more_is_needed_where_there_is_more_ground(
+    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As many more as there is ground, of good maps too; on little no fewer."""
+    low, high = building(0, 14.0, 11.0, 0.05), building(1, 14.0, 11.0, 0.05)
+    bent, _ = degraded(low, 0, yaw_rad=0.4, bend_cells=30.0)
+    good, _ = degraded(high, 1, yaw_rad=0.4)
+    pairs = (low, bent), (high, good)
+    small = [align_grids(*pair, QUICK, device).evidence for pair in pairs]
+    monkeypatch.setattr("slamfusion.align.judge.GROUND_ONE_M2", 50.0)
+    monkeypatch.setattr("slamfusion.align.judge.GROUND_ONE_GOOD_M2", 100.0)
+    large = [align_grids(*pair, QUICK, device).evidence for pair in pairs]
+    for pair, before, after, one_m2 in zip(pairs, small, large, (50.0, 100.0), strict=True):
+        assert before is not None
+        assert after is not None
+        assert (before.good_maps, before.better) == (after.good_maps, after.better)
+        ref, mov = (features_of(grid, device) for grid in pair)
+        reach = math.hypot(*mov.shape)
+        ground_m2 = (ref.shape[0] + reach) * (ref.shape[1] + reach) * 0.05**2
+        assert one_m2 < ground_m2 < 5000.0
+        wanted = before.expected_wrong * ground_m2 / one_m2
+        assert after.expected_wrong == pytest.approx(wanted)
+    assert [item.good_maps for item in small if item is not None] == [False, True]
+
+
+@pytest.mark.parametrize("seed", [18, 22, 78, 90, 134, 213])
+def test_outer_walls_of_one_size_do_not_make_two_buildings_one_place(
+    device: ComputeDevice, seed: int
+) -> None:
+    """Half of the walls and more meet within 0.15 m, and nothing else comes near; rooms differ."""
+    one, other = (
+        draw_building(np.random.default_rng([seed, which]), 12.0, 10.0, 0.1) for which in range(2)
+    )
+    found = align_grids(one, other, QUICK, device)
+    assert not found.accepted, found.reason
+    assert record_of(found)["sharp_maps"]
+    assert record_of(found)["better"] > 9.0
+
+
+@pytest.mark.parametrize("seed", [4, 7])
+def test_a_small_common_ground_that_fits_is_believed_beside_a_large_one_that_does_not(
+    device: ComputeDevice, seed: int
+) -> None:
+    """What fits badly over many walls gives twice the evidence; of good maps it counts for less."""
+    west, east, pose = building_parts(seed, 0.2, yaw_rad=1.2)
+    found = align_grids(west, east, QUICK, device)
+    assert_right(found, east, pose, cells=1.5, degrees=0.5)
+    assert record_of(found)["good_maps"]
+
+
+@pytest.mark.parametrize("share", [0.5, 0.35])
+def test_maps_of_noise_are_refused_and_the_reason_says_what_was_not_searched(
+    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch, share: float
+) -> None:
+    grids = []
+    for seed in range(2):
+        rng = np.random.default_rng(seed)
+        cells = np.where(rng.random((240, 240)) < share, 100, 0).astype(np.int8)
+        grids.append(OccupancyGrid(cells, 0.05, name=f"noise {seed}"))
+    monkeypatch.setattr("slamfusion.align.search.LEVEL_WORK_MAX", 1e8)
+    found = align_grids(*grids, QUICK, device)
+    assert not found.accepted
+    assert found.reason.endswith(
+        "walls fill the cells that were searched at every yaw; on finer ones only yaws with "
+        "parallel walls were"
+    )
+
+
+@pytest.mark.parametrize("seed", [3, 5])
+def test_a_start_makes_little_common_ground_enough(device: ComputeDevice, seed: int) -> None:
+    low, high, pose = part_pair(seed)
+    assert not align_grids(low, high, QUICK, device).accepted
+    right = align_grids(low, high, WINDOW, device, pose.compose(Pose2(0.1, 0.05, 0.02)))
+    assert_right(right, high, pose, cells=2.0, degrees=1.0)
+    for off in (Pose2(3.0, 2.0, 1.0), Pose2(-2.5, 0.0, 0.0), Pose2(0.0, 0.0, math.pi)):
+        wrong = align_grids(low, high, WINDOW, device, pose.compose(off))
+        assert not wrong.accepted, wrong.reason
+
+
+def test_an_answer_near_a_given_start_is_as_much_likelier_as_poses_there_are_fewer(
+    device: ComputeDevice,
+) -> None:
+    truth = building(1, 9.0, 7.0)
+    moving, pose = degraded(truth, 1, yaw_rad=0.5, flip_share=0.02)
+    a, b = features_of(truth, device), features_of(moving, device)
+
+    def expected(start: Pose2 | None) -> float:
+        found = align_features(a, b, QUICK.align, device, start)
+        assert found.evidence is not None
+        assert found.accepted
+        return found.evidence.expected_wrong
+
+    nowhere = expected(None)
+    prior = prior_within(a, b, 20.0, math.radians(10.0))
+    assert expected(pose) == pytest.approx(prior * nowhere, rel=1e-9)
+    assert expected(pose.compose(Pose2(9.0, 9.0, 1.0))) == nowhere
+
+
+def test_more_pairs_of_a_job_let_more_wrong_answers_be_expected(device: ComputeDevice) -> None:
+    a, b = (features_of(building(1).with_name(name), device) for name in "ab")
+    one, many = (
+        align_features(a, b, QUICK.align, device, pairs=pairs).evidence for pairs in (1, 7)
+    )
+    assert one is not None
+    assert many is not None
+    assert many.expected_wrong == pytest.approx(7.0 * one.expected_wrong)
+    assert one.expected_wrong == expected_wrong(one.better, one.share, is_plain=one.good_maps)
+
+
+def test_a_prior_is_the_share_of_the_poses(device: ComputeDevice) -> None:
+    """(side of the window)^2 times its yaws, of (side + reach)^2 times all yaws."""
+    a, b = (features_of(draw("\n".join(["#" * 30] * 30)), device) for _ in range(2))
+    height, width = b.shape
+    reach = math.hypot(height, width)
+    poses = (a.shape[0] + reach) * (a.shape[1] + reach) * 2.0 * math.pi
+    assert prior_within(a, b, 5.0, 0.1) == pytest.approx(10.0**2 * 0.2 / poses)
+    # At least a cell and half a degree, at most all.
+    assert prior_within(a, b, 0.0, 0.0) == pytest.approx(4.0 * math.radians(1.0) / poses)
+    assert prior_within(a, b, 5.0, 99.0) == pytest.approx(100.0 * 2.0 * math.pi / poses)
+    assert prior_within(a, b, 1e6, math.pi) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("motion", "wanted"),
+    [
+        ((19.9, 0.0, 0.0), False),
+        ((20.1, 0.0, 0.0), True),
+        ((0.0, -20.1, 0.0), True),
+        ((0.0, 0.0, math.radians(9.9)), False),
+        ((0.0, 0.0, math.radians(10.1)), True),
+        ((0.0, 0.0, math.radians(359.0)), False),
+    ],
+)
+def test_another_answer_lies_a_metre_or_ten_degrees_away(
+    motion: tuple[float, float, float], wanted: bool
+) -> None:
+    assert is_distinct(np.array(motion), np.zeros(3)) is wanted
+
+
+def test_a_pair_that_was_not_searched_has_no_evidence(device: ComputeDevice) -> None:
+    a, b = (features_of(building(1).with_name(name), device) for name in "ab")
+    found = rejected_alignment(a, b, "why", 1.5)
+    assert (found.accepted, found.reason, found.decision) == (False, "why", "not searched")
+    assert found.evidence is None
+    record = found.to_json()
+    assert record["match_evidence"] is None
+    assert record["match_decision"] == "not searched"
+
+
+def test_a_window_that_holds_the_answer_is_judged_against_rivals_of_everywhere(
+    device: ComputeDevice,
+) -> None:
+    """Within a metre of the right place a room that stands twice has no rival, but it has one."""
+    two = draw("\n".join(line + " " * 20 + line for line in ROOM))
+    room = draw("\n".join(ROOM), name="room")
+    config: FusionConfig = WINDOW
+    found = align_grids(two, room, config, device, Pose2())
+    assert found.runner_up is not None
+    assert found.runner_up.transform.x == pytest.approx(6.0, abs=0.05)
+    shift, _ = off_by(room, found.transform, Pose2())
+    assert shift < 1.0

@@ -1,0 +1,66 @@
+"""Motions: lattice form and back, how far apart two are, and which of many are distinct."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from slamfusion.align.motions import displacement, distinct, invert, to_lattice
+
+# Farther than a rounding from any multiple of what the motions below are made of.
+SHIFT, TURN = 1.1, 0.07
+
+
+def greedy(motions: np.ndarray, most: int | None) -> list[list[float]]:
+    """One after the other, best first: kept unless within both distances of one that was kept."""
+    kept: list[np.ndarray] = []
+    for motion in motions:
+        near = [displacement(motion, other) for other in kept]
+        if not any(shift < SHIFT and turn < TURN for shift, turn in near):
+            kept.append(motion)
+    return [motion.tolist() for motion in kept[:most]]
+
+
+@given(
+    steps=st.lists(
+        st.tuples(st.integers(-5, 5), st.integers(-5, 5), st.integers(-8, 8), st.integers(-1, 1)),
+        max_size=40,
+    ),
+    most=st.one_of(st.none(), st.integers(1, 6)),
+)
+def test_distinct_equals_the_greedy_definition(
+    steps: list[tuple[int, int, int, int]], most: int | None
+) -> None:
+    motions = np.array(
+        [(0.5 * x, 0.5 * y, 3.0 + 0.02 * yaw + 2 * math.pi * turns) for x, y, yaw, turns in steps]
+    ).reshape(-1, 3)
+    found = distinct(motions, SHIFT, TURN, most)
+    assert found.shape[1:] == (3,)
+    assert found.tolist() == greedy(motions, most)
+
+
+def test_distinct_keeps_the_better_of_near_ones() -> None:
+    motions = np.array([[0.0, 0, 0], [2.0, 0, 0.01], [2.0, 0, 0.5], [9.0, 0, 0], [9.5, 0, 0]])
+    assert distinct(motions, 3.0, 0.1).tolist() == motions[[0, 2, 3]].tolist()
+    assert distinct(motions, 3.0, 0.1, 2).tolist() == motions[[0, 2]].tolist()
+
+
+def test_to_lattice_and_invert_undo_each_other() -> None:
+    motions = np.array([[3.0, -4.0, 1.2], [0.5, 8.0, -3.0]])
+    centre = (10.0, 6.0)
+    lattice = to_lattice(motions, centre)
+    for motion, pose in zip(motions, lattice, strict=True):
+        cos, sin = math.cos(pose[2]), math.sin(pose[2])
+        x = cos * centre[0] - sin * centre[1] + pose[0]
+        y = sin * centre[0] + cos * centre[1] + pose[1]
+        assert (x, y) == pytest.approx(motion[:2])
+    assert np.allclose(invert(invert(lattice)), lattice)
+
+
+def test_displacement_wraps_the_turn() -> None:
+    a, b = np.array([0.0, 0.0, math.pi - 0.1]), np.array([3.0, 4.0, -math.pi + 0.1])
+    assert displacement(a, b) == pytest.approx((5.0, 0.2))

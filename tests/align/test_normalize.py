@@ -1,0 +1,281 @@
+"""Normalised grids: one resolution, known cells only, walls kept, nothing moved in the world."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from slamfusion.align.normalize import (
+    NormalizedGrid,
+    common_resolution,
+    normalize_grid,
+    voting_grid,
+)
+from slamfusion.compute import ComputeDevice
+from slamfusion.config import NormalizeConfig
+from slamfusion.errors import GridError
+from slamfusion.fusion import normalize
+from slamfusion.geometry import Pose2
+from slamfusion.grid import CellBox, OccupancyGrid, trinary_cells
+from slamfusion.vote.lattice import Extent, Lattice
+from tests.fusion.drawings import building, draw, padded, picture_of, random_grid
+from tests.support.examples import examples
+
+DEFAULTS = NormalizeConfig()
+TURNED = Pose2(-3.1234, 7.0321, 0.7)
+
+
+def wall_centres(grid: NormalizedGrid) -> np.ndarray:
+    """World positions of the wall cells of a normalised grid."""
+    return grid.grid.cell_centres(*np.nonzero(grid.cells == 1))
+
+
+def nearest(points: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Largest coordinate distance of each point to the nearest of the others."""
+    gaps = np.abs(points[:, None, :] - others[None, :, :]).max(axis=2)
+    return np.asarray(gaps.min(axis=1))
+
+
+@pytest.mark.parametrize(
+    ("percent", "class_"),
+    [(-1, -1), (0, 0), (24, 0), (25, 0), (26, -1), (50, -1), (64, -1), (65, 1), (66, 1), (100, 1)],
+)
+def test_thresholds_are_inclusive(percent: int, class_: int) -> None:
+    assert trinary_cells(np.array([[percent]], dtype=np.int8), DEFAULTS).tolist() == [[class_]]
+
+
+def test_thresholds_are_options() -> None:
+    config = NormalizeConfig(occupied_percent=50.5, free_percent=49.0)
+    cells = np.array([[48, 49, 50, 51, -1]], dtype=np.int8)
+    assert trinary_cells(cells, config).tolist() == [[0, 0, -1, 1, -1]]
+
+
+def test_free_up_to_zero_percent_still_leaves_unknown_unknown() -> None:
+    config = NormalizeConfig(free_percent=0.0, occupied_percent=1.0)
+    assert trinary_cells(np.array([[-1, 0, 1]], dtype=np.int8), config).tolist() == [[-1, 0, 1]]
+
+
+def test_common_resolution_is_the_finest_or_the_given() -> None:
+    grids = [draw("#.", size) for size in (0.1, 0.04, 0.05)]
+    assert common_resolution(grids, DEFAULTS) == 0.04
+    assert common_resolution(grids, NormalizeConfig(resolution=0.2)) == 0.2
+
+
+def test_crop_leaves_the_known_cells_where_they_are(device: ComputeDevice) -> None:
+    picture = """
+?
+   ## .
+   #
+
+      .
+?        ?"""
+    grid = draw(picture, origin=TURNED)
+    normal = normalize_grid(grid, 0.1, DEFAULTS, device)
+    rows, cols = np.nonzero((grid.cells == 0) | (grid.cells == 100))
+    wanted = grid.cell_centres(rows, cols)
+    found = normal.grid.cell_centres(*np.nonzero(normal.cells != -1))
+    assert np.allclose(np.sort(found, axis=0), np.sort(wanted, axis=0), atol=1e-9)
+    assert picture_of(normal.cells) == ["## .", "#   ", "    ", "   ."]
+
+
+def test_cells_between_the_thresholds_are_cropped_away_like_unknown_ones(
+    device: ComputeDevice,
+) -> None:
+    normal = normalize_grid(draw("???\n?#.\n???"), 0.1, DEFAULTS, device)
+    assert picture_of(normal.cells) == ["#."]
+    assert normal.grid.cells.tolist() == [[100, 0]]
+
+
+def test_all_unknown_is_refused_by_name_size_and_thresholds(device: ComputeDevice) -> None:
+    grid = draw("? \n  \n ?", name="attic")
+    with pytest.raises(GridError, match=r"^attic: all 3 x 2 cells are unknown .*25 %.*65 %"):
+        normalize_grid(grid, 0.1, DEFAULTS, device)
+
+
+def test_resolution_almost_the_same_changes_no_cell(device: ComputeDevice) -> None:
+    grid = random_grid(3)
+    near = normalize_grid(grid, grid.resolution * (1 + 2e-8), DEFAULTS, device)
+    same = normalize_grid(grid, grid.resolution, DEFAULTS, device)
+    assert np.array_equal(near.cells, same.cells)
+    assert np.array_equal(near.solid, same.solid)
+
+
+@pytest.mark.parametrize("ratio", [1.25, 1.6, 2.0, 2.5, 3.0, 5.0])
+@pytest.mark.parametrize("yaw_rad", [0.0, 0.7, -2.9])
+def test_walls_survive_coarser_cells(device: ComputeDevice, ratio: float, yaw_rad: float) -> None:
+    """Each thin wall cell lies in a wall cell or, by the rounding of the points, beside one."""
+    grid = OccupancyGrid(building(1).cells, 0.04, Pose2(1.013, -2.007, yaw_rad))
+    normal = normalize_grid(grid, 0.04 * ratio, DEFAULTS, device)
+    thin = grid.cell_centres(*np.nonzero(grid.cells == 100))
+    axes = Pose2(0.0, 0.0, -yaw_rad)
+    own, coarse = axes.transform(thin), axes.transform(wall_centres(normal))
+    assert nearest(own, coarse).max() <= 0.04 * (ratio / 2 + 0.5) + 1e-9
+
+
+def test_a_wall_one_cell_thick_survives_any_whole_number_of_cells(device: ComputeDevice) -> None:
+    for parts in (2, 3, 4, 7):
+        for at in range(parts):
+            cells = np.zeros((parts, 4 * parts), dtype=np.int8)
+            cells[:, parts + at] = 100
+            grid = OccupancyGrid(cells, 0.05)
+            normal = normalize_grid(grid, 0.05 * parts, DEFAULTS, device)
+            assert picture_of(normal.cells) == [".#.."], (parts, at)
+
+
+def test_a_coarse_cell_is_known_when_half_of_it_is(device: ComputeDevice) -> None:
+    grid = draw("..  ..#.\n.   ..##", 0.05)
+    normal = normalize_grid(grid, 0.1, DEFAULTS, device)
+    assert picture_of(normal.cells) == [". .#"]
+
+
+@pytest.mark.parametrize("ratio", [0.8, 0.5, 0.4, 0.25])
+def test_finer_cells_keep_the_world(device: ComputeDevice, ratio: float) -> None:
+    """A fine cell is what the coarse cell under its centre is, yaw and offset included.
+
+    Centres on the line between two coarse cells may go either way.
+    """
+    grid = OccupancyGrid(random_grid(5).cells, 0.1, TURNED)
+    normal = normalize_grid(grid, 0.1 * ratio, DEFAULTS, device)
+    rows, cols = np.indices(normal.shape).reshape(2, -1)
+    centres = normal.grid.cell_centres(rows, cols)
+    own = TURNED.inverse().transform(centres) / 0.1
+    clear = (np.abs(own - np.rint(own)) > 1e-6).all(axis=1)
+    row, col = grid.cell_indices(centres)
+    at = (row.clip(0, grid.height - 1), col.clip(0, grid.width - 1))
+    wanted = np.where((row < grid.height) & (col < grid.width), grid.cells[at], -1)
+    assert np.array_equal(normal.grid.cells.ravel()[clear], wanted[clear])
+    assert clear.mean() > 0.5
+    # And no wall is lost: each coarse wall cell has a fine one within half a cell.
+    walls = grid.cell_centres(*np.nonzero(grid.cells == 100))
+    axes = Pose2(0.0, 0.0, -TURNED.yaw_rad)
+    gap = nearest(axes.transform(walls), axes.transform(wall_centres(normal)))
+    assert gap.max() <= 0.05 + 1e-9
+
+
+@settings(max_examples=examples(30), deadline=None, derandomize=True)
+@given(
+    seed=st.integers(0, 10_000),
+    ratio=st.floats(0.3, 4.0),
+    x=st.floats(-600, 600),
+    y=st.floats(-600, 600),
+    yaw=st.floats(-math.pi, math.pi),
+)
+def test_every_wall_has_a_wall_within_half_a_cell_after_resampling(
+    device: ComputeDevice, seed: int, ratio: float, x: float, y: float, yaw: float
+) -> None:
+    grid = OccupancyGrid(random_grid(seed, 12, 30).cells, 0.1, Pose2(x, y, yaw))
+    normal = normalize_grid(grid, 0.1 * ratio, DEFAULTS, device)
+    axes = Pose2(0.0, 0.0, -yaw)
+    before = axes.transform(grid.cell_centres(*np.nonzero(grid.cells == 100)))
+    after = axes.transform(wall_centres(normal))
+    reach = 0.1 * (1 + ratio) / 2 + 1e-6
+    assert nearest(before, after).max() <= reach
+    assert nearest(after, before).max() <= reach
+
+
+def test_specks_count_as_cells_but_not_as_walls_to_align(device: ComputeDevice) -> None:
+    grid = draw(
+        """
+#########
+#.......#
+#..#....#
+#.......#
+#....##.#
+#.......#
+#########
+"""
+    )
+    normal = normalize_grid(grid, 0.1, DEFAULTS, device)
+    assert normal.cells[4, 3] == 1
+    assert normal.solid[4, 3] == 0, "a wall cell with eight free neighbours"
+    assert normal.solid[2, 5:7].tolist() == [0, 0], "two wall cells with seven each"
+    assert normal.solid[0].all()
+    assert normal.solid[:, 0].all()
+
+
+def test_where_all_walls_are_specks_all_of_them_count(device: ComputeDevice) -> None:
+    normal = normalize_grid(draw(".....\n.#.#.\n....."), 0.1, DEFAULTS, device)
+    assert np.array_equal(normal.solid, normal.cells == 1)
+
+
+def test_specks_are_judged_before_resampling(device: ComputeDevice) -> None:
+    """Doubling a speck makes four cells with five free neighbours each: still a speck."""
+    picture = "#######\n#.....#\n#..#..#\n#.....#\n#######"
+    normal = normalize_grid(draw(picture, 0.1), 0.05, DEFAULTS, device)
+    assert (normal.cells[4:6, 6:8] == 1).all()
+    assert not normal.solid[4:6, 6:8].any()
+    assert normal.solid.sum() == 4 * (2 * 7 + 2 * 3)
+
+
+def test_normalised_cells_are_frozen(device: ComputeDevice) -> None:
+    normal = normalize_grid(random_grid(1), 0.1, DEFAULTS, device)
+    assert not normal.cells.flags.writeable
+    assert not normal.solid.flags.writeable
+
+
+def test_unknown_margins_change_nothing(device: ComputeDevice) -> None:
+    grid = OccupancyGrid(random_grid(2).cells, 0.1, TURNED)
+    plain = normalize_grid(grid, 0.1, DEFAULTS, device)
+    grown = normalize_grid(padded(grid, 3, 40, 17, 1), 0.1, DEFAULTS, device)
+    assert np.array_equal(plain.cells, grown.cells)
+    assert np.array_equal(plain.solid, grown.solid)
+    a, b = plain.grid.origin, grown.grid.origin
+    assert (a.x, a.y, a.yaw_rad) == pytest.approx((b.x, b.y, b.yaw_rad), abs=1e-9)
+
+
+def test_the_extent_of_a_grid_on_itself_is_its_own(device: ComputeDevice) -> None:
+    normal = normalize_grid(OccupancyGrid(random_grid(2).cells, 0.1, TURNED), 0.1, DEFAULTS, device)
+    extent = normal.extent
+    assert extent.on(extent.lattice, Pose2()) == extent.box == CellBox(0, 0, *normal.shape)
+
+
+def test_the_area_outside_counts_known_cells_alone() -> None:
+    """A row of five cells, 0.5 m each, is turned to the north: two of its known cells stick out."""
+    row = OccupancyGrid(np.array([[0, 50, -1, 0, 100]], dtype=np.int8), 0.5)
+    box = Extent(Lattice(0.5, Pose2(-1.0, 0.0, 0.0)), (3, 4))
+    area = box.area_outside(row, Pose2(0.0, 0.0, math.pi / 2), NormalizeConfig())
+    assert area == pytest.approx(2 * 0.25)
+    assert box.area_outside(row, Pose2(-1.0, 0.0, 0.0), NormalizeConfig()) == pytest.approx(0.25)
+
+
+def test_an_extent_holds_every_corner_of_a_turned_grid(device: ComputeDevice) -> None:
+    inner = normalize_grid(OccupancyGrid(random_grid(2).cells, 0.1, TURNED), 0.1, DEFAULTS, device)
+    outer = normalize_grid(random_grid(4), 0.1, DEFAULTS, device)
+    motion = Pose2(4.0, -1.0, 1.1)
+    box = inner.extent.on(outer.extent.lattice, motion)
+    rows, cols = np.indices(inner.shape).reshape(2, -1)
+    landed = motion.transform(inner.grid.cell_centres(rows, cols))
+    row, col = outer.grid.cell_indices(landed)
+    assert box.row0 <= row.min() < box.row0 + 2
+    assert box.row1 - 2 <= row.max() < box.row1
+    assert box.col0 <= col.min() < box.col0 + 2
+    assert box.col1 - 2 <= col.max() < box.col1
+
+
+@pytest.mark.parametrize("ratio", [0.6, 1.0, 2.3, 3.0, 20.0])
+def test_a_grid_votes_as_what_is_aligned_of_it(device: ComputeDevice, ratio: float) -> None:
+    grid = random_grid(7, 47, 61)
+    resolution = ratio * grid.resolution
+    aligned = normalize_grid(grid, resolution, NormalizeConfig(), device)
+    voting = voting_grid(grid, resolution, NormalizeConfig(), device)
+    assert np.array_equal(voting.cells, aligned.cells)
+    assert np.array_equal(voting.grid.cells, aligned.grid.cells)
+    assert voting.grid.origin == aligned.grid.origin
+
+
+@pytest.mark.parametrize(
+    ("most", "resolution", "factor"),
+    [(30_000, 0.05, 1), (29_999, 0.05, 2), (7_000, 0.05, 3), (1_000, 0.05, 3), (1_000, 0.2, 1)],
+)
+def test_copies_of_many_maps_are_coarser_where_little_memory_is_wanted(
+    monkeypatch: pytest.MonkeyPatch, most: int, resolution: float, factor: int
+) -> None:
+    """Three maps of 100 x 100 known cells; cells are 0.15 m at most for it."""
+    monkeypatch.setattr(normalize, "SPARING_CELLS", most)
+    grids = 3 * [OccupancyGrid(np.zeros((100, 100), dtype=np.int8), resolution)]
+    assert normalize.coarsening(grids, resolution) == 1
+    assert normalize.coarsening(grids, resolution, is_sparing=True) == factor

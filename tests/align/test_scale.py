@@ -1,0 +1,112 @@
+"""Maps of another scale: small differences are said, large ones refused, none is invented."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from slamfusion.align.align import align_features
+from slamfusion.align.frames import motion_of
+from slamfusion.align.mirror import SURE_SHARE
+from slamfusion.align.records import Alignment
+from slamfusion.align.scale import estimate_scale
+from slamfusion.align.search import wall_widths
+from slamfusion.compute import ComputeDevice
+from slamfusion.config import AlignConfig
+from slamfusion.geometry import Pose2
+from slamfusion.grid import OccupancyGrid
+from tests.fusion.drawings import building, draw, features_of
+from tests.support.cuts import along, kept, move_frame
+
+# About searches, not about NumPy: one leg is enough.
+pytestmark = pytest.mark.once
+
+CONFIG = AlignConfig()
+
+
+def scaled(seed: int, factor: float) -> tuple[OccupancyGrid, OccupancyGrid]:
+    """Return a drawn building, and it larger by a factor in another frame."""
+    truth = building(seed, 14.0, 11.0, 0.05)
+    moving, _ = move_frame(truth, np.random.default_rng(seed), factor)
+    return truth, moving.with_name("scaled")
+
+
+def aligned(seed: int, factor: float, device: ComputeDevice) -> Alignment:
+    truth, moving = scaled(seed, factor)
+    return align_features(features_of(truth, device), features_of(moving, device), CONFIG, device)
+
+
+def scale_of(found: Alignment) -> float:
+    assert found.evidence is not None
+    assert found.evidence.scale is not None, found.reason
+    return found.evidence.scale
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("factor", [1.02, 0.98])
+def test_a_small_difference_is_said_to_a_third_of_a_percent(
+    device: ComputeDevice, seed: int, factor: float
+) -> None:
+    found = aligned(seed, factor, device)
+    assert found.accepted, found.reason
+    assert scale_of(found) == pytest.approx(1.0 / factor, abs=0.003)
+    assert f"differ in scale by {abs(scale_of(found) - 1.0):.1%}" in found.reason
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("factor", [1.05, 0.95])
+def test_a_large_difference_is_refused_by_name(
+    device: ComputeDevice, seed: int, factor: float
+) -> None:
+    found = aligned(seed, factor, device)
+    assert found.decision == "other scale", found.reason
+    assert scale_of(found) == pytest.approx(1.0 / factor, abs=0.012)
+    assert "is a resolution wrong?" in found.reason
+
+
+@pytest.mark.parametrize("factor", [1.1, 0.9])
+def test_what_is_far_larger_or_smaller_is_refused(device: ComputeDevice, factor: float) -> None:
+    assert not aligned(0, factor, device).accepted
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_one_scale_says_nothing(device: ComputeDevice, seed: int) -> None:
+    found = aligned(seed, 1.0, device)
+    assert found.accepted, found.reason
+    assert scale_of(found) == 1.0
+    assert "scale" not in found.reason
+
+
+def test_little_common_ground_hides_no_scale(device: ComputeDevice) -> None:
+    """A strip of 2.5 m fits nearly as well at another scale: little is left unexplained."""
+    truth, _ = scaled(3, 1.0)
+    places = along(truth, truth, Pose2(), "x")
+    low = kept(truth, places, (0, 200)).with_name("low")
+    high = kept(truth, places, (150, 10_000))
+    moving, _ = move_frame(high, np.random.default_rng(3), 1.04)
+    found = align_features(features_of(low, device), features_of(moving, device), CONFIG, device)
+    assert found.evidence is not None
+    assert found.evidence.share > SURE_SHARE
+    assert found.decision == "other scale", found.reason
+
+
+def test_a_scale_is_estimated_about_the_common_ground(device: ComputeDevice) -> None:
+    """The answer holds in the middle of what both saw, wherever the moving map's own middle is."""
+    truth, moving = scaled(2, 1.02)
+    a, b = features_of(truth, device), features_of(moving, device)
+    found = align_features(a, b, CONFIG, device)
+    motion = motion_of(a, b, found.transform)
+    sigma = wall_widths(a)[0]
+    fit = estimate_scale(a, b, motion, (sigma, sigma), device)
+    assert fit.scale == pytest.approx(1.0 / 1.02, abs=0.003)
+    assert fit.share > 0.9
+    # Elsewhere nothing is better at another scale by as much as an answer needs.
+    away = motion + np.array([0.0, 0.0, 1.0])
+    assert estimate_scale(a, b, away, (sigma, sigma), device).scale == 1.0
+
+
+def test_maps_that_do_not_meet_have_no_scale(device: ComputeDevice) -> None:
+    a, b = features_of(building(1), device), features_of(draw("###\n#.#\n###"), device)
+    motion = np.array([9000.0, 9000.0, 0.3])
+    sigma = wall_widths(a)[0]
+    assert estimate_scale(a, b, motion, (sigma, sigma), device).scale == 1.0
