@@ -21,7 +21,7 @@ from slamfusion.version import __version__
 
 if TYPE_CHECKING:
     from slamfusion.align.records import Alignment, FusionResult
-    from slamfusion.align.start import StartPose
+    from slamfusion.align.starts import StartPose
     from slamfusion.compute import ComputeDevice, open_device
     from slamfusion.config import RunConfig
     from slamfusion.errors import (

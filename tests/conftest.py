@@ -51,7 +51,7 @@ LONGEST = (
     "slam/graph/test_lost_robot.py",
     "ros/test_launch_script.py",
     "sim/test_simulate.py",
-    "fusion/test_datasets.py",
+    "align/test_datasets.py",
     "ros/test_player_node.py",
     "experiments/test_trials.py",
     "kernels/test_simulator.py",

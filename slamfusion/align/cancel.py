@@ -1,8 +1,10 @@
-"""``CancelToken``: asked between the operations of a search whether to give it up."""
+"""Give up a search between two operations of the device, since something else waits."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Protocol
 
 
@@ -41,11 +43,25 @@ class CancelToken:
             raise CancelledSearchError
 
 
-def check_cancelled(cancel: CancelToken | None) -> None:
-    """Return where a search may go on, as one without a token always may.
+_TOKEN: ContextVar[CancelToken | None] = ContextVar("cancel", default=None)
+
+
+@contextmanager
+def watched_by(cancel: CancelToken | None) -> Iterator[None]:
+    """Ask a token before each operation of the block; None: ask as around the block."""
+    outer = _TOKEN.set(cancel or _TOKEN.get())
+    try:
+        yield
+    finally:
+        _TOKEN.reset(outer)
+
+
+def check_cancelled() -> None:
+    """Return where a search may go on, as one that no token watches always may.
 
     Raises:
         CancelledSearchError: something else waits.
     """
-    if cancel is not None:
-        cancel.check()
+    token = _TOKEN.get()
+    if token is not None:
+        token.check()

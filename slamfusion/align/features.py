@@ -7,31 +7,33 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.align.cancel import CancelToken, check_cancelled
-from slamfusion.align.facing import facings
-from slamfusion.align.field_memory import FieldMemory
-from slamfusion.align.normalize import NormalizedGrid
-from slamfusion.align.wall_evidence import (
+from slamfusion.align.cancel import check_cancelled
+from slamfusion.align.likelihood import (
     EvidenceTable,
     ScoreTable,
     evidence_table,
     likeness,
     score_table,
 )
+from slamfusion.align.normalize import LEAST_KEPT, NormalizedGrid
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.layout import (
     DISTANCE_ONE,
     DISTANCE_TABLE,
     DISTANCE_UNSEEN,
+    FACES,
+    FACES_NOWHERE,
+    FACING_PARTS,
     FIELD_ONE,
 )
+from slamfusion.io.memory import available_memory, return_freed_memory
 
 # Farther than this from its walls the unknown says nothing, metres, and the least in cells.
 SEEN_M, SEEN_CELLS_MIN = 0.4, 3.0
@@ -184,38 +186,34 @@ class GridFeatures:
             self._near_wall_share[near2] = near / max(1, self.known_cells)
         return self._near_wall_share[near2]
 
-    def _surface(self, cancel: CancelToken | None) -> DeviceArray[Any]:
+    def _surface(self) -> DeviceArray[Any]:
         """Return the surface walls; all solid walls where none touches free space."""
         if self._surface_walls is None:
-            check_cancelled(cancel)
+            check_cancelled()
             solid = self.device.upload(self.grid.solid)
             surface = self.device.surface_walls(self.cells, solid)
-            check_cancelled(cancel)
+            check_cancelled()
             self._surface_walls = surface if self.device.download(surface).any() else solid
         return self._surface_walls
 
-    def level(self, step: int, cancel: CancelToken | None = None) -> Level:
-        """Return the grid at ``step`` fine cells a cell.
-
-        Raises:
-            CancelledSearchError: ``cancel`` says so.
-        """
+    def level(self, step: int) -> Level:
+        """Return the grid at ``step`` fine cells a cell."""
         if self._memory is not None:
             self._memory.use(self, is_more=step not in self._levels)
         if step not in self._levels:
-            wall = self._surface(cancel)
-            check_cancelled(cancel)
+            wall = self._surface()
+            check_cancelled()
             if step == 1:
                 free = self.device.upload((self.grid.cells == 0).astype(np.uint8) * np.uint8(255))
             else:
                 wall, free = self.device.shrink(wall, self.cells, step)
-            check_cancelled(cancel)
+            check_cancelled()
             distance2 = self.device.distance_squared(wall)
-            check_cancelled(cancel)
+            check_cancelled()
             far = self.device.look_up(distance2, DISTANCE_TABLE)
-            check_cancelled(cancel)
+            check_cancelled()
             distance = self._seen_distance(distance2, free, step)
-            check_cancelled(cancel)
+            check_cancelled()
             mask = self.device.download(wall)
             self._levels[step] = Level(
                 step, mask.shape, wall, free, distance2, distance, far, _lattice_points(mask != 0)
@@ -234,126 +232,94 @@ class GridFeatures:
         unseen[unseen > reach * DISTANCE_ONE] = DISTANCE_UNSEEN
         return self.device.look_up_where(distance2, free, DISTANCE_TABLE, unseen)
 
-    def solid_level(self, cancel: CancelToken | None = None) -> Level:
-        """Return the finest level with every solid wall cell, not only the surfaces.
-
-        Raises:
-            CancelledSearchError: ``cancel`` says so.
-        """
+    def solid_level(self) -> Level:
+        """Return the finest level with every solid wall cell, not only the surfaces."""
         if self._solid_level is None:
-            free = self.level(1, cancel).free
-            check_cancelled(cancel)
+            free = self.level(1).free
+            check_cancelled()
             wall = self.device.upload(self.grid.solid)
             distance2 = self.device.distance_squared(wall, SOLID_REACH)
-            check_cancelled(cancel)
+            check_cancelled()
             far = self.device.look_up(distance2, DISTANCE_TABLE)
-            check_cancelled(cancel)
+            check_cancelled()
             distance = self._seen_distance(distance2, free, 1)
             self._solid_level = Level(
                 1, self.shape, wall, free, distance2, distance, far, self.wall_points
             )
         return self._solid_level
 
-    def chance(self, step: int, sigma: float, cancel: CancelToken | None = None) -> float:
+    def chance(self, step: int, sigma: float) -> float:
         """Return what a wall of another place finds on average in the known cells of a level.
 
         Args:
             step: of the level. sigma: width of a wall in its cells.
-            cancel: asked before each operation.
 
         Returns:
             The mean of ``wall_evidence.likeness`` over known cells, 0..1.
-
-        Raises:
-            CancelledSearchError: ``cancel`` says so.
         """
-        known = self._known_at_distance(step, cancel)
+        known = self._known_at_distance(step)
         total = float(known.sum())
         return float(likeness(sigma)[: len(known)] @ known) / total if total > 0 else 1.0
 
-    def _known_at_distance(self, step: int, cancel: CancelToken | None) -> npt.NDArray[np.float64]:
+    def _known_at_distance(self, step: int) -> npt.NDArray[np.float64]:
         """Return (N,) the known cells of a level by squared distance to a wall."""
         if step not in self._known_distances:
-            level = self.level(step, cancel)
+            level = self.level(step)
             self._known_distances[step] = _known_by_distance(self.device, self.grid.cells, level)
         return self._known_distances[step]
 
-    def pieces(
-        self, per_half_cell: float, most: int, cancel: CancelToken | None = None
-    ) -> PointPieces:
+    def pieces(self, per_half_cell: float, most: int) -> PointPieces:
         """Return sampled surface walls piece by piece; see ``pieces``.
 
         Args:
             per_half_cell: half a cell, in sides of a piece. most: walls that are sampled.
-            cancel: asked before each operation.
-
-        Raises:
-            CancelledSearchError: ``cancel`` says so.
         """
         key = (per_half_cell, most)
         if key not in self._pieces:
-            points = spread_sample(self.level(1, cancel).points, most)
+            points = spread_sample(self.level(1).points, most)
             col, row = np.floor(points * per_half_cell).astype(np.int64).T
             self._pieces[key] = _by_square(points, col * (row.max(initial=0) + 1) + row)
         return self._pieces[key]
 
-    def facing(self, cancel: CancelToken | None = None) -> DeviceArray[Any]:
+    def facing(self) -> DeviceArray[Any]:
         """Return (H, W) uint8 on the device, where free space lies, see ``facing.facings``."""
         if self._facing is None:
-            self._facing = self.device.upload(_facings_of(self, cancel))
+            self._facing = self.device.upload(_facings_of(self))
         return self._facing
 
-    def seen(self, near2: int, cancel: CancelToken | None = None) -> DeviceArray[Any]:
-        """Return (H, W) uint8, 1 where known or within this squared distance of a wall.
-
-        Raises:
-            CancelledSearchError: ``cancel`` says so.
-        """
+    def seen(self, near2: int) -> DeviceArray[Any]:
+        """Return (H, W) uint8, 1 where known or within this squared distance of a wall."""
         if near2 not in self._seen:
-            is_near = self.device.download(self.level(1, cancel).distance2) <= near2
+            is_near = self.device.download(self.level(1).distance2) <= near2
             is_seen = (is_near | (self.grid.cells >= 0)).view(np.uint8)
             self._seen[near2] = self.device.upload(is_seen)
         return self._seen[near2]
 
     def evidence_table(
-        self,
-        step: int,
-        sigma: float,
-        top: int,
-        cancel: CancelToken | None = None,
-        doubt: float = 0.0,
+        self, step: int, sigma: float, top: int, doubt: float = 0.0
     ) -> EvidenceTable:
         """Return what a wall of the other map tells in the cells of a level of this one.
 
         Args:
             step: of the level. sigma: width of a wall in its cells. top: greatest field value.
-            cancel: asked before each operation. doubt: see ``wall_evidence.evidence_table``.
-
-        Raises:
-            CancelledSearchError: ``cancel`` says so.
+            doubt: see ``wall_evidence.evidence_table``.
         """
-        return evidence_table(self.chance(step, sigma, cancel), sigma, top, doubt)
+        return evidence_table(self.chance(step, sigma), sigma, top, doubt)
 
-    def field(
-        self, step: int, table: ScoreTable, cancel: CancelToken | None = None
-    ) -> DeviceArray[Any]:
-        """Return the score field of a level, uint8 on the device.
-
-        Raises:
-            CancelledSearchError: ``cancel`` says so.
-        """
+    def field(self, step: int, table: ScoreTable) -> DeviceArray[Any]:
+        """Return the score field of a level, uint8 on the device."""
         key = (step, table.name)
         if key not in self._fields:
-            level = self.level(step, cancel)
-            check_cancelled(cancel)
+            level = self.level(step)
+            check_cancelled()
             self._fields[key] = self.device.score_field(
                 level.distance2, level.free, table.hit, table.miss, table.base
             )
         return self._fields[key]
 
 
-def _facings_of(features: GridFeatures, cancel: CancelToken | None) -> npt.NDArray[np.uint8]:
-    distance2 = features.device.download(features.level(1, cancel).distance2)
+def _facings_of(features: GridFeatures) -> npt.NDArray[np.uint8]:
+    distance2 = features.device.download(features.level(1).distance2)
     return facings(features.grid.cells, distance2, features.grid.grid.resolution)
 
 
@@ -419,3 +385,146 @@ def _without_rims(grid: NormalizedGrid) -> NormalizedGrid:
     if np.count_nonzero(solid & cleared) <= SOFT_GAIN * np.count_nonzero(solid & beside_free):
         return grid
     return replace(grid, cells=np.where(rims, np.int8(0), grid.cells))
+
+
+# How far free space is looked for, metres. Deeper than the rim of free cells that drawn maps have
+# behind their walls, and than what lies between both lines of a wall that was drawn twice; less
+# than half of a door. It is looked for on squares of cells, of which that are this many.
+FACING_REACH_M, REACH_SQUARES = 0.4, 4
+# One half of the ground around a cell has at least so much more free space than the other, as a
+# share of the half: a straight wall has all of it on one side. With less than ``EVEN`` it faces
+# nowhere; what is between says nothing, as maps draw one wall by a cell thicker or thinner.
+CLEARER, EVEN = 0.3, 0.15
+# Known cells so near a wall, as a share of the reach, may face nowhere; farther ones say nothing
+# then: walls of bent maps come to lie there.
+FACING_NEAR = 0.5
+
+
+def facings(
+    cells: npt.NDArray[np.int8], distance2: npt.NDArray[np.uint16], resolution: float
+) -> npt.NDArray[np.uint8]:
+    """Return where free space lies from each cell beside a wall.
+
+    Args:
+        cells: (H, W) int8 in {-1, 0, 1}.
+        distance2: (H, W) uint16, to the nearest wall, squared, cells.
+        resolution: metres per cell.
+
+    Returns:
+        (H, W) uint8: ``FACES`` and the direction, 0 along +x, counter-clockwise, in parts of a
+        whole turn, of which there are ``FACING_PARTS``; ``FACES_NOWHERE`` beside a wall where free
+        space lies on several sides, or on none; 0 where nothing is said.
+    """
+    side = max(1, round(FACING_REACH_M / resolution / REACH_SQUARES))
+    x, y = _clearer(_free_shares(cells, side))
+    much, angle = (np.asarray(part, dtype=np.float32) for part in cv2.cartToPolar(x, y))
+    faces = np.where(much >= CLEARER, facing_parts(angle) | np.uint8(FACES), np.uint8(0))
+    faces[much < EVEN] = FACES_NOWHERE
+    height, width = cells.shape
+    out = cv2.resize(
+        faces, None, fx=side, fy=side, interpolation=cv2.INTER_NEAREST
+    )[:height, :width]  # fmt: skip
+    # A whole number: against another kind all distances would be turned into that.
+    near2 = int((FACING_NEAR * REACH_SQUARES * side) ** 2)
+    says_nothing = (distance2 > near2) | (cells < 0)
+    says_nothing &= out == FACES_NOWHERE
+    return np.multiply(out, ~says_nothing, order="C")
+
+
+def _free_shares(cells: npt.NDArray[np.int8], side: int) -> npt.NDArray[np.float32]:
+    """Return (h, w) the share of free cells of each square, ``side`` cells wide."""
+    height, width = cells.shape
+    free = (cells == 0).view(np.uint8) * np.uint8(255)
+    padded = cv2.copyMakeBorder(
+        free, 0, -height % side, 0, -width % side, cv2.BORDER_CONSTANT, value=(0,)
+    )
+    size = padded.shape[1] // side, padded.shape[0] // side
+    share = cv2.resize(padded, size, interpolation=cv2.INTER_AREA)
+    return np.asarray(share * np.float32(1 / 255))
+
+
+def _clearer(
+    free: npt.NDArray[np.float32],
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+    """Return how much more free space lies to the right of squares than to the left, and above.
+
+    As shares (h, w) of half of the ground around each; beyond the map's edge is nothing free.
+    """
+    half = REACH_SQUARES * (2 * REACH_SQUARES + 1)
+    sign = np.repeat(np.array([-1, 0, 1], dtype=np.float32), [REACH_SQUARES, 1, REACH_SQUARES])
+    one = np.ones_like(sign) / half
+    x, y = (
+        cv2.sepFilter2D(free, -1, across, along, borderType=cv2.BORDER_CONSTANT)
+        for across, along in ((sign, one), (one, sign))
+    )
+    return np.asarray(x), np.asarray(y)
+
+
+def facing_parts(angles: npt.NDArray[np.floating]) -> npt.NDArray[np.uint8]:
+    """Return angles, rad, from 0 on, in parts of a turn, of which there are ``FACING_PARTS``."""
+    parts = angles * np.float32(FACING_PARTS / (2.0 * np.pi)) + np.float32(0.5)
+    return parts.astype(np.uint8) & np.uint8(FACING_PARTS - 1)
+
+
+# What the fields of a cell take, in bytes, and the share of the free memory that all may take; and
+# how much at most where little memory is wanted, bytes.
+FIELD_BYTES, FREE_SHARE = 40, 0.5
+SPARING_BYTES = 2**28
+
+
+class Fields(Protocol):
+    """What can be computed again."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the map."""
+
+    def release(self) -> None:
+        """Let go of it."""
+
+
+class FieldMemory:
+    """Releases the fields of those maps of a job that were not looked at for longest."""
+
+    def __init__(self, cells: int | None = None, *, is_sparing: bool = False) -> None:
+        """Begin with none.
+
+        Args:
+            cells: of maps that may hold fields; None: as many as the memory that is free now lets.
+            is_sparing: not more than some hundred megabytes, though more be free.
+        """
+        if cells is None:
+            room = int(FREE_SHARE * available_memory())
+            cells = (min(room, SPARING_BYTES) if is_sparing else room) // FIELD_BYTES
+        self._most = cells
+        self._used: dict[int, Fields] = {}
+
+    def use(self, fields: Fields, *, is_more: bool) -> None:
+        """Note that a map is looked at, and make room if it will hold more."""
+        self._used.pop(id(fields), None)
+        self._used[id(fields)] = fields
+        if is_more:
+            self._shrink()
+
+    def forget(self, fields: Fields) -> None:
+        """Note that a map holds nothing any more."""
+        self._used.pop(id(fields), None)
+
+    def _shrink(self) -> None:
+        before = len(self._used)
+        held = sum(_cells(fields) for fields in self._used.values())
+        while held > self._most and len(self._used) > LEAST_KEPT:
+            oldest = self._used.pop(next(iter(self._used)))
+            held -= _cells(oldest)
+            oldest.release()
+        if len(self._used) < before:
+            return_freed_memory()
+
+    def clear(self) -> None:
+        """Release everything."""
+        while self._used:
+            self._used.popitem()[1].release()
+
+
+def _cells(fields: Fields) -> int:
+    return fields.shape[0] * fields.shape[1]

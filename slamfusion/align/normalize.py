@@ -10,8 +10,7 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.align.cancel import CancelToken, check_cancelled
-from slamfusion.align.field_memory import LEAST_KEPT
+from slamfusion.align.cancel import check_cancelled
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.layout import FIXED_ONE
 from slamfusion.config import NormalizeConfig
@@ -27,6 +26,8 @@ ALIGNED_CELLS = 3000
 # Where little memory is wanted copies are coarser still, as long as all of them together have more
 # cells than this, up to cells of this size, metres, on which walls of a building are still apart.
 SPARING_CELLS, SPARING_CELL_M = 2**27, 0.15
+# Maps that keep their fields however little memory is left: those of a usual job.
+LEAST_KEPT = 3
 # Rows of blocks that are pooled at once.
 POOLED_ROWS = 16
 
@@ -151,11 +152,7 @@ def _cells_at(grid: OccupancyGrid, resolution: float) -> int:
 
 
 def normalize_grid(
-    grid: OccupancyGrid,
-    resolution: float,
-    config: NormalizeConfig,
-    device: ComputeDevice,
-    cancel: CancelToken | None = None,
+    grid: OccupancyGrid, resolution: float, config: NormalizeConfig, device: ComputeDevice
 ) -> NormalizedGrid:
     """Resample to ``resolution``, threshold, crop to the known cells, and find the solid walls.
 
@@ -164,20 +161,18 @@ def normalize_grid(
         resolution: metres per cell of the result.
         config: thresholds.
         device: does the resampling.
-        cancel: asked between the operations.
 
     Raises:
-        CancelledSearchError: ``cancel`` says so.
         GridError: no cell of the grid is known under these thresholds.
     """
     given, grid = grid, _without_margins(grid, config)
-    check_cancelled(cancel)
+    check_cancelled()
     cells = device.upload(trinary_cells(grid.cells, config))
     solid = device.download(device.solid_walls(cells))
     del cells
-    check_cancelled(cancel)
+    check_cancelled()
     voting, box = _voting_part(given, grid, resolution, config, device)
-    check_cancelled(cancel)
+    check_cancelled()
     blocks = _blocks(solid.view(np.int8), resolution / grid.resolution, 0, device)
     window = np.s_[box.row0 : box.row1, box.col0 : box.col1]
     walls = (_each_part(np.maximum, blocks)[window] != 0) & (voting.cells == 1)

@@ -9,7 +9,7 @@ from typing import TypedDict
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.align.accept import DecisionKind, Strength, strength_of
+from slamfusion.align.decide import DecisionKind, Strength, strength_of
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.vote.tiles import GridLayer

@@ -13,25 +13,29 @@ What a motion is: see ``motions``.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.align.cancel import CancelToken, check_cancelled
-from slamfusion.align.features import GridFeatures, spread_sample
-from slamfusion.align.motions import distinct, distinct_rows, fixed_similarities
-from slamfusion.align.parallel_walls import parallel_motions
+from slamfusion.align.cancel import check_cancelled
+from slamfusion.align.decide import DecisionKind
+from slamfusion.align.pair import Pair, distinct, distinct_rows, invert, to_lattice
 from slamfusion.align.refine import refine, settle
+from slamfusion.align.scores import score_motions
 from slamfusion.align.shifts import (
     COARSE_SIGMA,
     SearchWindow,
+    parallel_motions,
     score_shifts,
     shift_work,
 )
-from slamfusion.compute import ComputeDevice
-from slamfusion.compute.search import ScoredSide
+from slamfusion.align.starts import StartPose, pose_of
+from slamfusion.compute.lattice import fixed_poses
 from slamfusion.config import AlignConfig
+from slamfusion.errors import ConfigError
+from slamfusion.geometry import Pose2
 
 F64 = npt.NDArray[np.float64]
 
@@ -53,17 +57,14 @@ DOUBT, COARSE_DOUBT = 1.0, 0.5
 DOUBTED_OF, DOUBTED_SHARE, DOUBTED_CANDIDATES = 3, 3, 2
 # Cells of the last level of the descent, metres.
 DESCENT_CELL_M = 0.2
-# Widths of a wall on full-resolution cells, metres, and the least they are in cells. By the first
-# maps are compared that show the same walls in the same places, by the second bent ones.
-WIDTHS_M, WALL_CELLS_MIN = (0.15, 0.45), 1.5
 # Motions that are settled: by the narrow width, by the broad one, and by the narrow one with doubt.
 SETTLED = (8, 4, 10)
 # Shifts at each yaw at which walls are parallel.
 PARALLEL = 24
 # One of so many values is looked at first where the greatest of many are sought.
 SAMPLED = 16
-FINE_TOP = 255
-FINE_POINTS = 4096
+# A start is not known better than to this turn.
+YAW_RAD_MIN = math.radians(0.5)
 WINDOW_SLACK_CELLS = 2.0
 WINDOW_SLACK_RAD = math.radians(1.0)
 
@@ -94,33 +95,20 @@ class CoarseSearch:
 
 
 def coarse_step(
-    reference: GridFeatures,
-    moving: GridFeatures,
-    cells: int,
-    window: SearchWindow,
-    cancel: CancelToken | None = None,
-    chance: float = COARSE_CHANCE_MAX,
+    pair: Pair, cells: int, window: SearchWindow, chance: float = COARSE_CHANCE_MAX
 ) -> int:
     """Return the fine cells per coarse cell that leave ``cells`` on the longest side.
 
     Finer where walls would be so near each other that any wall finds one; but never more than four
     times finer, nor where that would take too long.
     """
-    step = _step(reference, moving, cells)
-    while (finer := finer_step(reference, moving, cells, step, window, chance, cancel)) < step:
+    step = _step(pair, cells)
+    while (finer := finer_step(pair, cells, step, window, chance)) < step:
         step = finer
     return step
 
 
-def finer_step(
-    reference: GridFeatures,
-    moving: GridFeatures,
-    cells: int,
-    step: int,
-    window: SearchWindow,
-    chance: float,
-    cancel: CancelToken | None = None,
-) -> int:
+def finer_step(pair: Pair, cells: int, step: int, window: SearchWindow, chance: float) -> int:
     """Return the next finer step where walls are too near each other at one; else that step.
 
     Args:
@@ -128,55 +116,43 @@ def finer_step(
         step: fine cells per coarse cell.
         chance: walls are too near where a wall of another place finds more than this, 0..1.
     """
-    finest = _step(reference, moving, FINEST_FACTOR * cells)
-    if step <= finest or not _is_filled(reference, moving, step, chance, cancel):
+    finest = _step(pair, FINEST_FACTOR * cells)
+    if step <= finest or not _is_filled(pair, step, chance):
         return step
     finer = max(finest, (2 * step) // 3)
-    is_long = shift_work(reference, moving, finer, window) > LEVEL_WORK_MAX
+    is_long = shift_work(pair, finer, window) > LEVEL_WORK_MAX
     return step if is_long else finer
 
 
-def _is_filled(
-    reference: GridFeatures,
-    moving: GridFeatures,
-    step: int,
-    chance: float,
-    cancel: CancelToken | None,
-) -> bool:
+def _is_filled(pair: Pair, step: int, chance: float) -> bool:
     """Whether a wall of another place finds more than ``chance`` at a step, in either map."""
-    return max(grid.chance(step, COARSE_SIGMA, cancel) for grid in (reference, moving)) > chance
+    return max(grid.chance(step, COARSE_SIGMA) for grid in pair) > chance
 
 
-def _step(reference: GridFeatures, moving: GridFeatures, cells: int) -> int:
+def _step(pair: Pair, cells: int) -> int:
     """Return the fine cells per coarse cell that leave ``cells`` on the longest side."""
-    return max(1, math.ceil(max(*reference.shape, *moving.shape) / cells))
+    return max(1, math.ceil(pair.longest / cells))
 
 
 def coarse_search(
-    reference: GridFeatures,
-    moving: GridFeatures,
-    config: AlignConfig,
-    window: SearchWindow,
-    device: ComputeDevice,
-    cancel: CancelToken | None = None,
-    chance: float = COARSE_CHANCE_MAX,
+    pair: Pair, config: AlignConfig, window: SearchWindow, chance: float = COARSE_CHANCE_MAX
 ) -> CoarseSearch:
     """Score all whole-cell shifts at all yaws on shrunken grids and follow the best down."""
-    step = coarse_step(reference, moving, config.coarse_cells, window, cancel, chance)
-    is_cut = _is_filled(reference, moving, step, COARSE_CHANCE_MAX, cancel)
-    scores = score_shifts(reference, moving, step, window, device, cancel)
+    step = coarse_step(pair, config.coarse_cells, window, chance)
+    is_cut = _is_filled(pair, step, COARSE_CHANCE_MAX)
+    scores = score_shifts(pair, step, window)
     flat = scores.evidence.ravel()
     order = greatest_rows(flat, DOUBTED_OF * DESCENT[0][0])
     start = _Leads(scores.motions(order), flat[order], step, scores.yaw_step)
-    leads, doubted = _descend(reference, moving, start, device, cancel)
+    leads, doubted = _descend(pair, start)
     if is_cut:
-        check_cancelled(cancel)
-        motions, finer, turn = parallel_motions(reference, moving, PARALLEL, device)
+        check_cancelled()
+        motions, finer, turn = parallel_motions(pair, PARALLEL)
         motions = inside(window, motions)
         if len(motions):
-            more = _leads(reference, moving, motions, finer, turn, device, cancel)
-            more, _ = _descend(reference, moving, more, device, cancel)
-            leads, doubted = _joined(reference, moving, (leads, more), device, cancel)
+            more = _leads(pair, motions, finer, turn)
+            more, _ = _descend(pair, more)
+            leads, doubted = _joined(pair, (leads, more))
     motions, found = leads.motions, leads.found
     shift, turn = 2.5 * step, 2.5 * scores.yaw_step
     chosen = []
@@ -210,21 +186,15 @@ class _Leads:
     yaw_step: float
 
 
-def _descend(
-    reference: GridFeatures,
-    moving: GridFeatures,
-    leads: _Leads,
-    device: ComputeDevice,
-    cancel: CancelToken | None,
-) -> tuple[_Leads, F64]:
+def _descend(pair: Pair, leads: _Leads) -> tuple[_Leads, F64]:
     """Follow motions down to the last level, each to the best of its neighbours.
 
     Returns:
         Them there; and their evidence (P,), less what stays unexplained.
     """
     motions, found, last, yaw_step = leads.motions, leads.found, leads.step, leads.yaw_step
-    target = max(1, round(DESCENT_CELL_M / reference.grid.grid.resolution))
-    doubted = _doubted(reference, moving, motions, last, DESCENT[0][1], device, cancel)
+    target = max(1, round(DESCENT_CELL_M / pair.resolution))
+    doubted = _doubted(pair, motions, last, DESCENT[0][1])
     for most, points in DESCENT:
         if last <= target:
             break
@@ -234,47 +204,29 @@ def _descend(
         yaw_step *= half / last
         last = half
         values = score_motions(
-            reference, moving, motions.reshape(-1, 3), last, device,
-            sigma=COARSE_SIGMA, points=points, cancel=cancel,
-        ).reshape(motions.shape[:2])  # fmt: skip
+            pair, motions.reshape(-1, 3), last, sigma=COARSE_SIGMA, points=points
+        ).reshape(motions.shape[:2])
         best = values.argmax(axis=1)
         rows = np.arange(len(best))
         motions, found = motions[rows, best], values[rows, best]
         motions, found = _apart(motions, found, float(last), yaw_step)
-        doubted = _doubted(reference, moving, motions, last, points, device, cancel)
+        doubted = _doubted(pair, motions, last, points)
     return _Leads(motions, found, last, yaw_step), doubted
 
 
-def _leads(
-    reference: GridFeatures,
-    moving: GridFeatures,
-    motions: F64,
-    step: int,
-    yaw_step: float,
-    device: ComputeDevice,
-    cancel: CancelToken | None,
-) -> _Leads:
+def _leads(pair: Pair, motions: F64, step: int, yaw_step: float) -> _Leads:
     """Return motions with their evidence on a level."""
-    found = score_motions(
-        reference, moving, motions, step, device,
-        sigma=COARSE_SIGMA, points=DESCENT[-1][1], cancel=cancel,
-    )  # fmt: skip
+    found = score_motions(pair, motions, step, sigma=COARSE_SIGMA, points=DESCENT[-1][1])
     return _Leads(motions, found, step, yaw_step)
 
 
-def _joined(
-    reference: GridFeatures,
-    moving: GridFeatures,
-    leads: tuple[_Leads, _Leads],
-    device: ComputeDevice,
-    cancel: CancelToken | None,
-) -> tuple[_Leads, F64]:
+def _joined(pair: Pair, leads: tuple[_Leads, _Leads]) -> tuple[_Leads, F64]:
     """Return two lots of motions on the finer of their levels; see ``_descend``."""
     motions = np.concatenate([some.motions for some in leads])
     step, yaw_step = min(some.step for some in leads), min(some.yaw_step for some in leads)
-    joined = _leads(reference, moving, motions, step, yaw_step, device, cancel)
+    joined = _leads(pair, motions, step, yaw_step)
     points = DESCENT[-1][1]
-    return joined, _doubted(reference, moving, motions, step, points, device, cancel)
+    return joined, _doubted(pair, motions, step, points)
 
 
 def greatest_rows(values: F64, most: int) -> npt.NDArray[np.intp]:
@@ -296,20 +248,9 @@ def _greatest(values: F64, rank: int) -> float:
     return float(np.partition(values, place)[place])
 
 
-def _doubted(
-    reference: GridFeatures,
-    moving: GridFeatures,
-    motions: F64,
-    step: int,
-    points: int,
-    device: ComputeDevice,
-    cancel: CancelToken | None,
-) -> F64:
+def _doubted(pair: Pair, motions: F64, step: int, points: int) -> F64:
     """Return the evidence (P,) on a coarse level, less what stays unexplained."""
-    return score_motions(
-        reference, moving, motions, step, device,
-        sigma=COARSE_SIGMA, points=points, doubt=COARSE_DOUBT, cancel=cancel,
-    )  # fmt: skip
+    return score_motions(pair, motions, step, sigma=COARSE_SIGMA, points=points, doubt=COARSE_DOUBT)
 
 
 def _either(found: F64, doubted: F64, most: int) -> npt.NDArray[np.intp]:
@@ -342,112 +283,36 @@ def _apart(motions: F64, values: F64, shift: float, turn: float) -> tuple[F64, F
     return motions[kept], values[kept]
 
 
-def score_motions(
-    reference: GridFeatures,
-    moving: GridFeatures,
-    motions: F64,
-    step: int,
-    device: ComputeDevice,
-    *,
-    sigma: float,
-    points: int = FINE_POINTS,
-    scales: F64 | None = None,
-    doubt: float = 0.0,
-    cancel: CancelToken | None = None,
-) -> F64:
-    """Return the evidence (P,) for motions at a level, nats summed over cells of wall of both maps.
-
-    Args:
-        reference, moving: the two grids.
-        motions: (P, 3) where the moving centre lands, fine cells, and yaw.
-        step: level to work on, fine cells a cell.
-        device: computes.
-        sigma: width of a wall, cells of the level.
-        points: at most this many wall points of each grid are looked at; each stands for its share.
-        scales: (P,) how much longer the moving map's metre is taken, about its centre; None: 1.
-        doubt: see ``wall_evidence.evidence_table``.
-        cancel: asked before each operation.
-
-    Raises:
-        CancelledSearchError: ``cancel`` says so.
-    """
-    ref, mov = reference.level(step, cancel), moving.level(step, cancel)
-    local = motions / np.array([step, step, 1.0])
-    centre = (moving.centre[0] / step, moving.centre[1] / step)
-    there, back = fixed_similarities(local, centre, scales)
-    sides, units = [], []
-    for own, pose, features in ((mov, there, reference), (ref, back, moving)):
-        table = features.evidence_table(step, sigma, FINE_TOP, cancel, doubt)
-        field = features.field(step, table, cancel)
-        sample = spread_sample(own.points, points)
-        sides.append(ScoredSide(sample, pose, field, table.base))
-        units.append(table.unit * (len(own.points) / len(sample)))
-    check_cancelled(cancel)
-    total = np.zeros(len(motions))
-    for values, side, unit in zip(device.pose_scores(*sides), sides, units, strict=True):
-        total += (values - len(side.points) * side.base) * unit
-    return total
-
-
 def search(
-    reference: GridFeatures,
-    moving: GridFeatures,
-    config: AlignConfig,
-    window: SearchWindow,
-    device: ComputeDevice,
-    cancel: CancelToken | None = None,
-    chance: float = COARSE_CHANCE_MAX,
+    pair: Pair, config: AlignConfig, window: SearchWindow, chance: float = COARSE_CHANCE_MAX
 ) -> tuple[CoarseSearch, F64, F64]:
     """Run all stages; return the coarse outcome, motions (P, 3) and evidence (P,), best first.
 
     Evidence is by the narrow width of a wall.
 
     Args:
-        reference, moving: the two grids.
+        pair: the two maps.
         config: settings of the search.
         window: where to search.
-        device: computes.
-        cancel: asked before each operation.
         chance: what a wall of any other place may find on the coarsest level, 0..1.
-
-    Raises:
-        CancelledSearchError: ``cancel`` says so.
     """
-    coarse = coarse_search(reference, moving, config, window, device, cancel, chance)
+    coarse = coarse_search(pair, config, window, chance)
     middle = max(1, round(coarse.last_step / 2))
-    motions = refine(
-        reference,
-        moving,
-        coarse.motions,
-        middle,
-        (8.0, 4.0),
-        device,
-        points=512,
-        cancel=cancel,
-    )
-    widths = wall_widths(reference)
+    motions = refine(pair, coarse.motions, middle, (8.0, 4.0), points=512)
+    widths = pair.widths
     chosen = []
     by = ((widths[0], 0.0), (widths[1], 0.0), (widths[0], DOUBT))
     for (sigma, doubt), most in zip(by, SETTLED, strict=True):
-        scores = score_motions(
-            reference, moving, motions, 1, device,
-            sigma=sigma, points=1024, doubt=doubt, cancel=cancel,
-        )  # fmt: skip
+        scores = score_motions(pair, motions, 1, sigma=sigma, points=1024, doubt=doubt)
         order = np.argsort(-scores, kind="stable")
         chosen.append(distinct(motions[order], 3.0 * middle, 0.02, most))
     motions = distinct(np.concatenate(chosen), 3.0 * middle, 0.02)
-    motions = inside(window, settle(reference, moving, motions, device, cancel))
+    motions = inside(window, settle(pair, motions))
     if not len(motions):
         return coarse, motions, np.zeros(0)
-    scores = score_motions(reference, moving, motions, 1, device, sigma=widths[0], cancel=cancel)
+    scores = score_motions(pair, motions, 1, sigma=widths[0])
     order = np.argsort(-scores, kind="stable")
     return coarse, motions[order], scores[order]
-
-
-def wall_widths(features: GridFeatures) -> tuple[float, ...]:
-    """Return the widths of a wall by which motions are compared, full-resolution cells."""
-    size = features.grid.grid.resolution
-    return tuple(max(width / size, WALL_CELLS_MIN) for width in WIDTHS_M)
 
 
 def inside(window: SearchWindow, motions: F64) -> F64:
@@ -459,3 +324,153 @@ def inside(window: SearchWindow, motions: F64) -> F64:
         limit = window.shift_cells + WINDOW_SLACK_CELLS
         kept &= np.abs(motions[:, :2] - start[:2]).max(axis=1) <= limit
     return np.asarray(motions[kept])
+
+
+REACH_SHARE = 0.25
+POSES_BATCH = 4096
+POSES_MAX = 20_000_000
+
+
+def fixed_step_search(pair: Pair, step: int, window: SearchWindow) -> F64:
+    """Return the motion (3,) of least [F16] error: where the centre lands in cells, and yaw.
+
+    Args:
+        pair: the two maps. step: first step, cells and degrees. window: the start,
+        and how far to look; a quarter of the reference's longer side unless given. device:
+        computes the errors. cancel: asked before each batch of poses.
+    """
+    reach = window.shift_cells
+    if reach is None:
+        reach = REACH_SHARE * max(pair.reference.shape)
+    best = np.array(window.start)
+    turn = math.degrees(window.yaw_rad)
+    while True:
+        shifts = step * np.arange(-(reach // step), reach // step + 1)
+        turns = np.radians(step * np.arange(-(turn // step), turn // step + 1))
+        count = len(shifts) ** 2 * len(turns)
+        if count > POSES_MAX:
+            message = (
+                f"a first step of {step} cells means {count:.3g} poses to try; choose a larger "
+                "step, or a narrower window (window_m, window_yaw_rad)"
+            )
+            raise ConfigError(message)
+        grid = np.stack(np.meshgrid(shifts, shifts, turns, indexing="ij"), axis=-1).reshape(-1, 3)
+        best = _least_error(pair, best + grid, max(1, step // 2))
+        if step == 1:
+            return best
+        reach, turn = float(step), float(step)
+        step = max(1, step // 2)
+
+
+def _least_error(pair: Pair, motions: F64, stride: int) -> F64:
+    """Return the motion of least error; of equals the first."""
+    errors = []
+    for start in range(0, len(motions), POSES_BATCH):
+        check_cancelled()
+        poses = invert(to_lattice(motions[start : start + POSES_BATCH], pair.moving.centre))
+        errors.append(
+            pair.device.squared_error(
+                pair.reference.cells, pair.moving.cells, fixed_poses(poses), stride
+            )
+        )
+    return np.asarray(motions[int(np.argmin(np.concatenate(errors)))])
+
+
+@dataclass(frozen=True, eq=False)
+class SearchResult:
+    """What the search leaves for the decision.
+
+    Attributes:
+        motions: (P, 3) what the search ends with.
+        coarse: outcome of the coarse stages; None where there was no search.
+        search: ``full``, ``window``, ``fixed step`` or ``tracked``.
+        prior: see ``Evidence.prior``.
+        candidates: how many of the motions, the first, may be the answer; None: all. The others are
+            rivals only.
+        image_after: kinds of refusals after which the mirror image is searched.
+    """
+
+    motions: F64
+    coarse: CoarseSearch | None
+    search: str
+    prior: float = 1.0
+    candidates: int | None = None
+    image_after: Collection[DecisionKind] = ()
+
+
+def window_around(pair: Pair, config: AlignConfig, start: Pose2 | StartPose | None) -> SearchWindow:
+    """Return the search window in lattice cells: a start's own tolerances, or the settings'."""
+    metres, yaw_rad = config.window_m, config.window_yaw_rad
+    if isinstance(start, StartPose):
+        metres, yaw_rad = start.metres, min(start.radians, math.pi)
+    motion = pair.motion_of(pose_of(start) or Pose2())
+    x, y, yaw = (float(value) for value in motion)
+    shift = None if metres is None else metres / pair.resolution
+    if shift is not None and shift >= max(abs(x), abs(y)) + 2 * sum(
+        max(features.shape) for features in pair
+    ):
+        shift = None  # the window holds every place where the two maps meet
+    if start is None and yaw_rad >= math.pi:
+        yaw = 0.0
+    return SearchWindow((x, y, yaw), shift, yaw_rad)
+
+
+def can_meet(pair: Pair, window: SearchWindow) -> bool:
+    """Whether the two maps, boxes in their circles, can meet at all inside a window."""
+    if window.shift_cells is None:
+        return True
+    height, width = pair.reference.shape
+    reach = window.shift_cells + math.hypot(*pair.moving.shape) / 2.0
+    x, y, _ = window.start
+    return -reach <= x <= width + reach and -reach <= y <= height + reach
+
+
+def has_finer(pair: Pair, config: AlignConfig, window: SearchWindow, found: SearchResult) -> bool:
+    """Whether walls filled the coarsest level, and there is a finer one to search."""
+    if found.coarse is None:
+        return False
+    step = found.coarse.step
+    return finer_step(pair, config.coarse_cells, step, window, FINER_CHANCE_MAX) < step
+
+
+def search_finer(
+    pair: Pair, config: AlignConfig, window: SearchWindow, found: SearchResult
+) -> SearchResult:
+    """Search once more from a finer level on; what was found stays a rival."""
+    coarse, more, _ = search(pair, config, window, FINER_CHANCE_MAX)
+    motions = np.concatenate((more, found.motions))
+    values = score_motions(pair, motions, 1, sigma=pair.widths[0])
+    return replace(found, coarse=coarse, motions=motions[np.argsort(-values, kind="stable")])
+
+
+def search_window(pair: Pair, config: AlignConfig, window: SearchWindow) -> SearchResult:
+    """Search; inside a window, with the rivals of everywhere; by fixed steps where asked for."""
+    if config.step is not None:
+        motion = fixed_step_search(pair, config.step, window)
+        return SearchResult(motion[None], None, "fixed step")
+    coarse, motions, _ = search(pair, config, window)
+    if not len(motions):
+        return SearchResult(motions, coarse, "window")
+    if window.shift_cells is None and window.yaw_rad >= math.pi:
+        return SearchResult(motions, coarse, "full")
+    shift = float(pair.longest)
+    if window.shift_cells is not None:
+        shift = min(shift, window.shift_cells)
+    prior = prior_within(pair, shift, window.yaw_rad)
+    # What stands out among few yaws and shifts stands out of nothing.
+    _, others, _ = search(pair, config, SearchWindow())
+    everything = np.concatenate((motions, others))
+    return SearchResult(everything, coarse, "window", prior, candidates=len(motions))
+
+
+def prior_within(pair: Pair, cells: float, yaw_rad: float) -> float:
+    """Return how much fewer the poses within these distances are than all that could overlap."""
+    everywhere = meeting_cells(pair) * 2.0 * math.pi
+    here = (2.0 * max(cells, 1.0)) ** 2 * 2.0 * max(min(yaw_rad, math.pi), YAW_RAD_MIN)
+    return min(1.0, here / everywhere)
+
+
+def meeting_cells(pair: Pair) -> float:
+    """Return the cells on which the moving centre may lie where both maps could overlap."""
+    reach = math.hypot(*pair.moving.shape)
+    return (pair.reference.shape[0] + reach) * (pair.reference.shape[1] + reach)

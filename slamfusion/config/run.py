@@ -151,7 +151,7 @@ class RunConfig(Checked):
     not in it has its defaults (``slamfusion.slam.registry`` knows them all).
 
     ``start`` holds the expected poses of inputs' map frames by name: x, y in m, yaw in rad, and, if
-    others than the defaults, the tolerances in m and rad; see ``slamfusion.align.start``.
+    others than the defaults, the tolerances in m and rad; see ``slamfusion.align.starts``.
     """
 
     fusion: FusionConfig = FusionConfig()

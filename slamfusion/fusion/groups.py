@@ -12,11 +12,12 @@ from statistics import median
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.align.align import align_features, track_features
+from slamfusion.align.align import align_pair, track_pair
+from slamfusion.align.answer import rejected_alignment
 from slamfusion.align.features import GridFeatures
-from slamfusion.align.judge import rejected_alignment
+from slamfusion.align.pair import Pair
 from slamfusion.align.records import Alignment
-from slamfusion.align.start import StartPose, Starts, named_input, start_distance
+from slamfusion.align.starts import StartPose, Starts, named_input, start_distance
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import SMALLEST, FusionConfig
 from slamfusion.errors import AlignmentError, ConfigError
@@ -36,8 +37,8 @@ from slamfusion.io.memory import return_freed_memory
 
 # Told what is being done, how many steps are done, and of how many.
 Progress = Callable[[str, int, int], None]
-# Told an alignment, its reference and its moving grid; returns what is believed in its place.
-SecondLook = Callable[[Alignment, GridFeatures, GridFeatures], Alignment]
+# Receives an alignment and its two maps; returns the alignment to go by.
+SecondLook = Callable[[Alignment, Pair], Alignment]
 
 REFERENCE_AREA_SHARE = 0.5
 # [F16]: any two of three decide, so one input has nobody to agree with.
@@ -121,7 +122,7 @@ def align_group(
         ConfigError: the reference named in the config is no member.
     """
     count = math.comb(len(features), 2)
-    implied = ImpliedPairs(features, count, device)
+    implied = ImpliedPairs(features, count)
     aligner = _Aligner(features, config, device, count, progress, starts or Starts(), executor)
     if count <= THOROUGH_PAIRS or second_look is not None:
         pairs = aligner.align_all(second_look)
@@ -140,7 +141,7 @@ def align_group(
     group, poses = found[0]
     reference = choose_reference(group.members, features, config.reference, names, in_part)
     anchor = _most_agreeing(_whole(group.members, in_part), pairs)
-    alignments = _to_reference(reference, anchor, group, poses, features, pairs, device)
+    alignments = _to_reference(reference, anchor, group, poses, features, pairs)
     left_out = {
         name: _left_out(name, reference, group, pairs, implied)
         for name in features
@@ -152,7 +153,7 @@ def align_group(
             wanted = None if named_input(config.reference, names) in names else config.reference
             own = choose_reference(other.members, features, wanted, names)
             anchor = _most_agreeing(other.members, pairs)
-            placed_ones = _to_reference(own, anchor, other, its_poses, features, pairs, device)
+            placed_ones = _to_reference(own, anchor, other, its_poses, features, pairs)
             others.append(Members(own, placed_ones))
     return AlignedGroup(reference, alignments, left_out, tuple(pairs), tuple(others))
 
@@ -192,8 +193,8 @@ class _Aligner:
         self.done += 1
         if self.tasks is not None:
             return self.tasks.result(reference, moving, start)
-        return align_features(
-            reference, moving, self.config, self.device, start,
+        return align_pair(
+            Pair(reference, moving), self.config, start,
             pairs=self.count, thorough=self.is_thorough,
         )  # fmt: skip
 
@@ -215,7 +216,8 @@ class _Aligner:
             self.ahead(wanted[index:])
             pair = self.align(a, b)
             if second_look is not None:
-                pair = second_look(pair, self.features[pair.reference], self.features[pair.moving])
+                maps = Pair(self.features[pair.reference], self.features[pair.moving])
+                pair = second_look(pair, maps)
             pairs.append(pair)
             if b == wanted[-1][1]:
                 self._looked_at(a)
@@ -386,7 +388,6 @@ def _to_reference(
     poses: Mapping[str, Pose2] | None,
     features: Mapping[str, GridFeatures],
     pairs: Sequence[Alignment],
-    device: ComputeDevice,
 ) -> dict[str, Alignment]:
     """Return each member's alignment to the reference, the reference's own the identity.
 
@@ -398,10 +399,10 @@ def _to_reference(
             said of it.
         group: the members.
         poses: where all alignments together put them; None: not known.
-        features, pairs, device: see ``align_group``.
+        features, pairs: see ``align_group``.
     """
     if poses is None and anchor != reference:
-        anchored = _to_reference(anchor, anchor, group, None, features, pairs, device)
+        anchored = _to_reference(anchor, anchor, group, None, features, pairs)
         poses = {name: pair.transform for name, pair in anchored.items()}
     direct = {(pair.reference, pair.moving): pair for pair in pairs if pair.accepted}
     tried = {frozenset((pair.reference, pair.moving)) for pair in pairs}
@@ -417,13 +418,13 @@ def _to_reference(
             if own is not None:
                 out[name] = replace(_from_the_side_of(name, own), transform=transform)
                 continue
-            found = placed(features[reference], features[name], transform, device)
+            found = placed(Pair(features[reference], features[name]), transform)
             was_rejected = frozenset((reference, name)) in tried
             out[name] = replace(found, reason=words_over(name, found)) if was_rejected else found
         elif pair is not None:
             out[name] = pair
         else:
-            out[name] = _over_others(name, reference, group, features, pairs, other, device)
+            out[name] = _over_others(name, reference, group, features, pairs, other)
     return out
 
 
@@ -434,14 +435,13 @@ def _over_others(
     features: Mapping[str, GridFeatures],
     pairs: Sequence[Alignment],
     turned: Alignment | None,
-    device: ComputeDevice,
 ) -> Alignment:
     """Return the alignment of a member that was aligned the other way round, or over others."""
     start = path_transform(name, reference, group.members, pairs)
     if start is None:  # pragma: no cover - a group is connected by construction
         message = f"{name} has no path of accepted pairs to {reference}"
         raise AlignmentError(message, tuple(pairs))
-    tracked = track_features(features[reference], features[name], device, start)
+    tracked = track_pair(Pair(features[reference], features[name]), start)
     if turned is None:
         return replace(tracked, accepted=True, reason=words_over(name, tracked))
     turned = _from_the_side_of(name, turned)
@@ -468,7 +468,7 @@ def _turned(profile: npt.NDArray[np.float64] | None) -> npt.NDArray[np.float64] 
 
 def _own(features: GridFeatures) -> Alignment:
     """Return the reference's own record."""
-    record = rejected_alignment(features, features, "the reference", 0.0)
+    record = rejected_alignment(Pair(features, features), "the reference", 0.0)
     return replace(record, accepted=True, score=1.0, overlap=1.0)
 
 

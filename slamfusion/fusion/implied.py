@@ -9,14 +9,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from slamfusion.align.accept import CLASH_MAX, EXPECTED_WRONG_MAX, SHARE_MIN, expected_wrong
-from slamfusion.align.align import track_features
+from slamfusion.align.align import track_pair
+from slamfusion.align.decide import CLASH_MAX, EXPECTED_WRONG_MAX, SHARE_MIN, expected_wrong
 from slamfusion.align.features import GridFeatures
-from slamfusion.align.frames import motion_of
-from slamfusion.align.judge import prior_within
+from slamfusion.align.hypotheses import DISTINCT_CELLS, DISTINCT_YAW_RAD, is_distinct
+from slamfusion.align.pair import Pair
 from slamfusion.align.records import Alignment
-from slamfusion.align.rivals import DISTINCT_CELLS, DISTINCT_YAW_RAD, is_distinct
-from slamfusion.compute import ComputeDevice
+from slamfusion.align.search import prior_within
 from slamfusion.geometry import Pose2
 
 # Ground that both maps know, as a share of the smaller one's: on less their walls need not meet.
@@ -43,11 +42,9 @@ class Implied:
 class ImpliedPairs:
     """Looks at rejected pairs under implied transforms, at each only once."""
 
-    def __init__(
-        self, features: dict[str, GridFeatures], pairs: int, device: ComputeDevice
-    ) -> None:
-        """Keep the maps by name, how many pairs the job has, and the device."""
-        self.features, self.pairs, self.device = features, pairs, device
+    def __init__(self, features: dict[str, GridFeatures], pairs: int) -> None:
+        """Keep the maps by name, and how many pairs the job has."""
+        self.features, self.pairs = features, pairs
         self.seen: dict[tuple[str, str, Pose2], Implied] = {}
 
     def stands(self, pair: Alignment, transform: Pose2) -> bool:
@@ -78,15 +75,15 @@ class ImpliedPairs:
         return ""
 
     def _look(self, still: str, moved: str, transform: Pose2) -> Implied:
-        reference, moving = self.features[still], self.features[moved]
-        found = track_features(reference, moving, self.device, transform)
+        pair = Pair(self.features[still], self.features[moved])
+        found = track_pair(pair, transform)
         little = ""
         if found.overlap < MUCH_GROUND:
             little = f"{found.overlap:.0%} of the ground in common"
         evidence = found.evidence
         if evidence is None:
             return Implied(found, bool(little), little or "no walls")
-        prior = prior_within(reference, moving, DISTINCT_CELLS, DISTINCT_YAW_RAD)
+        prior = prior_within(pair, DISTINCT_CELLS, DISTINCT_YAW_RAD)
         wrong = expected_wrong(evidence.pieces, evidence.share, self.pairs, prior)
         fits = found.accepted or (
             evidence.share >= SHARE_MIN
@@ -94,7 +91,8 @@ class ImpliedPairs:
             and found.statistics["wall_clash"] <= CLASH_MAX
         )
         went = is_distinct(
-            motion_of(reference, moving, found.transform), motion_of(reference, moving, transform)
+            pair.motion_of(found.transform),
+            pair.motion_of(transform),
         )
         words = f"{evidence.share:.0%} of what {evidence.common_m:.0f} m of common walls could give"
         # On little ground a few walls meet in a wrong place, too.

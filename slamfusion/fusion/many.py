@@ -21,10 +21,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from slamfusion.align.accept import DecisionKind
+from slamfusion.align.decide import DecisionKind
 from slamfusion.align.features import GridFeatures
-from slamfusion.align.frames import motion_of
-from slamfusion.align.motions import displacement
+from slamfusion.align.pair import Pair, displacement
 from slamfusion.align.records import Alignment
 from slamfusion.fusion.alignment_graph import AlignmentGraph, Key, key_of
 from slamfusion.fusion.consistency import CLOSURE_CELLS, CLOSURE_YAW_RAD
@@ -274,9 +273,10 @@ class _Search:
 
     def _agrees(self, pair: Alignment, transform: Pose2, steps: int) -> bool:
         """Whether an alignment is where a path of so many others puts it."""
-        reference, moving = self.features[pair.reference], self.features[pair.moving]
+        maps = Pair(self.features[pair.reference], self.features[pair.moving])
         shift, turn = displacement(
-            motion_of(reference, moving, pair.transform), motion_of(reference, moving, transform)
+            maps.motion_of(pair.transform),
+            maps.motion_of(transform),
         )
         parts = (1 + steps) / TRIANGLE
         return shift <= CLOSURE_CELLS * parts and turn <= CLOSURE_YAW_RAD * parts

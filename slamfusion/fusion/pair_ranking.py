@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from slamfusion.align.features import GridFeatures
-from slamfusion.align.parallel_walls import (
+from slamfusion.align.shifts import (
     KeptSpectra,
     TurnedMap,
     level_for,

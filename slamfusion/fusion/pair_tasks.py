@@ -15,11 +15,12 @@ from concurrent.futures import Executor, Future
 from dataclasses import dataclass
 from functools import lru_cache
 
-from slamfusion.align.align import align_features
+from slamfusion.align.align import align_pair
 from slamfusion.align.features import GridFeatures
 from slamfusion.align.normalize import NormalizedGrid
+from slamfusion.align.pair import Pair
 from slamfusion.align.records import Alignment
-from slamfusion.align.start import StartPose
+from slamfusion.align.starts import StartPose
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import AlignConfig
 from slamfusion.fleet import tasks_ahead
@@ -32,7 +33,7 @@ Packed = tuple[bytes, bool]
 
 @dataclass(frozen=True)
 class PairSettings:
-    """What alignments of one job have in common; see ``align_features``."""
+    """What alignments of one job have in common; see ``align_pair``."""
 
     config: AlignConfig
     pairs: int
@@ -91,9 +92,9 @@ def align_packed(
     settings: PairSettings,
     device: ComputeDevice,
 ) -> Alignment:
-    """Align two grids that came from elsewhere; see ``align_features``."""
-    return align_features(
-        _features(reference, device), _features(moving, device), settings.config, device, start,
+    """Align two grids that came from elsewhere; see ``align_pair``."""
+    return align_pair(
+        Pair(_features(reference, device), _features(moving, device)), settings.config, start,
         pairs=settings.pairs, thorough=settings.thorough,
     )  # fmt: skip
 

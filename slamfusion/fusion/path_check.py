@@ -21,9 +21,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.align.accept import CLASH_MAX
-from slamfusion.align.align import track_features
-from slamfusion.align.features import GridFeatures
+from slamfusion.align.align import track_pair
+from slamfusion.align.decide import CLASH_MAX
+from slamfusion.align.pair import Pair
 from slamfusion.align.records import (
     Alignment,
     FusionResult,
@@ -31,7 +31,7 @@ from slamfusion.align.records import (
     PathGapJson,
     RunnerUp,
 )
-from slamfusion.align.start import Starts
+from slamfusion.align.starts import Starts
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig
 from slamfusion.errors import AlignmentError
@@ -234,21 +234,18 @@ def fit_paths(moving: Trajectory, still: Trajectory) -> Pose2:
 
 def place_by_path(
     pair: Alignment,
-    reference: GridFeatures,
-    moving: GridFeatures,
+    maps: Pair,
     paths: Mapping[str, Trajectory],
     limit_m: float,
-    device: ComputeDevice,
 ) -> Alignment:
     """Return an alignment as it is, or the one that the paths give where the walls leave it open.
 
     Args:
         pair: what the walls alone say; believed where it is accepted and the paths agree, which
             its statistics then say (``PATH_GAP``).
-        reference, moving: its grids.
+        maps: its maps.
         paths: by producer; a pair of which one has none stays as it is.
         limit_m: two paths agree when their median gap is at most this, metres.
-        device: refines the transform.
     """
     if pair.reference not in paths or pair.moving not in paths:
         return pair
@@ -260,7 +257,7 @@ def place_by_path(
 
     if pair.accepted and gap_m(pair) <= limit_m:
         return replace(pair, statistics=pair.statistics | {PATH_GAP: gap_m(pair)})
-    tracked = track_features(reference, moving, device, fit_paths(moved, still))
+    tracked = track_pair(maps, fit_paths(moved, still))
     fitting = [found for found in (pair, tracked) if _bear_out(found) and gap_m(found) <= limit_m]
     if not fitting:
         return pair
@@ -353,8 +350,8 @@ def fuse_with_paths(
     votes = votes or {}
     counting = {name: _voting(path, votes.get(name)) for name, path in paths.items()}
 
-    def look(pair: Alignment, reference: GridFeatures, moving: GridFeatures) -> Alignment:
-        return place_by_path(pair, reference, moving, counting, limit_m, device)
+    def look(pair: Alignment, maps: Pair) -> Alignment:
+        return place_by_path(pair, maps, counting, limit_m)
 
     result = fuse_grids(grids, config, device, progress, look, starts, votes)
     placed = {

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 from slamfusion.align.normalize import common_resolution, normalize_grid
 from slamfusion.align.records import Alignment, FusionResult, InputRecord
-from slamfusion.align.start import Starts, named_input
+from slamfusion.align.starts import Starts, named_input
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig
 from slamfusion.errors import AlignmentError, ConfigError

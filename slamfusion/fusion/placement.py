@@ -9,12 +9,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from slamfusion.align.answer import conclude
 from slamfusion.align.features import GridFeatures
-from slamfusion.align.frames import motion_of
-from slamfusion.align.judge import judge
+from slamfusion.align.pair import Pair
 from slamfusion.align.records import Alignment
-from slamfusion.align.rivals import Found
-from slamfusion.compute import ComputeDevice
+from slamfusion.align.search import SearchResult
 from slamfusion.config import AlignConfig
 from slamfusion.geometry import Pose2
 from slamfusion.pose_graph import PoseGraph, optimize
@@ -74,22 +73,18 @@ def solve_poses(
 
 
 def placed(
-    reference: GridFeatures,
-    moving: GridFeatures,
+    pair: Pair,
     transform: Pose2,
-    device: ComputeDevice,
 ) -> Alignment:
     """Return the record of a map that other alignments place, with the numbers of its walls there.
 
     Args:
-        reference, moving: the two maps; they may share nothing.
+        pair: the two maps; they may share nothing.
         transform: moving map frame to the reference's, metres; kept as it is.
-        device: computes.
     """
-    motion = motion_of(reference, moving, transform)[None]
-    found = Found(motion, None, "tracked")
+    found = SearchResult(pair.motion_of(transform)[None], None, "tracked")
     began = time.perf_counter()
-    measured = judge(reference, moving, AlignConfig(), device, found, transform, 1, began, None)
+    measured = conclude(pair, AlignConfig(), found, transform, 1, began)
     reason = "placed over other maps, with which it is aligned"
     return replace(measured, transform=transform, accepted=True, reason=reason, decision="accepted")
 

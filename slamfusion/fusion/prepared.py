@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from slamfusion.align.features import GridFeatures
-from slamfusion.align.field_memory import FieldMemory
+from slamfusion.align.features import FieldMemory, GridFeatures
 from slamfusion.align.normalize import (
     NormalizedGrid,
     VotingGrid,

@@ -6,7 +6,7 @@ import logging
 import math
 
 from slamfusion.align.records import Alignment
-from slamfusion.align.start import StartPose, place_starts
+from slamfusion.align.starts import StartPose, place_starts
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.fusion import align_grids

@@ -12,7 +12,7 @@ from slamfusion.align.records import (
     Fusion,
     FusionResult,
 )
-from slamfusion.align.start import place_starts
+from slamfusion.align.starts import place_starts
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError, SlamFusionError

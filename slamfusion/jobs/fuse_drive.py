@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from slamfusion.align.records import Alignment, FusionResult
-from slamfusion.align.start import Starts
+from slamfusion.align.starts import Starts
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError, SlamFusionError

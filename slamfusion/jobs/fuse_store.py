@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from slamfusion.align.records import Fusion, InputRecord, StoredFusion
-from slamfusion.align.start import place_starts
+from slamfusion.align.starts import place_starts
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.fusion.groups import Members

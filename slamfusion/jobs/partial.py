@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.align.records import InputRecord
-from slamfusion.align.start import Starts
+from slamfusion.align.starts import Starts
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.evidence import ExcludedSpan, Exclusions, UndecidedSpan

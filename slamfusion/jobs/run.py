@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from slamfusion.align.records import FusionResult
-from slamfusion.align.start import place_starts
+from slamfusion.align.starts import place_starts
 from slamfusion.config import FusionMode, RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.evidence import PathEvidence, Recommendation, find_exclusions

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from slamfusion.align.records import FusionResult
-from slamfusion.align.start import Starts
+from slamfusion.align.starts import Starts
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError, SlamFusionError

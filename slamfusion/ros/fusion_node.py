@@ -71,7 +71,7 @@ class FusionNode(NodeBase):
     ``FusedFrames``. Services: those of ``FusionServices``.
 
     ``start.NAME`` says where an input's map frame is expected (x, y, yaw and tolerances); see
-    ``slamfusion.align.start``.
+    ``slamfusion.align.starts``.
 
     With ``state_path`` the fused frame, the transforms and the last map are kept in a file. A node
     that finds one publishes that map at once and goes on in that frame; its inputs are tried where

@@ -7,10 +7,11 @@ from typing import Any, cast
 
 import pytest
 
-from slamfusion.align.align import align_features, track_features
-from slamfusion.align.cancel import CancelledSearchError, CancelToken
+from slamfusion.align.align import align_pair, track_pair
+from slamfusion.align.cancel import CancelledSearchError, CancelToken, watched_by
 from slamfusion.align.features import GridFeatures
 from slamfusion.align.normalize import normalize_grid
+from slamfusion.align.pair import Pair
 from slamfusion.align.records import Alignment
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import AlignConfig, NormalizeConfig
@@ -43,7 +44,8 @@ class Told:
 
 
 def features(name: str, device: ComputeDevice, cancel: CancelToken | None = None) -> GridFeatures:
-    grid = normalize_grid(trio()[name], 0.05, NormalizeConfig(), device, cancel)
+    with watched_by(cancel):
+        grid = normalize_grid(trio()[name], 0.05, NormalizeConfig(), device)
     return GridFeatures(grid, device)
 
 
@@ -73,15 +75,15 @@ def test_a_search_with_a_token_is_that_without_and_asks_between_all_operations(
     cancel = Watching(is_wanted, watched)
     config = AlignConfig(step=step)
     grids = [features(name, watched, cancel) for name in "ab"]
-    pair = align_features(grids[0], grids[1], config, watched, None, cancel)
+    pair = align_pair(Pair(grids[0], grids[1], cancel), config)
     start = pair.transform
-    tracked = track_features(grids[0], grids[1], watched, start, cancel)
+    tracked = track_pair(Pair(grids[0], grids[1], cancel), start)
     assert most <= 1
     assert asked > 20
 
     plain = [features(name, device) for name in "ab"]
-    assert figures(align_features(plain[0], plain[1], config, device)) == figures(pair)
-    assert figures(track_features(plain[0], plain[1], device, start)) == figures(tracked)
+    assert figures(align_pair(Pair(plain[0], plain[1]), config)) == figures(pair)
+    assert figures(track_pair(Pair(plain[0], plain[1]), start)) == figures(tracked)
 
 
 def test_a_search_is_given_up_at_any_question_and_can_be_begun_again(
@@ -100,14 +102,14 @@ def test_a_search_is_given_up_at_any_question_and_can_be_begun_again(
 
     grids = [features(name, device) for name in "ab"]
     never, count = asking(lambda _: False)
-    wanted = align_features(grids[0], grids[1], config, device, None, never)
+    wanted = align_pair(Pair(grids[0], grids[1], never), config)
     again = [features(name, device) for name in "ab"]
     for at in (1, 2, 7, len(count) // 2):
         cancel, asked = asking(lambda number, at=at: number == at)
         with pytest.raises(CancelledSearchError):
-            align_features(again[0], again[1], config, device, None, cancel)
+            align_pair(Pair(again[0], again[1], cancel), config)
         assert len(asked) == at
-    assert figures(align_features(again[0], again[1], config, device)) == figures(wanted)
+    assert figures(align_pair(Pair(again[0], again[1]), config)) == figures(wanted)
 
 
 def test_cells_of_another_size_are_made_with_questions_between(device: ComputeDevice) -> None:
@@ -118,8 +120,6 @@ def test_cells_of_another_size_are_made_with_questions_between(device: ComputeDe
         left -= 1
         return left == 0
 
-    with pytest.raises(CancelledSearchError):
-        normalize_grid(
-            three()["a"], 0.07, NormalizeConfig(), device, CancelToken(is_wanted, device)
-        )
+    with pytest.raises(CancelledSearchError), watched_by(CancelToken(is_wanted, device)):
+        normalize_grid(three()["a"], 0.07, NormalizeConfig(), device)
     assert left == 0

@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slamfusion.align.corner import BAND_M, POINTS, beside_lines, beside_lines_m
+from slamfusion.align.common_walls import BAND_M, beside_lines, beside_lines_m
+from slamfusion.align.pair import Pair
 from slamfusion.compute import ComputeDevice
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from tests.fusion.drawings import features_of
@@ -76,19 +77,10 @@ def test_metres_beside_the_corner_of_two_maps(
 ) -> None:
     features = features_of(drawn(*walls), device)
     still = np.array([*features.centre, 0.0])
-    assert beside_lines_m(features, features, still, device) == pytest.approx(metres, abs=0.11)
-
-
-def test_long_walls_are_sampled_and_counted_in_full(device: ComputeDevice) -> None:
-    lines = [wall((0.0, y), (17.0, y)) for y in (0.0, 1.2, 2.4, 3.6)]
-    features = features_of(drawn(*lines), device)
-    assert len(features.level(1).points) > POINTS
-    beside = beside_lines_m(features, features, np.array([*features.centre, 0.0]), device)
-    whole = STEP_M * len(features.level(1).points)
-    assert beside == pytest.approx(0.5 * whole, rel=0.05)
+    assert beside_lines_m(Pair(features, features), still) == pytest.approx(metres, abs=0.11)
 
 
 def test_maps_that_share_no_wall_have_none_beside(device: ComputeDevice) -> None:
     features = features_of(drawn(LONG, SHORT), device)
     away = np.array([features.centre[0] + 9000.0, features.centre[1], 0.0])
-    assert beside_lines_m(features, features, away, device) == 0.0
+    assert beside_lines_m(Pair(features, features), away) == 0.0

@@ -6,21 +6,20 @@ import csv
 import itertools
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from slamfusion.align.align import align_features
+from slamfusion.align.align import align_pair
+from slamfusion.align.answer import conclude
 from slamfusion.align.features import GridFeatures
-from slamfusion.align.judge import judge
+from slamfusion.align.pair import Pair
 from slamfusion.align.records import Alignment
-from slamfusion.align.rivals import Found
-from slamfusion.align.search import CoarseSearch
+from slamfusion.align.search import CoarseSearch, SearchResult
 from slamfusion.compute import ComputeDevice
-from slamfusion.compute.lattice import fixed_poses
 from slamfusion.config import FusionConfig
 from slamfusion.fusion import FusionResult, align_grids, fuse_grids
 from slamfusion.fusion.consistency import closure_error
@@ -30,11 +29,8 @@ from slamfusion.io.map_server import load_map
 from tests.fusion.drawings import features_of, fusion_config, off_by, with_origin
 from tests.support import halmstad
 from tests.support.datasets import MAPS, MapEntry, load_entry, map_entries
-from tests.support.drawn import case_error, drawn_cases
 from tests.support.overlap import (
     Draft,
-    cross_slam_pairs,
-    disjoint_halves,
     drawn,
     half_pairs,
     load_source,
@@ -53,25 +49,6 @@ ROOM = ("crsm", "gmapping", "hector", "karto")
 def load(folder: str, *names: str) -> tuple[OccupancyGrid, ...]:
     path = MAPS / "multi-slam" / folder
     return tuple(load_map(path / f"{name}.yaml").with_name(name) for name in names)
-
-
-def rotated(
-    grid: OccupancyGrid, angle: float, device: ComputeDevice
-) -> tuple[OccupancyGrid, Pose2]:
-    """Return the content turned on a lattice of its own, and the new frame in the old one."""
-    height, width = grid.cells.shape
-    cos, sin = math.cos(angle), math.sin(angle)
-    rows = math.ceil(height * abs(cos) + width * abs(sin)) + 4
-    cols = math.ceil(width * abs(cos) + height * abs(sin)) + 4
-    # Middle onto middle, off by a part of a cell.
-    x = width / 2 - (cos * cols - sin * rows) / 2 + 0.37
-    y = height / 2 - (sin * cols + cos * rows) / 2 - 0.21
-    pose = fixed_poses((x, y, angle))
-    warped = device.warp(device.upload(grid.cells), pose, (rows, cols), -1)
-    cells = np.ascontiguousarray(device.download(warped)[0])
-    size = grid.resolution
-    turned = OccupancyGrid(cells, size, Pose2(), grid.name)
-    return turned, grid.origin.compose(Pose2(x * size, y * size, angle))
 
 
 def assert_home(
@@ -97,27 +74,6 @@ def test_three_slams_of_one_home_come_together(device: ComputeDevice) -> None:
     grids = load("nanorobot-real", *HOME)
     result = fuse_grids(grids, QUICK, device)
     assert_home(result, grids, dict.fromkeys(HOME, Pose2()))
-
-
-@pytest.mark.parametrize(
-    "angles",
-    [
-        (0.3, -1.2, 2.6),
-        pytest.param((-3.0, 1.7, 0.9), marks=pytest.mark.full),
-        pytest.param((1.0, 2.0, 3.0), marks=pytest.mark.full),
-    ],
-)
-def test_the_home_comes_together_from_any_turn(
-    device: ComputeDevice, angles: tuple[float, float, float]
-) -> None:
-    """The content turned on new lattices, and the frames moved besides."""
-    grids, frames = [], {}
-    for grid, angle in zip(load("nanorobot-real", *HOME), angles, strict=True):
-        turned, frame = rotated(grid, angle, device)
-        there = Pose2(7.0 * angle, -3.0, 2.0 * angle)
-        grids.append(with_origin(turned, there.compose(turned.origin)))
-        frames[grid.name] = frame.compose(there.inverse())
-    assert_home(fuse_grids(grids, QUICK, device), tuple(grids), frames)
 
 
 @pytest.mark.parametrize(
@@ -215,7 +171,7 @@ class Prepared:
         pair = sorted(
             (self.features(entry, size) for entry in (a, b)), key=lambda f: math.prod(f.shape)
         )
-        return align_features(pair[0], pair[1], config.align, self.device)
+        return align_pair(Pair(pair[0], pair[1]), config.align)
 
 
 def test_maps_of_different_places_are_never_accepted(
@@ -298,41 +254,6 @@ def test_halves_that_share_a_part_are_found_and_believed(
         assert case.is_right(found.transform), case.name
 
 
-@pytest.mark.once
-@pytest.mark.full
-def test_two_slams_of_halves_of_one_building_come_together(device: ComputeDevice) -> None:
-    drafts = [d for d in cross_slam_pairs(1, (0.4, 0.3, 0.2)) if "mit-csail" in d.reference.source]
-    assert len(drafts) == 24
-    for case in drawn(drafts):
-        found = align_grids(case.reference, case.moving, QUICK, device)
-        assert found.accepted, f"{case.name}: {found.reason}"
-        assert case.is_right(found.transform), case.name
-
-
-# Maps that were believed to fit themselves drawn 1.1 times as large, or their other halves: a wing
-# of one fits; and 2.8 m of wall.
-ENLARGED = (
-    "giraff/map_05_03_2019_4.yaml to giraff/map_05_03_2019_4.yaml",
-    pytest.param("aaf_y3/aaf_deployment16-cropped.pgm.gz x high to", marks=pytest.mark.full),
-    "nanorobot-real/cartographer.yaml y low to",
-)
-
-
-@pytest.mark.once
-@pytest.mark.parametrize("pair", ENLARGED)
-def test_a_map_is_not_itself_drawn_larger(device: ComputeDevice, pair: str) -> None:
-    (draft,) = (
-        draft
-        for draft in scaled(7, 1.1)
-        if pair in f"{draft.moving.name} to {draft.reference.name}"
-    )
-    case = draft.draw()
-    assert case is not None
-    reference, moving = (features_of(grid, device) for grid in (case.reference, case.moving))
-    found = align_features(reference, moving, QUICK.align, device)
-    assert not found.accepted, found.reason
-
-
 # What a few walls of two maps were believed for: 5 m at the edge of a room and of a floor, and the
 # corner of a depot on the map of a lost SLAM, in one direction alone.
 FEW_WALLS = (
@@ -349,7 +270,7 @@ def test_a_corner_that_two_maps_share_is_no_common_place(
     entries = {entry.file: entry for entry in map_entries()}
     a, b = (features_of(load_entry(entries[file]), device) for file in files)
     for reference, moving in ((a, b), (b, a)):
-        found = align_features(reference, moving, QUICK.align, device)
+        found = align_pair(Pair(reference, moving), QUICK.align)
         assert not found.accepted, found.reason
 
 
@@ -358,39 +279,6 @@ def test_a_map_is_not_taken_for_its_image_or_at_another_scale(device: ComputeDev
     files = ("giraff/Sarmis2_map_adj.yaml",)
     drafts = (*mirrored(1, files)[:2], *scaled(1, 1.1, files)[:2])
     assert believed_wrongly(device, drafts) == []
-
-
-@pytest.mark.once
-@pytest.mark.full
-@pytest.mark.parametrize(
-    "drafts_of",
-    [mirrored, lambda seed: scaled(seed, 1.1), disjoint_halves],
-    ids=["mirrored", "scaled", "disjoint"],
-)
-def test_no_map_is_taken_for_its_image_at_another_scale_or_for_its_other_half(
-    device: ComputeDevice, drafts_of: Callable[[int], tuple[Draft, ...]]
-) -> None:
-    assert believed_wrongly(device, drafts_of(1)) == []
-
-
-@pytest.mark.parametrize(
-    ("seed", "per_base"),
-    [(20, 1), *(pytest.param(seed, 3, marks=pytest.mark.full) for seed in (20, 21))],
-)
-def test_drawn_cases_are_right_or_rejected(device: ComputeDevice, seed: int, per_base: int) -> None:
-    """Recorded maps against degraded copies of themselves; none wrong and believed."""
-    right = total = 0
-    for case in drawn_cases(per_base, seed):
-        found = align_grids(case.truth, case.moving, QUICK, device)
-        cells, degrees = case_error(case, found)
-        told = f"{case.base}: {cells:.2f} cells, {degrees:.2f} deg, {found.reason}"
-        if found.accepted:
-            assert cells <= 2.0, told
-            assert degrees <= 1.0, told
-        right += cells <= 1.0 and degrees <= 0.5
-        total += 1
-    assert total == 8 * per_base
-    assert right >= total - (per_base + 1) // 2
 
 
 def test_a_room_is_not_found_among_the_many_of_a_large_building(device: ComputeDevice) -> None:
@@ -421,9 +309,9 @@ def test_a_wide_width_alone_is_not_believed(device: ComputeDevice) -> None:
     pair = [features_of(grid, device) for grid in (case.reference, case.moving)]
     none = np.zeros(0)
     coarse = CoarseSearch(1, none, none, np.zeros((0, 3)), none, 1, is_cut=False)
-    found = Found(np.array(BESIDE), coarse, "full")
+    found = SearchResult(np.array(BESIDE), coarse, "full")
     began = time.perf_counter()
-    answer = judge(pair[0], pair[1], QUICK.align, device, found, None, 1, began, None)
+    answer = conclude(Pair(pair[0], pair[1]), QUICK.align, found, None, 1, began)
     assert not answer.accepted, answer.reason
     assert answer.evidence is not None
     assert answer.evidence.share < 0.25
@@ -439,17 +327,6 @@ def test_a_plan_with_smoothed_lines_is_no_warehouse(device: ComputeDevice) -> No
     for pair in ((plan, warehouse), (warehouse, plan)):
         found = prepared.align(*pair)
         assert not found.accepted, found.reason
-
-
-@pytest.mark.once
-def test_halves_that_fit_nearly_are_laid_where_they_fit(device: ComputeDevice) -> None:
-    """Found 1 degree beside the right place, as two bent maps, and believed 3.5 degrees off."""
-    drafts = half_pairs(0, (0.1,), ("worlds/willow-full-0.1.pgm.gz",))
-    chosen = [draft for draft in drafts if draft.reference.axis == "x"]
-    for case in drawn(chosen):
-        found = align_grids(case.reference, case.moving, QUICK, device)
-        assert found.accepted, f"{case.name}: {found.reason}"
-        assert case.is_right(found.transform), case.name
 
 
 @pytest.mark.once

@@ -7,7 +7,7 @@ import numpy.typing as npt
 import pytest
 import scipy.ndimage
 
-from slamfusion.align.facing import facings
+from slamfusion.align.features import facings
 from slamfusion.compute.layout import FACES, FACES_NOWHERE, FACING_PARTS
 
 RESOLUTION = 0.1

@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
-from slamfusion.align.features import GridFeatures
-from slamfusion.align.field_memory import LEAST_KEPT, FieldMemory
-from slamfusion.align.normalize import NormalizedGrid, check_resampling, normalize_grid
+from slamfusion.align.features import FieldMemory, GridFeatures
+from slamfusion.align.normalize import NormalizedGrid, normalize_grid
 from slamfusion.compute import ComputeDevice
-from slamfusion.config import FusionConfig, NormalizeConfig
-from slamfusion.fusion import field_memory
-from slamfusion.fusion.prepared import PreparedInputs
-from slamfusion.grid import OccupancyGrid
+from slamfusion.config import NormalizeConfig
 from tests.fusion.drawings import building
 
 SIZE = 0.1
@@ -75,42 +70,3 @@ def test_what_is_made_again_is_the_same(device: ComputeDevice) -> None:
     features.release()
     assert not holds_fields(features)
     assert looked_at(features) == before == looked_at(whole)
-
-
-def test_the_memory_that_is_free_says_how_many_keep_their_fields(
-    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    grids = [building(seed, 8.0, 7.0, SIZE).with_name(f"map {seed}") for seed in range(5)]
-    for free, kept in ((1 << 40, 5), (0, LEAST_KEPT)):
-        monkeypatch.setattr(field_memory, "available_memory", lambda free=free: free)
-        inputs = PreparedInputs(grids, FusionConfig(), device)
-        features = list(inputs.features.values())
-        for item in features:
-            item.level(1)
-        assert sum(map(holds_fields, features)) == kept
-        inputs.release()
-        assert not any(map(holds_fields, features))
-
-
-def test_of_many_maps_a_few_need_room_for_fields(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[int] = []
-    monkeypatch.setattr(
-        "slamfusion.align.normalize.check_memory", lambda needed, *_: asked.append(needed)
-    )
-    grid = OccupancyGrid(np.zeros((100, 100), dtype=np.int8), SIZE)
-    for count in (1, 3, 60):
-        check_resampling([grid] * count, NormalizeConfig(), "fusing")
-    assert asked == [24 * 10_000, 3 * 24 * 10_000, (3 * 24 + 57 * 4) * 10_000]
-
-
-@pytest.mark.parametrize(("is_stored", "kept"), [(True, [3, 4, 5]), (False, list(range(6)))])
-def test_for_a_vote_in_a_store_little_memory_is_taken(
-    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch, is_stored: bool, kept: list[int]
-) -> None:
-    monkeypatch.setattr(field_memory, "SPARING_BYTES", 1)
-    grids = [grid.grid.with_name(f"map {n}") for n, grid in enumerate(maps(6, device))]
-    prepared = PreparedInputs(grids, FusionConfig(), device, is_stored=is_stored)
-    features = list(prepared.features.values())
-    for item in features:
-        item.level(1)
-    assert [n for n, item in enumerate(features) if holds_fields(item)] == kept

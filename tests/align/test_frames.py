@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from slamfusion.align.frames import motion_of, transform_of
+from slamfusion.align.pair import Pair
 from slamfusion.compute import ComputeDevice
 from slamfusion.geometry import Pose2, wrap_angle
 from tests.fusion.drawings import features_of, random_grid, with_origin
@@ -23,8 +23,8 @@ def test_a_transform_is_one_motion_and_the_motion_is_that_transform(
     )
     ref = features_of(with_origin(random_grid(1), here), device)
     mov = features_of(with_origin(random_grid(2), there), device)
-    motion = motion_of(ref, mov, transform)
-    back = transform_of(ref, mov, motion)
+    motion = Pair(ref, mov).motion_of(transform)
+    back = Pair(ref, mov).transform_of(motion)
     assert (back.x, back.y) == pytest.approx((transform.x, transform.y), abs=1e-8)
     assert abs(wrap_angle(back.yaw_rad - transform.yaw_rad)) < 1e-9
     # By definition: where the middle of the moving grid comes to lie on the reference's lattice.
@@ -35,4 +35,4 @@ def test_a_transform_is_one_motion_and_the_motion_is_that_transform(
 
 def test_a_map_on_itself_is_its_own_middle_without_a_turn(device: ComputeDevice) -> None:
     grid = features_of(with_origin(random_grid(1), Pose2(3.0, -4.0, 0.7)), device)
-    assert motion_of(grid, grid, Pose2()) == pytest.approx([*grid.centre, 0.0])
+    assert Pair(grid, grid).motion_of(Pose2()) == pytest.approx([*grid.centre, 0.0])

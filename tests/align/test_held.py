@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slamfusion.align.held import disc_around, held_m, wall_normals, walls_around
+from slamfusion.align.common_walls import disc_around, held_m, wall_normals, walls_around
 
 SIZE, REACH = 0.05, 7
 
@@ -42,19 +42,6 @@ def test_a_straight_wall_holds_nothing_along_it(thick: int) -> None:
     assert held(walls) < 0.5
 
 
-def test_a_wall_across_holds_by_its_length() -> None:
-    walls = blank()
-    walls[80, 20:180] = walls[20:80, 20] = 1
-    # The corner holds both ways: by half of what lies within the reach of it on the long wall.
-    assert held(walls) == pytest.approx(60 * SIZE, abs=REACH * SIZE)
-
-
-def test_what_runs_no_way_holds_both_ways() -> None:
-    walls = blank()
-    walls[::40, ::40] = 1
-    assert held(walls) == pytest.approx(0.5 * SIZE * np.count_nonzero(walls))
-
-
 @given(turn=st.floats(0.0, math.pi), length=st.integers(20, 60))
 def test_a_turned_wall_holds_nothing_along_it(turn: float, length: int) -> None:
     walls = blank()
@@ -75,12 +62,6 @@ def test_more_walls_never_hold_less(seed: int) -> None:
     sums = np.cumsum(tensors, axis=0)
     found = [held_m(SIZE * part) for part in sums]
     assert all(b >= a - 1e-12 for a, b in itertools.pairwise(found))
-
-
-def test_walls_at_the_edge_of_the_map_are_looked_at_inside_of_it() -> None:
-    walls = blank()
-    walls[0, :] = 1
-    assert held(walls) < 0.02
 
 
 def test_a_map_is_seen_from_off_it_as_if_nothing_stood_around_it() -> None:

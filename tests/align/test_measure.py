@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from slamfusion.align.answer import measure
 from slamfusion.align.features import GridFeatures
-from slamfusion.align.measure import measure
+from slamfusion.align.pair import Pair
 from slamfusion.compute import ComputeDevice
 from tests.align.definitions import landings, landings_back, look_up, surface_of
 from tests.fusion.drawings import building, features_of, random_grid
@@ -29,7 +30,7 @@ def test_the_numbers_equal_their_definition(device: ComputeDevice, seed: int) ->
     ref, mov = (features_of(random_grid(seed + k, 40, 60), device) for k in (0, 70))
     rng = np.random.default_rng(seed)
     motion = np.append(np.array(ref.centre) + rng.uniform(-9, 9, 2), rng.uniform(-3, 3))
-    found = measure(ref, mov, motion, device)
+    found = measure(Pair(ref, mov), motion)
     ours, theirs = mov.wall_points / 2.0, ref.wall_points / 2.0
     on_ref = shares(ours, ref, landings(ours, motion, mov.centre))
     on_mov = shares(theirs, mov, landings_back(theirs, motion, mov.centre))
@@ -59,7 +60,7 @@ def test_the_numbers_equal_their_definition(device: ComputeDevice, seed: int) ->
 
 def test_a_map_on_itself_matches_itself(device: ComputeDevice) -> None:
     grid = features_of(building(1), device)
-    found = measure(grid, grid, np.array([*grid.centre, 0.0]), device)
+    found = measure(Pair(grid, grid), np.array([*grid.centre, 0.0]))
     assert found["wall_known"] == found["overlap"] == 1.0
     # But for cells so deep in a thick wall that no surface is within 1.5 cells.
     assert 0.95 < found["wall_match"] <= 1.0

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slamfusion.align.motions import displacement, distinct, invert, to_lattice
+from slamfusion.align.pair import displacement, distinct, invert, to_lattice
 
 # Farther than a rounding from any multiple of what the motions below are made of.
 SHIFT, TURN = 1.1, 0.07

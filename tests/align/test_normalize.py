@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from slamfusion.align import normalize
 from slamfusion.align.normalize import (
     NormalizedGrid,
     common_resolution,
@@ -18,11 +19,10 @@ from slamfusion.align.normalize import (
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import GridError
-from slamfusion.fusion import normalize
 from slamfusion.geometry import Pose2
-from slamfusion.grid import CellBox, OccupancyGrid, trinary_cells
+from slamfusion.grid import OccupancyGrid, trinary_cells
 from slamfusion.vote.lattice import Extent, Lattice
-from tests.fusion.drawings import building, draw, padded, picture_of, random_grid
+from tests.fusion.drawings import draw, padded, picture_of, random_grid
 from tests.support.examples import examples
 
 DEFAULTS = NormalizeConfig()
@@ -48,17 +48,6 @@ def test_thresholds_are_inclusive(percent: int, class_: int) -> None:
     assert trinary_cells(np.array([[percent]], dtype=np.int8), DEFAULTS).tolist() == [[class_]]
 
 
-def test_thresholds_are_options() -> None:
-    config = NormalizeConfig(occupied_percent=50.5, free_percent=49.0)
-    cells = np.array([[48, 49, 50, 51, -1]], dtype=np.int8)
-    assert trinary_cells(cells, config).tolist() == [[0, 0, -1, 1, -1]]
-
-
-def test_free_up_to_zero_percent_still_leaves_unknown_unknown() -> None:
-    config = NormalizeConfig(free_percent=0.0, occupied_percent=1.0)
-    assert trinary_cells(np.array([[-1, 0, 1]], dtype=np.int8), config).tolist() == [[-1, 0, 1]]
-
-
 def test_common_resolution_is_the_finest_or_the_given() -> None:
     grids = [draw("#.", size) for size in (0.1, 0.04, 0.05)]
     assert common_resolution(grids, DEFAULTS) == 0.04
@@ -82,38 +71,10 @@ def test_crop_leaves_the_known_cells_where_they_are(device: ComputeDevice) -> No
     assert picture_of(normal.cells) == ["## .", "#   ", "    ", "   ."]
 
 
-def test_cells_between_the_thresholds_are_cropped_away_like_unknown_ones(
-    device: ComputeDevice,
-) -> None:
-    normal = normalize_grid(draw("???\n?#.\n???"), 0.1, DEFAULTS, device)
-    assert picture_of(normal.cells) == ["#."]
-    assert normal.grid.cells.tolist() == [[100, 0]]
-
-
 def test_all_unknown_is_refused_by_name_size_and_thresholds(device: ComputeDevice) -> None:
     grid = draw("? \n  \n ?", name="attic")
     with pytest.raises(GridError, match=r"^attic: all 3 x 2 cells are unknown .*25 %.*65 %"):
         normalize_grid(grid, 0.1, DEFAULTS, device)
-
-
-def test_resolution_almost_the_same_changes_no_cell(device: ComputeDevice) -> None:
-    grid = random_grid(3)
-    near = normalize_grid(grid, grid.resolution * (1 + 2e-8), DEFAULTS, device)
-    same = normalize_grid(grid, grid.resolution, DEFAULTS, device)
-    assert np.array_equal(near.cells, same.cells)
-    assert np.array_equal(near.solid, same.solid)
-
-
-@pytest.mark.parametrize("ratio", [1.25, 1.6, 2.0, 2.5, 3.0, 5.0])
-@pytest.mark.parametrize("yaw_rad", [0.0, 0.7, -2.9])
-def test_walls_survive_coarser_cells(device: ComputeDevice, ratio: float, yaw_rad: float) -> None:
-    """Each thin wall cell lies in a wall cell or, by the rounding of the points, beside one."""
-    grid = OccupancyGrid(building(1).cells, 0.04, Pose2(1.013, -2.007, yaw_rad))
-    normal = normalize_grid(grid, 0.04 * ratio, DEFAULTS, device)
-    thin = grid.cell_centres(*np.nonzero(grid.cells == 100))
-    axes = Pose2(0.0, 0.0, -yaw_rad)
-    own, coarse = axes.transform(thin), axes.transform(wall_centres(normal))
-    assert nearest(own, coarse).max() <= 0.04 * (ratio / 2 + 0.5) + 1e-9
 
 
 def test_a_wall_one_cell_thick_survives_any_whole_number_of_cells(device: ComputeDevice) -> None:
@@ -197,26 +158,6 @@ def test_specks_count_as_cells_but_not_as_walls_to_align(device: ComputeDevice) 
     assert normal.solid[:, 0].all()
 
 
-def test_where_all_walls_are_specks_all_of_them_count(device: ComputeDevice) -> None:
-    normal = normalize_grid(draw(".....\n.#.#.\n....."), 0.1, DEFAULTS, device)
-    assert np.array_equal(normal.solid, normal.cells == 1)
-
-
-def test_specks_are_judged_before_resampling(device: ComputeDevice) -> None:
-    """Doubling a speck makes four cells with five free neighbours each: still a speck."""
-    picture = "#######\n#.....#\n#..#..#\n#.....#\n#######"
-    normal = normalize_grid(draw(picture, 0.1), 0.05, DEFAULTS, device)
-    assert (normal.cells[4:6, 6:8] == 1).all()
-    assert not normal.solid[4:6, 6:8].any()
-    assert normal.solid.sum() == 4 * (2 * 7 + 2 * 3)
-
-
-def test_normalised_cells_are_frozen(device: ComputeDevice) -> None:
-    normal = normalize_grid(random_grid(1), 0.1, DEFAULTS, device)
-    assert not normal.cells.flags.writeable
-    assert not normal.solid.flags.writeable
-
-
 def test_unknown_margins_change_nothing(device: ComputeDevice) -> None:
     grid = OccupancyGrid(random_grid(2).cells, 0.1, TURNED)
     plain = normalize_grid(grid, 0.1, DEFAULTS, device)
@@ -225,12 +166,6 @@ def test_unknown_margins_change_nothing(device: ComputeDevice) -> None:
     assert np.array_equal(plain.solid, grown.solid)
     a, b = plain.grid.origin, grown.grid.origin
     assert (a.x, a.y, a.yaw_rad) == pytest.approx((b.x, b.y, b.yaw_rad), abs=1e-9)
-
-
-def test_the_extent_of_a_grid_on_itself_is_its_own(device: ComputeDevice) -> None:
-    normal = normalize_grid(OccupancyGrid(random_grid(2).cells, 0.1, TURNED), 0.1, DEFAULTS, device)
-    extent = normal.extent
-    assert extent.on(extent.lattice, Pose2()) == extent.box == CellBox(0, 0, *normal.shape)
 
 
 def test_the_area_outside_counts_known_cells_alone() -> None:

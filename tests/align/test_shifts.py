@@ -7,18 +7,18 @@ import math
 import numpy as np
 import pytest
 
+from slamfusion.align import shifts
+from slamfusion.align.pair import Pair
 from slamfusion.align.shifts import (
     COARSE_SIGMA,
     COARSE_TOP,
     SearchWindow,
     ShiftScores,
     score_shifts,
-    shift_range,
     shift_work,
 )
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.layout import SHIFT_TILE
-from slamfusion.fusion import shifts
 from slamfusion.grid import OCCUPIED, CellBox, OccupancyGrid
 from tests.align.definitions import Side, evidence_of, level_side, side_of
 from tests.fusion.drawings import building, features_of, random_cells, random_grid
@@ -71,7 +71,7 @@ def test_scores_in_a_window_equal_their_definition(
 ) -> None:
     ref, mov = (features_of(odd_grid(seed, 14, 22), device) for seed in (first, second))
     window = SearchWindow((8.0, 9.0, START_YAW), 6.0)
-    scores = score_shifts(ref, mov, 1, window, device)
+    scores = score_shifts(Pair(ref, mov), 1, window)
     a, b = (side_of(grid, COARSE_SIGMA, COARSE_TOP) for grid in (ref, mov))
     rows, cols = (3, 16), (2, 15)
     for k in range(0, len(scores.yaws), 9):
@@ -84,7 +84,7 @@ def test_scores_of_coarse_levels_equal_their_definition_at_every_shift(
     device: ComputeDevice, step: int
 ) -> None:
     ref, mov = (features_of(odd_grid(seed, 25, 31), device) for seed in (15, 16))
-    scores = score_shifts(ref, mov, step, SearchWindow((0.0, 0.0, START_YAW)), device)
+    scores = score_shifts(Pair(ref, mov), step, SearchWindow((0.0, 0.0, START_YAW)))
     a, b = (level_side(grid, step, COARSE_SIGMA, COARSE_TOP) for grid in (ref, mov))
     reach = math.ceil(np.hypot(*(b.points - b.centre).T).max()) + 1
     rows, cols = ((-reach, size + reach + 1) for size in a.walls.shape)
@@ -99,7 +99,7 @@ def test_an_open_window_leaves_out_no_shift_under_which_walls_meet(
 ) -> None:
     """Around the range of shifts nothing speaks for any motion."""
     ref, mov = (features_of(random_grid(seed + k, 20, 30), device) for k in (0, 30))
-    scores = score_shifts(ref, mov, 1, SearchWindow(), device)
+    scores = score_shifts(Pair(ref, mov), 1, SearchWindow())
     all_motions = scores.motions(np.arange(scores.evidence.size))[:, :2]
     low, high = all_motions.min(axis=0), all_motions.max(axis=0)
     a, b = (side_of(grid, COARSE_SIGMA, COARSE_TOP) for grid in (ref, mov))
@@ -116,49 +116,15 @@ def test_an_open_window_leaves_out_no_shift_under_which_walls_meet(
                 assert evidence_of(a, b, np.array([col + 0.5, row + 0.5, yaw])) <= 0.0
 
 
-def test_ranges_reach_as_far_as_the_walls_or_the_window() -> None:
-    assert shift_range(100, 36, 0.0, SearchWindow(), 1) == (-36, 100 + 36 + 1)
-    assert shift_range(100, 36, 7.2, SearchWindow(shift_cells=6.0), 2) == (4, 11)
-
-
 def test_a_part_of_a_map_is_scored_where_it_hangs_out_of_the_other(device: ComputeDevice) -> None:
     """The best shift of a corner that both show may lie outside of the reference."""
     whole = building(5, 12.0, 8.0)
     ref = features_of(whole.crop(CellBox(0, 0, whole.height, 40)), device)
     mov = features_of(whole.crop(CellBox(0, 30, whole.height, 110)), device)
-    scores = score_shifts(ref, mov, 2, SearchWindow(), device)
+    scores = score_shifts(Pair(ref, mov), 2, SearchWindow())
     best = scores.motions(scores.evidence.argmax()[None])[0]
     assert best[0] > ref.shape[1], "the centre of the moving grid is not on the reference"
     assert abs(math.remainder(best[2], 2.0 * math.pi)) < 1.5 * scores.yaw_step
-
-
-def test_yaws_cover_the_full_turn_evenly(device: ComputeDevice) -> None:
-    ref, mov = (features_of(random_grid(seed), device) for seed in (21, 22))
-    scores = score_shifts(ref, mov, 2, SearchWindow((0.0, 0.0, START_YAW)), device)
-    assert np.allclose(np.diff(scores.yaws), scores.yaw_step)
-    assert scores.yaw_step * len(scores.yaws) == pytest.approx(2 * math.pi)
-    assert scores.yaws[0] == START_YAW
-
-
-def test_yaw_steps_move_the_rim_by_little_more_than_a_cell(device: ComputeDevice) -> None:
-    for seed in range(30, 36):
-        ref, mov = (features_of(random_grid(seed + k), device) for k in (0, 50))
-        scores = score_shifts(ref, mov, 1, SearchWindow(), device)
-        own = mov.level(1).points / 2 - np.array(mov.centre)
-        rim = np.percentile(np.hypot(own[:, 0], own[:, 1]), 90)
-        assert scores.yaw_step * rim <= 1.3 + 1e-9
-        assert 2.0 * math.pi / (len(scores.yaws) - 1) * rim > 1.3, "and no finer than needed"
-
-
-@pytest.mark.parametrize("step", [1, 2])
-def test_the_twins_score_the_same(device: ComputeDevice, twins: ComputeDevice, step: int) -> None:
-    found = []
-    for on_device in (device, twins):
-        ref, mov = (features_of(random_grid(seed, 20, 32), on_device) for seed in (41, 42))
-        window = SearchWindow((12.0, 12.0, START_YAW), 8.0)
-        found.append(score_shifts(ref, mov, step, window, on_device))
-    for name in ("yaws", "evidence", "rows", "cols", "work"):
-        assert np.array_equal(getattr(found[0], name), getattr(found[1], name)), name
 
 
 @pytest.mark.parametrize("window", [SearchWindow(), SearchWindow((9.0, 7.0, 0.3), 12.0, 0.4)])
@@ -167,8 +133,8 @@ def test_the_work_of_a_level_is_known_before_it_is_done(
 ) -> None:
     """But for rows that are filled up to whole lanes: here not by more than as much again."""
     ref, mov = (features_of(random_grid(seed, 60, 90), device) for seed in (21, 22))
-    most = [shift_work(ref, mov, step, window) for step in (1, 2, 4)]
-    done = [score_shifts(ref, mov, step, window, device).work for step in (1, 2, 4)]
+    most = [shift_work(Pair(ref, mov), step, window) for step in (1, 2, 4)]
+    done = [score_shifts(Pair(ref, mov), step, window).work for step in (1, 2, 4)]
     for known, work in zip(most, done, strict=True):
         assert work <= 2.0 * known
     assert most[0] > 4.0 * most[1] > 16.0 * most[2]
@@ -181,7 +147,7 @@ def test_yaws_in_batches_are_scored_as_all_at_once(
     found = []
     for most in (shifts.BATCH_BYTES, 1 << 16, 1):
         monkeypatch.setattr(shifts, "BATCH_BYTES", most)
-        found.append(score_shifts(ref, mov, 2, SearchWindow(), device))
+        found.append(score_shifts(Pair(ref, mov), 2, SearchWindow()))
     for other in found[1:]:
         assert other.work == found[0].work
         for name in ("evidence", "rows", "cols"):

@@ -63,31 +63,3 @@ def test_a_faded_map_lies_where_the_clear_one_does(device: ComputeDevice) -> Non
     cells, degrees = off_by(moving, found.transform, pose)
     assert cells < 1.0
     assert degrees < 0.5
-
-
-def test_a_map_that_fades_is_said_to_and_keeps_what_it_was(device: ComputeDevice) -> None:
-    clear = features_of(draw(ROOM), device)
-    assert not clear.fades
-    assert clear.grid is clear.given
-    soft = features_of(faded(draw(ROOM)), device)
-    assert soft.fades
-    assert np.array_equal(soft.grid.cells, clear.grid.cells)
-    assert np.count_nonzero(soft.given.cells < 0) == 128
-
-
-def test_more_is_needed_of_good_maps_that_fade(
-    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    truth = building(3, 16.0, 12.0, 0.05)
-    moving, _ = degraded(truth, 4, yaw_rad=1.1)
-    expected = []
-    for trials in (2.0, 1.0):
-        monkeypatch.setattr("slamfusion.align.judge.FADED_TRIALS", trials)
-        for pair in ((truth, faded(moving)), (faded(truth), moving), (truth, moving)):
-            found = align_grids(*pair, fusion_config(), device).evidence
-            assert found is not None
-            assert found.good_maps
-            expected.append(found.expected_wrong)
-    assert expected[0] == pytest.approx(2.0 * expected[3])
-    assert expected[1] == pytest.approx(2.0 * expected[4])
-    assert expected[2] == expected[5]

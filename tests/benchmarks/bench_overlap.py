@@ -30,18 +30,19 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from slamfusion.align.accept import (
+from slamfusion.align.align import align_pair
+from slamfusion.align.decide import (
     EXPECTED_WRONG_MAX,
     RATE,
     RIVAL_RATIO,
     SHARE_FLOOR,
     TRIALS,
 )
-from slamfusion.align.align import align_features
 from slamfusion.align.features import GridFeatures
+from slamfusion.align.hypotheses import WITNESSES_A_METRE
 from slamfusion.align.normalize import common_resolution, normalize_grid
+from slamfusion.align.pair import Pair
 from slamfusion.align.records import AlignmentJson
-from slamfusion.align.rivals import WITNESSES_A_METRE
 from slamfusion.compute import open_device
 from slamfusion.config import FusionConfig
 from slamfusion.grid import OccupancyGrid
@@ -153,7 +154,7 @@ class Aligner:
             return None
         size = common_resolution([case.reference, case.moving], self.config.normalize)
         reference, moving = (self.feature(grid, size) for grid in (case.reference, case.moving))
-        record = align_features(reference, moving, self.config.align, self.device)
+        record = align_pair(Pair(reference, moving), self.config.align)
         error = case.error(record.transform)
         is_cut = draft.reference.axis is not None
         return Result(

@@ -24,9 +24,10 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from slamfusion.align.align import align_features
+from slamfusion.align.align import align_pair
 from slamfusion.align.features import GridFeatures
 from slamfusion.align.normalize import normalize_grid
+from slamfusion.align.pair import Pair as MapPair
 from slamfusion.align.records import Alignment
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import FusionConfig
@@ -83,7 +84,7 @@ class Aligner:
         first, second = self.feature(a, resolution), self.feature(b, resolution)
         if math.prod(first.shape) > math.prod(second.shape):
             first, second = second, first
-        return align_features(first, second, self.config.align, self.device), first, second
+        return align_pair(MapPair(first, second), self.config.align), first, second
 
 
 def draw_pair(
@@ -171,7 +172,7 @@ def bench_halmstad(aligner: Aligner, console: Console) -> list[Counts]:
             for name, grid in grids.items()
         }
         for a, b in itertools.combinations(features, 2):
-            record = align_features(features[a], features[b], aligner.config.align, aligner.device)
+            record = align_pair(MapPair(features[a], features[b]), aligner.config.align)
             pixels, degrees = annotated_error(grids[b], record)
             is_right = pixels < RIGHT_PIXELS and degrees < RIGHT_DEGREES
             counts["pairs"] += 1

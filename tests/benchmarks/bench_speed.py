@@ -16,9 +16,10 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-from slamfusion.align.align import track_features
+from slamfusion.align.align import track_pair
 from slamfusion.align.features import GridFeatures
 from slamfusion.align.normalize import normalize_grid
+from slamfusion.align.pair import Pair
 from slamfusion.compute import ComputeDevice, NumpyDevice, open_device
 from slamfusion.config import FusionConfig
 from slamfusion.fusion import align_grids, fuse_grids
@@ -63,7 +64,7 @@ def time_alignment(device: ComputeDevice, side: int, runs: int) -> list[tuple[st
     searched = seconds(lambda: align_grids(reference, moving, CONFIG, device), runs)
     start = Pose2(0.1, -0.05, math.radians(1.0)).compose(truth)
     held = prepare(reference, device)
-    tracked = seconds(lambda: track_features(held, prepare(moving, device), device, start), runs)
+    tracked = seconds(lambda: track_pair(Pair(held, prepare(moving, device)), start), runs)
     work = f"align {side} x {side},"
     return [
         (f"{work} +-180 degrees", shown(searched), ""),

@@ -40,9 +40,10 @@ import scipy
 from rich.progress import track
 from rich.table import Table
 
-from slamfusion.align.align import track_features
+from slamfusion.align.align import track_pair
 from slamfusion.align.features import GridFeatures
 from slamfusion.align.normalize import common_resolution, normalize_grid
+from slamfusion.align.pair import Pair
 from slamfusion.align.records import FusionResult
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import EvaluateConfig, FusionConfig, NormalizeConfig, VoteMode
@@ -195,7 +196,7 @@ def place_on(
     poses: list[Pose2] = []
     for start in starts:
         if all(_apart(start, other) for other in poses[1::2]):
-            poses += [track_features(features[0], features[1], device, start).transform, start]
+            poses += [track_pair(Pair(features[0], features[1]), start).transform, start]
     walls = _walls(truth)
     return max(poses, key=lambda pose: _f1(_walls(grid, pose), walls))
 

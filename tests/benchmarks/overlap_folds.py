@@ -21,7 +21,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from slamfusion.align.accept import EXPECTED_WRONG_MAX, ODDS_ONE, TRIALS, piece_weight
+from slamfusion.align.decide import EXPECTED_WRONG_MAX, ODDS_ONE, TRIALS, piece_weight
 from tests.support.overlap import OVERLAPS, place_of
 
 __all__ = ["Counted", "fitted_odds", "fold_of", "is_believed", "load_counted", "print_folds"]

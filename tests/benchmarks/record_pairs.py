@@ -29,11 +29,12 @@ from typing import TypeVar
 import numpy as np
 from rich.console import Console
 
-from slamfusion.align.accept import Evidence, decide
-from slamfusion.align.align import align_features
+from slamfusion.align.align import align_pair
+from slamfusion.align.answer import ground_prior
+from slamfusion.align.decide import Evidence, decide
 from slamfusion.align.features import GridFeatures
-from slamfusion.align.judge import ground_prior
 from slamfusion.align.normalize import common_resolution, normalize_grid
+from slamfusion.align.pair import Pair
 from slamfusion.align.records import Alignment
 from slamfusion.compute import open_device
 from slamfusion.config import AlignConfig, NormalizeConfig
@@ -104,7 +105,7 @@ class Recorder:
             ratio=match.rival_ratio,
             rival=None if alignment.runner_up is None else "elsewhere",
             pairs=1,
-            prior=ground_prior(reference, moving, is_plain=match.good_maps),
+            prior=ground_prior(Pair(reference, moving), is_plain=match.good_maps),
             statistics=alignment.statistics,
             search="full",
             mirrored=match.mirrored,
@@ -133,7 +134,7 @@ class Recorder:
             GridFeatures(normalize_grid(grid, size, normal, self.device), self.device)
             for grid in (reference, moving)
         )
-        return align_features(a, b, AlignConfig(), self.device), a, b
+        return align_pair(Pair(a, b), AlignConfig()), a, b
 
     def overlapping(self, drafts: Sequence[Draft]) -> Iterator[RecordedPair]:
         """Pairs of ``tests.support.overlap``."""

@@ -13,9 +13,10 @@ from typing import Any
 
 import pytest
 
-from slamfusion.align.align import align_features
+from slamfusion.align.align import align_pair
 from slamfusion.align.features import GridFeatures
 from slamfusion.align.normalize import normalize_grid
+from slamfusion.align.pair import Pair
 from slamfusion.align.records import FusionResult
 from slamfusion.compute import ComputeDevice, open_device, shared_device
 from slamfusion.config import AlignConfig, FusionConfig, RunConfig, VoteConfig
@@ -97,9 +98,7 @@ def test_a_killed_worker_costs_a_retry_and_not_a_byte(
     os.kill(killed, signal.SIGKILL)
     for moving in features[1:]:
         found = tasks.result(features[0], moving, None)
-        wanted = align_features(
-            features[0], moving, settings.config, device, pairs=21, thorough=False
-        )
+        wanted = align_pair(Pair(features[0], moving), settings.config, pairs=21, thorough=False)
         assert found.to_json() == {**wanted.to_json(), "time_s": found.time_s}
     # Kernels are built once a worker, whatever it was asked.
     asked = [cluster.submit(process_and_devices) for _ in range(8)]

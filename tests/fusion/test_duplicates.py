@@ -7,9 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slamfusion.align.start import StartPose, Starts
 from slamfusion.compute import ComputeDevice
-from slamfusion.config import FusionConfig
 from slamfusion.errors import AlignmentError
 from slamfusion.fusion import fuse_grids
 from slamfusion.fusion.duplicates import find_copies
@@ -73,22 +71,6 @@ def test_copies_alone_are_no_fusion(device: ComputeDevice) -> None:
     grids = [two()[0], two()[0].with_name("again")]
     with pytest.raises(AlignmentError, match=r"a, again are one map, .* keep_duplicates"):
         fuse_grids(grids, QUICK, device)
-
-
-@pytest.mark.parametrize("wanted", ["again", "2"])
-def test_a_copy_may_be_the_reference(device: ComputeDevice, wanted: str) -> None:
-    grids = [*two(), two()[0].with_name("again")]
-    config: FusionConfig = replace(QUICK, reference=wanted)
-    result = fuse_grids(grids, config, device)
-    assert result.reference == "again"
-    assert [record.name for record in result.copies] == ["a"]
-
-
-def test_the_start_of_a_copy_is_kept(device: ComputeDevice) -> None:
-    grids = [*two(), two()[0].with_name("again")]
-    starts = Starts({"again": StartPose(Pose2()), "b": StartPose(Pose2(500.0, 0.0, 0.0))})
-    with pytest.raises(AlignmentError, match="start"):
-        fuse_grids(grids, QUICK, device, starts=starts)
 
 
 def test_a_map_in_other_units_is_left_out_and_named(device: ComputeDevice) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from slamfusion.align.features import GridFeatures
@@ -13,7 +12,7 @@ from slamfusion.align.records import Alignment
 from slamfusion.compute import ComputeDevice
 from slamfusion.fusion import fuse_grids
 from slamfusion.fusion.groups import SecondLook
-from slamfusion.fusion.implied import ImpliedPairs, words_over
+from slamfusion.fusion.implied import ImpliedPairs
 from slamfusion.geometry import Pose2
 from slamfusion.grid import UNKNOWN, OccupancyGrid
 from tests.fusion.drawings import building, features_of, fusion_config
@@ -37,7 +36,7 @@ def rejected(reference: str, moving: str) -> Alignment:
 def looked(device: ComputeDevice, grids: dict[str, OccupancyGrid], at: Pose2) -> tuple[bool, str]:
     features = {name: features_of(grid, device) for name, grid in grids.items()}
     reference, moving = grids
-    implied = ImpliedPairs(features, 3, device)
+    implied = ImpliedPairs(features, 3)
     pair = rejected(reference, moving)
     assert implied.words_against(pair) == ""
     found = implied.look(pair, at)
@@ -77,16 +76,6 @@ def test_maps_that_share_little_ground_contradict_nothing(device: ComputeDevice)
     assert words.endswith("of the ground in common")
 
 
-def test_a_pair_is_looked_at_once_for_each_transform(device: ComputeDevice) -> None:
-    place = building(3, 11.0, 9.0)
-    features = {name: features_of(place.with_name(name), device) for name in "ab"}
-    implied = ImpliedPairs(features, 1, device)
-    pair = rejected("a", "b")
-    first = implied.look(pair, Pose2())
-    assert implied.look(pair, Pose2()) is first
-    assert implied.look(pair, Pose2(2.0, 0.0)) is not first
-
-
 def refusing(a: str, b: str, put: Pose2 | None = None) -> SecondLook:
     """Reject one pair; put another one, of ``b`` and a third, aside where asked."""
 
@@ -122,9 +111,3 @@ def test_a_group_does_not_stand_over_a_rejected_pair_that_contradicts(
     (left,) = result.rejected
     assert left.name in {"a", "c"}
     assert "refused by hand; where the others put it, it gives" in left.reason
-
-
-def test_the_words_of_what_could_not_be_measured() -> None:
-    bare = rejected("a", "b")
-    assert words_over("b", bare) == "accepted over others: as a pair with a, b was rejected"
-    assert np.isclose(bare.score, 0.1)

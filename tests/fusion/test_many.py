@@ -8,11 +8,12 @@ from typing import Any
 
 import pytest
 
-from slamfusion.align.align import align_features
+from slamfusion.align.align import align_pair
+from slamfusion.align.answer import rejected_alignment
 from slamfusion.align.features import GridFeatures
-from slamfusion.align.judge import rejected_alignment
+from slamfusion.align.pair import Pair
 from slamfusion.align.records import Alignment
-from slamfusion.align.start import StartPose, Starts
+from slamfusion.align.starts import StartPose, Starts
 from slamfusion.compute import ComputeDevice
 from slamfusion.errors import AlignmentError
 from slamfusion.fusion import groups, many
@@ -94,14 +95,14 @@ def test_a_false_pair_is_named_and_the_maps_lie_right_without_it(
     names = {grid.name for grid, its in zip(site.grids, site.buildings, strict=True) if its == most}
 
     def lie(reference: GridFeatures, moving: GridFeatures, *args: Any, **more: Any) -> Alignment:
-        pair = align_features(reference, moving, *args, **more)
+        pair = align_pair(Pair(reference, moving), *args, **more)
         key = frozenset((pair.reference, pair.moving))
         if pair.accepted and key <= names and (not wrong or key == wrong[0]):
             wrong[:] = [key]
             pair = replace(pair, transform=pair.transform.compose(Pose2(4.0, 3.0)))
         return pair
 
-    monkeypatch.setattr(groups, "align_features", lie)
+    monkeypatch.setattr(groups, "align_pair", lie)
     found = aligned(features, device)
     (false,) = [pair for pair in found.pairs if {pair.reference, pair.moving} == wrong[0]]
     assert not false.accepted
@@ -146,9 +147,9 @@ def test_the_best_pair_of_each_map_is_searched_where_nothing_is_promising(
 
     def refuse(reference: GridFeatures, moving: GridFeatures, *_: Any, **__: Any) -> Alignment:
         searched.extend((reference.grid.name, moving.grid.name))
-        return rejected_alignment(reference, moving, "no", 0.0)
+        return rejected_alignment(Pair(reference, moving), "no", 0.0)
 
-    monkeypatch.setattr(groups, "align_features", refuse)
+    monkeypatch.setattr(groups, "align_pair", refuse)
     with pytest.raises(AlignmentError, match="no two of the inputs"):
         aligned(features, device)
     assert set(searched) == features.keys()

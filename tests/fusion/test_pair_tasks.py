@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from slamfusion.align.align import align_features
+from slamfusion.align.align import align_pair
 from slamfusion.align.features import GridFeatures
 from slamfusion.align.normalize import normalize_grid
+from slamfusion.align.pair import Pair
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import AlignConfig, NormalizeConfig
 from slamfusion.fusion import pair_tasks
@@ -61,9 +62,7 @@ def test_an_alignment_of_a_task_is_that_of_this_process(
     assert len(executor.packed) == 1
     (data, _), _ = executor.packed[0]
     assert len(data) < 0.2 * 3 * math.prod(features[0].shape)  # a grid travels small
-    wanted = align_features(
-        features[0], features[1], SETTINGS.config, device, pairs=21, thorough=False
-    )
+    wanted = align_pair(Pair(features[0], features[1]), SETTINGS.config, pairs=21, thorough=False)
     assert replace(found, time_s=0.0, yaw_profile=None) == replace(
         wanted, time_s=0.0, yaw_profile=None
     )
@@ -95,7 +94,7 @@ def test_a_worker_keeps_the_fields_of_the_last_maps_that_are_small(
 ) -> None:
     if not kept:
         monkeypatch.setattr(pair_tasks, "KEPT_CELLS", 1)
-    monkeypatch.setattr(pair_tasks, "align_features", lambda a, b, *_, **__: (a, b))
+    monkeypatch.setattr(pair_tasks, "align_pair", lambda a, b, *_, **__: (a, b))
     executor = Noting(1)
     tasks = AlignmentTasks(executor, SETTINGS, device)
     found: Any = tasks.result(features[0], features[1], None)

@@ -13,8 +13,6 @@ from slamfusion.errors import AlignmentError
 from slamfusion.fusion import fuse_grids
 from slamfusion.fusion.consistency import PATH_GAP
 from slamfusion.fusion.path_check import (
-    BESIDE_S,
-    BETWEEN_S,
     TOGETHER_S,
     PathsApartError,
     agreeing,
@@ -91,23 +89,6 @@ def test_paths_that_never_vote_at_one_time_have_no_gap_while_both_do() -> None:
     assert agreeing(("a", "b"), [gap], 1.0) == (("a", "b"), {})
 
 
-def test_a_path_with_fewer_poses_is_met_at_their_times() -> None:
-    few = Trajectory(TRUE_PATH.stamps_s[::10], TRUE_PATH.poses[::10], "few")
-    (gap,) = path_gaps({"a": few, "b": TRUE_PATH})
-    assert len(gap.gaps_m) == 5
-    assert gap.max_m == 0.0
-
-
-def test_of_a_path_that_is_told_in_part_that_part_counts() -> None:
-    half = Trajectory(TRUE_PATH.stamps_s[:25], TRUE_PATH.poses[:25], "half")
-    for paths in ({"a": TRUE_PATH, "b": half}, {"a": half, "b": TRUE_PATH}):
-        (gap,) = path_gaps(paths)
-        assert len(gap.stamps_s) == len(gap.gaps_m) < 27
-        assert gap.max_m < 0.11
-    fitted = fit_paths(moved_path(TRUE_PATH, Pose2(3.0, -1.0, 0.4)), half)
-    assert fitted.compose(Pose2(3.0, -1.0, 0.4)).x == pytest.approx(0.0, abs=0.01)
-
-
 # A robot that drives 1 m/s along x, and turns on its way.
 MOVING_S = 0.08 * np.arange(400)
 MOVING = Trajectory(
@@ -124,23 +105,6 @@ def test_where_a_path_was_between_its_poses_is_known() -> None:
     assert len(path_gaps({"a": MOVING, "b": few})[0].gaps_m) == 383
 
 
-def test_no_pose_of_a_second_ago_counts_beside_a_time_without_any() -> None:
-    kept = np.r_[0:100, 250:400]
-    told = Trajectory(MOVING.stamps_s[kept], MOVING.poses[kept], "told")
-    (gap,) = path_gaps({"a": MOVING, "b": told})
-    assert gap.max_m <= BESIDE_S + 1e-9
-    assert len(gap.stamps_s) == 252
-
-
-@pytest.mark.parametrize(("apart", "compared"), [(24, 386), (26, 47)])
-def test_between_poses_farther_apart_nothing_is_known(apart: int, compared: int) -> None:
-    assert BETWEEN_S == 2.0
-    few = Trajectory(MOVING.stamps_s[::apart], MOVING.poses[::apart], "few")
-    (gap,) = path_gaps({"a": MOVING, "b": few})
-    assert gap.max_m < 0.11
-    assert len(gap.gaps_m) == compared
-
-
 @pytest.mark.parametrize(("later_s", "compared"), [(0.99, 1), (1.01, 50)])
 def test_poses_within_a_second_are_compared_or_all_where_there_are_none(
     later_s: float, compared: int
@@ -150,11 +114,6 @@ def test_poses_within_a_second_are_compared_or_all_where_there_are_none(
     (gap,) = path_gaps({"a": TRUE_PATH, "b": single})
     assert len(gap.gaps_m) == compared
     assert gap.max_m == pytest.approx(0.0 if compared == 1 else 5.0)
-
-
-def test_a_turned_path_shows_in_the_headings() -> None:
-    (gap,) = path_gaps({"a": TRUE_PATH, "b": shifted(0.0, 0.0, math.pi)})
-    assert gap.yaw_rad == pytest.approx(math.pi)
 
 
 def test_the_largest_group_that_agrees_is_kept() -> None:
@@ -177,11 +136,6 @@ def test_of_two_that_disagree_neither_is_believed() -> None:
     members, reasons = agreeing(("a", "b"), path_gaps(paths), 1.0)
     assert members == ()
     assert set(reasons) == {"a", "b"}
-
-
-@pytest.mark.parametrize("names", [(), ("a",)])
-def test_fewer_than_two_have_nobody_to_disagree_with(names: tuple[str, ...]) -> None:
-    assert agreeing(names, (), 1.0) == (names, {})
 
 
 def test_maps_whose_paths_agree_all_vote(device: ComputeDevice) -> None:
@@ -314,10 +268,3 @@ def test_the_fallback_map_is_the_one_that_others_bear_out(device: ComputeDevice)
     # Nothing was aligned: the one that knows most.
     small = lost.crop(CellBox(0, 0, 20, 20))
     assert fallback_map([small, lost], ()) is lost
-
-
-def test_maps_of_two_places_are_told_apart_by_their_walls(device: ComputeDevice) -> None:
-    grids, paths = producers()
-    stranger = building(77, 8.0, 7.5).with_name("b")
-    with pytest.raises(AlignmentError, match="no two of the inputs"):
-        fuse_with_paths([grids[0], stranger], paths, QUICK, 0.5, device)

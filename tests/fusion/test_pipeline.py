@@ -9,14 +9,13 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
+from slamfusion.align import normalize
 from slamfusion.align.features import GridFeatures
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import SMALLEST, VoteConfig
 from slamfusion.errors import AlignmentError, ConfigError, MemoryBudgetError
-from slamfusion.fusion import FusionResult, fuse_grids, normalize
+from slamfusion.fusion import fuse_grids
 from slamfusion.fusion.groups import choose_reference
 from slamfusion.fusion.pipeline import vote_again
 from slamfusion.geometry import Pose2
@@ -29,17 +28,14 @@ from tests.fusion.drawings import (
     draw,
     features_of,
     fusion_config,
-    off_by,
     padded,
     with_origin,
 )
-from tests.support.examples import examples
 from tests.support.searches import RememberedSearches
 
 pytestmark = pytest.mark.usefixtures("remembered_searches")
 
 QUICK = fusion_config()
-ANGLES = st.floats(-math.pi, math.pi)
 
 
 @cache
@@ -149,25 +145,6 @@ def test_the_result_is_complete(device: ComputeDevice) -> None:
     assert [step[1:] for step in steps] == [(0, 3), (1, 3), (2, 3), (3, 3)]
 
 
-def test_dissent_marks_where_an_input_was_outvoted(device: ComputeDevice) -> None:
-    grids, _ = three()
-    config = replace(QUICK, vote=VoteConfig("majority"))
-    result = fuse_grids(grids, config, device)
-    fused = np.select([result.fused.cells == 100, result.fused.cells == 0], [1, 0], -1)
-    for record in result.inputs:
-        # Three voters under auto: unknown is a value, so any other cell is dissent.
-        assert np.array_equal(record.dissent, record.aligned != fused)
-
-
-def test_the_reference_keeps_its_cells_where_they_are(device: ComputeDevice) -> None:
-    """Three copies fused are the map itself, in its own frame and on its own lattice."""
-    grid = with_origin(place(), Pose2(4.37, -2.11, 0.9))
-    copies = [grid.with_name(name) for name in "abc"]
-    result = fuse_grids(copies, replace(QUICK, keep_duplicates=True), device)
-    assert_same_world(result.fused, grid)
-    assert result.agreement.cells[result.fused.cells >= 0].min() == 100
-
-
 def test_an_unrelated_map_is_named_and_the_others_fused(device: ComputeDevice) -> None:
     grids, _ = three()
     result = fuse_grids([grids[0], stranger(), grids[1]], QUICK, device)
@@ -206,11 +183,6 @@ def test_a_single_map_is_its_own_fusion(device: ComputeDevice) -> None:
     assert not np.any(record.dissent)
 
 
-def test_a_single_map_without_a_known_cell_is_refused_by_name(device: ComputeDevice) -> None:
-    with pytest.raises(AlignmentError, match="fog: all 1 x 2 cells are unknown"):
-        fuse_grids([draw(" ?", name="fog")], QUICK, device)
-
-
 def test_an_unknown_map_among_three_is_named_and_the_others_fused(device: ComputeDevice) -> None:
     grids, _ = three()
     result = fuse_grids([draw(" ?\n  ", name="fog"), *grids[:2]], QUICK, device)
@@ -220,14 +192,6 @@ def test_an_unknown_map_among_three_is_named_and_the_others_fused(device: Comput
     assert fog.alignment is None
     assert "all 2 x 2 cells are unknown" in fog.reason
     assert len(result.pairs) == 1
-
-
-def test_a_map_without_walls_among_three_is_named(device: ComputeDevice) -> None:
-    grids, _ = three()
-    result = fuse_grids([*grids[:2], draw("....\n....", name="lawn")], QUICK, device)
-    (lawn,) = result.rejected
-    assert "lawn has no occupied cell" in lawn.reason
-    assert len(result.accepted) == 2
 
 
 def test_nothing_to_fuse_is_refused(device: ComputeDevice) -> None:
@@ -249,32 +213,6 @@ def test_order_of_the_inputs_does_not_change_the_fused_map(device: ComputeDevice
         result = fuse_grids(order, config, device)
         assert result.reference == wanted.reference
         assert np.array_equal(result.fused.cells, wanted.fused.cells)
-
-
-def poses_in(result: FusionResult, name: str) -> dict[str, Pose2]:
-    """Where the maps lie in the frame of one of them."""
-    found = {r.name: r.alignment.transform for r in result.accepted if r.alignment is not None}
-    return {other: found[name].inverse().compose(pose) for other, pose in found.items()}
-
-
-def test_the_fused_map_is_in_the_frame_of_the_first_map_wherever_that_is(
-    device: ComputeDevice,
-) -> None:
-    """The frame is the user's choice; it does not change how the maps lie to each other."""
-    grids, _ = three()
-    wanted = poses_in(fuse_grids(grids, QUICK, device), "a")
-    for order in itertools.permutations(grids):
-        result = fuse_grids(order, QUICK, device)
-        assert result.reference == order[0].name
-        assert result.fused.origin.yaw_rad == order[0].origin.yaw_rad
-        for name, pose in poses_in(result, "a").items():
-            assert vars(pose) == pytest.approx(vars(wanted[name]), abs=1e-9)
-
-
-def test_the_first_map_that_fits_gives_the_frame(device: ComputeDevice) -> None:
-    grids, _ = three()
-    result = fuse_grids([stranger(), grids[2], grids[0]], QUICK, device)
-    assert result.reference == "c"
 
 
 @pytest.mark.parametrize("order", [("part", "whole"), ("whole", "part")])
@@ -309,21 +247,6 @@ def test_same_input_same_fused_map(
     assert first.fused.origin == second.fused.origin
 
 
-@settings(max_examples=examples(10), deadline=None, derandomize=True)
-@given(margins=st.tuples(*[st.integers(0, 60)] * 4), which=st.integers(0, 2))
-def test_growing_an_input_moves_no_fused_cell(
-    device: ComputeDevice, margins: tuple[int, int, int, int], which: int
-) -> None:
-    """Unknown cells around an input are no news; nor is cropping them off again."""
-    grids, _ = three()
-    config = replace(QUICK, reference="a")
-    wanted = fuse_grids(grids, config, device)
-    grown = [padded(g, *margins) if k == which else g for k, g in enumerate(grids)]
-    result = fuse_grids(grown, config, device)
-    assert_same_world(result.fused, wanted.fused)
-    assert_same_world(result.agreement, wanted.agreement)
-
-
 @pytest.mark.parametrize("which", [0, 1, 2])
 def test_cropping_unknown_margins_moves_no_fused_cell(device: ComputeDevice, which: int) -> None:
     grids = [padded(grid, 9, 4, 13, 22) for grid in three()[0]]
@@ -333,29 +256,6 @@ def test_cropping_unknown_margins_moves_no_fused_cell(device: ComputeDevice, whi
     cropped = [g.crop(box) if k == which else g for k, g in enumerate(grids)]
     wanted, result = (fuse_grids(some, config, device) for some in (grids, cropped))
     assert_same_world(result.fused, wanted.fused)
-
-
-@settings(max_examples=examples(12), deadline=None, derandomize=True)
-@given(x=st.floats(-600, 600), y=st.floats(-600, 600), yaw=ANGLES, which=st.integers(1, 2))
-def test_shifting_an_input_moves_no_fused_cell(
-    device: ComputeDevice, x: float, y: float, yaw: float, which: int
-) -> None:
-    """Another origin of an input, its frame moved and turned anywhere: the transform makes up."""
-    grids, _ = three()
-    config = replace(QUICK, reference="a")
-    wanted = fuse_grids(grids, config, device)
-    there = Pose2(x, y, yaw)
-    moved = [
-        with_origin(g, there.compose(g.origin)) if k == which else g for k, g in enumerate(grids)
-    ]
-    result = fuse_grids(moved, config, device)
-    assert_same_world(result.fused, wanted.fused)
-    old, new = wanted.inputs[which].alignment, result.inputs[which].alignment
-    assert old is not None
-    assert new is not None
-    shift, turn = off_by(grids[which], new.transform.compose(there), old.transform)
-    assert shift < 1e-4
-    assert turn < 1e-4
 
 
 @pytest.mark.parametrize("place_m", [(5e5, 1e7), (-ORIGIN_MOST_M, ORIGIN_MOST_M)])
@@ -370,25 +270,6 @@ def test_maps_as_far_from_zero_as_may_be_fuse_as_near_it(
     assert np.array_equal(result.fused.cells, wanted.fused.cells)
     assert result.fused.origin.x - there.x == pytest.approx(wanted.fused.origin.x, abs=1e-6)
     assert result.fused.origin.y - there.y == pytest.approx(wanted.fused.origin.y, abs=1e-6)
-
-
-def test_shifting_the_reference_moves_the_fused_map_with_it(device: ComputeDevice) -> None:
-    grids, _ = three()
-    config = replace(QUICK, reference="a")
-    there = Pose2(31.0, -7.3, 1.0)
-    wanted = fuse_grids(grids, config, device)
-    moved = with_origin(grids[0], there.compose(grids[0].origin))
-    result = fuse_grids([moved, *grids[1:]], config, device)
-    assert_same_world(result.fused, with_origin(wanted.fused, there.compose(wanted.fused.origin)))
-
-
-def test_growing_by_whole_cells_through_the_origin_is_the_same_map(device: ComputeDevice) -> None:
-    """A map that gained rows and columns of unknown on its lower side starts farther away."""
-    grid = three()[0][1]
-    grown = grid.crop(CellBox(-30, -50, grid.height, grid.width))
-    assert grown.origin != grid.origin
-    wanted = fuse_grids([three()[0][0], grid], QUICK, device)
-    assert_same_world(fuse_grids([three()[0][0], grown], QUICK, device).fused, wanted.fused)
 
 
 def test_union_and_reference_share_one_lattice(device: ComputeDevice) -> None:
@@ -453,21 +334,6 @@ def test_the_smallest_is_the_smallest_box_of_those_half_as_large_as_usual(
     assert choose_reference(list(less), less, SMALLEST, list(less)) == "c"
 
 
-def test_a_newborn_map_is_never_the_smallest(device: ComputeDevice) -> None:
-    features = table_of({"one": (1, 1), "a": (40, 40), "b": (41, 40)}, device)
-    for members in itertools.permutations(features):
-        assert choose_reference(members, features, SMALLEST, list(features)) == "a"
-    assert choose_reference(["one", "a"], features, SMALLEST, list(features)) == "a"
-
-
-def test_a_box_without_much_known_is_not_the_smallest(device: ComputeDevice) -> None:
-    """Half the usual known area is asked for, not half the usual box."""
-    hollow = draw("\n".join(["#" * 30, *["#" + " " * 28 + "#"] * 28, "#" * 30]), name="hollow")
-    features = table_of({"a": (40, 40), "b": (40, 41)}, device)
-    features["hollow"] = features_of(hollow, device)
-    assert choose_reference(list(features), features, SMALLEST, list(features)) == "a"
-
-
 def test_a_name_or_an_index_chooses_the_reference(device: ComputeDevice) -> None:
     grids, _ = three()
     for wanted, name in (("c", "c"), ("1", "b"), ("0", "a"), (SMALLEST, "a")):
@@ -485,11 +351,6 @@ def test_what_shows_a_part_is_no_reference_but_where_it_is_asked_for_or_all_do(
     asked = replace(QUICK, reference=usual)
     assert fuse_grids(grids, asked, device, in_part=[usual]).reference == usual
     assert fuse_grids(grids, QUICK, device, in_part=["a", "b", "c"]).reference == usual
-
-
-def test_a_name_comes_before_an_index(device: ComputeDevice) -> None:
-    features = table_of({"1": (40, 40), "0": (30, 30)}, device)
-    assert choose_reference(["1", "0"], features, "0", ["1", "0"]) == "0"
 
 
 @pytest.mark.parametrize(
@@ -511,20 +372,6 @@ def test_work_that_would_not_fit_into_memory_is_refused(
     monkeypatch.setattr(memory, "available_memory", lambda: 1000)
     with pytest.raises(MemoryBudgetError, match=r"^b: .*needs .* of memory"):
         fuse_grids(grids, QUICK, device)
-
-
-def test_memory_is_asked_for_at_the_common_resolution(
-    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A coarse map brought to fine cells takes what the fine map takes."""
-    asked: list[int] = []
-    monkeypatch.setattr(normalize, "check_memory", lambda count, _what, _where: asked.append(count))
-    coarse = replace(place(), name="coarse")
-    fine, _ = degraded(place(), 1, "fine", resolution=0.05)
-    box = fine.known_box()
-    assert box is not None
-    fuse_grids([coarse, fine], QUICK, device)
-    assert sum(asked) >= normalize.BYTES_PER_CELL * (4 * coarse.cells.size + box.area)
 
 
 @pytest.mark.once
@@ -562,17 +409,3 @@ def test_maps_of_three_resolutions_fuse_at_the_finest(device: ComputeDevice) -> 
     for record, (grid, pose) in zip(result.inputs, made, strict=True):
         assert record.alignment is not None
         assert_right(record.alignment, grid, base.inverse().compose(pose), cells=1.25)
-
-
-def test_the_numpy_twins_fuse_the_same_cells(device: ComputeDevice, twins: ComputeDevice) -> None:
-    """On a place of 7 m with cells of 0.2 m, for the twins are slow."""
-    truth = building(3, 8.0, 7.0, 0.2)
-    made = [
-        degraded(truth, index, name, yaw_rad=yaw, flip_share=0.02)[0]
-        for index, (name, yaw) in enumerate((("a", 0.0), ("b", 0.35)))
-    ]
-    config = fusion_config(window_m=1.2, window_yaw_rad=0.5)
-    results: list[FusionResult] = [fuse_grids(made, config, each) for each in (device, twins)]
-    assert np.array_equal(results[0].fused.cells, results[1].fused.cells)
-    assert np.array_equal(results[0].agreement.cells, results[1].agreement.cells)
-    assert results[0].reference == results[1].reference

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from slamfusion.align.start import StartPose
+from slamfusion.align.starts import StartPose
 from slamfusion.errors import MapFileError, StartError
 from slamfusion.geometry import Pose2
 from slamfusion.io import save_map

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
-from slamfusion.align.accept import DecisionKind, Evidence
+from slamfusion.align.decide import DecisionKind, Evidence
 
 __all__ = [
     "COLUMNS",

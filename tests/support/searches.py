@@ -5,18 +5,19 @@ from __future__ import annotations
 import hashlib
 from typing import Any
 
-from slamfusion.align.cancel import CancelToken, check_cancelled
+from slamfusion.align import answer, hypotheses
+from slamfusion.align import search as searching
+from slamfusion.align.cancel import check_cancelled
 from slamfusion.align.features import GridFeatures
+from slamfusion.align.pair import Pair
 from slamfusion.align.search import COARSE_CHANCE_MAX, search
 from slamfusion.align.shifts import SearchWindow
-from slamfusion.compute import ComputeDevice
 from slamfusion.config import AlignConfig
-from slamfusion.fusion import align, judge, mirror
 
 __all__ = ["CALLERS", "RememberedSearches"]
 
 # Modules that ask for a search by its name.
-CALLERS = (align, judge, mirror)
+CALLERS = (searching, answer, hypotheses)
 
 
 class RememberedSearches:
@@ -31,21 +32,18 @@ class RememberedSearches:
 
     def __call__(
         self,
-        reference: GridFeatures,
-        moving: GridFeatures,
+        pair: Pair,
         config: AlignConfig,
         window: SearchWindow,
-        device: ComputeDevice,
-        cancel: CancelToken | None = None,
         chance: float = COARSE_CHANCE_MAX,
     ) -> tuple[Any, ...]:
         """Return what ``search`` returns."""
-        check_cancelled(cancel)
-        asked = f"{config!r} {window!r} {device.name} {chance!r}"
-        key = (_cells(reference), _cells(moving), asked)
+        check_cancelled()
+        asked = f"{config!r} {window!r} {pair.device.name} {chance!r}"
+        key = (_cells(pair.reference), _cells(pair.moving), asked)
         if key not in self._answers:
             self.made += 1
-            self._answers[key] = search(reference, moving, config, window, device, cancel, chance)
+            self._answers[key] = search(pair, config, window, chance)
         coarse, motions, scores = self._answers[key]
         return coarse, motions.copy(), scores.copy()
 

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from slamfusion.align.accept import decide
+from slamfusion.align.decide import decide
 from tests.benchmarks.overlap_folds import (
     NEEDED,
     Counted,

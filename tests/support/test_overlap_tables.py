@@ -9,9 +9,9 @@ from typing import Any, cast
 import pytest
 from rich.console import Console
 
-from slamfusion.align.accept import RIVAL_RATIO, decide
+from slamfusion.align.decide import RIVAL_RATIO, decide
+from slamfusion.align.hypotheses import WITNESSES_A_METRE
 from slamfusion.align.records import AlignmentJson
-from slamfusion.align.rivals import WITNESSES_A_METRE
 from tests.benchmarks.bench_overlap import (
     PIECES_ENOUGH,
     WALL_ENOUGH_M,

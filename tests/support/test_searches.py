@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from slamfusion.align.pair import Pair
 from slamfusion.align.search import search
 from slamfusion.align.shifts import SearchWindow
 from slamfusion.compute import open_device
@@ -20,7 +21,7 @@ def test_the_same_question_is_asked_once_and_another_one_anew() -> None:
     remembered = RememberedSearches()
     for made, question in ((1, (a, b)), (1, (b, a)), (2, (a, other)), (3, (other, a))):
         _, motions, scores = remembered(*question, config, SearchWindow(), device)
-        _, wanted, of = search(*question, config, SearchWindow(), device)
+        _, wanted, of = search(Pair(*question), config, SearchWindow())
         assert np.array_equal(motions, wanted)
         assert np.array_equal(scores, of)
         motions += 1.0  # nobody changes what is remembered

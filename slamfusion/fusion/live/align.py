@@ -6,15 +6,14 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from slamfusion.align.accept import DecisionKind, decide_mirrored
-from slamfusion.align.align import align_features, track_features
+from slamfusion.align.align import align_pair, track_pair
 from slamfusion.align.cancel import CancelledSearchError, CancelToken
+from slamfusion.align.decide import DecisionKind, decide_mirrored
 from slamfusion.align.features import GridFeatures
-from slamfusion.align.frames import motion_of
-from slamfusion.align.mirror import SURE_SHARE, mirror_gain
+from slamfusion.align.hypotheses import SURE_SHARE, mirror_gain
+from slamfusion.align.pair import Pair
 from slamfusion.align.records import Alignment
-from slamfusion.align.search import wall_widths
-from slamfusion.align.start import StartPose, Starts
+from slamfusion.align.starts import StartPose, Starts
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, LiveConfig
 from slamfusion.fusion.live.searched import Searched
@@ -151,7 +150,7 @@ class Aligner:
         last = track.transform or IDENTITY
         start = held.transform.inverse().compose(last)
         own = self.features(track, cancel)
-        pair = track_features(held.features, own, self.device, start, cancel)
+        pair = track_pair(Pair(held.features, own, cancel), start)
         track.score, track.overlap = pair.score, pair.overlap
         moved = held.transform.compose(pair.transform)
         found = self._found.get(frozenset((track.name, held.name)))
@@ -257,14 +256,14 @@ class Aligner:
             wanted = self.is_wanted
             return wanted is not None and time.perf_counter() > until_s and wanted()
 
-        config, device = self.config.align, self.device
-        cancel = CancelToken(is_wanted, device)
-        sides, where = (held.features, own), start
+        cancel = CancelToken(is_wanted, self.device)
+        sides, where = Pair(held.features, own, cancel), start
         if is_swapped:
-            sides, where = (own, held.features), None if start is None else start.inverse()
+            sides = Pair(own, held.features, cancel)
+            where = None if start is None else start.inverse()
         try:
-            pair = align_features(
-                *sides, config, device, where, cancel, thorough=False, image_after=MAY_BE_IMAGE
+            pair = align_pair(
+                sides, self.config.align, where, thorough=False, image_after=MAY_BE_IMAGE
             )
         except CancelledSearchError:
             track.patience_s *= 2.0
@@ -341,6 +340,6 @@ def gain_of_image(
     cancel: CancelToken | None,
 ) -> float | None:
     """Return by how much the mirror image of a tracked map fits better: see ``mirror_gain``."""
-    motion, sigma = motion_of(reference, own, pair.transform), wall_widths(reference)[0]
-    config, device = aligner.config.align, aligner.device
-    return mirror_gain(reference, own, motion, config, sigma, device, cancel)
+    maps = Pair(reference, own, cancel)
+    motion = maps.motion_of(pair.transform)
+    return mirror_gain(maps, motion, aligner.config.align, maps.widths[0])

@@ -48,7 +48,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 
-from slamfusion.align.start import place_starts
+from slamfusion.align.starts import place_starts
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import LiveConfig, RunConfig
 from slamfusion.fusion.live.inbox import Inbox

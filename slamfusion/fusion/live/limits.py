@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.align.accept import WALLS_MIN
+from slamfusion.align.decide import WALLS_MIN
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import MemoryBudgetError
 from slamfusion.grid import OccupancyGrid, implausible

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from slamfusion.align.accept import CLASH_MAX, MATCH_MIN
+from slamfusion.align.decide import CLASH_MAX, MATCH_MIN
 from slamfusion.align.records import Alignment
 
 # An input that the search believed by clearly matching walls must go on to match; one that it

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from slamfusion.align.cancel import CancelledSearchError
-from slamfusion.align.start import Starts
+from slamfusion.align.starts import Starts
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, LiveConfig
 from slamfusion.errors import SlamFusionError

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.align.accept import WALLS_MIN
-from slamfusion.align.cancel import CancelToken
+from slamfusion.align.cancel import CancelToken, watched_by
+from slamfusion.align.decide import WALLS_MIN
 from slamfusion.align.features import GridFeatures
 from slamfusion.align.normalize import normalize_grid
 from slamfusion.compute import ComputeDevice
@@ -401,7 +401,8 @@ class Track:
             if self.grid is None:
                 message = f"{self.name} has no map"
                 raise ValueError(message)
-            normalized = normalize_grid(self.grid, resolution, thresholds, device, cancel)
+            with watched_by(cancel):
+                normalized = normalize_grid(self.grid, resolution, thresholds, device)
             self._features = GridFeatures(normalized, device)
             self._features_drift = 0
         return self._features

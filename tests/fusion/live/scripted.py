@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from slamfusion.align.accept import DecisionKind
 from slamfusion.align.cancel import CancelToken
+from slamfusion.align.decide import DecisionKind
 from slamfusion.align.records import Alignment
 from slamfusion.fusion.live import align
 from slamfusion.fusion.live.align import Aligner
@@ -83,14 +83,14 @@ class Script:
     now_s: float = 1000.0
     asked: list[Asked] = field(default_factory=list)
 
-    def track_features(
+    def track_pair(
         self, reference: Any, moving: Any, device: object, start: Pose2, cancel: Any = None
     ) -> Alignment:
         del device
         asked = self._ask("track", reference, moving, start, cancel)
         return _answer(self.tracked.get(asked.names, replace(found(), transform=start)), asked)
 
-    def align_features(
+    def align_pair(
         self,
         reference: Any,
         moving: Any,
@@ -144,7 +144,7 @@ def _answer(given: Alignment | Exception, asked: Asked) -> Alignment:
 def follow_script(patch: pytest.MonkeyPatch) -> Script:
     """Return a script that every aligner goes by while the patch lasts."""
     script = Script()
-    for name in ("track_features", "align_features", "gain_of_image"):
+    for name in ("track_pair", "align_pair", "gain_of_image"):
         patch.setattr(align, name, getattr(script, name))
     patch.setattr(align, "time", script)
     patch.setattr(Aligner, "features", lambda _, track, __=None: _named(track.name))

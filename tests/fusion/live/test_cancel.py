@@ -97,7 +97,7 @@ def test_what_a_device_was_told_is_done_before_it_is_asked_whether_to_go_on(
     token.check()
     with pytest.raises(CancelledSearchError):
         token.check()
-    check_cancelled(None)
+    check_cancelled()
     assert said == ["done", "asked"] * 2
 
 

@@ -7,12 +7,11 @@ from dataclasses import replace
 
 import pytest
 
-from slamfusion.align.accept import Decision, Evidence
 from slamfusion.align.align import align_grids
-from slamfusion.align.start import StartPose, Starts, place_starts
+from slamfusion.align.starts import StartPose, Starts, place_starts
 from slamfusion.compute import ComputeDevice
 from slamfusion.errors import AlignmentError, StartError
-from slamfusion.fusion import fuse_grids, judge
+from slamfusion.fusion import fuse_grids
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.grid import OccupancyGrid
 from tests.fusion.drawings import (
@@ -180,15 +179,6 @@ def test_a_start_where_the_maps_cannot_meet_is_refused_at_once(device: ComputeDe
         assert found.reason == "the maps do not meet within 2 m and 0.35 rad of the start"
 
 
-def test_windows_of_the_settings_do_not_count_beside_tolerances(device: ComputeDevice) -> None:
-    truth = building(3)
-    moving, pose = degraded(truth, 1, yaw_rad=2.0)
-    config = fusion_config(window_m=0.05, window_yaw_rad=0.01)
-    near = shifted(pose, moving, 1.0, 0.2)
-    assert_right(align_grids(truth, moving, config, device, StartPose(near)), moving, pose)
-    assert not align_grids(truth, moving, config, device, near).accepted
-
-
 def test_only_pairs_that_both_have_a_start_are_searched_there(device: ComputeDevice) -> None:
     """Two wrong starts part two maps; a third map without a start finds both and joins them."""
     truth = building(1, 11.0, 9.0)
@@ -210,38 +200,3 @@ def test_only_pairs_that_both_have_a_start_are_searched_there(device: ComputeDev
 
 def _values(pose: Pose2) -> tuple[float, ...]:
     return (pose.x, pose.y, wrap_angle(pose.yaw_rad), 0.5, 0.2)
-
-
-def test_the_fixed_step_search_begins_at_the_start(device: ComputeDevice) -> None:
-    truth = building(1)
-    moving, pose = degraded(truth, 1, yaw_rad=2.0)
-    start = StartPose(shifted(pose, moving, 0.5, 0.1), 1.0, 0.2)
-    found = align_grids(truth, moving, fusion_config(step=4), device, start)
-    shift, turn = off_by(moving, found.transform, pose)
-    assert shift <= 1.5
-    assert turn <= 1.5
-
-
-def test_the_decision_is_told_the_start(
-    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """With its tolerances, or as a pose that the answer agrees with; else all poses are equal."""
-    told: list[Evidence] = []
-
-    def decide(evidence: Evidence) -> Decision:
-        told.append(evidence)
-        return Decision(False, "different place", "told")
-
-    monkeypatch.setattr(judge, "decide", decide)
-    grid = building(3)
-    start = StartPose(Pose2(0.1, 0.0, 0.02), 0.5, 0.1)
-    for given in (start, start.pose, None):
-        seen = len(told)
-        align_grids(grid, grid.with_name("again"), QUICK, device, given)
-        # What is refused is looked at again; it is told the same.
-        again = {(evidence.search, evidence.prior) for evidence in told[seen:]}
-        assert len(again) == 1
-        del told[seen + 1 :]
-    assert [evidence.search for evidence in told] == ["window", "full", "full"]
-    assert [evidence.prior < 0.01 for evidence in told] == [True, True, False]
-    assert told[2].prior == 1.0

@@ -9,7 +9,9 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.align.accept import (
+from slamfusion.align.cancel import check_cancelled
+from slamfusion.align.common_walls import NEAR_CELLS_MIN, NEAR_M, beside_lines_m, held_by
+from slamfusion.align.decide import (
     EXPECTED_WRONG_MAX,
     GROUND_ONE_GOOD_M2,
     GROUND_ONE_M2,
@@ -20,30 +22,24 @@ from slamfusion.align.accept import (
     decide,
     wrong_in_job,
 )
-from slamfusion.align.cancel import CancelToken
-from slamfusion.align.corner import beside_lines_m
-from slamfusion.align.features import FINE_TABLE, GridFeatures
-from slamfusion.align.frames import motion_of, transform_of
-from slamfusion.align.held import held_by
-from slamfusion.align.measure import measure
-from slamfusion.align.mirror import SURE_SHARE, mirror_gain, mirror_image
-from slamfusion.align.motions import displacement
-from slamfusion.align.narrow_fit import climbed, narrow_fits
-from slamfusion.align.pieces import wall_pieces
-from slamfusion.align.records import Alignment, MatchEvidence, RunnerUp
-from slamfusion.align.refine import rank, refine
-from slamfusion.align.rivals import (
+from slamfusion.align.features import FINE_TABLE, spread_sample
+from slamfusion.align.hypotheses import (
     DISTINCT_CELLS,
     DISTINCT_YAW_RAD,
     PLAIN_SHARE,
-    Found,
-    Standing,
-    chosen_standing,
+    SURE_SHARE,
+    PairScores,
+    estimate_scale,
+    mirror_gain,
+    scored_answer,
 )
-from slamfusion.align.scale import estimate_scale
-from slamfusion.align.search import CoarseSearch, search, wall_widths
+from slamfusion.align.pair import Pair, displacement, invert, to_lattice
+from slamfusion.align.records import Alignment, MatchEvidence, RunnerUp
+from slamfusion.align.refine import climbed, narrow_fits, refine
+from slamfusion.align.scores import rank, wall_pieces
+from slamfusion.align.search import CoarseSearch, SearchResult, meeting_cells, prior_within, search
 from slamfusion.align.shifts import SearchWindow
-from slamfusion.compute import ComputeDevice
+from slamfusion.compute.lattice import fixed_poses
 from slamfusion.config import AlignConfig
 from slamfusion.geometry import Pose2, wrap_angle
 
@@ -58,81 +54,60 @@ FADED_TRIALS = 2.0
 # What the walls give there, by a wide width, as a share of what they gave before: with less the
 # wide fit has lost the place.
 SPREAD_LEAST = 0.5
-YAW_RAD_MIN = math.radians(0.5)
 # A mirror image that gives more times as much is not told from one that gives this.
 GAIN_MAX = 100.0
 
 
-def judge(
-    reference: GridFeatures,
-    moving: GridFeatures,
+def conclude(
+    pair: Pair,
     config: AlignConfig,
-    device: ComputeDevice,
-    found: Found,
+    found: SearchResult,
     start: Pose2 | None,
     pairs: int,
     began: float,
-    cancel: CancelToken | None,
 ) -> Alignment:
     """Measure the answer and its rivals, decide, and write the record.
 
     Args:
-        reference, moving: the two grids.
+        pair: the two maps.
         config: settings of the search, for the mirror image.
-        device: computes.
         found: at least one motion.
         start: where the answer is expected, without a window; None: nowhere.
         pairs: pairs of maps in the job.
         began: ``time.perf_counter()`` when the work on this pair began.
-        cancel: asked before each operation.
-
-    Raises:
-        CancelledSearchError: ``cancel`` says so.
     """
-    narrow = wall_widths(reference)[0]
-    stand = chosen_standing(reference, moving, device, found, pairs, cancel)
+    stand = scored_answer(pair, found, pairs)
     others = stand.others
     is_likely = stand.wrong(pairs, found.prior) < EXPECTED_WRONG_MAX
-    best, statistics = _placed(reference, moving, device, found, stand, cancel, is_likely=is_likely)
+    best, statistics = _placed(pair, found, stand, is_likely=is_likely)
     overlap, error = statistics.pop("overlap"), statistics.pop("error")
     shown = [best] if not others else [best, stand.motions[others[0]]]
-    scores = rank(reference, moving, np.array(shown), 1, FINE_TABLE, device, cancel=cancel)
+    scores = rank(pair, np.array(shown), 1, FINE_TABLE)
     score = float(scores[0])
-    transform = transform_of(reference, moving, best)
+    transform = pair.transform_of(best)
     runner_up = None
     if others:
         ratio = float(scores[1]) / score if score > 0 else 1.0
-        runner_up = RunnerUp(
-            transform_of(reference, moving, shown[1]), float(scores[1]), max(0.0, ratio)
-        )
+        runner_up = RunnerUp(pair.transform_of(shown[1]), float(scores[1]), max(0.0, ratio))
     prior = found.prior
-    if (
-        start is not None
-        and found.search == "full"
-        and _near_start(reference, moving, transform, start)
-    ):
-        prior = prior_within(reference, moving, DISTINCT_CELLS, DISTINCT_YAW_RAD)
+    if start is not None and found.search == "full" and _near_start(pair, transform, start):
+        prior = prior_within(pair, DISTINCT_CELLS, DISTINCT_YAW_RAD)
     if found.coarse is not None:
-        prior *= ground_prior(reference, moving, is_plain=stand.is_plain)
+        prior *= ground_prior(pair, is_plain=stand.is_plain)
     evidence = _evidence(
-        reference, moving, stand, runner_up, statistics,
-        found=found, pairs=pairs, prior=prior, overlap=overlap,
-    )  # fmt: skip
+        pair, stand, runner_up, statistics, found=found, pairs=pairs, prior=prior, overlap=overlap
+    )
     decision = decide(evidence)
     if found.search in {"full", "window"} and decision.accepted:
         evidence = replace(
             evidence,
-            held_m=held_by(reference, moving, best, cancel),
+            held_m=held_by(pair, best),
             # Near a start it does not matter which other corners look alike.
-            beside_lines_m=beside_lines_m(reference, moving, best, device)
-            if found.search == "full"
-            else None,
+            beside_lines_m=beside_lines_m(pair, best) if found.search == "full" else None,
         )
         decision = decide(evidence)
     if found.search in {"full", "window"} and (decision.accepted or decision.kind == "bent"):
-        evidence = _looked_closer(
-            evidence, reference, moving, config, device, stand, best, narrow, cancel
-        )
+        evidence = _looked_closer(evidence, pair, config, stand, best)
         decision = decide(evidence)
     if (
         found.search == "full"
@@ -140,9 +115,7 @@ def judge(
         and decision.kind not in {"mirrored", "other scale"}
         and decision.kind in found.image_after
     ):
-        evidence = _looked_at_image(
-            evidence, reference, moving, config, device, stand, pairs, cancel
-        )
+        evidence = _looked_at_image(evidence, pair, config, stand, pairs)
         decision = decide(evidence)
     match = MatchEvidence(
         pieces=evidence.witnesses,
@@ -161,8 +134,8 @@ def judge(
         sharp_maps=evidence.is_sharp,
     )
     return Alignment(
-        reference.grid.name,
-        moving.grid.name,
+        pair.reference.grid.name,
+        pair.moving.grid.name,
         transform,
         decision.accepted,
         decision.reason,
@@ -172,58 +145,39 @@ def judge(
         runner_up,
         time.perf_counter() - began,
         statistics,
-        None if found.coarse is None else _profile(reference, moving, found.coarse),
+        None if found.coarse is None else _profile(pair, found.coarse),
         match,
         decision.kind,
     )
 
 
 def _placed(
-    reference: GridFeatures,
-    moving: GridFeatures,
-    device: ComputeDevice,
-    found: Found,
-    stand: Standing,
-    cancel: CancelToken | None,
-    *,
-    is_likely: bool,
+    pair: Pair, found: SearchResult, stand: PairScores, *, is_likely: bool
 ) -> tuple[F64, dict[str, float]]:
     """Return the answer as finely as the maps allow (3,), and its numbers (see ``measure``).
 
     An answer that may be believed as that of bent maps is tried as one of good maps, too, which may
     lie some degrees beside it.
     """
-    narrow, broad = wall_widths(reference)
+    narrow, broad = pair.widths
     found_at = best = stand.motions[0]
     is_bent = stand.share < PLAIN_SHARE or stand.sigma > narrow
     if found.coarse is not None and (is_likely or not is_bent):
-        best = narrow_fits(reference, moving, found_at[None], device, cancel)[0]
-        best = climbed(reference, moving, best, device, cancel)
+        best = narrow_fits(pair, found_at[None])[0]
+        best = climbed(pair, best)
         if is_bent:
-            both = wall_pieces(
-                reference, moving, np.array([found_at, best]), narrow, device, cancel
-            )
+            both = wall_pieces(pair, np.array([found_at, best]), narrow)
             is_bent = not (both.total[1] > both.total[0] and both.share()[1] >= PLAIN_SHARE)
             best = found_at if is_bent else best
-    statistics = measure(reference, moving, best, device, cancel)
+    statistics = measure(pair, best)
     if is_bent and _met(statistics) < BENT_MATCH:
         # Both maps mostly miss each other's walls. A narrow fit locks one part of a bent map and
         # leaves the rest; the wide one spreads the misfit over the whole map.
-        spread = refine(
-            reference,
-            moving,
-            best[None],
-            1,
-            BENT_SCALES,
-            device,
-            iterations=8,
-            everywhere=True,
-            cancel=cancel,
-        )[0]
-        both = wall_pieces(reference, moving, np.array([best, spread]), broad, device, cancel)
+        spread = refine(pair, best[None], 1, BENT_SCALES, iterations=8, everywhere=True)[0]
+        both = wall_pieces(pair, np.array([best, spread]), broad)
         if both.total[1] >= SPREAD_LEAST * both.total[0]:
             best = spread
-            statistics = measure(reference, moving, best, device, cancel)
+            statistics = measure(pair, best)
     return best, statistics
 
 
@@ -233,13 +187,12 @@ def _met(statistics: dict[str, float]) -> float:
 
 
 def _evidence(
-    reference: GridFeatures,
-    moving: GridFeatures,
-    stand: Standing,
+    pair: Pair,
+    stand: PairScores,
     runner_up: RunnerUp | None,
     statistics: dict[str, float],
     *,
-    found: Found,
+    found: SearchResult,
     pairs: int,
     prior: float,
     overlap: float,
@@ -253,7 +206,7 @@ def _evidence(
         rival = f"at {pose.x:.2f}, {pose.y:.2f} m, {math.degrees(pose.yaw_rad):.0f} deg"
     highest = max((float(total[k]) for k in others), default=0.0)
     return Evidence(
-        walls=min(len(reference.wall_points), len(moving.wall_points)),
+        walls=min(len(pair.reference.wall_points), len(pair.moving.wall_points)),
         common_m=float(pieces.seen_m[0]),
         common_ground=overlap,
         share=stand.share,
@@ -274,35 +227,24 @@ def _evidence(
 
 
 def _looked_closer(
-    evidence: Evidence,
-    reference: GridFeatures,
-    moving: GridFeatures,
-    config: AlignConfig,
-    device: ComputeDevice,
-    stand: Standing,
-    best: F64,
-    narrow: float,
-    cancel: CancelToken | None,
+    evidence: Evidence, pair: Pair, config: AlignConfig, stand: PairScores, best: F64
 ) -> Evidence:
     """Add what would explain the walls better than the answer: another scale, a mirror image."""
-    motion, mirrored = stand.motions[0], None
+    motion, mirrored, narrow = stand.motions[0], None, pair.widths[0]
     if evidence.share < SURE_SHARE:
-        mirrored = mirror_gain(
-            reference, moving, motion, config, stand.sigma, device, cancel,
-            doubt=stand.pieces.doubt,
-        )  # fmt: skip
+        mirrored = mirror_gain(pair, motion, config, stand.sigma, doubt=stand.pieces.doubt)
     # Where little is in common another scale leaves little unexplained: it is always looked for.
     if stand.is_plain:
-        fit = estimate_scale(reference, moving, motion, (stand.sigma, narrow), device, cancel)
+        fit = estimate_scale(pair, motion, (stand.sigma, narrow))
     else:
         # A part of what is bent fits, by one width or the other, where the answer was found or at
         # its last fit, and that need not be the part about which the scale turns.
         places = (motion,) if np.array_equal(motion, best) else (motion, best)
         fit = max(
             (
-                estimate_scale(reference, moving, at, (width, narrow), device, cancel, is_far=True)
+                estimate_scale(pair, at, (width, narrow), is_far=True)
                 for at in places
-                for width in wall_widths(reference)
+                for width in pair.widths
             ),
             key=lambda found: found.share,
         )
@@ -310,86 +252,62 @@ def _looked_closer(
 
 
 def _looked_at_image(
-    evidence: Evidence,
-    reference: GridFeatures,
-    moving: GridFeatures,
-    config: AlignConfig,
-    device: ComputeDevice,
-    stand: Standing,
-    pairs: int,
-    cancel: CancelToken | None,
+    evidence: Evidence, pair: Pair, config: AlignConfig, stand: PairScores, pairs: int
 ) -> Evidence:
     """Add the mirror image where it would be believed, though the map itself is not."""
-    image = mirror_image(moving, device)
-    coarse, motions, _ = search(reference, image, config, SearchWindow(), device, cancel)
+    image = pair.mirrored()
+    coarse, motions, _ = search(image, config, SearchWindow())
     if not len(motions):
         return evidence
-    other = chosen_standing(reference, image, device, Found(motions, coarse, "full"), pairs, cancel)
+    other = scored_answer(image, SearchResult(motions, coarse, "full"), pairs)
     # A half of a place that is nearly its own image may fit both ways.
     least = EXPECTED_WRONG_MAX * min(1.0, stand.wrong(pairs))
     if other.share < SHARE_MIN or other.wrong(pairs) >= least:
         return evidence
     # By one width, and by no sides of walls: like is held against like.
     own, gained = (
-        float(
-            wall_pieces(reference, of, motion[None], other.sigma, device, cancel).evidence[0].sum()
-        )
-        for of, motion in ((moving, stand.motions[0]), (image, other.motions[0]))
+        float(wall_pieces(of, motion[None], other.sigma).evidence[0].sum())
+        for of, motion in ((pair, stand.motions[0]), (image, other.motions[0]))
     )
     gain = GAIN_MAX if own * GAIN_MAX <= gained else gained / own
     return replace(evidence, mirrored=gain)
 
 
-def prior_within(
-    reference: GridFeatures, moving: GridFeatures, cells: float, yaw_rad: float
-) -> float:
-    """Return how much fewer the poses within these distances are than all that could overlap."""
-    everywhere = _ground(reference, moving) * 2.0 * math.pi
-    here = (2.0 * max(cells, 1.0)) ** 2 * 2.0 * max(min(yaw_rad, math.pi), YAW_RAD_MIN)
-    return min(1.0, here / everywhere)
-
-
-def _ground(reference: GridFeatures, moving: GridFeatures) -> float:
-    """Return the cells on which the moving centre may lie where both maps could overlap."""
-    reach = math.hypot(*moving.shape)
-    return (reference.shape[0] + reach) * (reference.shape[1] + reach)
-
-
-def ground_prior(reference: GridFeatures, moving: GridFeatures, *, is_plain: bool) -> float:
+def ground_prior(pair: Pair, *, is_plain: bool) -> float:
     """Return how many times more wrong answers there are than on the ground of ``accept``, or 1.
 
     So many times as many places there are, and of good maps that fade each fits more often.
     """
-    ground_m2 = _ground(reference, moving) * reference.grid.grid.resolution**2
+    ground_m2 = meeting_cells(pair) * pair.resolution**2
     places = max(1.0, ground_m2 / (GROUND_ONE_GOOD_M2 if is_plain else GROUND_ONE_M2))
-    return FADED_TRIALS * places if is_plain and (reference.fades or moving.fades) else places
+    return (
+        FADED_TRIALS * places
+        if is_plain and (pair.reference.fades or pair.moving.fades)
+        else places
+    )
 
 
-def _near_start(
-    reference: GridFeatures, moving: GridFeatures, transform: Pose2, start: Pose2
-) -> bool:
+def _near_start(pair: Pair, transform: Pose2, start: Pose2) -> bool:
     """Whether the answer agrees with the start frame that producers of one robot share."""
-    a = motion_of(reference, moving, transform)
-    b = motion_of(reference, moving, start)
+    a = pair.motion_of(transform)
+    b = pair.motion_of(start)
     shift, turn = displacement(a, b)
     return shift <= DISTINCT_CELLS and turn <= DISTINCT_YAW_RAD
 
 
-def _profile(reference: GridFeatures, moving: GridFeatures, coarse: CoarseSearch) -> F64:
+def _profile(pair: Pair, coarse: CoarseSearch) -> F64:
     """Return (K, 2) yaw of the map-frame transform, sorted, and the best coarse score there."""
-    turn = reference.grid.grid.origin.yaw_rad - moving.grid.grid.origin.yaw_rad
+    turn = pair.reference.grid.grid.origin.yaw_rad - pair.moving.grid.grid.origin.yaw_rad
     yaws = np.array([wrap_angle(float(yaw) + turn) for yaw in coarse.yaws])
     order = np.argsort(yaws)
     return np.stack((yaws[order], coarse.best[order]), axis=1)
 
 
-def rejected_alignment(
-    reference: GridFeatures, moving: GridFeatures, reason: str, time_s: float
-) -> Alignment:
+def rejected_alignment(pair: Pair, reason: str, time_s: float) -> Alignment:
     """Return the record of a pair that could not be searched."""
     return Alignment(
-        reference.grid.name,
-        moving.grid.name,
+        pair.reference.grid.name,
+        pair.moving.grid.name,
         Pose2(),
         accepted=False,
         reason=reason,
@@ -399,3 +317,81 @@ def rejected_alignment(
         runner_up=None,
         time_s=time_s,
     )
+
+
+CLASH_M, CLASH_CELLS_MIN = 0.4, 3.0
+FAR_CLASH_M, FAR_CLASH_CELLS_MIN = 1.0, 5.0
+MEASURED_POINTS = 4096
+
+
+def measure(pair: Pair, motion: F64) -> dict[str, float]:
+    """Return the numbers by which a motion is judged.
+
+    ``wall_match`` is the smaller of the two shares of wall cells with a wall of the other map
+    within 0.15 m, ``wall_clash`` the larger of the two shares in the other's free space more than
+    1 m from any wall, ``wall_clash_near`` the same beyond 0.4 m; ``chance`` is the larger of the
+    two shares of known cells within 0.15 m of a wall, what a random place would match.
+    ``explained`` is the share of the map with fewer wall cells, and ``explained_by_chance`` what a
+    random place on the known cells of the other map would match of it.
+    """
+    lattice = to_lattice(motion[None], pair.moving.centre)
+    ref, mov = pair.reference.level(1), pair.moving.level(1)
+    size = pair.resolution
+    near2 = int(max(NEAR_M / size, NEAR_CELLS_MIN) ** 2 + 1e-9)
+    clashes2 = [
+        int(max(metres / size, least) ** 2 + 1e-9)
+        for metres, least in ((FAR_CLASH_M, FAR_CLASH_CELLS_MIN), (CLASH_M, CLASH_CELLS_MIN))
+    ]
+    match, known, chance = [], [], []
+    clash: list[list[float]] = [[], []]
+    for points, pose, features, level in (
+        (pair.moving.wall_points, lattice, pair.reference, ref),
+        (pair.reference.wall_points, invert(lattice), pair.moving, mov),
+    ):
+        sample = spread_sample(points, MEASURED_POINTS)
+        for far2, shares in zip(clashes2, clash, strict=True):
+            check_cancelled()
+            counts = pair.device.pose_counts(
+                sample,
+                fixed_poses(pose),
+                features.known,
+                level.distance2,
+                level.free,
+                base=0,
+                near2=near2,
+                far2=far2,
+            )[0]
+            shares.append(counts[2] / len(sample))
+        match.append(counts[1] / len(sample))
+        known.append(counts[0] / len(sample))
+        check_cancelled()
+        chance.append(features.near_wall_share(near2))
+    smaller = 0 if len(pair.moving.wall_points) <= len(pair.reference.wall_points) else 1
+    overlap, error = _overlap_and_error(pair, lattice)
+    return {
+        "wall_match": float(min(match)),
+        "wall_match_moving": float(match[0]),
+        "wall_match_reference": float(match[1]),
+        "wall_clash": float(max(clash[0])),
+        "wall_clash_near": float(max(clash[1])),
+        "wall_known": float(min(known)),
+        "chance": float(max(chance)),
+        "explained": float(match[smaller]),
+        "explained_by_chance": float(chance[smaller]),
+        "overlap": overlap,
+        "error": error,
+    }
+
+
+def _overlap_and_error(pair: Pair, lattice: F64) -> tuple[float, float]:
+    """Return the share of known cells in common, and the [F16] error over the reference's box."""
+    check_cancelled()
+    warped = pair.device.warp(
+        pair.moving.cells, fixed_poses(invert(lattice)), pair.reference.shape, -1
+    )
+    check_cancelled()
+    counts = pair.device.confusion(pair.reference.cells, warped)
+    both = float(counts[1:, 1:].sum())
+    smaller = max(1, min(pair.reference.known_cells, pair.moving.known_cells))
+    squares = np.array([[0, 1, 4], [1, 0, 1], [4, 1, 0]])
+    return min(1.0, both / smaller), math.sqrt(float((counts * squares).sum()))

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from slamfusion.align.features import GridFeatures
-from slamfusion.align.wall_evidence import EvidenceTable, evidence_table, likeness, score_table
+from slamfusion.align.likelihood import EvidenceTable, evidence_table, score_table
 from slamfusion.compute import ComputeDevice
 from tests.align.definitions import likeness_of, side_of, surface_of
 from tests.fusion.drawings import draw, features_of, random_grid
@@ -37,50 +37,11 @@ def test_a_table_is_the_logarithm_of_the_likelihood_ratio_in_units(
 
 
 @given(chance=CHANCE, sigma=SIGMA, top=TOP)
-def test_values_stay_within_the_field_and_reach_both_ends(
-    chance: float, sigma: float, top: int
-) -> None:
-    table = evidence_table(chance, sigma, top)
-    assert (table.base + value_of(table)).min() == 0
-    assert (table.base + value_of(table)).max() == top == table.base + table.span
-    assert np.all((table.hit == 0) | (table.miss == 0)), "what speaks for does not speak against"
-
-
-@given(chance=CHANCE, sigma=SIGMA, top=TOP)
 def test_farther_from_a_wall_is_never_worth_more(chance: float, sigma: float, top: int) -> None:
     table = evidence_table(chance, sigma, top)
     assert np.all(np.diff(value_of(table)) <= 0)
     assert np.all(np.diff(table.hit.astype(int)) <= 0)
     assert np.all(np.diff(table.miss.astype(int)) >= 0)
-
-
-@given(rare=CHANCE, common=CHANCE, sigma=SIGMA)
-def test_a_wall_tells_less_where_any_wall_would_find_one(
-    rare: float, common: float, sigma: float
-) -> None:
-    rare, common = sorted((rare, common))
-    a, b = (evidence_table(chance, sigma, 255) for chance in (rare, common))
-    assert a.unit == b.unit, "the values of two maps can be added"
-    assert np.all(value_of(a) >= value_of(b))
-
-
-def test_tables_that_differ_have_names_that_differ() -> None:
-    names = {
-        evidence_table(chance, sigma, top, doubt).name
-        for chance in (0.1, 0.2)
-        for sigma in (0.75, 1.5)
-        for top in (15, 255)
-        for doubt in (0.0, 1.0)
-    }
-    assert len(names) == 16
-
-
-def test_likeness_is_one_on_a_wall_and_a_shared_table_cannot_be_changed() -> None:
-    table = likeness(2.0)
-    assert table[0] == 1.0
-    assert table[4] == pytest.approx(math.exp(-0.5))
-    with pytest.raises(ValueError, match="read-only"):
-        table[0] = 0.0
 
 
 def field_of(features: GridFeatures, table: EvidenceTable) -> np.ndarray:
@@ -142,15 +103,6 @@ def test_a_wall_in_the_other_maps_unknown_costs_nothing_and_in_its_room_it_does(
     assert field[26, 5] < table.base, "in the middle of the room, six cells from its walls"
     assert field[10, 5] == table.base, "in the unknown between"
     assert field[21, 5] > table.base, "on the wall of the room"
-
-
-def test_score_tables_fall_from_walls_and_never_below_zero() -> None:
-    for sigma, base, span in ((1.0, 4, 11), (3.0, 64, 191), (4.0, 4, 11)):
-        table = score_table(sigma, base, span)
-        assert table.hit[0] == span
-        assert np.all(np.diff(table.hit.astype(int)) <= 0)
-        assert table.miss[0] == 0
-        assert table.miss.max() == base
 
 
 @pytest.mark.parametrize("sigma", [1.0, 3.0])

@@ -1,4 +1,4 @@
-"""Rigid motions of one grid onto another, in cells.
+"""``Pair``, two maps made ready on one device, and rigid motions of one onto the other, in cells.
 
 A motion is in cells of the common lattice: (x, y, yaw) maps the moving grid's lattice into the
 reference's, as x_ref = R(yaw) (x - centre of moving) + (x, y): (x, y) is where the centre lands.
@@ -7,13 +7,25 @@ reference's, as x_ref = R(yaw) (x - centre of moving) + (x, y): (x, y) is where 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import wraps
+from typing import Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
+from slamfusion.align.cancel import CancelToken, watched_by
+from slamfusion.align.features import GridFeatures
+from slamfusion.align.normalize import NormalizedGrid
+from slamfusion.compute import ComputeDevice
 from slamfusion.compute.layout import FIXED_ONE
+from slamfusion.geometry import Pose2, wrap_angle
 
 F64 = npt.NDArray[np.float64]
+
+P = ParamSpec("P")
+R = TypeVar("R")
 Columns = tuple[F64, F64, F64, F64]
 
 
@@ -126,3 +138,87 @@ def distinct_rows(
         turned = np.mod(motions[left, 2] - best[2] + math.pi, 2.0 * math.pi) - math.pi
         left = left[away | (np.abs(turned) >= turn)]
     return np.array(kept, dtype=np.intp)
+
+
+# Widths of a wall on full-resolution cells, metres, and the least they are in cells. By the first
+# maps are compared that show the same walls in the same places, by the second bent ones.
+WIDTHS_M, WALL_CELLS_MIN = (0.15, 0.45), 1.5
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """Two maps of one resolution that are aligned, on one device.
+
+    Attributes:
+        reference: held still.
+        moving: gets the transform.
+        cancel: asked before each operation of a search whether to give it up; None: never.
+    """
+
+    reference: GridFeatures
+    moving: GridFeatures
+    cancel: CancelToken | None = None
+
+    def __iter__(self) -> Iterator[GridFeatures]:
+        """Yield the reference, then the moving map."""
+        yield self.reference
+        yield self.moving
+
+    @property
+    def device(self) -> ComputeDevice:
+        """Computes, and holds both maps."""
+        return self.reference.device
+
+    @property
+    def resolution(self) -> float:
+        """Metres per cell of both maps."""
+        return self.reference.grid.grid.resolution
+
+    @property
+    def widths(self) -> tuple[float, float]:
+        """Widths of a wall, cells: the narrow one of good maps, and the broad one of bent ones."""
+        narrow, broad = (max(width / self.resolution, WALL_CELLS_MIN) for width in WIDTHS_M)
+        return narrow, broad
+
+    @property
+    def longest(self) -> int:
+        """The longest side of both maps, cells."""
+        return max(*self.reference.shape, *self.moving.shape)
+
+    def mirrored(self) -> Pair:
+        """Return the same with the mirror image of the moving map, about its own x axis."""
+        given = self.moving.grid
+        image = NormalizedGrid(
+            replace(given.grid, cells=np.ascontiguousarray(given.grid.cells[::-1])),
+            np.ascontiguousarray(given.cells[::-1]),
+            np.ascontiguousarray(given.solid[::-1]),
+        )
+        return Pair(self.reference, GridFeatures(image, self.device), self.cancel)
+
+    def motion_of(self, transform: Pose2) -> F64:
+        """Return a transform of map frames, metres, as a motion (3,), see ``motions``."""
+        ref, mov = self.reference.grid.grid, self.moving.grid.grid
+        lattice = ref.origin.inverse().compose(transform).compose(mov.origin)
+        centre = np.array(self.moving.centre) * mov.resolution
+        landed = lattice.transform(centre) / ref.resolution
+        return np.array([landed[0], landed[1], lattice.yaw_rad])
+
+    def transform_of(self, motion: F64) -> Pose2:
+        """Return a motion (3,) as the transform of map frames, metres."""
+        ref, mov = self.reference.grid.grid, self.moving.grid.grid
+        x, y, yaw = to_lattice(motion[None], self.moving.centre)[0]
+        lattice = Pose2(
+            float(x) * ref.resolution, float(y) * ref.resolution, wrap_angle(float(yaw))
+        )
+        return ref.origin.compose(lattice).compose(mov.origin.inverse())
+
+
+def watched(work: Callable[Concatenate[Pair, P], R]) -> Callable[Concatenate[Pair, P], R]:
+    """Let the token of a pair, if it has one, give up work on it between any two operations."""
+
+    @wraps(work)
+    def with_token(pair: Pair, /, *given: P.args, **named: P.kwargs) -> R:
+        with watched_by(pair.cancel):
+            return work(pair, *given, **named)
+
+    return with_token

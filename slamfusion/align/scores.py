@@ -15,18 +15,23 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.align.accept import RIVAL_RATIO
-from slamfusion.align.cancel import CancelToken, check_cancelled
-from slamfusion.align.features import GridFeatures
-from slamfusion.align.motions import fixed_similarities
+from slamfusion.align.cancel import check_cancelled
+from slamfusion.align.decide import RIVAL_RATIO
+from slamfusion.align.features import GridFeatures, spread_sample
+from slamfusion.align.likelihood import ScoreTable
+from slamfusion.align.pair import Pair, fixed_similarities, invert, to_lattice
 from slamfusion.compute import ComputeDevice
+from slamfusion.compute.lattice import fixed_poses
 from slamfusion.compute.layout import FACING_PARTS
+from slamfusion.compute.search import ScoredSide
 
 F64 = npt.NDArray[np.float64]
 
 # Side of a piece, metres, where a wall is as wide as this; wider walls have larger pieces.
 PIECE_M, PIECE_WIDTH_M = 1.0, 0.15
 PIECE_POINTS = 8192
+# Wall points of each map by which motions are compared, each stands for its share.
+SCORED_POINTS = 4096
 # Where an answer leaves at most a quarter unexplained both maps may be good: then so many times
 # what an answer leaves unexplained speaks against it. With 1 a large common ground that fits badly
 # holds a small right one back (of 90 halves that share a fifth 60 are believed, with 2 and with 3
@@ -136,12 +141,9 @@ def _witnesses(values: F64) -> float:
 
 
 def wall_pieces(
-    reference: GridFeatures,
-    moving: GridFeatures,
+    pair: Pair,
     motions: F64,
     sigma: float,
-    device: ComputeDevice,
-    cancel: CancelToken | None = None,
     *,
     scales: F64 | None = None,
     points: int = PIECE_POINTS,
@@ -150,26 +152,21 @@ def wall_pieces(
     """Return what each piece of wall says of each motion.
 
     Args:
-        reference, moving: the two grids.
+        pair: the two maps.
         motions: (P, 3) where the moving centre lands, cells, and yaw.
         sigma: width of a wall in cells.
-        device: holds the fields.
-        cancel: asked before each operation.
         scales: (P,) how much longer the moving map's metre is taken, about its centre; None: 1.
         points: at most this many wall points of each grid are looked at; each stands for its share.
         sided: as of good maps: a wall that was seen from another side is another wall, and where
             a map knows nothing no more could be given than is. Maps that are bent, or old, draw
             walls too badly for that.
-
-    Raises:
-        CancelledSearchError: ``cancel`` says so.
     """
-    there, back = fixed_similarities(motions, moving.centre, scales)
-    sides = ((moving, there, reference), (reference, back, moving))
+    there, back = fixed_similarities(motions, pair.moving.centre, scales)
+    sides = ((pair.moving, there, pair.reference), (pair.reference, back, pair.moving))
     found = []
     for own, pose, other in sides:
-        check_cancelled(cancel)
-        found.append(_side(own, pose, other, sigma, points, device, cancel, sided=sided))
+        check_cancelled()
+        found.append(_side(own, pose, other, sigma, points, pair.device, sided=sided))
     evidence, most, share_most, seen_m = zip(*found, strict=True)
     return WallPieces(
         np.concatenate(evidence, axis=1),
@@ -186,29 +183,28 @@ def _side(
     sigma: float,
     most_points: int,
     device: ComputeDevice,
-    cancel: CancelToken | None,
     *,
     sided: bool,
 ) -> tuple[F64, F64, F64, F64]:
     """Return (P, B) evidence, ``most`` and ``share_most`` of one map's pieces, (P,) metres seen."""
     size = own.grid.grid.resolution
-    level = own.level(1, cancel)
+    level = own.level(1)
     side = PIECE_M * max(1.0, sigma * size / PIECE_WIDTH_M)
-    points, starts = own.pieces(size / (2.0 * side), most_points, cancel)
+    points, starts = own.pieces(size / (2.0 * side), most_points)
     # Half: both maps' walls are counted.
     metres = 0.5 * size * len(level.points) / max(1, len(points))
-    table = other.evidence_table(1, sigma, FIELD_TOP, cancel)
-    seen = other.seen(int((2.0 * sigma) ** 2), cancel)
-    field, most_field, facing = other.field(1, table, cancel), seen, seen
+    table = other.evidence_table(1, sigma, FIELD_TOP)
+    seen = other.seen(int((2.0 * sigma) ** 2))
+    field, most_field, facing = other.field(1, table), seen, seen
     sides = np.zeros(len(points), dtype=np.uint8)
     if sided:
-        check_cancelled(cancel)
-        facing = other.facing(cancel)
-        sides = device.download(own.facing(cancel))[points[:, 1] // 2, points[:, 0] // 2]
+        check_cancelled()
+        facing = other.facing()
+        sides = device.download(own.facing())[points[:, 1] // 2, points[:, 0] // 2]
         most_cells = device.download(field) - np.uint8(table.base)
         most_cells[other.grid.cells >= 0] = table.span
         most_field = device.upload(most_cells)
-    check_cancelled(cancel)
+    check_cancelled()
     turns = np.rint(np.arctan2(poses[:, 1], poses[:, 0]) * (FACING_PARTS / (2.0 * math.pi)))
     sums = device.piece_sums(
         points,
@@ -227,3 +223,76 @@ def _side(
     unit = table.unit * metres
     most = met * (table.span * unit)
     return given * unit, most, could * unit if sided else most, met.sum(axis=1) * metres
+
+
+def score_motions(
+    pair: Pair,
+    motions: F64,
+    step: int,
+    *,
+    sigma: float,
+    points: int = SCORED_POINTS,
+    scales: F64 | None = None,
+    doubt: float = 0.0,
+) -> F64:
+    """Return the evidence (P,) for motions at a level, nats summed over cells of wall of both maps.
+
+    Args:
+        pair: the two maps.
+        motions: (P, 3) where the moving centre lands, fine cells, and yaw.
+        step: level to work on, fine cells a cell.
+        sigma: width of a wall, cells of the level.
+        points: at most this many wall points of each grid are looked at; each stands for its share.
+        scales: (P,) how much longer the moving map's metre is taken, about its centre; None: 1.
+        doubt: see ``wall_evidence.evidence_table``.
+    """
+    ref, mov = pair.reference.level(step), pair.moving.level(step)
+    local = motions / np.array([step, step, 1.0])
+    centre = (pair.moving.centre[0] / step, pair.moving.centre[1] / step)
+    there, back = fixed_similarities(local, centre, scales)
+    sides, units = [], []
+    for own, pose, features in ((mov, there, pair.reference), (ref, back, pair.moving)):
+        table = features.evidence_table(step, sigma, FIELD_TOP, doubt)
+        field = features.field(step, table)
+        sample = spread_sample(own.points, points)
+        sides.append(ScoredSide(sample, pose, field, table.base))
+        units.append(table.unit * (len(own.points) / len(sample)))
+    check_cancelled()
+    total = np.zeros(len(motions))
+    for values, side, unit in zip(pair.device.pose_scores(*sides), sides, units, strict=True):
+        total += (values - len(side.points) * side.base) * unit
+    return total
+
+
+def rank(
+    pair: Pair, motions: F64, step: int, table: ScoreTable, *, points: int = SCORED_POINTS
+) -> F64:
+    """Return the symmetric wall score (P,) of motions at a level; 1 for identical maps."""
+    ref, mov = pair.reference.level(step), pair.moving.level(step)
+    from_mov = spread_sample(mov.points, points)
+    from_ref = spread_sample(ref.points, points)
+    local = motions / np.array([step, step, 1.0])
+    poses = to_lattice(local, (pair.moving.centre[0] / step, pair.moving.centre[1] / step))
+    sides = (
+        (from_mov, poses, pair.reference, ref, len(mov.points)),
+        (from_ref, invert(poses), pair.moving, mov, len(ref.points)),
+    )
+    total = np.zeros(len(motions))
+    weight = 0.0
+    for sample, own, features, level, count in sides:
+        field = features.field(level.step, table)
+        check_cancelled()
+        counts = pair.device.pose_counts(
+            sample,
+            fixed_poses(own),
+            field,
+            level.distance2,
+            level.free,
+            base=table.base,
+            near2=0,
+            far2=0,
+        )
+        mean = (counts[:, 0] / len(sample) - table.base) / table.span
+        total += mean * count
+        weight += count
+    return total / weight
