@@ -175,7 +175,7 @@ _MODULES: dict[str, tuple[str, ...]] = {
         "TrajectoryError",
     ),
     "align.records": ("Alignment", "FusionResult"),
-    "align.start": ("StartPose",),
+    "align.starts": ("StartPose",),
     "geometry": ("Pose2",),
     "grid": ("FREE", "OCCUPIED", "UNKNOWN", "OccupancyGrid"),
     "io": ("AtomicFiles", "load_map", "open_log", "read_trajectory", "save_map"),

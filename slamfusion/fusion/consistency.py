@@ -1,41 +1,48 @@
 """Which inputs agree: the largest group whose pairwise transforms close.
 
 A pair that was rejected connects nothing, but the others of a group imply a transform for it. Where
-that lays much of the two maps on one ground, the group needs a reason to stand: see ``Stands``.
+that lays much of the two maps on one ground, their walls must support it there.
+
+Maps that share little may each fit a third: the pair is rejected, the group stands. Few poses are
+left to chance under an implied transform, so far less evidence does than a search would need.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from slamfusion.align.align import track_pair
+from slamfusion.align.decide import CLASH_MAX, EXPECTED_WRONG_MAX, SHARE_MIN, expected_wrong
+from slamfusion.align.features import GridFeatures
+from slamfusion.align.hypotheses import DISTINCT_CELLS, DISTINCT_YAW_RAD, is_distinct
+from slamfusion.align.pair import Pair
 from slamfusion.align.records import Alignment
+from slamfusion.align.search import prior_within
 from slamfusion.geometry import Pose2, wrap_angle
-
-# Told a rejected pair and the transform that the accepted pairs of a group imply for it (moving map
-# frame to the reference's): whether the group may stand although the pair was rejected.
-Stands = Callable[[Alignment, Pose2], bool]
 
 CLOSURE_CELLS = 12.0
 CLOSURE_YAW_RAD = math.radians(3.0)
-EXHAUSTIVE_INPUTS = 12
 # Statistic of a pair whose paths were held against each other and agree: their median gap, metres.
 PATH_GAP = "path_gap_m"
 
 
-@dataclass(frozen=True)
-class Group:
+@dataclass(frozen=True, eq=False)
+class MapGroup:
     """Inputs that fit together.
 
     Attributes:
         members: their names, in input order.
         score: sum of the scores of the accepted pairs inside.
+        poses: of each map's frame in that of the first member, metres, where all alignments were
+            solved together; None: each alignment is taken as it is.
     """
 
     members: tuple[str, ...]
     score: float
+    poses: Mapping[str, Pose2] | None = None
 
 
 def motion_from(pair: Alignment, source: str) -> Pose2:
@@ -57,13 +64,13 @@ def largest_group(
     pairs: Sequence[Alignment],
     centres: dict[str, tuple[float, float]],
     resolution: float,
-    stands: Stands | None = None,
-) -> Group:
+    implied: ImpliedPairs | None = None,
+) -> MapGroup:
     """Return the largest connected group of inputs whose accepted triangles all close.
 
     A triangle whose three pairs have paths that agree is closed by them: bent maps of one drive
     lock on each other here in one pair and there in the next. Of a group in which a pair was
-    rejected ``stands`` must hold.
+    rejected the walls of the pair must not contradict it.
 
     Of equally large groups the one with the greater sum of scores, then the earlier inputs.
 
@@ -72,31 +79,26 @@ def largest_group(
         each input's known box in its map frame, metres. resolution: metres per cell; a triangle
         closes within 12 cells and 3 degrees, the sum of what
             three alignments of bent maps may each be off.
-        stands: asked of each rejected pair inside a group that closes; None: rejected pairs break
+        implied: looks at each rejected pair inside a group that closes; None: rejected pairs break
             nothing.
     """
     edges = {frozenset((p.reference, p.moving)): p for p in pairs if p.accepted}
-    is_many = len(names) > EXHAUSTIVE_INPUTS
     for size in range(len(names), 1, -1):
-        if is_many and size < len(names) - 2:
-            break
-        best: Group | None = None
+        best: MapGroup | None = None
         for members in itertools.combinations(names, size):
             inside = {key: pair for key, pair in edges.items() if key <= set(members)}
             if not _is_connected(members, inside):
                 continue
             if not _closes(members, inside, centres, resolution):
                 continue
-            if not _stands(members, pairs, stands):
+            if not _stands(members, pairs, implied):
                 continue
-            group = Group(members, _sum_of_scores(inside))
+            group = MapGroup(members, _sum_of_scores(inside))
             if best is None or group.score > best.score:
                 best = group
         if best is not None:
             return best
-    if is_many:
-        return _grown_group(names, pairs, centres, resolution, stands)
-    return Group(tuple(names[:1]), 0.0)
+    return MapGroup(tuple(names[:1]), 0.0)
 
 
 def _is_connected(members: Sequence[str], edges: dict[frozenset[str], Alignment]) -> bool:
@@ -135,45 +137,19 @@ def _closes(
     return True
 
 
-def _stands(members: Sequence[str], pairs: Sequence[Alignment], stands: Stands | None) -> bool:
+def _stands(
+    members: Sequence[str], pairs: Sequence[Alignment], implied: ImpliedPairs | None
+) -> bool:
     """Whether no rejected pair among the members speaks against them."""
-    if stands is None:
+    if implied is None:
         return True
     for pair in pairs:
         if pair.accepted or not {pair.reference, pair.moving} <= set(members):
             continue
-        implied = path_transform(pair.moving, pair.reference, members, pairs)
-        if implied is not None and not stands(pair, implied):
+        over = path_transform(pair.moving, pair.reference, members, pairs)
+        if over is not None and not implied.look(pair.reference, pair.moving, over).stands:
             return False
     return True
-
-
-def _grown_group(
-    names: Sequence[str],
-    pairs: Sequence[Alignment],
-    centres: dict[str, tuple[float, float]],
-    resolution: float,
-    stands: Stands | None,
-) -> Group:
-    """Return a group grown from the best pairs, for more inputs than can be tried exhaustively."""
-    edges = {frozenset((p.reference, p.moving)): p for p in pairs if p.accepted}
-    best = Group(tuple(names[:1]), 0.0)
-    for seed in sorted(edges.values(), key=lambda pair: -pair.score)[: len(names)]:
-        members = [name for name in names if name in {seed.reference, seed.moving}]
-        for name in names:
-            if name in members:
-                continue
-            trial = [*members, name]
-            inside = {key: pair for key, pair in edges.items() if key <= set(trial)}
-            is_one = _is_connected(trial, inside) and _closes(trial, inside, centres, resolution)
-            if is_one and _stands(trial, pairs, stands):
-                members = trial
-        inside = {key: pair for key, pair in edges.items() if key <= set(members)}
-        ordered = tuple(name for name in names if name in members)
-        group = Group(ordered, _sum_of_scores(inside))
-        if rank_of(group, names) > rank_of(best, names):
-            best = group
-    return best
 
 
 def _sum_of_scores(pairs: dict[frozenset[str], Alignment]) -> float:
@@ -181,7 +157,7 @@ def _sum_of_scores(pairs: dict[frozenset[str], Alignment]) -> float:
     return math.fsum(pair.score for pair in pairs.values())
 
 
-def rank_of(group: Group, names: Sequence[str]) -> tuple[int, float, list[int]]:
+def rank_of(group: MapGroup, names: Sequence[str]) -> tuple[int, float, list[int]]:
     """Return what the better of two groups has more of: members, score, early inputs."""
     return len(group.members), group.score, [-names.index(name) for name in group.members]
 
@@ -210,3 +186,91 @@ def path_transform(
                     following.append(name)
         fresh = following
     return found.get(target)
+
+
+# Ground that both maps know, as a share of the smaller one's: on less their walls need not meet.
+MUCH_GROUND = 0.3
+
+
+@dataclass(frozen=True)
+class Implied:
+    """What came of a rejected pair under the transform that others imply.
+
+    Attributes:
+        alignment: refined from there.
+        stands: whether the pair speaks against no group.
+        words: why, in a few words.
+        is_borne_out: whether walls on common ground, be it much or little, say that it lies there.
+    """
+
+    alignment: Alignment
+    stands: bool
+    words: str
+    is_borne_out: bool = False
+
+
+class ImpliedPairs:
+    """Looks at rejected pairs under implied transforms, at each only once."""
+
+    def __init__(self, features: dict[str, GridFeatures], pairs: int) -> None:
+        """Keep the maps by name, and how many pairs the job has."""
+        self.features, self.pairs = features, pairs
+        self.seen: dict[tuple[str, str, Pose2], Implied] = {}
+
+    def look(self, reference: str, moving: str, transform: Pose2) -> Implied:
+        """Return what the walls of two maps say of a transform that others imply.
+
+        Args:
+            reference, moving: names of the maps.
+            transform: moving map frame to the reference's, metres.
+        """
+        key = reference, moving, transform
+        if key not in self.seen:
+            self.seen[key] = self._look(reference, moving, transform)
+        return self.seen[key]
+
+    def words_against(self, pair: Alignment) -> str:
+        """Return what walls say against a pair where others put it, to end a reason; or nothing."""
+        for (reference, moving, _), found in self.seen.items():
+            if (reference, moving) == (pair.reference, pair.moving) and not found.stands:
+                return f"; where the others put it, it gives {found.words}"
+        return ""
+
+    def _look(self, still: str, moved: str, transform: Pose2) -> Implied:
+        pair = Pair(self.features[still], self.features[moved])
+        found = track_pair(pair, transform)
+        little = ""
+        if found.overlap < MUCH_GROUND:
+            little = f"{found.overlap:.0%} of the ground in common"
+        evidence = found.evidence
+        if evidence is None:
+            return Implied(found, bool(little), little or "no walls")
+        prior = prior_within(pair, DISTINCT_CELLS, DISTINCT_YAW_RAD)
+        wrong = expected_wrong(evidence.pieces, evidence.share, self.pairs, prior)
+        fits = found.accepted or (
+            evidence.share >= SHARE_MIN
+            and wrong < EXPECTED_WRONG_MAX
+            and found.statistics["wall_clash"] <= CLASH_MAX
+        )
+        went = is_distinct(
+            pair.motion_of(found.transform),
+            pair.motion_of(transform),
+        )
+        words = f"{evidence.share:.0%} of what {evidence.common_m:.0f} m of common walls could give"
+        # On little ground a few walls meet in a wrong place, too.
+        is_borne_out = fits and not went and (found.accepted or not little)
+        return Implied(found, is_borne_out or bool(little), little or words, is_borne_out)
+
+
+def words_over(name: str, found: Alignment) -> str:
+    """Return why an input stands that no accepted pair joins to the reference, in one line.
+
+    Args:
+        name: of the input.
+        found: its alignment to the reference where the pairs between imply it.
+    """
+    said = f"accepted over others: as a pair with {found.reference}, {name} was rejected"
+    if found.evidence is None:
+        return said
+    share, metres = found.evidence.share, found.evidence.common_m
+    return f"{said}; here they give {share:.0%} of what {metres:.0f} m of common walls could"

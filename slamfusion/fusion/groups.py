@@ -22,17 +22,15 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import SMALLEST, FusionConfig
 from slamfusion.errors import AlignmentError, ConfigError
 from slamfusion.fusion.consistency import (
-    Group,
+    ImpliedPairs,
+    MapGroup,
     largest_group,
     path_transform,
     rank_of,
+    words_over,
 )
-from slamfusion.fusion.implied import ImpliedPairs, words_over
-from slamfusion.fusion.many import Candidate, SolvedGroup, align_many
-from slamfusion.fusion.pair_ranking import rank_pairs
+from slamfusion.fusion.many import Candidate, align_many, placed, rank_pairs
 from slamfusion.fusion.pair_tasks import AlignmentTasks, PairSettings
-from slamfusion.fusion.placement import placed
-from slamfusion.geometry import Pose2
 from slamfusion.io.memory import return_freed_memory
 
 # Told what is being done, how many steps are done, and of how many.
@@ -123,37 +121,39 @@ def align_group(
     """
     count = math.comb(len(features), 2)
     implied = ImpliedPairs(features, count)
-    aligner = _Aligner(features, config, device, count, progress, starts or Starts(), executor)
-    if count <= THOROUGH_PAIRS or second_look is not None:
-        pairs = aligner.align_all(second_look)
+    aligner = _Aligner(
+        features, config, device, count, progress, second_look, starts or Starts(), executor
+    )
+    if count <= THOROUGH_PAIRS:
+        pairs = aligner.align_all()
         found = _all_groups(names, features, pairs, implied)
     else:
         solved, pairs = align_many(
             features, aligner.candidates(), aligner.align, implied, aligner.ahead
         )
-        found = [_solved_group(names, group, pairs) for group in solved]
-        found.sort(key=lambda item: rank_of(item[0], names), reverse=True)
+        found = [_scored(group, pairs) for group in solved]
+        found.sort(key=lambda group: rank_of(group, names), reverse=True)
     aligner.tell("vote", aligner.done)
     if len(names) == 1 and features:
-        found = [(Group((names[0],), 0.0), None)]
-    elif not found or len(found[0][0].members) < LEAST_FUSED:
+        found = [MapGroup((names[0],), 0.0)]
+    elif not found or len(found[0].members) < LEAST_FUSED:
         raise _nothing_fused(names, pairs, reasons)
-    group, poses = found[0]
+    group = found[0]
     reference = choose_reference(group.members, features, config.reference, names, in_part)
     anchor = _most_agreeing(_whole(group.members, in_part), pairs)
-    alignments = _to_reference(reference, anchor, group, poses, features, pairs)
+    alignments = _to_reference(reference, anchor, group, features, pairs)
     left_out = {
         name: _left_out(name, reference, group, pairs, implied)
         for name in features
         if name not in group.members
     }
     others = []
-    for other, its_poses in found[1:]:
+    for other in found[1:]:
         if len(other.members) >= LEAST_FUSED:
             wanted = None if named_input(config.reference, names) in names else config.reference
             own = choose_reference(other.members, features, wanted, names)
             anchor = _most_agreeing(other.members, pairs)
-            placed_ones = _to_reference(own, anchor, other, its_poses, features, pairs)
+            placed_ones = _to_reference(own, anchor, other, features, pairs)
             others.append(Members(own, placed_ones))
     return AlignedGroup(reference, alignments, left_out, tuple(pairs), tuple(others))
 
@@ -168,11 +168,12 @@ class _Aligner:
         device: ComputeDevice,
         count: int,
         progress: Progress | None,
+        second_look: SecondLook | None,
         starts: Starts,
         executor: Executor | None,
     ) -> None:
         self.features, self.device, self.count = features, device, count
-        self.progress, self.starts = progress, starts
+        self.progress, self.second_look, self.starts = progress, second_look, starts
         self.is_thorough = count <= THOROUGH_PAIRS
         self.config = config.align
         self.done, self.steps = 0, count if self.is_thorough else len(features) - 1
@@ -187,16 +188,15 @@ class _Aligner:
             self.progress(what, done, max(self.steps, done))
 
     def align(self, a: str, b: str) -> Alignment:
-        """Align two inputs by name."""
-        reference, moving, start = self._pair(a, b)
-        self.tell(f"{moving.grid.name} to {reference.grid.name}", self.done)
+        """Align two inputs by name, and take what else is known of them into account."""
+        pair, start = self._pair(a, b)
+        self.tell(f"{pair.moving.grid.name} to {pair.reference.grid.name}", self.done)
         self.done += 1
         if self.tasks is not None:
-            return self.tasks.result(reference, moving, start)
-        return align_pair(
-            Pair(reference, moving), self.config, start,
-            pairs=self.count, thorough=self.is_thorough,
-        )  # fmt: skip
+            found = self.tasks.result(pair, start)
+        else:
+            found = align_pair(pair, self.config, start, self.count, thorough=self.is_thorough)
+        return found if self.second_look is None else self.second_look(found, pair)
 
     def ahead(self, coming: Iterable[tuple[str, str]]) -> None:
         """Begin with pairs that are likely to be asked for, the next ones first.
@@ -208,17 +208,13 @@ class _Aligner:
             for a, b in itertools.islice(coming, self.tasks.ahead):
                 self.tasks.begin(*self._pair(a, b))
 
-    def align_all(self, second_look: SecondLook | None) -> list[Alignment]:
+    def align_all(self) -> list[Alignment]:
         """Align every pair."""
-        self.steps, pairs = self.count, []
+        pairs = []
         wanted = list(itertools.combinations(self.features, 2))
         for index, (a, b) in enumerate(wanted):
             self.ahead(wanted[index:])
-            pair = self.align(a, b)
-            if second_look is not None:
-                maps = Pair(self.features[pair.reference], self.features[pair.moving])
-                pair = second_look(pair, maps)
-            pairs.append(pair)
+            pairs.append(self.align(a, b))
             if b == wanted[-1][1]:
                 self._looked_at(a)
         return pairs
@@ -230,12 +226,12 @@ class _Aligner:
             features.release()
             return_freed_memory()
 
-    def _pair(self, a: str, b: str) -> tuple[GridFeatures, GridFeatures, StartPose | None]:
-        """Return two inputs, the one that is held still first, and where the other may lie."""
-        one, other = self.features[a], self.features[b]
-        if math.prod(one.shape) > math.prod(other.shape):
-            one, other = other, one
-        return one, other, self.starts.between(one.grid.name, other.grid.name)
+    def _pair(self, a: str, b: str) -> tuple[Pair, StartPose | None]:
+        """Return two inputs, the smaller one held still, and where the other may lie."""
+        pair = Pair(self.features[a], self.features[b])
+        if math.prod(pair.reference.shape) > math.prod(pair.moving.shape):
+            pair = Pair(pair.moving, pair.reference)
+        return pair, self.starts.between(pair.reference.grid.name, pair.moving.grid.name)
 
     def candidates(self) -> list[Candidate]:
         """Return the pairs that may be aligned, the most promising first.
@@ -244,21 +240,17 @@ class _Aligner:
         nearest come first.
         """
         self.tell("rank pairs", 0)
-        names = list(self.features)
         near, others = [], []
-        for pair in rank_pairs(list(self.features.values()), self.device):
-            a, b = names[pair.a], names[pair.b]
-            start = self.starts.between(a, b)
+        for item in rank_pairs(self.features, self.device):
+            start = self.starts.between(item.a, item.b)
             if start is None:
-                others.append(Candidate(a, b, pair.ratio))
+                others.append(item)
                 continue
-            one, other = self.features[a], self.features[b]
-            reach = (math.hypot(*one.shape) + math.hypot(*other.shape)) / 2.0
-            apart = start_distance(
-                (one.middle, other.middle), reach * one.grid.grid.resolution, start
-            )
+            pair = Pair(self.features[item.a], self.features[item.b])
+            reach_m = sum(math.hypot(*one.shape) for one in pair) / 2.0 * pair.resolution
+            apart = start_distance((pair.reference.middle, pair.moving.middle), reach_m, start)
             if apart < 1.0:
-                near.append((apart, Candidate(a, b, math.inf)))
+                near.append((apart, replace(item, ratio=math.inf)))
         near.sort(key=lambda item: item[0])
         return [*(candidate for _, candidate in near), *others]
 
@@ -268,7 +260,7 @@ def _all_groups(
     features: Mapping[str, GridFeatures],
     pairs: Sequence[Alignment],
     implied: ImpliedPairs,
-) -> list[tuple[Group, Mapping[str, Pose2] | None]]:
+) -> list[MapGroup]:
     """Return the largest group of inputs that fit together, then that of the rest, and so on."""
     if len(names) == 1:
         return []
@@ -277,24 +269,21 @@ def _all_groups(
         resolution = feature.grid.grid.resolution
         centres[name] = feature.middle
     rest = [name for name in names if name in features]
-    groups: list[tuple[Group, Mapping[str, Pose2] | None]] = []
+    groups: list[MapGroup] = []
     while len(rest) >= LEAST_FUSED:
         inside = [pair for pair in pairs if {pair.reference, pair.moving} <= set(rest)]
-        group = largest_group(rest, inside, centres, resolution, implied.stands)
+        group = largest_group(rest, inside, centres, resolution, implied)
         if len(group.members) < LEAST_FUSED:
             break
-        groups.append((group, None))
+        groups.append(group)
         rest = [name for name in rest if name not in group.members]
     return groups
 
 
-def _solved_group(
-    names: Sequence[str], solved: SolvedGroup, pairs: Sequence[Alignment]
-) -> tuple[Group, Mapping[str, Pose2] | None]:
-    """Return a group of many maps, and the poses of its members."""
-    members = tuple(name for name in names if name in solved.poses)
-    inside = [pair for pair in pairs if pair.accepted and pair.moving in solved.poses]
-    return Group(members, math.fsum(pair.score for pair in inside)), solved.poses
+def _scored(group: MapGroup, pairs: Sequence[Alignment]) -> MapGroup:
+    """Return a group with the sum of the scores of its accepted pairs."""
+    inside = [pair for pair in pairs if pair.accepted and pair.moving in group.members]
+    return replace(group, score=math.fsum(pair.score for pair in inside))
 
 
 def _nothing_fused(
@@ -384,8 +373,7 @@ def _smallest(
 def _to_reference(
     reference: str,
     anchor: str,
-    group: Group,
-    poses: Mapping[str, Pose2] | None,
+    group: MapGroup,
     features: Mapping[str, GridFeatures],
     pairs: Sequence[Alignment],
 ) -> dict[str, Alignment]:
@@ -393,16 +381,16 @@ def _to_reference(
 
     Args:
         reference: the member in whose frame the fused map is.
-        anchor: the member that the others are aligned to, where ``poses`` are not known. A pair
+        anchor: the member that the others are aligned to, where the group has no poses. A pair
             aligned directly is then taken as it is; one aligned the other way round, or connected
             over others only, is refined from the transform that is known and keeps what the search
             said of it.
         group: the members.
-        poses: where all alignments together put them; None: not known.
         features, pairs: see ``align_group``.
     """
+    poses = group.poses
     if poses is None and anchor != reference:
-        anchored = _to_reference(anchor, anchor, group, None, features, pairs)
+        anchored = _to_reference(anchor, anchor, group, features, pairs)
         poses = {name: pair.transform for name, pair in anchored.items()}
     direct = {(pair.reference, pair.moving): pair for pair in pairs if pair.accepted}
     tried = {frozenset((pair.reference, pair.moving)) for pair in pairs}
@@ -431,7 +419,7 @@ def _to_reference(
 def _over_others(
     name: str,
     reference: str,
-    group: Group,
+    group: MapGroup,
     features: Mapping[str, GridFeatures],
     pairs: Sequence[Alignment],
     turned: Alignment | None,
@@ -475,7 +463,7 @@ def _own(features: GridFeatures) -> Alignment:
 def _left_out(
     name: str,
     reference: str,
-    group: Group,
+    group: MapGroup,
     pairs: Sequence[Alignment],
     implied: ImpliedPairs,
 ) -> tuple[str, Alignment | None]:

@@ -1,11 +1,12 @@
 """Many maps: cheap evidence first, alignments where it is promising, loops that must close.
 
-Every pair is ranked (``pair_ranking``). The most promising pair between two groups is aligned in
+Every pair is ranked by how much its best shift at the yaws at which walls are parallel gives more
+than the best shift elsewhere (``shifts``). The most promising pair between two groups is aligned in
 full, and where it is believed the groups are one: a spanning tree by promise. A group that shares
 nothing with the others is given up after a few refusals. Then loops are closed: pairs that lie on
-common ground where the tree puts them must have walls that bear it out there (``implied``); one
+common ground where the tree puts them must have walls that support it there (``ImpliedPairs``); one
 that has not is aligned in full, and what it says, or that nothing is found, contradicts the
-links of its path (``alignment_graph``). What is contradicted most is taken back, and the groups are
+links of its path (``AlignmentGraph``). What is contradicted most is taken back, and the groups are
 grown again without it.
 
 Cost: N^2 products of spectra, about N alignments and 2 N looks at a known transform.
@@ -15,21 +16,38 @@ from __future__ import annotations
 
 import itertools
 import math
+import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from slamfusion.align.answer import conclude
 from slamfusion.align.decide import DecisionKind
 from slamfusion.align.features import GridFeatures
 from slamfusion.align.pair import Pair, displacement
 from slamfusion.align.records import Alignment
-from slamfusion.fusion.alignment_graph import AlignmentGraph, Key, key_of
-from slamfusion.fusion.consistency import CLOSURE_CELLS, CLOSURE_YAW_RAD
-from slamfusion.fusion.implied import ImpliedPairs
-from slamfusion.fusion.placement import solve_poses
+from slamfusion.align.search import SearchResult
+from slamfusion.align.shifts import (
+    KeptSpectra,
+    TurnedMap,
+    level_for,
+    parallel_shifts,
+    wall_directions,
+)
+from slamfusion.compute import ComputeDevice
+from slamfusion.config import AlignConfig
+from slamfusion.fusion.consistency import (
+    CLOSURE_CELLS,
+    CLOSURE_YAW_RAD,
+    ImpliedPairs,
+    MapGroup,
+    motion_from,
+)
 from slamfusion.geometry import Pose2
+from slamfusion.pose_graph import PoseGraph, optimize
+from slamfusion.pose_graph.covariance import inverted, moved
 
 # Aligns two maps, by name, in full.
 AlignPair = Callable[[str, str], Alignment]
@@ -41,7 +59,7 @@ TRIES = 3
 # Below this ratio of the best place to the best one elsewhere a pair is not promising.
 RATIO_MIN = 1.05
 # Ground in common, as a share of the smaller map's, on which walls may close a loop. They speak
-# against one on much of it alone (``implied``).
+# against one on much of it alone (``ImpliedPairs``).
 LOOP_GROUND = 0.12
 # Loops over each link of the trees, and links of each map, that are looked for.
 LOOPS, LINKS = 3, 4
@@ -57,30 +75,21 @@ class Candidate:
 
     Attributes:
         a, b: names.
-        ratio: see ``pair_ranking.RankedPair``.
+        ratio: evidence for the best place over that for the best one elsewhere, at least 1.
+        lead: evidence for the best place above that for the best one elsewhere, in square roots of
+            the latter: so chance grows with the walls that two maps have, and large and small maps
+            are compared.
     """
 
     a: str
     b: str
     ratio: float
+    lead: float = 0.0
 
     @property
     def key(self) -> Key:
         """The two names."""
         return frozenset((self.a, self.b))
-
-
-@dataclass(frozen=True, eq=False)
-class SolvedGroup:
-    """Maps whose places are known to each other.
-
-    Attributes:
-        members: names, in input order.
-        poses: of each map's frame in the first member's, metres.
-    """
-
-    members: tuple[str, ...]
-    poses: Mapping[str, Pose2]
 
 
 def align_many(
@@ -89,7 +98,7 @@ def align_many(
     align: AlignPair,
     implied: ImpliedPairs,
     ahead: Ahead | None = None,
-) -> tuple[list[SolvedGroup], list[Alignment]]:
+) -> tuple[list[MapGroup], list[Alignment]]:
     """Find the groups of maps that fit together, and where their maps lie.
 
     Args:
@@ -180,13 +189,13 @@ class _Search:
                     loops.update(path)
                     links.update((a, b))
 
-    def solved(self, group: tuple[str, ...]) -> SolvedGroup:
+    def solved(self, group: tuple[str, ...]) -> MapGroup:
         """Return where the maps of a group lie by all its links; those that do not fit are out."""
         links = self.graph.links_inside(group)
         poses, out = solve_poses(group, self.graph.poses(group), links, self.features)
         for pair in out:
             self.words[key_of(pair)] = "taken back: the other alignments together contradict it"
-        return SolvedGroup(group, poses)
+        return MapGroup(group, 0.0, poses)
 
     def told(self) -> list[Alignment]:
         """Return every pair that was looked at, as it is believed in the end."""
@@ -251,7 +260,7 @@ class _Search:
 
     def _closes(self, a: str, b: str, transform: Pose2) -> bool:
         """Whether the walls of a pair bear out where the tree puts it; note what speaks against."""
-        look = self.implied.look_at(a, b, transform)
+        look = self.implied.look(a, b, transform)
         key = frozenset((a, b))
         if look.is_borne_out:
             self.graph.believe(look.alignment)
@@ -315,3 +324,261 @@ class _Ground:
 def _refused(pair: Alignment, words: str) -> DecisionKind:
     """Return the decision of a pair with a reason of its own."""
     return "different place" if words.startswith("taken back") else pair.decision
+
+
+# The names of two maps.
+Key = frozenset[str]
+
+# Of alignments that loops speak against alike the weakest is false, and those up to so many times
+# as strong: of them none is known to be right.
+NEARLY_AS_STRONG = 2.0
+
+
+def key_of(pair: Alignment) -> Key:
+    """Return the names of the two maps of a pair."""
+    return frozenset((pair.reference, pair.moving))
+
+
+class AlignmentGraph:
+    """Maps, alignments that are believed (links), and pairs that contradict them.
+
+    Links in the order in which they came make a spanning tree of each group of maps; every further
+    link closes a loop with the links of the tree between its two maps, its path. A contradiction
+    is a pair of one group that cannot lie as the tree has it. Each link of its path may be
+    the false one, and so may be the pair's own alignment, where it has one.
+
+    Attributes:
+        names: of the maps, in order.
+        links: believed alignments, by the names of their maps.
+        against: contradictions; the alignment is None where the pair has none that could be true.
+        false: alignments that were taken back, by the names of their maps, and why.
+    """
+
+    def __init__(self, names: Sequence[str]) -> None:
+        """Begin with every map alone."""
+        self.names = tuple(names)
+        self.links: dict[Key, Alignment] = {}
+        self.against: dict[Key, Alignment | None] = {}
+        self.false: dict[Key, str] = {}
+        self._tree: dict[str, dict[str, Alignment]] = {name: {} for name in names}
+        self._group = {name: index for index, name in enumerate(names)}
+
+    def believe(self, pair: Alignment) -> None:
+        """Add a link."""
+        self.links[key_of(pair)] = pair
+        self._grow_tree(pair)
+
+    def contradict(self, key: Key, own: Alignment | None) -> None:
+        """Note a pair that does not lie as the links have it, and its own alignment if it has."""
+        self.against[key] = own
+
+    def is_joined(self, a: str, b: str) -> bool:
+        """Whether links join two maps."""
+        return self._group[a] == self._group[b]
+
+    def mates(self, name: str) -> tuple[str, ...]:
+        """Return the maps that are joined to one, itself among them, in order."""
+        return tuple(other for other in self.names if self._group[other] == self._group[name])
+
+    def groups(self) -> list[tuple[str, ...]]:
+        """Return the maps that are joined, each group in order, the largest first."""
+        groups: dict[int, list[str]] = {}
+        for name in self.names:
+            groups.setdefault(self._group[name], []).append(name)
+        return [tuple(group) for group in sorted(groups.values(), key=len, reverse=True)]
+
+    def path(self, a: str, b: str) -> list[Key]:
+        """Return the links of the tree from one map to another of its group."""
+        before: dict[str, str] = {a: a}
+        fresh = [a]
+        while b not in before:
+            here = fresh.pop()
+            for other in self._tree[here]:
+                if other not in before:
+                    before[other] = here
+                    fresh.append(other)
+        keys = []
+        while b != a:
+            keys.append(frozenset((b, before[b])))
+            b = before[b]
+        return keys
+
+    def poses(self, group: Sequence[str]) -> dict[str, Pose2]:
+        """Return the pose of each map's frame in that of the group's first, along the tree."""
+        poses = {group[0]: Pose2()}
+        fresh = [group[0]]
+        while fresh:
+            here = fresh.pop()
+            for other, pair in self._tree[here].items():
+                if other not in poses:
+                    poses[other] = poses[here].compose(motion_from(pair, other))
+                    fresh.append(other)
+        return poses
+
+    def links_inside(self, group: Sequence[str]) -> list[Alignment]:
+        """Return the links of a group, those of its tree first."""
+        inside = [pair for key, pair in self.links.items() if key <= set(group)]
+        return sorted(inside, key=lambda pair: not self._is_in_tree(key_of(pair)))
+
+    def loops(self) -> Counter[Key]:
+        """Return how many loops close over each link of the trees."""
+        return Counter(
+            itertools.chain.from_iterable(
+                self.path(*sorted(key)) for key in self.links if not self._is_in_tree(key)
+            )
+        )
+
+    def drop_false(self) -> bool:
+        """Take back the links that contradictions speak against most; tell whether there was one.
+
+        A contradiction speaks against each link of its path, a loop that closes speaks for it.
+        """
+        blame = Counter[Key]()
+        for key in self.against:
+            blame.update(self.path(*sorted(key)))
+        own = {key: pair for key, pair in self.against.items() if pair is not None}
+        blame.subtract(self.loops())
+        blame.update(dict.fromkeys(own, 1))
+        most = max(blame.values(), default=0)
+        if most <= 0:
+            return False
+        blamed = [key for key, value in blame.items() if value == most]
+        strength = {key: _strength(own.get(key) or self.links[key]) for key in blamed}
+        limit = NEARLY_AS_STRONG * max(0.0, min(strength.values()))
+        for key in blamed:
+            if strength[key] <= limit:
+                self.links.pop(key, None)
+                self.false[key] = "taken back: loops over other maps do not close with it"
+        self._rebuild()
+        return True
+
+    def _rebuild(self) -> None:
+        """Lay the trees out anew; contradictions are of the trees before."""
+        self._tree = {name: {} for name in self.names}
+        self._group = {name: index for index, name in enumerate(self.names)}
+        self.against.clear()
+        for pair in self.links.values():
+            self._grow_tree(pair)
+
+    def _grow_tree(self, pair: Alignment) -> None:
+        a, b = pair.reference, pair.moving
+        old, new = self._group[a], self._group[b]
+        if old == new:
+            return
+        self._tree[a][b] = self._tree[b][a] = pair
+        self._group = {name: old if group == new else group for name, group in self._group.items()}
+
+    def _is_in_tree(self, key: Key) -> bool:
+        a, b = key
+        return b in self._tree[a]
+
+
+def _strength(pair: Alignment) -> float:
+    """Return the pieces of wall that say that an alignment is better than any other."""
+    return 0.0 if pair.evidence is None else pair.evidence.better
+
+
+def rank_pairs(maps: Mapping[str, GridFeatures], device: ComputeDevice) -> list[Candidate]:
+    """Return every pair of maps that have walls, the most promising first.
+
+    This ranks pairs and decides nothing: what is promising is searched and judged in full.
+
+    Args:
+        maps: at one resolution, by name.
+        device: computed the maps.
+    """
+    able = [name for name, item in maps.items() if len(item.wall_points)]
+    walls = {name: wall_directions(maps[name].grid.solid) for name in able}
+    coarse: dict[tuple[str, tuple[int, int]], TurnedMap] = {}
+    kept = KeptSpectra()
+    pairs = []
+    for a, b in itertools.combinations(able, 2):
+        level = level_for(max(*maps[a].shape, *maps[b].shape), maps[a].grid.grid.resolution)
+        for name in (a, b):
+            if (name, level) not in coarse:
+                coarse[name, level] = TurnedMap(maps[name], *level, walls[name], device, kept)
+        pairs.append(_ranked(a, coarse[a, level], b, coarse[b, level]))
+    return sorted(pairs, key=lambda pair: -pair.lead)
+
+
+def _ranked(a: str, reference: TurnedMap, b: str, moving: TurnedMap) -> Candidate:
+    """Return how much the best place of one map over another has above the best one elsewhere."""
+    shifts = parallel_shifts(reference, moving)
+    top, place = shifts.peak()
+    shifts.forget(place)
+    second = max(shifts.peak()[0], 1.0)
+    return Candidate(a, b, top / second, (top - second) / math.sqrt(second))
+
+
+# What an alignment may be off in the middle between the two maps, metres and radians: maps are
+# bent by a few cells.
+SHIFT_SIGMA_M, YAW_SIGMA_RAD = 0.1, math.radians(0.4)
+
+
+def solve_poses(
+    group: Sequence[str],
+    start: Mapping[str, Pose2],
+    links: Sequence[Alignment],
+    features: Mapping[str, GridFeatures],
+) -> tuple[dict[str, Pose2], list[Alignment]]:
+    """Return the pose of each map's frame that fits all links best, and the links that do not fit.
+
+    Args:
+        group: names of the maps; the frame of the first is that of all poses.
+        start: poses to begin with.
+        links: alignments that join the group, those that are believed most first.
+        features: of the maps.
+
+    Source: ``pose_graph.robust``, graduated non-convexity.
+    """
+    if len(links) < len(group):
+        return dict(start), []
+    number = {name: index for index, name in enumerate(group)}
+    middles = {name: Pose2(*features[name].middle) for name in group}
+    nodes = [start[name].compose(middles[name]) for name in group]
+    motions, covariances = [], []
+    for pair in links:
+        motion = middles[pair.reference].inverse().compose(pair.transform)
+        motion = motion.compose(middles[pair.moving])
+        between = motion.inverse()
+        covariance = np.diag([SHIFT_SIGMA_M, SHIFT_SIGMA_M, YAW_SIGMA_RAD]) ** 2
+        way = -0.5 * np.array([[between.x, between.y]])
+        covariances.append(moved(covariance[None], way)[0])
+        motions.append(_row(motion))
+    information = inverted(np.array(covariances))
+    graph = PoseGraph(
+        poses=np.array([_row(node) for node in nodes]),
+        edges=np.array([(number[pair.reference], number[pair.moving]) for pair in links]),
+        motions=np.array(motions),
+        information=0.5 * (information + information.transpose(0, 2, 1)),
+        is_closure=np.ones(len(links), dtype=np.bool_),
+    )
+    solved = optimize(graph, robust="gnc", start="given")
+    poses = {
+        name: Pose2(*(float(value) for value in row)).compose(middles[name].inverse())
+        for name, row in zip(group, solved.poses, strict=True)
+    }
+    first = poses[group[0]].inverse()
+    out = [pair for pair, is_out in zip(links, solved.is_outlier, strict=True) if is_out]
+    return {name: first.compose(pose) for name, pose in poses.items()}, out
+
+
+def placed(
+    pair: Pair,
+    transform: Pose2,
+) -> Alignment:
+    """Return the record of a map that other alignments place, with the numbers of its walls there.
+
+    Args:
+        pair: the two maps; they may share nothing.
+        transform: moving map frame to the reference's, metres; kept as it is.
+    """
+    found = SearchResult(pair.motion_of(transform)[None], None, "tracked")
+    began = time.perf_counter()
+    measured = conclude(pair, AlignConfig(), found, transform, 1, began)
+    reason = "placed over other maps, with which it is aligned"
+    return replace(measured, transform=transform, accepted=True, reason=reason, decision="accepted")
+
+
+def _row(pose: Pose2) -> tuple[float, float, float]:
+    return pose.x, pose.y, pose.yaw_rad

@@ -54,24 +54,20 @@ class AlignmentTasks:
         """Pairs that are worth being told in advance, now."""
         return tasks_ahead(self._executor)
 
-    def begin(self, reference: GridFeatures, moving: GridFeatures, start: StartPose | None) -> None:
+    def begin(self, pair: Pair, start: StartPose | None) -> None:
         """Hand over a pair, if it was not yet, and as many run as may."""
         if sum(not task.done() for task in self._tasks.values()) < self.ahead:
-            self._task(reference, moving, start)
+            self._task(pair, start)
 
-    def result(
-        self, reference: GridFeatures, moving: GridFeatures, start: StartPose | None
-    ) -> Alignment:
+    def result(self, pair: Pair, start: StartPose | None) -> Alignment:
         """Return the alignment of a pair."""
-        return self._task(reference, moving, start).result()
+        return self._task(pair, start).result()
 
-    def _task(
-        self, reference: GridFeatures, moving: GridFeatures, start: StartPose | None
-    ) -> Future[Alignment]:
+    def _task(self, pair: Pair, start: StartPose | None) -> Future[Alignment]:
         """Return the task of a pair, which is handed over if it was not yet."""
-        key = reference.grid.name, moving.grid.name
+        key = pair.reference.grid.name, pair.moving.grid.name
         if key not in self._tasks:
-            one, other = self._pack(reference.given), self._pack(moving.given)
+            one, other = (self._pack(features.given) for features in pair)
             self._tasks[key] = self._executor.submit(align_packed, one, other, start, *self._common)
         return self._tasks[key]
 

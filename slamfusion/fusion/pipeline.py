@@ -13,7 +13,6 @@ from slamfusion.align.starts import Starts, named_input
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig
 from slamfusion.errors import AlignmentError, ConfigError
-from slamfusion.fusion.duplicates import copy_words, find_copies
 from slamfusion.fusion.groups import (
     LEAST_FUSED,
     AlignedGroup,
@@ -22,9 +21,8 @@ from slamfusion.fusion.groups import (
     SecondLook,
     align_group,
 )
+from slamfusion.fusion.inputs import PreparedInputs, copy_words, find_copies, odd_resolutions
 from slamfusion.fusion.lattice_vote import Lattices, vote_on_lattice
-from slamfusion.fusion.prepared import PreparedInputs
-from slamfusion.fusion.resolutions import odd_resolutions
 from slamfusion.grid import OccupancyGrid
 from slamfusion.vote.lattice import Extent, Lattice
 from slamfusion.vote.tiles import check_votes

@@ -93,11 +93,11 @@ def test_a_killed_worker_costs_a_retry_and_not_a_byte(
     features = [GridFeatures(grid, device) for grid in grids]
     tasks = AlignmentTasks(cluster, settings, device)
     for moving in features[1:]:
-        tasks.begin(features[0], moving, None)
+        tasks.begin(Pair(features[0], moving), None)
     killed = cluster.submit(os.getpid).result()
     os.kill(killed, signal.SIGKILL)
     for moving in features[1:]:
-        found = tasks.result(features[0], moving, None)
+        found = tasks.result(Pair(features[0], moving), None)
         wanted = align_pair(Pair(features[0], moving), settings.config, pairs=21, thorough=False)
         assert found.to_json() == {**wanted.to_json(), "time_s": found.time_s}
     # Kernels are built once a worker, whatever it was asked.

@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 from slamfusion.align.records import Alignment
 from slamfusion.fusion.consistency import (
     PATH_GAP,
+    Implied,
+    ImpliedPairs,
     closure_error,
     largest_group,
     path_transform,
@@ -119,68 +121,49 @@ def test_a_rejected_side_leaves_a_triangle_open() -> None:
     assert members("abc", pairs) == "abc"
 
 
+class Walls(ImpliedPairs):
+    """Answers what walls say of an implied transform, and notes what was asked."""
+
+    def __init__(self, *, stands: bool) -> None:
+        super().__init__({}, 3)
+        self.stands = stands
+
+    def _look(self, still: str, moved: str, transform: Pose2) -> Implied:
+        right = pair(moved, still).transform
+        assert (transform.x, transform.y) == pytest.approx((right.x, right.y))
+        assert transform.yaw_rad == pytest.approx(right.yaw_rad)
+        return Implied(pair(moved, still), self.stands, "")
+
+
 def test_a_rejected_pair_is_asked_about_where_the_others_put_it() -> None:
-    asked: list[tuple[str, str]] = []
-
-    def stands(rejected: Alignment, implied: Pose2) -> bool:
-        asked.append((rejected.reference, rejected.moving))
-        right = pair(rejected.moving, rejected.reference).transform
-        assert (implied.x, implied.y) == pytest.approx((right.x, right.y))
-        assert implied.yaw_rad == pytest.approx(right.yaw_rad)
-        return True
-
+    walls = Walls(stands=True)
     pairs = [pair("b", "a"), pair("c", "a"), pair("c", "b", error=ASIDE, accepted=False)]
-    assert largest_group(list("abc"), pairs, CENTRES, SIZE, stands).members == ("a", "b", "c")
-    assert asked == [("b", "c")]
+    assert largest_group(list("abc"), pairs, CENTRES, SIZE, walls).members == ("a", "b", "c")
+    assert [key[:2] for key in walls.seen] == [("b", "c")]
     # Accepted pairs, and rejected ones to a map of no group, are nobody's question.
-    asked.clear()
+    walls.seen.clear()
     apart = [pair("b", "a"), pair("c", "a", accepted=False), pair("c", "b", accepted=False)]
-    assert largest_group(list("abc"), apart, CENTRES, SIZE, stands).members == ("a", "b")
-    assert asked == []
+    assert largest_group(list("abc"), apart, CENTRES, SIZE, walls).members == ("a", "b")
+    assert not walls.seen
 
 
-@pytest.mark.parametrize("names", ["abcd", "abcdefghijklmnop"])
-def test_a_group_falls_apart_over_a_rejected_pair_that_does_not_stand(names: str) -> None:
-    chain = [pair(b, a, 0.5 + 0.01 * i) for i, (a, b) in enumerate(itertools.pairwise(names))]
+def test_a_group_falls_apart_over_a_rejected_pair_that_does_not_stand() -> None:
+    chain = [pair(b, a, 0.5 + 0.01 * i) for i, (a, b) in enumerate(itertools.pairwise("abcd"))]
     pairs = [*chain, pair("c", "a", accepted=False)]
 
     def group(*, answer: bool) -> str:
-        found = largest_group(list(names), pairs, CENTRES, SIZE, lambda *_: answer)
+        found = largest_group(list("abcd"), pairs, CENTRES, SIZE, Walls(stands=answer))
         return "".join(found.members)
 
-    assert group(answer=True) == names
+    assert group(answer=True) == "abcd"
     # The two of the pair are in no group together; with b goes what hangs on c.
-    assert group(answer=False) == names[1:]
+    assert group(answer=False) == "bcd"
 
 
 def test_without_accepted_pairs_the_first_input_stands_alone() -> None:
     group = largest_group(list("abc"), [pair("b", "a", accepted=False)], CENTRES, SIZE)
     assert group.members == ("a",)
     assert group.score == 0.0
-
-
-def test_of_sixteen_inputs_five_bad_ones_are_left_out() -> None:
-    """More than can be tried exhaustively: grown from the best pairs."""
-    bad = set("cfgkp")
-    names = "abcdefghijklmnop"
-    pairs = [
-        pair(b, a, 0.9, Pose2(0.0, 3.0 + ord(b) % 7, 0.3 * (ord(b) % 5)))
-        if bad & {a, b}
-        else pair(b, a, 0.5)
-        for a, b in itertools.combinations(names, 2)
-    ]
-    found = members(names, pairs)
-    assert set("abdehijlmno") <= set(found)
-
-
-def test_a_long_chain_of_many_inputs_is_grown_whole_in_any_order() -> None:
-    names = "abcdefghijklmnop"
-    chain = [pair(b, a) for a, b in itertools.pairwise(names)]
-    assert members(names, chain) == names
-    assert members(names[::-1], chain) == names[::-1]
-    # With three strangers the group is too small to be found by leaving two out.
-    known = chain[:12]
-    assert members(names[::-1], known) == names[12::-1]
 
 
 def test_a_path_follows_the_fewest_pairs() -> None:

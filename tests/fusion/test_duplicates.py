@@ -10,7 +10,7 @@ import pytest
 from slamfusion.compute import ComputeDevice
 from slamfusion.errors import AlignmentError
 from slamfusion.fusion import fuse_grids
-from slamfusion.fusion.duplicates import find_copies
+from slamfusion.fusion.inputs import find_copies
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from tests.fusion.drawings import building, degraded, draw, fusion_config, with_origin

@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import pytest
 
-from slamfusion.align.features import GridFeatures
+from slamfusion.align.pair import Pair
 from slamfusion.align.records import Alignment
 from slamfusion.compute import ComputeDevice
 from slamfusion.fusion import fuse_grids
+from slamfusion.fusion.consistency import ImpliedPairs
 from slamfusion.fusion.groups import SecondLook
-from slamfusion.fusion.implied import ImpliedPairs
 from slamfusion.geometry import Pose2
 from slamfusion.grid import UNKNOWN, OccupancyGrid
 from tests.fusion.drawings import building, features_of, fusion_config
@@ -39,8 +39,7 @@ def looked(device: ComputeDevice, grids: dict[str, OccupancyGrid], at: Pose2) ->
     implied = ImpliedPairs(features, 3)
     pair = rejected(reference, moving)
     assert implied.words_against(pair) == ""
-    found = implied.look(pair, at)
-    assert implied.stands(pair, at) is found.stands
+    found = implied.look(reference, moving, at)
     against = implied.words_against(pair)
     assert against == ("" if found.stands else f"; where the others put it, it gives {found.words}")
     return found.stands, found.words
@@ -79,7 +78,7 @@ def test_maps_that_share_little_ground_contradict_nothing(device: ComputeDevice)
 def refusing(a: str, b: str, put: Pose2 | None = None) -> SecondLook:
     """Reject one pair; put another one, of ``b`` and a third, aside where asked."""
 
-    def second_look(pair: Alignment, _: GridFeatures, __: GridFeatures) -> Alignment:
+    def second_look(pair: Alignment, _: Pair) -> Alignment:
         names = {pair.reference, pair.moving}
         if names == {a, b}:
             return replace(pair, accepted=False, reason="refused by hand")

@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 
-from slamfusion.align.align import align_pair
 from slamfusion.align.answer import rejected_alignment
 from slamfusion.align.features import GridFeatures
 from slamfusion.align.pair import Pair
@@ -18,7 +17,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.errors import AlignmentError
 from slamfusion.fusion import groups, many
 from slamfusion.fusion.groups import AlignedGroup, Members, align_group
-from slamfusion.fusion.pair_ranking import rank_pairs
+from slamfusion.fusion.many import rank_pairs
 from slamfusion.geometry import Pose2
 from tests.fusion.drawings import features_of, fusion_config
 from tests.support.sites import ManyMaps, many_maps
@@ -49,9 +48,10 @@ def aligned(features: dict[str, GridFeatures], device: ComputeDevice, **more: An
 def test_pairs_that_share_ground_are_more_promising_than_all_others(
     site: ManyMaps, features: dict[str, GridFeatures], device: ComputeDevice
 ) -> None:
-    ranked = rank_pairs(list(features.values()), device)
+    ranked = rank_pairs(features, device)
+    number = {name: index for index, name in enumerate(features)}
     assert len(ranked) == math.comb(len(features), 2)
-    leads = {(pair.a, pair.b): pair.lead for pair in ranked}
+    leads = {(number[pair.a], number[pair.b]): pair.lead for pair in ranked}
     near = [lead for key, lead in leads.items() if site.neighbours.get(key, 0.0) >= 0.3]
     apart = [lead for key, lead in leads.items() if key not in site.neighbours]
     assert len(near) >= 5
@@ -87,23 +87,20 @@ def test_a_false_pair_is_named_and_the_maps_lie_right_without_it(
     site: ManyMaps,
     features: dict[str, GridFeatures],
     device: ComputeDevice,
-    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The pair that is believed first is put 5 m aside, of those that loops are about."""
     wrong: list[frozenset[str]] = []
     most = max(site.buildings, key=site.buildings.count)
     names = {grid.name for grid, its in zip(site.grids, site.buildings, strict=True) if its == most}
 
-    def lie(reference: GridFeatures, moving: GridFeatures, *args: Any, **more: Any) -> Alignment:
-        pair = align_pair(Pair(reference, moving), *args, **more)
+    def lie(pair: Alignment, _: Pair) -> Alignment:
         key = frozenset((pair.reference, pair.moving))
         if pair.accepted and key <= names and (not wrong or key == wrong[0]):
             wrong[:] = [key]
             pair = replace(pair, transform=pair.transform.compose(Pose2(4.0, 3.0)))
         return pair
 
-    monkeypatch.setattr(groups, "align_pair", lie)
-    found = aligned(features, device)
+    found = aligned(features, device, second_look=lie)
     (false,) = [pair for pair in found.pairs if {pair.reference, pair.moving} == wrong[0]]
     assert not false.accepted
     assert false.decision == "different place"
@@ -145,9 +142,9 @@ def test_the_best_pair_of_each_map_is_searched_where_nothing_is_promising(
     monkeypatch.setattr(many, "RATIO_MIN", math.inf)
     searched: list[str] = []
 
-    def refuse(reference: GridFeatures, moving: GridFeatures, *_: Any, **__: Any) -> Alignment:
-        searched.extend((reference.grid.name, moving.grid.name))
-        return rejected_alignment(Pair(reference, moving), "no", 0.0)
+    def refuse(pair: Pair, *_: Any, **__: Any) -> Alignment:
+        searched.extend(features.grid.name for features in pair)
+        return rejected_alignment(pair, "no", 0.0)
 
     monkeypatch.setattr(groups, "align_pair", refuse)
     with pytest.raises(AlignmentError, match="no two of the inputs"):

@@ -56,7 +56,7 @@ def test_an_alignment_of_a_task_is_that_of_this_process(
 ) -> None:
     executor = Noting(1)
     tasks = AlignmentTasks(executor, SETTINGS, device)
-    given = features[0], features[1], None
+    given = Pair(features[0], features[1]), None
     found = tasks.result(*given)
     assert tasks.result(*given) is found
     assert len(executor.packed) == 1
@@ -78,8 +78,8 @@ def test_pairs_begin_ahead_as_many_as_slots_take(
     tasks = AlignmentTasks(executor, SETTINGS, device)
     assert tasks.ahead == 4
     for moving in features[1:]:
-        tasks.begin(features[0], moving, None)
-        tasks.begin(features[0], moving, None)
+        tasks.begin(Pair(features[0], moving), None)
+        tasks.begin(Pair(features[0], moving), None)
     assert len(executor.packed) == 4
     assert len({moving for _, moving in executor.packed}) == 4
 
@@ -94,11 +94,11 @@ def test_a_worker_keeps_the_fields_of_the_last_maps_that_are_small(
 ) -> None:
     if not kept:
         monkeypatch.setattr(pair_tasks, "KEPT_CELLS", 1)
-    monkeypatch.setattr(pair_tasks, "align_pair", lambda a, b, *_, **__: (a, b))
+    monkeypatch.setattr(pair_tasks, "align_pair", lambda pair, *_, **__: tuple(pair))
     executor = Noting(1)
     tasks = AlignmentTasks(executor, SETTINGS, device)
-    found: Any = tasks.result(features[0], features[1], None)
-    again: Any = tasks.result(features[2], features[0], None)
+    found: Any = tasks.result(Pair(features[0], features[1]), None)
+    again: Any = tasks.result(Pair(features[2], features[0]), None)
     assert (again[1] is found[0]) == kept
     for given, arrived in zip(features[:2], found, strict=True):
         one, other = given.given, arrived.given

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from slamfusion.fusion.resolutions import odd_resolution, odd_resolutions
+from slamfusion.fusion.inputs import odd_resolution, odd_resolutions
 
 
 @pytest.mark.parametrize("ratio", [15.9, 16.1])

@@ -9,10 +9,10 @@ from slamfusion.align.normalize import common_resolution
 from slamfusion.config import SMALLEST, NormalizeConfig
 from slamfusion.errors import AlignmentError, MemoryBudgetError
 from slamfusion.fusion.groups import AlignedGroup, align_group
+from slamfusion.fusion.inputs import odd_resolution, odd_resolutions
 from slamfusion.fusion.live.align import Aligner
 from slamfusion.fusion.live.limits import too_large
 from slamfusion.fusion.live.track import Track
-from slamfusion.fusion.resolutions import odd_resolution, odd_resolutions
 from slamfusion.vote.lattice import Lattice
 
 

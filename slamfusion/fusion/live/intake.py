@@ -7,11 +7,11 @@ from collections.abc import Mapping
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import LiveConfig, NormalizeConfig
 from slamfusion.errors import GridError, MemoryBudgetError
+from slamfusion.fusion.inputs import odd_resolution
 from slamfusion.fusion.live.inbox import Inbox
 from slamfusion.fusion.live.limits import too_large, unusable
 from slamfusion.fusion.live.supervisor import InputSupervisor
 from slamfusion.fusion.live.track import Track
-from slamfusion.fusion.resolutions import odd_resolution
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 

@@ -1,9 +1,11 @@
-"""Inputs brought to one resolution: the cells that vote, and the copies that are aligned."""
+"""Inputs made ready: copies and odd cell sizes left out, the rest brought to one resolution."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+
+import numpy as np
 
 from slamfusion.align.features import FieldMemory, GridFeatures
 from slamfusion.align.normalize import (
@@ -18,7 +20,7 @@ from slamfusion.align.normalize import (
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig
 from slamfusion.errors import GridError
-from slamfusion.grid import OccupancyGrid
+from slamfusion.grid import OccupancyGrid, row_parts
 from slamfusion.io.memory import return_freed_memory
 
 
@@ -96,3 +98,70 @@ def _without_percents(grid: NormalizedGrid) -> NormalizedGrid:
     What each cell is, -1, 0 or 1, stands for its percents, in the same memory.
     """
     return replace(grid, grid=replace(grid.grid, cells=grid.cells))
+
+
+def find_copies(grids: Sequence[OccupancyGrid], preferred: Collection[str] = ()) -> dict[str, str]:
+    """Return which inputs are copies, each with the name of the one that votes for all of them.
+
+    Copies have equal cells, resolution and origin.
+
+    Args:
+        grids: of distinct names.
+        preferred: names that something else is known of: of several copies the first of these
+            votes, or else the first.
+    """
+    copies: dict[str, str] = {}
+    for index, grid in enumerate(grids):
+        if grid.name in copies:
+            continue
+        alike = [grid, *(other for other in grids[index + 1 :] if _is_same(grid, other))]
+        voter = next((same for same in alike if same.name in preferred), grid)
+        copies |= {same.name: voter.name for same in alike if same is not voter}
+    return {grid.name: copies[grid.name] for grid in grids if grid.name in copies}
+
+
+def copy_words(voter: str) -> str:
+    """Return what is said of a copy of an input."""
+    return f"the same map as {voter} (equal cells, resolution and origin): one voter"
+
+
+def _is_same(a: OccupancyGrid, b: OccupancyGrid) -> bool:
+    is_alike = (a.resolution, a.origin, a.cells.shape) == (b.resolution, b.origin, b.cells.shape)
+    return is_alike and all(
+        np.array_equal(a.cells[rows], b.cells[rows]) for rows in row_parts(a.cells.shape)
+    )
+
+
+# How many times coarser or finer than the fused cells a map's may be. Walls are compared within
+# 0.15 m, which says nothing of cells of a metre; and cells of 1 mm make a hall too large.
+RATIO_MAX = 16.0
+# A cell size in centimetres or millimetres is at least so many times as large.
+UNITS_RATIO = 99.0
+
+
+def odd_resolutions(resolutions: Mapping[str, float]) -> dict[str, str]:
+    """Return, in words, whose cells are too coarse or too fine to be fused with the others'.
+
+    The typical resolution is the median, of an even number the coarser one.
+
+    Args:
+        resolutions: by name, metres per cell.
+    """
+    if not resolutions:
+        return {}
+    typical = sorted(resolutions.values())[len(resolutions) // 2]
+    reasons = {name: odd_resolution(size, typical) for name, size in resolutions.items()}
+    return {name: reason for name, reason in reasons.items() if reason is not None}
+
+
+def odd_resolution(size: float, typical: float) -> str | None:
+    """Return in words that cells are too coarse or too fine for others, or None; m per cell."""
+    ratio = max(size / typical, typical / size)
+    if ratio <= RATIO_MAX:
+        return None
+    word = "coarser" if size > typical else "finer"
+    said = (
+        f"cells of {size:g} m are {ratio:.4g} times {word} than those of the others ({typical:g} "
+        f"m); {RATIO_MAX:g} times can be fused"
+    )
+    return f"{said}; is one in other units than metres?" if ratio >= UNITS_RATIO else said
