@@ -274,7 +274,7 @@ def _looked_at_image(
 
 
 def ground_prior(pair: Pair, *, is_plain: bool) -> float:
-    """Return how many times more wrong answers there are than on the ground of ``accept``, or 1.
+    """Return how many times more wrong answers there are than on the ground of ``decide``, or 1.
 
     So many times as many places there are, and of good maps that fade each fits more often.
     """

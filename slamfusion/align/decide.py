@@ -3,7 +3,7 @@
 The answer of a search over all poses is the best of millions: it fits well even where the maps
 show two places. What a right answer has, and a wrong one lacks, is that nothing else comes near
 it. So the answer is compared with the best answer elsewhere, piece of wall by piece of wall
-(``pieces``). Were both chance, either could be the better one at any piece, and the number of
+(``scores``). Were both chance, either could be the better one at any piece, and the number of
 pieces of equal weight that speak for the answer would seldom be large: what falls off there is the
 tail of the best of many chance fits (Karlin and Altschul 1990, for sequences), and the rival, the
 best of all other poses, stands for all that were searched. The pieces count by the share of what
@@ -173,7 +173,7 @@ class Evidence:
         pairs: pairs of maps in the job.
         prior: how much fewer the poses near a given start are than all; above 1 where there are
             more than on ``GROUND_ONE_M2``, of good maps ``GROUND_ONE_GOOD_M2``.
-        statistics: see ``align.measure``.
+        statistics: see ``answer.measure``.
         search: what stands behind it: ``full`` (all yaws and shifts), ``window``,
             ``fixed step``, or ``tracked`` (a known transform was only refined).
         mirrored: the evidence for the mirror image over that for the answer; None: not looked for.
@@ -184,9 +184,9 @@ class Evidence:
             (``SHARP_MATCH``).
         is_cut: whether walls fill the cells that were searched (``CoarseSearch.is_cut``).
         held_m: metres of wall that hold the answer in the direction in which the fewest do (see
-            ``held``); None: not asked.
+            ``common_walls``); None: not asked.
         beside_lines_m: metres of common wall beside the two straight lines on which most of it
-            lies (see ``corner``); None: not asked.
+            lies (see ``common_walls``); None: not asked.
         better_inside: ``better`` among the answers in the window; None without one.
         clean_share: the highest share of another answer that gives at least 0.7 of its evidence.
     """

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -255,7 +255,7 @@ class GridFeatures:
             step: of the level. sigma: width of a wall in its cells.
 
         Returns:
-            The mean of ``wall_evidence.likeness`` over known cells, 0..1.
+            The mean of ``likelihood.likeness`` over known cells, 0..1.
         """
         known = self._known_at_distance(step)
         total = float(known.sum())
@@ -269,7 +269,7 @@ class GridFeatures:
         return self._known_distances[step]
 
     def pieces(self, per_half_cell: float, most: int) -> PointPieces:
-        """Return sampled surface walls piece by piece; see ``pieces``.
+        """Return sampled surface walls piece by piece; see ``scores``.
 
         Args:
             per_half_cell: half a cell, in sides of a piece. most: walls that are sampled.
@@ -282,7 +282,7 @@ class GridFeatures:
         return self._pieces[key]
 
     def facing(self) -> DeviceArray[Any]:
-        """Return (H, W) uint8 on the device, where free space lies, see ``facing.facings``."""
+        """Return (H, W) uint8 on the device, where free space lies, see ``facings``."""
         if self._facing is None:
             self._facing = self.device.upload(_facings_of(self))
         return self._facing
@@ -302,7 +302,7 @@ class GridFeatures:
 
         Args:
             step: of the level. sigma: width of a wall in its cells. top: greatest field value.
-            doubt: see ``wall_evidence.evidence_table``.
+            doubt: see ``likelihood.evidence_table``.
         """
         return evidence_table(self.chance(step, sigma), sigma, top, doubt)
 
@@ -472,17 +472,6 @@ FIELD_BYTES, FREE_SHARE = 40, 0.5
 SPARING_BYTES = 2**28
 
 
-class Fields(Protocol):
-    """What can be computed again."""
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns of the map."""
-
-    def release(self) -> None:
-        """Let go of it."""
-
-
 class FieldMemory:
     """Releases the fields of those maps of a job that were not looked at for longest."""
 
@@ -497,16 +486,16 @@ class FieldMemory:
             room = int(FREE_SHARE * available_memory())
             cells = (min(room, SPARING_BYTES) if is_sparing else room) // FIELD_BYTES
         self._most = cells
-        self._used: dict[int, Fields] = {}
+        self._used: dict[int, GridFeatures] = {}
 
-    def use(self, fields: Fields, *, is_more: bool) -> None:
+    def use(self, fields: GridFeatures, *, is_more: bool) -> None:
         """Note that a map is looked at, and make room if it will hold more."""
         self._used.pop(id(fields), None)
         self._used[id(fields)] = fields
         if is_more:
             self._shrink()
 
-    def forget(self, fields: Fields) -> None:
+    def forget(self, fields: GridFeatures) -> None:
         """Note that a map holds nothing any more."""
         self._used.pop(id(fields), None)
 
@@ -526,5 +515,5 @@ class FieldMemory:
             self._used.popitem()[1].release()
 
 
-def _cells(fields: Fields) -> int:
+def _cells(fields: GridFeatures) -> int:
     return fields.shape[0] * fields.shape[1]

@@ -87,7 +87,7 @@ def evidence_table(chance: float, sigma: float, top: int, doubt: float = 0.0) ->
         chance: c of the module's text, 0..1.
         sigma: width of a wall in cells.
         top: the greatest value of the field: 15 where a kernel adds packed values, else 255.
-        doubt: see ``pieces.WallPieces``; what a wall lacks in cells that the other map does not
+        doubt: see ``scores.WallPieces``; what a wall lacks in cells that the other map does not
             know counts for nothing here, too.
     """
     expected = HIT * min(1.0, max(CHANCE_MIN, chance)) + STRAY

@@ -196,7 +196,7 @@ class Pair:
         return Pair(self.reference, GridFeatures(image, self.device), self.cancel)
 
     def motion_of(self, transform: Pose2) -> F64:
-        """Return a transform of map frames, metres, as a motion (3,), see ``motions``."""
+        """Return a transform of map frames, metres, as a motion (3,), see ``pair``."""
         ref, mov = self.reference.grid.grid, self.moving.grid.grid
         lattice = ref.origin.inverse().compose(transform).compose(mov.origin)
         centre = np.array(self.moving.centre) * mov.resolution

@@ -241,7 +241,7 @@ class Alignment:
         yaw_profile: (K, 2) float64, yaw in rad (of ``transform``) and the most evidence there, as a
             share of the most anywhere.
         evidence: how much speaks for it; None where nothing could be searched.
-        decision: one of ``accept.DECISIONS``.
+        decision: one of ``decide.DECISIONS``.
     """
 
     reference: str

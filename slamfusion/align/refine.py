@@ -1,7 +1,7 @@
 """Move rigid motions to the nearest best fit of walls on walls, and rank them.
 
 Robust Gauss-Newton steps on both distance fields, with ever narrower scales; the score is that of
-the search, on full-resolution cells. What a motion is: see ``motions``.
+the search, on full-resolution cells. What a motion is: see ``pair``.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """What each piece of wall says of each motion: evidence counted by what is independent.
 
 The cells of one wall come to lie on another wall all together, or not at all: a thousand of them
-are no thousand witnesses. So the evidence of the cells (see ``wall_evidence``) is summed over
+are no thousand witnesses. So the evidence of the cells (see ``likelihood``) is summed over
 pieces, squares of ``PIECE_M`` of the map that the walls belong to, and pieces are what counts.
 A piece is the same piece under every motion, so two motions can be compared piece by piece.
 """
@@ -244,7 +244,7 @@ def score_motions(
         sigma: width of a wall, cells of the level.
         points: at most this many wall points of each grid are looked at; each stands for its share.
         scales: (P,) how much longer the moving map's metre is taken, about its centre; None: 1.
-        doubt: see ``wall_evidence.evidence_table``.
+        doubt: see ``likelihood.evidence_table``.
     """
     ref, mov = pair.reference.level(step), pair.moving.level(step)
     local = motions / np.array([step, step, 1.0])

@@ -2,12 +2,12 @@
 
 Three stages. On a coarse level of both grids every shift with any overlap is scored at every yaw
 (see ``shifts``); where that level has to be too coarse, every shift on a finer one too at the few
-yaws at which walls are parallel (``parallel_walls``). The best few thousand go down level by level,
-each to the best of its neighbours on the level of half the cell size, and fewer stay on each. The
-last few are moved by robust Gauss-Newton steps on both distance fields, with ever narrower scales,
-and ranked by the evidence of all walls on full-resolution cells (see ``wall_evidence``).
+yaws at which walls are parallel (``parallel_motions``). The best few thousand go down level by
+level, each to the best of its neighbours on the level of half the cell size, and fewer stay on
+each. The last few are moved by robust Gauss-Newton steps on both distance fields, with ever
+narrower scales, and ranked by the evidence of all walls on full-resolution cells (``likelihood``).
 
-What a motion is: see ``motions``.
+What a motion is: see ``pair``.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ LEVEL_WORK_MAX = 1e11
 # Motions that go down from one level to the next, and walls of each map that judge them there.
 DESCENT = ((2304, 256), (384, 768), (96, 1536))
 # Two good maps of one place leave little of what they have in common unexplained. A small common
-# ground is outweighed by a large one that fits badly, unless that counts (see ``wall_evidence``):
+# ground is outweighed by a large one that fits badly, unless that counts (see ``likelihood``):
 # by this much when answers are compared, by less on coarse cells, which blur what fits.
 DOUBT, COARSE_DOUBT = 1.0, 0.5
 # Besides the best, a third as many of so many times as many go down by doubt; of those that are
@@ -112,7 +112,7 @@ def finer_step(pair: Pair, cells: int, step: int, window: SearchWindow, chance: 
     """Return the next finer step where walls are too near each other at one; else that step.
 
     Args:
-        reference, moving, cells, window, cancel: see ``coarse_step``.
+        pair, cells, window: see ``coarse_step``.
         step: fine cells per coarse cell.
         chance: walls are too near where a wall of another place finds more than this, 0..1.
     """

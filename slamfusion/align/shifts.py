@@ -1,6 +1,6 @@
 """Every whole-cell shift of one coarse grid over another, at every yaw: ranges, planes, scores.
 
-The walls of each map on the evidence field of the other, both ways (see ``wall_evidence``). The
+The walls of each map on the evidence field of the other, both ways (see ``likelihood``). The
 planes are padded, so that all shifts of a point lie side by side in memory.
 """
 
@@ -108,7 +108,7 @@ def shift_work(pair: Pair, step: int, window: SearchWindow) -> float:
     """Return how many field values ``score_shifts`` adds at most: it grows as ``step``^-3.
 
     Args:
-        reference, moving, step, window: as there.
+        pair, step, window: as there.
     """
     rim = math.hypot(*pair.moving.shape) / (2.0 * step)
     reach = math.ceil(rim) + 1
@@ -477,7 +477,7 @@ class ParallelShifts:
         self.scores[index][np.ix_((row + around) % size, (col + around) % size)] = -np.inf
 
     def motions(self, reference: TurnedMap, moving: TurnedMap, most: int) -> F64:
-        """Return the best motions (P, 3), ``most`` at each yaw: see ``motions``; takes them out.
+        """Return the best motions (P, 3), ``most`` at each yaw: see ``pair``; takes them out.
 
         Args:
             reference, moving: that were compared.
@@ -536,7 +536,7 @@ def parallel_motions(pair: Pair, most: int) -> tuple[F64, int, float]:
         most: motions at each yaw.
 
     Returns:
-        Motions (P, 3), see ``motions``; fine cells per cell of the level; yaw from one that is
+        Motions (P, 3), see ``pair``; fine cells per cell of the level; yaw from one that is
         looked at to the next, rad.
     """
     size = pair.resolution

@@ -1,8 +1,7 @@
 """Normalise, align, vote: several occupancy grids of one place become one.
 
-``fuse_grids`` is the whole pipeline, ``align_grids`` one alignment; the modules are its steps in
-order: ``normalize``, ``features``, ``search``, ``accept``, ``consistency``. The vote
-is ``slamfusion.vote``.
+``fuse_grids`` is the whole pipeline. One alignment is ``slamfusion.align``, the vote
+``slamfusion.vote``.
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ from slamfusion.fusion.consistency import closure_error
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.map_server import load_map
-from tests.fusion.drawings import features_of, fusion_config, off_by, with_origin
+from tests.fusion.drawings import features_of, fusion_config, off_by
 from tests.support import halmstad
 from tests.support.datasets import MAPS, MapEntry, load_entry, map_entries
 from tests.support.overlap import (
@@ -74,21 +74,6 @@ def test_three_slams_of_one_home_come_together(device: ComputeDevice) -> None:
     grids = load("nanorobot-real", *HOME)
     result = fuse_grids(grids, QUICK, device)
     assert_home(result, grids, dict.fromkeys(HOME, Pose2()))
-
-
-@pytest.mark.parametrize(
-    "angles", [(0.3, -1.2, 2.6), pytest.param((-3.0, 1.7, 0.9), marks=pytest.mark.full)]
-)
-def test_the_home_comes_together_from_other_frames(
-    device: ComputeDevice, angles: tuple[float, float, float]
-) -> None:
-    """The frames alone turned and moved, through the origins."""
-    grids, frames = [], {}
-    for grid, angle in zip(load("nanorobot-real", *HOME), angles, strict=True):
-        there = Pose2(-40.0 * angle, 12.0, angle)
-        grids.append(with_origin(grid, there.compose(grid.origin)))
-        frames[grid.name] = there.inverse()
-    assert_home(fuse_grids(grids, QUICK, device), tuple(grids), frames)
 
 
 def test_a_lost_slam_is_rejected_and_the_other_two_fused(

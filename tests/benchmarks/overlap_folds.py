@@ -1,7 +1,7 @@
 """Does the decision hold on maps that it was not fitted on? Half of the places against the other.
 
 The one constant that was fitted on many pairs, the odds of what is explained at which a piece of
-wall of good maps counts as one (``accept.ODDS_ONE``), is fitted once more on the pairs of half of
+wall of good maps counts as one (``decide.ODDS_ONE``), is fitted once more on the pairs of half of
 the places: the least odds by which the most that a wrong answer counts is half of what is needed.
 With these the pairs of the other half are decided. Nothing is aligned again: the records that
 ``bench_overlap --jsonl`` wrote hold the numbers that the decision looks at.

@@ -24,14 +24,9 @@ from slamfusion.evidence import (
     score_paths,
 )
 from slamfusion.evidence.exclusion import (
-    BEGINNINGS,
-    LEAST_BLOCKS,
-    LEAST_DIFFERENCE,
     NEAR_SHARE,
-    lay_on,
 )
-from slamfusion.evidence.parting import LEAST_S, PART_M
-from slamfusion.evidence.path_frames import TURN_M, pose_distances
+from slamfusion.evidence.parting import PART_M
 from slamfusion.evidence.predictive import without_scans
 from slamfusion.trajectory import Trajectory
 from tests.evidence.rooms import bent, circuit, moved, recorded
@@ -109,27 +104,6 @@ def test_who_leaves_the_others_has_no_vote_from_there_on() -> None:
     assert found.votes_at("a", np.array([0.0, 99.0])).all()
 
 
-@pytest.mark.parametrize(("away_m", "is_out"), sides(PART_M))
-def test_paths_part_beyond_a_distance(away_m: float, is_out: bool) -> None:
-    paths = {"a": way(), "b": way(), "c": aside(way(), away_m, 200, 300)}
-    assert spans(find_exclusions(told(paths)), "c") == ([(50.0, 75.0)] if is_out else [])
-
-
-@pytest.mark.parametrize(("gap_m", "is_out"), sides(PART_M))
-def test_a_heading_counts_as_what_it_moves(gap_m: float, is_out: bool) -> None:
-    turned = way()
-    turned[200:300, 2] += gap_m / TURN_M
-    found = find_exclusions(told({"a": way(), "b": way(), "c": turned}))
-    assert spans(found, "c") == ([(50.0, 75.0)] if is_out else [])
-
-
-@pytest.mark.parametrize(("scans", "is_out"), [(3, False), (4, True)])
-def test_a_moment_is_none(scans: int, is_out: bool) -> None:
-    assert scans * STEP_S == LEAST_S - (0.0 if is_out else STEP_S)
-    paths = {"a": way(), "b": way(), "c": aside(way(), 2.0, 200, 200 + scans)}
-    assert bool(spans(find_exclusions(told(paths)), "c")) == is_out
-
-
 @pytest.mark.parametrize(("share", "stays"), sides(NEAR_SHARE))
 def test_it_is_out_from_where_it_was_near_to_where_it_is_near_again(
     share: float, stays: bool
@@ -171,10 +145,6 @@ def test_good_paths_that_differ_by_a_little_all_vote() -> None:
     assert not any(own.any() for own in found.excluded.values())
 
 
-def test_one_path_alone_has_nobody_to_leave(device: ComputeDevice, scans: JudgedScans) -> None:
-    assert find_exclusions(score_paths(scans, {"only": circuit()}, device)).names == ()
-
-
 # -- who is right ----------------------------------------------------------------------------------
 
 
@@ -210,15 +180,6 @@ def test_of_two_that_part_the_scans_decide_or_nobody(likelihood: float, out: str
         assert found.spans[out][0].ground == "contradicted by the scans"
 
 
-@pytest.mark.parametrize("blocks", [LEAST_BLOCKS - 1, LEAST_BLOCKS])
-def test_the_scans_are_not_asked_about_a_short_time(blocks: int) -> None:
-    scans = math.ceil(blocks * COUNT / 96)
-    own = np.zeros(COUNT)
-    own[200 : 200 + scans] = -1.0
-    paths = {"a": way(), "b": aside(way(), 2.0, 200, 200 + scans)}
-    assert bool(find_exclusions(told(paths, {"b": own})).names) == (blocks >= LEAST_BLOCKS)
-
-
 def test_of_three_that_all_part_those_are_out_that_the_scans_contradict() -> None:
     lower = {"b": np.zeros(COUNT), "c": np.zeros(COUNT)}
     lower["b"][200:300], lower["c"][200:300] = -0.3, -0.2
@@ -243,64 +204,6 @@ def test_what_scans_say_for_a_path_that_stands_still_does_not_count(
     assert found.names == (tuple(others) if counts else ("b",) if len(others) > 1 else ())
 
 
-@pytest.mark.parametrize("stands", [False, True])
-def test_one_heap_spoils_what_scans_say_at_all_times(stands: bool) -> None:
-    poses = aside(way(), 2.0, 100, 200)
-    if stands:
-        poses[360:, :2] = poses[360, :2]
-    higher = np.zeros(COUNT)
-    higher[100:200] = 0.3
-    found = find_exclusions(told({"a": way(), "b": poses, "c": way()}, {"b": higher}))
-    assert found.names == (("b",) if stands else ("a", "c"))
-
-
-def test_a_robot_that_stands_makes_no_heap() -> None:
-    still = way()
-    still[200:260] = still[200]
-    trembling = still.copy()
-    trembling[200:260, :2] += np.random.default_rng(0).normal(0.0, 0.02, (60, 2))
-    higher = np.zeros(COUNT)
-    higher[300:] = 0.3
-    paths = {"a": trembling, "b": aside(still, 2.0, 300), "c": trembling}
-    assert find_exclusions(told(paths, {"b": higher})).names == ("a", "c")
-
-
-def test_the_odometry_says_too_whether_the_robot_stands() -> None:
-    own = np.zeros(COUNT)
-    own[200:300] = 0.3
-    wild = way()
-    # From one side to the other at every second.
-    wild[200:300, 0] += np.repeat(np.tile([4.0, -4.0], 13), 4)[:100]
-    evidence = told({"a": way(), "b": wild}, {"a": own})
-    assert find_exclusions(evidence).names == ()
-    assert find_exclusions(with_odometry(evidence, way())).names == ("b",)
-
-
-def test_two_against_two_is_decided_by_the_scans() -> None:
-    wrong = aside(way(), 2.0, 200, 300)
-    lower = np.zeros(COUNT)
-    lower[200:300] = -0.3
-    paths = {"a": way(), "b": way(), "c": wrong, "d": wrong}
-    assert not find_exclusions(told(paths)).names
-    assert find_exclusions(told(paths, {"c": lower, "d": lower})).names == ("c", "d")
-
-
-def test_who_stands_between_two_belongs_to_both() -> None:
-    paths = {
-        "a": way(),
-        "b": aside(way(), 0.25, 200, 300),
-        "c": aside(way(), 0.5, 200, 300),
-        "d": aside(way(), 3.0, 200, 300),
-    }
-    found = find_exclusions(told(paths))
-    assert found.names == ("d",)
-    assert found.undecided == ()
-    # But where the scans surely contradict one of the two, it is out.
-    lower = np.zeros(COUNT)
-    lower[200:300] = -0.3
-    assert find_exclusions(told(paths, {"c": lower, "d": lower})).names == ("c", "d")
-
-
 @pytest.mark.parametrize(
     ("likelihood", "out"), [(-0.02, ("b",)), (0.02, ("c",)), (0.05, ("a", "c"))]
 )
@@ -316,32 +219,6 @@ def test_of_a_group_those_lose_whom_the_scans_speak_against(
     # Who is right of the two that then vote, and have parted, nobody can tell.
     both_vote = {"a", "b"}.isdisjoint(out)
     assert [(span.from_s, span.to_s) for span in found.undecided] == [(50.0, 75.0)] * both_vote
-
-
-@pytest.mark.parametrize(("behind", "is_out"), [(0.015, False), (0.045, True)])
-def test_scans_take_a_vote_for_more_than_scan_matchers_gain(behind: float, is_out: bool) -> None:
-    assert 0.015 < LEAST_DIFFERENCE < 0.045
-    lower = np.zeros(COUNT)
-    lower[200:300] = -behind
-    evidence = told({"a": way(), "b": aside(way(), 2.0, 200, 300)}, {"b": lower})
-    assert find_exclusions(evidence).names == (("b",) if is_out else ())
-
-
-def test_each_goes_wrong_at_a_time_of_its_own() -> None:
-    paths = {"a": way(), "b": aside(way(), 0.5, 0, 150), "c": aside(way(), 2.0, 200)}
-    found = find_exclusions(told(paths, {"b": -0.1, "c": -0.2}))
-    assert (spans(found, "b"), spans(found, "c")) == ([(0.0, 37.5)], [(50.0, 99.75)])
-
-
-def test_scans_that_hit_nothing_say_nothing() -> None:
-    evidence = told({"a": way(), "b": aside(way(), 2.0, 200, 300)})
-    blind = {
-        name: replace(score, beams=np.where(np.arange(COUNT) // 100 == 2, 0, score.beams))
-        for name, score in evidence.scores.items()
-    }
-    found = find_exclusions(replace(evidence, scores=blind))
-    assert found.names == ()
-    assert len(found.undecided) == 1
 
 
 def test_scans_of_a_room_outvote_a_bent_path(device: ComputeDevice, scans: JudgedScans) -> None:
@@ -386,11 +263,3 @@ def test_what_a_path_drew_while_it_was_wrong_does_not_speak_against_it_elsewhere
         sums = [scored.scores[name].sums[last].sum() for name in "ab"]
         gaps.append(sums[1] - sums[0])
     assert gaps[1] > gaps[0]
-
-
-@pytest.mark.parametrize("count", [1, BEGINNINGS - 1, 40])
-def test_few_scans_are_enough_to_lay_paths_on_each_other(count: int) -> None:
-    poses = way()[:count]
-    laid, near = lay_on(aside(poses, 3.0, 0), poses)
-    assert near == count
-    assert pose_distances(laid, poses).max() == pytest.approx(0.0, abs=1e-9)

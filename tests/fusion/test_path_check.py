@@ -13,7 +13,6 @@ from slamfusion.errors import AlignmentError
 from slamfusion.fusion import fuse_grids
 from slamfusion.fusion.consistency import PATH_GAP
 from slamfusion.fusion.path_check import (
-    TOGETHER_S,
     PathsApartError,
     agreeing,
     fallback_map,
@@ -80,15 +79,6 @@ def test_a_gap_is_known_also_while_one_path_has_no_vote() -> None:
     assert agreeing(("a", "b"), [gap], 1.0) == (("a", "b"), {})
 
 
-def test_paths_that_never_vote_at_one_time_have_no_gap_while_both_do() -> None:
-    early = TRUE_PATH.stamps_s < 20.0
-    (gap,) = path_gaps({"a": TRUE_PATH, "b": shifted(0.5)}, {"a": early, "b": ~early})
-    assert gap.voting is None
-    assert gap.to_json()["voting_max_m"] is None
-    assert gap.sentence().endswith(", and never vote at one time")
-    assert agreeing(("a", "b"), [gap], 1.0) == (("a", "b"), {})
-
-
 # A robot that drives 1 m/s along x, and turns on its way.
 MOVING_S = 0.08 * np.arange(400)
 MOVING = Trajectory(
@@ -105,30 +95,12 @@ def test_where_a_path_was_between_its_poses_is_known() -> None:
     assert len(path_gaps({"a": MOVING, "b": few})[0].gaps_m) == 383
 
 
-@pytest.mark.parametrize(("later_s", "compared"), [(0.99, 1), (1.01, 50)])
-def test_poses_within_a_second_are_compared_or_all_where_there_are_none(
-    later_s: float, compared: int
-) -> None:
-    assert TOGETHER_S == 1.0
-    single = Trajectory(TRUE_PATH.stamps_s[-1:] + later_s, TRUE_PATH.poses[-1:], "single")
-    (gap,) = path_gaps({"a": TRUE_PATH, "b": single})
-    assert len(gap.gaps_m) == compared
-    assert gap.max_m == pytest.approx(0.0 if compared == 1 else 5.0)
-
-
 def test_the_largest_group_that_agrees_is_kept() -> None:
     paths = {"a": TRUE_PATH, "b": shifted(4.0), "c": shifted(0.3), "d": shifted(0.4)}
     members, reasons = agreeing(tuple(paths), path_gaps(paths), 1.0)
     assert members == ("a", "c", "d")
     assert set(reasons) == {"b"}
     assert "4.00 m from that of a and 3.70 m from that of c" in reasons["b"]
-
-
-def test_of_two_equal_groups_the_closer_is_kept() -> None:
-    paths = {"a": TRUE_PATH, "b": shifted(0.5), "c": shifted(9.0), "d": shifted(9.1)}
-    members, reasons = agreeing(tuple(paths), path_gaps(paths), 1.0)
-    assert members == ("c", "d")
-    assert set(reasons) == {"a", "b"}
 
 
 def test_of_two_that_disagree_neither_is_believed() -> None:

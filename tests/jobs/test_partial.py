@@ -191,12 +191,6 @@ def test_who_was_hardly_with_the_others_is_left_out(device: ComputeDevice, kept:
     assert len(result.accepted) == 2
 
 
-def test_of_two_none_is_left_out_altogether(device: ComputeDevice) -> None:
-    layers = layers_of({"a": recorded()[1], "c": running_away(8)}, device)
-    assert layers.grids == layers.maps
-    assert layers.partial == ()
-
-
 def test_where_nothing_tells_who_is_right_all_vote_and_it_is_said(device: ComputeDevice) -> None:
     # For 1.2 s of 12 the scans are asked too little.
     _, truth = recorded()
@@ -222,13 +216,6 @@ def test_where_nothing_tells_who_is_right_all_vote_and_it_is_said(device: Comput
     )
 
 
-def test_without_evidence_all_vote(device: ComputeDevice) -> None:
-    paths = {"a": recorded()[1], "c": off_from(70, 0.6, 0.4, 0.3)}
-    maps, _ = drawn_by(paths, device)
-    layers = draw_layers(maps, paths, None, lambda _: drawn(), device)
-    assert (layers.grids, layers.partial, layers.sentences()) == (tuple(maps), (), ())
-
-
 def test_a_layer_shows_the_time_without_a_vote_at_the_fused_path(device: ComputeDevice) -> None:
     _, truth = recorded()
     paths = {"a": truth, "c": off_from(70, 0.6, 0.4, 0.3)}
@@ -249,18 +236,6 @@ def test_a_layer_shows_the_time_without_a_vote_at_the_fused_path(device: Compute
     assert far_share(maps[0], layers.grids[1]) == 0.0
     assert far_share(maps[0], bare.grids[1]) > 0.02
     assert layers.votes["c"].sum() == 70
-
-
-def test_a_filling_that_meets_no_pose_of_a_layer_fills_nothing(device: ComputeDevice) -> None:
-    _, truth = recorded()
-    paths = {"a": truth, "c": off_from(70, 0.6, 0.4, 0.3)}
-    maps, evidence = drawn_by(paths, device)
-    late = Trajectory(truth.stamps_s + 1000.0, truth.poses, "fused")
-    found = find_exclusions(evidence)
-    layers = draw_layers(maps, paths, found, lambda _: drawn(), device, Filling(late, drawn))
-    bare = draw_layers(maps, paths, found, lambda _: drawn(), device)
-    assert not layers.partial[0].filled
-    assert np.array_equal(layers.grids[1].cells, bare.grids[1].cells)
 
 
 def test_the_main_job_on_a_drive_on_which_one_producer_goes_wrong(tmp_path: Path) -> None:
