@@ -56,6 +56,9 @@ FADED_TRIALS = 2.0
 SPREAD_LEAST = 0.5
 # A mirror image that gives more times as much is not told from one that gives this.
 GAIN_MAX = 100.0
+CLASH_M, CLASH_CELLS_MIN = 0.4, 3.0
+FAR_CLASH_M, FAR_CLASH_CELLS_MIN = 1.0, 5.0
+MEASURED_POINTS = 4096
 
 
 def conclude(
@@ -317,11 +320,6 @@ def rejected_alignment(pair: Pair, reason: str, time_s: float) -> Alignment:
         runner_up=None,
         time_s=time_s,
     )
-
-
-CLASH_M, CLASH_CELLS_MIN = 0.4, 3.0
-FAR_CLASH_M, FAR_CLASH_CELLS_MIN = 1.0, 5.0
-MEASURED_POINTS = 4096
 
 
 def measure(pair: Pair, motion: F64) -> dict[str, float]:

@@ -34,6 +34,14 @@ REACH_M, REACH_CELLS_MIN = 0.35, 3
 LINE_SPREAD = 0.25
 # Points of each map that are looked at, and of those that meet a wall; each stands for its share.
 HELD_POINTS, POINTS_MET = 4096, 512
+# A line takes what lies within such a band, metres, and the least in cells: a wall with both faces.
+BAND_M, BAND_CELLS_MIN = 0.3, 3.0
+# Directions that are tried, degrees: all in coarse steps, fine ones around the best of them.
+COARSE_DEG, FINE_DEG = np.arange(0.0, 180.0, 1.0), np.arange(-0.9, 0.91, 0.1)
+# Points that are looked at, each stands for its share; fewer find the direction.
+LINE_POINTS, COARSE_LINE_POINTS = 1024, 256
+# Rounding, cells: a point that a band begins with lies on it.
+NIL = 1e-6
 
 
 def held_by(pair: Pair, motion: F64) -> float:
@@ -153,16 +161,6 @@ def common_walls(pair: Pair, motion: F64, sigma: float) -> F64:
     distance2 = pair.device.download(pair.reference.level(1).distance2)
     near = distance2[y.astype(np.int64), x.astype(np.int64)] <= sigma * sigma
     return np.column_stack((x[near], y[near]))
-
-
-# A line takes what lies within such a band, metres, and the least in cells: a wall with both faces.
-BAND_M, BAND_CELLS_MIN = 0.3, 3.0
-# Directions that are tried, degrees: all in coarse steps, fine ones around the best of them.
-COARSE_DEG, FINE_DEG = np.arange(0.0, 180.0, 1.0), np.arange(-0.9, 0.91, 0.1)
-# Points that are looked at, each stands for its share; fewer find the direction.
-LINE_POINTS, COARSE_LINE_POINTS = 1024, 256
-# Rounding, cells: a point that a band begins with lies on it.
-NIL = 1e-6
 
 
 def beside_lines_m(pair: Pair, motion: F64) -> float:

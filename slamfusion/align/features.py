@@ -5,9 +5,10 @@ Computed once a grid and device, then shared by every pair the grid takes part i
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
-from typing import Any, NamedTuple
+from functools import cached_property, lru_cache, wraps
+from typing import Any, Concatenate, NamedTuple, ParamSpec, TypeVar
 
 import cv2
 import numpy as np
@@ -25,6 +26,7 @@ from slamfusion.align.normalize import LEAST_KEPT, NormalizedGrid
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.layout import (
+    DISTANCE_MAX,
     DISTANCE_ONE,
     DISTANCE_TABLE,
     DISTANCE_UNSEEN,
@@ -35,6 +37,9 @@ from slamfusion.compute.layout import (
 )
 from slamfusion.io.memory import available_memory, return_freed_memory
 
+P = ParamSpec("P")
+R = TypeVar("R")
+
 # Farther than this from its walls the unknown says nothing, metres, and the least in cells.
 SEEN_M, SEEN_CELLS_MIN = 0.4, 3.0
 # Some maps fade from walls to free space: Cartographer's, plans with smoothed lines, sensor maps.
@@ -44,10 +49,27 @@ SEEN_M, SEEN_CELLS_MIN = 0.4, 3.0
 SOFT_GAIN = 1.25
 # The last fit is narrow: it needs no distances beyond this, in cells.
 SOLID_REACH = 24
+# What takes little memory is kept when a map lets go of the rest.
+SMALL = ("near_wall_share", "_known_at_distance")
 # Cells that are counted at once.
 COUNTED_CELLS = 1 << 20
 # The score that is told: a byte serves single lookups.
 FINE_TABLE = score_table(3.0, base=64, span=191)
+# How far free space is looked for, metres. Deeper than the rim of free cells that drawn maps have
+# behind their walls, and than what lies between both lines of a wall that was drawn twice; less
+# than half of a door. It is looked for on squares of cells, of which that are this many.
+FACING_REACH_M, REACH_SQUARES = 0.4, 4
+# One half of the ground around a cell has at least so much more free space than the other, as a
+# share of the half: a straight wall has all of it on one side. With less than ``EVEN`` it faces
+# nowhere; what is between says nothing, as maps draw one wall by a cell thicker or thinner.
+CLEARER, EVEN = 0.3, 0.15
+# Known cells so near a wall, as a share of the reach, may face nowhere; farther ones say nothing
+# then: walls of bent maps come to lie there.
+FACING_NEAR = 0.5
+# What the fields of a cell take, in bytes, and the share of the free memory that all may take; and
+# how much at most where little memory is wanted, bytes.
+FIELD_BYTES, FREE_SHARE = 40, 0.5
+SPARING_BYTES = 2**28
 
 
 def spread_sample(points: npt.NDArray[np.int32], most: int) -> npt.NDArray[np.int32]:
@@ -102,6 +124,23 @@ class PointPieces(NamedTuple):
     starts: npt.NDArray[np.int32]
 
 
+def _kept(
+    make: Callable[Concatenate[GridFeatures, P], R],
+) -> Callable[Concatenate[GridFeatures, P], R]:
+    """Keep what a method made of its arguments until the map is released."""
+
+    @wraps(make)
+    def get(features: GridFeatures, /, *given: P.args, **named: P.kwargs) -> R:
+        key = (make.__name__, *given)
+        made = features._made  # noqa: SLF001 - of the class below
+        if key not in made:
+            made[key] = make(features, *given, **named)
+        found: R = made[key]
+        return found
+
+    return get
+
+
 class GridFeatures:
     """The levels and fields of one normalised grid on one device.
 
@@ -123,13 +162,7 @@ class GridFeatures:
         self.device, self._memory = device, memory
         self._levels: dict[int, Level] = {}
         self._fields: dict[tuple[int, str], DeviceArray[Any]] = {}
-        self._near_wall_share: dict[int, float] = {}
-        self._known_distances: dict[int, npt.NDArray[np.float64]] = {}
-        self._pieces: dict[tuple[float, int], PointPieces] = {}
-        self._seen: dict[int, DeviceArray[Any]] = {}
-        self._surface_walls: DeviceArray[Any] | None = None
-        self._facing: DeviceArray[Any] | None = None
-        self._solid_level: Level | None = None
+        self._made: dict[tuple[Any, ...], Any] = {}
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -138,11 +171,11 @@ class GridFeatures:
 
     def release(self) -> None:
         """Let go of what takes memory; it is computed once more when it is asked for."""
-        for kept in (self._levels, self._fields, self._pieces, self._seen):
-            kept.clear()
+        self._levels.clear()
+        self._fields.clear()
+        self._made = {key: made for key, made in self._made.items() if key[0] in SMALL}
         for name in ("cells", "known"):
             self.__dict__.pop(name, None)
-        self._surface_walls = self._solid_level = self._facing = None
         if self._memory is not None:
             self._memory.forget(self)
 
@@ -178,23 +211,21 @@ class GridFeatures:
         """(H, W) uint8 on the device, 1 where known."""
         return self.device.upload((self.grid.cells >= 0).astype(np.uint8))
 
+    @_kept
     def near_wall_share(self, near2: int) -> float:
         """Return the share of known cells within this squared distance (cells) of a wall."""
-        if near2 not in self._near_wall_share:
-            distance2 = self.device.download(self.level(1).distance2)
-            near = np.count_nonzero((distance2 <= near2) & (self.grid.cells >= 0))
-            self._near_wall_share[near2] = near / max(1, self.known_cells)
-        return self._near_wall_share[near2]
+        distance2 = self.device.download(self.level(1).distance2)
+        near = np.count_nonzero((distance2 <= near2) & (self.grid.cells >= 0))
+        return near / max(1, self.known_cells)
 
+    @_kept
     def _surface(self) -> DeviceArray[Any]:
         """Return the surface walls; all solid walls where none touches free space."""
-        if self._surface_walls is None:
-            check_cancelled()
-            solid = self.device.upload(self.grid.solid)
-            surface = self.device.surface_walls(self.cells, solid)
-            check_cancelled()
-            self._surface_walls = surface if self.device.download(surface).any() else solid
-        return self._surface_walls
+        check_cancelled()
+        solid = self.device.upload(self.grid.solid)
+        surface = self.device.surface_walls(self.cells, solid)
+        check_cancelled()
+        return surface if self.device.download(surface).any() else solid
 
     def level(self, step: int) -> Level:
         """Return the grid at ``step`` fine cells a cell."""
@@ -208,17 +239,29 @@ class GridFeatures:
             else:
                 wall, free = self.device.shrink(wall, self.cells, step)
             check_cancelled()
-            distance2 = self.device.distance_squared(wall)
-            check_cancelled()
-            far = self.device.look_up(distance2, DISTANCE_TABLE)
-            check_cancelled()
-            distance = self._seen_distance(distance2, free, step)
-            check_cancelled()
-            mask = self.device.download(wall)
-            self._levels[step] = Level(
-                step, mask.shape, wall, free, distance2, distance, far, _lattice_points(mask != 0)
-            )
+            self._levels[step] = self._level_of(step, wall, free, DISTANCE_MAX)
         return self._levels[step]
+
+    @_kept
+    def solid_level(self) -> Level:
+        """Return the finest level with every solid wall cell, not only the surfaces."""
+        free = self.level(1).free
+        check_cancelled()
+        return self._level_of(1, self.device.upload(self.grid.solid), free, SOLID_REACH)
+
+    def _level_of(
+        self, step: int, wall: DeviceArray[Any], free: DeviceArray[Any], reach: int
+    ) -> Level:
+        """Return the level of walls; distances are known up to ``reach``, cells."""
+        distance2 = self.device.distance_squared(wall, reach)
+        check_cancelled()
+        far = self.device.look_up(distance2, DISTANCE_TABLE)
+        check_cancelled()
+        distance = self._seen_distance(distance2, free, step)
+        check_cancelled()
+        mask = self.device.download(wall)
+        points = _lattice_points(mask != 0)
+        return Level(step, mask.shape, wall, free, distance2, distance, far, points)
 
     def _seen_distance(
         self, distance2: DeviceArray[Any], free: DeviceArray[Any], step: int
@@ -231,22 +274,6 @@ class GridFeatures:
         unseen = DISTANCE_TABLE.copy()
         unseen[unseen > reach * DISTANCE_ONE] = DISTANCE_UNSEEN
         return self.device.look_up_where(distance2, free, DISTANCE_TABLE, unseen)
-
-    def solid_level(self) -> Level:
-        """Return the finest level with every solid wall cell, not only the surfaces."""
-        if self._solid_level is None:
-            free = self.level(1).free
-            check_cancelled()
-            wall = self.device.upload(self.grid.solid)
-            distance2 = self.device.distance_squared(wall, SOLID_REACH)
-            check_cancelled()
-            far = self.device.look_up(distance2, DISTANCE_TABLE)
-            check_cancelled()
-            distance = self._seen_distance(distance2, free, 1)
-            self._solid_level = Level(
-                1, self.shape, wall, free, distance2, distance, far, self.wall_points
-            )
-        return self._solid_level
 
     def chance(self, step: int, sigma: float) -> float:
         """Return what a wall of another place finds on average in the known cells of a level.
@@ -261,39 +288,33 @@ class GridFeatures:
         total = float(known.sum())
         return float(likeness(sigma)[: len(known)] @ known) / total if total > 0 else 1.0
 
+    @_kept
     def _known_at_distance(self, step: int) -> npt.NDArray[np.float64]:
         """Return (N,) the known cells of a level by squared distance to a wall."""
-        if step not in self._known_distances:
-            level = self.level(step)
-            self._known_distances[step] = _known_by_distance(self.device, self.grid.cells, level)
-        return self._known_distances[step]
+        return _known_by_distance(self.device, self.grid.cells, self.level(step))
 
+    @_kept
     def pieces(self, per_half_cell: float, most: int) -> PointPieces:
         """Return sampled surface walls piece by piece; see ``scores``.
 
         Args:
             per_half_cell: half a cell, in sides of a piece. most: walls that are sampled.
         """
-        key = (per_half_cell, most)
-        if key not in self._pieces:
-            points = spread_sample(self.level(1).points, most)
-            col, row = np.floor(points * per_half_cell).astype(np.int64).T
-            self._pieces[key] = _by_square(points, col * (row.max(initial=0) + 1) + row)
-        return self._pieces[key]
+        points = spread_sample(self.level(1).points, most)
+        col, row = np.floor(points * per_half_cell).astype(np.int64).T
+        return _by_square(points, col * (row.max(initial=0) + 1) + row)
 
+    @_kept
     def facing(self) -> DeviceArray[Any]:
         """Return (H, W) uint8 on the device, where free space lies, see ``facings``."""
-        if self._facing is None:
-            self._facing = self.device.upload(_facings_of(self))
-        return self._facing
+        distance2 = self.device.download(self.level(1).distance2)
+        return self.device.upload(facings(self.grid.cells, distance2, self.grid.grid.resolution))
 
+    @_kept
     def seen(self, near2: int) -> DeviceArray[Any]:
         """Return (H, W) uint8, 1 where known or within this squared distance of a wall."""
-        if near2 not in self._seen:
-            is_near = self.device.download(self.level(1).distance2) <= near2
-            is_seen = (is_near | (self.grid.cells >= 0)).view(np.uint8)
-            self._seen[near2] = self.device.upload(is_seen)
-        return self._seen[near2]
+        is_near = self.device.download(self.level(1).distance2) <= near2
+        return self.device.upload((is_near | (self.grid.cells >= 0)).view(np.uint8))
 
     def evidence_table(
         self, step: int, sigma: float, top: int, doubt: float = 0.0
@@ -316,11 +337,6 @@ class GridFeatures:
                 level.distance2, level.free, table.hit, table.miss, table.base
             )
         return self._fields[key]
-
-
-def _facings_of(features: GridFeatures) -> npt.NDArray[np.uint8]:
-    distance2 = features.device.download(features.level(1).distance2)
-    return facings(features.grid.cells, distance2, features.grid.grid.resolution)
 
 
 def _by_square(points: npt.NDArray[np.int32], squares: npt.NDArray[np.int64]) -> PointPieces:
@@ -387,19 +403,6 @@ def _without_rims(grid: NormalizedGrid) -> NormalizedGrid:
     return replace(grid, cells=np.where(rims, np.int8(0), grid.cells))
 
 
-# How far free space is looked for, metres. Deeper than the rim of free cells that drawn maps have
-# behind their walls, and than what lies between both lines of a wall that was drawn twice; less
-# than half of a door. It is looked for on squares of cells, of which that are this many.
-FACING_REACH_M, REACH_SQUARES = 0.4, 4
-# One half of the ground around a cell has at least so much more free space than the other, as a
-# share of the half: a straight wall has all of it on one side. With less than ``EVEN`` it faces
-# nowhere; what is between says nothing, as maps draw one wall by a cell thicker or thinner.
-CLEARER, EVEN = 0.3, 0.15
-# Known cells so near a wall, as a share of the reach, may face nowhere; farther ones say nothing
-# then: walls of bent maps come to lie there.
-FACING_NEAR = 0.5
-
-
 def facings(
     cells: npt.NDArray[np.int8], distance2: npt.NDArray[np.uint16], resolution: float
 ) -> npt.NDArray[np.uint8]:
@@ -464,12 +467,6 @@ def facing_parts(angles: npt.NDArray[np.floating]) -> npt.NDArray[np.uint8]:
     """Return angles, rad, from 0 on, in parts of a turn, of which there are ``FACING_PARTS``."""
     parts = angles * np.float32(FACING_PARTS / (2.0 * np.pi)) + np.float32(0.5)
     return parts.astype(np.uint8) & np.uint8(FACING_PARTS - 1)
-
-
-# What the fields of a cell take, in bytes, and the share of the free memory that all may take; and
-# how much at most where little memory is wanted, bytes.
-FIELD_BYTES, FREE_SHARE = 40, 0.5
-SPARING_BYTES = 2**28
 
 
 class FieldMemory:

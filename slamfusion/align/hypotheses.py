@@ -56,6 +56,23 @@ WITNESSES_A_METRE = 2.0
 SIDED_MIN = 3.5
 # A wide width speaks only where the narrow one says the same by so many pieces.
 NARROW_MIN = 2.0
+# How far the farthest is, in distances of the nearest.
+SLIDE_REACH = 2.5
+# Wall points of each map that judge them, and how many are kept.
+SLIDE_POINTS = 512
+SLIDES_KEPT = 3
+# An answer that is so much of what the common ground could give needs no look at a mirror image.
+SURE_SHARE = 0.9
+# Scales that are tried, coarse and then around the best.
+COARSE_SCALES = np.linspace(-0.12, 0.12, 25)
+FINE_SCALES = np.linspace(-0.0075, 0.0075, 7)
+# Shifts that go with them, in widths of a wall.
+SCALE_SHIFTS = np.array([(x, y, 0.0) for y in (-1.0, 0.0, 1.0) for x in (-1.0, 0.0, 1.0)])
+# ... of an answer that is bent: a part of it fits, and is not the part about which the scale turns.
+FAR_SCALE_SHIFTS = np.array([(float(x), float(y), 0.0) for y in range(-4, 5) for x in range(-4, 5)])
+SCALE_POINTS = 1024
+# So many pieces of wall must say that the other scale is better, as an answer needs.
+BETTER_MIN = 6.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,13 +270,6 @@ def is_distinct(a: F64, b: F64, cells: float = DISTINCT_CELLS) -> bool:
     return shift > cells or turn > DISTINCT_YAW_RAD
 
 
-# How far the farthest is, in distances of the nearest.
-SLIDE_REACH = 2.5
-# Wall points of each map that judge them, and how many are kept.
-SLIDE_POINTS = 512
-SLIDES_KEPT = 3
-
-
 def slides(pair: Pair, motion: F64, sigma: float, nearest: float) -> F64:
     """Return the best shifts of an answer, apart from it and from each other.
 
@@ -281,10 +291,6 @@ def slides(pair: Pair, motion: F64, sigma: float, nearest: float) -> F64:
     scores = score_motions(pair, motions, 1, sigma=sigma, points=SLIDE_POINTS)
     order = np.argsort(-scores, kind="stable")
     return distinct(motions[order], nearest, 1.0, SLIDES_KEPT)
-
-
-# An answer that is so much of what the common ground could give needs no look at a mirror image.
-SURE_SHARE = 0.9
 
 
 @watched
@@ -313,18 +319,6 @@ def mirror_gain(
         return 0.0
     pieces = wall_pieces(image, motions, sigma)
     return max(0.0, float(replace(pieces, doubt=doubt).total.max())) / own
-
-
-# Scales that are tried, coarse and then around the best.
-COARSE_SCALES = np.linspace(-0.12, 0.12, 25)
-FINE_SCALES = np.linspace(-0.0075, 0.0075, 7)
-# Shifts that go with them, in widths of a wall.
-SCALE_SHIFTS = np.array([(x, y, 0.0) for y in (-1.0, 0.0, 1.0) for x in (-1.0, 0.0, 1.0)])
-# ... of an answer that is bent: a part of it fits, and is not the part about which the scale turns.
-FAR_SCALE_SHIFTS = np.array([(float(x), float(y), 0.0) for y in range(-4, 5) for x in range(-4, 5)])
-SCALE_POINTS = 1024
-# So many pieces of wall must say that the other scale is better, as an answer needs.
-BETTER_MIN = 6.0
 
 
 @dataclass(frozen=True)

@@ -35,6 +35,18 @@ POLISH_SCALES = (4.0, 2.0, 1.0)
 SYMMETRIC, DIAGONAL = np.array([0, 1, 2, 1, 3, 4, 2, 4, 5]), slice(0, 9, 4)
 # So many times as many wall cells to a cell of their surface, and the walls of a map are thicker.
 THICKER = 1.15
+# Turns from which a fit begins, the motion's own first; the width of a wall, cells, by which the
+# best is chosen.
+TURNS = np.radians([0.0, -0.6, 0.6, -1.2, 1.2])
+THIN_CELLS = 1.0
+# Steps by which a fit is sought among its neighbours, cells, and as many of each; turns move walls
+# of the common ground as far as shifts, those of less ground as if it reached so far, cells.
+CLIMB_STEPS, CLIMBS_MOST, REACH_CELLS_MIN = (0.5, 0.25, 0.125), 6, 8.0
+# Walls there must give so many times as much as where the fit ended: between cells it knows more.
+CLIMBED_GAIN = 1.1
+NEIGHBOURS = np.array([(x, y, turn) for turn in (0, -1, 1) for y in (0, -1, 1) for x in (0, -1, 1)])
+# A fit that turned so far, rad, may have farther to turn: so many times at most.
+TURNED_RAD, ROUNDS = math.radians(0.1), 4
 
 
 def _device_poses(
@@ -188,20 +200,6 @@ def _surface_distance(pair: Pair, motions: F64) -> F64:
     reached = 2.0 * near[:-1] >= near[-1]
     reached[-1] = True
     return np.asarray(np.array(SURFACE_RADII, dtype=np.float64)[reached.argmax(axis=0)])
-
-
-# Turns from which a fit begins, the motion's own first; the width of a wall, cells, by which the
-# best is chosen.
-TURNS = np.radians([0.0, -0.6, 0.6, -1.2, 1.2])
-THIN_CELLS = 1.0
-# Steps by which a fit is sought among its neighbours, cells, and as many of each; turns move walls
-# of the common ground as far as shifts, those of less ground as if it reached so far, cells.
-CLIMB_STEPS, CLIMBS_MOST, REACH_CELLS_MIN = (0.5, 0.25, 0.125), 6, 8.0
-# Walls there must give so many times as much as where the fit ended: between cells it knows more.
-CLIMBED_GAIN = 1.1
-NEIGHBOURS = np.array([(x, y, turn) for turn in (0, -1, 1) for y in (0, -1, 1) for x in (0, -1, 1)])
-# A fit that turned so far, rad, may have farther to turn: so many times at most.
-TURNED_RAD, ROUNDS = math.radians(0.1), 4
 
 
 def narrow_fits(pair: Pair, motions: F64) -> F64:

@@ -67,6 +67,9 @@ SAMPLED = 16
 YAW_RAD_MIN = math.radians(0.5)
 WINDOW_SLACK_CELLS = 2.0
 WINDOW_SLACK_RAD = math.radians(1.0)
+REACH_SHARE = 0.25
+POSES_BATCH = 4096
+POSES_MAX = 20_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -324,11 +327,6 @@ def inside(window: SearchWindow, motions: F64) -> F64:
         limit = window.shift_cells + WINDOW_SLACK_CELLS
         kept &= np.abs(motions[:, :2] - start[:2]).max(axis=1) <= limit
     return np.asarray(motions[kept])
-
-
-REACH_SHARE = 0.25
-POSES_BATCH = 4096
-POSES_MAX = 20_000_000
 
 
 def fixed_step_search(pair: Pair, step: int, window: SearchWindow) -> F64:

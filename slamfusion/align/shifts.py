@@ -43,6 +43,31 @@ RIM_PERCENTILE = 90.0
 # Memory that yaws take that are scored at once: of more, each batch would be given new pages, which
 # costs more than more launches do.
 BATCH_BYTES = 1 << 23
+# Cells on the longest side of the larger map of a pair, and on each side of its spectra, where a
+# turned map must fit: beyond half of them shifts of little common ground are taken for others.
+SPECTRUM_CELLS, SPECTRUM_SIZE = 64, 128
+# The widest coarse cell, metres: a third of a narrow corridor with its two walls. Where a map has
+# more of them than SPECTRUM_CELLS on a side its spectra are twice as large, or four or eight times.
+CELL_MAX_M, GROWTH_MAX = 0.75, 8
+# Steps of coarse levels grow by this factor, so that pairs of like sizes share them.
+STEP_GROWTH = 1.25
+SPECTRUM_TOP = 255
+# Directions of walls, degrees; a wall has none beyond 180. Histogram of one degree.
+DIRECTIONS = 180
+# Cells on the longest side of the picture whose gradients are the directions, its blur, and the
+# reach over which gradients of a wall are one direction, both cells.
+DIRECTION_CELLS, DIRECTION_BLUR, DIRECTION_REACH = 768, 2.0, 3.0
+SMOOTHING = np.array([1.0, 2.0, 3.0, 4.0, 3.0, 2.0, 1.0])
+# Peaks of parallel walls: at least so far apart, so high, and not more.
+PEAKS_APART, PEAK_SHARE, PEAKS_MAX = 12, 0.5, 3
+# Turned maps are kept at multiples of this from their main direction, degrees, where a map has
+# SPECTRUM_CELLS on a side; of more cells at finer ones, since the ends of a map move by as much.
+YAW_STEP_DEG = 2.0
+KEYS_PER_DEG = 4
+# Spectra that are kept, bytes: all of a hundred maps of SPECTRUM_CELLS; of larger the last ones.
+KEPT_BYTES = 2**28
+# Shifts this near to the best one, coarse cells, are the same place.
+SAME_PLACE_CELLS = 4
 
 
 @dataclass(frozen=True)
@@ -252,33 +277,6 @@ class _ShiftSurface:
         for at in (sin * x + cos * y - dy, cos * x - sin * y - dx):
             sides += [np.floor(at.min(axis=1)) - 1, np.ceil(at.max(axis=1)) + 1]
         return np.stack(sides, axis=1).astype(np.int32)
-
-
-# Cells on the longest side of the larger map of a pair, and on each side of its spectra, where a
-# turned map must fit: beyond half of them shifts of little common ground are taken for others.
-SPECTRUM_CELLS, SPECTRUM_SIZE = 64, 128
-# The widest coarse cell, metres: a third of a narrow corridor with its two walls. Where a map has
-# more of them than SPECTRUM_CELLS on a side its spectra are twice as large, or four or eight times.
-CELL_MAX_M, GROWTH_MAX = 0.75, 8
-# Steps of coarse levels grow by this factor, so that pairs of like sizes share them.
-STEP_GROWTH = 1.25
-SPECTRUM_TOP = 255
-# Directions of walls, degrees; a wall has none beyond 180. Histogram of one degree.
-DIRECTIONS = 180
-# Cells on the longest side of the picture whose gradients are the directions, its blur, and the
-# reach over which gradients of a wall are one direction, both cells.
-DIRECTION_CELLS, DIRECTION_BLUR, DIRECTION_REACH = 768, 2.0, 3.0
-SMOOTHING = np.array([1.0, 2.0, 3.0, 4.0, 3.0, 2.0, 1.0])
-# Peaks of parallel walls: at least so far apart, so high, and not more.
-PEAKS_APART, PEAK_SHARE, PEAKS_MAX = 12, 0.5, 3
-# Turned maps are kept at multiples of this from their main direction, degrees, where a map has
-# SPECTRUM_CELLS on a side; of more cells at finer ones, since the ends of a map move by as much.
-YAW_STEP_DEG = 2.0
-KEYS_PER_DEG = 4
-# Spectra that are kept, bytes: all of a hundred maps of SPECTRUM_CELLS; of larger the last ones.
-KEPT_BYTES = 2**28
-# Shifts this near to the best one, coarse cells, are the same place.
-SAME_PLACE_CELLS = 4
 
 
 def level_for(side: int, resolution: float) -> tuple[int, int]:

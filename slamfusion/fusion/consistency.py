@@ -27,6 +27,8 @@ CLOSURE_CELLS = 12.0
 CLOSURE_YAW_RAD = math.radians(3.0)
 # Statistic of a pair whose paths were held against each other and agree: their median gap, metres.
 PATH_GAP = "path_gap_m"
+# Ground that both maps know, as a share of the smaller one's: on less their walls need not meet.
+MUCH_GROUND = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +89,7 @@ def largest_group(
         best: MapGroup | None = None
         for members in itertools.combinations(names, size):
             inside = {key: pair for key, pair in edges.items() if key <= set(members)}
-            if not _is_connected(members, inside):
+            if len(_reached(members[0], members, inside)) < size:
                 continue
             if not _closes(members, inside, centres, resolution):
                 continue
@@ -99,20 +101,6 @@ def largest_group(
         if best is not None:
             return best
     return MapGroup(tuple(names[:1]), 0.0)
-
-
-def _is_connected(members: Sequence[str], edges: dict[frozenset[str], Alignment]) -> bool:
-    """Whether every member is reached from the first over accepted pairs."""
-    reached, fresh = {members[0]}, [members[0]]
-    while fresh:
-        here = fresh.pop()
-        for key in edges:
-            if here in key:
-                (other,) = key - {here}
-                if other not in reached:
-                    reached.add(other)
-                    fresh.append(other)
-    return len(reached) == len(members)
 
 
 def _closes(
@@ -174,9 +162,16 @@ def path_transform(
         for p in pairs
         if p.accepted and p.reference in members and p.moving in members
     }
+    return _reached(source, members, edges).get(target)
+
+
+def _reached(
+    source: str, members: Sequence[str], edges: Mapping[frozenset[str], Alignment]
+) -> dict[str, Pose2]:
+    """Return the transform to each member that accepted pairs reach, over the fewest of them."""
     found = {source: Pose2()}
     fresh = [source]
-    while fresh and target not in found:
+    while fresh:
         following = []
         for here in fresh:
             for name in members:
@@ -185,11 +180,7 @@ def path_transform(
                     found[name] = motion_from(pair, here).compose(found[here])
                     following.append(name)
         fresh = following
-    return found.get(target)
-
-
-# Ground that both maps know, as a share of the smaller one's: on less their walls need not meet.
-MUCH_GROUND = 0.3
+    return found
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,12 @@ from slamfusion.errors import GridError
 from slamfusion.grid import OccupancyGrid, row_parts
 from slamfusion.io.memory import return_freed_memory
 
+# How many times coarser or finer than the fused cells a map's may be. Walls are compared within
+# 0.15 m, which says nothing of cells of a metre; and cells of 1 mm make a hall too large.
+RATIO_MAX = 16.0
+# A cell size in centimetres or millimetres is at least so many times as large.
+UNITS_RATIO = 99.0
+
 
 class PreparedInputs:
     """Inputs at the common resolution; of large ones coarser copies are aligned.
@@ -130,13 +136,6 @@ def _is_same(a: OccupancyGrid, b: OccupancyGrid) -> bool:
     return is_alike and all(
         np.array_equal(a.cells[rows], b.cells[rows]) for rows in row_parts(a.cells.shape)
     )
-
-
-# How many times coarser or finer than the fused cells a map's may be. Walls are compared within
-# 0.15 m, which says nothing of cells of a metre; and cells of 1 mm make a hall too large.
-RATIO_MAX = 16.0
-# A cell size in centimetres or millimetres is at least so many times as large.
-UNITS_RATIO = 99.0
 
 
 def odd_resolutions(resolutions: Mapping[str, float]) -> dict[str, str]:

@@ -67,6 +67,12 @@ LOOPS, LINKS = 3, 4
 GROUND_POINTS = 24
 # Alignments in a triangle that may each be off by a share of what it may be.
 TRIANGLE = 3.0
+# Of alignments that loops speak against alike the weakest is false, and those up to so many times
+# as strong: of them none is known to be right.
+NEARLY_AS_STRONG = 2.0
+# What an alignment may be off in the middle between the two maps, metres and radians: maps are
+# bent by a few cells.
+SHIFT_SIGMA_M, YAW_SIGMA_RAD = 0.1, math.radians(0.4)
 
 
 @dataclass(frozen=True)
@@ -329,10 +335,6 @@ def _refused(pair: Alignment, words: str) -> DecisionKind:
 # The names of two maps.
 Key = frozenset[str]
 
-# Of alignments that loops speak against alike the weakest is false, and those up to so many times
-# as strong: of them none is known to be right.
-NEARLY_AS_STRONG = 2.0
-
 
 def key_of(pair: Alignment) -> Key:
     """Return the names of the two maps of a pair."""
@@ -508,11 +510,6 @@ def _ranked(a: str, reference: TurnedMap, b: str, moving: TurnedMap) -> Candidat
     shifts.forget(place)
     second = max(shifts.peak()[0], 1.0)
     return Candidate(a, b, top / second, (top - second) / math.sqrt(second))
-
-
-# What an alignment may be off in the middle between the two maps, metres and radians: maps are
-# bent by a few cells.
-SHIFT_SIGMA_M, YAW_SIGMA_RAD = 0.1, math.radians(0.4)
 
 
 def solve_poses(
