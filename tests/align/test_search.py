@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,7 +15,6 @@ from slamfusion.align.search import (
     SAMPLED,
     SETTLED,
     coarse_search,
-    coarse_step,
     greatest_rows,
     score_motions,
     search,
@@ -25,7 +23,6 @@ from slamfusion.align.shifts import (
     COARSE_SIGMA,
     SearchWindow,
     score_shifts,
-    shift_work,
 )
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import AlignConfig
@@ -190,26 +187,6 @@ def test_what_a_quick_search_misses_a_thorough_one_finds(device: ComputeDevice) 
     found = align_pair(Pair(*pair), config)
     assert found.accepted, found.reason
     assert_right(found, moving, pose)
-
-
-def test_a_level_that_takes_too_long_is_not_searched(
-    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """On a map of noise walls are everywhere, on each level."""
-    noise = np.where(np.random.default_rng(1).random((200, 200)) < 0.4, 100, 0).astype(np.int8)
-    grid = features_of(OccupancyGrid(noise, 0.1), device)
-    finest, coarsest = (math.ceil(200 / cells) for cells in (4 * 20, 20))
-    assert coarse_step(Pair(grid, grid), 20, OPEN) == finest
-    monkeypatch.setattr(
-        "slamfusion.align.search.LEVEL_WORK_MAX", shift_work(Pair(grid, grid), 5, OPEN)
-    )
-    step = coarse_step(Pair(grid, grid), 20, OPEN)
-    assert finest < step < coarsest
-    assert shift_work(Pair(grid, grid), step, OPEN) <= shift_work(Pair(grid, grid), 5, OPEN)
-    coarse = coarse_search(Pair(grid, grid), replace(CONFIG, coarse_cells=20), OPEN)
-    assert (coarse.step, coarse.is_cut) == (step, True)
-    plain = features_of(building(1), device)
-    assert not coarse_search(Pair(plain, plain), CONFIG, OPEN).is_cut
 
 
 @pytest.mark.parametrize("most", [1, 40, 700])

@@ -160,12 +160,6 @@ def test_a_group_falls_apart_over_a_rejected_pair_that_does_not_stand() -> None:
     assert group(answer=False) == "bcd"
 
 
-def test_without_accepted_pairs_the_first_input_stands_alone() -> None:
-    group = largest_group(list("abc"), [pair("b", "a", accepted=False)], CENTRES, SIZE)
-    assert group.members == ("a",)
-    assert group.score == 0.0
-
-
 def test_a_path_follows_the_fewest_pairs() -> None:
     pairs = [pair("b", "a"), pair("c", "b"), pair("c", "a", error=Pose2(0.1, 0.0))]
     direct = path_transform("c", "a", "abc", pairs)
@@ -183,9 +177,6 @@ def test_a_path_takes_accepted_pairs_of_the_group_only() -> None:
     assert path_transform("a", "a", "a", []) == Pose2()
 
 
-# -- both sides of each limit ----------------------------------------------------------------------
-
-
 def around(error: Pose2, resolution: float) -> str:
     """Return who stays of three maps in one frame, one pair of which is off by ``error``."""
     still = Pose2()
@@ -201,17 +192,6 @@ def around(error: Pose2, resolution: float) -> str:
     return "".join(largest_group(list("abc"), pairs, centres, resolution).members)
 
 
-@given(
-    error=st.tuples(*[st.floats(-1.0, 1.0)] * 2, st.floats(-0.1, 0.1)),
-    scale=st.tuples(st.floats(0.0, 3.0), st.floats(0.0, 3.0)),
-)
-def test_a_larger_error_never_closes_what_a_smaller_one_leaves_open(
-    error: tuple[float, float, float], scale: tuple[float, float]
-) -> None:
-    small, large = (around(Pose2(*(size * part for part in error)), 0.05) for size in sorted(scale))
-    assert len(large) <= len(small)
-
-
 @example(scores=[0.0, 1e-5, 0.5, 0.5, 1e-5, 0.25], chosen=["a", "b", "c", "d"])
 @given(scores=st.lists(st.floats(0.0, 1.0), min_size=6, max_size=6), chosen=st.permutations("abcd"))
 def test_a_group_does_not_depend_on_the_order_of_the_pairs(
@@ -223,6 +203,3 @@ def test_a_group_does_not_depend_on_the_order_of_the_pairs(
         for (a, b), score in zip(itertools.combinations("abcd", 2), scores, strict=True)
     ]
     assert members("abcd", pairs) == members("abcd", pairs[::-1])
-
-
-# -- more inputs than can be tried exhaustively ----------------------------------------------------
