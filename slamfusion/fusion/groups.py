@@ -104,8 +104,7 @@ def align_group(
 ) -> AlignedGroup:
     """Align pairs, find the groups that fit together, and choose their frames.
 
-    Every pair of few inputs is aligned. Of many, or where nothing else is known of pairs, those
-    that are promising: see ``many``.
+    Every pair of up to six inputs is aligned; of more inputs the promising pairs: see ``many``.
 
     Args:
         features: the inputs that can be aligned, by name, all at one resolution.
