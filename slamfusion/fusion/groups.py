@@ -401,9 +401,11 @@ def _to_reference(
             out[name] = _own(features[name])
         elif poses is not None:
             transform = poses[reference].inverse().compose(poses[name])
-            own = pair or other
+            own = _borne_out(name, pair or other, group, pairs)
             if own is not None:
-                out[name] = replace(_from_the_side_of(name, own), transform=transform)
+                partner = own.reference
+                reason = own.reason if partner == reference else f"to {partner}: {own.reason}"
+                out[name] = replace(own, reference=reference, reason=reason, transform=transform)
                 continue
             found = placed(Pair(features[reference], features[name]), transform)
             was_rejected = frozenset((reference, name)) in tried
@@ -413,6 +415,29 @@ def _to_reference(
         else:
             out[name] = _over_others(name, reference, group, features, pairs, other)
     return out
+
+
+def _borne_out(
+    name: str, own: Alignment | None, group: MapGroup, pairs: Sequence[Alignment]
+) -> Alignment | None:
+    """Return the alignment that says how well a member fits; None without one to the reference.
+
+    That is its own to the reference, unless another member bears it out more strongly: the
+    reference may be bent.
+    """
+    if own is None:
+        return None
+    members = set(group.members)
+    partners = [
+        pair for pair in pairs if pair.accepted and name in {pair.reference, pair.moving} <= members
+    ]
+    best = max(partners, key=lambda pair: (_rank(pair), pair.score))
+    return _from_the_side_of(name, best if _rank(best) > _rank(own) else own)
+
+
+def _rank(pair: Alignment) -> int:
+    """Return how good an accepted alignment is, as a number."""
+    return (None, "weak", "fair", "strong").index(pair.strength)
 
 
 def _over_others(

@@ -145,6 +145,25 @@ def test_the_result_is_complete(device: ComputeDevice) -> None:
     assert [step[1:] for step in steps] == [(0, 3), (1, 3), (2, 3), (3, 3)]
 
 
+def test_good_maps_are_borne_out_by_each_other_where_the_reference_is_bent(
+    device: ComputeDevice,
+) -> None:
+    bent, *good = (
+        degraded(place(), seed, name, yaw_rad=yaw, bend_cells=bend)[0]
+        for seed, (name, yaw, bend) in enumerate(
+            [("bent", 0.0, 4.0), ("a", -1.1, 0.3), ("b", 0.4, 0.3)]
+        )
+    )
+    result = fuse_grids([bent, *good], QUICK, device)
+    assert result.reference == "bent"
+    direct = [pair for pair in result.pairs if "bent" in {pair.reference, pair.moving}]
+    assert {pair.strength for pair in direct} <= {"weak", "fair"}
+    for record, other in zip(result.inputs[1:], "ba", strict=True):
+        assert record.alignment is not None
+        assert record.alignment.strength == "strong"
+        assert record.alignment.reason.startswith(f"to {other}: walls match (strong)")
+
+
 def test_an_unrelated_map_is_named_and_the_others_fused(device: ComputeDevice) -> None:
     grids, _ = three()
     result = fuse_grids([grids[0], stranger(), grids[1]], QUICK, device)
