@@ -50,7 +50,6 @@ if TYPE_CHECKING:
         write_comparison_plot,
     )
     from slamfusion.jobs.evaluate import (
-        Evaluation,
         evaluate_maps,
         measure_distances,
         write_evaluation,
@@ -59,7 +58,7 @@ if TYPE_CHECKING:
     from slamfusion.jobs.graph import OptimizedGraph, optimize_graph, save_optimized_graph
     from slamfusion.jobs.judge import JudgedPaths, judge_paths, write_judgement
     from slamfusion.jobs.map_log import MappedLog, map_log, save_mapped_log
-    from slamfusion.jobs.records import load_schema
+    from slamfusion.jobs.records import Evaluation, load_schema
     from slamfusion.jobs.results import SavedResults, read_results, write_results_file
     from slamfusion.jobs.run import LogRun, run_log
     from slamfusion.jobs.run_files import SavedRun, save_run
@@ -182,12 +181,12 @@ _MODULES: dict[str, tuple[str, ...]] = {
     "jobs.align": ("align_maps",),
     "jobs.cases": ("CaseFile", "place_files"),
     "jobs.compare": ("ComparedResults", "compare_results", "write_comparison_plot"),
-    "jobs.evaluate": ("Evaluation", "evaluate_maps", "measure_distances", "write_evaluation"),
+    "jobs.evaluate": ("evaluate_maps", "measure_distances", "write_evaluation"),
     "jobs.fuse": ("FusedMaps", "fuse_maps", "save_fused_maps"),
     "jobs.graph": ("OptimizedGraph", "optimize_graph", "save_optimized_graph"),
     "jobs.judge": ("JudgedPaths", "judge_paths", "write_judgement"),
     "jobs.map_log": ("MappedLog", "map_log", "save_mapped_log"),
-    "jobs.records": ("load_schema",),
+    "jobs.records": ("Evaluation", "load_schema"),
     "jobs.results": ("SavedResults", "read_results", "write_results_file"),
     "jobs.run": ("LogRun", "run_log"),
     "jobs.run_files": ("SavedRun", "save_run"),

@@ -1,17 +1,33 @@
-"""``plain``: nested values as JSON has them."""
+"""Records, and nested values of them, as JSON has them."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 
+def record_keys(record: Any) -> dict[str, Any]:
+    """Return the keys of a record with their values.
+
+    A record is a dataclass. Its fields are the keys, except those with ``repr=False``: arrays that
+    pictures are drawn from, and other values that are not printed. A record with other keys has a
+    method ``to_json`` that returns them.
+    """
+    if hasattr(record, "to_json"):
+        keys: dict[str, Any] = record.to_json()
+        return keys
+    return {field.name: getattr(record, field.name) for field in fields(record) if field.repr}
+
+
 def plain(value: Any) -> Any:
-    """Return nested values as JSON has them: no NumPy, no paths, no NaN, no infinity."""
+    """Return records and nested values as JSON has them: no NumPy, paths, NaN or infinity."""
+    if is_dataclass(value):
+        value = record_keys(value)
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple, np.ndarray)):

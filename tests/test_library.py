@@ -74,8 +74,8 @@ def test_saved_maps_are_fused() -> None:
     fused = fuse_maps(sorted(SAMPLE.glob("map_*.yaml")), truth=SAMPLE / "truth.yaml")
     assert [record.name for record in fused.result.accepted] == ["map_a", "map_b", "map_c"]
     *inputs, last = fused.evaluations
-    assert last.error.name == "fused"
-    assert last.error.error <= 1.1 * min(item.error.error for item in inputs)
+    assert last.name == "fused"
+    assert last.error <= 1.1 * min(item.error for item in inputs)
     assert fused.grid.resolution == load_map(SAMPLE / "truth.yaml").resolution
 
 

@@ -18,35 +18,40 @@ __all__ = [
     "Alignment",
     "AlignmentJson",
     "Bent",
-    "BentJson",
     "Fusion",
     "FusionResult",
     "InputRecord",
     "MatchEvidence",
-    "MatchEvidenceJson",
-    "PathGapJson",
     "RunnerUp",
-    "RunnerUpJson",
     "StoredFusion",
 ]
 
 
-class RunnerUpJson(TypedDict):
+@dataclass(frozen=True)
+class RunnerUp:
     """The best distinct peak of a search beside its answer."""
 
-    dx_m: float
+    dx_m: float = field(init=False)
     """Pose of the moving map's frame in the reference's: x, metres."""
-    dy_m: float
+    dy_m: float = field(init=False)
     """Its y, metres."""
-    yaw_rad: float
+    yaw_rad: float = field(init=False)
     """Its heading, radians."""
+    transform: Pose2 = field(repr=False)
+    """The same pose."""
     score: float
     """On the scale of the alignment's score."""
     ratio: float
     """Score over the answer's; near 1 the place looks alike under both."""
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "dx_m", self.transform.x)
+        object.__setattr__(self, "dy_m", self.transform.y)
+        object.__setattr__(self, "yaw_rad", self.transform.yaw_rad)
 
-class MatchEvidenceJson(TypedDict):
+
+@dataclass(frozen=True)
+class MatchEvidence:
     """How much speaks for an alignment, counted in independent pieces of wall."""
 
     pieces: float
@@ -65,17 +70,17 @@ class MatchEvidenceJson(TypedDict):
     """The evidence for the mirror image over that for the answer; null: not looked for."""
     scale: float | None
     """The moving map's metre in the reference's; null: not estimated."""
-    scaled_share: float | None
+    scaled_share: float | None = None
     """The share at that scale; null: not estimated."""
-    rival_share: float
+    rival_share: float = 0.0
     """The highest share of another answer that gives at least 0.7 of its evidence."""
-    held_m: float | None
+    held_m: float | None = None
     """Wall that holds it in the direction in which the least does, metres; null: not asked."""
-    beside_lines_m: float | None
+    beside_lines_m: float | None = None
     """Common wall beside the two straight lines with most of it, metres; null: not asked."""
-    good_maps: bool
+    good_maps: bool = False
     """Whether answers are compared as of two good maps: what is unexplained speaks against them."""
-    sharp_maps: bool
+    sharp_maps: bool = False
     """Whether walls meet so well, or not at all, that neither map can be bent."""
 
 
@@ -102,125 +107,19 @@ class AlignmentJson(TypedDict):
     """Cells known in both over known cells of the smaller map, 0 to 1."""
     error: float
     """[F16] map error over the reference's known box; smaller is better."""
-    runner_up: RunnerUpJson | None
+    runner_up: RunnerUp | None
     """The best distinct peak beside the answer; null when there is none."""
     time_s: float
     """Wall time, seconds."""
     statistics: Mapping[str, float | None]
     """Further numbers of the answer, by name."""
-    match_evidence: MatchEvidenceJson | None
+    match_evidence: MatchEvidence | None
     """How much speaks for it; null where nothing could be searched."""
     match_decision: DecisionKind
     """What was decided: accepted, or why not, in one of a few words."""
     strength: Strength | None
     """How good an accepted match is: by the share of the common walls that it explains, strong from
     0.85 on, fair from 0.7 on, else weak; null: not accepted, or nothing was searched."""
-
-
-class BentJson(TypedDict):
-    """A map whose walls do not agree with those of the others."""
-
-    share: float
-    """Share of its walls that agree, 0 to 1."""
-    x: float
-    """Where it agrees least, in the frame of the fused map, metres."""
-    y: float
-    """Its y, metres."""
-
-
-class PathGapJson(TypedDict):
-    """How far two paths of one drive lie apart in the fused frame, also while one has no vote."""
-
-    a: str
-    """One producer."""
-    b: str
-    """The other producer."""
-    median_m: float
-    """Half of the time the paths are nearer than this, metres."""
-    max_m: float
-    """Where they are farthest apart, metres."""
-    start_m: float
-    """How far apart they begin, metres."""
-    median_yaw_rad: float
-    """Median of the differences of the headings, 0 to pi, radians."""
-    voting_median_m: float | None
-    """``median_m`` over the times in which both have a vote; null where there are none."""
-    voting_max_m: float | None
-    """``max_m`` over the times in which both have a vote; null where there are none."""
-
-
-@dataclass(frozen=True)
-class RunnerUp:
-    """The best distinct peak of the search beside the answer.
-
-    Attributes:
-        transform: pose of the moving map frame in the reference map frame, metres.
-        score: on the scale of ``Alignment.score``.
-        ratio: score over the answer's score; near 1 means the place looks alike under both.
-    """
-
-    transform: Pose2
-    score: float
-    ratio: float
-
-
-@dataclass(frozen=True)
-class MatchEvidence:
-    """How much speaks for an alignment, counted in independent pieces of wall.
-
-    Attributes:
-        pieces: pieces of equal weight that speak for it.
-        better: pieces of equal weight that say that it is better than the best answer elsewhere.
-        share: evidence as a share of what the common ground could give.
-        common_m: metres of wall that lie where the other map has seen something.
-        rival_ratio: the evidence for the best answer elsewhere over that for this one.
-        expected_wrong: wrong answers of the whole job that would look as good.
-        mirrored: the evidence for the mirror image over that for the answer; None: not looked for.
-        scale: the moving map's metre in the reference's; None: not estimated.
-        scaled_share: ``share`` at that scale; None: not estimated.
-        rival_share: the highest share of another answer that gives at least 0.7 of its evidence.
-        held_m: metres of wall that hold it in the direction in which the fewest do; None: not
-            asked, since it is not believed anyway.
-        beside_lines_m: metres of common wall beside the two straight lines on which most of it
-            lies; None: not asked.
-        good_maps: whether answers are compared as of two good maps of one place, so that what one
-            leaves unexplained speaks against it; otherwise as of maps that may be bent.
-        sharp_maps: whether walls meet so well, or not at all, that neither map can be bent.
-    """
-
-    pieces: float
-    better: float
-    share: float
-    common_m: float
-    rival_ratio: float
-    expected_wrong: float
-    mirrored: float | None
-    scale: float | None
-    scaled_share: float | None = None
-    rival_share: float = 0.0
-    held_m: float | None = None
-    beside_lines_m: float | None = None
-    good_maps: bool = False
-    sharp_maps: bool = False
-
-    def to_json(self) -> MatchEvidenceJson:
-        """Return the keys that other programs rely on."""
-        return {
-            "pieces": self.pieces,
-            "better": self.better,
-            "share": self.share,
-            "common_m": self.common_m,
-            "rival_ratio": self.rival_ratio,
-            "expected_wrong": self.expected_wrong,
-            "mirrored": self.mirrored,
-            "scale": self.scale,
-            "scaled_share": self.scaled_share,
-            "rival_share": self.rival_share,
-            "held_m": self.held_m,
-            "beside_lines_m": self.beside_lines_m,
-            "good_maps": self.good_maps,
-            "sharp_maps": self.sharp_maps,
-        }
 
 
 @dataclass(frozen=True)
@@ -268,15 +167,6 @@ class Alignment:
 
     def to_json(self) -> AlignmentJson:
         """Return the keys that other programs rely on."""
-        runner_up: RunnerUpJson | None = None
-        if self.runner_up is not None:
-            runner_up = {
-                "dx_m": self.runner_up.transform.x,
-                "dy_m": self.runner_up.transform.y,
-                "yaw_rad": self.runner_up.transform.yaw_rad,
-                "score": self.runner_up.score,
-                "ratio": self.runner_up.ratio,
-            }
         return {
             "name": self.moving,
             "reference": self.reference,
@@ -288,10 +178,10 @@ class Alignment:
             "score": self.score,
             "overlap": self.overlap,
             "error": self.error,
-            "runner_up": runner_up,
+            "runner_up": self.runner_up,
             "time_s": self.time_s,
             "statistics": self.statistics,
-            "match_evidence": None if self.evidence is None else self.evidence.to_json(),
+            "match_evidence": self.evidence,
             "match_decision": self.decision,
             "strength": self.strength,
         }
@@ -299,25 +189,19 @@ class Alignment:
 
 @dataclass(frozen=True)
 class Bent:
-    """A map whose walls do not agree with those of the others.
-
-    Attributes:
-        share: of its walls that agree, 0 to 1.
-        x, y: where it agrees least, metres in the frame of the fused map.
-    """
+    """A map whose walls do not agree with those of the others."""
 
     share: float
+    """Share of its walls that agree, 0 to 1."""
     x: float
+    """Where it agrees least, in the frame of the fused map, metres."""
     y: float
+    """Its y, metres."""
 
     @property
     def place(self) -> str:
         """Where it agrees least, in words."""
         return f"x {self.x:.1f}, y {self.y:.1f} m"
-
-    def to_json(self) -> BentJson:
-        """Return the keys that other programs rely on."""
-        return {"share": self.share, "x": self.x, "y": self.y}
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from slamfusion.cli.options import common_options
 from slamfusion.cli.output import print_json, print_table
 
 if TYPE_CHECKING:
-    from slamfusion.compute.records import DeviceJson
+    from slamfusion.compute.records import DeviceInfo
 
 NUMPY_NOTE = "numpy: always there (--device numpy), without OpenCL and slower"
 
@@ -33,17 +33,17 @@ def command(as_json: bool) -> int:
     return 0
 
 
-def print_devices(devices: Sequence[DeviceJson]) -> None:
+def print_devices(devices: Sequence[DeviceInfo]) -> None:
     """Print the table of devices."""
     rows = [
         [
-            str(device["index"]),
-            device["name"],
-            device["platform"],
-            device["type"],
-            str(device["compute_units"]),
-            f"{device['memory_mb']:.0f}",
-            "yes" if device["usable"] else "NO",
+            str(device.index),
+            device.name,
+            device.platform,
+            device.type,
+            str(device.compute_units),
+            f"{device.memory_mb:.0f}",
+            "yes" if device.usable else "NO",
         ]
         for device in devices
     ]
@@ -56,4 +56,4 @@ def print_devices(devices: Sequence[DeviceJson]) -> None:
         "memory MB",
         "usable ",
     )
-    print_table(columns, rows, notes=[device["note"] for device in devices])
+    print_table(columns, rows, notes=[device.note for device in devices])

@@ -39,7 +39,7 @@ def _print(document: DoctorDocument) -> None:
     print_table(("package ", "version "), rows)
     print_devices(document["devices"])
     if document["pocl"] is not None:
-        print(f"PoCL: {document['pocl']['detail']}")
+        print(f"PoCL: {document['pocl'].detail}")
     tests = document["self_test"]
     failed = [test for test in tests if not test["passed"]]
     if failed:

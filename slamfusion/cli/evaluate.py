@@ -38,8 +38,7 @@ from slamfusion.jobs.inputs import device_for, distinct_names, load_maps, map_fi
 if TYPE_CHECKING:
     from slamfusion.evaluation import DistanceComparison
     from slamfusion.grid import OccupancyGrid
-    from slamfusion.jobs.evaluate import Evaluation
-    from slamfusion.jobs.records import CasesEvaluationDocument, EvaluateDocument
+    from slamfusion.jobs.records import CasesEvaluationDocument, EvaluateDocument, Evaluation
 
 
 @dataclass(frozen=True)
@@ -159,8 +158,8 @@ def _evaluate(request: _Request, config: RunConfig) -> int:
         distances = measure_distances(grids, request.distances_path, config)
     _write_cases(request, placed, evaluations, config, device or "")
     for evaluation in evaluations:
-        if evaluation.alignment is not None and not evaluation.is_aligned:
-            notice(f"not aligned: {evaluation.error.name}: {evaluation.alignment.reason}")
+        if evaluation.alignment is not None and not evaluation.aligned:
+            notice(f"not aligned: {evaluation.name}: {evaluation.alignment.reason}")
     rows = evaluation_rows(placed, evaluations)
     document: EvaluateDocument | CasesEvaluationDocument
     if len(cases) > 1:
@@ -277,8 +276,8 @@ def _compare(request: _Request, config: RunConfig) -> int:
             item["name"],
             number(None if item["agreement"] is None else 100.0 * item["agreement"], 1),
             "-" if item["agreement"] is None else "no" if item["bent"] is None else "BENT",
-            number(None if item["bent"] is None else item["bent"]["x"], 1),
-            number(None if item["bent"] is None else item["bent"]["y"], 1),
+            number(None if item["bent"] is None else item["bent"].x, 1),
+            number(None if item["bent"] is None else item["bent"].y, 1),
         ]
         for item in items
     ]
@@ -307,22 +306,21 @@ def print_evaluations(evaluations: Sequence[Evaluation]) -> None:
     """Print one row of measures for each map."""
     rows = []
     for evaluation in evaluations:
-        error = evaluation.error
-        outward, back = error.map_to_truth, error.truth_to_map
+        outward, back = evaluation.map_to_truth_m, evaluation.truth_to_map_m
         rows.append(
             [
-                error.name,
-                "yes" if evaluation.is_aligned else "NO",
-                number(error.error, 2),
-                number(error.wall_precision),
-                number(error.wall_recall),
-                number(error.wall_f1),
-                number(error.iou_occupied),
-                number(error.iou_free),
-                number(None if outward is None else outward.mean_m),
-                number(None if back is None else back.mean_m),
-                number(error.ssim),
-                number(error.coverage),
+                evaluation.name,
+                "yes" if evaluation.aligned else "NO",
+                number(evaluation.error, 2),
+                number(evaluation.wall_precision),
+                number(evaluation.wall_recall),
+                number(evaluation.wall_f1),
+                number(evaluation.iou_occupied),
+                number(evaluation.iou_free),
+                number(None if outward is None else outward.mean),
+                number(None if back is None else back.mean),
+                number(evaluation.ssim),
+                number(evaluation.coverage),
             ]
         )
     columns = (
@@ -339,8 +337,8 @@ def print_evaluations(evaluations: Sequence[Evaluation]) -> None:
         "SSIM",
         "coverage",
     )
-    tolerance = evaluations[0].error.tolerance_m
-    title = f"Error against {evaluations[0].error.truth} (walls within {tolerance:g} m)"
+    tolerance = evaluations[0].tolerance_m
+    title = f"Error against {evaluations[0].truth} (walls within {tolerance:g} m)"
     print_table(columns, rows, title=title)
     _print_faces(evaluations)
 
@@ -349,24 +347,20 @@ def _print_faces(evaluations: Sequence[Evaluation]) -> None:
     """Print the measures that reward no thickness, one row for each map."""
     rows = []
     for evaluation in evaluations:
-        error, faces, thickness = (
-            evaluation.error,
-            evaluation.error.faces,
-            evaluation.error.wall_thickness,
-        )
-        outward, back = faces.map_to_truth, faces.truth_to_map
+        faces, thickness = evaluation.faces, evaluation.wall_thickness_m
+        outward, back = faces.map_to_truth_m, faces.truth_to_map_m
         rows.append(
             [
-                error.name,
+                evaluation.name,
                 *(number(agreement.f1) for agreement in faces.agreements),
-                number(None if outward is None else outward.mean_m),
-                number(None if back is None else back.mean_m),
-                number(None if thickness is None else thickness.mean_m),
-                number(error.doubled_wall_share),
-                number(error.outside_m2, 1),
+                number(None if outward is None else outward.mean),
+                number(None if back is None else back.mean),
+                number(None if thickness is None else thickness.mean),
+                number(evaluation.doubled_wall_share),
+                number(evaluation.outside_m2, 1),
             ]
         )
-    tolerances = [item.tolerance_m for item in evaluations[0].error.faces.agreements]
+    tolerances = [item.tolerance_m for item in evaluations[0].faces.agreements]
     columns = (
         "map ",
         *(f"faces F1 {tolerance_m:g} m" for tolerance_m in tolerances),
@@ -384,8 +378,8 @@ def _print_distances(comparison: DistanceComparison) -> None:
     """Print each measured distance beside the map's."""
     rows = [
         [
-            row.measured.name,
-            number(row.measured.distance_m),
+            row.name,
+            number(row.distance_m),
             number(row.map_m),
             number(row.error_m),
             number(row.error_percent, 1),

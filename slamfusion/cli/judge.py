@@ -243,13 +243,13 @@ def _has_fused(answer: Recommendation) -> bool:
 
 def _path_row(answer: Recommendation, path: RankedPath) -> list[str]:
     """Return the figures of a path."""
-    behind = path.behind
+    interval = path.behind_95
     apart = [span for span in path.spans if not span.agrees]
     row = [
         path.name,
         number(path.consistency, 4),
-        number(None if behind is None else behind.difference, 4),
-        "-" if behind is None else f"{behind.low:.4f} to {behind.high:.4f}",
+        number(None if interval is None else path.behind, 4),
+        "-" if interval is None else f"{interval[0]:.4f} to {interval[1]:.4f}",
         number(sum(span.to_s - span.from_s for span in apart), 0),
         number(max((span.gap_m for span in apart), default=None), 2),
     ]

@@ -12,7 +12,7 @@ from slamfusion.cli.output import notice, print_json, print_table, progress_bar
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.jobs.documents import number
-from slamfusion.jobs.outputs import FUSED, PAGE, REPORT
+from slamfusion.jobs.outputs import PAGE
 
 if TYPE_CHECKING:
     from slamfusion.jobs.run_many import RunOfLog
@@ -90,10 +90,10 @@ def _print(runs: Sequence[RunOfLog]) -> None:
         [
             [
                 run.log.name,
-                str(run.fused) if run.fused else "-",
+                str(run.fused_count) if run.fused_count else "-",
                 (run.recommendation and run.recommendation.use) or "-",
                 number(run.time_s, 1),
-                f"{run.folder / FUSED}.yaml" if run.folder and run.error is None else "-",
+                str(run.fused or "-"),
             ]
             for run in runs
         ],
@@ -101,5 +101,5 @@ def _print(runs: Sequence[RunOfLog]) -> None:
         title=f"{len(runs)} logs",
     )
     for run in runs:
-        if run.folder is not None:
-            print(f"report:    {run.folder / REPORT / PAGE}")
+        if run.report is not None:
+            print(f"report:    {run.report / PAGE}")

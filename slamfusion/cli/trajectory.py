@@ -228,10 +228,10 @@ def print_measures(estimate: Trajectory, measures: Measures) -> None:
         )
     if measures.truth is not None:
         found = measures.truth
-        aligned = "aligned" if found.config.alignment == "se2" else "not aligned"
+        aligned = "aligned" if found.alignment.kind == "se2" else "not aligned"
         notes.append(
-            f"{found.poses_matched} of {found.poses_total} poses met one of {found.truth} within "
-            f"{found.config.tolerance_s:g} s, {aligned}; "
+            f"{found.poses_matched} of {found.poses} poses met one of {found.truth} within "
+            f"{found.tolerance_s:g} s, {aligned}; "
             f"{len(found.relative_translation_m)} pairs"
         )
     title = f"{estimate.name}: {len(estimate)} poses, {estimate.path_length_m():.1f} m"
@@ -265,7 +265,7 @@ def _kinds(measures: Measures, which: str) -> list[tuple[str, ErrorStatistics | 
             ]
     if measures.truth is not None:
         found = measures.truth
-        pair = f"{found.config.rpe_delta:g} {found.config.rpe_unit}"
+        pair = f"{found.rpe_delta:g} {found.rpe_unit}"
         kinds += [
             (f"ATE, translation m{which}", found.ate, 4),
             (f"ATE, rotation deg{which}", found.ate_rotation_deg, 3),
@@ -294,8 +294,8 @@ def _how(dense: DensePoses | None, tolerance_s: float) -> str:
     """Say how a pose was found for a relation's time."""
     if dense is None:
         return f"poses within {tolerance_s:g} s of both times"
-    without = dense.poses_total - dense.poses_used
+    total = dense.poses_used + dense.poses_without_row
     return (
-        f"poses carried on by {len(dense.trajectory)} rows of odometry; rows of the poses found "
-        f"by {dense.by}, {without} of {dense.poses_total} poses without one"
+        f"poses carried on by {dense.rows} rows of odometry; rows of the poses found "
+        f"by {dense.rows_found_by}, {dense.poses_without_row} of {total} poses without one"
     )

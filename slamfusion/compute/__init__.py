@@ -18,8 +18,7 @@ from slamfusion.compute.pocl_cache import find_cache
 from slamfusion.errors import DeviceError
 
 if TYPE_CHECKING:
-    from slamfusion.compute.device import DeviceInfo
-    from slamfusion.compute.pocl import PoclState
+    from slamfusion.compute.records import DeviceInfo, PoclState
 
 _LOG = logging.getLogger(__name__)
 

@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
 from typing import Any
 
 import pyopencl as cl  # noqa: TID251 - compute/ is where pyopencl belongs
 
 from slamfusion.compute.intel import intel_shown, is_intel_extra
 from slamfusion.compute.pocl import (
-    PoclState,
     is_refused,
     is_single_thread,
     name_processor,
     offer_single_thread,
 )
 from slamfusion.compute.pocl_cache import PLATFORM, find_cache
-from slamfusion.compute.records import DeviceJson
+from slamfusion.compute.records import DeviceInfo, PoclState
 from slamfusion.errors import DeviceError
 
 SIMULATOR = "oclgrind"
@@ -25,35 +23,6 @@ NO_DEVICE = (
     "no OpenCL device found; install one (x86-64 CPU: `pip install pocl-binary-distribution`, "
     "any CPU on Debian or Ubuntu: `apt install pocl-opencl-icd`) or run with `--device numpy`"
 )
-
-
-@dataclass(frozen=True)
-class DeviceInfo:
-    """One OpenCL device, in words."""
-
-    index: int
-    name: str
-    platform: str
-    type: str
-    version: str
-    compute_units: int
-    memory_mb: int
-    usable: bool
-    note: str
-
-    def to_json(self) -> DeviceJson:
-        """Return the description for a JSON document."""
-        return {
-            "index": self.index,
-            "name": self.name,
-            "platform": self.platform,
-            "type": self.type,
-            "version": self.version,
-            "compute_units": self.compute_units,
-            "memory_mb": self.memory_mb,
-            "usable": self.usable,
-            "note": self.note,
-        }
 
 
 def find_devices() -> list[Any]:

@@ -30,9 +30,11 @@ import sys
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import pyopencl as cl  # noqa: TID251 - compute/ is where pyopencl belongs
+
+from slamfusion.compute.records import PoclState
 
 LOG = logging.getLogger(__name__)
 # The environment variable that switches the replacement off, or agrees to it.
@@ -79,22 +81,6 @@ CHECKED = (
         function=bytes.fromhex("55534883ec08e8058ab0034885d274304889c54889d3488d7a01e841b1ecff48"),
     ),
 )
-
-
-@dataclass(frozen=True)
-class PoclState:
-    """What became of the wheel's PoCL in this process.
-
-    Attributes:
-        state: ``absent``; ``known``, it knows the processor and is as it came; ``patched``;
-            ``refused``, it does not know the processor and was left as it is.
-        detail: one line for people, with what to do where something is to be done.
-        library: the file; None where absent.
-    """
-
-    state: Literal["absent", "known", "patched", "refused"]
-    detail: str
-    library: Path | None = None
 
 
 class _RefusedError(Exception):

@@ -1,14 +1,14 @@
-"""What a JSON document says of a device: a typed record.
-
-The text below a key is its meaning and unit; the published JSON Schema carries it.
-"""
+"""Records of devices. The text below a field is its meaning; the JSON Schema carries it."""
 
 from __future__ import annotations
 
-from typing import Literal, TypedDict
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
 
 
-class DeviceJson(TypedDict):
+@dataclass(frozen=True)
+class DeviceInfo:
     """An OpenCL device."""
 
     index: int
@@ -31,10 +31,13 @@ class DeviceJson(TypedDict):
     """Why it cannot, or when it is chosen; may be empty."""
 
 
-class PoclJson(TypedDict):
+@dataclass(frozen=True)
+class PoclState:
     """What became of the PoCL that came with the package."""
 
     state: Literal["absent", "known", "patched", "refused"]
     """Not installed; knows the processor; was made to know it; was left and is not used."""
     detail: str
     """One line for people, with what to do where something is to be done."""
+    library: Path | None = field(default=None, repr=False)
+    """The file; None where absent."""

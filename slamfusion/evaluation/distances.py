@@ -20,7 +20,6 @@ import scipy
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import MapFileError, shown
 from slamfusion.evaluation.cells import wall_centres
-from slamfusion.evaluation.records import DistanceComparisonJson, DistanceRowJson
 from slamfusion.grid import OccupancyGrid, trinary_cells
 from slamfusion.io.regular import read_small
 from slamfusion.io.yaml_file import read_yaml
@@ -48,76 +47,40 @@ class MeasuredDistance:
 
 @dataclass(frozen=True)
 class DistanceRow:
-    """One measured distance and the map's.
+    """A distance that was measured in the building, and the map's."""
 
-    Attributes:
-        measured: as given.
-        map_m: distance between the centres of the wall cells nearest to the two points, metres;
-            None when a point has no wall within the search radius.
-        reason: why there is no ``map_m``; empty otherwise.
-    """
-
-    measured: MeasuredDistance
+    name: str
+    """What was measured."""
+    distance_m: float
+    """As measured, metres."""
     map_m: float | None
-    reason: str = ""
-
-    @property
-    def error_m(self) -> float | None:
-        """The map's distance minus the measured one, metres; positive where the map is larger."""
-        return None if self.map_m is None else self.map_m - self.measured.distance_m
-
-    @property
-    def error_percent(self) -> float | None:
-        """``error_m`` in percent of the measured distance."""
-        return None if self.error_m is None else 100.0 * self.error_m / self.measured.distance_m
-
-    def to_json(self) -> DistanceRowJson:
-        """Return name, both distances and their difference as plain values."""
-        return {
-            "name": self.measured.name,
-            "distance_m": self.measured.distance_m,
-            "map_m": self.map_m,
-            "error_m": self.error_m,
-            "error_percent": self.error_percent,
-            "reason": self.reason,
-        }
+    """The map's, metres; null when a point has no wall nearby."""
+    error_m: float | None
+    """The map's minus the measured one, metres."""
+    error_percent: float | None
+    """The same in percent of the measured one."""
+    reason: str
+    """Why the map has none; else empty."""
 
 
 @dataclass(frozen=True)
 class DistanceComparison:
-    """All measured distances against one map.
-
-    Attributes:
-        name: the map's name.
-        rows: one per measured distance, in the order given.
-        search_radius_m: how far from its point a wall was looked for.
-    """
+    """All measured distances against one map."""
 
     name: str
-    rows: tuple[DistanceRow, ...]
+    """The map."""
     search_radius_m: float
-
-    @property
-    def mean_absolute_error_m(self) -> float | None:
-        """Mean absolute error over the rows that found their walls; None when none did."""
-        return _mean([abs(row.error_m) for row in self.rows if row.error_m is not None])
-
-    @property
-    def mean_absolute_error_percent(self) -> float | None:
-        """Mean absolute error in percent of the distances; None when no row found its walls."""
-        return _mean([abs(row.error_percent) for row in self.rows if row.error_percent is not None])
-
-    def to_json(self) -> DistanceComparisonJson:
-        """Return the rows and their means as plain values."""
-        return {
-            "name": self.name,
-            "search_radius_m": self.search_radius_m,
-            "rows": [row.to_json() for row in self.rows],
-            "rows_used": sum(row.map_m is not None for row in self.rows),
-            "rows_total": len(self.rows),
-            "mean_absolute_error_m": self.mean_absolute_error_m,
-            "mean_absolute_error_percent": self.mean_absolute_error_percent,
-        }
+    """How far from its point a wall was looked for, metres."""
+    rows: Sequence[DistanceRow]
+    """The distances, in the order given."""
+    rows_used: int
+    """Of these, the ones whose walls were found."""
+    rows_total: int
+    """All of them."""
+    mean_absolute_error_m: float | None
+    """Mean of the absolute errors, metres; null when no walls were found."""
+    mean_absolute_error_percent: float | None
+    """The same in percent of the measured distances."""
 
 
 def compare_distances(
@@ -152,8 +115,20 @@ def compare_distances(
             else:
                 ends.append(walls[int(nearest)])
         map_m = None if reason else float(np.hypot(*(ends[1] - ends[0])))
-        compared.append(DistanceRow(row, map_m, reason))
-    return DistanceComparison(grid.name, tuple(compared), search_radius_m)
+        error_m = None if map_m is None else map_m - row.distance_m
+        percent = None if error_m is None else 100.0 * error_m / row.distance_m
+        compared.append(DistanceRow(row.name, row.distance_m, map_m, error_m, percent, reason))
+    errors_m = [abs(row.error_m) for row in compared if row.error_m is not None]
+    percents = [abs(row.error_percent) for row in compared if row.error_percent is not None]
+    return DistanceComparison(
+        grid.name,
+        search_radius_m,
+        compared,
+        len(errors_m),
+        len(compared),
+        _mean(errors_m),
+        _mean(percents),
+    )
 
 
 def load_distances(path: str | Path) -> tuple[MeasuredDistance, ...]:

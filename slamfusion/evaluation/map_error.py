@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -18,7 +18,6 @@ from slamfusion.config import NormalizeConfig
 from slamfusion.errors import GridError
 from slamfusion.evaluation.cells import sample_on_lattice, wall_centres
 from slamfusion.evaluation.doubled_walls import doubled_wall_share
-from slamfusion.evaluation.records import MapErrorJson
 from slamfusion.evaluation.wall_distances import (
     WallDistance,
     distance_summary,
@@ -109,91 +108,60 @@ def maps_of_differences(
     return OccupancyGrid(truth, resolution, origin, "truth"), maps
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class MapError:
-    """How a map differs from the truth; larger errors are worse, None is undefined.
-
-    Attributes:
-        name, truth: names of the map and of the truth.
-        error: [F16], sqrt(sum((T - M)^2)) with T and M in {-1, 0, 1} over the truth's known box on
-            the truth's lattice; cells outside the map count as unknown.
-        confusion: (3, 3) int64 counts over the same box; rows are the truth's class, columns the
-            map's, both in the order unknown, free, occupied.
-        wall_precision: share of the map's walls with a true wall within ``tolerance_m``; every
-            wall of the map counts, also outside the box. None when the map has no wall.
-        wall_recall: share of the true walls with a wall of the map within ``tolerance_m``; None
-            when the truth has no wall.
-        wall_f1: harmonic mean of the two; None when one of them is.
-        iou_occupied, iou_free: cells of the class in both over cells of the class in either,
-            inside the box; None when neither has any.
-        map_to_truth: from each wall of the map to the nearest true wall; None when a side has none.
-        truth_to_map: from each true wall to the nearest wall of the map; None likewise.
-        faces: the faces of the walls against the true ones, which reward no thickness.
-        wall_thickness: of the map's walls; None where no wall has a face.
-        doubled_wall_share: share of the map's wall cells with a parallel wall close by, 0..1.
-        outside_m2: area that the map knows outside of the truth's outline and more than
-            ``tolerance_m`` from it, square metres; also beyond the box.
-        ssim: mean structural similarity of the trinary images over the box, at most 1.
-        coverage: share of the truth's known cells that the map knows, 0..1.
-        tolerance_m: as given.
-        transform: as given; maps a point of the map's frame into the truth's, metres.
-        difference: (H, W) int8, read-only, one of the module's codes per cell of the box.
-        resolution: metres per cell of ``difference``.
-        origin: pose of the lower-left corner of ``difference`` in the truth's map frame.
-    """
+    """How a map differs from the truth."""
 
     name: str
-    truth: str
+    """The map."""
     error: float
-    confusion: npt.NDArray[np.int64]
-    wall_precision: float | None
-    wall_recall: float | None
-    wall_f1: float | None
-    iou_occupied: float | None
-    iou_free: float | None
-    map_to_truth: WallDistance | None
-    truth_to_map: WallDistance | None
-    faces: WallFaces
-    wall_thickness: WallThickness | None
-    doubled_wall_share: float
-    outside_m2: float
-    ssim: float
+    """[F16]: root of the sum of squared differences of -1, 0, 1 over the truth's known box."""
+    truth: str
+    """The true map."""
+    cells: int
+    """Cells of the truth's known box."""
     coverage: float
+    """Share of the truth's known cells that the map knows, 0 to 1."""
     tolerance_m: float
-    transform: Pose2
-    difference: npt.NDArray[np.int8]
-    resolution: float
-    origin: Pose2
-
-    def to_json(self) -> MapErrorJson:
-        """Return plain values; ``name`` and ``error`` first, undefined values as None."""
-        return {
-            "name": self.name,
-            "error": self.error,
-            "truth": self.truth,
-            "cells": int(self.difference.size),
-            "coverage": self.coverage,
-            "tolerance_m": self.tolerance_m,
-            "wall_precision": self.wall_precision,
-            "wall_recall": self.wall_recall,
-            "wall_f1": self.wall_f1,
-            "iou_occupied": self.iou_occupied,
-            "iou_free": self.iou_free,
-            "map_to_truth_m": self.map_to_truth.to_json() if self.map_to_truth else None,
-            "truth_to_map_m": self.truth_to_map.to_json() if self.truth_to_map else None,
-            "faces": self.faces.to_json(),
-            "wall_thickness_m": self.wall_thickness.to_json() if self.wall_thickness else None,
-            "doubled_wall_share": self.doubled_wall_share,
-            "outside_m2": self.outside_m2,
-            "ssim": self.ssim,
-            "confusion": {
-                truth_class: dict(zip(CLASS_NAMES, map(int, row), strict=True))
-                for truth_class, row in zip(CLASS_NAMES, self.confusion, strict=True)
-            },
-            "dx_m": self.transform.x,
-            "dy_m": self.transform.y,
-            "yaw_rad": self.transform.yaw_rad,
-        }
+    """A wall this near counts as found, metres."""
+    wall_precision: float | None
+    """Share of the map's walls with a true wall within the tolerance; null without a wall."""
+    wall_recall: float | None
+    """Share of the true walls with a wall of the map within the tolerance; null without a wall."""
+    wall_f1: float | None
+    """Harmonic mean of the two; null when one of them is."""
+    iou_occupied: float | None
+    """Cells occupied in both over cells occupied in either; null when there are none."""
+    iou_free: float | None
+    """Cells free in both over cells free in either; null when there are none."""
+    map_to_truth_m: WallDistance | None
+    """From each wall of the map to the nearest true wall; null when a side has none."""
+    truth_to_map_m: WallDistance | None
+    """From each true wall to the nearest wall of the map; null when a side has none."""
+    faces: WallFaces
+    """The faces of the map's walls against the true ones."""
+    wall_thickness_m: WallThickness | None
+    """How thick the map's walls are; null when no wall is beside a free cell."""
+    doubled_wall_share: float
+    """Share of the map's wall cells that have a parallel wall close by, 0 to 1."""
+    outside_m2: float
+    """Area that the map knows outside of the truth's outline, square metres."""
+    ssim: float
+    """Mean structural similarity of the trinary images, at most 1."""
+    confusion: Mapping[str, Mapping[str, int]]
+    """Cells by the truth's class, then the map's: unknown, free, occupied."""
+    dx_m: float
+    """Transform from the map's frame into the truth's: x, metres."""
+    dy_m: float
+    """Its y, metres."""
+    yaw_rad: float
+    """Its heading, radians."""
+    difference: npt.NDArray[np.int8] = field(repr=False)
+    """(H, W), read-only, one of the module's codes for each cell of the truth's known box."""
+    resolution: float = field(repr=False)
+    """Metres per cell of ``difference``."""
+    origin: Pose2 = field(repr=False)
+    """Pose of the lower-left corner of ``difference`` in the truth's map frame."""
 
 
 def compare_to_truth(
@@ -255,16 +223,20 @@ def compare_to_truth(
         name=grid.name,
         truth=truth.name,
         error=_f16_error(confusion),
-        confusion=confusion,
+        cells=difference.size,
+        confusion={
+            truth_class: dict(zip(CLASS_NAMES, row, strict=True))
+            for truth_class, row in zip(CLASS_NAMES, confusion.tolist(), strict=True)
+        },
         wall_precision=precision,
         wall_recall=recall,
         wall_f1=harmonic_mean(precision, recall),
         iou_occupied=_intersection_over_union(confusion, 2),
         iou_free=_intersection_over_union(confusion, 1),
-        map_to_truth=distance_summary(map_to_truth),
-        truth_to_map=distance_summary(truth_to_map),
+        map_to_truth_m=distance_summary(map_to_truth),
+        truth_to_map_m=distance_summary(truth_to_map),
         faces=compare_faces(map_classes, grid, transform, true_classes, truth),
-        wall_thickness=wall_thickness(grid, normalize=normalize),
+        wall_thickness_m=wall_thickness(grid, normalize=normalize),
         doubled_wall_share=doubled_wall_share(grid, normalize=normalize),
         outside_m2=outside_area(
             map_classes, grid, transform, true_classes, truth, margin_m=tolerance_m
@@ -272,7 +244,9 @@ def compare_to_truth(
         ssim=_mean_ssim(expected, found),
         coverage=int(confusion[1:, 1:].sum()) / known,
         tolerance_m=tolerance_m,
-        transform=transform,
+        dx_m=transform.x,
+        dy_m=transform.y,
+        yaw_rad=transform.yaw_rad,
         difference=difference,
         resolution=truth.resolution,
         origin=truth.crop(box).origin,

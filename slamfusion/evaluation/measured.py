@@ -114,7 +114,7 @@ def result_rows(
 
 def map_figures(error: MapError) -> dict[str, float | None]:
     """Return the figures of a map by name; None: not defined."""
-    outward, back, thickness = error.map_to_truth, error.truth_to_map, error.wall_thickness
+    outward, back, thickness = error.map_to_truth_m, error.truth_to_map_m, error.wall_thickness_m
     return {
         "error": error.error,
         "wall_precision": error.wall_precision,
@@ -122,10 +122,10 @@ def map_figures(error: MapError) -> dict[str, float | None]:
         "wall_f1": error.wall_f1,
         "iou_occupied": error.iou_occupied,
         "iou_free": error.iou_free,
-        "map_to_truth_mean_m": None if outward is None else outward.mean_m,
-        "truth_to_map_mean_m": None if back is None else back.mean_m,
+        "map_to_truth_mean_m": None if outward is None else outward.mean,
+        "truth_to_map_mean_m": None if back is None else back.mean,
         "faces_f1": error.faces.f1(_FACES_M),
-        "wall_thickness_mean_m": None if thickness is None else thickness.mean_m,
+        "wall_thickness_mean_m": None if thickness is None else thickness.mean,
         "doubled_wall_share": error.doubled_wall_share,
         "outside_m2": error.outside_m2,
         "ssim": error.ssim,

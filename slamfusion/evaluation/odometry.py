@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -18,7 +18,6 @@ import scipy
 
 from slamfusion.config import LogConfig
 from slamfusion.errors import TrajectoryError
-from slamfusion.evaluation.records import DensePosesJson
 from slamfusion.evaluation.trajectory_error import associate
 from slamfusion.geometry import Pose2, compose_poses, fit_motion, invert_poses
 from slamfusion.grid import IDENTITY
@@ -68,29 +67,19 @@ class OdometryMatch:
 
 @dataclass(frozen=True, eq=False)
 class DensePoses:
-    """An estimate at every row of an odometry file.
+    """How poses at the relations' times were composed with odometry."""
 
-    Attributes:
-        trajectory: the poses, at the stamps of the odometry; at a scan whose own stamp agrees
-            with its row's, at the scan's, which is the finer one.
-        by: how a scan's row was found: ``odometry``, or ``stamp`` where no log was given.
-        poses_total: poses of the estimate.
-        poses_used: of these, the ones that have a row.
-    """
-
-    trajectory: Trajectory
-    by: Literal["odometry", "stamp"]
-    poses_total: int
+    rows: int
+    """Rows of the odometry that were given a pose."""
+    rows_found_by: Literal["odometry", "stamp"]
+    """How a pose's row was found: by the odometry of its scan, or by its stamp."""
     poses_used: int
-
-    def to_json(self) -> DensePosesJson:
-        """Return how the poses were composed, for a JSON document."""
-        return {
-            "rows": len(self.trajectory),
-            "rows_found_by": self.by,
-            "poses_used": self.poses_used,
-            "poses_without_row": self.poses_total - self.poses_used,
-        }
+    """Poses of the trajectory that have a row."""
+    poses_without_row: int
+    """Poses of the trajectory that have none."""
+    trajectory: Trajectory = field(repr=False)
+    """The poses, at the stamps of the odometry; at a scan whose own stamp agrees with its row's, at
+    the scan's, which is the finer one."""
 
 
 def read_odometry(path: str | Path, config: LogConfig = _DEFAULT_CONFIG) -> Trajectory:
@@ -249,10 +238,11 @@ def poses_by_odometry(
     stamps_s = _refined_stamps(odometry.stamps_s, rows, estimate.stamps_s[used], tolerance_s)
     by_time = np.argsort(stamps_s, kind="stable")
     return DensePoses(
-        trajectory=Trajectory(stamps_s[by_time], poses[by_time], estimate.name),
-        by="stamp" if scan_odometry is None else "odometry",
-        poses_total=len(estimate),
+        rows=len(stamps_s),
+        rows_found_by="stamp" if scan_odometry is None else "odometry",
         poses_used=len(used),
+        poses_without_row=len(estimate) - len(used),
+        trajectory=Trajectory(stamps_s[by_time], poses[by_time], estimate.name),
     )
 
 

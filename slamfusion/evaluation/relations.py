@@ -7,14 +7,13 @@ Source: Kuemmerle et al., "On Measuring the Accuracy of SLAM Algorithms", Autono
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from slamfusion.errors import TrajectoryError
-from slamfusion.evaluation.records import RelationErrorsAtScansJson, RelationErrorsJson
 from slamfusion.evaluation.statistics import ErrorStatistics, mean_interval
 from slamfusion.geometry import compose_poses, invert_poses, wrap_angles
 from slamfusion.io.lines import ROW_BYTES, TextLines, strip_gz
@@ -73,67 +72,64 @@ class Relations:
         return float(self.stamps_s.min()), float(self.stamps_s.max())
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class RelationErrors:
-    """What is left of each relation after the trajectory's own motion is taken off.
+    """Errors of a trajectory on known relations [K09].
 
-    Attributes:
-        name: the trajectory.
-        relations: name of the relations.
-        stamps_s: (M, 2) float64, the times of the relations used.
-        translation_m: (M,) float64, length of the remaining translation.
-        rotation_rad: (M,) float64, size of the remaining rotation, 0 to pi.
-        relations_total: how many relations there were; M of them could be used.
-        tolerance_s: a pose further than this from a relation's time was not used for it.
-        poses: poses of the trajectory.
+    What is left of each relation after the trajectory's own motion is taken off.
     """
 
-    name: str
-    relations: str
-    stamps_s: npt.NDArray[np.float64]
-    translation_m: npt.NDArray[np.float64]
-    rotation_rad: npt.NDArray[np.float64]
+    translation: ErrorStatistics = field(init=False)
+    """Remaining translations, metres."""
+    rotation_deg: ErrorStatistics = field(init=False)
+    """Remaining rotations, degrees."""
+    relations_used: int = field(init=False)
+    """Relations whose two times met a pose."""
     relations_total: int
+    """All relations of the file."""
     tolerance_s: float
+    """A pose further in time from a relation's end than this was not used, seconds."""
     poses: int
+    """Poses of the trajectory."""
+    name: str = field(repr=False)
+    """The trajectory."""
+    relations: str = field(repr=False)
+    """Name of the relations."""
+    stamps_s: npt.NDArray[np.float64] = field(repr=False)
+    """(M, 2), the times of the relations used."""
+    translation_m: npt.NDArray[np.float64] = field(repr=False)
+    """(M,), length of the remaining translation."""
+    rotation_rad: npt.NDArray[np.float64] = field(repr=False)
+    """(M,), size of the remaining rotation, 0 to pi."""
 
-    @property
-    def relations_used(self) -> int:
-        """Relations whose two times met a pose."""
-        return len(self.translation_m)
-
-    @property
-    def translation(self) -> ErrorStatistics:
-        """Figures of the remaining translations, metres."""
-        return ErrorStatistics.of(self.translation_m)
-
-    @property
-    def rotation_deg(self) -> ErrorStatistics:
-        """Figures of the remaining rotations, degrees."""
-        return ErrorStatistics.of(np.rad2deg(self.rotation_rad))
+    def __post_init__(self) -> None:
+        figures = {
+            "translation": ErrorStatistics.of(self.translation_m),
+            "rotation_deg": ErrorStatistics.of(np.rad2deg(self.rotation_rad)),
+            "relations_used": len(self.translation_m),
+        }
+        for name, value in figures.items():
+            object.__setattr__(self, name, value)
 
     def is_revisit(self) -> npt.NDArray[np.bool_]:
         """Return which relations join two visits of one place, (M,): over ``REVISIT_S`` apart."""
         return np.asarray(np.abs(self.stamps_s[:, 1] - self.stamps_s[:, 0]) > REVISIT_S)
 
-    def to_json(self) -> RelationErrorsJson:
-        """Return the figures for a JSON document; metres and degrees."""
-        return {
-            "translation": self.translation.to_json(),
-            "rotation_deg": self.rotation_deg.to_json(),
-            "relations_used": self.relations_used,
-            "relations_total": self.relations_total,
-            "tolerance_s": self.tolerance_s,
-            "poses": self.poses,
-        }
 
-    def to_json_with_intervals(self) -> RelationErrorsAtScansJson:
-        """Return the figures, and the intervals that hold the means with 95 %."""
-        return {
-            **self.to_json(),
-            "translation_mean_95": mean_interval(self.translation_m),
-            "rotation_deg_mean_95": mean_interval(np.rad2deg(self.rotation_rad)),
-        }
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RelationErrorsAtScans(RelationErrors):
+    """Errors on the relations whose both ends are poses of the trajectory itself."""
+
+    translation_mean_95: tuple[float, float] = field(init=False)
+    """Low and high end of the 95 % interval of the mean translation, metres."""
+    rotation_deg_mean_95: tuple[float, float] = field(init=False)
+    """Low and high end of the 95 % interval of the mean rotation, degrees."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        degrees = mean_interval(np.rad2deg(self.rotation_rad))
+        object.__setattr__(self, "translation_mean_95", mean_interval(self.translation_m))
+        object.__setattr__(self, "rotation_deg_mean_95", degrees)
 
 
 def read_relations(path: str | Path) -> Relations:
@@ -221,7 +217,7 @@ def relation_errors(
     )
 
 
-def errors_at_scans(scans: Trajectory, relations: Relations) -> RelationErrors | None:
+def errors_at_scans(scans: Trajectory, relations: Relations) -> RelationErrorsAtScans | None:
     """Measure by the relations alone whose both ends are scans; None where there is none.
 
     At these no pose is carried on or taken from another time, so the error is the estimate's own.
@@ -231,9 +227,11 @@ def errors_at_scans(scans: Trajectory, relations: Relations) -> RelationErrors |
         relations: the known motions.
     """
     try:
-        return relation_errors(scans, relations, AT_SCAN_S)
+        found = relation_errors(scans, relations, AT_SCAN_S)
     except TrajectoryError:
         return None
+    given = {item.name: getattr(found, item.name) for item in fields(found) if item.init}
+    return RelationErrorsAtScans(**given)
 
 
 def _no_relation(trajectory: Trajectory, relations: Relations, tolerance_s: float) -> str:

@@ -6,13 +6,11 @@ import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import scipy
-
-from slamfusion.evaluation.records import ErrorStatisticsJson
 
 # Samples that are drawn for an interval; those that are in memory at once; what draws them.
 DRAWS, DRAWS_AT_ONCE, SEED = 4000, 250, 0
@@ -22,23 +20,20 @@ ROUNDING = 1e-12
 
 @dataclass(frozen=True)
 class ErrorStatistics:
-    """The errors of one run, all of them: a population, not a sample.
-
-    Attributes:
-        mean: of the absolute errors; this and all others in the unit of the errors.
-        std: population standard deviation (divided by N).
-        rmse: root of the mean square.
-        median: the middle one.
-        min: the smallest.
-        max: the largest.
-    """
+    """Figures of absolute errors, in the unit of the key that holds them."""
 
     mean: float
+    """Mean of the errors."""
     std: float
+    """Their standard deviation (divided by N)."""
     rmse: float
+    """Root of the mean square."""
     median: float
+    """The middle one."""
     min: float
+    """The smallest."""
     max: float
+    """The largest."""
 
     @classmethod
     def of(cls, errors: npt.ArrayLike) -> ErrorStatistics:
@@ -60,10 +55,6 @@ class ErrorStatistics:
     def scaled(self, factor: float) -> ErrorStatistics:
         """Return the same figures in another unit (radians to degrees)."""
         return ErrorStatistics(**{name: factor * value for name, value in asdict(self).items()})
-
-    def to_json(self) -> ErrorStatisticsJson:
-        """Return the figures by name."""
-        return cast("ErrorStatisticsJson", asdict(self))
 
 
 class DifferenceTest(NamedTuple):

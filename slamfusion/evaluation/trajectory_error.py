@@ -6,14 +6,13 @@ errors); Umeyama, PAMI 13(4), 1991 (the alignment, here in the plane and without
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
 from slamfusion.config import TrajectoryConfig
 from slamfusion.errors import TrajectoryError
-from slamfusion.evaluation.records import TrajectoryErrorsJson
 from slamfusion.evaluation.statistics import ErrorStatistics
 from slamfusion.geometry import (
     Pose2,
@@ -33,89 +32,68 @@ _DEFAULT_CONFIG = TrajectoryConfig()
 _ROUNDING = 1e-9
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
+class TrajectoryAlignment:
+    """What laid an estimated trajectory on the true one."""
+
+    kind: str
+    """How it was found: the setting trajectory.alignment."""
+    dx_m: float
+    """Pose of the estimate's frame in the truth's: x, metres."""
+    dy_m: float
+    """Its y, metres."""
+    yaw_rad: float
+    """Its heading, radians."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class TrajectoryErrors:
-    """How far an estimate is from the truth.
+    """Errors of a trajectory against the true one."""
 
-    Attributes:
-        name: the estimate.
-        truth: the true trajectory.
-        aligned: (M, 3) float64, the estimate's matched poses in the frame of the truth.
-        stamps_s: (M,) float64, their times.
-        travelled_m: (M,) float64, true path from the first matched pose to each.
-        translation_m: (M,) float64, absolute error of each place.
-        rotation_rad: (M,) float64, absolute error of each heading, 0 to pi.
-        pose_truth_estimate: the alignment: takes the estimate's frame to the truth's.
-        relative_translation_m: (K,) float64, error of the motion between the poses of each pair.
-        relative_rotation_rad: (K,) float64, the same of the turn, 0 to pi.
-        relative_travelled_m: (K,) float64, true path up to the end of each pair.
-        config: tolerance, alignment, and the length of a pair.
-        poses_total: poses of the estimate; M of them met a true pose.
-    """
-
-    name: str
-    truth: str
-    aligned: npt.NDArray[np.float64]
-    stamps_s: npt.NDArray[np.float64]
-    travelled_m: npt.NDArray[np.float64]
-    translation_m: npt.NDArray[np.float64]
-    rotation_rad: npt.NDArray[np.float64]
-    pose_truth_estimate: Pose2
-    relative_translation_m: npt.NDArray[np.float64]
-    relative_rotation_rad: npt.NDArray[np.float64]
-    relative_travelled_m: npt.NDArray[np.float64]
-    config: TrajectoryConfig
-    poses_total: int
-
-    @property
-    def poses_matched(self) -> int:
-        """Poses that were compared."""
-        return len(self.translation_m)
-
-    @property
-    def ate(self) -> ErrorStatistics:
-        """Absolute errors of place, metres."""
-        return ErrorStatistics.of(self.translation_m)
-
-    @property
-    def ate_rotation_deg(self) -> ErrorStatistics:
-        """Absolute errors of heading, degrees."""
-        return ErrorStatistics.of(np.rad2deg(self.rotation_rad))
-
-    @property
-    def rpe(self) -> ErrorStatistics | None:
-        """Relative errors, metres a pair; None where the path is too short for any pair."""
-        pairs = self.relative_translation_m
-        return ErrorStatistics.of(pairs) if len(pairs) else None
-
-    @property
-    def rpe_rotation_deg(self) -> ErrorStatistics | None:
-        """Relative errors of the turns, degrees a pair; None where there is no pair."""
-        pairs = self.relative_rotation_rad
-        return ErrorStatistics.of(np.rad2deg(pairs)) if len(pairs) else None
-
-    def to_json(self) -> TrajectoryErrorsJson:
-        """Return the figures for a JSON document; metres and degrees."""
-        motion = self.pose_truth_estimate
-        rpe, turns = self.rpe, self.rpe_rotation_deg
-        return {
-            "ate": self.ate.to_json(),
-            "ate_rotation_deg": self.ate_rotation_deg.to_json(),
-            "rpe": None if rpe is None else rpe.to_json(),
-            "rpe_rotation_deg": None if turns is None else turns.to_json(),
-            "rpe_pairs": len(self.relative_translation_m),
-            "rpe_delta": self.config.rpe_delta,
-            "rpe_unit": self.config.rpe_unit,
-            "alignment": {
-                "kind": self.config.alignment,
-                "dx_m": motion.x,
-                "dy_m": motion.y,
-                "yaw_rad": motion.yaw_rad,
-            },
-            "poses": self.poses_total,
-            "poses_matched": self.poses_matched,
-            "tolerance_s": self.config.tolerance_s,
-        }
+    ate: ErrorStatistics
+    """Absolute errors of place, metres."""
+    ate_rotation_deg: ErrorStatistics
+    """Absolute errors of heading, degrees."""
+    rpe: ErrorStatistics | None
+    """Relative errors of place, metres a pair; null where the path is too short for a pair."""
+    rpe_rotation_deg: ErrorStatistics | None
+    """Relative errors of heading, degrees a pair; null where there is no pair."""
+    rpe_pairs: int
+    """Pairs that the relative errors rest on."""
+    rpe_delta: float
+    """What a pair spans."""
+    rpe_unit: str
+    """Unit of what a pair spans: the setting trajectory.rpe_unit."""
+    alignment: TrajectoryAlignment
+    """What laid the estimate on the truth."""
+    poses: int
+    """Poses of the estimate."""
+    poses_matched: int
+    """Of these, the ones that met a true pose in time."""
+    tolerance_s: float
+    """Poses further apart in time than this do not meet, seconds."""
+    name: str = field(repr=False)
+    """The estimate."""
+    truth: str = field(repr=False)
+    """The true trajectory."""
+    aligned: npt.NDArray[np.float64] = field(repr=False)
+    """(M, 3), the estimate's matched poses in the frame of the truth."""
+    stamps_s: npt.NDArray[np.float64] = field(repr=False)
+    """(M,), their times."""
+    travelled_m: npt.NDArray[np.float64] = field(repr=False)
+    """(M,), true path from the first matched pose to each."""
+    translation_m: npt.NDArray[np.float64] = field(repr=False)
+    """(M,), absolute error of each place."""
+    rotation_rad: npt.NDArray[np.float64] = field(repr=False)
+    """(M,), absolute error of each heading, 0 to pi."""
+    pose_truth_estimate: Pose2 = field(repr=False)
+    """The alignment: takes the estimate's frame to the truth's."""
+    relative_translation_m: npt.NDArray[np.float64] = field(repr=False)
+    """(K,), error of the motion between the poses of each pair."""
+    relative_rotation_rad: npt.NDArray[np.float64] = field(repr=False)
+    """(K,), the same of the turn, 0 to pi."""
+    relative_travelled_m: npt.NDArray[np.float64] = field(repr=False)
+    """(K,), true path up to the end of each pair."""
 
 
 def trajectory_errors(
@@ -155,20 +133,33 @@ def trajectory_errors(
     made = compose_poses(invert_poses(poses[first]), poses[second])
     wanted = compose_poses(invert_poses(true_poses[first]), true_poses[second])
     left = compose_poses(invert_poses(wanted), made)
+    translation_m = np.hypot(apart[:, 0], apart[:, 1])
+    rotation_rad = np.abs(wrap_angles(aligned[:, 2] - true_poses[:, 2]))
+    relative_m = np.hypot(left[:, 0], left[:, 1])
+    relative_rad = np.abs(wrap_angles(left[:, 2]))
     return TrajectoryErrors(
+        ate=ErrorStatistics.of(translation_m),
+        ate_rotation_deg=ErrorStatistics.of(np.rad2deg(rotation_rad)),
+        rpe=ErrorStatistics.of(relative_m) if len(left) else None,
+        rpe_rotation_deg=ErrorStatistics.of(np.rad2deg(relative_rad)) if len(left) else None,
+        rpe_pairs=len(left),
+        rpe_delta=config.rpe_delta,
+        rpe_unit=config.rpe_unit,
+        alignment=TrajectoryAlignment(config.alignment, motion.x, motion.y, motion.yaw_rad),
+        poses=len(estimate),
+        poses_matched=len(own),
+        tolerance_s=config.tolerance_s,
         name=estimate.name,
         truth=truth.name,
         aligned=aligned,
         stamps_s=stamps_s,
         travelled_m=travelled_m,
-        translation_m=np.hypot(apart[:, 0], apart[:, 1]),
-        rotation_rad=np.abs(wrap_angles(aligned[:, 2] - true_poses[:, 2])),
+        translation_m=translation_m,
+        rotation_rad=rotation_rad,
         pose_truth_estimate=motion,
-        relative_translation_m=np.hypot(left[:, 0], left[:, 1]),
-        relative_rotation_rad=np.abs(wrap_angles(left[:, 2])),
+        relative_translation_m=relative_m,
+        relative_rotation_rad=relative_rad,
         relative_travelled_m=travelled_m[second],
-        config=config,
-        poses_total=len(estimate),
     )
 
 

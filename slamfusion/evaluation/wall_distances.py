@@ -8,27 +8,20 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from slamfusion.evaluation.records import WallDistanceJson
-
 # A wall exactly the tolerance away counts as found, whatever the last digits of the poses are.
 _TOLERANCE_SLACK_M = 1e-6
 
 
 @dataclass(frozen=True)
 class WallDistance:
-    """Distances from each wall cell of one map to the nearest wall cell of the other, metres.
+    """Distances from each wall cell of one map to the nearest wall cell of another, metres."""
 
-    Attributes:
-        mean_m, p95_m, max_m: between cell centres; p95 is the 95th percentile.
-    """
-
-    mean_m: float
-    p95_m: float
-    max_m: float
-
-    def to_json(self) -> WallDistanceJson:
-        """Return ``mean``, ``p95`` and ``max`` in metres."""
-        return {"mean": self.mean_m, "p95": self.p95_m, "max": self.max_m}
+    mean: float
+    """Mean, metres."""
+    p95: float
+    """95th percentile, metres."""
+    max: float
+    """The largest, metres."""
 
 
 def nearest_distances(

@@ -17,7 +17,6 @@ import scipy
 
 from slamfusion.config import NormalizeConfig
 from slamfusion.evaluation.cells import wall_centres
-from slamfusion.evaluation.records import FaceAgreementJson, WallFacesJson, WallThicknessJson
 from slamfusion.evaluation.wall_distances import (
     WallDistance,
     distance_summary,
@@ -41,46 +40,28 @@ _DIRECTIONS = ((0, 1, 1.0), (1, 0, 1.0), (1, 1, math.sqrt(2.0)), (1, -1, math.sq
 
 @dataclass(frozen=True)
 class FaceAgreement:
-    """How the faces of a map's walls agree with the true ones.
-
-    Attributes:
-        tolerance_m: a face this near counts as found.
-        precision: share of the map's face cells with a true face cell within the tolerance, 0..1;
-            None where the map has no face.
-        recall: share of the true face cells with one of the map within it; None where the truth
-            has none.
-        f1: harmonic mean of the two; None when one of them is.
-    """
+    """How the faces of walls (wall cells beside free ones) agree with the true ones."""
 
     tolerance_m: float
+    """A face this near counts as found, metres."""
     precision: float | None
+    """Share of the map's face cells with a true one within the tolerance; null without a face."""
     recall: float | None
+    """Share of the true face cells with one of the map within it; null without a face."""
     f1: float | None
-
-    def to_json(self) -> FaceAgreementJson:
-        """Return the tolerance and the three shares as plain values."""
-        return {
-            "tolerance_m": self.tolerance_m,
-            "precision": self.precision,
-            "recall": self.recall,
-            "f1": self.f1,
-        }
+    """Harmonic mean of the two; null when one of them is."""
 
 
 @dataclass(frozen=True)
 class WallFaces:
-    """The faces of a map's walls against the true ones.
+    """The faces of a map's walls against the true ones; thickness counts for nothing."""
 
-    Attributes:
-        agreements: one per tolerance, in the order given.
-        map_to_truth: from each face cell of the map to the nearest true one; None when a side has
-            none.
-        truth_to_map: from each true face cell to the nearest of the map; None likewise.
-    """
-
-    agreements: tuple[FaceAgreement, ...]
-    map_to_truth: WallDistance | None
-    truth_to_map: WallDistance | None
+    agreements: Sequence[FaceAgreement]
+    """At each tolerance, the narrowest first."""
+    map_to_truth_m: WallDistance | None
+    """From each face cell of the map to the nearest true one; null when a side has none."""
+    truth_to_map_m: WallDistance | None
+    """From each true face cell to the nearest of the map; null when a side has none."""
 
     def f1(self, tolerance_m: float) -> float | None:
         """Return F1 at one of the tolerances; None where it is not defined.
@@ -91,30 +72,17 @@ class WallFaces:
         by_tolerance = {item.tolerance_m: item.f1 for item in self.agreements}
         return by_tolerance[tolerance_m]
 
-    def to_json(self) -> WallFacesJson:
-        """Return the agreements and both distances as plain values."""
-        return {
-            "agreements": [item.to_json() for item in self.agreements],
-            "map_to_truth_m": self.map_to_truth.to_json() if self.map_to_truth else None,
-            "truth_to_map_m": self.truth_to_map.to_json() if self.truth_to_map else None,
-        }
-
 
 @dataclass(frozen=True)
 class WallThickness:
-    """How thick walls are, measured through each face cell, metres.
+    """How thick walls are, measured through each cell beside a free one, metres."""
 
-    Attributes:
-        mean_m, median_m, p95_m: p95 is the 95th percentile.
-    """
-
-    mean_m: float
-    median_m: float
-    p95_m: float
-
-    def to_json(self) -> WallThicknessJson:
-        """Return ``mean``, ``median`` and ``p95`` in metres."""
-        return {"mean": self.mean_m, "median": self.median_m, "p95": self.p95_m}
+    mean: float
+    """Mean, metres."""
+    median: float
+    """The middle one, metres."""
+    p95: float
+    """95th percentile, metres."""
 
 
 def face_cells(classes: npt.NDArray[np.int8]) -> npt.NDArray[np.bool_]:

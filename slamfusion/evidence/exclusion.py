@@ -63,19 +63,17 @@ _Unsettled = tuple[int, int, slice]
 
 @dataclass(frozen=True)
 class ExcludedSpan:
-    """A part of a drive in which a path has no vote.
-
-    Attributes:
-        from_s, to_s: seconds since the first scan.
-        gap_m: how far it is at most from the nearest of those that vote, metres, and ``TURN_M`` for
-            a radian; of all others where none votes.
-        ground: most others agree with each other, or the scans bear another path out better.
-    """
+    """A part of a drive in which a producer has no vote."""
 
     from_s: float
+    """Where it begins, seconds since the first scan."""
     to_s: float
+    """Where it ends, seconds since the first scan."""
     gap_m: float
+    """How far it is at most from the nearest path that votes, metres, and 2 m for a radian; from
+    all others where none votes."""
     ground: Literal["outvoted", "contradicted by the scans"]
+    """Why: most others agree with each other, or the scans bear another path out better."""
 
 
 @dataclass(frozen=True)

@@ -30,18 +30,16 @@ FITS = 20
 
 @dataclass(frozen=True)
 class Span:
-    """A part of a drive in which a path goes with another one, or does not.
-
-    Attributes:
-        from_s, to_s: seconds since the first scan.
-        agrees: whether the two are near each other.
-        gap_m: how far they are apart at most, metres.
-    """
+    """A part of a drive in which a path goes with another one, or does not."""
 
     from_s: float
+    """Where it begins, seconds since the first scan."""
     to_s: float
+    """Where it ends, seconds since the first scan."""
     agrees: bool
+    """Whether the two are near each other."""
     gap_m: float
+    """How far they are apart at most, metres."""
 
 
 def path_spans(evidence: PathEvidence, name: str, other: str) -> tuple[Span, ...]:

@@ -15,20 +15,18 @@ saw was free space at other times, the map is not to be trusted.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Mapping
-from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.evidence.beams import CHUNKS
-from slamfusion.evidence.comparison import Comparison
 from slamfusion.evidence.displacement import contradicted_share, find_displacements
 from slamfusion.evidence.exclusion import Exclusions
 from slamfusion.evidence.parting import PART_M, Span, path_gap_m, path_spans
 from slamfusion.evidence.predictive import PathEvidence
-from slamfusion.evidence.records import Confidence, PathEvidenceJson, RecommendationJson
 from slamfusion.geometry import fit_motion, moved_poses
 from slamfusion.trajectory import Trajectory, nearest_stamps
 
@@ -42,6 +40,8 @@ BENT = 0.25
 # If fewer of the hits were seen at another time than this share, nothing confirms the path.
 LITTLE_SEEN = 0.25
 
+# How far a recommended path can be trusted.
+Confidence: TypeAlias = Literal["high", "medium", "low"]
 Tone = Literal["good", "warn", "bad", "plain"]
 TONES: Mapping[Confidence | None, Tone] = {
     "high": "good",
@@ -53,19 +53,18 @@ TONES: Mapping[Confidence | None, Tone] = {
 
 @dataclass(frozen=True)
 class Check:
-    """A place to look at before the map is used.
-
-    Attributes:
-        from_s, to_s: when the robot was there, seconds since the first scan.
-        x, y: where it was then, metres, in the frame of the recommended map or path.
-        what: what may be wrong.
-    """
+    """A place to look at before the map is used."""
 
     from_s: float
+    """When the robot came there, seconds since the first scan."""
     to_s: float
+    """When it left, seconds since the first scan."""
     x: float
+    """Where it was then, metres, in the frame of the recommended map, or of the path."""
     y: float
+    """The same along y."""
     what: str
+    """What may be wrong."""
 
     def __str__(self) -> str:
         times = f"{self.from_s:.0f} to {self.to_s:.0f} s"
@@ -73,66 +72,79 @@ class Check:
 
 
 @dataclass(frozen=True)
-class RankedPath:
-    """A path other than the recommended one.
+class PathTime:
+    """How well a path is borne out in one part of the drive."""
 
-    Attributes:
-        name: of the path.
-        consistency: its score, mean log-likelihood of a hit.
-        behind: how the recommended path compares with it; None for that one.
-        from_fused_m: how far a SLAM's own path is from the fused one, root mean square, metres;
-            None for others, and if there is no fused path or it is not the recommended one.
-        spans: where it agrees with the recommended path, and where not.
-    """
+    time_s: float
+    """Mean time of the part's scans, seconds since the first scan."""
+    consistency: float | None
+    """Mean log-likelihood of a hit; null where none was judged."""
+    beams: int
+    """Hits that were judged."""
+    seen_share: float | None
+    """Share of them that other parts of the drive have seen; null where none was judged."""
+
+
+@dataclass(frozen=True)
+class RankedPath:
+    """What the scans say of one path."""
 
     name: str
+    """The path."""
     consistency: float
-    behind: Comparison | None
+    """Mean log-likelihood of a hit under what other scans drew by the path; larger is better."""
+    tied: bool
+    """Whether it is the recommended path, or cannot be told from it."""
+    behind: float
+    """Score of the recommended path less this one's."""
+    behind_95: tuple[float, float] | None
+    """Interval of that, 95 %; null for the recommended path."""
+    p_value: float | None
+    """Two-sided, of no difference to the recommended path; null for that."""
     from_fused_m: float | None
-    spans: tuple[Span, ...]
-
-    @property
-    def tied(self) -> bool:
-        """Whether it cannot be told from the recommended path."""
-        return self.behind is None or self.behind.verdict != "better"
+    """How far a SLAM's own path is from the fused one, root mean square, metres, after the two are
+    aligned; null for others, and if the fused path is not the recommended one."""
+    beams_judged: int
+    """Hits that the score rests on, the same for all paths."""
+    scans_judged: int
+    """Scans that they are of: those that every path has a pose for."""
+    seen_share: float
+    """Share of the hits that lie where other scans have seen something, by this path."""
+    seen_consistency: float | None
+    """Mean log-likelihood of these hits; null where there is none."""
+    own_poses_share: float
+    """Share of the log's scans that the path itself has a pose for."""
+    covered_share: float
+    """The same with poses that odometry carried on."""
+    over_time: Sequence[PathTime]
+    """The score in equal parts of the drive, in the order of time."""
+    spans: Sequence[Span]
+    """Where the path goes with the recommended one, and where it does not."""
 
 
 @dataclass(frozen=True, eq=False)
 class Recommendation:
-    """The one answer of a job.
-
-    Attributes:
-        use: name of the map to use; None if the job has no maps.
-        path: name of the path to use; None if there is none.
-        best_single: the SLAM to take if one alone has to do; None if there is none.
-        confidence: ``high``: nothing contradicts the path; ``medium``: look at ``check`` first;
-            ``low``: the scans contradict the path; None: the scans could not be asked.
-        check: what to look at, at most three places.
-        paths: the reasons: the recommended path, the SLAM to take alone, then the others, the
-            best first; empty if the scans could not be asked.
-    """
+    """The one answer: what to use, and what to check first."""
 
     use: str | None
+    """Name of the map to use: ``fused``, or a SLAM's; null if the job has no maps."""
     path: str | None
+    """Name of the path to use: ``fused``, or a SLAM's; null if there is none."""
     best_single: str | None
+    """The SLAM to take if one alone has to do; null if there is none."""
     confidence: Confidence | None = None
-    check: tuple[Check, ...] = ()
-    paths: tuple[RankedPath, ...] = ()
+    """``high``: no scan contradicts the path; ``medium``: look at ``check`` first; ``low``: the
+    scans contradict the path; null: the scans could not be asked."""
+    check: Sequence[Check] = ()
+    """What to look at, at most three places, in the order of time."""
+    paths: Sequence[RankedPath] = field(default=(), repr=False)
+    """The reasons: the recommended path, the SLAM to take alone, then the others, the best first;
+    empty if the scans could not be asked."""
 
     @classmethod
     def from_json(cls, record: Mapping[str, Any]) -> Recommendation:
-        """Read what ``to_json`` gave, without the reasons."""
-        return cls(**{**record, "check": tuple(Check(**place) for place in record["check"])})
-
-    def to_json(self) -> RecommendationJson:
-        """Return the answer for a JSON document."""
-        return {
-            "use": self.use,
-            "path": self.path,
-            "best_single": self.best_single,
-            "confidence": self.confidence,
-            "check": [asdict(place) for place in self.check],  # type: ignore[misc]
-        }
+        """Read what JSON has of an answer: all but the reasons."""
+        return cls(**{**record, "check": [Check(**place) for place in record["check"]]})
 
     @property
     def tone(self) -> Tone:
@@ -158,14 +170,6 @@ class Recommendation:
         alone = [("Single SLAM:", self.best_single)] if self.best_single else []
         return alone + [("Check:", str(place)) for place in self.check]
 
-    def paths_to_json(self, evidence: PathEvidence) -> list[PathEvidenceJson]:
-        """Return the reasons for a JSON document, the recommended path first.
-
-        Args:
-            evidence: that the answer rests on.
-        """
-        return [_path_to_json(evidence, path) for path in self.paths]
-
 
 def recommend(
     evidence: PathEvidence,
@@ -189,13 +193,7 @@ def recommend(
     path, alone, from_fused_m = choose_path(evidence, slams, fused)
     frame = (frames or {}).get(path)
     paths = tuple(
-        RankedPath(
-            name,
-            evidence.scores[name].consistency,
-            None if name == path else evidence.compare(path, name),
-            from_fused_m.get(name),
-            path_spans(evidence, name, path),
-        )
+        _ranked(evidence, name, path, from_fused_m.get(name))
         for name in dict.fromkeys((path, alone, *evidence.ranking()))
     )
     rivals = [item.name for item in paths if item.tied and item.name in exclusions.excluded]
@@ -311,44 +309,37 @@ def _places(count: int) -> str:
     return "1 place" if count == 1 else f"{count} places"
 
 
-# --- for JSON -----------------------------------------------------------------------------------
+# --- the reasons ---------------------------------------------------------------------------------
 
 
-def _path_to_json(evidence: PathEvidence, path: RankedPath) -> PathEvidenceJson:
-    score, found = evidence.scores[path.name], path.behind
-    times_s, mean, beams = evidence.over_time(path.name)
-    seen = evidence.seen_over_time(path.name)
+def _ranked(evidence: PathEvidence, name: str, best: str, from_fused_m: float | None) -> RankedPath:
+    """Return what the scans say of a path; ``best`` is the recommended one."""
+    score = evidence.scores[name]
+    found = None if name == best else evidence.compare(best, name)
     start_s = float(evidence.scans.stamps_s[0])
-    return {
-        "name": path.name,
-        "consistency": path.consistency,
-        "tied": path.tied,
-        "behind": 0.0 if found is None else found.difference,
-        "behind_95": None if found is None else (found.low, found.high),
-        "p_value": None if found is None else found.p_value,
-        "from_fused_m": path.from_fused_m,
-        "beams_judged": score.beams_judged,
-        "scans_judged": int(evidence.is_judged.sum()),
-        "seen_share": score.seen_share,
-        "seen_consistency": score.seen_consistency if score.seen.any() else None,
-        "own_poses_share": score.path.own_share,
-        "covered_share": score.path.covered_share,
-        "over_time": [
-            {
-                "time_s": float(time_s) - start_s,
-                "consistency": float(value) if count else None,
-                "beams": int(count),
-                "seen_share": float(share) if count else None,
-            }
-            for time_s, value, count, share in zip(times_s, mean, beams, seen, strict=True)
+    parts = zip(*evidence.over_time(name), evidence.seen_over_time(name), strict=True)
+    return RankedPath(
+        name=name,
+        consistency=score.consistency,
+        tied=found is None or found.verdict != "better",
+        behind=0.0 if found is None else found.difference,
+        behind_95=None if found is None else (found.low, found.high),
+        p_value=None if found is None else found.p_value,
+        from_fused_m=from_fused_m,
+        beams_judged=score.beams_judged,
+        scans_judged=int(evidence.is_judged.sum()),
+        seen_share=score.seen_share,
+        seen_consistency=score.seen_consistency if score.seen.any() else None,
+        own_poses_share=score.path.own_share,
+        covered_share=score.path.covered_share,
+        over_time=[
+            PathTime(
+                float(time_s) - start_s,
+                float(mean) if beams else None,
+                int(beams),
+                float(share) if beams else None,
+            )
+            for time_s, mean, beams, share in parts
         ],
-        "spans": [
-            {
-                "from_s": span.from_s,
-                "to_s": span.to_s,
-                "agrees": span.agrees,
-                "gap_m": span.gap_m,
-            }
-            for span in path.spans
-        ],
-    }
+        spans=path_spans(evidence, name, best),
+    )

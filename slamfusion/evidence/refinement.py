@@ -14,20 +14,22 @@ the odometry too, and pull at it, so that from the odometry counts.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Literal, TypeAlias
 
 import numpy as np
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.evidence.beams import JudgedScans
-from slamfusion.evidence.comparison import SURE, Comparison
+from slamfusion.evidence.comparison import SURE
 from slamfusion.evidence.path_frames import laid_onto
 from slamfusion.evidence.predictive import PathEvidence, with_path
-from slamfusion.evidence.records import RefinementJson, RefinementStart
 from slamfusion.evidence.refined_path import carried_along, refine_path
 from slamfusion.evidence.stamps import cover_stamps
 from slamfusion.trajectory import Trajectory
 
+# What the scans of a drive were laid on each other along, at first.
+RefinementStart: TypeAlias = Literal["paths", "odometry"]
 # What the refined path is called while it is held against the given one.
 _REFINED = "refined"
 # Odometry by which a hit is less likely than by the given path by more than this, log-likelihood,
@@ -48,36 +50,26 @@ MOST_ROUNDS = 6
 
 @dataclass(frozen=True, eq=False)
 class RefinedPath:
-    """A path, and whether laying all scans on each other has bettered it.
+    """What laying all scans on each other has made of a path."""
 
-    Attributes:
-        given: the path of before.
-        path: the refined one where it was taken, else the given one.
-        is_taken: whether it was.
-        start: what the refined one was sought from: the given path, which is made of those of the
-            SLAMs, or the odometry.
-        comparison: what the scans say of the refined path against the given one.
-        evidence: what they say of the paths of before, and of ``path`` as the last one.
-    """
-
-    given: Trajectory
-    path: Trajectory
-    is_taken: bool
+    taken: bool
+    """Whether the refined path was taken: it is not where the scans say that it is worse."""
     start: RefinementStart
-    comparison: Comparison
-    evidence: PathEvidence
-
-    def to_json(self) -> RefinementJson:
-        """Return what a JSON document says of it."""
-        found = self.comparison
-        return {
-            "taken": self.is_taken,
-            "start": self.start,
-            "verdict": found.verdict,
-            "difference": found.difference,
-            "difference_95": (found.low, found.high),
-            "p_value": found.p_value,
-        }
+    """What it was sought from: the path made of those of the SLAMs, or the odometry."""
+    verdict: Literal["better", "worse", "cannot tell"]
+    """What the scans say of the refined path against the one before."""
+    difference: float
+    """Score of the refined path less that of the one before, log-likelihood of a hit."""
+    difference_95: tuple[float, float]
+    """Interval of that, 95 %."""
+    p_value: float
+    """Two-sided, of no difference."""
+    given: Trajectory = field(repr=False)
+    """The path of before."""
+    path: Trajectory = field(repr=False)
+    """The refined path where it was taken, else the given one."""
+    evidence: PathEvidence = field(repr=False)
+    """What the scans say of the paths of before, and of ``path`` as the last one."""
 
 
 def refine_borne_out(
@@ -106,11 +98,23 @@ def refine_borne_out(
     found = both.compare(_REFINED, path.name)
     # By a p-value of 0.05 the paths of three of 73 simulated drives were refused, all nearer to the
     # truth by half and more.
-    if found.difference < 0.0 and found.p_value < SURE:
-        return RefinedPath(path, path, False, start, found, with_given)
-    scores = dict(both.scores)
-    scores[path.name] = replace(scores.pop(_REFINED), name=path.name)
-    return RefinedPath(path, refined, True, start, found, replace(both, scores=scores))
+    taken = found.difference >= 0.0 or found.p_value >= SURE
+    if taken:
+        scores = dict(both.scores)
+        scores[path.name] = replace(scores.pop(_REFINED), name=path.name)
+        both = replace(both, scores=scores)
+    interval = (found.low, found.high)
+    return RefinedPath(
+        taken,
+        start,
+        found.verdict,
+        found.difference,
+        interval,
+        found.p_value,
+        path,
+        refined if taken else path,
+        both if taken else with_given,
+    )
 
 
 def _from_odometry(

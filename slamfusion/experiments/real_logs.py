@@ -257,10 +257,10 @@ def _compare_on_log(
     for method, grid in {**maps, **fused, **drawn}.items():
         if grid is not None:
             found = against_truth(grid, reference, config, device)
-            there = found.map_to_truth
+            there = found.map_to_truth_m
             figures = {
                 **map_figures(found),
-                "map_to_truth_p95_m": None if there is None else there.p95_m,
+                "map_to_truth_p95_m": None if there is None else there.p95,
                 "doubled_wall_share": _doubled(grid, config),
                 "ate_rmse_m": errors.get(method),
             }

@@ -15,7 +15,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -28,7 +28,6 @@ from slamfusion.align.records import (
     Alignment,
     FusionResult,
     InputRecord,
-    PathGapJson,
     RunnerUp,
 )
 from slamfusion.align.starts import Starts
@@ -85,22 +84,45 @@ class PathsApartError(AlignmentError):
 
 @dataclass(frozen=True, eq=False)
 class PathGap:
-    """How far two paths of one drive lie apart in one frame.
-
-    Attributes:
-        a, b: the producers.
-        stamps_s: (N,) float64, of the poses of ``a`` at whose time it is known where ``b`` is.
-        gaps_m: (N,) float64, distance to where ``b`` is then.
-        yaws_rad: (N,) float64, difference of the headings then, 0 to pi.
-        both_vote: (N,) bool, whether both have a vote then.
-    """
+    """How far two paths of one drive lie apart in one frame, also while one has no vote."""
 
     a: str
+    """One producer."""
     b: str
-    stamps_s: npt.NDArray[np.float64]
-    gaps_m: npt.NDArray[np.float64]
-    yaws_rad: npt.NDArray[np.float64]
-    both_vote: npt.NDArray[np.bool_]
+    """The other producer."""
+    median_m: float = field(init=False)
+    """Half of the time the paths are nearer than this, metres."""
+    max_m: float = field(init=False)
+    """Where they are farthest apart, metres."""
+    start_m: float = field(init=False)
+    """How far apart they begin, metres."""
+    median_yaw_rad: float = field(init=False)
+    """Median of the differences of the headings, 0 to pi, radians."""
+    voting_median_m: float | None = field(init=False)
+    """``median_m`` over the times in which both have a vote; null where there are none."""
+    voting_max_m: float | None = field(init=False)
+    """``max_m`` over the times in which both have a vote; null where there are none."""
+    stamps_s: npt.NDArray[np.float64] = field(repr=False)
+    """(N,), of the poses of ``a`` at whose time it is known where ``b`` is."""
+    gaps_m: npt.NDArray[np.float64] = field(repr=False)
+    """(N,), distance to where ``b`` is then."""
+    yaws_rad: npt.NDArray[np.float64] = field(repr=False)
+    """(N,), difference of the headings then, 0 to pi."""
+    both_vote: npt.NDArray[np.bool_] = field(repr=False)
+    """(N,), whether both have a vote then."""
+
+    def __post_init__(self) -> None:
+        gaps_m, voting_m = self.gaps_m, self.gaps_m[self.both_vote]
+        figures = {
+            "median_m": float(np.median(gaps_m)),
+            "max_m": float(gaps_m.max()),
+            "start_m": float(gaps_m[0]),
+            "median_yaw_rad": float(np.median(self.yaws_rad)),
+            "voting_median_m": float(np.median(voting_m)) if len(voting_m) else None,
+            "voting_max_m": float(voting_m.max()) if len(voting_m) else None,
+        }
+        for name, value in figures.items():
+            object.__setattr__(self, name, value)
 
     @property
     def voting(self) -> PathGap | None:
@@ -113,24 +135,9 @@ class PathGap:
         )
 
     @property
-    def median_m(self) -> float:
-        """Half of the time the paths are nearer than this."""
-        return float(np.median(self.gaps_m))
-
-    @property
     def late_m(self) -> float:
         """Three quarters of the time the paths are nearer than this."""
         return float(np.quantile(self.gaps_m, 0.75))
-
-    @property
-    def max_m(self) -> float:
-        """Where they are farthest apart."""
-        return float(self.gaps_m.max())
-
-    @property
-    def yaw_rad(self) -> float:
-        """Half of the time the headings differ by less than this."""
-        return float(np.median(self.yaws_rad))
 
     def sentence(self) -> str:
         """Say how far the paths are apart over the drive and, if it differs, while both vote."""
@@ -140,24 +147,10 @@ class PathGap:
         )
         if self.both_vote.all():
             return words
-        voting = self.voting
-        if voting is None:
+        if self.voting_median_m is None:
             return f"{words}, and never vote at one time"
-        return f"{words}, {voting.median_m:.2f} m while both vote ({voting.max_m:.2f} m at most)"
-
-    def to_json(self) -> PathGapJson:
-        """Return the figures for a JSON document."""
-        voting = self.voting
-        return {
-            "a": self.a,
-            "b": self.b,
-            "median_m": self.median_m,
-            "max_m": self.max_m,
-            "start_m": float(self.gaps_m[0]),
-            "median_yaw_rad": self.yaw_rad,
-            "voting_median_m": None if voting is None else voting.median_m,
-            "voting_max_m": None if voting is None else voting.max_m,
-        }
+        while_both = f"{self.voting_median_m:.2f} m while both vote ({self.voting_max_m:.2f} m"
+        return f"{words}, {while_both} at most)"
 
 
 def moved_path(path: Trajectory, transform: Pose2) -> Trajectory:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol, TypedDict
@@ -174,3 +174,24 @@ class ScanLog(Protocol):
         Raises:
             LogError: the file is not such a log, or is damaged beyond a line.
         """
+
+
+@dataclass(frozen=True)
+class LogRecord:
+    """What a log said of itself while it was read."""
+
+    path: Path
+    """Where it lies."""
+    skipped: Skips
+    """What was left out, by reason."""
+    warnings: Skips
+    """What was let through although it is odd, by reason."""
+    notes: Sequence[str]
+    """Sentences for the user."""
+    has_stamps: bool
+    """Whether times are the log's own; else they are made from the scans' index."""
+
+    @classmethod
+    def of(cls, log: ScanLog) -> LogRecord:
+        """Return the record of a log's last iteration."""
+        return cls(log.path, log.skips, log.warnings, tuple(log.notes), log.has_stamps)

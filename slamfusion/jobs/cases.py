@@ -11,14 +11,10 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from slamfusion.errors import ConfigError
-
-if TYPE_CHECKING:
-    from slamfusion.evaluation.records import PlacedJson
 
 __all__ = [
     "CaseFile",
@@ -70,7 +66,7 @@ class Placed:
 
     case: str
     method: str
-    path: Path
+    path: Path = field(repr=False)
     seed: str = ""
 
     @property
@@ -82,10 +78,6 @@ class Placed:
     def keys(self) -> tuple[str, str, str]:
         """Case, seed and method: what names its rows in a table of results."""
         return self.case, self.seed, self.method
-
-    def to_json(self) -> PlacedJson:
-        """Return case, method and seed for a JSON document."""
-        return {"case": self.case, "method": self.method, "seed": self.seed}
 
 
 def case_names(files: Sequence[CaseFile]) -> list[str]:

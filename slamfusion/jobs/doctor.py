@@ -23,7 +23,7 @@ INSTALL = {
 
 def devices_document() -> DevicesDocument:
     """Return the OpenCL devices that ``--device`` can name."""
-    return {"devices": [device.to_json() for device in list_devices()]}
+    return {"devices": list_devices()}
 
 
 def check_installation(config: RunConfig) -> DoctorDocument:
@@ -59,8 +59,8 @@ def check_installation(config: RunConfig) -> DoctorDocument:
         "ok": not problems,
         "problems": problems,
         "versions": found,
-        "devices": [item.to_json() for item in devices],
-        "pocl": None if pocl is None else {"state": pocl.state, "detail": pocl.detail},
+        "devices": devices,
+        "pocl": pocl,
         "device": device,
         "self_test": [
             {"name": name, "passed": passed, "detail": detail} for name, passed, detail in tests

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
-from slamfusion.align.records import Alignment, FusionResult
+from slamfusion.align.records import FusionResult
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.evaluation import (
     DistanceComparison,
-    MapError,
     MeasuredDistance,
     Row,
     compare_distances,
@@ -28,34 +27,14 @@ from slamfusion.jobs.documents import circumstances, path_text, settings_used
 from slamfusion.jobs.fuse_documents import input_document
 from slamfusion.jobs.inputs import MapInput, Progress, as_grids, device_for
 from slamfusion.jobs.records import (
-    CaseEvaluationJson,
+    CaseEvaluation,
     CasesEvaluationDocument,
     EvaluateDocument,
-    EvaluationJson,
+    Evaluation,
     FusedInputJson,
     UnalignedInputJson,
 )
-
-
-@dataclass(frozen=True)
-class Evaluation:
-    """A map's errors, and the alignment with the truth that they rest on (None: as it lies)."""
-
-    error: MapError
-    alignment: Alignment | None
-
-    @property
-    def is_aligned(self) -> bool:
-        """Whether the alignment may be believed; a map taken as it lies counts as aligned."""
-        return self.alignment is None or self.alignment.accepted
-
-    def to_json(self) -> EvaluationJson:
-        """Return the errors with ``aligned`` and the alignment's record."""
-        return {
-            **self.error.to_json(),
-            "aligned": self.is_aligned,
-            "alignment": None if self.alignment is None else self.alignment.to_json(),
-        }
+from slamfusion.json_values import record_keys
 
 
 def evaluate_maps(
@@ -71,7 +50,7 @@ def evaluate_maps(
     """Compare each map with the truth, aligned first.
 
     A map whose alignment is rejected is measured at the best transform found all the same; its
-    error is then the least it can claim, and ``is_aligned`` says so. How maps are brought onto the
+    error is then the least it can claim, and ``aligned`` says so. How maps are brought onto the
     truth is part of the measure: it is the same search whatever aligned them with each other, so
     ``fusion.align.step`` does not count.
 
@@ -106,7 +85,8 @@ def evaluate_maps(
             normalize=config.fusion.normalize,
             tolerance_m=config.evaluate.tolerance_m,
         )
-        evaluations.append(Evaluation(error, alignment))
+        aligned = alignment is None or alignment.accepted
+        evaluations.append(Evaluation(**vars(error), aligned=aligned, alignment=alignment))
     if progress is not None:
         progress("evaluate", len(grids), len(grids))
     return tuple(evaluations)
@@ -178,7 +158,7 @@ def evaluation_rows(placed: Sequence[Placed], evaluations: Sequence[Evaluation])
         evaluations: of these, in the same order.
     """
     pairs = zip(placed, evaluations, strict=True)
-    return [row for item, own in pairs for row in result_rows(*item.keys, map_figures(own.error))]
+    return [row for item, own in pairs for row in result_rows(*item.keys, map_figures(own))]
 
 
 def distance_rows(maps: Sequence[CaseFile], distances: Sequence[DistanceComparison]) -> list[Row]:
@@ -216,8 +196,8 @@ def evaluate_document(
         device: what computed the alignments, in words; None where none was.
     """
     return {
-        "maps": [evaluation.to_json() for evaluation in evaluations],
-        "distances": [comparison.to_json() for comparison in distances],
+        "maps": evaluations,
+        "distances": distances,
         "agreement": agreement,
         "truth": path_text(truth),
         "device": device,
@@ -244,13 +224,14 @@ def cases_document(
     """
     from slamfusion.jobs.results import summaries  # noqa: PLC0415  (pandas is an extra)
 
-    maps: list[CaseEvaluationJson] = [
-        {**own.to_json(), **item.to_json()} for item, own in zip(placed, evaluations, strict=True)
+    maps = [
+        CaseEvaluation(**vars(own), **record_keys(item))
+        for item, own in zip(placed, evaluations, strict=True)
     ]
     return {
         "maps": maps,
         **summaries(evaluation_rows(placed, evaluations)),
-        "distances": [comparison.to_json() for comparison in distances],
+        "distances": distances,
         "truths": {case: str(path) for case, path in truths.items()},
         **circumstances(config, device),
     }
@@ -293,21 +274,22 @@ def write_evaluation(
                 files=own,
             )
         return
-    errors = [evaluation.error for evaluation in evaluations]
     if report is not None:
         from slamfusion.report import write_evaluation_report  # noqa: PLC0415  (an extra)
 
         alignments = [evaluation.alignment for evaluation in evaluations]
         write_evaluation_report(
-            errors, report, config=config, alignments=alignments, device=device, files=files
+            evaluations, report, config=config, alignments=alignments, device=device, files=files
         )
     if image is not None:
         from slamfusion.report import write_difference_image  # noqa: PLC0415  (an extra)
 
-        names = [error.name for error in errors]
-        paths = [image] if len(errors) == 1 and not name_each else difference_images(image, names)
-        for error, path in zip(errors, paths, strict=True):
-            write_difference_image(error, path, files)
+        names = [evaluation.name for evaluation in evaluations]
+        paths = (
+            [image] if len(evaluations) == 1 and not name_each else difference_images(image, names)
+        )
+        for evaluation, path in zip(evaluations, paths, strict=True):
+            write_difference_image(evaluation, path, files)
 
 
 def difference_images(image: Path, names: Sequence[str]) -> list[Path]:

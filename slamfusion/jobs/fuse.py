@@ -21,7 +21,7 @@ from slamfusion.fusion.groups import LEAST_FUSED
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import AtomicFiles, save_map
 from slamfusion.jobs.documents import circumstances, record_bytes
-from slamfusion.jobs.evaluate import Evaluation, evaluate_maps
+from slamfusion.jobs.evaluate import evaluate_maps
 from slamfusion.jobs.fuse_documents import (
     DoubledWalls,
     agreement_stem,
@@ -46,6 +46,7 @@ from slamfusion.jobs.outputs import (
     report_files,
 )
 from slamfusion.jobs.records import (
+    Evaluation,
     FuseDocument,
 )
 
@@ -176,7 +177,7 @@ def fuse_maps(
         measured = [*grids, result.fused.with_name("fused")]
         evaluations = evaluate_maps(measured, true_grid, config, device, progress=progress)
     # The last evaluation is of the fused map.
-    known = {found.error.name: found.error.doubled_wall_share for found in evaluations[:-1]}
+    known = {found.name: found.doubled_wall_share for found in evaluations[:-1]}
     doubled = DoubledWalls.of(result, config, device, known)
     given = given or GivenMaps.of(maps, resolution)
     return FusedMaps(config, result, doubled, evaluations, given)
@@ -225,9 +226,8 @@ def save_fused_maps(
     if folder is not None:
         from slamfusion.report import write_fusion_report  # noqa: PLC0415  (an extra)
 
-        errors = [evaluation.error for evaluation in fused.evaluations]
         write_fusion_report(
-            fused.result, folder, config=fused.config, evaluations=errors, files=files
+            fused.result, folder, config=fused.config, evaluations=fused.evaluations, files=files
         )
         for page in report_files(folder / FAILED):
             files.remove(page)
@@ -289,7 +289,7 @@ def fuse_document(fused: FusedMaps, stem: Path) -> FuseDocument:
             group_document(item, own)
             for item, own in zip(groups, group_stems(stem, len(groups)), strict=True)
         ],
-        "evaluations": [evaluation.to_json() for evaluation in fused.evaluations],
+        "evaluations": fused.evaluations,
         **fused.given.to_json(),
         **circumstances(fused.config, result.device),
         "time_s": result.time_s,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from slamfusion.align.records import (
     Alignment,
@@ -21,17 +22,18 @@ from slamfusion.grid import OccupancyGrid
 from slamfusion.jobs.documents import circumstances, path_text
 from slamfusion.jobs.inputs import NO_FILES, GivenMaps
 from slamfusion.jobs.outputs import AGREEMENT_END
-from slamfusion.jobs.records import (
-    DoubledWallsJson,
-    FailedFuseDocument,
-    FusedGroupJson,
-    FusedInputJson,
-    FusionJson,
-    InputVoteJson,
-    NoAlignmentJson,
-    UnalignedInputJson,
-)
 from slamfusion.vote.tiles import occupied_codes
+
+if TYPE_CHECKING:
+    from slamfusion.jobs.records import (
+        FailedFuseDocument,
+        FusedGroupJson,
+        FusedInputJson,
+        FusionJson,
+        InputVoteJson,
+        NoAlignmentJson,
+        UnalignedInputJson,
+    )
 
 NO_ALIGNMENT: NoAlignmentJson = {
     "dx_m": None,
@@ -49,17 +51,14 @@ NO_VOTE: InputVoteJson = {"agreement": None, "weight": 0.0, "bent": None}
 
 @dataclass(frozen=True)
 class DoubledWalls:
-    """Shares of the wall cells that have a parallel wall close by, the trace of a slip.
-
-    Attributes:
-        inputs: by name, of each input as it was given.
-        fused: of the fused map.
-        added: of the fused map, doubled there and in no input.
-    """
+    """Shares of the wall cells that have a parallel wall close by, the trace of a slip."""
 
     inputs: dict[str, float]
+    """Of each input as it was given, by name; 0 to 1."""
     fused: float
-    added: float
+    """Of the fused map, 0 to 1."""
+    added_by_fusion: float
+    """Of the fused map's wall cells, doubled there and in no input; 0 to 1."""
 
     @classmethod
     def of(
@@ -92,10 +91,6 @@ class DoubledWalls:
                 result.fused.cells, aligned, device=device, is_wall=occupied_codes
             ),
         )
-
-    def to_json(self) -> DoubledWallsJson:
-        """Return the shares for a JSON document."""
-        return {"inputs": self.inputs, "fused": self.fused, "added_by_fusion": self.added}
 
 
 def agreement_stem(stem: Path) -> Path:
@@ -143,9 +138,9 @@ def fusion_document(
         "fused_count": len(result.accepted),
         "phantom_cells": result.phantom_cells,
         "left_out_m2": result.left_out_m2,
-        "doubled_wall_share": None if doubled is None else doubled.to_json(),
+        "doubled_wall_share": doubled,
         "weights": result.weights,
-        "pairs": [pair.to_json() for pair in result.pairs],
+        "pairs": result.pairs,
         "copies": {
             record.name: record.copy_of for record in result.copies if record.copy_of is not None
         },
@@ -180,7 +175,7 @@ def failure_document(
         "left_out_m2": {},
         "doubled_wall_share": None,
         "weights": {},
-        "pairs": [pair.to_json() for pair in pairs],
+        "pairs": pairs,
         "copies": {},
     }
 
@@ -197,7 +192,11 @@ def fusion_sentences(
         text += f"; {record.name}: {record.reason}"
     if result.others:
         text += f"; {further_groups(result)}"
-    share = "" if doubled is None else f"{doubled.added:.1%} of the walls doubled by the fusion, "
+    share = (
+        ""
+        if doubled is None
+        else f"{doubled.added_by_fusion:.1%} of the walls doubled by the fusion, "
+    )
     added = f"{result.phantom_cells} phantom cells, {share}{result.time_s:.2f} s"
     return text, added
 
@@ -253,9 +252,7 @@ def group_document(result: Fusion, stem: Path | None, store: Path | None = None)
         "agreement": None if stem is None else f"{agreement_stem(stem)}.yaml",
         "store": path_text(store),
         "reference": result.reference,
-        "inputs": [
-            record.alignment.to_json() for record in result.accepted if record.alignment is not None
-        ],
+        "inputs": [item.alignment for item in result.accepted if item.alignment is not None],
         "left_out_m2": result.left_out_m2,
         "weights": result.weights,
     }
@@ -263,11 +260,10 @@ def group_document(result: Fusion, stem: Path | None, store: Path | None = None)
 
 def input_document(record: InputRecord, result: Fusion) -> FusedInputJson | UnalignedInputJson:
     """Return one input's record: its alignment, its vote, and what became of it."""
-    bent = result.bent.get(record.name)
     vote: InputVoteJson = {
         "agreement": result.wall_agreement.get(record.name),
         "weight": result.weights.get(record.name, 0.0),
-        "bent": None if bent is None else bent.to_json(),
+        "bent": result.bent.get(record.name),
     }
     if record.alignment is None:
         return {

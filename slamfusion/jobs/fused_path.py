@@ -80,7 +80,7 @@ class DrivePath:
             "poses": len(self.trajectory),
             "trust": dict(self.trust),
             "excluded_share": dict(self.excluded_share),
-            "refinement": None if self.refined is None else self.refined.to_json(),
+            "refinement": self.refined,
         }
 
 
@@ -153,7 +153,7 @@ def drawn_document(grid: OccupancyGrid, file: Path, config: RunConfig) -> DrawnM
     return {
         "file": str(file),
         "doubled_wall_share": doubled_wall_share(grid, normalize=normalize),
-        "wall_thickness_m": None if thickness is None else thickness.to_json(),
+        "wall_thickness_m": thickness,
     }
 
 

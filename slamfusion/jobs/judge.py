@@ -131,8 +131,8 @@ class JudgedPaths:
         """Return what is said of the paths and the files that it rests on, for a JSON document."""
         files = self.files
         return {
-            "recommendation": self.recommendation.to_json(),
-            "path_evidence": self.recommendation.paths_to_json(self.evidence),
+            "recommendation": self.recommendation,
+            "path_evidence": self.recommendation.paths,
             "paths": [self._path_to_json(name) for name in self.paths],
             "fused_path": self._fused_to_json(),
             "ranking_by_truth": self.ranking_by_truth(),

@@ -27,7 +27,6 @@ from slamfusion.fusion.path_check import Votes, moved_path
 from slamfusion.grid import OccupancyGrid
 from slamfusion.jobs.fuse_drive import DriveFusion, fuse_drive
 from slamfusion.jobs.inputs import Progress
-from slamfusion.jobs.run_records import PartialVoteJson
 from slamfusion.trajectory import Trajectory
 
 B8 = npt.NDArray[np.bool_]
@@ -40,49 +39,30 @@ LEAST_SHARE = 0.1
 
 @dataclass(frozen=True)
 class PartialVote:
-    """A producer that has no vote for some of the drive.
-
-    Attributes:
-        name: of the producer.
-        spans: the times in which it has none.
-        excluded_share: share of the judged scans that lie in them, 0 to 1.
-        left_out: why it has no vote at all; empty: its layer was drawn anew and takes part.
-        filled: whether its layer shows what was seen in these times, drawn at the fused path.
-    """
+    """A producer that has no vote for some of the drive."""
 
     name: str
-    spans: tuple[ExcludedSpan, ...]
+    """The producer."""
+    excluded_spans: Sequence[ExcludedSpan]
+    """When it has none."""
     excluded_share: float
-    left_out: str = ""
+    """Share of the judged scans that lie in these times, 0 to 1."""
+    left_out: str | None = None
+    """Why it has no vote at all; null: its layer was drawn without these times and took part."""
     filled: bool = False
+    """Whether its layer shows what was seen in these times, drawn at the fused path."""
 
     def sentence(self) -> str:
         """Return in words when and why the producer has no vote."""
-        words = f"{self.name} has no vote {_and([_span_words(span) for span in self.spans])}"
+        words = (
+            f"{self.name} has no vote {_and([_span_words(span) for span in self.excluded_spans])}"
+        )
         if self.left_out:
             return f"{words}; {self.left_out}."
         drawn = f"{words}; its layer is drawn anew from its other scans"
         if self.filled:
             return f"{drawn}, and from those of that time at the fused path."
         return f"{drawn}."
-
-    def to_json(self) -> PartialVoteJson:
-        """Return it for a JSON document."""
-        return {
-            "name": self.name,
-            "excluded_spans": [
-                {
-                    "from_s": span.from_s,
-                    "to_s": span.to_s,
-                    "gap_m": span.gap_m,
-                    "ground": span.ground,
-                }
-                for span in self.spans
-            ],
-            "excluded_share": self.excluded_share,
-            "left_out": self.left_out or None,
-            "filled": self.filled,
-        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +145,7 @@ def draw_layers(
     partial = []
     # Whoever was with the others least goes first.
     for name in sorted(exclusions.names, key=exclusions.excluded_share, reverse=True):
-        share, left_out, is_filled = exclusions.excluded_share(name), "", False
+        share, left_out, is_filled = exclusions.excluded_share(name), None, False
         if share > 1.0 - LEAST_SHARE:
             if len(layers) <= LEAST_FUSED:
                 continue

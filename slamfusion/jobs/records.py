@@ -1,7 +1,8 @@
 """What the commands print with ``--json``: typed documents, and the JSON Schema made of them.
 
-A type ``...Document`` is a whole document, composed of the records (``...Json``) of the packages
-below; the text under a key is its meaning and unit. The document of ``slamfusion experiment`` is
+A type ``...Document`` is a whole document. It is composed of records: the dataclasses that hold the
+results (see ``slamfusion.json_values``), and types ``...Json`` where a document has more keys or
+fewer. The text under a key is its meaning and unit. The document of ``slamfusion experiment`` is
 in ``slamfusion.experiments.page``, those of the commands beside the main work in
 ``tool_records``.
 
@@ -13,21 +14,16 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from importlib import resources
 from typing import Any, TypedDict
 
-from slamfusion.align.records import AlignmentJson, BentJson
-from slamfusion.evaluation.records import (
-    DensePosesJson,
-    DistanceComparisonJson,
-    ErrorStatisticsJson,
-    MapErrorJson,
-    PlacedJson,
-    RelationErrorsAtScansJson,
-    SummariesJson,
-    TrajectoryAlignmentJson,
-)
-from slamfusion.evidence.records import PathEvidenceJson, RecommendationJson, RefinementJson
+from slamfusion.align.records import Alignment, AlignmentJson, Bent
+from slamfusion.evaluation import DensePoses, DistanceComparison, ErrorStatistics, MapError
+from slamfusion.evaluation.relations import RelationErrorsAtScans
+from slamfusion.evaluation.trajectory_error import TrajectoryAlignment
+from slamfusion.evidence import RankedPath, Recommendation, RefinedPath
+from slamfusion.jobs.fuse_documents import DoubledWalls
 
 # --- what many documents share ----------------------------------------------------------------
 
@@ -57,13 +53,60 @@ class CircumstancesJson(SettingsJson):
     """Seed of every random number."""
 
 
-class EvaluationJson(MapErrorJson):
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Evaluation(MapError):  # noqa: N818  (a measure, no exception)
     """A map's errors, and the alignment with the truth that they rest on."""
 
     aligned: bool
     """Whether the alignment may be believed; a map taken as it lies counts as aligned."""
-    alignment: AlignmentJson | None
+    alignment: Alignment | None
     """The alignment with the truth; null: the map was taken as it lies."""
+
+
+class PlacedJson(TypedDict):
+    """The names of one of several maps or paths."""
+
+    case: str
+    """What it was measured against: a place, a log or a truth, by name."""
+    method: str
+    """What made it: what its file's name says besides case and seed."""
+    seed: str
+    """Number of the repetition of this method in this case; empty for a single one."""
+
+
+class MethodMeanJson(TypedDict):
+    """The means of a method's figures over its cases; of seeds, those of each case come first."""
+
+    method: str
+    """The method."""
+    cases: int
+    """Cases that it was measured in."""
+    figures: Mapping[str, float]
+    """Means of the figures that are defined in each of these cases, by name."""
+
+
+class RepetitionsJson(TypedDict):
+    """The figures of a method in one case over several seeds."""
+
+    case: str
+    """The case."""
+    method: str
+    """The method."""
+    seeds: int
+    """Repetitions."""
+    figures: Mapping[str, float]
+    """Means of the figures that are defined in each of these, by name."""
+    std: Mapping[str, float]
+    """Their sample standard deviations (divided by N - 1)."""
+
+
+class SummariesJson(TypedDict):
+    """Figures of several maps or paths as means."""
+
+    means: Sequence[MethodMeanJson]
+    """The figures of each method over its cases."""
+    repetitions: Sequence[RepetitionsJson]
+    """The figures of each method over the seeds of one case; empty where none has several."""
 
 
 # --- fuse -------------------------------------------------------------------------------------
@@ -99,7 +142,7 @@ class InputVoteJson(TypedDict):
     """Share of its walls that agree with the other maps, 0 to 1; null: nothing to compare."""
     weight: float
     """Of its vote in all, 0 to 1; less or more where its walls agree less or more."""
-    bent: BentJson | None
+    bent: Bent | None
     """Where it agrees least, if it is bent; null: it agrees with the others."""
 
 
@@ -120,17 +163,6 @@ class UnalignedInputJson(NoAlignmentJson, InputVoteJson):
     """Why not."""
 
 
-class DoubledWallsJson(TypedDict):
-    """Shares of the wall cells that have a parallel wall close by, the trace of a slip."""
-
-    inputs: Mapping[str, float]
-    """Of each input as it was given, by name; 0 to 1."""
-    fused: float
-    """Of the fused map, 0 to 1."""
-    added_by_fusion: float
-    """Of the fused map's wall cells, doubled there and in no input; 0 to 1."""
-
-
 class FusionJson(TypedDict):
     """What came of a fusion; null and empty values where nothing was fused."""
 
@@ -144,11 +176,11 @@ class FusionJson(TypedDict):
     """Cells occupied in the fused map by vote, and in no input."""
     left_out_m2: Mapping[str, float]
     """Area that inputs know outside of the box of --extent reference, square metres, by input."""
-    doubled_wall_share: DoubledWallsJson | None
+    doubled_wall_share: DoubledWalls | None
     """Shares of the wall cells that have a parallel wall close by."""
     weights: Mapping[str, float]
     """Weight of each voter, 0 to 1, by name; a drawn map votes and is no input."""
-    pairs: Sequence[AlignmentJson]
+    pairs: Sequence[Alignment]
     """Every pair that was aligned, also between rejected inputs."""
     copies: Mapping[str, str]
     """Inputs that are the same map as another, by name, and which of them votes for both."""
@@ -165,7 +197,7 @@ class FusedGroupJson(TypedDict):
     """Zarr store of both, with -o OUT.zarr; else null."""
     reference: str
     """The input whose frame and lattice the fused map has."""
-    inputs: Sequence[AlignmentJson]
+    inputs: Sequence[Alignment]
     """How each of them lies to the reference."""
     left_out_m2: Mapping[str, float]
     """Area that inputs know outside of the box of --extent reference, square metres, by input."""
@@ -193,7 +225,7 @@ class FuseDocument(FusionJson, GivenMapsJson, CircumstancesJson):
     """Zarr store of both, with -o OUT.zarr; else null."""
     groups: Sequence[FusedGroupJson]
     """Groups of inputs that share ground, the largest, which is told above, first."""
-    evaluations: Sequence[EvaluationJson]
+    evaluations: Sequence[Evaluation]
     """Errors of the inputs and of the fused map, with --truth."""
     time_s: float | None
     """Wall time of the fusion, seconds; null where nothing was fused."""
@@ -216,9 +248,9 @@ class AlignDocument(AlignmentJson, CircumstancesJson):
 class EvaluateDocument(SettingsJson):
     """``slamfusion evaluate``."""
 
-    maps: Sequence[EvaluationJson]
+    maps: Sequence[Evaluation]
     """The maps against the truth; empty without --truth."""
-    distances: Sequence[DistanceComparisonJson]
+    distances: Sequence[DistanceComparison]
     """The maps against measured distances; empty without --distances."""
     agreement: Sequence[FusedInputJson | UnalignedInputJson]
     """The maps against each other; empty with --truth or --distances."""
@@ -230,16 +262,24 @@ class EvaluateDocument(SettingsJson):
     """Seed of every random number."""
 
 
-class CaseEvaluationJson(PlacedJson, EvaluationJson):
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CaseEvaluation(Evaluation):
     """One of several maps, against one of several truths."""
+
+    case: str
+    """The truth that it was measured against, by name."""
+    method: str
+    """What made it: what its file's name says besides case and seed."""
+    seed: str
+    """Number of the repetition of this method in this case; empty for a single one."""
 
 
 class CasesEvaluationDocument(SummariesJson, CircumstancesJson):
     """``slamfusion evaluate`` with several truths."""
 
-    maps: Sequence[CaseEvaluationJson]
+    maps: Sequence[CaseEvaluation]
     """The maps in the order given, each against the truth of its case."""
-    distances: Sequence[DistanceComparisonJson]
+    distances: Sequence[DistanceComparison]
     """The maps against measured distances; empty without --distances."""
     truths: Mapping[str, str]
     """The true maps' files, by case."""
@@ -249,13 +289,13 @@ class CasesEvaluationDocument(SummariesJson, CircumstancesJson):
 
 
 class _PathErrorsJson(TypedDict, total=False):
-    ate: ErrorStatisticsJson
+    ate: ErrorStatistics
     """Absolute errors of place against the truth, metres."""
-    ate_rotation_deg: ErrorStatisticsJson
+    ate_rotation_deg: ErrorStatistics
     """Absolute errors of heading against the truth, degrees."""
-    rpe: ErrorStatisticsJson | None
+    rpe: ErrorStatistics | None
     """Relative errors of place, metres a pair; null where the path is too short for a pair."""
-    rpe_rotation_deg: ErrorStatisticsJson | None
+    rpe_rotation_deg: ErrorStatistics | None
     """Relative errors of heading, degrees a pair; null where there is no pair."""
     rpe_pairs: int
     """Pairs that the relative errors rest on."""
@@ -263,21 +303,21 @@ class _PathErrorsJson(TypedDict, total=False):
     """What a pair spans."""
     rpe_unit: str
     """Unit of what a pair spans: the setting trajectory.rpe_unit."""
-    alignment: TrajectoryAlignmentJson
+    alignment: TrajectoryAlignment
     """What laid the path on the truth."""
     poses_matched: int
     """Poses of the path that met a true one in time."""
-    translation: ErrorStatisticsJson
+    translation: ErrorStatistics
     """Remaining translations on the known relations, metres."""
-    rotation_deg: ErrorStatisticsJson
+    rotation_deg: ErrorStatistics
     """Remaining rotations on the known relations, degrees."""
     relations_used: int
     """Relations whose two times met a pose."""
     relations_total: int
     """All relations of the file."""
-    odometry: DensePosesJson | None
+    odometry: DensePoses | None
     """How poses at the relations' times were composed with odometry; null: they were not."""
-    at_scans: RelationErrorsAtScansJson | None
+    at_scans: RelationErrorsAtScans | None
     """Errors on the relations whose both ends are poses of the path; null: the same or none."""
     tolerance_s: float
     """Poses further apart in time than this do not meet, seconds."""
@@ -365,16 +405,16 @@ class FusedPathJson(MeasuresJson):
     """How much each path was believed by what the scans say of it, 0 to 1."""
     excluded_share: Mapping[str, float]
     """Share of each path's poses that had no weight, as it had left the others, 0 to 1."""
-    refinement: RefinementJson | None
+    refinement: RefinedPath | None
     """What laying all scans on each other made of it; null where the scans could not be asked."""
 
 
 class JudgeRecordJson(TypedDict):
     """What the scans of one log say of its paths."""
 
-    recommendation: RecommendationJson
+    recommendation: Recommendation
     """Which path to use, and what to check first."""
-    path_evidence: Sequence[PathEvidenceJson]
+    path_evidence: Sequence[RankedPath]
     """What the scans say of each path, the recommended one first."""
     paths: Sequence[JudgedPathJson]
     """The paths as they were given."""

@@ -23,12 +23,12 @@ import numpy as np
 
 from slamfusion.errors import SlamFusionError, shown
 from slamfusion.evaluation import Row
-from slamfusion.evaluation.records import SummariesJson
 from slamfusion.io import write_atomic
 from slamfusion.io.map_yaml import existing, read_map_yaml
 from slamfusion.io.regular import open_regular
 from slamfusion.jobs.documents import record_bytes, versions
 from slamfusion.jobs.inputs import map_file
+from slamfusion.jobs.records import SummariesJson
 from slamfusion.version import __version__
 
 try:

@@ -20,7 +20,6 @@ from slamfusion.grid import OccupancyGrid
 from slamfusion.jobs.cases import CaseFile
 from slamfusion.jobs.defaults import RUN_DEFAULTS
 from slamfusion.jobs.drawn import DrawnRun, draw_run, is_drawn, voting_config
-from slamfusion.jobs.evaluate import Evaluation
 from slamfusion.jobs.fuse_documents import DoubledWalls, left_out_sentences
 from slamfusion.jobs.fuse_drive import DriveFusion
 from slamfusion.jobs.fused_path import DrivePath
@@ -34,6 +33,7 @@ from slamfusion.jobs.inputs import (
 from slamfusion.jobs.map_log import PROGRESS_STEPS, LogFiles
 from slamfusion.jobs.partial import Layers
 from slamfusion.jobs.produced import ProducerResult
+from slamfusion.jobs.records import Evaluation
 from slamfusion.jobs.run_stages import (
     Drive,
     draw_drive_layers,

@@ -198,7 +198,7 @@ def _reported(run: LogRun) -> RunReport:
         ],
         recommendation=run.recommendation,
         evidence=run.evidence,
-        evaluations=[item.error for item in run.evaluations],
+        evaluations=run.evaluations,
         evaluation_alignments=[item.alignment for item in run.evaluations],
         truth=run.truth,
         warnings=warnings,
@@ -241,19 +241,17 @@ def run_document(
         "why_voted": run.why_voted,
         "agreement": None if usable is None else str(files[AGREEMENT][0]),
         "best_founded": None if usable is not None or found is None else found.use,
-        "partial_votes": [vote.to_json() for vote in run.layers.partial],
-        "path_gaps": [gap.to_json() for gap in run.fusion.gaps],
-        "recommendation": None if found is None else found.to_json(),
-        "path_evidence": []
-        if found is None or run.evidence is None
-        else found.paths_to_json(run.evidence),
+        "partial_votes": run.layers.partial,
+        "path_gaps": run.fusion.gaps,
+        "recommendation": found,
+        "path_evidence": [] if found is None else found.paths,
         "no_verdict": run.no_verdict,
         "fused_path": None if path is None else path.to_json(files[FUSED_PATH][0]),
         "drawn_map": None
         if run.drawn is None
         else drawn_document(run.drawn, files[DRAWN][0], run.config),
         "saved_paths": [path.to_json() for path in run.saved_paths.values()],
-        "evaluations": [item.to_json() for item in run.evaluations],
+        "evaluations": run.evaluations,
         "error": None if failure is None else str(failure),
         "not_measured": run.not_measured,
         "report": str(files[REPORT][0]),

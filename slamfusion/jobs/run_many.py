@@ -13,14 +13,14 @@ from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.evidence.recommendation import Recommendation
 from slamfusion.fleet import as_done
-from slamfusion.jobs.documents import path_text, settings_used
+from slamfusion.jobs.documents import settings_used
 from slamfusion.jobs.inputs import Progress, distinct_names
 from slamfusion.jobs.outputs import FUSED, REPORT, RUN_RECORD
-from slamfusion.jobs.run_records import RunOfLogJson, RunsDocument
 
 if TYPE_CHECKING:
     from slamfusion.jobs.run import LogRun
     from slamfusion.jobs.run_files import SavedRun
+    from slamfusion.jobs.run_records import RunsDocument
 
 
 @dataclass(frozen=True)
@@ -42,30 +42,32 @@ class LogTask:
     probabilities: bool = False
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RunOfLog:
-    """What came of one log.
-
-    Attributes:
-        log: the log.
-        folder: where its files lie: the folder of the task, or ``failed`` in it, see ``save_run``;
-            None: there are none.
-        fused: inputs that voted; 0: there is no fused map.
-        recommendation: which map and path to use; None if no map was made.
-        error: why there is no fused map; None where there is one.
-        warnings: what is doubtful, a sentence each.
-        time_s: wall time.
-        not_measured: what could not be measured, a sentence each.
-    """
+    """What came of one of several logs."""
 
     log: Path
-    folder: Path | None
-    fused: int
-    recommendation: Recommendation | None
-    error: str | None
-    warnings: tuple[str, ...]
-    time_s: float | None
-    not_measured: tuple[str, ...] = ()
+    """The log."""
+    folder: Path | None = None
+    """Folder of its files; null where none were written."""
+    fused: Path | None = None
+    """YAML file of the fused map; null where nothing was fused."""
+    record: Path | None = None
+    """The document of this run alone, as a file; null where nothing was fused."""
+    report: Path | None = None
+    """Folder of the report; null where none was written."""
+    fused_count: int = 0
+    """Inputs that voted."""
+    recommendation: Recommendation | None = None
+    """What to use, and what to check first; null if no map was made."""
+    error: str | None = None
+    """Why nothing was fused; null where it was."""
+    warnings: Sequence[str] = ()
+    """What was left out and what is doubtful, a sentence each."""
+    not_measured: Sequence[str] = ()
+    """What could not be measured, a sentence each."""
+    time_s: float | None = None
+    """Wall time, seconds; null where the log could not be run."""
 
     @classmethod
     def of(cls, log: Path, run: LogRun, saved: SavedRun, warnings: Sequence[str]) -> RunOfLog:
@@ -77,35 +79,20 @@ class RunOfLog:
             saved: where its files lie.
             warnings: what was told of its inputs.
         """
+        is_fused = run.usable is not None
         return cls(
-            log,
-            saved.folder,
-            0 if run.usable is None else len(run.usable.accepted),
-            run.recommendation,
-            None if run.failure is None else str(run.failure),
-            (*warnings, *run.sentences()),
-            saved.document["time_s"],
-            run.not_measured,
+            log=log,
+            folder=saved.folder,
+            fused=saved.folder / f"{FUSED}.yaml" if is_fused else None,
+            record=saved.folder / RUN_RECORD if is_fused else None,
+            report=saved.folder / REPORT,
+            fused_count=len(run.usable.accepted) if run.usable is not None else 0,
+            recommendation=run.recommendation,
+            error=None if run.failure is None else str(run.failure),
+            warnings=(*warnings, *run.sentences()),
+            not_measured=run.not_measured,
+            time_s=saved.document["time_s"],
         )
-
-    def to_json(self) -> RunOfLogJson:
-        """Return what a JSON document says of it."""
-        is_fused = self.folder is not None and self.error is None
-        return {
-            "log": str(self.log),
-            "folder": path_text(self.folder),
-            "fused": f"{self.folder / FUSED}.yaml" if self.folder and is_fused else None,
-            "record": str(self.folder / RUN_RECORD) if self.folder and is_fused else None,
-            "report": str(self.folder / REPORT) if self.folder else None,
-            "fused_count": self.fused,
-            "recommendation": None
-            if self.recommendation is None
-            else self.recommendation.to_json(),
-            "error": self.error,
-            "warnings": self.warnings,
-            "not_measured": self.not_measured,
-            "time_s": self.time_s,
-        }
 
 
 def log_tasks(
@@ -183,14 +170,14 @@ def run_one(task: LogTask, config: RunConfig) -> tuple[RunOfLog, str]:
         saved = save_run(run, task.folder, probabilities=task.probabilities)
     except (SlamFusionError, OSError) as error:
         words = " ".join(str(error).split())
-        failed = RunOfLog(task.log, None, 0, None, words, tuple(warnings), None)
+        failed = RunOfLog(log=task.log, error=words, warnings=tuple(warnings))
         return failed, socket.gethostname()
     return RunOfLog.of(task.log, run, saved, warnings), socket.gethostname()
 
 
 def runs_document(runs: Sequence[RunOfLog], config: RunConfig) -> RunsDocument:
     """Return what ``slamfusion run`` prints as JSON of several logs."""
-    return {"runs": [run.to_json() for run in runs], **settings_used(config)}
+    return {"runs": runs, **settings_used(config)}
 
 
 def _from_afar(run: RunOfLog, host: str) -> RunOfLog:

@@ -3,28 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Literal, TypedDict
+from typing import TypedDict
 
-from slamfusion.align.records import (
-    PathGapJson,
-)
 from slamfusion.config import FusionMode
-from slamfusion.evaluation.records import (
-    WallThicknessJson,
-)
-from slamfusion.evidence.records import (
-    PathEvidenceJson,
-    RecommendationJson,
-)
+from slamfusion.evaluation import WallThickness
+from slamfusion.evidence import RankedPath, Recommendation
+from slamfusion.fusion.path_check import PathGap
+from slamfusion.jobs.partial import PartialVote
 from slamfusion.jobs.records import (
     CircumstancesJson,
-    EvaluationJson,
+    Evaluation,
     FusedPathJson,
     FusionJson,
     JudgedPathJson,
     MeasuresJson,
     SettingsJson,
 )
+from slamfusion.jobs.run_many import RunOfLog
 from slamfusion.slam.records import (
     ProducerRunJson,
 )
@@ -33,7 +28,7 @@ from slamfusion.slam.records import (
 class ProducerJson(ProducerRunJson, MeasuresJson):
     """What one producer made of a log, what it took, and the errors that could be measured."""
 
-    map_error: EvaluationJson | None
+    map_error: Evaluation | None
     """Errors of its map; null without a true map."""
     files: Sequence[str]
     """The files that it was written to: map, picture, path, record."""
@@ -119,36 +114,8 @@ class DrawnMapJson(TypedDict):
     """Its YAML file."""
     doubled_wall_share: float
     """Share of its wall cells that have a parallel wall close by, 0 to 1."""
-    wall_thickness_m: WallThicknessJson | None
+    wall_thickness_m: WallThickness | None
     """How thick its walls are; null when no wall is beside a free cell."""
-
-
-class ExcludedSpanJson(TypedDict):
-    """A part of a drive in which a producer has no vote."""
-
-    from_s: float
-    """Where it begins, seconds since the first scan."""
-    to_s: float
-    """Where it ends, seconds since the first scan."""
-    gap_m: float
-    """How far it is at most from the nearest path that votes, metres, and 2 m for a radian."""
-    ground: Literal["outvoted", "contradicted by the scans"]
-    """Why: most others agree with each other, or the scans bear another path out better."""
-
-
-class PartialVoteJson(TypedDict):
-    """A producer that has no vote for some of the drive."""
-
-    name: str
-    """The producer."""
-    excluded_spans: Sequence[ExcludedSpanJson]
-    """When it has none."""
-    excluded_share: float
-    """Share of the judged scans that lie in these times, 0 to 1."""
-    left_out: str | None
-    """Why it has no vote at all; null: its layer was drawn without these times and took part."""
-    filled: bool
-    """Whether its layer shows what was seen in these times, drawn at the fused path."""
 
 
 class RunFilesJson(LogFilesJson):
@@ -180,14 +147,14 @@ class RunDocument(FusionJson, RunFilesJson, CircumstancesJson):
     """YAML file of the agreement map; null where nothing was fused."""
     best_founded: str | None
     """Where nothing was fused, the map of ``recommendation``; else null."""
-    partial_votes: Sequence[PartialVoteJson]
+    partial_votes: Sequence[PartialVote]
     """Producers that have no vote for the time in which they left the others."""
-    path_gaps: Sequence[PathGapJson]
+    path_gaps: Sequence[PathGap]
     """Between every two producers' paths in the fused frame."""
-    path_evidence: Sequence[PathEvidenceJson]
+    path_evidence: Sequence[RankedPath]
     """What the scans say of each path, the recommended one first; empty where they could not be
     asked."""
-    recommendation: RecommendationJson | None
+    recommendation: Recommendation | None
     """What to use, and what to check first; null if no map was made."""
     no_verdict: str | None
     """Why the scans could not be asked; null where they were."""
@@ -197,7 +164,7 @@ class RunDocument(FusionJson, RunFilesJson, CircumstancesJson):
     """The map drawn at the fused path; null where it was not asked for, or there is no path."""
     saved_paths: Sequence[JudgedPathJson]
     """The paths that were given with saved maps, and their errors."""
-    evaluations: Sequence[EvaluationJson]
+    evaluations: Sequence[Evaluation]
     """Errors of the inputs and of the fused map, with --truth."""
     error: str | None
     """Why nothing was fused; null where it was."""
@@ -211,35 +178,8 @@ class RunDocument(FusionJson, RunFilesJson, CircumstancesJson):
     """Wall time of all, seconds."""
 
 
-class RunOfLogJson(TypedDict):
-    """What came of one of several logs."""
-
-    log: str
-    """The log."""
-    folder: str | None
-    """Folder of its files; null where none were written."""
-    fused: str | None
-    """YAML file of the fused map; null where nothing was fused."""
-    record: str | None
-    """The document of this run alone, as a file; null where nothing was fused."""
-    report: str | None
-    """Folder of the report; null where none was written."""
-    fused_count: int
-    """Inputs that voted."""
-    recommendation: RecommendationJson | None
-    """What to use, and what to check first; null if no map was made."""
-    error: str | None
-    """Why nothing was fused; null where it was."""
-    warnings: Sequence[str]
-    """What was left out and what is doubtful, a sentence each."""
-    not_measured: Sequence[str]
-    """What could not be measured, a sentence each."""
-    time_s: float | None
-    """Wall time, seconds; null where the log could not be run."""
-
-
 class RunsDocument(SettingsJson):
     """``slamfusion run`` of several logs; exit code 1 for an ``error`` or ``not_measured``."""
 
-    runs: Sequence[RunOfLogJson]
+    runs: Sequence[RunOfLog]
     """The logs, in the order given."""

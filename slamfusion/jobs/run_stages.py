@@ -23,7 +23,7 @@ from slamfusion.fusion.groups import LEAST_FUSED
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import open_log
 from slamfusion.jobs.drawn import voting_config
-from slamfusion.jobs.evaluate import Evaluation, evaluate_maps
+from slamfusion.jobs.evaluate import evaluate_maps
 from slamfusion.jobs.fuse import AllRequiredError
 from slamfusion.jobs.fuse_drive import DriveFusion
 from slamfusion.jobs.fused_path import DrivePath, fuse_weighed_paths
@@ -33,6 +33,7 @@ from slamfusion.jobs.map_log import LogFiles
 from slamfusion.jobs.outputs import FUSED
 from slamfusion.jobs.partial import Filling, Layers, draw_layers, fuse_layers
 from slamfusion.jobs.produced import ProducerResult, measure_run
+from slamfusion.jobs.records import Evaluation
 from slamfusion.jobs.saved_maps import path_at_scans
 from slamfusion.jobs.trajectory import Measures, Yardsticks
 from slamfusion.slam.common.runner import ProducerRun
@@ -333,7 +334,7 @@ def evaluate_drive_maps(
 
 def measure_producers(drive: Drive, evaluations: Sequence[Evaluation]) -> dict[str, ProducerResult]:
     """Measure every path; what cannot be measured does not take the rest with it."""
-    by_name = {item.error.name: item for item in evaluations}
+    by_name = {item.name: item for item in evaluations}
     results = {}
     for outcome in drive.outcomes:
         if outcome.run is None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TypedDict
 
-from slamfusion.compute.records import DeviceJson, PoclJson
+from slamfusion.compute.records import DeviceInfo, PoclState
 from slamfusion.jobs.records import CircumstancesJson, SettingsJson
 
 
@@ -157,7 +157,7 @@ class LiveAnswerDocument(TypedDict):
 class DevicesDocument(TypedDict):
     """``slamfusion devices``."""
 
-    devices: Sequence[DeviceJson]
+    devices: Sequence[DeviceInfo]
     """The OpenCL devices; may be empty."""
 
 
@@ -181,9 +181,9 @@ class DoctorDocument(TypedDict):
     """What is wrong and what to do, a sentence each."""
     versions: Mapping[str, str | None]
     """Versions of Python, of this package and of those it stands on; null: not installed."""
-    devices: Sequence[DeviceJson]
+    devices: Sequence[DeviceInfo]
     """The OpenCL devices; may be empty."""
-    pocl: PoclJson | None
+    pocl: PoclState | None
     """What became of the PoCL that came with the package; null where no OpenCL was looked at."""
     device: str | None
     """The one that was tested, in words; null where it cannot be opened."""

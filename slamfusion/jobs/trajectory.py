@@ -6,6 +6,7 @@ import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, cast
 
 from slamfusion.config import RunConfig, TrajectoryConfig
 from slamfusion.errors import SlamFusionError
@@ -25,6 +26,7 @@ from slamfusion.evaluation import (
     result_rows,
     trajectory_errors,
 )
+from slamfusion.evaluation.relations import RelationErrorsAtScans
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import AtomicFiles, read_trajectory
 from slamfusion.jobs.cases import Placed
@@ -33,10 +35,12 @@ from slamfusion.jobs.inputs import MapInput, Warn, as_grids, as_path
 from slamfusion.jobs.records import (
     CaseTrajectoryJson,
     MeasuresJson,
+    PlacedJson,
     TrajectoriesDocument,
     TrajectoryDocument,
     TrajectoryRecordJson,
 )
+from slamfusion.json_values import record_keys
 from slamfusion.trajectory import Trajectory
 
 _LOG = logging.getLogger(__name__)
@@ -57,22 +61,20 @@ class Measures:
     relations: RelationErrors | None = None
     dense: DensePoses | None = None
     truth: TrajectoryErrors | None = None
-    at_scans: RelationErrors | None = None
+    at_scans: RelationErrorsAtScans | None = None
     online: Measures | None = None
 
     def to_json(self) -> MeasuresJson:
         """Return the figures for a JSON document."""
-        document: MeasuresJson = {}
+        document: dict[str, Any] = {}
         if self.truth is not None:
-            document = {**document, **self.truth.to_json()}
+            document |= record_keys(self.truth)
         if self.relations is not None:
-            document = {**document, **self.relations.to_json()}
-            document["odometry"] = None if self.dense is None else self.dense.to_json()
-            own = self.at_scans
-            document["at_scans"] = None if own is None else own.to_json_with_intervals()
+            document |= record_keys(self.relations)
+            document |= {"odometry": self.dense, "at_scans": self.at_scans}
         if self.online is not None:
             document["as_first_reported"] = self.online.to_json()
-        return document
+        return cast("MeasuresJson", document)
 
 
 @dataclass(frozen=True, eq=False)
@@ -389,7 +391,7 @@ def trajectories_document(
     from slamfusion.jobs.results import summaries  # noqa: PLC0415  (pandas is an extra)
 
     paths: list[CaseTrajectoryJson] = [
-        {**own.record_to_json(), **item.to_json()} for item, own in found
+        {**own.record_to_json(), **cast("PlacedJson", record_keys(item))} for item, own in found
     ]
     return {
         "trajectories": paths,

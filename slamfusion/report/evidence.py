@@ -47,7 +47,7 @@ def evidence_section(
         *("hits judged", "seen again %", "own poses %", "from the fused path m"),
         "where it left the recommended path",
     )
-    rows = [_row(path, evidence) for path in answer.paths]
+    rows = [_row(path) for path in answer.paths]
     note = (
         "Each hit is looked up in the map that all other parts of the drive draw by the path that "
         "is scored; what they have not seen has a fixed price. All paths are scored on the same "
@@ -118,24 +118,23 @@ def _colours(
     return {name: NAMED["fused"] if name == fused else colours[name] for name in evidence.scores}
 
 
-def _row(path: RankedPath, evidence: PathEvidence) -> list[Cell]:
+def _row(path: RankedPath) -> list[Cell]:
     """Return the figures of a path."""
-    score, behind = evidence.scores[path.name], path.behind
     where = "; ".join(
         f"{span.from_s:.0f} to {span.to_s:.0f} s by {span.gap_m:.2f} m"
         for span in path.spans
         if not span.agrees
     )
-    interval = "-" if behind is None else f"{behind.low:.4f} to {behind.high:.4f}"
+    interval = "-" if path.behind_95 is None else "{:.4f} to {:.4f}".format(*path.behind_95)
     return [
-        Cell(path.name, "best" if behind is None else "plain"),
+        Cell(path.name, "best" if path.behind_95 is None else "plain"),
         number(path.consistency, 4),
-        number(None if behind is None else behind.difference, 4),
+        number(None if path.behind_95 is None else path.behind, 4),
         Cell(interval, is_number=True),
-        number(None if behind is None else behind.p_value),
-        Cell(str(score.beams_judged), is_number=True),
-        number(100.0 * score.seen_share, 0),
-        number(100.0 * score.path.own_share, 0),
+        number(path.p_value),
+        Cell(str(path.beams_judged), is_number=True),
+        number(100.0 * path.seen_share, 0),
+        number(100.0 * path.own_poses_share, 0),
         number(path.from_fused_m, 3),
         Cell(where or "nowhere"),
     ]

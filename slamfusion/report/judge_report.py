@@ -78,7 +78,7 @@ def _facts(answer: Recommendation) -> list[Fact]:
         Fact(
             f"{path.consistency:.3f}",
             f"log-likelihood of a hit, {path.name}",
-            "good" if path.behind is None else "plain",
+            "good" if path.behind_95 is None else "plain",
         )
         for path in answer.paths
     ]

@@ -311,13 +311,13 @@ def _error_table(evaluations: Sequence[MapError], alignments: Sequence[Alignment
             "map wall to true m",
             3,
             False,
-            [item.map_to_truth.mean_m if item.map_to_truth else None for item in evaluations],
+            [item.map_to_truth_m.mean if item.map_to_truth_m else None for item in evaluations],
         ),
         (
             "true wall to map m",
             3,
             False,
-            [item.truth_to_map.mean_m if item.truth_to_map else None for item in evaluations],
+            [item.truth_to_map_m.mean if item.truth_to_map_m else None for item in evaluations],
         ),
         ("SSIM", 3, True, [item.ssim for item in evaluations]),
         ("coverage", 3, True, [item.coverage for item in evaluations]),
@@ -348,18 +348,18 @@ def _face_table(evaluations: Sequence[MapError]) -> Table:
         )
         for index, agreement in enumerate(agreements)
     ]
-    outward = [item.faces.map_to_truth for item in evaluations]
-    back = [item.faces.truth_to_map for item in evaluations]
+    outward = [item.faces.map_to_truth_m for item in evaluations]
+    back = [item.faces.truth_to_map_m for item in evaluations]
     measures += [
-        ("face to true m", 3, False, [item.mean_m if item else None for item in outward]),
-        ("true face to map m", 3, False, [item.mean_m if item else None for item in back]),
+        ("face to true m", 3, False, [item.mean if item else None for item in outward]),
+        ("true face to map m", 3, False, [item.mean if item else None for item in back]),
         ("doubled walls", 3, False, [item.doubled_wall_share for item in evaluations]),
         ("outside m\N{SUPERSCRIPT TWO}", 1, False, [item.outside_m2 for item in evaluations]),
     ]
     rows = _measure_rows(evaluations, measures)
     # No thickness is the best one: it is told, and none is marked.
     for row, item in zip(rows, evaluations, strict=True):
-        row.append(number(item.wall_thickness.mean_m if item.wall_thickness else None, 3))
+        row.append(number(item.wall_thickness_m.mean if item.wall_thickness_m else None, 3))
     return Table(
         "Faces of walls",
         ("map", *(heading for heading, *_ in measures), "wall thickness m"),

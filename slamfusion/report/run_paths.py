@@ -97,17 +97,15 @@ def _without_vote(gap: PathGap) -> list[tuple[float, float]]:
 
 def _gap_row(gap: PathGap, limit_m: float) -> list[Cell]:
     """Return the figures of a gap, over the drive and while both paths have a vote."""
-    median_m, max_m = None, None
-    if gap.voting is not None:
-        median_m, max_m = gap.voting.median_m, gap.voting.max_m
+    median_m = gap.voting_median_m
     return [
         Cell(f"{gap.a} to {gap.b}"),
-        number(float(gap.gaps_m[0])),
+        number(gap.start_m),
         number(gap.median_m),
         number(gap.max_m),
-        number(float(np.rad2deg(gap.yaw_rad)), 2),
+        number(float(np.rad2deg(gap.median_yaw_rad)), 2),
         number(median_m, tone="bad" if median_m is not None and median_m > limit_m else "plain"),
-        number(max_m),
+        number(gap.voting_max_m),
     ]
 
 
@@ -182,7 +180,7 @@ def path_errors_section(report: RunReport) -> list[Section]:
             )
         if item.errors is not None:
             found = item.errors
-            pair = f"{found.config.rpe_delta:g} {found.config.rpe_unit}"
+            pair = f"{found.rpe_delta:g} {found.rpe_unit}"
             rows += [
                 _figures(name, "ATE, place m", found.ate, 4),
                 _figures(name, "ATE, heading °", found.ate_rotation_deg, 3),

@@ -162,7 +162,7 @@ def truth_section(
             legend=mark_legend(),
         ),
     ]
-    pair = f"{errors.config.rpe_delta:g} {errors.config.rpe_unit}"
+    pair = f"{errors.rpe_delta:g} {errors.rpe_unit}"
     rows = [
         ("ATE, place, m", errors.ate, 4),
         ("ATE, heading, deg", errors.ate_rotation_deg, 3),
@@ -221,7 +221,7 @@ def error_facts(relations: RelationErrors | None, errors: TrajectoryErrors | Non
     if errors is not None:
         facts.append(Fact(f"{errors.ate.rmse:.4f} m", "ATE, root mean square"))
         if errors.rpe is not None:
-            pair = f"{errors.config.rpe_delta:g} {errors.config.rpe_unit}"
+            pair = f"{errors.rpe_delta:g} {errors.rpe_unit}"
             facts.append(Fact(f"{errors.rpe.rmse:.4f} m", f"RPE over {pair}, root mean square"))
     return facts
 
@@ -253,10 +253,10 @@ def _how_counted(
         )
         lines.append(("Relations:", counted))
     if errors is not None:
-        aligned = "aligned" if errors.config.alignment == "se2" else "not aligned"
+        aligned = "aligned" if errors.alignment.kind == "se2" else "not aligned"
         counted = (
-            f"{errors.poses_matched} of {errors.poses_total} poses met one of {errors.truth} "
-            f"within {errors.config.tolerance_s:g} s; {aligned}."
+            f"{errors.poses_matched} of {errors.poses} poses met one of {errors.truth} "
+            f"within {errors.tolerance_s:g} s; {aligned}."
         )
         lines.append(("Truth:", counted))
     return lines

@@ -8,13 +8,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TypedDict
 
-from slamfusion.io.log import SkipJson
+from slamfusion.io.log import LogRecord, SkipJson
 
 __all__ = [
     "FilterJson",
     "GraphJson",
     "HealthJson",
-    "LogJson",
     "MapSizeJson",
     "ProducerRunJson",
     "TimePerScanJson",
@@ -105,21 +104,6 @@ class HealthJson(_HealthJson, total=False):
     """Of a producer with a pose graph."""
 
 
-class LogJson(TypedDict):
-    """What a log said of itself while it was read."""
-
-    path: str
-    """Where it lies."""
-    skipped: Sequence[SkipJson]
-    """What was left out, by reason."""
-    warnings: Sequence[SkipJson]
-    """What was let through although it is odd, by reason."""
-    notes: Sequence[str]
-    """Sentences for the user."""
-    has_stamps: bool
-    """Whether times are the log's own; else they are made from the scans' index."""
-
-
 class MapSizeJson(TypedDict):
     """Size of a map."""
 
@@ -183,5 +167,5 @@ class ProducerRunJson(TypedDict):
     """Whether the scans came to their end; false: it was stopped before."""
     known_scans: int
     """Scans of the log that a resumed producer had been fed before and that were passed over."""
-    log: LogJson | None
+    log: LogRecord | None
     """What the log said of itself; null where the scans are from no log."""

@@ -59,7 +59,7 @@ def part_pair(seed: int) -> tuple[OccupancyGrid, OccupancyGrid, Pose2]:
 
 def record_of(found: Alignment) -> dict[str, float | None]:
     assert found.evidence is not None
-    return dict(found.evidence.to_json())
+    return dict(vars(found.evidence))
 
 
 def test_a_room_that_stands_twice_is_ambiguous_and_both_places_are_said(

@@ -46,6 +46,7 @@ from slamfusion.align.records import AlignmentJson
 from slamfusion.compute import open_device
 from slamfusion.config import FusionConfig
 from slamfusion.grid import OccupancyGrid
+from slamfusion.json_values import plain
 from tests.benchmarks.overlap_folds import load_counted, print_folds
 from tests.benchmarks.record import add_record_option, console_for
 from tests.support.datasets import ABSENT, MAPS
@@ -173,7 +174,7 @@ class Aligner:
             case.is_right(record.transform),
             None if error is None else error[0],
             None if error is None else error[1],
-            record.to_json(),
+            plain(record),
         )
 
 

@@ -165,10 +165,10 @@ def measures_of(
 ) -> dict[str, float]:
     """Return precision and recall of a map."""
     (found,) = evaluate_maps([grid], truth, RUN_DEFAULTS, device)
-    faces = {item.tolerance_m: item for item in found.error.faces.agreements}[FACES_M]
+    faces = {item.tolerance_m: item for item in found.faces.agreements}[FACES_M]
     values = (
         *(faces.precision, faces.recall),
-        *(found.error.wall_precision, found.error.wall_recall),
+        *(found.wall_precision, found.wall_recall),
     )
     return {name: value or 0.0 for name, value in zip(MEASURES, values, strict=True)}
 

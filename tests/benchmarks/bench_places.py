@@ -122,7 +122,7 @@ def bench_different(aligner: Aligner, console: Console) -> list[Counts]:
     misses = Table("moving", "reference", *columns, title="least wrong ones expected")
     searched = [(record, record.evidence) for record in records if record.evidence is not None]
     for record, match in sorted(searched, key=lambda item: item[1].expected_wrong)[:8]:
-        numbers = {**match.to_json(), **record.statistics}
+        numbers = {**vars(match), **record.statistics}
         misses.add_row(record.moving, record.reference, *(f"{numbers[c]:.2g}" for c in columns))
     console.print(misses)
     wrong = str(len(accepted))

@@ -224,7 +224,7 @@ def measure(grid: OccupancyGrid, truth: OccupancyGrid, pose: Pose2) -> Figures:
     return Figures(
         _f1(_walls(grid, pose), _walls(truth)),
         error,
-        math.nan if thickness is None else thickness.mean_m,
+        math.nan if thickness is None else thickness.mean,
         doubled_wall_share(laid),
     )
 

@@ -29,10 +29,10 @@ from slamfusion.cli import (
 )
 from slamfusion.cli import results as result_tables
 from slamfusion.cli import trajectory as trajectories
+from slamfusion.compute.records import DeviceInfo
 from slamfusion.config import NormalizeConfig
 from slamfusion.evaluation import Row, compare_to_truth, error_series, result_rows
 from slamfusion.evaluation.statistics import ErrorStatistics
-from slamfusion.evidence.comparison import Comparison
 from slamfusion.evidence.parting import Span
 from slamfusion.evidence.recommendation import RankedPath, Recommendation
 from slamfusion.experiments.page import Experiment
@@ -77,7 +77,9 @@ def _evaluate() -> None:
         compare_to_truth(room(name, seed), truth, normalize=NormalizeConfig(), tolerance_m=0.1)
         for seed, name in enumerate(("tinyslam", "gmapping", "fused"))
     ]
-    evaluate.print_evaluations([Evaluation(error, None) for error in errors])
+    evaluate.print_evaluations(
+        [Evaluation(**vars(error), aligned=True, alignment=None) for error in errors]
+    )
 
 
 def _run() -> None:
@@ -109,15 +111,24 @@ def _run() -> None:
 
 
 def _judge() -> None:
-    against = Comparison("better", 0.0132, 0.0041, 0.0212, 0.004)
     away_m = {"fused": None, "graph": 0.0131, "gmapping": 1.27}
     paths = tuple(
         RankedPath(
-            name,
-            -1.2034 - 0.0132 * index,
-            against if index else None,
-            from_m,
-            (Span(0.0, 30.0, True, 0.02), Span(30.0, 62.5, False, 0.41)) if index else (),
+            name=name,
+            consistency=-1.2034 - 0.0132 * index,
+            tied=not index,
+            behind=0.0132 if index else 0.0,
+            behind_95=(0.0041, 0.0212) if index else None,
+            p_value=0.004 if index else None,
+            from_fused_m=from_m,
+            beams_judged=100,
+            scans_judged=10,
+            seen_share=0.9,
+            seen_consistency=-1.2,
+            own_poses_share=1.0,
+            covered_share=1.0,
+            over_time=(),
+            spans=(Span(0.0, 30.0, True, 0.02), Span(30.0, 62.5, False, 0.41)) if index else (),
         )
         for index, (name, from_m) in enumerate(away_m.items())
     )
@@ -192,17 +203,17 @@ def _experiment() -> None:
         output.print_table([f"{heads[0]} ", *heads[1:]], cells, title=title)
 
 
-DEVICE: Any = {
-    "index": 0,
-    "name": "cpu-haswell-Intel(R) Xeon(R) Processor @ 2.90GHz",
-    "platform": "Portable Computing Language",
-    "type": "cpu",
-    "version": "OpenCL 2.0 pocl",
-    "compute_units": 2,
-    "memory_mb": 5858,
-    "usable": True,
-    "note": "one thread; for many small kernels",
-}
+DEVICE = DeviceInfo(
+    index=0,
+    name="cpu-haswell-Intel(R) Xeon(R) Processor @ 2.90GHz",
+    platform="Portable Computing Language",
+    type="cpu",
+    version="OpenCL 2.0 pocl",
+    compute_units=2,
+    memory_mb=5858,
+    usable=True,
+    note="one thread; for many small kernels",
+)
 
 
 def _devices() -> None:

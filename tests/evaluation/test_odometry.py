@@ -26,6 +26,7 @@ from slamfusion.evaluation import (
 from slamfusion.evaluation.odometry import _rows_by_stamp
 from slamfusion.geometry import compose_poses, invert_poses
 from slamfusion.io.trajectories import read_trajectory
+from slamfusion.json_values import plain
 from slamfusion.trajectory import Trajectory
 from tests.support.datasets import ABSENT, DATASETS
 from tests.support.examples import examples
@@ -93,7 +94,7 @@ def test_between_scans_the_wheels_carry_the_pose_on() -> None:
         wanted = truth.pose(scan).compose(step)
         found = dense.trajectory.pose(row)
         assert (found.x, found.y) == pytest.approx((wanted.x, wanted.y), abs=1e-12)
-    assert dense.to_json() == {
+    assert plain(dense) == {
         "rows": 400,
         "rows_found_by": "stamp",
         "poses_used": 40,
@@ -139,7 +140,7 @@ def test_stamps_that_are_off_do_no_harm_where_the_log_is_known() -> None:
             estimate, known, odometry, tolerance_s=TOLERANCE_S, tolerance_m=TOLERANCE_M
         )
         found = relation_errors(dense.trajectory, relations, TOLERANCE_S)
-        means[dense.by] = found.translation.mean
+        means[dense.rows_found_by] = found.translation.mean
     assert means["odometry"] < 0.05
     assert means["stamp"] > 10.0 * means["odometry"]
 
@@ -175,8 +176,8 @@ def test_scans_without_a_row_are_counted_and_left_out() -> None:
     dense = poses_by_odometry(
         part(truth, rows), scans, odometry, tolerance_s=TOLERANCE_S, tolerance_m=TOLERANCE_M
     )
-    assert dense.to_json()["poses_without_row"] == 1
-    assert dense.to_json()["rows_found_by"] == "odometry"
+    assert dense.poses_without_row == 1
+    assert dense.rows_found_by == "odometry"
 
 
 def test_odometry_of_another_run_is_refused() -> None:

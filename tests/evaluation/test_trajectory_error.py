@@ -17,6 +17,7 @@ from slamfusion.errors import TrajectoryError
 from slamfusion.evaluation import ErrorStatistics, associate, trajectory_errors
 from slamfusion.geometry import Pose2, compose_poses, fit_motion
 from slamfusion.io.trajectories import read_trajectory
+from slamfusion.json_values import plain
 from slamfusion.trajectory import Trajectory
 from tests.support.datasets import ABSENT, DATASETS
 
@@ -120,7 +121,7 @@ def test_a_jump_is_one_relative_error_and_turns_what_follows() -> None:
 
 def test_a_path_too_short_for_a_pair_has_no_relative_error() -> None:
     config = replace(CONFIG, rpe_delta=100.0, rpe_unit="m")
-    document = trajectory_errors(line(), line(), config).to_json()
+    document = plain(trajectory_errors(line(), line(), config))
     assert document["rpe"] is None
     assert document["rpe_rotation_deg"] is None
     assert document["rpe_pairs"] == 0
@@ -129,7 +130,7 @@ def test_a_path_too_short_for_a_pair_has_no_relative_error() -> None:
 
 def test_the_document_says_how_it_was_counted() -> None:
     truth = Trajectory(line().stamps_s[2:8], line().poses[2:8], "truth")
-    document = trajectory_errors(moved(line(), Pose2(0.0, 1.0)), truth).to_json()
+    document = plain(trajectory_errors(moved(line(), Pose2(0.0, 1.0)), truth))
     assert set(document["ate"]) == {"rmse", "mean", "median", "std", "min", "max"}
     assert set(document["rpe"]) == set(document["ate"])
     assert (document["poses"], document["poses_matched"], document["rpe_pairs"]) == (11, 6, 5)
@@ -239,8 +240,8 @@ def assert_as_evo(estimate: Trajectory, truth: Trajectory, config: TrajectoryCon
         assert len(ours) == len(judge[name]) > 0, name
         # evo has angles from 3 x 3 matrices: near 0 they keep half of the digits.
         np.testing.assert_allclose(ours, judge[name], rtol=0.0, atol=1e-6, err_msg=name)
-        figures = ErrorStatistics.of(ours).to_json()
-        assert figures == pytest.approx(ErrorStatistics.of(judge[name]).to_json(), abs=1e-6)
+        figures = plain(ErrorStatistics.of(ours))
+        assert figures == pytest.approx(plain(ErrorStatistics.of(judge[name])), abs=1e-6)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -268,7 +269,7 @@ def test_the_six_figures_are_evos() -> None:
 
     metric = metrics.APE(metrics.PoseRelation.translation_part)
     metric.process_data((evo_path(drive()), evo_path(drive(noise=0.1))))
-    ours = trajectory_errors(drive(noise=0.1), drive(), AS_IT_LIES).ate.to_json()
+    ours = plain(trajectory_errors(drive(noise=0.1), drive(), AS_IT_LIES).ate)
     judge = metric.get_all_statistics()
     assert ours == pytest.approx({name: judge[name] for name in ours}, abs=1e-9)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 
 import numpy as np
@@ -22,6 +21,7 @@ from slamfusion.evaluation import (
 )
 from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY, OccupancyGrid, trinary_cells
+from slamfusion.json_values import plain
 from tests.support.examples import examples
 
 NORMALIZE = NormalizeConfig()
@@ -78,8 +78,8 @@ def test_a_map_against_itself_has_perfect_faces() -> None:
     grid = draw("####", "#..#", "#..#", "####")
     result = compare(grid, grid).faces
     assert [item.f1 for item in result.agreements] == [1.0, 1.0, 1.0]
-    assert result.map_to_truth is not None
-    assert result.map_to_truth.max_m == 0.0
+    assert result.map_to_truth_m is not None
+    assert result.map_to_truth_m.max == 0.0
 
 
 def test_what_is_filled_behind_a_wall_changes_no_measure_of_faces() -> None:
@@ -97,8 +97,8 @@ def test_a_wall_grown_into_the_room_loses_its_faces() -> None:
     result = compare(grown, truth).faces
     # Two cells of 0.05 m off: wrong at one cell, right at two, whose tolerance is inclusive.
     assert [item.f1 for item in result.agreements] == [0.0, 1.0, 1.0]
-    assert result.map_to_truth is not None
-    assert result.map_to_truth.mean_m == pytest.approx(0.1)
+    assert result.map_to_truth_m is not None
+    assert result.map_to_truth_m.mean == pytest.approx(0.1)
 
 
 def test_precision_counts_the_maps_faces_and_recall_the_true_ones() -> None:
@@ -125,11 +125,11 @@ def test_a_map_without_faces_has_no_figures() -> None:
     truth = draw("###", "...")
     empty = draw("???", "...")
     result = compare(empty, truth)
-    assert result.faces.map_to_truth is None
+    assert result.faces.map_to_truth_m is None
     assert result.faces.agreements[0].precision is None
     assert result.faces.agreements[0].recall == 0.0
     assert result.faces.f1(0.05) is None
-    assert result.wall_thickness is None
+    assert result.wall_thickness_m is None
 
 
 def test_f1_is_told_at_the_tolerances_that_were_counted_only() -> None:
@@ -149,7 +149,7 @@ def test_thickness_is_that_across_the_wall_in_metres(cells: int) -> None:
         found = wall_thickness(grid)
         assert found is not None
         # At the wall's two ends a diagonal leaves it sooner.
-        assert found.median_m == pytest.approx(cells * 0.05)
+        assert found.median == pytest.approx(cells * 0.05)
 
 
 @pytest.mark.parametrize("falls", [True, False])
@@ -160,7 +160,7 @@ def test_a_diagonal_wall_is_measured_along_the_other_diagonal(falls: bool) -> No
     found = wall_thickness(OccupancyGrid(cells, 0.05))
     assert found is not None
     # Seven cells along a row, 7 / sqrt(2) across: three or four steps of a diagonal.
-    assert 3 * math.sqrt(2) * 0.05 <= found.median_m <= 4 * math.sqrt(2) * 0.05
+    assert 3 * math.sqrt(2) * 0.05 <= found.median <= 4 * math.sqrt(2) * 0.05
 
 
 def test_thickness_tells_the_mean_of_thin_and_thick_walls() -> None:
@@ -168,8 +168,8 @@ def test_thickness_tells_the_mean_of_thin_and_thick_walls() -> None:
     found = wall_thickness(grid)
     assert found is not None
     # Faces: 40 cells of the thin wall, 40 on each side of the thick one.
-    assert found.mean_m == pytest.approx((40 * 1 + 80 * 3) / 120 * 0.05, rel=0.03)
-    assert found.p95_m == pytest.approx(0.15)
+    assert found.mean == pytest.approx((40 * 1 + 80 * 3) / 120 * 0.05, rel=0.03)
+    assert found.p95 == pytest.approx(0.15)
 
 
 def test_what_is_known_outside_the_outline_is_counted_in_square_metres() -> None:
@@ -208,7 +208,7 @@ def test_spikes_beyond_the_box_of_the_truth_count() -> None:
 def test_the_document_holds_the_measures_as_plain_values() -> None:
     truth = draw("?????", "#####", ".....", ".....")
     found = draw(".....", "#####", ".....", ".....")
-    document = json.loads(json.dumps(compare(found, truth).to_json()))
+    document = plain(compare(found, truth))
     assert document["faces"]["agreements"][0] == {
         "tolerance_m": 0.05,
         "precision": 1.0,

@@ -22,6 +22,7 @@ from slamfusion.evidence.beams import CHUNKS
 from slamfusion.evidence.parting import PART_M
 from slamfusion.evidence.recommendation import MOST_CHECKS, distance_m
 from slamfusion.geometry import compose_poses
+from slamfusion.json_values import plain
 from slamfusion.trajectory import Trajectory
 from tests.evidence.rooms import ROOM, bent, box, circuit, moved, recorded
 
@@ -64,7 +65,7 @@ def test_the_fused_path_is_the_answer_and_the_slam_nearest_to_it(
     assert away_m["close"] == pytest.approx(0.01 * math.sqrt(3) / 4, rel=0.02)
     assert away_m["fused"] is None
     # All are compared with the path that is recommended, not with the one that scores best.
-    assert [path.name for path in answer.paths if path.behind is None] == ["fused"]
+    assert [path.name for path in answer.paths if path.behind_95 is None] == ["fused"]
     assert answer.paths[-1].name == "bent"
     assert not answer.paths[-1].tied
 
@@ -213,7 +214,7 @@ def test_the_vote_and_the_answer_never_contradict_each_other(
     """Who is right where paths part is decided by the vote alone; the answer quotes it."""
     evidence = score_paths(scans, PATHS, device)
     answer = answer_of(evidence, device, "fused")
-    for path in answer.paths_to_json(evidence):
+    for path in plain(answer.paths):
         for span in path["spans"]:
             assert set(span) == {"from_s", "to_s", "agrees", "gap_m"}
     undecided = find_exclusions(evidence.of_paths(SLAMS), device).undecided
@@ -225,21 +226,21 @@ def test_the_answer_is_read_as_it_was_written(device: ComputeDevice):
     torn = moved(ROUNDS, (0.3, 0.4, 0.0), 144)
     evidence = score_paths(judged_scans(recorded(ROUNDS, odometry=False)), {"a": torn}, device)
     answer = answer_of(evidence, device)
-    again = Recommendation.from_json(answer.to_json())
+    again = Recommendation.from_json(plain(answer))
     assert (again.headline, again.lines()) == (answer.headline, answer.lines())
-    assert again.to_json() == answer.to_json()
+    assert plain(again) == plain(answer)
 
 
 def test_the_reasons_have_their_intervals(device: ComputeDevice, scans: JudgedScans):
     evidence = score_paths(scans, {"bent": BENT, "truth": TRUTH}, device)
-    best, other = answer_of(evidence, device).paths_to_json(evidence)
-    assert (best["name"], best["tied"], best["behind"]) == ("truth", True, 0.0)
-    assert best["behind_95"] is None
-    assert not other["tied"]
-    low, high = other["behind_95"] or (0.0, 0.0)
-    assert 0.0 < low < other["behind"] < high
-    assert other["behind"] == pytest.approx(best["consistency"] - other["consistency"])
-    assert sum(part["beams"] for part in other["over_time"]) == other["beams_judged"]
+    best, other = answer_of(evidence, device).paths
+    assert (best.name, best.tied, best.behind) == ("truth", True, 0.0)
+    assert best.behind_95 is None
+    assert not other.tied
+    low, high = other.behind_95 or (0.0, 0.0)
+    assert 0.0 < low < other.behind < high
+    assert other.behind == pytest.approx(best.consistency - other.consistency)
+    assert sum(part.beams for part in other.over_time) == other.beams_judged
 
 
 def test_what_is_seen_twice_is_scored_whatever_is_seen_once(device: ComputeDevice):

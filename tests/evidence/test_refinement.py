@@ -10,6 +10,7 @@ import pytest
 from slamfusion.compute import ComputeDevice
 from slamfusion.evidence import JudgedScans, refine_borne_out, refinement, score_paths, with_path
 from slamfusion.geometry import compose_poses, invert_poses
+from slamfusion.json_values import plain
 from slamfusion.trajectory import Trajectory
 from tests.evidence.rooms import bent, circuit, moved
 
@@ -28,15 +29,15 @@ def test_a_path_that_lays_walls_on_each_other_is_taken(
     evidence = score_paths(scans, {"truth": truth}, device)
     given = wavy(truth)
     found = refine_borne_out(evidence, given, device)
-    assert found.is_taken
-    assert found.comparison.verdict == "better"
+    assert found.taken
+    assert found.verdict == "better"
     assert found.path.name == "fused"
     assert not np.array_equal(found.path.poses, given.poses)
     assert tuple(found.evidence.scores) == ("truth", "fused")
     again = with_path(evidence, "fused", found.path, device).scores["fused"]
     assert found.evidence.scores["fused"].consistency == again.consistency
     assert found.evidence.scores["fused"].name == "fused"
-    assert found.to_json()["taken"]
+    assert plain(found)["taken"]
 
 
 def test_a_path_that_the_scans_speak_against_is_not_taken(
@@ -50,22 +51,22 @@ def test_a_path_that_the_scans_speak_against_is_not_taken(
         refinement, "refine_path", lambda _, path: moved(path, (0.4, 0.0, 0.0), len(path) // 2)
     )
     found = refine_borne_out(evidence, given, device)
-    assert not found.is_taken
-    assert found.comparison.verdict == "worse"
+    assert not found.taken
+    assert found.verdict == "worse"
     assert found.path is given
-    plain = with_path(evidence, "fused", given, device).scores["fused"]
-    assert found.evidence.scores["fused"].consistency == plain.consistency
+    before = with_path(evidence, "fused", given, device).scores["fused"]
+    assert found.evidence.scores["fused"].consistency == before.consistency
     assert tuple(found.evidence.scores) == ("other", "fused")
     # What comes by chance more often than once in a hundred times speaks against neither.
-    monkeypatch.setattr(refinement, "SURE", found.comparison.p_value)
-    assert refine_borne_out(evidence, given, device).is_taken
-    assert found.to_json() == {
+    monkeypatch.setattr(refinement, "SURE", found.p_value)
+    assert refine_borne_out(evidence, given, device).taken
+    assert plain(found) == {
         "taken": False,
         "start": "paths",
         "verdict": "worse",
-        "difference": found.comparison.difference,
-        "difference_95": (found.comparison.low, found.comparison.high),
-        "p_value": found.comparison.p_value,
+        "difference": found.difference,
+        "difference_95": [*found.difference_95],
+        "p_value": found.p_value,
     }
 
 
@@ -89,9 +90,9 @@ def test_where_the_odometry_is_nearer_the_path_is_sought_from_it(
     assert scans.odometry is not None
     elsewhere = replace(scans, odometry=compose_poses((30.0, -4.0, 2.0), scans.odometry))
     found = refine_borne_out(replace(evidence, scans=elsewhere), given, device)
-    assert (found.is_taken, found.start) == (True, "odometry")
-    assert found.to_json()["start"] == "odometry"
-    assert found.comparison.verdict == "better"
+    assert (found.taken, found.start) == (True, "odometry")
+    assert plain(found)["start"] == "odometry"
+    assert found.verdict == "better"
     assert worst_m(given, truth) > 0.5
     assert worst_m(found.path, truth) < 0.05
     # It has the name, the stamps and the frame of the path that was given.
@@ -150,7 +151,7 @@ def test_scans_are_laid_on_each_other_again_while_that_gains(
     monkeypatch.setattr(refinement, "refine_path", halve)
     monkeypatch.setattr(refinement, "ROUND_GAIN", 0.002)
     found = refine_borne_out(evidence, replace(given, name="fused"), device)
-    assert found.is_taken
+    assert found.taken
     assert 1 < len(rounds) <= refinement.MOST_ROUNDS
     assert worst_m(found.path, truth) < 0.5 * worst_m(given, truth)
     # The last round gained little, and no more than that was tried.

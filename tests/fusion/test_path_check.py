@@ -23,6 +23,7 @@ from slamfusion.fusion.path_check import (
 )
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, OccupancyGrid
+from slamfusion.json_values import plain
 from slamfusion.trajectory import Trajectory
 from tests.fusion.drawings import building, degraded, fusion_config
 
@@ -51,8 +52,8 @@ def test_gaps_are_measured_between_the_poses_of_one_moment() -> None:
     assert (gap.a, gap.b) == ("a", "b")
     assert gap.median_m == pytest.approx(5.0)
     assert gap.max_m == pytest.approx(5.0)
-    assert gap.yaw_rad == 0.0
-    assert gap.to_json() == {
+    assert gap.median_yaw_rad == 0.0
+    assert plain(gap) == {
         "a": "a", "b": "b", "median_m": pytest.approx(5.0), "max_m": pytest.approx(5.0),
         "start_m": pytest.approx(5.0), "median_yaw_rad": 0.0,
         "voting_median_m": pytest.approx(5.0), "voting_max_m": pytest.approx(5.0),
@@ -69,8 +70,7 @@ def test_a_gap_is_known_also_while_one_path_has_no_vote() -> None:
     assert (gap.median_m, gap.max_m) == (2.0, 2.0)
     assert gap.voting is not None
     assert (gap.voting.median_m, gap.voting.max_m) == (0.0, 0.0)
-    figures = gap.to_json()
-    assert (figures["median_m"], figures["voting_median_m"]) == (2.0, 0.0)
+    assert (gap.median_m, gap.voting_median_m) == (2.0, 0.0)
     assert gap.sentence() == (
         "a and b are 2.00 m apart over the drive (median; 2.00 m at most), "
         "0.00 m while both vote (0.00 m at most)"
@@ -91,7 +91,7 @@ def test_where_a_path_was_between_its_poses_is_known() -> None:
     for paths in ({"a": MOVING, "b": few}, {"a": few, "b": MOVING}):
         (gap,) = path_gaps(paths)
         assert gap.max_m < 0.11
-        assert gap.yaw_rad < 1e-6
+        assert gap.median_yaw_rad < 1e-6
     assert len(path_gaps({"a": MOVING, "b": few})[0].gaps_m) == 383
 
 

@@ -6,6 +6,7 @@ import pytest
 
 from slamfusion.config import DeviceConfig, RunConfig
 from slamfusion.jobs.doctor import check_installation, devices_document, has_two_rclpy
+from slamfusion.json_values import plain
 from tests.support.documents import check_document
 
 NUMPY = RunConfig(device=DeviceConfig(device="numpy"))
@@ -14,7 +15,7 @@ NUMPY = RunConfig(device=DeviceConfig(device="numpy"))
 def test_the_document_of_the_doctor_is_that_of_the_schema(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("ROS_DISTRO", raising=False)
     found = check_installation(NUMPY)
-    check_document(dict(found), "doctor")
+    check_document(plain(found), "doctor")
     assert found["devices"] == devices_document()["devices"]
     assert found["self_test"]
     assert all(test["passed"] for test in found["self_test"])

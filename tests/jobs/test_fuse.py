@@ -51,7 +51,7 @@ def test_maps_are_fused_measured_and_written(
         )
     assert fused.doubled == DoubledWalls.of(fused.result, CONFIG, device())
     assert len(fused.result.accepted) == 3
-    assert [item.error.name for item in fused.evaluations][-1] == "fused"
+    assert [item.name for item in fused.evaluations][-1] == "fused"
     assert "evaluate" in told
     (tmp_path / "report" / "failed").mkdir(parents=True)
     (tmp_path / "report" / "failed" / "report.html").write_text("old", encoding="utf-8")
@@ -121,7 +121,7 @@ def test_maps_of_two_buildings_become_two_maps(tmp_path: Path) -> None:
     check_document(plain(document), "fuse")
     first, last = document["groups"]
     assert first["fused"] == document["fused"] == str(tmp_path / "out.yaml")
-    assert [item["name"] for item in first["inputs"]] == [truth.name, "moving", "third"]
+    assert [item.moving for item in first["inputs"]] == [truth.name, "moving", "third"]
     assert last["agreement"] == str(tmp_path / "out-2_agreement.yaml")
     assert load_map(last["fused"]).cells.tolist() == second.fused.cells.tolist()
     assert last["reference"] == second.reference
@@ -150,7 +150,7 @@ def test_maps_with_starts_are_searched_there_and_the_truth_everywhere() -> None:
     }
     fused = fuse_maps([grid, other], replace(CONFIG, start=starts), device(), truth=truth)
     assert len(fused.result.accepted) == 2
-    assert all(item.is_aligned for item in fused.evaluations)
+    assert all(item.aligned for item in fused.evaluations)
     wrong = {**starts, "other": (other_pose.x, other_pose.y + 9.0, other_pose.yaw_rad, 1.0, 0.2)}
     with pytest.raises(AlignmentError, match="no two of the inputs"):
         fuse_maps([grid, other], replace(CONFIG, start=wrong), device())

@@ -24,6 +24,7 @@ from slamfusion.jobs import fuse_store
 from slamfusion.jobs.documents import record_bytes
 from slamfusion.jobs.fuse import AllRequiredError, fuse_maps
 from slamfusion.jobs.fuse_store import check_stores, fuse_into_store
+from slamfusion.json_values import plain
 from tests.fusion.test_lattice_vote import SIZE, placed
 from tests.support.documents import check_document
 from tests.support.sites import many_maps
@@ -90,7 +91,7 @@ def test_the_store_holds_what_fuse_makes(
         assert stem is not None
         assert np.array_equal(load_map(f"{stem}.yaml").cells, whole.fused.cells)
     document = stored.to_json()
-    check_document(dict(document), "fuse")
+    check_document(plain(document), "fuse")
     assert (tmp_path / "out.json").read_bytes() == record_bytes(document)
     assert document["store"] == str(tmp_path / "out.zarr")
     assert document["fused"] == str(tmp_path / "out.yaml")

@@ -43,7 +43,7 @@ def test_a_log_is_mapped_measured_saved_and_gone_on_with(place: Path, tmp_path: 
     assert len(ended.trajectory) == 32
     document = save_mapped_log(ended, tmp_path / "end" / "map", report=tmp_path / "report")
     check_document(plain(document), "slam")
-    assert document["producers"][0]["ate"]["rmse"] < 0.1
+    assert document["producers"][0]["ate"].rmse < 0.1
     assert document["producers"][0]["map_error"] is not None
     assert (tmp_path / "report" / "report.html").exists()
     assert load_map(tmp_path / "end" / "map.yaml").cells.shape == ended.grid.cells.shape

@@ -130,16 +130,16 @@ def test_a_layer_is_drawn_anew_without_the_time_in_which_its_producer_had_left(
     assert layers.votes["c"].tolist() == [True] * 70 + [False] * 50
     assert set(layers.votes) == {"c"}
     (vote,) = layers.partial
-    assert (vote.name, vote.left_out) == ("c", "")
+    assert (vote.name, vote.left_out) == ("c", None)
     assert vote.excluded_share == pytest.approx(50 / COUNT)
-    (span,) = vote.spans
+    (span,) = vote.excluded_spans
     assert (span.from_s, span.to_s) == (7.0, pytest.approx(11.9))
     (words,) = layers.sentences()
     assert words == (
         f"c has no vote from 7 to 12 s, up to {span.gap_m:.1f} m away, where the others agree; its "
         "layer is drawn anew from its other scans."
     )
-    assert vote.to_json()["excluded_spans"] == [
+    assert plain(vote)["excluded_spans"] == [
         {"from_s": 7.0, "to_s": span.to_s, "gap_m": span.gap_m, "ground": "outvoted"}
     ]
 
@@ -228,7 +228,7 @@ def test_a_layer_shows_the_time_without_a_vote_at_the_fused_path(device: Compute
     layers = draw_layers(maps, paths, found, lambda _: drawn(), device, filling)
     (vote,) = layers.partial
     assert vote.filled
-    assert vote.to_json()["filled"]
+    assert vote.filled
     assert not bare.partial[0].filled
     assert vote.sentence().endswith("and from those of that time at the fused path.")
     assert far_share(layers.grids[1], maps[0]) == 0.0
@@ -258,14 +258,14 @@ def test_the_main_job_on_a_drive_on_which_one_producer_goes_wrong(tmp_path: Path
     run = run_log(tmp_path / "bent.log", config)
     assert run.failure is None
     (vote,) = run.layers.partial
-    assert (vote.name, vote.left_out) == ("tinyslam", "")
-    assert vote.spans[-1].ground == "contradicted by the scans"
-    assert 6.0 <= vote.spans[0].from_s <= 9.0
-    assert vote.spans[-1].to_s == pytest.approx(11.9)
+    assert (vote.name, vote.left_out) == ("tinyslam", None)
+    assert vote.excluded_spans[-1].ground == "contradicted by the scans"
+    assert 6.0 <= vote.excluded_spans[0].from_s <= 9.0
+    assert vote.excluded_spans[-1].to_s == pytest.approx(11.9)
 
     saved = save_run(run, tmp_path / "out")
     check_document(plain(saved.document), "run")
-    assert plain(saved.document)["partial_votes"] == [plain(vote.to_json())]
+    assert plain(saved.document)["partial_votes"] == [plain(vote)]
     page = (tmp_path / "out" / "report" / "report.html").read_text(encoding="utf-8")
     assert vote.sentence() in page
     # Its own map is kept as it was made; the layer that voted is another one.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import json
 from collections.abc import Callable
-from typing import Any, TypedDict
+from typing import Any
 
 import click
 import numpy as np
@@ -170,19 +170,6 @@ def test_a_producer_may_say_more_of_its_health() -> None:
 def test_an_unknown_document_is_no_key() -> None:
     with pytest.raises(KeyError, match="paint"):
         load_schema("paint")
-
-
-class NamelessJson(TypedDict):
-    """A record with a key that nobody describes."""
-
-    name: str
-    """What it is called."""
-    size: int
-
-
-def test_a_key_without_a_text_makes_no_schema() -> None:
-    with pytest.raises(ValueError, match=r"NamelessJson\.size has no text below it"):
-        make_schema._described(NamelessJson)
 
 
 LIVE = ("status", "watch", "save", "reset")

@@ -63,12 +63,12 @@ def test_the_main_job_from_a_log_to_files(place: Path, tmp_path: Path) -> None:
     assert list(saved.stages) == wanted
     answer = run.recommendation
     assert answer is not None
-    assert saved.document["recommendation"] == answer.to_json()
+    assert saved.document["recommendation"] is answer
     assert (answer.use, answer.path) == ("fused", "fused")
     assert answer.best_single in {"tinyslam", "graph"}
     assert "verdict" not in saved.document
     evidence = saved.document["path_evidence"]
-    assert {item["name"] for item in evidence} == {"tinyslam", "graph", "fused"}
+    assert {item.name for item in evidence} == {"tinyslam", "graph", "fused"}
     page = (tmp_path / "out" / "report" / "report.html").read_text(encoding="utf-8")
     assert f"<h1>{answer.headline}</h1>" in page
     assert page.index("<strong>Single SLAM:</strong>") < page.index("maps were fused")
@@ -143,7 +143,7 @@ def assert_path_and_drawing_lie_on_the_fused_map(run: LogRun, saved: SavedRun, o
     assert told["file"] == str(out / "fused.tum")
     assert (told["poses"], set(told["trust"])) == (32, {"tinyslam", "graph"})
     assert max(told["trust"].values()) == 1.0
-    assert told["ate"]["rmse"] < 0.05
+    assert told["ate"].rmse < 0.05
     assert run.usable is not None
     assert run.grid is not None
     for record in run.usable.accepted:
@@ -158,7 +158,7 @@ def assert_path_and_drawing_lie_on_the_fused_map(run: LogRun, saved: SavedRun, o
     assert written is not None
     assert written["file"] == str(out / "drawn.yaml")
     assert written["wall_thickness_m"] is not None
-    assert written["wall_thickness_m"]["median"] < 0.2
+    assert written["wall_thickness_m"].median < 0.2
     assert drawn.resolution == run.grid.resolution
     walls = wall_centres(trinary_cells(drawn.cells, run.config.fusion.normalize), drawn)
     voted = wall_centres(trinary_cells(run.grid.cells, run.config.fusion.normalize), run.grid)
@@ -259,10 +259,10 @@ def test_a_saved_map_brings_its_path(place: Path, tmp_path: Path) -> None:
     check_document(plain(document), "run")
     (told,) = document["saved_paths"]
     assert (told["name"], told["poses"]) == ("map", 11)
-    assert told["ate"]["rmse"] == pytest.approx(0.0, abs=1e-6)
-    own = next(item for item in document["path_evidence"] if item["name"] == "map")
-    assert own["own_poses_share"] == pytest.approx(1.0 / 3.0, abs=0.05)
-    assert own["covered_share"] > 0.9
+    assert told["ate"].rmse == pytest.approx(0.0, abs=1e-6)
+    own = next(item for item in document["path_evidence"] if item.name == "map")
+    assert own.own_poses_share == pytest.approx(1.0 / 3.0, abs=0.05)
+    assert own.covered_share > 0.9
     page = (tmp_path / "out" / "report" / "report.html").read_text(encoding="utf-8")
     assert '<td class="plain">map</td><td class="plain">ATE, place m</td>' in page
 

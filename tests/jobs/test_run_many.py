@@ -109,7 +109,7 @@ def test_an_error_of_another_machine_names_it(
 ) -> None:
     def elsewhere(task: run_many.LogTask, _: object) -> tuple[RunOfLog, str]:
         error = "no such file" if task.log.stem == "a" else None
-        return RunOfLog(task.log, None, 0, None, error, (), None), "robot-7"
+        return RunOfLog(log=task.log, error=error), "robot-7"
 
     monkeypatch.setattr(run_many, "run_one", elsewhere)
     tasks = log_tasks([tmp_path / "a.log", tmp_path / "b.log"], tmp_path)
@@ -127,7 +127,7 @@ def test_what_could_not_be_measured_is_told_by_the_code_as_of_one_log(
     def mapped(task: run_many.LogTask, _: object) -> tuple[RunOfLog, str]:
         troubles = ("the fused path: no pose in time",) if task.log.stem == "a" else ()
         answer = Recommendation("graph", "graph", "graph")
-        done = RunOfLog(task.log, task.folder, 3, answer, None, (), 1.0, troubles)
+        done = RunOfLog(log=task.log, recommendation=answer, not_measured=troubles, time_s=1.0)
         return done, socket.gethostname()
 
     monkeypatch.setattr(run_many, "run_one", mapped)

@@ -45,7 +45,7 @@ def test_a_trajectory_file_is_measured_and_reported(place: Path, tmp_path: Path)
     found = measure_trajectory_file(files)
     document = found.to_json()
     check_document(plain(document), "trajectory")
-    assert document["ate"]["rmse"] == pytest.approx(0.0, abs=1e-9)
+    assert document["ate"].rmse == pytest.approx(0.0, abs=1e-9)
     assert write_trajectory(found, tmp_path / "report").exists()
 
 

@@ -78,7 +78,16 @@ def in_room(count: int = 60, wrong: float = 0.0) -> Trajectory:
 
 def relation_values(translation_m: Any, stamps_s: Any) -> RelationErrors:
     values = np.asarray(translation_m, dtype=np.float64)
-    return RelationErrors("a", "b", np.asarray(stamps_s), values, values / 10, 99, 0.01, 9)
+    return RelationErrors(
+        relations_total=99,
+        tolerance_s=0.01,
+        poses=9,
+        name="a",
+        relations="b",
+        stamps_s=np.asarray(stamps_s),
+        translation_m=values,
+        rotation_rad=values / 10,
+    )
 
 
 def truth_errors() -> TrajectoryErrors:

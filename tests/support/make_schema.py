@@ -4,8 +4,9 @@ Run in the root of the repository, after a change to a type or its text::
 
     python -m tests.support.make_schema
 
-pydantic turns the types into JSON Schema. It is shown copies of them: the texts below the keys,
-which Python does not keep, become descriptions in these, and other keys are refused.
+The types are dataclasses and TypedDicts. pydantic turns copies of them into JSON Schema: the texts
+below the keys, which Python does not keep, become descriptions in these, and other keys are
+refused.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import json
 import sys
 import typing
 from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
 from functools import cache, reduce
 from operator import or_
 from pathlib import Path
@@ -26,7 +28,7 @@ import typing_extensions
 from pydantic import Field, TypeAdapter
 from pydantic.json_schema import GenerateJsonSchema
 
-from slamfusion.evaluation.records import RelationErrorsJson, TrajectoryErrorsJson
+from slamfusion.evaluation import RelationErrors, TrajectoryErrors
 from slamfusion.experiments.page import ExperimentDocument
 from slamfusion.jobs import compare as comparisons
 from slamfusion.jobs import records as jobs
@@ -79,8 +81,9 @@ _FORMS: tuple[Any, ...] = (
 )
 # Of these keys a measured path has all or none.
 TOGETHER = (
-    frozenset(TrajectoryErrorsJson.__annotations__),
-    frozenset(RelationErrorsJson.__annotations__) | {"odometry", "at_scans"},
+    frozenset(field.name for field in fields(TrajectoryErrors) if field.repr),
+    frozenset(field.name for field in fields(RelationErrors) if field.repr)
+    | {"odometry", "at_scans"},
 )
 
 
@@ -169,32 +172,36 @@ def _shorten(schema: Any) -> None:
 
 @cache
 def _described(kind: type) -> Any:
-    """Return a copy of a TypedDict whose keys have their texts and admit no others.
+    """Return a TypedDict with the keys of a record; they have their texts and admit no others.
 
     Raises:
         ValueError: a key has no text.
     """
     texts = _texts(kind)
     hints = typing.get_type_hints(kind)
+    required = getattr(kind, "__required_keys__", ())
+    if is_dataclass(kind):
+        required = [field.name for field in fields(kind) if field.repr]
+        hints = {key: hints[key] for key in required}
     # Types that are made as the program runs are no types to a checker.
     annotated, not_required, typed_dict = _FORMS
-    fields = {}
+    keys = {}
     for key, hint in hints.items():
         if not texts.get(key):
             message = f"{kind.__name__}.{key} has no text below it"
             raise ValueError(message)
         field = annotated[_copied(hint), Field(description=texts[key])]
-        is_required = key in getattr(kind, "__required_keys__", ())
-        fields[key] = field if is_required else not_required[field]
-    copy = typed_dict(_name(kind), fields)
+        keys[key] = field if key in required else not_required[field]
+    copy = typed_dict(_name(kind), keys)
     copy.__doc__ = (inspect.getdoc(kind) or "").replace("``", "`")
     copy.__pydantic_config__ = {"extra": "allow" if kind in OPEN else "forbid"}
     return copy
 
 
 def _copied(hint: Any) -> Any:
-    """Return a type with every TypedDict in it replaced by its described copy."""
-    if typing.is_typeddict(hint):
+    """Return a type with every record in it replaced by its described copy."""
+    hint = str if hint is Path else _keys_of(hint)
+    if typing.is_typeddict(hint) or is_dataclass(hint):
         return _described(hint)
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)
     if origin is None or origin is typing.Literal:
@@ -203,8 +210,14 @@ def _copied(hint: Any) -> Any:
     return reduce(or_, copies) if origin in {UnionType, typing.Union} else origin[copies]
 
 
+def _keys_of(hint: Any) -> Any:
+    """Return the type of what a record with a method ``to_json`` prints; other types stay."""
+    found = getattr(hint, "to_json", None)
+    return hint if found is None else typing.get_type_hints(found)["return"]
+
+
 def _texts(kind: type) -> dict[str, str]:
-    """Return the text below each key of a TypedDict, those of its bases too."""
+    """Return the text below each key of a record, those of its bases too."""
     module = sys.modules[kind.__module__]
     (node,) = ast.parse(inspect.getsource(kind)).body
     assert isinstance(node, ast.ClassDef)

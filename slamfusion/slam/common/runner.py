@@ -17,10 +17,10 @@ import numpy.typing as npt
 
 from slamfusion.errors import SlamFusionError
 from slamfusion.grid import OccupancyGrid
-from slamfusion.io.log import LogScan, ScanLog, Skips
+from slamfusion.io.log import LogRecord, LogScan, ScanLog
 from slamfusion.slam.common.mapper import ClosesLoops, Closure, Health, Mapper, Series, Step
 from slamfusion.slam.common.odometry_check import contradictions
-from slamfusion.slam.records import LogJson, ProducerRunJson, TimePerScanJson
+from slamfusion.slam.records import ProducerRunJson, TimePerScanJson
 from slamfusion.trajectory import Trajectory
 
 
@@ -51,40 +51,6 @@ LOW_SHARE = 0.5
 # Share of the scans that could not be used from which on there is a warning: a log may hold blind
 # moments, but one that is blind for longer is hardly mapped.
 MANY_SKIPPED_SHARE = 0.2
-
-
-@dataclass(frozen=True)
-class LogRecord:
-    """What a log said of itself while it was read.
-
-    Attributes:
-        path: where it lies.
-        skips: what was left out, by reason.
-        warnings: what was let through although it is odd, by reason.
-        notes: sentences for the user.
-        has_stamps: whether times are the log's own; else they are made from the scans' index.
-    """
-
-    path: Path
-    skips: Skips
-    warnings: Skips
-    notes: tuple[str, ...]
-    has_stamps: bool
-
-    @classmethod
-    def of(cls, log: ScanLog) -> LogRecord:
-        """Return the record of a log's last iteration."""
-        return cls(log.path, log.skips, log.warnings, tuple(log.notes), log.has_stamps)
-
-    def to_json(self) -> LogJson:
-        """Return the record for a JSON document."""
-        return {
-            "path": str(self.path),
-            "skipped": self.skips.to_json(),
-            "warnings": self.warnings.to_json(),
-            "notes": list(self.notes),
-            "has_stamps": self.has_stamps,
-        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,7 +189,7 @@ class ProducerRun:
             "warnings": list(self.warnings()),
             "complete": self.is_complete,
             "known_scans": self.known_scans,
-            "log": None if self.log is None else self.log.to_json(),
+            "log": self.log,
         }
 
 
@@ -367,7 +333,7 @@ def _nothing_used(mapper: Mapper, record: LogRecord | None, fed: int) -> str:
     where = "" if record is None else f"{record.path}: "
     reasons = list(skipped_scans(mapper.health)) if fed else []
     if record is not None:
-        reasons += [f"{sentence} in the log" for sentence in record.skips.sentences()]
+        reasons += [f"{sentence} in the log" for sentence in record.skipped.sentences()]
     why = f": {'; '.join(reasons)}" if reasons else ""
     return (
         f"{where}{mapper.name} could use none of {fed} scans{why}; "

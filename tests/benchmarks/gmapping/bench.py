@@ -55,7 +55,7 @@ class Judged:
     def wall_figures(self) -> tuple[float | None, ...]:
         """Return what ``WALLS`` names."""
         walls = self.walls
-        off_m = walls.map_to_truth.mean_m if walls.map_to_truth else None
+        off_m = walls.map_to_truth_m.mean if walls.map_to_truth_m else None
         shares = (walls.wall_precision, walls.wall_recall, walls.wall_f1)
         return (*shares, off_m, 100.0 * self.doubled_share)
 
