@@ -76,7 +76,7 @@ def measure(folder: Path, device: ComputeDevice) -> tuple[dict[str, MapError], d
     layers = drive_layers(made, weighed, drive.scans, drive.fed(), device)
     votes = vote_every_way(layers, config, device, {})
     maps[RUN_VOTE] = votes[RUN_VOTE]
-    maps |= draw_paths(drive.scans, weighed, truth.resolution, config, device)
+    maps |= draw_paths(drive.scans, weighed, truth.resolution, device)
     errors = {
         name: against_truth(grid, truth, config, device, same_heading=True)
         for name, grid in maps.items()

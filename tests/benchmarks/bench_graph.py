@@ -18,9 +18,612 @@ as the command line does.
 
 from __future__ import annotations
 
-from tests.benchmarks.graph.recorded import logs, recordings
-from tests.benchmarks.graph.simulated import events, floors
-from tests.benchmarks.parts import Parts, measure, parser_of
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.config import RunConfig
+from slamfusion.evaluation import (
+    MapError,
+    TrajectoryErrors,
+    compare_to_truth,
+    doubled_wall_share,
+    errors_at_scans,
+    mean_interval,
+    trajectory_errors,
+)
+from slamfusion.experiments.drives import RELATIONS
+from slamfusion.experiments.drives import Drive as RecordedDrive
+from slamfusion.geometry import Pose2, compose_poses, invert_poses, wrap_angles
+from slamfusion.grid import OccupancyGrid
+from slamfusion.io import LogScan, open_log, read_trajectory
+from slamfusion.sim import Course, Recording, named_course, simulate
+from slamfusion.slam.common.runner import ProducerRun, run_producer, skipped_scans
+from slamfusion.slam.graph import GraphSlam
+from slamfusion.slam.registry import settings_of, with_settings
+from slamfusion.trajectory import Trajectory
+from tests.benchmarks.bench_gmapping import PATHS, drive_course, judge, path_figures, recorded
+from tests.benchmarks.bench_slam import error, floor, within_floor
+from tests.benchmarks.producer_bench import (
+    OVER_SEEDS,
+    WALLS,
+    Bench,
+    Judged,
+    Parts,
+    mean_walls,
+    measure,
+    over_seeds,
+    parser_of,
+    shown,
+)
+from tests.support.datasets import ABSENT, DATASETS
+
+# A closure that is off by more joins two places that are not one.
+FALSE_M, FALSE_RAD = 0.5, 0.1
+# Ties of neighbouring nodes are no loops.
+LOOP_S = 5.0
+
+Drive = tuple[tuple[LogScan, ...], Trajectory]
+
+
+class ClosureLike(Protocol):
+    """What a graph says of two scans; see ``slamfusion.slam.common.mapper.Closure``."""
+
+    @property
+    def start_s(self) -> float: ...
+    @property
+    def end_s(self) -> float: ...
+    @property
+    def motion(self) -> Pose2: ...
+    @property
+    def weight(self) -> float: ...
+
+
+def with_pause(drive: Drive, first: int, pause_s: float) -> Drive:
+    """Return a drive with nothing recorded for a while before one of its scans."""
+    scans, truth = drive
+    late = tuple(
+        replace(item, scan=replace(item.scan, stamp_s=item.scan.stamp_s + pause_s))
+        for item in scans[first:]
+    )
+    stamps_s = truth.stamps_s + np.where(np.arange(len(truth)) >= first, pause_s, 0.0)
+    return scans[:first] + late, Trajectory(stamps_s, truth.poses, truth.name)
+
+
+def begun_later(drive: Drive, first: int) -> Drive:
+    """Return a drive without the scans before one; stamps and odometry stay as they are."""
+    scans, truth = drive
+    return scans[first:], Trajectory(truth.stamps_s[first:], truth.poses[first:], truth.name)
+
+
+def with_odometry_set_to_zero(drive: Drive, first: int) -> Drive:
+    """Return a drive whose odometry begins anew, at zero, with one of its scans."""
+    scans, truth = drive
+    start = scans[first].odometry
+    if start is None:
+        message = f"scan {scans[first].line} has no odometry"
+        raise ValueError(message)
+    again = tuple(
+        replace(item, odometry=start.inverse().compose(pose))
+        for item in scans[first:]
+        if (pose := item.odometry)
+    )
+    return scans[:first] + again, truth
+
+
+def closure_errors(closures: Sequence[ClosureLike], truth: Trajectory) -> npt.NDArray[np.float64]:
+    """Return how far closures are from the truth, (N, 2): metres, radians.
+
+    Args:
+        closures: at stamps of the truth.
+        truth: the true poses.
+
+    Raises:
+        ValueError: a closure has a stamp that the truth has not.
+    """
+    if not closures:
+        return np.zeros((0, 2))
+    stamps_s = np.array([(item.start_s, item.end_s) for item in closures])
+    nearest = truth.nearest(stamps_s)
+    if np.abs(truth.stamps_s[nearest] - stamps_s).max() > 1e-6:
+        message = "a closure joins times at which the truth has no pose"
+        raise ValueError(message)
+    first, second = truth.poses[nearest[:, 0]], truth.poses[nearest[:, 1]]
+    true = compose_poses(invert_poses(first), second)
+    said = np.array([(m.x, m.y, m.yaw_rad) for m in (item.motion for item in closures)])
+    left = compose_poses(invert_poses(true), said)
+    return np.stack((np.hypot(left[:, 0], left[:, 1]), np.abs(wrap_angles(left[:, 2]))), axis=1)
+
+
+def loops(closures: Iterable[ClosureLike]) -> list[ClosureLike]:
+    """Return the closures that join two visits of a place, not two moments of one."""
+    return [item for item in closures if abs(item.end_s - item.start_s) > LOOP_S]
+
+
+def is_false(errors: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
+    """Return which closures are false, (N,), from their errors (N, 2) in metres and radians."""
+    return np.asarray((errors[:, 0] > FALSE_M) | (errors[:, 1] > FALSE_RAD))
+
+
+def joined(recordings: Sequence[Recording]) -> tuple[tuple[LogScan, ...], Trajectory]:
+    """Set simulated drives one after the other; each begins where the one before ended.
+
+    Args:
+        recordings: with one laser.
+
+    Returns:
+        The scans, odometry going on from one drive to the next, and the true path.
+    """
+    scans: list[LogScan] = []
+    stamps_s: list[npt.NDArray[np.float64]] = []
+    shift_s = 0.0
+    for recording in recordings:
+        moved = Pose2()
+        if scans:
+            shift_s += 1.0 / recording.course.lidar.rate_hz
+            moved = _odometry(scans[-1]).compose(_odometry(recording.scans[0]).inverse())
+        stamps_s.append(shift_s + recording.truth.stamps_s)
+        for item in recording.scans:
+            scan = replace(item.scan, stamp_s=shift_s + item.scan.stamp_s)
+            scans.append(LogScan(scan, moved.compose(_odometry(item)), len(scans) + 1))
+        shift_s = float(stamps_s[-1][-1])
+    poses = np.concatenate([recording.truth.poses for recording in recordings])
+    return tuple(scans), Trajectory(np.concatenate(stamps_s), poses, "truth")
+
+
+def _odometry(item: LogScan) -> Pose2:
+    """Return the odometry of a scan.
+
+    Raises:
+        ValueError: it has none.
+    """
+    if item.odometry is None:
+        message = f"scan {item.line} has no odometry"
+        raise ValueError(message)
+    return item.odometry
+
+
+DRIVES = ("mit-csail", "intel-910-raw", "intel-2726-raw")
+# Of a closure's weight; and how far off the corrected path one is worth a look.
+BELIEVED = 0.5
+OFF_M, OFF_RAD = 1.0, 0.2
+TIMES = ("ms", "p95 ms", "p99.9 ms", "longest ms")
+
+
+@dataclass(frozen=True)
+class CorrectedLog:
+    """A log that holds what gmapping made of a drive.
+
+    Attributes:
+        name: what tables call it.
+        log: scans with gmapping's poses.
+        odometry: reconstructed, beside it; None where there is none.
+    """
+
+    name: str
+    log: Path
+    odometry: Path | None
+
+
+def corrected_logs() -> list[CorrectedLog]:
+    """Return the corrected logs of the folder, those without any other measure."""
+    found = []
+    for folder in ("radish-corrected", "mit-killian"):
+        for log in sorted((DATASETS / folder).glob("*-corrected.log.gz")):
+            name = log.name.removesuffix("-corrected.log.gz")
+            odometry = log.with_name(f"{name}.odom.csv.gz")
+            found.append(CorrectedLog(name, log, odometry if odometry.exists() else None))
+    return found
+
+
+def chosen(names: Iterable[str], only: Sequence[str]) -> list[str]:
+    """Return the names that are asked for; all where none is."""
+    return [name for name in names if not only or name in only]
+
+
+def times(runs: list[ProducerRun]) -> list[str]:
+    """Return what ``TIMES`` names: medians over the runs, and of the longest the longest."""
+    every = [run.time_per_scan_ms() for run in runs]
+    medians = [np.median([time[name] for time in every]) for name in ("mean", "p95", "p999")]
+    return [f"{value:.2f}" for value in (*medians, max(time["max"] for time in every))]
+
+
+def recordings(bench: Bench, only: Sequence[str] = ()) -> None:
+    """Errors on the relations, at the end and as first reported, against the floor; times."""
+    table = bench.table(
+        "relations, metres",
+        "drive",
+        "scans",
+        "odometry m",
+        "floor m",
+        *OVER_SEEDS,
+        "where the floor is",
+        "over floor",
+        "online, mean",
+        "worst",
+        *TIMES,
+    )
+    own = bench.table(
+        "relations whose both ends are scans, metres; errors averaged over the seeds",
+        *("drive", "relations", "mean", "from (95 %)", "to", "online, mean", "from", "to"),
+    )
+    for name in chosen(DRIVES, only):
+        drive = recorded(bench, name)
+        runs = [bench.run(drive.scans, seed) for seed in bench.seeds]
+        for seed, run in zip(bench.seeds, runs, strict=True):
+            bench.keep_map(run.grid, seed, drive.name)
+        errors = [_relations_m(bench, drive, run.trajectory) for run in runs]
+        online = [_relations_m(bench, drive, _online(run)) for run in runs]
+        least, part = floor(drive, bench.config), within_floor(drive, bench.config)
+        same = None
+        if part is not None:
+            same = float(np.mean([_relations_m(bench, part, run.trajectory) for run in runs]))
+        table.add_row(
+            drive.name,
+            str(len(drive.scans)),
+            shown(error(drive, drive.scan_odometry(), bench.config)),
+            shown(least, 4),
+            *over_seeds(errors, 4),
+            shown(same, 4),
+            shown(None if least is None or same is None else same - least, 4),
+            shown(float(np.mean(online)), 4),
+            shown(max(online), 4),
+            *times(runs),
+        )
+        rows = [_at_scans(drive, paths) for paths in ([r.trajectory for r in runs], _onlines(runs))]
+        own.add_row(drive.name, str(rows[0][0]), *(text for _, row in rows for text in row))
+    bench.console.print(table)
+    bench.console.print(own)
+
+
+def _relations_m(bench: Bench, drive: RecordedDrive, path: Trajectory) -> float:
+    return drive.errors(path, bench.config.trajectory)[RELATIONS]
+
+
+def _online(run: ProducerRun) -> Trajectory:
+    """Return the path as first reported; the final one where the producer keeps no other."""
+    return run.online_path() or run.trajectory
+
+
+def _onlines(runs: list[ProducerRun]) -> list[Trajectory]:
+    return [_online(run) for run in runs]
+
+
+def _at_scans(drive: RecordedDrive, paths: list[Trajectory]) -> tuple[int, list[str]]:
+    """Return how many relations lie at scans; and mean and interval of their error.
+
+    Args:
+        drive: with relations.
+        paths: one a seed; a relation's error is the mean over them.
+    """
+    if drive.relations is None:
+        return 0, ["-", "-", "-"]
+    found = [errors_at_scans(path, drive.relations) for path in paths]
+    each = np.array([errors.translation_m for errors in found if errors is not None])
+    if not each.size:
+        return 0, ["-", "-", "-"]
+    errors = each.mean(axis=0)
+    figures = (float(errors.mean()), *mean_interval(errors))
+    return len(errors), [shown(value, 4) for value in figures]
+
+
+def logs(bench: Bench, only: Sequence[str] = ()) -> None:
+    """Corrected logs by reconstructed odometry: health, and how far from gmapping's answer.
+
+    With --maps a report of each is written beside its map. gmapping's answer is no truth; a closure
+    that is over 1 m or 0.2 rad off it is worth a look.
+    """
+    known = {item.name: item for item in corrected_logs()}
+    if not known:
+        raise SystemExit(ABSENT)
+    table = bench.table(
+        "corrected logs; distance to the corrected path, aligned: rms and farthest, metres",
+        *("log", "odometry", "scans", "restarts", "closures", "doubted", "off", "low", "in a row"),
+        *("to corrected m", "farthest", "online m", "odometry m", "doubled %", "s in all", *TIMES),
+    )
+    for name in chosen(known, only):
+        for seed in bench.seeds:
+            table.add_row(*_log_row(bench, known[name], seed))
+    bench.console.print(table)
+
+
+def _log_row(bench: Bench, item: CorrectedLog, seed: int) -> list[str]:
+    """Run on a corrected log and say how it went."""
+    config = replace(bench.config, seed=seed)
+    if item.odometry is None:
+        config = with_settings(config, "graph", odometry="none")
+    log = open_log(item.log, config.log, item.odometry)
+    slam = GraphSlam(settings_of(config, "graph"), bench.device, seed)
+    run = run_producer(slam, log, log=log)
+    corrected = read_trajectory(item.log, config.log)
+    bench.keep_map(run.grid, seed, item.name)
+    if bench.maps is not None and seed == bench.seeds[0]:
+        _report(bench.maps / item.name, run, corrected, config)
+    graph = run.health.to_json()["graph"]
+    bench.console.print(f"{item.name}: {graph}", highlight=False, soft_wrap=True)
+    for sentence in (*skipped_scans(run.health), *run.warnings()):
+        bench.console.print(f"{item.name}: {sentence}", highlight=False, soft_wrap=True)
+
+    def away(path: Trajectory | None, *, farthest: bool = False) -> str:
+        if path is None:
+            return "-"
+        ate = trajectory_errors(path, corrected, config.trajectory).ate
+        return shown(ate.max if farthest else ate.rmse, 2)
+
+    return [
+        item.name,
+        "none" if item.odometry is None else "reconstructed",
+        str(run.scans),
+        *(str(graph[k]) for k in ("restarts", "closures_accepted", "closures_doubted")),
+        _off(slam, corrected),
+        str(run.health.low_scores),
+        str(run.low_in_a_row),
+        away(run.trajectory),
+        away(run.trajectory, farthest=True),
+        away(_online(run)),
+        "-" if item.odometry is None else away(run.odometry),
+        f"{100.0 * doubled_wall_share(run.grid):.1f}",
+        f"{run.time_s:.0f}",
+        *times([run]),
+    ]
+
+
+def _off(slam: GraphSlam, corrected: Trajectory) -> str:
+    """Return how many believed closures are far from the corrected path, of how many."""
+    believed = [item for item in loops(slam.closures()) if item.weight >= BELIEVED]
+    errors = closure_errors(believed, corrected)
+    off = (errors[:, 0] > OFF_M) | (errors[:, 1] > OFF_RAD)
+    return f"{np.count_nonzero(off)} of {len(believed)}"
+
+
+def _report(folder: Path, run: ProducerRun, corrected: Trajectory, config: RunConfig) -> None:
+    """Write the report of a run, with the corrected path beside its own."""
+    from slamfusion.report import write_slam_report  # noqa: PLC0415  (loads matplotlib)
+
+    moved = trajectory_errors(corrected, run.trajectory, config.trajectory).pose_truth_estimate
+    poses = [moved.compose(corrected.pose(number)) for number in range(len(corrected))]
+    rows = np.array([(pose.x, pose.y, pose.yaw_rad) for pose in poses])
+    beside = Trajectory(corrected.stamps_s, rows, "the corrected log, aligned")
+    write_slam_report(
+        folder,
+        name=run.name,
+        grid=run.grid,
+        trajectory=run.trajectory,
+        config=config,
+        warnings=[(f"{run.name}:", sentence) for sentence in run.warnings()],
+        odometry=run.odometry if settings_of(config, "graph").odometry == "poses" else None,
+        series=run.series,
+        other_paths=(*run.other_paths, beside),
+    )
+
+
+def half_an_office(bench: Bench, seed: int) -> tuple[Recording, Course]:
+    """Simulate the first half of an office drive; return it and the course of the second half.
+
+    That one begins where the first ends, and wants another seed: else laser and odometry err twice
+    in the same way.
+    """
+    course = replace(named_course("office", seed), people=0)
+    course = replace(course, world=replace(course.world, seed=seed))
+    stops = simulate(replace(course, lidar=replace(course.lidar, beams=1)), bench.device)
+    waypoints = stops.course.waypoints or ()
+    half = len(waypoints) // 2
+    there = simulate(replace(course, waypoints=waypoints[:half]), bench.device)
+    return there, replace(course, start=there.truth.pose(-1), waypoints=waypoints[half:])
+
+
+FLOORS = ("ring-100", "ring-300", "wings", "pillars", "rooms", "corridor", "office")
+STAND_S = 3600.0
+# A log that starts in mid-loop lacks this share of its scans.
+LATER_SHARE = 0.35
+# A pose that is so far off is that of a robot elsewhere.
+AWAY_M = 1.0
+
+
+@dataclass(frozen=True)
+class Loops:
+    """What a graph's closures are worth against the truth.
+
+    Attributes:
+        believed: how many have at least half of their weight.
+        false: of these, how many join two places that are not one.
+        doubted_false: the false ones that have less.
+        worst_m: greatest error of a believed one, metres; NaN without one.
+    """
+
+    believed: int
+    false: int
+    doubted_false: int
+    worst_m: float
+
+    @classmethod
+    def of(cls, slam: GraphSlam, truth: Trajectory) -> Loops:
+        """Hold a graph's closures against the truth."""
+        closures = loops(slam.closures())
+        errors = closure_errors(closures, truth)
+        believed = np.array([item.weight >= BELIEVED for item in closures], dtype=np.bool_)
+        false = is_false(errors)
+        return cls(
+            int(believed.sum()),
+            int((believed & false).sum()),
+            int((~believed & false).sum()),
+            float(errors[believed, 0].max()) if believed.any() else float("nan"),
+        )
+
+
+def run_graph(bench: Bench, drive: Drive, seed: int) -> tuple[ProducerRun, Loops]:
+    """Run a fresh graph on a drive, and judge its closures."""
+    slam = GraphSlam(settings_of(bench.config, "graph"), bench.device, seed)
+    scans, truth = drive
+    return run_producer(slam, scans), Loops.of(slam, truth)
+
+
+def floors(bench: Bench, only: Sequence[str] = ()) -> None:
+    """Errors of path and map, and closures that are false: another course with every seed."""
+    table = bench.table(
+        "simulated floors",
+        *("floor", "path m", "odometry, ATE m", *PATHS, "online, mean"),
+        *("closures", "false", "of a seed", "false, doubted", "worst m", *WALLS, *TIMES),
+    )
+    for name in chosen(FLOORS, only):
+        judged: list[Judged] = []
+        found: list[Loops] = []
+        odometry, online = [], []
+        for seed in bench.seeds:
+            recording = drive_course(bench, named_course(name, seed))
+            run, seen = run_graph(bench, (recording.scans, recording.truth), seed)
+            judged.append(judge(bench, recording, run))
+            found.append(seen)
+            bench.keep_map(run.grid, seed, name)
+            config = bench.config.trajectory
+            paths = (recording.odometry(), run.online_path() or run.trajectory)
+            ates = [trajectory_errors(path, recording.truth, config).ate.rmse for path in paths]
+            odometry.append(ates[0])
+            online.append(ates[1])
+        table.add_row(
+            name,
+            f"{recording.truth.path_length_m():.0f}",
+            shown(float(np.mean(odometry))),
+            *path_figures(judged),
+            shown(float(np.mean(online))),
+            str(sum(item.believed for item in found)),
+            str(sum(item.false for item in found)),
+            " ".join(str(item.false) for item in found),
+            str(sum(item.doubted_false for item in found)),
+            shown(float(np.nanmax([item.worst_m for item in found], initial=0.0)), 2),
+            *mean_walls(judged),
+            *times([item.run for item in judged]),
+        )
+    bench.console.print(table)
+
+
+@dataclass(frozen=True)
+class _Event:
+    """A drive to which something happens.
+
+    Attributes:
+        name: of the event.
+        drive: the whole of it.
+        first: index of the first scan after the event.
+        world: the true map.
+    """
+
+    name: str
+    drive: Drive
+    first: int
+    world: OccupancyGrid
+
+
+def events(bench: Bench, only: Sequence[str] = ()) -> None:
+    """Stand an hour, be carried to another room, begin in mid-loop: what map and record say.
+
+    Path and map after the event are held against the truth where the path before it lies on it;
+    the map of the drive up to the event shows what the old map was worth.
+    """
+    table = bench.table(
+        "office: ATE before the event, distances to the truth after it, metres",
+        *("event", "before", "median after", "s over 1 m off", "at the end"),
+        *("F1 before", "F1 after", "precision before", "after", "doubled % before", "after"),
+        *("closures", "false", "restarts", "times the record names it"),
+    )
+    rows: dict[str, list[tuple[float, ...]]] = {}
+    for seed in bench.seeds:
+        for event in _events(bench, seed):
+            if chosen((event.name,), only):
+                rows.setdefault(event.name, []).append(_event_row(bench, event, seed))
+    for name, found in rows.items():
+        means = np.nanmean(np.array(found), axis=0)
+        counts = np.nansum(np.array(found)[:, -4:], axis=0)
+        table.add_row(
+            name,
+            *(shown(float(value)) for value in means[:-4]),
+            *(f"{count:.0f}" for count in counts),
+        )
+    bench.console.print(table)
+
+
+def _events(bench: Bench, seed: int) -> Iterator[_Event]:
+    """Simulate the office and let things happen in it."""
+    there, back, elsewhere = _stretches(bench, seed)
+    first, world = len(there.scans), there.world.grid
+    drive = joined((there, back))
+    yield _Event("none", drive, first, world)
+    yield _Event("an hour standing", with_pause(drive, first, STAND_S), first, world)
+    carried = joined((there, elsewhere))
+    yield _Event("carried, odometry goes on", carried, first, world)
+    zero = with_odometry_set_to_zero(carried, first)
+    yield _Event("carried, odometry at zero", zero, first, world)
+    later = round(LATER_SHARE * len(drive[0]))
+    yield _Event("begun in mid-loop", begun_later(drive, later), first - later, world)
+
+
+def _stretches(bench: Bench, seed: int) -> tuple[Recording, Recording, Recording]:
+    """Simulate half an office drive, and the other half from its end or from another room."""
+    there, rest = half_an_office(bench, seed)
+    back = simulate(replace(rest, seed=seed + 1_000_000), bench.device)
+    # The room that was seen first and lies farthest away.
+    end, waypoints = there.truth.pose(-1), there.course.waypoints or ()
+    seen = waypoints[: len(waypoints) // 2 + 1]
+    x, y = max(seen, key=lambda stop: float(np.hypot(stop[0] - end.x, stop[1] - end.y)))
+    start = Pose2(x, y, end.yaw_rad + 2.0)
+    elsewhere = simulate(replace(rest, seed=seed + 2_000_000, start=start), bench.device)
+    return there, back, elsewhere
+
+
+def _event_row(bench: Bench, event: _Event, seed: int) -> tuple[float, ...]:
+    """Run on the drive up to the event and on all of it."""
+    scans, truth = event.drive
+    before, _ = run_graph(bench, (scans[: event.first], truth), seed)
+    run, seen = run_graph(bench, event.drive, seed)
+    bench.keep_map(run.grid, seed, event.name)
+    parts = [np.s_[: event.first], np.s_[event.first :]]
+    old, new = (_part(run.trajectory, part) for part in parts)
+    errors = trajectory_errors(old, _part(truth, parts[0]), bench.config.trajectory)
+    placed = errors.pose_truth_estimate
+    away = np.hypot(*(placed.transform(new.poses[:, :2]) - truth.poses[parts[1], :2]).T)
+    alone = trajectory_errors(before.trajectory, truth, bench.config.trajectory)
+    walls = [
+        _walls(bench, item.grid, event.world, found)
+        for item, found in ((before, alone), (run, errors))
+    ]
+    graph = run.health.to_json().get("graph", {})
+    said = skipped_scans(run.health)
+    line = f"{event.name}, seed {seed}: {graph}; {'; '.join((*said, *run.warnings())) or 'no word'}"
+    bench.console.print(line, highlight=False, soft_wrap=True)
+    figures = [getattr(item, name) for name in ("wall_f1", "wall_precision") for item in walls]
+    return (
+        alone.ate.rmse,
+        float(np.median(away)),
+        float(np.count_nonzero(away > AWAY_M) * np.median(np.diff(truth.stamps_s))),
+        float(away[-1]),
+        *(np.nan if value is None else float(value) for value in figures),
+        *(100.0 * doubled_wall_share(item.grid) for item in (before, run)),
+        float(seen.believed),
+        float(seen.false),
+        float(graph.get("restarts", 0)),
+        float(len(said)),
+    )
+
+
+def _part(path: Trajectory, part: slice) -> Trajectory:
+    return Trajectory(path.stamps_s[part], path.poses[part], path.name)
+
+
+def _walls(
+    bench: Bench, grid: OccupancyGrid, truth: OccupancyGrid, found: TrajectoryErrors
+) -> MapError:
+    return compare_to_truth(
+        grid,
+        truth,
+        found.pose_truth_estimate,
+        normalize=bench.config.fusion.normalize,
+        tolerance_m=bench.config.evaluate.tolerance_m,
+    )
+
 
 PRODUCER = "graph"
 PARTS: Parts = {

@@ -5,7 +5,7 @@ window of 20 m (2 % of its cells flipped, walls too: more than a robot changes).
 maps come at their seconds, and work takes the processor time of this process, so that other
 programs on the machine add nothing. Shown for the seconds after the first fusion: the time from a
 map's coming to the publication of the first fused map that was made after it, and what the work
-cost a second. What ROS adds is not in it; ``bench_fusion_node`` has that.
+cost a second. What ROS adds is not in it.
 """
 
 from __future__ import annotations

@@ -4,7 +4,6 @@
     python -m tests.benchmarks.bench_pose_graph --part false --seeds 5
     python -m tests.benchmarks.bench_pose_graph --part online
     python -m tests.benchmarks.bench_pose_graph --part again
-    python -m tests.benchmarks.bench_pose_graph --part solvers
 
 ``clean``: chi-square at the end. GTSAM 4.3 takes the logarithm of an error where g2o takes its
 coordinates, so its own factors have another least; the best known is therefore the least that its
@@ -41,9 +40,6 @@ and every 20 of them, if there are new closures, the graph is solved from where 
 last verdict (``optimize(start="given", weights=...)``). CPU time of one such solution.
 
 ``again``: CPU time of solving a solved graph once more, whole or its first poses.
-
-``solvers``: one factorisation of the normal equations, with the orders that SciPy's SuperLU knows,
-with ours, and by QDLDL where it is installed.
 """
 
 from __future__ import annotations
@@ -52,21 +48,19 @@ import argparse
 import time
 from collections.abc import Callable
 from functools import partial
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
 from rich.console import Console
 from rich.table import Table
-from scipy.sparse import triu
-from scipy.sparse.linalg import splu
 
 from slamfusion.geometry import compose_poses, invert_poses
 from slamfusion.pose_graph import PoseGraph, chi2_of, optimize, read_g2o
 from slamfusion.pose_graph.descend import descend
 from slamfusion.pose_graph.initialize import rotations_first
 from slamfusion.pose_graph.measurements import Measurements
-from slamfusion.pose_graph.normal_equations import NormalEquations, factorise
+from slamfusion.pose_graph.normal_equations import NormalEquations
 from slamfusion.pose_graph.optimize import Robust
 from tests.benchmarks.record import add_record_option, console_for
 from tests.pose_graph.graphs import POSE_GRAPHS, apart, with_false_closures
@@ -78,7 +72,7 @@ Array = npt.NDArray[np.float64]
 NAMES = ("INTEL_1228", "intel", "MIT", "CSAIL", "M3500", "ais2klinik", "city10000")
 # Where all closures at once still finish, true and false.
 SMALL = ("INTEL_1228", "intel", "MIT", "CSAIL")
-PARTS = ("clean", "false", "online", "again", "solvers")
+PARTS = ("clean", "false", "online", "again")
 METHODS: tuple[Robust, ...] = ("none", "dcs", "gnc", "consensus")
 KINDS = ("shuffled", "random")
 WITHIN = 0.05
@@ -313,50 +307,6 @@ def again(names: tuple[str, ...], methods: tuple[Robust, ...], repetitions: int)
     return table
 
 
-def solvers(names: tuple[str, ...], repetitions: int) -> Table:
-    """Return the time of one factorisation by solver."""
-    columns = "graph, unknowns, ours ms, MMD ms, COLAMD ms, QDLDL ms, assembly ms"
-    table = Table(*columns.split(", "), title="one factorisation of the normal equations")
-    for name in names:
-        graph = load(name)
-        measured = Measurements(graph.edges, graph.motions, graph.information)
-        equations = NormalEquations(measured, len(graph), (0,))
-        poses = rotations_first(equations, graph.poses)
-
-        def assemble(equations: NormalEquations = equations, poses: Array = poses) -> Any:
-            equations.linearise(poses)
-            return equations.matrix()
-
-        assembly_s, matrix = timed(assemble, repetitions)
-        works = [partial(factorise, matrix)]
-        works += [
-            partial(
-                splu,
-                matrix,
-                permc_spec=order,
-                diag_pivot_thresh=0.0,
-                options={"SymmetricMode": True},
-            )
-            for order in ("MMD_AT_PLUS_A", "COLAMD")
-        ]
-        times = [timed(work, repetitions)[0] for work in works]
-        shown = [f"{1e3 * seconds:.1f}" for seconds in times]
-        shown.append(qdldl_ms(matrix, repetitions))
-        table.add_row(name, str(matrix.shape[0]), *shown, f"{1e3 * assembly_s:.1f}")
-    return table
-
-
-def qdldl_ms(matrix: Any, repetitions: int) -> str:
-    """Return the time of a numerical factorisation by QDLDL; a dash where it is absent."""
-    try:
-        import qdldl  # noqa: PLC0415  (an optional rival)
-    except ImportError:
-        return "-"
-    upper = triu(matrix).tocsc()
-    solver = qdldl.Solver(upper, True)
-    return f"{1e3 * timed(lambda: solver.update(upper, True), repetitions)[0]:.1f}"
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--part", choices=PARTS, default="clean")
@@ -375,10 +325,8 @@ def main() -> None:
         table = false(names, methods, options.seeds)
     elif options.part == "online":
         table = online(names, methods, options.seeds)
-    elif options.part == "again":
-        table = again(names, methods, options.repetitions)
     else:
-        table = solvers(names, options.repetitions)
+        table = again(names, methods, options.repetitions)
     console_for(f"pose-graphs-{options.part}", options.record, width=200).print(table)
 
 

@@ -21,7 +21,7 @@ from rich.table import Table
 
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import RunConfig
-from slamfusion.evaluation import Relations, Summary, subsample_to_scans
+from slamfusion.evaluation import Relations, subsample_to_scans
 from slamfusion.experiments.drives import ATE, RELATIONS, Drive, DriveFiles, read_drive
 from slamfusion.io import open_log, read_trajectory, save_map
 from slamfusion.sim.courses import named_course, with_overrides
@@ -29,6 +29,7 @@ from slamfusion.sim.simulate import simulate
 from slamfusion.slam.common.runner import run_producer
 from slamfusion.slam.registry import BUILT_IN, make_producer
 from slamfusion.trajectory import Trajectory
+from tests.benchmarks.producer_bench import over_seeds, shown
 from tests.benchmarks.record import add_record_option, console_for
 from tests.support.datasets import DATASETS
 
@@ -115,10 +116,6 @@ def error(drive: Drive, trajectory: Trajectory | None, config: RunConfig) -> flo
     return found.get(RELATIONS, found.get(ATE))
 
 
-def shown(value: float | None) -> str:
-    return "-" if value is None else f"{value:.3f}"
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--producer", choices=tuple(BUILT_IN), default="tinyslam")
@@ -142,7 +139,7 @@ def main() -> None:
         ]
         errors = [error(drive, run.trajectory, config) for run in runs]
         known = [value for value in errors if value is not None]
-        summary = Summary.of(known) if known else None
+        figures = over_seeds(known) if known else ["-"] * 4
         times = [run.time_per_scan_ms() for run in runs]
         table.add_row(
             drive.name,
@@ -150,9 +147,7 @@ def main() -> None:
             str(len(drive.scans[0].scan)),
             shown(error(drive, drive.scan_odometry(), config)),
             shown(floor(drive, config)),
-            shown(summary.mean if summary else None),
-            shown(summary.std if summary else None),
-            shown(summary.worst if summary else None),
+            *(figures[index] for index in (0, 1, 3)),
             f"{np.median([time['mean'] for time in times]):.2f}",
             f"{np.median([time['p95'] for time in times]):.2f}",
             f"{max(run.peak_memory_bytes for run in runs) / 1e6:.1f}",

@@ -6,13 +6,11 @@ import ast
 import datetime as dt
 import io
 import itertools
-import json
 import re
 import sys
 from pathlib import Path
 
 import pytest
-from rich.console import Console
 from rich.table import Table
 
 from docs.generate.benchmarks import (
@@ -23,7 +21,7 @@ from docs.generate.benchmarks import (
     measurements,
 )
 from docs.generate.marks import pages
-from tests.benchmarks import bench_vote_time, record
+from tests.benchmarks import record
 from tests.cli.command import ROOT
 
 pytestmark = pytest.mark.once
@@ -83,14 +81,6 @@ def test_every_measured_table_is_made_of_a_measurement():
     assert {page: heads for page, heads in typed.items() if heads} == WORDS
 
 
-def test_a_typed_table_is_noticed():
-    """Also one that follows a generated part, or that stands in a list."""
-    part = "<!-- speed: written by `x` -->\n| a |\n| --- |\n<!-- end of speed -->\n"
-    assert typed_tables(part) == set()
-    assert typed_tables(f"{part}\n| drive | m |\n| --- | --- |\n| a | 1 |\n") == {"| drive | m |"}
-    assert typed_tables("- so\n  | drive | m |\n  | :-- | --: |\n") == {"| drive | m |"}
-
-
 def typed_tables(text: str) -> set[str]:
     """Return the heads of the tables that nothing generates."""
     typed = re.sub(r"<!-- ([^:\n]+): written by .*?<!-- end of \1 -->", "", text, flags=re.DOTALL)
@@ -117,28 +107,6 @@ def test_a_measurement_comes_back_as_it_was_written(tmp_path: Path):
     path = tmp_path / MEASURED.file_name
     path.write_text(MEASURED.to_json(), encoding="utf-8")
     assert Measurement.read(path) == MEASURED
-
-
-def test_of_several_the_newest_is_shown(tmp_path: Path):
-    for date in ("2026-03-01", "2025-12-31", "2026-02-28"):
-        told = json.loads(MEASURED.to_json()) | {"date": date}
-        (tmp_path / f"speed-{date}.json").write_text(json.dumps(told), encoding="utf-8")
-    assert measurements(tmp_path)["speed"].date == "2026-03-01"
-
-
-def test_a_file_with_another_date_in_it_is_refused(tmp_path: Path):
-    path = tmp_path / "speed-2026-03-01.json"
-    path.write_text(MEASURED.to_json(), encoding="utf-8")
-    with pytest.raises(ValueError, match=r"call it speed-2026-02-28\.json"):
-        Measurement.read(path)
-
-
-def test_a_row_that_is_too_short_is_refused(tmp_path: Path):
-    told = json.loads(MEASURED.to_json()) | {"rows": [["alone"]]}
-    path = tmp_path / MEASURED.file_name
-    path.write_text(json.dumps(told), encoding="utf-8")
-    with pytest.raises(ValueError, match="a row of 1 cells, 2 columns"):
-        Measurement.read(path)
 
 
 def test_a_console_keeps_every_table_that_it_prints(tmp_path: Path):
@@ -169,20 +137,6 @@ def test_every_benchmark_can_keep_its_table(path: Path):
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
     }
     assert {"add_record_option", "console_for"} <= called or {"parser_of", "measure"} <= called
-
-
-def test_a_benchmark_keeps_its_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    words = ["bench_vote_time.py", "16", "--record", str(tmp_path / "new")]
-    monkeypatch.setattr(sys, "argv", words)
-    bench_vote_time.main()
-    kept = measurements(tmp_path / "new")["vote-time"]
-    assert kept.columns == ("mode", "inputs", "copy ms", "vote ms", "ratio")
-    assert [row[:2] for row in kept.rows[:2]] == [("consensus", "1"), ("consensus", "2")]
-    assert kept.command.endswith(" 16 --record")
-
-
-def test_without_a_folder_nothing_is_kept():
-    assert type(record.console_for("drawn", None)) is Console
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -15,25 +14,18 @@ from scipy.spatial import KDTree
 
 from slamfusion.geometry import Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
-from tests.support.cuts import along, halves_of, kept, mirror_image, move_frame, trinary, wear
+from tests.support.cuts import along, halves_of, kept, mirror_image, move_frame, wear
 from tests.support.overlap import (
-    COMMON_WALLS_MIN,
-    CUT_MAPS,
     DISJOINT_OVERLAP,
     OVERLAPS,
-    REPEATED,
     SIMULATED,
     Case,
     Draft,
-    Part,
     cross_slam_pairs,
-    different_places,
     disjoint_halves,
     drawn,
-    half_pairs,
     load_source,
     mirrored,
-    scaled,
     simulated,
 )
 
@@ -263,32 +255,6 @@ def test_the_same_draft_gives_the_same_case() -> None:
     assert seeds[0] != seeds[1]
 
 
-def test_strips_with_few_walls_are_left_out_and_counted() -> None:
-    left_out: Counter[str] = Counter()
-    drafts = simulated(1, (0.1,))
-    cases = list(drawn(drafts, left_out))
-    assert len(cases) + left_out["simulated"] == len(drafts)
-    assert min(case.common_walls for case in cases) >= COMMON_WALLS_MIN
-    assert 0 < left_out["simulated"] < len(drafts) / 2
-
-
-def test_every_axis_side_and_overlap_is_there() -> None:
-    drafts = half_pairs(1)
-    assert len({draft.name for draft in drafts}) == len(drafts)
-    counts = Counter((d.overlap, d.reference.axis, d.reference.side) for d in drafts)
-    assert set(counts.values()) == {len(CUT_MAPS)}
-    assert len(counts) == len(OVERLAPS) * 4
-    assert all(d.reference.side != d.moving.side for d in drafts)
-
-
-def test_a_map_that_is_only_trinary_keeps_its_places() -> None:
-    cells = np.full((4, 5), UNKNOWN, dtype=np.int8)
-    cells[1:3, 2:4] = ((80, 10), (50, 0))
-    grid = trinary(OccupancyGrid(cells, 0.1, Pose2(1.0, 2.0)))
-    assert np.array_equal(grid.cells, ((OCCUPIED, FREE), (UNKNOWN, FREE)))
-    assert walls(grid) == pytest.approx(np.array([(1.25, 2.15)]))
-
-
 @pytest.mark.datasets
 @pytest.mark.parametrize(
     "draft", cross_slam_pairs(1, (0.3,))[::3], ids=lambda draft: draft.reference.name
@@ -307,27 +273,3 @@ def test_maps_of_two_slams_are_cut_by_the_same_line(draft: Draft) -> None:
     moved = there.truth.transform(walls(there.moving))
     near = distances(walls(there.reference), moved) <= 0.2
     assert np.count_nonzero(near) > 0.5 * case.common_walls
-
-
-@pytest.mark.datasets
-def test_pairs_of_different_places_are_many_and_different() -> None:
-    drafts = different_places(1)
-    assert len(drafts) == 3000
-    assert len({draft.name for draft in drafts}) == 3000
-    halves = [draft for draft in drafts if draft.reference.axis is not None]
-    assert len(halves) > 500
-    case = halves[0].draw()
-    assert case is not None
-    assert case.truth is None
-    assert not case.is_right(Pose2())
-
-
-@pytest.mark.datasets
-def test_the_whole_folder_is_mirrored_and_scaled_once() -> None:
-    for drafts in (mirrored(1), scaled(1, 1.1)):
-        whole = [draft.reference.source for draft in drafts if draft.reference.axis is None]
-        assert len(whole) == len(set(whole)) > 50
-        assert not set(whole) & set(REPEATED)
-        halves = [draft for draft in drafts if draft.reference.axis is not None]
-        assert len(halves) == 4 * len(CUT_MAPS)
-    assert Part(CUT_MAPS[0]).name == CUT_MAPS[0]

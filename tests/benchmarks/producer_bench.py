@@ -1,8 +1,10 @@
-"""What every part needs: settings, runs of the producer, maps to be looked at, and tables."""
+"""What the benchmarks of one SLAM share: options, runs, measures, maps to look at, and tables."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+import argparse
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,22 +14,21 @@ from rich.console import Console
 from rich.table import Table
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.config import RunConfig
+from slamfusion.config import DeviceConfig, RunConfig
 from slamfusion.evaluation import (
     MapError,
-    Summary,
     TrajectoryErrors,
     compare_to_truth,
     doubled_wall_share,
     trajectory_errors,
 )
+from slamfusion.geometry import compose_poses, invert_poses
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan, save_map
 from slamfusion.slam.common.runner import ProducerRun, run_producer
-from slamfusion.slam.registry import make_producer, with_settings
+from slamfusion.slam.registry import load_config, make_producer, open_producer_device, with_settings
 from slamfusion.trajectory import Trajectory
-from tests.support.measures import closure_error
-from tests.support.odometry import without_odometry
+from tests.benchmarks.record import add_record_option, console_for
 
 PRODUCER = "gmapping"
 OVER_SEEDS = ("mean", "dev.", "median", "worst")
@@ -132,8 +133,8 @@ class Bench:
 
 def over_seeds(values: Sequence[float], digits: int = 3) -> list[str]:
     """Return mean, deviation, median and worst as a table shows them."""
-    summary = Summary.of(values)
-    figures = (summary.mean, summary.std, summary.median, summary.worst)
+    deviation = float(np.std(values, ddof=1)) if len(values) > 1 else 0.0
+    figures = (float(np.mean(values)), deviation, float(np.median(values)), max(values))
     return [shown(figure, digits) for figure in figures]
 
 
@@ -161,3 +162,74 @@ def _named(rows: Iterable[Sequence[float | None]]) -> Iterator[tuple[str, Sequen
 def _mean(values: Sequence[float | None]) -> float | None:
     known = [value for value in values if value is not None]
     return sum(known) / len(known) if known else None
+
+
+def closure_error(estimate: Trajectory, truth: Trajectory) -> tuple[float, float]:
+    """Return how wrong the last pose is, seen from the first: metres, degrees.
+
+    Args:
+        estimate: at the same times as the truth.
+        truth: poses of the same body.
+    """
+    motions = [
+        compose_poses(invert_poses(path.poses[0]), path.poses[-1]) for path in (truth, estimate)
+    ]
+    x, y, yaw_rad = compose_poses(invert_poses(motions[0]), motions[1])
+    return float(np.hypot(x, y)), float(np.degrees(abs(yaw_rad)))
+
+
+def without_odometry(scans: Sequence[LogScan]) -> tuple[LogScan, ...]:
+    """Return scans of a log that has no odometry."""
+    return tuple(replace(item, odometry=None) for item in scans)
+
+
+# Each part, told what it needs, and how many seeds it takes where none are asked for.
+Parts = Mapping[str, tuple[Callable[..., None], int]]
+
+
+def parser_of(parts: Parts, description: str | None, seeds: str) -> argparse.ArgumentParser:
+    """Return the options that every one of them has.
+
+    Args:
+        parts: to choose from.
+        description: of the benchmark.
+        seeds: how many there are without the option, for help.
+    """
+    parser = argparse.ArgumentParser(
+        description=description, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--part", choices=tuple(parts), action="append", help="default: all")
+    parser.add_argument("--seeds", type=int, help=f"default: {seeds}")
+    parser.add_argument("--first-seed", type=int, default=0)
+    parser.add_argument("--maps", type=Path, metavar="DIR")
+    parser.add_argument("--config", type=Path, metavar="FILE")
+    parser.add_argument("--device")
+    add_record_option(parser)
+    return parser
+
+
+def measure(
+    parts: Parts, options: argparse.Namespace, producer: str, width: int, *more: Any
+) -> None:
+    """Run the parts that are asked for, or all, and print what each took.
+
+    Args:
+        parts: what can be asked for.
+        options: of ``parser_of``.
+        producer: is measured.
+        width: of the tables, characters.
+        more: told every part after its ``Bench``.
+    """
+    config = load_config(options.config) if options.config else RunConfig()
+    if options.device:
+        config = replace(config, device=DeviceConfig(options.device))
+    device = open_producer_device(producer, config)
+    for name in options.part or parts:
+        part, count = parts[name]
+        first = options.first_seed
+        seeds = tuple(range(first, first + (options.seeds or count)))
+        maps = None if options.maps is None else options.maps / name
+        console = console_for(f"{producer}-{name}", options.record, width=width)
+        began_s = time.perf_counter()
+        part(Bench(producer, config, device, seeds, maps, console), *more)
+        console.print(f"{name}: {time.perf_counter() - began_s:.0f} s in all\n", highlight=False)
