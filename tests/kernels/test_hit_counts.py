@@ -120,15 +120,6 @@ def test_one_beam_by_hand(device: ComputeDevice):
     assert sums[2, 15, 38 - TILE] == sums.sum() == 8 << 16 | 8
 
 
-def test_beam_that_met_nothing_visits_its_end_only(device: ComputeDevice):
-    scan = scan_of((9.9, 4.1), poses=[(3.2, 3.3, 0.0)], is_hit=False)
-    (counts, sums), _ = count_into(device, own_pages(1, 1, 1), scan)
-    assert counts[1, 7, 13] == 1
-    assert counts[1, 3, 4] == 1
-    assert counts.sum() == 10
-    assert not sums.any()
-
-
 def test_beam_without_length_hits_and_visits_one_cell(device: ComputeDevice):
     scan = scan_of((0.25, 0.75), laser=(0.25, 0.75), poses=[(20.0, 20.0, 0.0)])
     (counts, sums), _ = count_into(device, own_pages(1, 1, 1), scan, scan, scan)
@@ -147,16 +138,6 @@ def test_what_leaves_the_window_stays_on_its_border(device: ComputeDevice):
         assert sums[1, row, col] == sums.sum()
         assert sums[1, row, col] >> 16 == sum_of_x
         assert not counts[0].any()
-
-
-def test_every_map_counts_at_its_own_pose(device: ComputeDevice):
-    pages = own_pages(2, 1, 1)
-    scan = scan_of((2.0, 0.0), poses=[(4.5, 4.5, 0.0), (9.5, 4.5, math.pi / 2)])
-    (counts, _), _ = count_into(device, pages, scan)
-    assert [tuple(place) for place in np.argwhere(counts)] == [
-        *((1, 4, col) for col in (4, 5, 6)),
-        *((2, row, 9) for row in (4, 5, 6)),
-    ]
 
 
 def test_pages_without_a_tile_are_left_out(device: ComputeDevice):
@@ -240,21 +221,6 @@ def test_mean_hit_is_unbiased(device: ComputeDevice, corner: tuple[int, int]):
     assert device.download(pools[2])[1, corner[1], corner[0]] == 255
 
 
-def test_touched_pages_by_hand(device: ComputeDevice):
-    # Along row 52 from column 40 to column 60: in the middle one of nine pages.
-    pages = np.zeros((2, 3, 3), dtype=np.int32)
-    scan = scan_of((20.0, 0.0), poses=[(40.5, 52.5, 0.0), (90.5, 94.5, math.pi)])
-    table = device.upload(pages)
-    found = {reach: device.touch_pages(table, scan, reach) for reach in (0, 3, 8, 9, 12)}
-    assert np.argwhere(found[0]).tolist() == [[0, 1, 1], [1, 2, 2]]
-    np.testing.assert_array_equal(found[3], found[0])
-    assert np.argwhere(found[8][0]).tolist() == [[1, 1], [1, 2]]
-    assert np.argwhere(found[9][0]).tolist() == [[1, 0], [1, 1], [1, 2]]
-    np.testing.assert_array_equal(found[12][0], [[0, 0, 0], [1, 1, 1], [1, 1, 1]])
-    # Beyond the window there is nothing to touch.
-    np.testing.assert_array_equal(found[3][1], found[0][1])
-
-
 @given(seed=SEEDS, reach=st.integers(0, 16))
 @settings(max_examples=examples(25), deadline=None)
 def test_touched_pages_are_those_of_the_counted_cells_and_their_surroundings(
@@ -287,18 +253,6 @@ def test_copied_tiles_equal_their_sources_and_all_others_stay(device: ComputeDev
         assert not now[3].any()
 
 
-def test_taken_tiles_are_those_of_the_pool_in_the_order_asked_for(device: ComputeDevice):
-    rng = np.random.default_rng(5)
-    for kind in KINDS:
-        pool = rng.integers(0, 200, (9, TILE, TILE)).astype(kind)
-        handle = device.upload(pool)
-        for numbers in ([7, 0, 3, 3, 8], [4], list(range(9)), []):
-            found = device.take_tiles(handle, np.array(numbers, dtype=np.int32))
-            assert found.dtype == kind
-            np.testing.assert_array_equal(found, pool[numbers].reshape(-1, TILE, TILE))
-        np.testing.assert_array_equal(device.download(handle), pool)
-
-
 def settled(device: ComputeDevice, rule: FieldRule, *scans: BeamScan) -> npt.NDArray[Any]:
     """Count and settle scans in one map of two pages; its field."""
     maps = CopiedTiles(device, np.zeros((1, 1, 2), dtype=np.int32), 40)
@@ -323,17 +277,6 @@ def test_field_of_one_hit_by_hand(device: ComputeDevice):
     np.testing.assert_array_equal(settled(device, rule, *scans), wanted)
     # One hit is too few.
     assert not settled(device, rule, scans[0]).any()
-
-
-def test_field_ends_where_a_page_has_no_tile(device: ComputeDevice):
-    rule = FieldRule(FALLING, shift=12, reach=2, occupied=16384, least_hits=1)
-    pools, pages = pools_of(device, 2), np.array([[[1, 0], [0, 0]]], dtype=np.int32)
-    table, scan = device.upload(pages), scan_of((11.0, 11.0), poses=[(20.5, 20.5, 0.0)])
-    counts, sums, field = pools
-    device.count_beams(counts, sums, table, scan)
-    device.settle_field(counts, sums, field, table, scan, rule)
-    tiles = device.download(field)
-    assert np.count_nonzero(tiles[1, 29:, 29:]) == np.count_nonzero(tiles) == 9
 
 
 def test_field_of_a_cell_that_was_seen_through_is_gone(device: ComputeDevice):
@@ -375,43 +318,6 @@ def test_field_is_that_of_the_counts_everywhere(
     for pages in tiles.pages:
         counts, sums, field = (joined(pool, pages) for pool in pools)
         np.testing.assert_array_equal(field, full_field(counts, sums, rule))
-
-
-def test_tiles_of_other_maps_are_untouched(device: ComputeDevice):
-    rng = np.random.default_rng(8)
-    before = [rng.integers(0, 200, (4 * 25 + 1, TILE, TILE)).astype(kind) for kind in KINDS]
-    before[0] |= np.uint32(100 << 16)
-    for pool in before:
-        pool[0] = 0
-    pools = [device.upload(pool) for pool in before]
-    pages = own_pages(4, 5, 5)[[1, 3]]
-    table = device.upload(pages)
-    scan = random_scan(rng, 5 * TILE, 8, 2)
-    rule = FieldRule(FALLING, 12, 1, 16384, 1)
-    touched = device.touch_pages(table, scan, rule.reach)
-    counts, sums, field = pools
-    device.count_beams(counts, sums, table, scan)
-    device.settle_field(counts, sums, field, table, scan, rule)
-    for pool, was in zip(pools, before, strict=True):
-        changed = (device.download(pool) != was).any(axis=(1, 2))
-        assert changed.any()
-        assert not np.setdiff1d(np.flatnonzero(changed), pages[touched != 0]).size
-
-
-@pytest.mark.once
-def test_large_scan_equals_the_twin(device: ComputeDevice, is_simulated: bool):
-    rng = np.random.default_rng(6)
-    maps, side, beams = (2, 5, 12) if is_simulated else (7, 14, 700)
-    rule = FieldRule(FALLING, 12, 3, 16384, 1)
-    pages = np.zeros((maps, side, side), dtype=np.int32)
-    ours = CopiedTiles(device, pages.copy(), 3 * pages.size)
-    twin = CopiedTiles(NumpyDevice(), pages.copy(), 3 * pages.size)
-    for _ in range(2):
-        scan = random_scan(rng, side * TILE, beams, maps)
-        for tiles in (ours, twin):
-            tiles.write(scan, rule)
-    for own, other in zip(ours.pools, twin.pools, strict=True):
-        assert device.download(own).tobytes() == other.tobytes()
 
 
 def test_rules_that_no_kernel_can_follow_are_refused(device: ComputeDevice):

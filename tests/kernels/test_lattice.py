@@ -46,9 +46,3 @@ def test_narrow_motions_keep_the_cells_of_a_small_map() -> None:
         row, col = fixed_cells(pose, x2, y2)
         np.testing.assert_array_equal((cos * near_x - sin * near_y + x) >> shift, col)
         np.testing.assert_array_equal((sin * near_x + cos * near_y + y) >> shift, row)
-
-
-def test_no_points_have_narrow_motions_too() -> None:
-    _, narrow, shift = narrow_motions(np.zeros((0, 2), np.int32), fixed_poses((1.0, 2.0, 0.5)))
-    assert narrow.shape == (1, 4)
-    assert shift > 0

@@ -140,34 +140,6 @@ def test_strongest_word_about_a_cell_wins_whatever_the_order(device: ComputeDevi
     assert found[0][9, 15] == 1
 
 
-def test_laser_in_the_cell_of_the_hit(device: ComputeDevice):
-    built = Map(device, own_pages(1, 1))
-    beams = beams_of((10.25, 10.75, 10.75, 10.25), (10.5, 10.5, 10.5, 10.5))
-    built.mark(beams)
-    told = built.cells("observed")
-    assert told[10, 10] == 255 << 1 | 1
-    assert (told[9:12, 9:12] > 1).all()
-    assert np.count_nonzero(told) == 9
-
-
-def test_reach_of_none_tells_the_own_cell_only(device: ComputeDevice):
-    built = Map(device, own_pages(1, 1))
-    built.mark(beams_of((12.5, 9.5, 9.5, 9.5)), ROOM._replace(reach=0))
-    assert [tuple(at) for at in np.argwhere(built.cells("observed"))] == [
-        (9, col) for col in (9, 10, 11, 12)
-    ]
-
-
-def test_many_beams_in_one_cell_are_one_observation(device: ComputeDevice):
-    built = Map(device, own_pages(1, 1))
-    beams = beams_of(*[(10.5, 9.5, 4.5, 9.5)] * 50, *[(10.5, 9.75, 4.5, 9.5)] * 50)
-    built.mark(beams)
-    built.fold(beams)
-    states = built.cells("states")
-    assert set((states & MOST_OBSERVATIONS).ravel().tolist()) == {0, 1}
-    assert states[9, 10] == (255 * MEAN_ONE) << 12 | 1
-
-
 def test_missing_pages_are_wanted_and_marking_again_changes_nothing_twice(device: ComputeDevice):
     pages = np.array([[1, 0, 2], [0, 0, 3]], dtype=np.int32)
     # Along the top row of the lower pages: the hit's square reaches into the upper ones.
@@ -189,16 +161,6 @@ def test_missing_pages_are_wanted_and_marking_again_changes_nothing_twice(device
         np.testing.assert_array_equal(later.cells("observed"), whole.cells("observed"))
 
 
-def test_square_of_a_hit_wants_the_pages_that_it_touches(device: ComputeDevice):
-    pages = np.zeros((2, 2), dtype=np.int32)
-    pages[0, 0] = 1
-    built = Map(device, pages)
-    assert built.mark(beams_of((31.5, 31.5, 31.5, 31.5)))
-    assert device.download(built.wanted).tolist() == [1, 0, 1, 1, 1]
-    words = built.cells("observed")
-    assert [tuple(at) for at in np.argwhere(words)] == [(30, 30), (30, 31), (31, 30), (31, 31)]
-
-
 def test_fold_means_what_scans_told_and_forgets_the_oldest(device: ComputeDevice):
     """A cell is hit twice and then passed: 255, 255, 170, and with a memory of two 128."""
     hit, past = beams_of((12.5, 9.5, 4.5, 9.5)), beams_of((20.5, 9.5, 4.5, 9.5))
@@ -211,22 +173,6 @@ def test_fold_means_what_scans_told_and_forgets_the_oldest(device: ComputeDevice
             built.fold(scan, rule)
             assert abs(built.cells("field")[9, 12] - value) <= 1
             assert built.cells("states")[9, 12] & MOST_OBSERVATIONS == min(most, number)
-
-
-def test_what_a_scan_does_not_reach_stays(device: ComputeDevice):
-    rng = np.random.default_rng(3)
-    built = Map(device, own_pages(1, 2))
-    shape = (3, TILE, TILE)
-    before = rng.integers(1 << 12, 1 << 32, shape, dtype=np.uint32)
-    built.states = device.upload(before)
-    beams = beams_of((12.5, 9.5, 4.5, 9.5))
-    built.mark(beams)
-    touched = device.download(built.observed) > 0
-    assert touched.any()
-    built.fold(beams)
-    states = device.download(built.states)
-    np.testing.assert_array_equal(states[~touched], before[~touched])
-    assert (states[touched] != before[touched]).all()
 
 
 def test_values_go_to_both_ends_without_flowing_over(device: ComputeDevice):
@@ -288,8 +234,3 @@ def test_kernels_equal_their_twins(
 @pytest.mark.parametrize("seed", range(3))
 def test_kernels_equal_their_twins_on_every_device(device: ComputeDevice, seed: int):
     follow_both(device, seed, LikelihoodRule(FALLING, 15, 1 + seed, 2 + seed), 12, 2)
-
-
-@pytest.mark.once
-def test_a_large_scan_equals_the_twin(pocl: ComputeDevice):
-    follow_both(pocl, 6, LikelihoodRule(FALLING, 16, 4, 64), 5000, 2)

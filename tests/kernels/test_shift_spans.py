@@ -30,12 +30,6 @@ def test_spans_hold_the_shifts_at_which_a_point_meets_the_box_and_no_others():
     assert spans.tolist() == [[[15, 25, -30, -9]]]
 
 
-def test_boxes_of_each_plane_hold_for_the_same_points():
-    rows, cols = np.array([[3, 9]], dtype=np.int32), np.array([[1, 4]], dtype=np.int32)
-    spans = shift_spans(rows, cols, np.array([(10, 12, 0, 5), (20, 22, 7, 9)]))
-    assert spans.tolist() == [[[1, 8, -4, 3]], [[11, 18, 3, 7]]]
-
-
 def test_grouped_points_lie_closer_together_than_rows_of_a_map():
     side = np.arange(40) * 2 + 1
     points = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)

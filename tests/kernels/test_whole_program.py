@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 
@@ -23,7 +21,7 @@ CONFIG = FusionConfig(align=AlignConfig())
 def maps() -> list[OccupancyGrid]:
     """Three maps of one small building, each turned its own way."""
     rng = np.random.default_rng(5)
-    truth = draw_building(rng, 7.0, 6.0, 0.05)
+    truth = draw_building(rng, 7.0, 6.0, 0.1)
     faults = (
         Degradation(flip_share=0.002),
         Degradation(yaw_rad=2.0, wall_change_cells=1),
@@ -32,18 +30,6 @@ def maps() -> list[OccupancyGrid]:
     return [
         degrade_map(truth, rng, fault)[0].with_name(f"map {n}") for n, fault in enumerate(faults)
     ]
-
-
-def test_alignment_is_the_same(pocl: ComputeDevice, maps: list[OccupancyGrid]):
-    device = align_grids(maps[0], maps[1], CONFIG, pocl)
-    twins = align_grids(maps[0], maps[1], CONFIG, NumpyDevice())
-    assert device.accepted
-    assert (device.accepted, device.reason) == (twins.accepted, twins.reason)
-    a, b = device.transform, twins.transform
-    assert math.hypot(a.x - b.x, a.y - b.y) < 1e-4
-    assert abs(a.yaw_rad - b.yaw_rad) < 1e-5
-    assert device.score == pytest.approx(twins.score, abs=1e-3)
-    assert device.error == pytest.approx(twins.error, rel=1e-2)
 
 
 def test_fusion_is_the_same(pocl: ComputeDevice, maps: list[OccupancyGrid]):
