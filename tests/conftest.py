@@ -42,6 +42,7 @@ LONGEST = (
     "ros/test_fusion_faults.py",
     "cli/test_commands.py",
     "launch/test_slamfusion_sh.py",
+    "slam/test_mappers.py",
     "slam/graph/test_slam.py",
     "launch/test_colcon.py",
     "docs/test_pages.py",

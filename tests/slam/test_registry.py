@@ -128,6 +128,14 @@ def written(tmp_path: Path, text: str) -> Path:
     return path
 
 
+def test_settings_at_the_top_of_a_file_are_read_with_a_warning(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    config = load_config(written(tmp_path, "graph: {resolution: 0.2}\n"))
+    assert settings_of(config, "graph").resolution == 0.2
+    assert "settings of graph stand under 'producers:' from now on" in caplog.text
+
+
 def test_a_file_sets_producers_by_name(tmp_path: Path) -> None:
     text = "seed: 4\nproducers: {graph: {matcher: {climbers: 9}}, tinyslam: }\n"
     config = load_config(written(tmp_path, text))
@@ -135,14 +143,6 @@ def test_a_file_sets_producers_by_name(tmp_path: Path) -> None:
     assert settings_of(config, "graph").matcher.climbers == 9
     assert settings_of(config, "graph").matcher.beams == GraphConfig().matcher.beams
     assert settings_of(config, "tinyslam") == producer("tinyslam").config
-
-
-def test_settings_at_the_top_of_a_file_are_read_with_a_warning(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    config = load_config(written(tmp_path, "graph: {resolution: 0.2}\n"))
-    assert settings_of(config, "graph").resolution == 0.2
-    assert "settings of graph stand under 'producers:' from now on" in caplog.text
 
 
 @pytest.mark.parametrize(

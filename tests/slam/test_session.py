@@ -11,11 +11,10 @@ import pytest
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import RunConfig
 from slamfusion.errors import ScanError
-from slamfusion.geometry import Pose2
 from slamfusion.io.log import LogScan
 from slamfusion.scan import LaserScan
 from slamfusion.slam.registry import make_producer
-from slamfusion.slam.session import LATENCIES, LeftOutError, ProducerSession, QueuedScan
+from slamfusion.slam.session import LeftOutError, ProducerSession, QueuedScan
 from tests.slam.drives import drive
 
 pytestmark = pytest.mark.once
@@ -177,36 +176,3 @@ def test_a_new_map_begins_with_its_first_scan_and_old_ones_are_not_fed() -> None
     assert made.generation == 1
     assert made.trajectory is not None
     assert len(made.trajectory) == 1
-
-
-def test_figures_are_frozen_and_of_the_last_scans() -> None:
-    bench = Bench("tinyslam")
-    session = bench.session
-    assert session.snapshot.latencies_ms() == (0.0, 0.0)
-    bench.feed(0)
-    before = session.snapshot
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        before.fed = 7
-    assert before.latencies_ms() == pytest.approx((500.0, 500.0))
-    session.snapshot = dataclasses.replace(before, latencies_s=(1.0,) * LATENCIES)
-    bench.feed(1)
-    kept = session.snapshot.latencies_s
-    assert (len(kept), kept[-1]) == (LATENCIES, 0.5)
-    assert before.fed == 1
-    seen: list[float | None] = []
-
-    def read() -> LaserScan:
-        seen.append(session.snapshot.busy_since_s)
-        return bench.scans[2].scan
-
-    session.feed(bench.queued(2, read=read, odometry=Pose2))
-    assert seen == [100.0]
-
-
-@pytest.mark.parametrize("share", [0.99, 1.01])
-def test_a_map_is_due_after_its_interval(share: float) -> None:
-    bench = Bench("tinyslam")
-    assert bench.session.is_map_due(2.0)
-    bench.session.read_map(is_path_heard=False, is_paused=False)
-    bench.now_s += share * 2.0
-    assert bench.session.is_map_due(2.0) is (share > 1.0)

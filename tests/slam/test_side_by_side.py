@@ -16,7 +16,7 @@ import pytest
 from slamfusion.compute import open_device
 from slamfusion.config import RunConfig, SideBySideConfig
 from slamfusion.cores import usable_cores
-from slamfusion.errors import ConfigError, LogError
+from slamfusion.errors import ConfigError
 from slamfusion.io import open_log, write_carmen
 from slamfusion.io.log import LogScan
 from slamfusion.scan import LaserScan
@@ -120,17 +120,6 @@ def test_the_longest_job_starts_first_and_no_more_run_than_may(log: Path) -> Non
     assert not multiprocessing.active_children()
 
 
-def test_leaving_early_leaves_no_process(log: Path) -> None:
-    def interrupted() -> None:
-        with SideBySide(("tinyslam", "graph"), log, CONFIG):
-            assert multiprocessing.active_children()
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        interrupted()
-    assert not multiprocessing.active_children()
-
-
 def test_what_cannot_be_mapped_is_said_by_each(tmp_path: Path) -> None:
     blind = [
         LogScan(
@@ -150,24 +139,10 @@ def test_what_cannot_be_mapped_is_said_by_each(tmp_path: Path) -> None:
         assert outcome.detail == ""
 
 
-def test_a_device_that_is_not_there_is_the_reason(log: Path) -> None:
-    config = replace(CONFIG, device=replace(CONFIG.device, device="no such device"))
-    outcomes = run(log, "tinyslam", config=config)
-    assert "no such device" in outcomes["tinyslam"].reason
-
-
 @pytest.mark.parametrize("names", [(), ("hector",), ("graph", "graph")])
 def test_what_is_no_list_of_producers_is_refused(log: Path, names: tuple[str, ...]) -> None:
     with pytest.raises(ConfigError, match="wanted some of the producers tinyslam, gmapping, graph"):
         SideBySide(names, log, CONFIG)
-
-
-def test_a_log_that_cannot_be_opened_starts_nothing(tmp_path: Path) -> None:
-    empty = tmp_path / "empty.log"
-    empty.touch()
-    with pytest.raises(LogError, match="the file is empty"):
-        SideBySide(("graph",), empty, CONFIG)
-    assert not multiprocessing.active_children()
 
 
 @pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="no /proc to look into")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import io
+import json
 import math
 import zipfile
 from collections.abc import Iterator
@@ -11,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from slamfusion.compute import NumpyDevice
@@ -18,11 +20,10 @@ from slamfusion.config import GmappingConfig, GraphConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import Pose2
 from slamfusion.io.log import Skips
-from slamfusion.slam.common.state import pack, unpack
+from slamfusion.slam.common.state import DIGEST, RECORD, _digest, pack, unpack
 from slamfusion.slam.gmapping.slam import Gmapping
 from slamfusion.slam.graph.slam import GraphSlam
 from tests.slam.drives import drive
-from tests.support.states import Arrays, read_parts, write_parts
 
 pytestmark = pytest.mark.once
 
@@ -34,6 +35,7 @@ MAPPERS: dict[str, tuple[Any, Any]] = {
 GONE = object()
 # No value is one of these: whole numbers are counts, poses lie on a map, words are few.
 NEVER: tuple[Any, ...] = (GONE, True, -1, 1 << 70, 1e308, math.nan, math.inf, "x", [], {}, [[]])
+Arrays = dict[str, npt.NDArray[Any]]
 
 
 @pytest.fixture(scope="module")
@@ -49,6 +51,23 @@ def saved(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         made[name] = folder / f"{name}.state"
         mapper.save_state(made[name])
     return made
+
+
+def read_parts(path: Path) -> tuple[dict[str, Any], Arrays]:
+    """Return the record and the arrays of a saved state."""
+    with np.load(path) as file:
+        arrays = dict(file)
+    del arrays[DIGEST]
+    return json.loads(arrays.pop(RECORD).tobytes()), arrays
+
+
+def write_parts(path: Path, record: Any, arrays: Arrays) -> None:
+    """Write a record and arrays with the digest that belongs to them."""
+    text = np.frombuffer(json.dumps(record).encode(), dtype=np.uint8)
+    whole: dict[str, Any] = {**arrays, RECORD: text}
+    whole[DIGEST] = np.frombuffer(_digest(whole), dtype=np.uint8)
+    with path.open("wb") as file:
+        np.savez(file, **whole)
 
 
 def refusal(path: Path, name: str) -> str:

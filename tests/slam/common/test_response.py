@@ -17,7 +17,6 @@ from slamfusion.config import GraphConfig
 from slamfusion.geometry import Pose2
 from slamfusion.slam.common.matcher import PoseHypothesis, ScanOnTiles, Spread, search_pose
 from slamfusion.slam.common.response import (
-    DEGENERATE_SIGMA_M,
     LEAST_SIGMA,
     MOST_SIGMA,
     keep_degenerate_prior,
@@ -119,16 +118,6 @@ def test_information_is_symmetric_and_positive_definite(
         assert np.linalg.eigvalsh(matrix).min() > 0.0
 
 
-def test_turned_information_is_that_of_the_turned_frame(flat: Place):
-    pose = true_poses(120)[60]
-    found = flat.information(pose, flat.points(pose, 7, 0.0))
-    turn, step = Pose2(0.0, 0.0, 0.7), Pose2(0.03, -0.01, 0.002)
-    moved = turn.compose(step)
-    a = np.array([step.x, step.y, step.yaw_rad])
-    b = np.array([moved.x, moved.y, step.yaw_rad])
-    assert b @ turned(found, 0.7) @ b == pytest.approx(a @ found @ a)
-
-
 @functools.cache
 def spread_of_matches(place: Place, index: int) -> tuple[F64, F64]:
     """Return (3,) the deviations of 100 matches of noisy scans, and what the response says.
@@ -148,13 +137,6 @@ def spread_of_matches(place: Place, index: int) -> tuple[F64, F64]:
         information = place.information(Pose2(*(float(v) for v in pose_found)), points)
         told.append(np.sqrt(np.diag(np.linalg.inv(information))))
     return np.std(found, axis=0), np.mean(told, axis=0)
-
-
-@pytest.mark.parametrize("index", [40, 62, 80])
-def test_the_response_is_never_surer_than_the_matches(flat: Place, index: int):
-    spread, told = spread_of_matches(flat, index)
-    assert (spread < 1.2 * told).all()
-    assert (told < 8.0 * spread).all()
 
 
 def test_the_response_agrees_with_the_spread_of_matches(flat: Place):
@@ -211,34 +193,6 @@ def test_along_bare_walls_odometry_has_its_way(
     assert match.tobytes() == before.tobytes()
 
 
-@pytest.mark.parametrize("yaw_rad", [0.3, -0.2, 1.35])
-def test_along_walls_a_little_oblique_to_the_cells_too(device: ComputeDevice, yaw_rad: float):
-    frame = Pose2(0.4, -0.3, yaw_rad)
-    scan = scan_of(device, frame, two_walls(6.0), two_walls(3.0))
-    expected = frame.compose(Pose2(1.0, 0.2, 0.1))
-    kept = Pose2(*(float(v) for v in keep_prior(scan, vector(frame), vector(expected))))
-    moved = frame.inverse().compose(kept)
-    assert moved.x == pytest.approx(1.0, abs=0.02)
-    assert moved.y == pytest.approx(0.0, abs=0.02)
-    assert moved.yaw_rad == pytest.approx(0.0, abs=1e-12)
-
-
-def test_in_a_drawn_corridor_odometry_decides_along_it(corridor: Place):
-    """Of matches of noisy scans: nearly all, and never across."""
-    moved = []
-    for index in range(20):
-        pose = Pose2(12.0 + 0.1 * index, 1.5, 0.0)
-        points = corridor.points(pose, 100 + index, 0.015)
-        scan = ScanOnTiles(corridor.device, corridor.submap.walls(), points, 180)
-        match = vector(pose)
-        kept = keep_prior(scan, match, match + np.array([0.2, 0.2, 0.1]))
-        moved.append(kept - match)
-    along, across, turn = np.array(moved).T
-    assert np.median(along) > 0.19
-    assert np.abs(across).max() < 0.05
-    assert (turn == 0.0).all()
-
-
 @pytest.mark.parametrize("index", [40, 52, 62, 80])
 def test_in_a_room_a_match_stays_where_it_is(flat: Place, index: int):
     pose = true_poses(120)[index]
@@ -248,17 +202,6 @@ def test_in_a_room_a_match_stays_where_it_is(flat: Place, index: int):
         match = vector(pose)
         kept = keep_prior(scan, match, match + np.array([1.0, -2.0, 0.5]))
         assert kept.tobytes() == vector(pose).tobytes()
-
-
-def test_one_wall_across_closes_a_corridor(device: ComputeDevice):
-    """The same two walls, and the end of the corridor in sight."""
-    end = np.column_stack((np.full(200, 2.5), np.arange(-1.0, 1.0, 0.01)))
-    points = np.concatenate((two_walls(2.5), end))
-    scan = scan_of(device, Pose2(), points, points)
-    match, expected = np.zeros(3), np.array([-0.3, 0.1, 0.0])
-    assert keep_prior(scan, match, expected).tobytes() == match.tobytes()
-    information = response_information(scan, match)
-    assert information[0, 0] > DEGENERATE_SIGMA_M**-2.0
 
 
 @given(
@@ -284,26 +227,3 @@ def test_a_match_is_moved_along_one_line_and_never_beyond_the_expected_pose(
 
 
 # -- limits ----------------------------------------------------------------------------------------
-
-
-def test_where_nothing_is_seen_a_match_tells_the_least(device: ComputeDevice):
-    """A level response: the least in every direction, the heading's at 5 m."""
-    scan = scan_of(device, Pose2(), two_walls(3.0), np.array([(100.0, 100.0), (101.0, 100.0)]))
-    least = MOST_SIGMA**-2.0
-    np.testing.assert_allclose(
-        response_information(scan, np.zeros(3)), np.diag([least, least, 25.0 * least]), atol=1e-9
-    )
-
-
-def test_a_sharp_response_tells_no_more_than_the_most(device: ComputeDevice):
-    """Hits of a fine map in one cell each and a heading seen 25 m away."""
-    rng = np.random.default_rng(0)
-    points = rng.uniform(-25.0, 25.0, (400, 2))
-    submap = Submap(device, 0, CELL_M, 0.02)
-    submap.insert(points, NO_LASER, Pose2())
-    scan = ScanOnTiles(device, submap.walls(), points, 1000)
-    values = np.linalg.eigvalsh(
-        response_information(scan, np.zeros(3)) / np.outer([1.0, 1.0, 5.0], [1.0, 1.0, 5.0])
-    )
-    assert values.max() == pytest.approx(LEAST_SIGMA**-2.0)
-    assert values.min() > DEGENERATE_SIGMA_M**-2.0

@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from slamfusion.compute import NumpyDevice
-from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.io.log import LogScan
-from slamfusion.json_values import plain
-from slamfusion.slam.common.runner import FIRST_REPORTED, run_producer
-from slamfusion.slam.registry import make_producer
-from slamfusion.trajectory import Trajectory
+from slamfusion.slam.common.runner import run_producer
 from tests.support.producers import DeadReckoning, ListLog, ResumableReckoning, room_drive
 
 
@@ -47,48 +41,6 @@ def test_the_record_has_the_promised_keys_and_is_json() -> None:
     assert json.loads(json.dumps(document, allow_nan=False)) == document
 
 
-def test_time_per_scan_is_that_of_the_feeds() -> None:
-    run = run_producer(DeadReckoning(), room_drive(5))
-    milliseconds = 1e3 * run.feed_s
-    figures = run.time_per_scan_ms()
-    assert figures["mean"] == pytest.approx(milliseconds.mean())
-    assert figures["p50"] == pytest.approx(np.sort(milliseconds)[2])
-    shares = [figures[name] for name in ("p50", "p95", "p99", "p999", "max")]
-    assert shares == sorted(shares)
-    assert figures["max"] == milliseconds.max()
-
-
-def test_percentiles_of_the_time_are_those_of_their_names() -> None:
-    feed_s = np.random.default_rng(0).permutation(np.arange(10_001)) * 1e-6
-    run = replace(run_producer(DeadReckoning(), room_drive(2)), feed_s=feed_s)
-    figures = run.time_per_scan_ms()
-    wanted = {"mean": 5.0, "p50": 5.0, "p95": 9.5, "p99": 9.9, "p999": 9.99, "max": 10.0}
-    assert figures == pytest.approx(wanted)
-
-
-def test_the_path_as_first_reported_is_found_where_it_is_kept() -> None:
-    run = run_producer(DeadReckoning(), room_drive(4))
-    assert run.online_path() is None
-    online = Trajectory(run.trajectory.stamps_s, run.trajectory.poses, FIRST_REPORTED)
-    assert replace(run, other_paths=(run.trajectory, online)).online_path() is online
-
-
-def test_the_graph_keeps_the_path_that_it_first_reported() -> None:
-    backend = make_producer("graph", RunConfig(), NumpyDevice())
-    told = [backend.feed(item.scan, item.odometry).pose_map_base for item in room_drive(6)]
-    backend = make_producer("graph", RunConfig(), NumpyDevice())
-    online = run_producer(backend, room_drive(6)).online_path()
-    assert online is not None
-    assert [online.pose(k) for k in range(6)] == told
-
-
-def test_one_scan_makes_a_map() -> None:
-    run = run_producer(DeadReckoning(), room_drive(1))
-    assert len(run.trajectory) == 1
-    assert (run.grid.cells == 100).any()
-    assert run.to_json()["path_length_m"] == 0.0
-
-
 def test_the_log_s_own_counts_are_kept() -> None:
     log = ListLog(room_drive(3))
     log.skips.add("cut-off line", 17)
@@ -114,11 +66,6 @@ def test_no_usable_scan_is_one_line_with_the_reasons() -> None:
     ):
         assert part in message
     assert "\n" not in message
-
-
-def test_no_scan_at_all_is_the_same_error() -> None:
-    with pytest.raises(SlamFusionError, match="none of 0 scans"):
-        run_producer(DeadReckoning(), [])
 
 
 def test_scans_without_odometry_have_no_odometry_path() -> None:
@@ -191,13 +138,6 @@ def test_a_log_that_is_known_already_is_one_line() -> None:
     )
 
 
-def test_a_resumed_producer_without_any_scan_makes_no_map() -> None:
-    device = ResumableReckoning()
-    run_producer(device, room_drive(6))
-    with pytest.raises(SlamFusionError, match="none of 0 scans; give"):
-        run_producer(device, [])
-
-
 def test_many_blind_scans_are_a_doubt() -> None:
     scans = room_drive(10)
     blind = room_drive(14, blind=True)[10:]
@@ -227,19 +167,3 @@ def test_many_bad_matches_or_many_in_a_row_are_a_doubt(
     assert bool(run.warnings()) == is_warned
     if is_warned:
         assert f"{len(low)} of {count} scans" in run.warnings()[0]
-
-
-def test_the_record_does_not_change_when_the_producer_goes_on() -> None:
-    backend = DeadReckoning()
-    run = run_producer(backend, room_drive(2))
-    backend.feed(room_drive(3)[2].scan)
-    assert run.scans == 2
-
-
-def test_tinyslam_makes_a_map_of_the_room() -> None:
-    run = run_producer(make_producer("tinyslam", RunConfig(), NumpyDevice()), room_drive(6))
-    assert run.scans_used == 6
-    truth = np.array([0.05 * 5 - 0.5, 0.1, 0.1])
-    np.testing.assert_allclose(run.trajectory.poses[-1], truth, atol=0.1)
-    # The room is 6 m wide; each wall is a cell or two.
-    assert run.grid.width * run.grid.resolution == pytest.approx(6.0, abs=0.3)

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.compute.layout import TILE
-from slamfusion.slam.common.shared_tiles import GROWTH, SharedTileMaps
-from slamfusion.slam.common.tile_map import FIRST_TILES, MARGIN
+from slamfusion.slam.common.shared_tiles import SharedTileMaps
+from slamfusion.slam.common.tile_map import MARGIN
 from tests.support.examples import examples
 
 POOLS = {"counts": np.uint32, "field": np.uint8}
@@ -165,62 +165,6 @@ def random_pages(rng: np.random.Generator, count: int) -> list[tuple[int, int, i
     return [tuple(row) for row in np.unique(drawn, axis=0).tolist()]
 
 
-def test_a_long_life_of_writing_and_taking_over(device: ComputeDevice):
-    """As a filter lives; the pool grows beyond its first size, and later no more."""
-    pair, rng = Pair(device), np.random.default_rng(5)
-    pair.cover((-3, -3), (2, 2))
-    pages = (2 * (HALF_PAGES - MARGIN)) ** 2
-    for step in range(60):
-        pair.write(random_pages(rng, 40), rng)
-        if step % 3 == 2:
-            pair.take_over(sorted(rng.integers(0, MAPS, MAPS).tolist()))
-        if step % 10 == 9:
-            pair.check()
-    # No more tiles than all pages of all maps, and what one last growth may have been too much.
-    assert FIRST_TILES < len(pair.shared._users) <= GROWTH * (1 + MAPS * pages)
-    assert len(pair.device.download(pair.shared.pools["field"])) == len(pair.shared._users)
-
-
-def test_freed_tiles_are_used_again(device: ComputeDevice):
-    """All maps write everywhere, then follow one of them: the others' tiles are free again."""
-    pair, rng = Pair(device), np.random.default_rng(0)
-    pair.cover((-2, -2), (1, 1))
-    everywhere = [(i, x, y) for i in range(MAPS) for x in range(-2, 2) for y in range(-2, 2)]
-    pair.write(everywhere, rng)
-    size = len(pair.shared._users)
-    for parent in (0, 3, 1, 2, 0, 2):
-        pair.take_over([parent] * MAPS)
-        assert (pair.shared.tiles_owned, pair.shared.tiles_shared) == (0, 16)
-        pair.write(everywhere, rng)
-        assert (pair.shared.tiles_owned, pair.shared.tiles_shared) == (16 * MAPS, 0)
-        assert len(pair.shared._users) == size
-    pair.check()
-
-
-def test_a_reused_tile_of_a_new_page_begins_empty(device: ComputeDevice):
-    pair, rng = Pair(device, 2), np.random.default_rng(1)
-    pair.cover((-2, -2), (1, 1))
-    pair.write([(1, -2, -2), (1, 0, 0)], rng)
-    freed = set(pair.shared.pages[1][pair.shared.pages[1] > 0].tolist())
-    pair.take_over([0, 0])
-    pair.write([(0, 1, 1), (1, -1, 0)], rng)
-    assert {tile for tile in pair.shared.pages.ravel().tolist() if tile} == freed
-    pair.check()
-
-
-def test_taking_over_copies_no_cell(device: ComputeDevice):
-    pair, rng = Pair(device), np.random.default_rng(2)
-    pair.cover((-2, -2), (1, 1))
-    pair.write([(i, x, 0) for i in range(MAPS) for x in range(-2, 2)], rng)
-    pair.device.calls.clear()
-    pair.device.tiles_copied = 0
-    for parents in ([0, 0, 2, 3], [2, 2, 2, 2], [3, 2, 1, 0]):
-        pair.take_over(parents)
-    # The page tables are sent, and nothing else happens.
-    assert pair.device.calls == {"upload": 3}
-    pair.check()
-
-
 def test_a_write_copies_only_what_others_use(device: ComputeDevice):
     pair, rng = Pair(device), np.random.default_rng(3)
     pair.cover((-2, -2), (1, 1))
@@ -244,23 +188,6 @@ def test_a_write_copies_only_what_others_use(device: ComputeDevice):
     assert copied([(1, 1, 0)]) == 0
 
 
-def test_nothing_written_changes_nothing(device: ComputeDevice):
-    pair = Pair(device)
-    before = dict(pair.device.calls)
-    pair.shared.make_writable(np.zeros(pair.shared.pages.shape, dtype=np.bool_))
-    assert dict(pair.device.calls) == before
-    assert pair.shared.cells("counts", 2)[0].max() == 0
-    pair.check()
-
-
-def test_page_tables_of_some_maps(device: ComputeDevice):
-    pair, rng = Pair(device), np.random.default_rng(4)
-    pair.write([(i, 0, 0) for i in range(MAPS)], rng)
-    for chosen in ([2], [0, 3], [1, 2, 3], list(range(MAPS))):
-        found = pair.device.download(pair.shared.page_tables_of(np.array(chosen)))
-        np.testing.assert_array_equal(found, pair.shared.pages[chosen])
-
-
 def test_saved_and_restored_maps_go_on_alike(device: ComputeDevice):
     """The same cells, and the same choice of free tiles ever after."""
     pair, rng = Pair(device), np.random.default_rng(6)
@@ -282,12 +209,3 @@ def test_saved_and_restored_maps_go_on_alike(device: ComputeDevice):
             other.check()
         np.testing.assert_array_equal(again.shared.pages, pair.shared.pages)
         np.testing.assert_array_equal(again.shared._users, pair.shared._users)
-
-
-def test_memory_counts_pools_and_page_tables(device: ComputeDevice):
-    pair, rng = Pair(device), np.random.default_rng(7)
-    pair.cover((-2, -2), (1, 1))
-    for _ in range(3):
-        pair.write(random_pages(rng, 200), rng)
-    held = sum(pair.device.download(pool).nbytes for pool in pair.shared.pools.values())
-    assert pair.shared.memory_bytes == held + 2 * pair.shared.pages.nbytes

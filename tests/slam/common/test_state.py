@@ -17,7 +17,7 @@ from slamfusion.config import MatcherConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import Pose2
 from slamfusion.slam.common.mapper import Health
-from slamfusion.slam.common.state import SavedMapper, Stateful, pack, unpack
+from slamfusion.slam.common.state import SavedMapper, pack, unpack
 from slamfusion.slam.common.tracking import Tracker
 
 
@@ -152,16 +152,6 @@ def test_what_is_no_state_is_refused(path: Path, tmp_path: Path) -> None:
         assert "not a whole state" in refused(path)
 
 
-def test_a_state_that_would_run_code_is_refused(path: Path, tmp_path: Path) -> None:
-    class Runs:
-        def __reduce__(self) -> tuple[Any, ...]:
-            return Path.touch, (tmp_path / "ran",)
-
-    np.savez(path.open("wb"), record=np.array([Runs()], dtype=object))
-    assert "not a whole state" in refused(path)
-    assert not (tmp_path / "ran").exists()
-
-
 def test_a_state_that_cannot_be_written_leaves_the_one_before(path: Path) -> None:
     broken = drawn()
     broken.pairs = [object()]  # type: ignore[list-item]
@@ -193,21 +183,6 @@ def test_an_attribute_of_another_type_is_named(name: str, value: Any) -> None:
     del state[name]
     with pytest.raises(KeyError, match=name):
         made.restore(state)
-
-
-def test_what_is_restored_is_its_own() -> None:
-    class Kept(Stateful):
-        STATE = ("health",)
-
-        def __init__(self) -> None:
-            self.health = Health(9, 7, 0.4, 0.5, 2, 12.5)
-
-    kept, again = Kept(), Kept()
-    health = again.health
-    again.restore(through_file(kept.to_state()))
-    again.health.skips.add("no hits", 8)
-    assert again.health is health
-    assert kept.health.skips.total == 0
 
 
 def through_file(state: Any) -> Any:

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import tracemalloc
-import weakref
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -13,7 +9,7 @@ from slamfusion.compute import ComputeDevice, NumpyDevice, open_device
 from slamfusion.compute.cell_means import ScanRule
 from slamfusion.compute.layout import BEAM_ONE, TILE, UNSEEN
 from slamfusion.errors import MemoryBudgetError
-from slamfusion.slam.common.tile_map import FIRST_TILES, MARGIN, TileMap, joined_tiles
+from slamfusion.slam.common.tile_map import MARGIN, TileMap, joined_tiles
 from slamfusion.slam.tinyslam.cell_models import CELL_MODELS
 
 POOLS = {
@@ -65,13 +61,6 @@ def seen(tiles: TileMap) -> set[tuple[int, int]]:
     return set(zip((cols + first[0]).tolist(), (rows + first[1]).tolist(), strict=True))
 
 
-def test_a_new_map_is_empty(device: ComputeDevice):
-    tiles = TileMap(device, POOLS)
-    assert (tiles.tiles, tiles.pages.max()) == (1, 0)
-    assert seen(tiles) == set()
-    assert (device.download(tiles.pools["field"]) == 7).all()
-
-
 def test_cells_stay_where_they_are_while_the_window_grows(device: ComputeDevice):
     tiles = TileMap(device, POOLS)
     wanted: set[tuple[int, int]] = set()
@@ -90,31 +79,6 @@ def test_memory_follows_the_beams_and_not_the_box(device: ComputeDevice):
     assert tiles.memory_bytes < 3e6  # the box would take 133 MB
 
 
-def test_pools_grow_beyond_their_first_size(device: ComputeDevice):
-    tiles = TileMap(device, POOLS)
-    write(tiles, device, (TILE * (FIRST_TILES + 10), 0))
-    assert len(device.download(tiles.pools["field"])) > FIRST_TILES
-    assert len(seen(tiles)) == TILE * (FIRST_TILES + 10) + 1
-
-
-def test_a_pool_that_has_grown_is_let_go_before_the_next(
-    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
-):
-    left: list[weakref.ref[Any]] = []
-    extend = device.extend
-
-    def checked(pool: Any, count: int, fill: int) -> Any:
-        assert all(old() is None for old in left)
-        left.append(weakref.ref(pool))
-        return extend(pool, count, fill)
-
-    monkeypatch.setattr(device, "extend", checked)
-    tiles = TileMap(device, POOLS)
-    write(tiles, device, (TILE * (FIRST_TILES + 10), 0))
-    assert len(left) == len(POOLS)
-    assert all(old() is None for old in left)
-
-
 def test_tiles_are_joined_where_their_pages_are(device: ComputeDevice):
     pool = np.random.default_rng(3).integers(1, 256, (9, TILE, TILE)).astype(np.uint8)
     pool[0] = 7
@@ -128,20 +92,6 @@ def test_tiles_are_joined_where_their_pages_are(device: ComputeDevice):
     nothing, first = joined_tiles(device, device.upload(pool), 0 * pages, np.array([-3, 10]))
     assert first.tolist() == [-3 * TILE, 10 * TILE]
     np.testing.assert_array_equal(nothing, pool[0])
-
-
-def test_fetching_a_map_takes_no_memory_for_the_tiles_of_others(device: ComputeDevice):
-    pool = np.zeros((4000, TILE, TILE), dtype=np.uint32)
-    handle, corner = device.upload(pool), np.zeros(2, dtype=np.int64)
-    pages = np.array([[0, 3999], [17, 2048]], dtype=np.int32)
-    joined_tiles(device, handle, pages, corner)  # what is only made once is there now
-    tracemalloc.start()
-    try:
-        values, _ = joined_tiles(device, handle, pages, corner)
-        _, peak = tracemalloc.get_traced_memory()
-    finally:
-        tracemalloc.stop()
-    assert values.nbytes <= peak < 4 * values.nbytes < pool.nbytes // 100
 
 
 def test_the_border_stays_empty():

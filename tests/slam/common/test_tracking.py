@@ -18,9 +18,8 @@ from hypothesis import strategies as st
 from slamfusion.compute import NumpyDevice
 from slamfusion.config import MatcherConfig
 from slamfusion.geometry import Pose2
-from slamfusion.slam.common import tracking
 from slamfusion.slam.common.mapper import Health
-from slamfusion.slam.common.matcher import FieldMap, Match, ScanOnTiles, Spread, search_pose
+from slamfusion.slam.common.matcher import FieldMap, Spread
 from slamfusion.slam.common.matcher import PoseHypothesis as Guess
 from slamfusion.slam.common.tracking import Tracker
 
@@ -82,45 +81,6 @@ def test_odometry_is_one_hypothesis_and_going_on_the_other() -> None:
     assert_guess(onward, last.compose(half), (0.1 + 0.15 * 0.1, 0.05 + 0.2 * 0.05), loss=0.05)
 
 
-# What standing still costs is 0.04 for a step of one spread: 0.1 m, and 0.15 m for each metre.
-@pytest.mark.parametrize(
-    ("doubts", "scans_used", "step_m", "times"),
-    [
-        (False, 1, 0.05, 1.0),
-        # By the number of scans in the map,
-        (True, 8, 0.05, 2.5),
-        (True, 19, 0.05, 20 / 19),
-        (True, 20, 0.05, 1.0),
-        # as far as it takes: more for a short step than for a long one,
-        (True, 0, 0.04, 0.1 / (0.04 * (0.04 / 0.106) ** 2)),
-        (True, 1, 0.05, 0.1 / (0.04 * (0.05 / 0.1075) ** 2)),
-        (True, 1, 0.1, 0.1 / (0.04 * (0.1 / 0.115) ** 2)),
-        (True, 1, 0.3, 1.0),
-        # but nothing for one that tells nothing.
-        (True, 0, 0.037, 1.0),
-        (True, 1, 0.0, 1.0),
-    ],
-)
-def test_on_a_young_map_that_is_doubted_leaving_the_odometry_costs_more(
-    doubts: bool, scans_used: int, step_m: float, times: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    trusts = []
-
-    def search(*args: Any) -> Match:
-        trusts.append(args[-1])
-        return search_pose(*args)
-
-    monkeypatch.setattr(tracking, "search_pose", search)
-    found = driven(doubts_young_map=doubts)
-    found.health.scans_used = scans_used
-    hypotheses = HYPOTHESES(found, 12.0, Pose2(step_m))
-    assert [one.loss for one in hypotheses] == [0.0, pytest.approx(0.05 * times)]
-    found.match(ring(100, 100), POINTS, hypotheses)
-    # Where the odometry says nothing, going on is a hypothesis like any other.
-    found.match(ring(100, 100), POINTS, HYPOTHESES(found, 12.0, None))
-    assert trusts == [pytest.approx(times), 1.0]
-
-
 @pytest.mark.parametrize("stands", [False, True])
 def test_without_odometry_the_robot_goes_on_or_stands_as_its_mapper_says(stands: bool) -> None:
     last = Pose2(1.0, 2.0, 0.5)
@@ -135,15 +95,6 @@ def test_without_odometry_the_robot_goes_on_or_stands_as_its_mapper_says(stands:
     started.odometry = None
     (found,) = HYPOTHESES(started, 12.0, Pose2(0.0, 0.0, 0.0))
     assert_guess(found, last.compose(step), twice)
-
-
-@pytest.mark.parametrize(
-    ("later_s", "times"), [(0.5, 0.5), (1.0, 1.0), (2.9, 2.9), (3.0, 3.0), (3.1, 3.0), (60.0, 3.0)]
-)
-def test_a_step_is_drawn_out_three_times_at_most(later_s: float, times: float) -> None:
-    found, *others = HYPOTHESES(driven(HOME, Pose2(0.2, 0.1, 0.1)), 11.0 + later_s, None)
-    assert bool(others) == (later_s > 3.0)
-    np.testing.assert_allclose(found.pose, times * np.array([0.2, 0.1, 0.1]), atol=1e-9)
 
 
 @pytest.mark.parametrize("stands", [False, True])
@@ -165,23 +116,6 @@ def test_where_scans_are_missing_a_robot_without_odometry_may_be_anywhere_on_its
     for turned in (Pose2(0.1, 0.2, 1.9), Pose2(0.0196, 0.0420, 0.4422470158261755)):
         assert len(HYPOTHESES(driven(HOME, turned, **{STANDS: stands}), 11.0 + 7.0, None)) == 4
     assert len(HYPOTHESES(driven(HOME, HOME), 11.0 + 3600.0, None)) == 1
-
-
-def test_a_robot_goes_on_also_after_a_short_step_and_not_after_none() -> None:
-    for before_s, wanted in ((10.95, 0.4), (11.0, 0.0)):
-        found = tracker()
-        found.advance(Pose2(), None, before_s)
-        found.advance(Pose2(0.2), None, 11.0)
-        (guess,) = HYPOTHESES(found, 11.1, None)
-        assert guess.pose[0] == pytest.approx(0.2 + wanted)
-
-
-@pytest.mark.parametrize("step", [Pose2(5.0), Pose2(3.0, -4.0), Pose2(4.9, 0.0, 3.0)])
-def test_odometry_is_believed_up_to_five_metres(step: Pose2) -> None:
-    found = driven()
-    assert len(HYPOTHESES(found, 12.0, step)) == 2
-    assert not found.has_jumped
-    assert found.health.skips.total == 0
 
 
 @pytest.mark.parametrize("step", [Pose2(5.001), Pose2(-3.1, 4.0), Pose2(0.0, -80.0)])
@@ -207,10 +141,6 @@ def test_how_far_a_step_may_be_is_a_setting(jump_m: float, step_m: float) -> Non
     assert list(found.health.skips.counts) == [
         f"odometry jumped by more than {jump_m:g} m: not believed"
     ]
-
-
-def test_nothing_has_jumped_before_the_first_scan() -> None:
-    assert not tracker().has_jumped
 
 
 @given(
@@ -255,23 +185,6 @@ POINTS = np.array([[0.0, 0.0], [0.01, 0.0], [0.0, 0.01], [0.01, 0.01]])
 HERE = Guess(np.zeros(3), Spread(0.1, 0.05), by_odometry=True)
 
 
-def searched(
-    walls: FieldMap,
-    config: MatcherConfig,
-    *,
-    is_again: bool,
-    rng: np.random.Generator | None = None,
-) -> Match:
-    """Return what the search finds by the same draws: the first look, or the second one after."""
-    rng = rng or np.random.default_rng(3)
-    scan = ScanOnTiles(NumpyDevice(), walls, POINTS, config.beams)
-    match = search_pose(scan, [HERE], config, rng)
-    if is_again:
-        wide = replace(HERE, spread=Spread(0.3, 0.15))
-        match = search_pose(scan, [wide], replace(config, first_poses=1024), rng)
-    return match
-
-
 def test_a_good_match_is_taken_and_remembered() -> None:
     found = tracker(SCORES_ALONE)
     match = found.match(ring(100, 100), POINTS, [HERE])
@@ -280,37 +193,6 @@ def test_a_good_match_is_taken_and_remembered() -> None:
     health = found.health
     assert (health.match_score, health.mean_match_score) == (match.score, match.score)
     assert (getattr(found, MEAN_SCORE), health.low_scores) == (match.score, 0)
-
-
-@pytest.mark.parametrize(
-    ("usual", "is_low"), [(0.75, False), (0.78, False), (0.79, True), (0.8, True)]
-)
-def test_a_match_below_half_of_the_usual_score_is_searched_again(
-    usual: float, is_low: bool
-) -> None:
-    """The field has 0.39 where the first look reaches; the second one finds 0.78."""
-    found = tracker(SCORES_ALONE, **{MEAN_SCORE: usual})
-    match = found.match(ring(100, 200), POINTS, [HERE])
-    rng = np.random.default_rng(3)
-    wanted = searched(ring(100, 200), SCORES_ALONE, is_again=is_low, rng=rng)
-    assert wanted.score == pytest.approx((200 if is_low else 100) / 255, abs=1e-6)
-    np.testing.assert_array_equal(match.pose, wanted.pose)
-    assert match.score == wanted.score
-    assert found.rng.random() == rng.random()  # as many draws
-
-
-def test_half_of_the_usual_score_itself_is_not_low() -> None:
-    score = searched(ring(100, 200), SCORES_ALONE, is_again=False).score
-    found = tracker(SCORES_ALONE, **{MEAN_SCORE: 2.0 * score})
-    found.health.mean_match_score = 2.0 * score
-    assert found.match(ring(100, 200), POINTS, [HERE]).score == score
-    assert found.health.low_scores == 0
-
-
-def test_the_second_search_is_left_to_a_mapper_that_has_its_own() -> None:
-    found = tracker(SCORES_ALONE, **{MEAN_SCORE: 0.8, SEARCHES_AGAIN: False})
-    match = found.match(ring(100, 200), POINTS, [HERE])
-    assert match.score == searched(ring(100, 200), SCORES_ALONE, is_again=False).score
 
 
 @pytest.mark.parametrize(("outside", "is_taken"), [(101, False), (125, False), (126, True)])
@@ -350,19 +232,6 @@ def test_along_a_corridor_odometry_decides_where_that_is_asked_for(resolves: boo
     assert getattr(match, CURVATURE) is None
 
 
-def test_where_walls_tell_every_direction_the_match_stays_and_its_curvature_is_kept() -> None:
-    x, y = centres()
-    away = np.minimum(np.abs(np.abs(y) - 1.0), np.abs(np.abs(x) - 3.0))
-    room = drawn(np.maximum(0.0, 250 * (1.0 - away / 0.3)).astype(np.uint8))
-    ends = np.array([(x, y) for x in (-3.0, 3.0) for y in np.arange(-1.0, 1.0, 0.07)])
-    points = np.concatenate((WALLS, ends))
-    match = tracker(**{RESOLVES: True}).match(room, points, [HERE, ELSEWHERE])
-    plain = tracker().match(room, points, [HERE, ELSEWHERE])
-    np.testing.assert_array_equal(match.pose, plain.pose)
-    assert getattr(match, CURVATURE).shape == (3, 3)
-    assert getattr(plain, CURVATURE) is None
-
-
 # -- what is kept of the scores --------------------------------------------------------------------
 
 
@@ -374,16 +243,6 @@ def test_low_scores_are_counted_against_the_mean(mean: float, low: int) -> None:
     assert found.health.low_scores == low
     found.match(ring(10, 10), POINTS, [HERE])
     assert found.health.low_scores == low + 1
-
-
-@pytest.mark.parametrize(("used", "share"), [(0, 1.0), (1, 1.0), (2, 0.5), (4, 0.25)])
-def test_the_mean_is_over_all_scans_and_the_usual_score_over_fifty(used: int, share: float) -> None:
-    found = tracker(SCORES_ALONE, **{MEAN_SCORE: 0.5})
-    found.health.mean_match_score, found.health.scans_used = 0.6, used
-    score = found.match(ring(100, 100), POINTS, [HERE]).score
-    assert found.health.match_score == score
-    assert found.health.mean_match_score == pytest.approx(0.6 + share * (score - 0.6))
-    assert getattr(found, MEAN_SCORE) == pytest.approx(0.5 + (score - 0.5) / 50)
 
 
 def test_a_pose_that_is_taken_is_where_the_next_step_starts() -> None:

@@ -10,14 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slamfusion.config import GmappingConfig
 from slamfusion.geometry import Pose2, wrap_angles
 from slamfusion.slam.gmapping.motion_model import (
     LEAST_SIGMAS,
     MOST_STEERING_RAD,
     BicycleModel,
     DifferentialModel,
-    make_motion_model,
 )
 from tests.support.examples import examples
 
@@ -138,13 +136,6 @@ def test_controls_of_a_twist(speed: float, backwards: bool, turn_rate: float, se
     )
 
 
-def test_backward_steps_stay_backward():
-    for turn in (0.0, 0.4, -0.4):
-        found = draws(BicycleModel(0.05, 0.05, BASE), arc(-0.5, turn))
-        assert (found[:, 0] < 0.0).all()
-        assert abs(wrap_angles(found[:, 2].mean() - turn)) < 0.01
-
-
 @pytest.mark.parametrize("step", [Pose2(), Pose2(0.0, 0.0, 0.3), Pose2(1e-9, -1e-9, 1e-4)])
 def test_a_bicycle_that_stands_stays(step: Pose2):
     """Without a way there is no error: what the step says, to the last bits."""
@@ -152,12 +143,6 @@ def test_a_bicycle_that_stands_stays(step: Pose2):
     found = model.draw(step, 50, np.random.default_rng(0))
     np.testing.assert_allclose(found, [[step.x, step.y, step.yaw_rad]] * 50, rtol=0, atol=1e-15)
     np.testing.assert_array_equal(model.sigmas(step), LEAST_SIGMAS)
-
-
-def test_a_differential_robot_that_stands_stays():
-    model = DifferentialModel(SRR, SRT, STR, STT)
-    assert not model.draw(Pose2(), 50, np.random.default_rng(0)).any()
-    np.testing.assert_array_equal(model.sigmas(Pose2()), LEAST_SIGMAS)
 
 
 def test_without_errors_a_step_is_itself():
@@ -200,37 +185,3 @@ def test_a_bicycle_s_sigmas_are_those_of_its_draws(way: float, turn: float):
     along_turn = abs(turn) * 0.05
     assert heading == pytest.approx(math.sqrt(spread[2] ** 2 - along_turn**2), rel=0.1)
     assert place == pytest.approx(math.hypot(*spread[:2]), rel=0.15)
-
-
-def test_a_steering_beyond_its_stop_is_at_its_stop():
-    """A turn on the spot is beyond a bicycle: it is drawn as asked, with errors that are finite."""
-    step = Pose2(0.001, 0.0, 1.0)
-    model = BicycleModel(0.1, 0.2, BASE)
-    way, steering = model._controls(step)
-    assert way == pytest.approx(0.001, rel=0.1)
-    assert steering == MOST_STEERING_RAD
-    found = draws(model, step)
-    assert np.isfinite(found).all()
-    assert np.isfinite(model.sigmas(step)).all()
-    most = 1.5 * abs(way) * math.tan(MOST_STEERING_RAD) / BASE
-    assert np.abs(wrap_angles(found[:, 2] - 1.0)).max() < 2.0 * most
-
-
-def test_the_configuration_chooses_the_model():
-    config = GmappingConfig(srr=SRR, srt=SRT, str=STR, stt=STT).chosen()
-    step = Pose2(0.5, 0.1, 0.2)
-    wanted = DifferentialModel(SRR, SRT, STR, STT)
-    np.testing.assert_array_equal(make_motion_model(config).sigmas(step), wanted.sigmas(step))
-    for steering, base in ((0.1, 0.3), (0.3, 2.0)):
-        bicycle = GmappingConfig(
-            motion_model="bicycle", srr=SRR, steering_sigma=steering, wheel_base=base
-        ).chosen()
-        found = make_motion_model(bicycle).draw(step, 5, np.random.default_rng(1))
-        drawn = BicycleModel(SRR, steering, base).draw(step, 5, np.random.default_rng(1))
-        np.testing.assert_array_equal(found, drawn)
-
-
-def test_equal_generators_draw_equal_steps():
-    for model in (DifferentialModel(SRR, SRT, STR, STT), BicycleModel(0.1, 0.05, BASE)):
-        first, again = (model.draw(STEPS[3], 9, np.random.default_rng(4)) for _ in range(2))
-        assert first.tobytes() == again.tobytes()

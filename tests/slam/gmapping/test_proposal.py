@@ -10,7 +10,7 @@ import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.stats import binom, chi2, multivariate_normal
+from scipy.stats import multivariate_normal
 
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import GmappingConfig
@@ -29,9 +29,6 @@ from tests.support.examples import examples
 
 F64 = npt.NDArray[np.float64]
 
-DRAWS = 4000
-# One in a million: the seeds are fixed, so a pass stays a pass.
-SMALLEST_P = 1e-6
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -46,15 +43,6 @@ def test_the_published_samples_are_27_around_the_pose():
     found = np.rint(grid / (0.01, 0.01, 0.005)).astype(int)
     assert set(map(tuple, found.tolist())) == wanted
     np.testing.assert_allclose(grid, found * (0.01, 0.01, 0.005), rtol=0.0, atol=1e-15)
-
-
-@pytest.mark.parametrize(
-    ("reach", "step", "along"), [(0.3, 0.1, 7), (0.0, 0.01, 1), (0.009, 0.01, 1), (0.019, 0.01, 3)]
-)
-def test_samples_reach_as_far_as_asked_and_not_farther(reach: float, step: float, along: int):
-    assert len(local_grid(reach, step, 0.0, 0.005)) == along**2
-    assert len(local_grid(0.0, 0.01, reach, step)) == along
-    assert np.abs(local_grid(reach, step, 0.0, 0.005)).max() <= reach + 1e-12
 
 
 # -- analytic likelihoods --------------------------------------------------------------------------
@@ -161,40 +149,6 @@ def test_any_likelihood_has_its_integral():
             rtol=0.0,
             atol=0.01 * covariance.max(),
         )
-
-
-def test_the_published_samples_tell_particles_apart():
-    """27 samples see only the top of a hill, but as much of it for every particle.
-
-    Where hills are alike and wide, differences of the evidence are right to 0.07 although the
-    samples may lie a fifth of the hill's width off its top.
-    """
-    offsets, steps = local_grid(0.01, 0.01, 0.005, 0.005), np.array([0.01, 0.01, 0.005])
-    rng = np.random.default_rng(2)
-    widths, sigmas = np.array([0.05, 0.06, 0.03]), np.array([0.08, 0.08, 0.05])
-    joint = 1.0 / np.sqrt(1.0 / widths**2 + 1.0 / sigmas**2)
-    heights = rng.uniform(-20.0, 0.0, 6)
-    expected = rng.uniform(-0.05, 0.05, (6, 3))  # of the likelihood's top, which lies at 0
-    tops = expected * widths**2 / (widths**2 + sigmas**2)
-    centres = tops + rng.uniform(-0.2, 0.2, (6, 3)) * joint
-    samples = centres[:, None] + offsets
-    log_likelihoods = heights[:, None] - 0.5 * np.square(samples / widths).sum(axis=-1)
-    log_priors = -0.5 * np.square((samples - expected[:, None]) / sigmas).sum(axis=-1)
-    coarse = propose(offsets, log_likelihoods, log_priors, steps).log_evidence
-    wide = np.hypot(widths, sigmas)
-    exact = heights - 0.5 * np.square(expected / wide).sum(axis=1)
-    off = (coarse - coarse[0]) - (exact - exact[0])
-    assert np.ptp(exact) > 5.0
-    assert np.abs(off).max() < 0.07
-    # At the very top there is no such error.
-    at_top = tops[:, None] + offsets
-    top = propose(
-        offsets,
-        heights[:, None] - 0.5 * np.square(at_top / widths).sum(axis=-1),
-        -0.5 * np.square((at_top - expected[:, None]) / sigmas).sum(axis=-1),
-        steps,
-    ).log_evidence
-    np.testing.assert_allclose(top - top[0], exact - exact[0], rtol=0.0, atol=1e-9)
 
 
 @settings(max_examples=examples(40), deadline=None)
@@ -351,29 +305,6 @@ def test_poses_are_drawn_from_likelihood_times_prior(device: ComputeDevice):
     np.testing.assert_allclose(slam._particles.poses.std(axis=0), deviations, rtol=0.15)
 
 
-def test_a_particle_whose_match_is_not_believed_is_weighed_where_it_was_drawn(
-    device: ComputeDevice,
-):
-    slam = mapped(device, 3, minimumScore=1e5, llsamplerange=0.0, lasamplerange=0.0)
-    points = scan_at(POSE, 0.0).points()[::6]
-    expected = np.tile([POSE.x, POSE.y, POSE.yaw_rad], (3, 1))
-    drawn = expected + np.array([(0.0, 0.0, 0.0), (0.07, -0.05, 0.03), (-0.1, 0.1, -0.08)])
-    assert move(slam, points, expected, drawn) == 3
-    np.testing.assert_allclose(slam._particles.poses, drawn, rtol=0.0, atol=1e-12)
-    chosen = slam._config
-    volume = chosen.llsamplestep**2 * chosen.lasamplestep
-    wanted = [
-        log_likelihoods(slam, i, points, drawn[i : i + 1])[0]
-        - 0.5 * np.square((drawn[i] - expected[i]) / SIGMAS).sum()
-        - np.log(SIGMAS).sum()
-        - 1.5 * math.log(math.tau)
-        + math.log(volume)
-        for i in range(3)
-    ]
-    assert np.ptp(wanted) > 5.0
-    np.testing.assert_allclose(slam._particles.log_weights, wanted, rtol=0.0, atol=0.1)
-
-
 # -- weights and resampling ------------------------------------------------------------------------
 
 
@@ -383,15 +314,6 @@ def test_effective_particles_lie_between_one_and_all(seed: int, count: int, spre
     weights = np.exp(spread * np.random.default_rng(seed).standard_normal(count))
     weights /= weights.sum()
     assert 1.0 - 1e-9 <= effective_particles(weights) <= count * (1.0 + 1e-9)
-
-
-@pytest.mark.parametrize("count", [1, 2, 30, 1000])
-def test_effective_particles_at_their_limits(count: int):
-    assert effective_particles(np.full(count, 1.0 / count)) == pytest.approx(count)
-    assert effective_particles(np.eye(count)[count // 2]) == 1.0
-    half = np.zeros(count)
-    half[: (count + 1) // 2] = 1.0 / ((count + 1) // 2)
-    assert effective_particles(half) == pytest.approx((count + 1) // 2)
 
 
 def test_weights_are_evened_out_by_gain_and_number():
@@ -424,40 +346,6 @@ def test_every_particle_has_its_share_of_offspring_to_the_nearest_whole(
     share = count * weights
     assert (offspring >= np.floor(share - 1e-9)).all()
     assert (offspring <= np.ceil(share + 1e-9)).all()
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_the_mean_over_all_starts_is_the_share(seed: int):
-    """Systematic resampling has one random number, so all its draws can be gone through."""
-    count, starts = 13, 2000
-    weights = random_weights(seed, count)
-    total = np.zeros(count)
-    for start in (np.arange(starts) + 0.5) / starts:
-        total += np.bincount(resample_systematic(weights, float(start)), minlength=count)
-    # An offspring more or less begins at one start, which lies between two of those tried.
-    assert np.abs(total / starts - count * weights).max() <= 1.0 / starts + 1e-9
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_random_draws_are_unbiased_by_chi_square(seed: int):
-    """Whether a particle gets the offspring above its whole share is a coin of known bias."""
-    count = 12
-    weights = random_weights(100 + seed, count)
-    rng = np.random.default_rng(seed)
-    total = np.zeros(count)
-    for _ in range(DRAWS):
-        total += np.bincount(resample_systematic(weights, float(rng.random())), minlength=count)
-    share = count * weights
-    whole = np.floor(share)
-    bias = share - whole
-    more = total - DRAWS * whole
-    for heads, p in zip(more, bias, strict=True):
-        if min(p, 1.0 - p) < 5.0 / DRAWS:  # too rare for the approximation
-            assert binom(DRAWS, p).cdf(heads) > SMALLEST_P
-            assert binom(DRAWS, p).sf(heads - 1) > SMALLEST_P
-            continue
-        statistic = (heads - DRAWS * p) ** 2 / (DRAWS * p * (1.0 - p))
-        assert chi2(1).sf(statistic) > SMALLEST_P
 
 
 def test_a_certain_particle_has_all_offspring_and_equal_ones_each_their_own():

@@ -18,7 +18,6 @@ from slamfusion.compute.layout import FULL_HITS, FULL_VISITS, MOST_BEAMS
 from slamfusion.config import GmappingConfig
 from slamfusion.errors import ConfigError, SlamFusionError
 from slamfusion.geometry import Pose2, wrap_angle
-from slamfusion.grid import OccupancyGrid
 from slamfusion.io.log import LogScan
 from slamfusion.scan import LaserScan
 from slamfusion.slam.common.hit_cells import halve_counts, percent_of_counts
@@ -27,17 +26,10 @@ from slamfusion.slam.gmapping import particle_maps
 from slamfusion.slam.gmapping.beams import beams_of
 from slamfusion.slam.gmapping.slam import Gmapping
 from tests.slam.drives import (
-    CELL_M,
-    ONE_JUMP,
-    draw_flat,
     drive,
-    jumped,
     scan_at,
-    scans_at,
-    stalled,
     true_poses,
 )
-from tests.support.states import write_arrays
 
 pytestmark = pytest.mark.once
 
@@ -121,19 +113,6 @@ def from_start(truth: list[Pose2]) -> list[Pose2]:
     return [start.compose(pose) for pose in truth]
 
 
-def occupied_share_on_truth(grid: OccupancyGrid, moved: Pose2) -> float:
-    """Return the share of the map's walls that lie within two cells of a true wall."""
-    rows, cols = np.nonzero(grid.cells >= 65)
-    own = moved.inverse().transform(grid.cell_centres(rows, cols)) / CELL_M
-    col, row = np.floor(own).astype(int).T
-    flat = np.pad(draw_flat(), 40)
-    near = np.zeros_like(flat)
-    for down in range(-2, 3):
-        for right in range(-2, 3):
-            near |= np.roll(flat, (down, right), axis=(0, 1))
-    return float(near[row + 40, col + 40].mean())
-
-
 def standing(count: int, step_s: float = 0.1) -> list[LogScan]:
     """Scans of a robot that stands."""
     pose = true_poses(1)[0]
@@ -206,33 +185,7 @@ def test_a_filter_of_hardly_any_particles_works(device: ComputeDevice, count: in
     assert 1.0 - 1e-9 <= slam.health.n_eff <= count + 1e-9
 
 
-def test_a_thousand_particles(device: ComputeDevice):
-    """Five scans, two filter steps of coarse cells."""
-    scans = drive(13)[0][::3]
-    slam = run(device, scans, particles=1000, delta=0.1, linearUpdate=0.3, resampleThreshold=1.0)
-    assert slam.health.filter_steps == 2
-    assert len(slam.other_paths()) == 999
-    assert slam.health.n_eff is not None
-    assert 1.0 < slam.health.n_eff <= 1000.0 + 1e-6
-    assert slam.memory_bytes() < 1.2e9
-    assert occupied_share_on_truth(slam.grid(), Pose2()) > 0.9
-
-
 # -- where the robot is ----------------------------------------------------------------------------
-
-
-def test_biased_odometry_is_corrected(device: ComputeDevice):
-    scans, truth = drive(120, turn_bias=0.01)
-    last = scans[-1].odometry
-    assert last is not None
-    assert math.hypot(last.x - truth[-1].x, last.y - truth[-1].y) > 1.0
-    slam = run(device, scans)
-    metres, radians = errors(slam, truth)
-    assert metres < 0.2
-    assert radians < 0.06
-    assert occupied_share_on_truth(slam.grid(), Pose2()) > 0.95
-    assert slam.health.filter_steps >= 15
-    assert slam.health.scans_used == 120
 
 
 @pytest.mark.parametrize("motion_model", ["differential", "bicycle"])
@@ -242,14 +195,6 @@ def test_without_odometry(device: ComputeDevice, expectation: str, motion_model:
     settings = {"expectation": expectation, "motion_model": motion_model, "odometry": "none"}
     slam = run(device, scans, **settings)
     assert max(errors(slam, from_start(truth))) < 0.2
-
-
-@pytest.mark.parametrize("expectation", ["motion", "pose"])
-def test_odometry_that_is_not_to_be_used_is_not_used(device: ComputeDevice, expectation: str):
-    scans, _ = drive(30, turn_bias=0.3)
-    bare = [replace(item, odometry=None) for item in scans]
-    asked = run(device, scans, odometry="none", expectation=expectation)
-    assert everything(asked) == everything(run(device, bare, expectation=expectation))
 
 
 @pytest.mark.parametrize(("expectation", "onward"), [("motion", 1.0), ("pose", 0.0)])
@@ -266,17 +211,6 @@ def test_what_is_expected_where_neither_odometry_nor_the_scan_tells(
     assert (found.x, found.y) == pytest.approx((wanted.x, wanted.y), abs=1e-9)
     went = math.hypot(truth[29].x - truth[28].x, truth[29].y - truth[28].y)
     assert math.hypot(found.x - last.x, found.y - last.y) == pytest.approx(onward * went, abs=0.03)
-
-
-def test_without_odometry_the_published_profile_follows_the_robot(device: ComputeDevice):
-    scans, truth = drive(60)
-    slam = run(device, scans, odometry="none", match_every_scan=False)
-    assert errors(slam, from_start(truth))[0] < 1.0
-
-
-def test_odometry_that_stalls_and_catches_up(device: ComputeDevice):
-    scans, truth = drive(120)
-    assert errors(run(device, stalled(scans)), truth)[0] < 0.25
 
 
 def test_odometry_that_goes_the_wrong_way_for_some_scans(device: ComputeDevice):
@@ -297,113 +231,11 @@ def test_odometry_that_goes_the_wrong_way_for_some_scans(device: ComputeDevice):
     assert errors(run(device, wrong), truth)[0] < 0.25
 
 
-def test_an_odometry_jump_is_named_and_not_believed(device: ComputeDevice):
-    scans, truth = drive(60)
-    slam = run(device, jumped(scans))
-    assert errors(slam, truth)[0] < 0.2
-    assert slam.health.skips.to_json() == ONE_JUMP
-
-
-def test_a_start_far_from_zero_costs_nothing(device: ComputeDevice):
-    near, truth = drive(40)
-    far_start = Pose2(512_345.6, -98_765.4, 2.0)
-    far, far_truth = drive(40, start=far_start)
-    slam, away = run(device, near), run(device, far)
-    assert away.memory_bytes() == pytest.approx(slam.memory_bytes(), rel=0.3)
-    assert errors(away, far_truth)[0] < 0.1
-    assert errors(slam, truth)[0] < 0.1
-    moved = far_start.compose(true_poses(40)[0].inverse())
-    assert occupied_share_on_truth(away.grid(), moved) > 0.95
-
-
-@pytest.mark.parametrize("clockwise", [False, True])
-def test_a_mounted_laser_draws_the_same_flat(device: ComputeDevice, *, clockwise: bool):
-    scans, truth = drive(60, mount=Pose2(0.3, -0.1, 0.7), clockwise=clockwise, turn_bias=0.005)
-    slam = run(device, scans)
-    assert errors(slam, truth)[0] < 0.1
-    assert occupied_share_on_truth(slam.grid(), Pose2()) > 0.95
-
-
-def test_scans_of_changing_beam_count(device: ComputeDevice):
-    """Every second, every third, then all beams again; one scan has a single reading."""
-    scans, truth = drive(60, turn_bias=0.01)
-    changed = []
-    for index, item in enumerate(scans):
-        scan, every = item.scan, 1 + index % 3
-        ranges = scan.ranges[::every]
-        if index == 30:
-            ranges = np.where(np.arange(len(ranges)) == 7, ranges, np.float32(np.nan))
-        increment = every * scan.angle_increment_rad
-        thinned = replace(scan, ranges=ranges, angle_increment_rad=increment)
-        changed.append(replace(item, scan=thinned))
-    slam = run(device, changed)
-    assert errors(slam, truth)[0] < 0.15
-    assert slam.health.scans_used == 60
-
-
-def test_a_scan_of_100_000_beams(device: ComputeDevice):
-    ranges = 3.0 + 0.5 * np.sin(np.linspace(0.0, 40.0, 100_000))
-    stamps = (0.0, 0.1, 0.2)
-    scans = [LaserScan(t, ranges, -math.pi, 2e-5 * math.pi, 0.0, 8.0) for t in stamps]
-    slam = feed(
-        Gmapping(config(temporalUpdate=0.0), device),
-        [LogScan(scan, Pose2(), 1) for scan in scans],
-    )
-    assert slam.health.filter_steps == 2
-    assert max(abs(value) for value in slam.trajectory().poses[2]) < 0.03
-
-
 # -- scans that tell nothing, or too little --------------------------------------------------------
 
 
 def blind_scan(stamp_s: float, value: float = np.inf) -> LaserScan:
     return LaserScan(stamp_s, np.full(7, value), 0.0, 0.1, 0.0, 8.0)
-
-
-def test_blind_scans_are_counted_and_dead_reckoned(device: ComputeDevice):
-    scans, truth = drive(40)
-    slam = feed(Gmapping(config(), device), scans[:11])
-    for number, value in ((12, np.inf), (13, np.nan)):
-        step = slam.feed(blind_scan(1.0 + 0.001 * number, value), scans[10].odometry)
-        assert not step.used
-        assert step.reason == BLIND
-        assert slam.health.scans == number
-    for item in scans[11:]:
-        assert slam.feed(item.scan, item.odometry).used
-    assert slam.health.scans_used == 40
-    assert slam.health.skips.counts == {BLIND: 2}
-    assert len(slam.trajectory()) == 42
-    last = slam.trajectory().pose(41)
-    assert math.hypot(last.x - truth[-1].x, last.y - truth[-1].y) < 0.1
-
-
-def test_a_robot_that_is_blind_at_first_is_where_its_odometry_says(device: ComputeDevice):
-    scans, truth = drive(40)
-    slam = Gmapping(config(), device)
-    for item in scans[:20]:
-        step = slam.feed(blind_scan(item.scan.stamp_s), item.odometry)
-        assert not step.used
-        with pytest.raises(SlamFusionError, match="no map"):
-            slam.grid()
-        found = slam.trajectory().poses[-1]
-        np.testing.assert_allclose(found[:2], (step.pose_map_base.x, step.pose_map_base.y))
-    feed(slam, scans[20:])
-    assert errors(slam, truth)[0] < 0.1
-    np.testing.assert_allclose(
-        slam.trajectory().poses[:21, :2], [(pose.x, pose.y) for pose in truth[:21]], atol=1e-9
-    )
-    assert occupied_share_on_truth(slam.grid(), Pose2()) > 0.95
-
-
-def test_no_scan_at_all_has_no_map(device: ComputeDevice):
-    slam = Gmapping(config(), device)
-    with pytest.raises(SlamFusionError, match="no scan could be used, so there is no map"):
-        slam.grid()
-    slam.feed(blind_scan(0.0), None)
-    with pytest.raises(SlamFusionError, match="no map"):
-        slam.grid()
-    assert slam.series() == ()
-    assert slam.health.n_eff is None
 
 
 def test_a_match_below_the_least_score_is_not_believed(device: ComputeDevice):
@@ -433,20 +265,6 @@ def test_rejected_particles_are_drawn_from_the_motion_model(device: ComputeDevic
 
 
 # -- when the filter steps -------------------------------------------------------------------------
-
-
-def test_the_filter_steps_after_way_and_turn(device: ComputeDevice):
-    """A robot that goes 3 m straight, then turns by 2 rad on the spot."""
-    poses = [Pose2(1.2 + 0.05 * i, 1.0, 0.0) for i in range(61)]
-    poses += [Pose2(4.2, 1.0, 0.05 * i) for i in range(1, 41)]
-    seen = scans_at(tuple(poses), tuple(0.1 * index for index in range(len(poses))))
-    scans = [LogScan(scan, pose, 1) for scan, pose in zip(seen, poses, strict=True)]
-    for linear, angular, wanted in ((0.49, 9.0, 6), (9.0, 0.39, 5), (0.49, 0.39, 11), (9, 9, 0)):
-        exact = {"match_every_scan": False, "srr": 0.0, "srt": 0.0, "str": 0.0, "stt": 0.0}
-        slam = run(
-            device, scans, linearUpdate=linear, angularUpdate=angular, minimumScore=1e5, **exact
-        )
-        assert slam.health.filter_steps == wanted, (linear, angular)
 
 
 def test_scans_that_are_not_matched_are_told_as_such(device: ComputeDevice):
@@ -483,13 +301,6 @@ def test_time_alone_makes_a_step_where_it_is_asked_to(
     slam = run(device, standing(40), temporalUpdate=every_s, match_every_scan=False)
     assert slam.health.filter_steps == wanted
     assert slam.trajectory().poses[-1] == pytest.approx(slam.trajectory().poses[0], abs=0.05)
-
-
-def test_a_step_after_every_scan(device: ComputeDevice):
-    scans, truth = drive(30)
-    slam = run(device, scans, linearUpdate=0.0, particles=3, match_every_scan=False)
-    assert slam.health.filter_steps == 29
-    assert errors(slam, truth)[0] < 0.15
 
 
 # -- particles and their maps ----------------------------------------------------------------------
@@ -610,37 +421,7 @@ def test_what_it_offers_beside_the_best_path(device: ComputeDevice):
     assert slam.health.path_entropy == slam._paths.entropy()
 
 
-def test_the_trajectory_is_what_each_step_has_said_where_nothing_was_drawn_anew(
-    device: ComputeDevice,
-):
-    """One particle has one past: what was said then is what is said now."""
-    scans, _ = drive(40, turn_bias=0.01)
-    slam = Gmapping(config(particles=1), device)
-    said = [slam.feed(item.scan, item.odometry).pose_map_base for item in scans]
-    assert slam.health.filter_steps > 3
-    rows = np.array([(pose.x, pose.y, wrap_angle(pose.yaw_rad)) for pose in said])
-    np.testing.assert_allclose(slam.trajectory().poses, rows, atol=1e-9)
-
-
 # -- equal bytes -----------------------------------------------------------------------------------
-
-
-def test_same_seed_same_bytes_and_another_seed_agrees(device: ComputeDevice):
-    scans, truth = drive(40, turn_bias=0.005)
-    first, again, other = (run(device, scans, seed, **OFTEN) for seed in (3, 3, 4))
-    assert everything(first) == everything(again)
-    assert other.trajectory().poses.tobytes() != first.trajectory().poses.tobytes()
-    assert errors(other, truth)[0] < 0.1
-
-
-@pytest.mark.parametrize("match_every_scan", [True, False])
-def test_the_twins_find_the_same_way(device: ComputeDevice, *, match_every_scan: bool):
-    scans, _ = drive(12, turn_bias=0.005)
-    settings = {**OFTEN, "particles": 3, "match_every_scan": match_every_scan}
-    plain = run(NumpyDevice(), scans, **settings)
-    on_device = run(device, scans, **settings)
-    assert plain.health.filter_steps >= 3
-    assert everything(plain) == everything(on_device)
 
 
 # -- what a beam draws -----------------------------------------------------------------------------
@@ -711,12 +492,6 @@ def test_a_failed_reading_clears_nothing(device: ComputeDevice, failed: float):
     assert along(slam, 1, 1.0) == -1
 
 
-def test_max_range_holds_for_hits_too(device: ComputeDevice):
-    slam = drawn(device, reading(2.0, 6.0), maxRange=5.0)
-    assert along(slam, 0, 2.0) == 100
-    assert along(slam, 1, 2.0) == -1
-
-
 def test_max_urange_beyond_the_laser_adds_nothing(device: ComputeDevice):
     """By default the last 2 % of the laser's reach are not trusted; what is asked for is used."""
     scan = reading(2.0, 7.95)
@@ -748,18 +523,6 @@ def test_a_wall_is_what_was_hit_more_often_than_the_threshold(occ_thresh: float)
     assert (
         percent_of_counts(np.zeros((2, 3), dtype=np.uint32), occ_thresh).tolist() == [[-1] * 3] * 2
     )
-
-
-def test_the_threshold_decides_the_map(device: ComputeDevice):
-    """A cell hit by one of three scans."""
-    scans = [reading(2.0, 3.0), reading(2.0, 4.0), reading(2.0, 5.0)]
-    for occ_thresh, is_wall in ((0.3, True), (0.4, False)):
-        slam = drawn(device, scans[0], occ_thresh=occ_thresh)
-        for scan in scans[1:]:
-            write(slam, scan, np.zeros(1, dtype=np.int64))
-        assert along(slam, 0, 2.0) == 100
-        assert (along(slam, 1, 3.0) >= 65) == is_wall
-        assert (along(slam, 1, 3.0) <= 25) != is_wall
 
 
 def counts_of(slam: Gmapping) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
@@ -795,27 +558,6 @@ def test_busy_cells_are_halved_and_nothing_else_changes(device: ComputeDevice):
         assert (fewer <= 15 * fewer_hits).all()
     idle = (visits < FULL_VISITS // 2) & (hits < FULL_HITS // 2)
     np.testing.assert_array_equal(counts[idle], (hits << 16 | visits)[idle])
-
-
-def test_a_scan_over_full_cells_halves_them_and_goes_on(device: ComputeDevice):
-    """The pools are set near their end: the same scan once more brings them there."""
-    scan = scan_at(true_poses(1)[0], 0.0)
-    slam = drawn(device, scan, particles=2)
-    hits, visits = counts_of(slam)
-    times = (FULL_VISITS - 1) // visits.max()
-    for name in ("counts", "sums"):
-        values = device.download(slam._maps.tiles.pools[name])
-        slam._maps.tiles.pools[name] = device.upload(values * np.uint32(times))
-    before = slam.grid()
-    for number in range(3):
-        write(slam, scan, np.arange(2))
-        fewer_hits, fewer_visits = counts_of(slam)
-        is_halved = visits * (times + 1) >= FULL_VISITS // 2
-        is_halved |= hits * (times + 1) >= FULL_HITS // 2
-        left = (times + 1) * np.where(is_halved, 0.5, 1.0) + number
-        np.testing.assert_allclose(fewer_visits, visits * left, rtol=0.0, atol=1.0)
-        np.testing.assert_allclose(fewer_hits, hits * left, rtol=0.0, atol=1.0)
-        np.testing.assert_array_equal(slam.grid().cells, before.cells)
 
 
 def test_counts_that_overflow_again_and_again_keep_the_map(device: ComputeDevice):
@@ -857,76 +599,6 @@ def test_counts_that_overflow_again_and_again_keep_the_map(device: ComputeDevice
 # -- going on from a file --------------------------------------------------------------------------
 
 
-def stopped_at(device: ComputeDevice, scans: list[LogScan], count: int, path: Path) -> Gmapping:
-    """Return a filter that was stopped, written, read, and went on."""
-    settings = config(**OFTEN)
-    feed(Gmapping(settings, device, 5), scans[:count]).save_state(path)
-    return feed(Gmapping.load_state(path, settings, device, 5), scans[count:])
-
-
-@pytest.fixture(scope="module")
-def whole(device: ComputeDevice) -> Gmapping:
-    return run(device, drive(40, turn_bias=0.01)[0], 5, **OFTEN)
-
-
-@pytest.mark.parametrize("count", [0, 1, 2, 17, 40])
-def test_a_filter_that_was_interrupted_goes_on_to_the_bit(
-    device: ComputeDevice, whole: Gmapping, tmp_path: Path, count: int
-):
-    scans, _ = drive(40, turn_bias=0.01)
-    resumed = stopped_at(device, scans, count, tmp_path / "state")
-    assert everything(resumed) == everything(whole)
-
-
-@pytest.mark.parametrize("count", [2, 17, 40])
-def test_a_state_holds_all_that_decides(device: ComputeDevice, tmp_path: Path, count: int):
-    slam = run(device, drive(40, turn_bias=0.01)[0][:count], 5, **OFTEN)
-    slam.save_state(tmp_path / "state")
-    again = Gmapping.load_state(tmp_path / "state", config(**OFTEN), device, 5)
-    for one, other in (
-        (slam, again),
-        (slam._tracker, again._tracker),
-        (slam._particles, again._particles),
-        (slam._maps, again._maps),
-    ):
-        for name, value in vars(one).items():
-            if isinstance(value, (float, int, str, Pose2, list, np.ndarray)):
-                np.testing.assert_array_equal(getattr(other, name), value, err_msg=name)
-    assert again._rng.bit_generator.state == slam._rng.bit_generator.state
-    assert again._tracker.rng is again._rng
-
-
-def test_it_goes_on_right_after_a_resampling_and_right_before(
-    device: ComputeDevice, whole: Gmapping, tmp_path: Path
-):
-    scans, _ = drive(40, turn_bias=0.01)
-    slam = Gmapping(config(**OFTEN), device, 5)
-    resampled = []
-    for index, item in enumerate(scans):
-        before = slam.health.resamplings
-        slam.feed(item.scan, item.odometry)
-        if slam.health.resamplings > before:
-            resampled.append(index)
-    assert len(resampled) > 3
-    for count in (resampled[2], resampled[2] + 1):
-        resumed = stopped_at(device, scans, count, tmp_path / f"state{count}")
-        assert everything(resumed) == everything(whole)
-
-
-def test_it_goes_on_after_blind_scans_a_jump_and_without_odometry(
-    device: ComputeDevice, tmp_path: Path
-):
-    scans, _ = drive(30)
-    far = [replace(item, odometry=Pose2(90.0, 0.0, 1.0)) for item in scans[20:22]]
-    blind = [replace(item, scan=blind_scan(item.scan.stamp_s)) for item in scans[:3]]
-    bare = [replace(item, odometry=None) for item in scans[22:]]
-    odd = [*blind, *scans[3:20], *far, *bare]
-    plain = run(device, odd, 5, **OFTEN)
-    assert plain.health.skips.total == 4
-    for count in (2, 3, 21, 25):
-        assert everything(stopped_at(device, odd, count, tmp_path / "state")) == everything(plain)
-
-
 def test_a_state_may_move_to_the_twins(device: ComputeDevice, tmp_path: Path):
     scans, _ = drive(12)
     settings = config(particles=2, **OFTEN)
@@ -940,154 +612,3 @@ def state(device: ComputeDevice, tmp_path_factory: pytest.TempPathFactory) -> Pa
     path = tmp_path_factory.mktemp("state") / "drive.state"
     run(device, drive(5)[0]).save_state(path)
     return path
-
-
-def refused(path: Path, device: ComputeDevice, seed: int = 0, **settings: Any) -> str:
-    with pytest.raises(SlamFusionError) as caught:
-        Gmapping.load_state(path, config(**settings), device, seed)
-    message = str(caught.value)
-    assert "\n" not in message
-    assert message.startswith(f"{path}: ")
-    return message.removeprefix(f"{path}: ")
-
-
-@pytest.mark.parametrize(
-    ("settings", "words"),
-    [
-        ({"particles": 7}, "particles = 6, found 7"),
-        ({"delta": 0.1}, "delta = 0.05, found 0.1"),
-        ({"srr": 0.2}, "srr = 0.1, found 0.2"),
-        ({"maxUrange": 5.0}, "maxUrange = None, found 5.0"),
-        ({"match_every_scan": False}, "match_every_scan = True, found False"),
-        ({"profile": "published"}, "profile = own, found published"),
-    ],
-)
-def test_a_state_of_other_settings_is_refused(
-    device: ComputeDevice, state: Path, settings: dict[str, Any], words: str
-):
-    message = refused(state, device, **settings)
-    assert message == f"was made with {words}; resume with the same settings"
-
-
-def test_a_state_of_another_matcher_or_seed_is_refused(device: ComputeDevice, state: Path):
-    matcher = config().matcher
-    other = replace(matcher, first_poses=matcher.first_poses + 1)
-    message = refused(state, device, matcher=other)
-    assert f"matcher.first_poses = {matcher.first_poses}" in message
-    message = refused(state, device, seed=1)
-    assert message == "was made with seed = 0, found 1; resume with the same settings"
-
-
-def test_what_is_no_state_is_refused_in_one_line(
-    device: ComputeDevice, state: Path, tmp_path: Path
-):
-    good = state.read_bytes()
-    array, other = tmp_path / "array.npy", tmp_path / "other.npz"
-    np.save(array, np.arange(5))
-    np.savez(other, numbers=np.arange(5))
-    junk = {
-        "empty": b"",
-        "text": b"hello",
-        "map.yaml": b"image: map.pgm\nresolution: 0.05\norigin: [0, 0, 0]\n",
-        "picture": b"P5\n2 2\n255\n\x00\x00\x00\x00",
-        "array": array.read_bytes(),
-        "other": other.read_bytes(),
-        "zip": b"PK\x03\x04" + bytes(100),
-        "half": good[: len(good) // 2],
-        "cut": good[:-30],
-        "noise": np.random.default_rng(0).bytes(5000),
-    }
-    for name, content in junk.items():
-        path = tmp_path / name
-        path.write_bytes(content)
-        assert refused(path, device).endswith("state that `--save-state` has written")
-
-
-@pytest.mark.parametrize(("place", "value"), [(8, 1), (10, 99)])
-def test_a_zip_of_another_kind_is_refused_in_one_line(
-    device: ComputeDevice, state: Path, tmp_path: Path, place: int, value: int
-):
-    """Its directory says that a part is encrypted, or packed by an unknown method."""
-    changed = bytearray(state.read_bytes())
-    entry = changed.rindex(b"PK\x01\x02")
-    changed[entry + place] = value
-    path = tmp_path / "changed"
-    path.write_bytes(changed)
-    assert refused(path, device).endswith("state that `--save-state` has written")
-
-
-@pytest.mark.parametrize("name", ["float64", "int32", "uint32", "uint8"])
-def test_a_state_that_lacks_a_part_is_refused(
-    device: ComputeDevice, state: Path, tmp_path: Path, name: str
-):
-    with np.load(state) as file:
-        arrays = dict(file)
-    del arrays[name]
-    path = tmp_path / "less"
-    write_arrays(path, arrays)
-    assert f"a state that no mapper has saved (KeyError: '{name}')" in refused(path, device)
-
-
-@pytest.mark.parametrize("share", [0.1, 0.3, 0.5, 0.7, 0.9])
-def test_a_damaged_state_is_refused_in_one_line(
-    device: ComputeDevice, state: Path, tmp_path: Path, share: float
-):
-    damaged = bytearray(state.read_bytes())
-    start = int(share * len(damaged))
-    damaged[start : start + 64] = bytes(value ^ 0xFF for value in damaged[start : start + 64])
-    path = tmp_path / "damaged"
-    path.write_bytes(damaged)
-    assert refused(path, device).endswith("state that `--save-state` has written")
-
-
-def test_a_state_that_cannot_be_read_is_named(device: ComputeDevice, tmp_path: Path):
-    assert "No such file" in refused(tmp_path / "nowhere", device)
-    assert "wanted a file, found a folder" in refused(tmp_path, device)
-
-
-def test_a_state_of_another_producer_or_format_is_refused(
-    device: ComputeDevice, state: Path, tmp_path: Path
-):
-    with np.load(state) as file:
-        arrays = dict(file)
-    record = json.loads(arrays["record"].tobytes())
-    for change in ({"name": "hector"}, {"format": 9999}):
-        changed = json.dumps({**record, **change}).encode()
-        path = tmp_path / "other"
-        with path.open("wb") as file:
-            np.savez(file, **{**arrays, "record": np.frombuffer(changed, dtype=np.uint8)})
-        message = refused(path, device)
-        assert message.startswith(
-            f"wanted a state of gmapping, format {Gmapping.STATE_FORMAT}, found "
-        )
-        assert str(next(iter(change.values()))) in message
-
-
-def test_a_state_is_written_whole_or_not_at_all(device: ComputeDevice, tmp_path: Path):
-    """A failed save leaves what was there, and no trace of its own."""
-    scans, _ = drive(10)
-    slam = run(device, scans[:5])
-    path = tmp_path / "state"
-    slam.save_state(path)
-    good = path.read_bytes()
-    feed(slam, scans[5:])
-    blocked = tmp_path / "state" / "below a file"
-    with pytest.raises(SlamFusionError, match="below a file"):
-        slam.save_state(blocked)
-    # Tests may run as root, whom permissions do not stop; the kernel's own files do.
-    with pytest.raises(SlamFusionError, match="/proc"):
-        slam.save_state(Path("/proc/slamfusion.state"))
-    assert path.read_bytes() == good
-    assert [item.name for item in tmp_path.iterdir()] == ["state"]
-    slam.save_state(path)
-    assert path.read_bytes() != good
-    assert everything(Gmapping.load_state(path, config(), device)) == everything(slam)
-
-
-def test_saving_changes_nothing(device: ComputeDevice, whole: Gmapping, tmp_path: Path):
-    scans, _ = drive(40, turn_bias=0.01)
-    slam = Gmapping(config(**OFTEN), device, 5)
-    for item in scans:
-        slam.feed(item.scan, item.odometry)
-        slam.save_state(tmp_path / "state")
-    assert everything(slam) == everything(whole)

@@ -10,7 +10,6 @@ from slamfusion.geometry import Pose2
 from slamfusion.slam.graph.constraints import Constraint
 from slamfusion.slam.graph.hypotheses import (
     MOST_HYPOTHESES,
-    TESTED,
     RelocalizationHypotheses,
 )
 from slamfusion.slam.graph.pending_closures import PendingClosure
@@ -62,13 +61,6 @@ def test_a_robot_that_hardly_drives_is_not_found():
     assert hypotheses.winner() is None
 
 
-def test_closures_of_one_node_count_once():
-    hypotheses = RelocalizationHypotheses(CONFIG)
-    for _ in range(BORNE_OUT_NODES):
-        told(hypotheses, TRUE, range(0, 2 * BORNE_OUT_NODES - 2, 2))
-    assert hypotheses.winner() is None
-
-
 def test_of_two_places_that_look_alike_none_is_believed_until_one_fails():
     hypotheses = RelocalizationHypotheses(CONFIG)
     for node in range(4 * BORNE_OUT_NODES):
@@ -84,32 +76,6 @@ def test_of_two_places_that_look_alike_none_is_believed_until_one_fails():
     assert winner.correction == TRUE
 
 
-def test_misses_count_in_a_row():
-    hypotheses = RelocalizationHypotheses(CONFIG)
-    told(hypotheses, TRUE, range(2))
-    hypothesis = hypotheses.kept[0]
-    for _ in range(3):
-        for _ in range(MISSES - 1):
-            hypotheses.miss(hypothesis)
-        told(hypotheses, TRUE, range(2, 3))
-    assert hypotheses.kept == [hypothesis]
-    for _ in range(MISSES):
-        hypotheses.miss(hypothesis)
-    hypotheses.miss(hypothesis)  # of one that is given up already
-    assert hypotheses.kept == []
-
-
-def test_a_false_lead_that_cannot_be_tested_does_not_stand_in_the_way_forever():
-    hypotheses = RelocalizationHypotheses(CONFIG)
-    told(hypotheses, TWIN, range(8))
-    told(hypotheses, TRUE, range(8, 16))
-    assert hypotheses.winner() is None
-    told(hypotheses, TRUE, range(16, 40))
-    winner = hypotheses.winner()
-    assert winner is not None
-    assert winner.correction == TRUE
-
-
 @pytest.mark.parametrize(("away", "count"), [((0.1, 0.1, 0.02), 1), ((0.5, 0.0, 0.0), 2)])
 def test_hits_that_say_the_same_are_one_hypothesis(away: tuple[float, float, float], count: int):
     """The same at the robot; what a correction does at the frame's origin is no matter."""
@@ -119,20 +85,6 @@ def test_hits_that_say_the_same_are_one_hypothesis(away: tuple[float, float, flo
     hypotheses.add(hit(0, TRUE), HERE)
     hypotheses.add(hit(1, other.compose(HERE.inverse())), HERE)
     assert len(hypotheses.kept) == count
-
-
-def test_few_are_tested_at_a_node_and_each_in_its_turn():
-    hypotheses = RelocalizationHypotheses(CONFIG)
-    for number in range(5):
-        hypotheses.add(hit(0, Pose2(3.0 * number, 0.0)), HERE)
-    tested = []
-    for node in range(3):
-        chosen = hypotheses.to_test()
-        assert len(chosen) == TESTED
-        for hypothesis in chosen:
-            hypothesis.tested = node
-            tested.append(round(hypothesis.correction.x))
-    assert tested[:5] == [0, 3, 6, 9, 12]
 
 
 def test_the_least_supported_hypothesis_makes_room():

@@ -14,9 +14,7 @@ from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import GraphConfig
 from slamfusion.geometry import Pose2
 from slamfusion.io.log import LogScan
-from slamfusion.slam.common.mapper import MapJob
 from slamfusion.slam.graph import GraphSlam
-from slamfusion.slam.graph.node_map import NodeMap
 from tests.slam.drives import CELL_M
 from tests.slam.places import (
     U8,
@@ -126,12 +124,6 @@ def false_ties(slam: GraphSlam, truth: list[Pose2]) -> list[tuple[int, int]]:
     return [(start, end) for start, end in false_closures(slam, truth) if end != start + 1]
 
 
-def nodes_of(state: Path, device: ComputeDevice, count: int | None = None) -> MapJob:
-    """Return what the map of a saved graph, or of its first nodes, is drawn from."""
-    job = GraphSlam.load_state(state, GraphConfig(), device).map_job()
-    return replace(job, nodes=job.nodes[:count], poses=job.poses[:count])
-
-
 # -- carried to where it has been ------------------------------------------------------------------
 
 
@@ -217,17 +209,6 @@ def test_a_robot_that_is_carried_to_a_new_place_begins_a_part_of_its_own(trip: T
     assert reasons["the robot is lost: a new submap begins, placed by odometry alone"] == 1
 
 
-def test_the_old_map_stays_as_it_was_while_a_robot_is_lost(device: ComputeDevice, trip: Trip):
-    """What is new lies over it, by odometry; the old nodes have not moved for it."""
-    before = nodes_of(trip.before, device)
-    after = nodes_of(trip.state, device, len(before.nodes))
-    np.testing.assert_allclose(after.poses, before.poses, atol=1e-5)
-    one, other = (NodeMap(GraphConfig(), device).draw(job) for job in (before, after))
-    assert one.cells.shape == other.cells.shape
-    # A pose that moves by next to nothing may still be rounded the other way.
-    assert (one.cells != other.cells).mean() < 0.01
-
-
 def test_the_way_back_to_the_old_map_joins_both(trip: Trip):
     drive, slam = to_c(), trip.slam
     assert (slam.health.kidnappings, slam.health.relocalizations, slam.health.map_components) == (
@@ -251,26 +232,6 @@ def test_a_state_saved_while_lost_goes_on_as_if_nothing_had_been(device: Compute
     assert loaded.health.map_components == 2
     feed(loaded, drive.log[drive.first(0, below_m=2.5) :])
     assert everything(loaded)[:4] == everything(trip.slam)[:4]
-
-
-def test_an_hour_standing_where_it_was_carried_adds_nothing(device: ComputeDevice):
-    """It is lost once, not again and again; then a scan every five seconds, with noise."""
-    drive = to_c()
-    cut = drive.cuts[0]
-    slam = run(device, drive.log[: cut + 25])
-    assert (slam.health.kidnappings, slam.health.map_components) == (1, 2)
-    nodes, memory = slam.health.nodes, slam.memory_bytes()
-    rng, still, before = np.random.default_rng(0), drive.log[cut + 24], slam.trajectory().pose(-1)
-    for index in range(720):
-        noise = rng.normal(0.0, 0.015, still.scan.ranges.shape).astype(np.float32)
-        stamp_s = still.scan.stamp_s + 5.0 * (index + 1)
-        scan = replace(still.scan, ranges=still.scan.ranges + noise, stamp_s=stamp_s)
-        slam.feed(scan, still.odometry)
-    assert (slam.health.kidnappings, slam.health.map_components) == (1, 2)
-    assert slam.health.nodes == nodes
-    assert slam.memory_bytes() == memory
-    after = slam.trajectory().pose(-1)
-    assert math.hypot(after.x - before.x, after.y - before.y) < 0.05
 
 
 # -- what is no loss -------------------------------------------------------------------------------

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -12,23 +11,19 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from slamfusion.compute import ComputeDevice, NumpyDevice, open_device
+from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.compute.layout import MOST_BEAMS
 from slamfusion.config import GraphConfig
-from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import Pose2
 from slamfusion.io.log import LogScan
-from slamfusion.pose_graph import Optimized, PoseGraph
 from slamfusion.scan import LaserScan
-from slamfusion.slam.graph import GraphSlam, constraints
+from slamfusion.slam.graph import GraphSlam
 from tests.slam.drives import (
     CELL_M,
     ONE_JUMP,
     draw_flat,
     drive,
-    jumped,
     scan_at,
-    stalled,
     true_poses,
 )
 from tests.slam.places import (
@@ -63,12 +58,6 @@ def device() -> ComputeDevice:
     return open_device()
 
 
-def from_start(truth: list[Pose2]) -> list[Pose2]:
-    """Return poses as one without odometry calls them."""
-    start = truth[0].inverse()
-    return [start.compose(pose) for pose in truth]
-
-
 def bare_scan(ranges: F64, stamp_s: float = 0.0) -> LaserScan:
     """A scan of any ranges over 270 degrees."""
     step = math.radians(270.0) / max(1, len(ranges) - 1)
@@ -76,84 +65,6 @@ def bare_scan(ranges: F64, stamp_s: float = 0.0) -> LaserScan:
 
 
 # -- where the robot is ----------------------------------------------------------------------------
-
-
-def test_biased_odometry_is_corrected(device: ComputeDevice):
-    scans, truth = drive(120, turn_bias=0.01)
-    assert odometry_error(scans, truth) > 1.0
-    slam = run(device, scans)
-    metres, radians = errors(slam, truth)
-    assert metres < 0.1
-    assert radians < 0.03
-    assert slam.health.scans_used == 120
-    assert slam.health.kidnappings == 0
-    assert len(slam.series()[0].values) == slam.health.nodes - 1
-    assert slam.name == slam.grid().name == slam.trajectory().name == "graph"
-
-
-def test_without_odometry(device: ComputeDevice):
-    scans, truth = drive(120)
-    bare = [replace(item, odometry=None) for item in scans]
-    slam = run(device, bare)
-    assert max(errors(slam, from_start(truth))) < 0.1
-
-
-def test_odometry_that_is_not_to_be_used_is_not_used(device: ComputeDevice):
-    scans, _ = drive(30, turn_bias=0.3)
-    bare = [replace(item, odometry=None) for item in scans]
-    assert everything(run(device, scans, odometry="none")) == everything(run(device, bare))
-
-
-def test_odometry_that_stalls_and_catches_up(device: ComputeDevice):
-    scans, truth = drive(120)
-    assert errors(run(device, stalled(scans)), truth)[0] < 0.1
-
-
-def test_an_odometry_jump_is_named_and_not_believed(device: ComputeDevice):
-    scans, truth = drive(60)
-    slam = run(device, jumped(scans))
-    assert errors(slam, truth)[0] < 0.1
-    assert slam.health.skips.to_json() == ONE_JUMP
-    slam._graph.solve()  # nor does the graph believe it
-    assert errors(slam, truth)[0] < 0.1
-
-
-def test_a_start_far_from_zero_costs_nothing(device: ComputeDevice):
-    near_by, truth = drive(40)
-    far_start = Pose2(512_345.6, -98_765.4, 2.0)
-    far, far_truth = drive(40, start=far_start)
-    slam, off = run(device, near_by), run(device, far)
-    assert off.memory_bytes() == pytest.approx(slam.memory_bytes(), rel=0.1)
-    assert errors(slam, truth)[0] < 0.1
-    assert errors(off, far_truth)[0] < 0.1
-    moved = far_start.compose(true_poses(40)[0].inverse())
-    assert on_truth(off.grid(), draw_flat(), moved)[0] > 0.95
-
-
-@pytest.mark.parametrize("clockwise", [False, True])
-def test_a_mounted_laser_draws_the_same_flat(device: ComputeDevice, *, clockwise: bool):
-    scans, truth = drive(60, mount=Pose2(0.3, -0.1, 0.7), clockwise=clockwise, turn_bias=0.005)
-    slam = run(device, scans)
-    assert errors(slam, truth)[0] < 0.1
-    assert on_truth(slam.grid(), draw_flat())[0] > 0.95
-
-
-def test_scans_of_changing_beam_count(device: ComputeDevice):
-    """Every second, every third, then all beams again; one scan has a single reading."""
-    scans, truth = drive(60, turn_bias=0.01)
-    changed = []
-    for index, item in enumerate(scans):
-        scan, every = item.scan, 1 + index % 3
-        ranges = scan.ranges[::every]
-        if index == 30:
-            ranges = np.where(np.arange(len(ranges)) == 7, ranges, np.float32(np.nan))
-        increment = scan.angle_increment_rad * every
-        changed.append(
-            replace(item, scan=replace(scan, ranges=ranges, angle_increment_rad=increment))
-        )
-    slam = run(device, changed)
-    assert errors(slam, truth)[0] < 0.1
-    assert slam.health.scans_used == 60
 
 
 @pytest.mark.parametrize("count", [MOST_BEAMS, MOST_BEAMS + 1, 12_000])
@@ -173,30 +84,6 @@ def test_more_beams_than_a_cell_can_count(device: ComputeDevice, count: int):
     grid = slam.grid()
     assert (grid.cells >= 65).sum() > 40
     assert slam.memory_bytes() < 5e6 + slam.health.nodes * (200_000 + 8 * count)
-
-
-def test_blind_scans_at_the_start_and_in_the_middle(device: ComputeDevice):
-    scans, truth = drive(40)
-    nothing, failed = np.full(7, np.inf), np.full(7, np.nan)
-    log = [
-        LogScan(bare_scan(nothing, -0.2), scans[0].odometry, 1),
-        LogScan(bare_scan(failed, -0.1), scans[0].odometry, 2),
-        *scans[:11],
-        LogScan(bare_scan(failed, 1.05), scans[10].odometry, 14),
-        *scans[11:],
-    ]
-    slam = GraphSlam(GraphConfig(), device)
-    steps = [slam.feed(item.scan, item.odometry) for item in log]
-    unused = [index for index, step in enumerate(steps) if not step.used]
-    assert unused == [0, 1, 13]
-    assert {steps[index].reason for index in unused} == {BLIND}
-    assert slam.health.skips.counts == {BLIND: 3}
-    assert (slam.health.scans, slam.health.scans_used) == (43, 40)
-    whole = [truth[0], truth[0], *truth[:11], truth[10], *truth[11:]]
-    assert errors(slam, whole)[0] < 0.1
-    path = slam.trajectory()
-    assert len(path) == 43
-    np.testing.assert_array_equal(path.stamps_s, [item.scan.stamp_s for item in log])
 
 
 def test_an_odometry_jump_at_the_first_scan_that_sees_is_counted_once(device: ComputeDevice):
@@ -223,28 +110,6 @@ def test_readings_beyond_the_usable_range_are_none(device: ComputeDevice):
     assert np.hypot(*(grid.cell_centres(rows, cols) - (x, y)).T).max() < 4.8
 
 
-def test_no_scan_at_all_has_no_map(device: ComputeDevice):
-    slam = GraphSlam(GraphConfig(), device)
-    assert len(slam.trajectory()) == 0
-    assert slam.series() == ()
-    with pytest.raises(SlamFusionError, match="no scan could be used, so there is no map"):
-        slam.grid()
-    slam.feed(bare_scan(np.full(3, np.inf)), Pose2(3.0, 4.0, 1.0))
-    with pytest.raises(SlamFusionError, match="no map"):
-        slam.grid()
-
-
-def test_before_there_is_a_map_the_path_is_that_of_the_odometry(device: ComputeDevice):
-    slam, start = GraphSlam(GraphConfig(), device), Pose2(3.0, 4.0, 1.0)
-    for index in range(3):
-        odometry = start.compose(Pose2(0.1 * index))
-        told = slam.feed(bare_scan(np.full(3, np.inf), 0.1 * index), odometry).pose_map_base
-        assert (told.x, told.y) == pytest.approx((odometry.x, odometry.y))
-    last = slam.trajectory().pose(2)
-    wanted = start.compose(Pose2(0.2))
-    assert (last.x, last.y, last.yaw_rad) == pytest.approx((wanted.x, wanted.y, wanted.yaw_rad))
-
-
 def test_one_scan(device: ComputeDevice):
     pose = Pose2(-3.0, 7.0, 2.5)
     slam = GraphSlam(GraphConfig(), device)
@@ -255,46 +120,6 @@ def test_one_scan(device: ComputeDevice):
     moved = pose.compose(true_poses(1)[0].inverse())
     assert on_truth(slam.grid(), draw_flat(), moved)[0] > 0.95
     assert slam.last_stamp_s == 5.0
-
-
-def test_scan_with_one_hit(device: ComputeDevice):
-    ranges = np.full(181, np.inf)
-    ranges[90] = 2.0
-    slam = GraphSlam(GraphConfig(), device)
-    for index in range(3):
-        slam.feed(bare_scan(ranges, 0.1 * index), Pose2())
-    assert slam.health.scans_used == 3
-    assert np.abs(slam.trajectory().poses).max() < 0.3
-
-
-def test_an_hour_without_scans_is_survived(device: ComputeDevice):
-    scans, truth = drive(40)
-    late = [
-        replace(item, scan=replace(item.scan, stamp_s=item.scan.stamp_s + 3600.0))
-        if index >= 20
-        else item
-        for index, item in enumerate(scans)
-    ]
-    assert errors(run(device, late), truth)[0] < 0.1
-
-
-def test_same_seed_same_bytes_and_another_seed_agrees(device: ComputeDevice):
-    scans, truth = ring()
-    first, again = (run(device, scans[:120], 3) for _ in range(2))
-    assert everything(first) == everything(again)
-    other = run(device, scans[:120], 4)
-    assert other.trajectory().poses.tobytes() != first.trajectory().poses.tobytes()
-    assert errors(other, truth[:120])[0] < 1.0
-
-
-def test_the_twins_find_the_same_way(device: ComputeDevice):
-    scans = drive(60, turn_bias=0.005)[0][::6]
-    plain, on_device = (
-        run(place, scans, scan_buffer_size=4, minimum_travel_distance=0.2)
-        for place in (NumpyDevice(), device)
-    )
-    assert on_device.health.submaps > 1
-    assert everything(plain)[:4] == everything(on_device)[:4]
 
 
 def test_standing_adds_no_node_and_leaves_the_map_as_it_is(device: ComputeDevice):
@@ -338,33 +163,6 @@ def test_where_nothing_tells_the_way_odometry_decides(device: ComputeDevice):
 
 
 # -- what the graph is told ------------------------------------------------------------------------
-
-
-def test_information_is_handed_on_in_the_frame_that_it_is_told_in(
-    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
-):
-    """A robot that turns in the corridor: what it does not know lies along the map's x axis."""
-    handed: list[PoseGraph] = []
-    optimize = constraints.optimize
-
-    def record(asked: PoseGraph, **kwargs: Any) -> Optimized:
-        handed.append(asked)
-        return optimize(asked, **kwargs)
-
-    monkeypatch.setattr(constraints, "optimize", record)
-    truth = [Pose2(10.0 + 0.1 * i, 1.5, 0.1 * i) for i in range(17)]
-    slam = run(device, log_of(read(draw_corridor(), truth, 8.0), truth), scan_buffer_size=4)
-    slam._graph.solve()
-    told = handed[0]
-    checked = 0
-    for (_, end), matrix in zip(told.edges, told.information, strict=True):
-        values, vectors = np.linalg.eigh(matrix[:2, :2])
-        if values[0] < 0.3 * values[1]:  # odometry knows both alike
-            along = told.poses[end, 2] + math.atan2(vectors[1, 0], vectors[0, 0])
-            assert abs(math.cos(along)) > 0.8, f"node {end}"
-            checked += 1
-    assert checked >= 5
-    assert slam.health.submaps > 1
 
 
 # -- closures --------------------------------------------------------------------------------------
@@ -437,35 +235,6 @@ def test_the_path_as_first_reported_is_kept(device: ComputeDevice, closed: Graph
     )
 
 
-def test_closures_are_counted(closed: GraphSlam):
-    health = closed.health
-    rejected = health.closures_rejected
-    assert set(rejected) <= {
-        "low response",
-        "little in common",
-        "degenerate direction",
-        "two places fit",
-        "not confirmed by another",
-    }
-    assert len(rejected) >= 2
-    assert all(count > 0 for count in rejected.values())
-    # A closure that waited for another to confirm it was rejected first.
-    waited = rejected.get("not confirmed by another", 0)
-    accepted = health.closures_tried - sum(rejected.values())
-    assert 0 < accepted <= health.closures_accepted <= accepted + waited
-    assert health.closures_accepted == len(closed.closures())
-    record = json.loads(json.dumps(health.to_json()))["graph"]
-    assert record["closures_rejected"] == rejected
-    assert record["nodes"] == len(closed._graph.nodes) > 100
-    assert record["submaps"] > 10
-    assert record["chi2"] > 0.0
-
-
-def test_asking_does_not_change_the_answer(closed: GraphSlam):
-    first = everything(closed)
-    assert everything(closed) == first
-
-
 def test_asking_on_the_way_changes_nothing(device: ComputeDevice, closed: GraphSlam):
     slam = GraphSlam(GraphConfig(), device)
     for index, item in enumerate(ring()[0]):
@@ -492,16 +261,6 @@ def test_two_rooms_that_look_the_same_stay_two(
 
 
 # -- the map ---------------------------------------------------------------------------------------
-
-
-def test_walls_are_where_the_truth_has_walls(device: ComputeDevice):
-    scans, _ = drive(120, turn_bias=0.01)
-    grid = run(device, scans).grid()
-    correct, found = on_truth(grid, draw_flat())
-    assert correct > 0.95
-    assert found > 0.6
-    assert set(np.unique(grid.cells[grid.cells > 25])) <= set(range(65, 101))
-    assert grid.resolution == 0.05
 
 
 def test_free_space_is_free_and_behind_walls_is_unknown(device: ComputeDevice):
@@ -586,13 +345,3 @@ def test_a_saved_graph_goes_on_as_if_nothing_had_been(
     slam = went_on(device, ring()[0][:210], at, tmp_path / "state.npz")
     assert slam.health.closures_accepted > 20
     assert everything(slam)[:4] == unbroken[:4]  # a pyramid that no one has asked for is not there
-
-
-@pytest.mark.parametrize("at", [0, 1, 2, 5])
-def test_a_graph_of_little_can_be_saved(device: ComputeDevice, tmp_path: Path, at: int):
-    log = [
-        LogScan(bare_scan(np.full(9, np.inf), -0.1), Pose2(1.0, 2.0, 3.0), 0),
-        *drive(12, start=Pose2(1.0, 2.0, 3.0))[0],
-    ]
-    slam = went_on(device, log, at, tmp_path / "state.npz")
-    assert everything(slam) == everything(run(device, log))

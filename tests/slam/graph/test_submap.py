@@ -116,18 +116,6 @@ def test_field_is_the_mean_of_what_scans_told(device: ComputeDevice, smear_m: fl
     assert submap.scans == len(scans)
 
 
-def test_a_mounted_laser_clears_from_where_it_stands(device: ComputeDevice):
-    submap, laser = Submap(device, 0, CELL_M, SMEAR_M), np.array([0.7, -0.4])
-    points, pose = scans_of_the_flat(0.02)[1]
-    submap.insert(points, laser, pose)
-    found, first = field_of(submap)
-    rule = likelihood_rule(SMEAR_M / CELL_M)
-    wanted = words_of_scan(points, laser, pose, found.shape, first, rule)
-    seen = ~np.isnan(wanted)
-    right = np.where(seen, np.abs(found - np.nan_to_num(wanted)) < 2.0, found == UNSEEN_WALL)
-    assert np.count_nonzero(~right) <= 3
-
-
 def test_what_a_cell_was_told_long_ago_is_forgotten(device: ComputeDevice):
     """A wall is seen as often as a cell remembers; then it is gone, and beams go through."""
     submap = Submap(device, 0, CELL_M, SMEAR_M)
@@ -162,44 +150,6 @@ def test_walls_do_not_grow_with_the_number_of_scans(device: ComputeDevice):
     assert all(3.0 <= width <= 6.0 for width in widths.values())
     assert widths[200] <= widths[10] + 0.5
     assert peaks[200] > peaks[10] - 20
-
-
-def test_order_of_the_beams_does_not_matter(device: ComputeDevice):
-    points, pose = scans_of_the_flat(0.02)[0]
-    fields = []
-    for order in (np.arange(len(points)), np.random.default_rng(0).permutation(len(points))):
-        submap = Submap(device, 0, CELL_M, SMEAR_M)
-        submap.insert(points[order], LASER, pose)
-        fields.append(field_of(submap)[0].tobytes())
-    assert fields[0] == fields[1]
-
-
-def test_the_same_place_again_changes_nothing(device: ComputeDevice):
-    submap = Submap(device, 0, CELL_M, SMEAR_M)
-    points, pose = scans_of_the_flat()[0]
-    submap.insert(points, LASER, pose)
-    first = field_of(submap)[0]
-    for _ in range(5):
-        submap.insert(points, LASER, pose)
-    np.testing.assert_array_equal(field_of(submap)[0], first)
-
-
-def test_one_hit_in_the_cell_of_the_laser(device: ComputeDevice):
-    submap = Submap(device, 0, CELL_M, SMEAR_M)
-    submap.insert(np.array([[0.01, 0.01]]), LASER, Pose2())
-    field, first = field_of(submap)
-    assert field[-first[1], -first[0]] > 200
-    assert np.count_nonzero(field != UNSEEN_WALL) == 81
-
-
-def test_places_of_the_robot_are_boxed(device: ComputeDevice):
-    submap = Submap(device, 3, CELL_M, SMEAR_M)
-    scan = scan_at(true_poses(1)[0], 0.0).points()
-    for x, y in ((0.0, 0.0), (1.5, -0.25), (0.5, 2.0)):
-        submap.insert(scan, LASER, Pose2(x, y, 1.0))
-    assert submap.low.tolist() == [0.0, -0.25]
-    assert submap.high.tolist() == [1.5, 2.0]
-    assert (submap.anchor, submap.scans) == (3, 3)
 
 
 def test_twins_write_the_same_field(device: ComputeDevice):
@@ -304,17 +254,3 @@ def test_pyramid_fields_are_the_greatest_of_their_squares(
 
 
 # -- far away --------------------------------------------------------------------------------------
-
-
-def test_a_submap_far_from_its_anchor_is_the_same_map(device: ComputeDevice):
-    """200 m away, a whole number of cells: the same field, no more tiles, a larger page table."""
-    near, far = (Submap(device, 0, CELL_M, SMEAR_M) for _ in range(2))
-    away = 4096 * CELL_M
-    for points, pose in scans_of_the_flat(0.013):
-        near.insert(points, LASER, pose)
-        far.insert(points, LASER, Pose2(pose.x + away, pose.y - away, pose.yaw_rad))
-    (field, first), (other, there) = field_of(near), field_of(far)
-    assert (there - first).tolist() == [4096, -4096]
-    assert field.shape == other.shape
-    assert np.count_nonzero(np.abs(field - other) > 2) <= 3
-    assert far.memory_bytes < 1.5 * near.memory_bytes

@@ -93,24 +93,6 @@ def test_a_wall_is_filled_in_any_direction(*, turned_rad: float, clockwise: bool
     assert np.diff(np.sort([*unturned[:, 1], *wall_ahead()[1:8, 1]])).max() <= STEP_M + 1e-9
 
 
-def test_the_first_and_the_last_gap_have_no_witness():
-    points = wall_ahead()
-    new = added(points)
-    assert not is_between(new, points[0], points[1])
-    assert not is_between(new, points[-2], points[-1])
-
-
-def test_dense_hits_need_nothing():
-    assert len(added(wall_ahead(101, 2.0, 0.5))) == 0
-
-
-def test_a_wall_that_is_a_little_rough_is_filled():
-    points = wall_ahead()
-    points[:, 0] += np.where(np.arange(9) % 2, 0.007, -0.007)
-    new = added(points)
-    assert all(is_between(new, points[i], points[i + 1]) for i in range(1, 7))
-
-
 # -- what is not -----------------------------------------------------------------------------------
 
 
@@ -165,14 +147,6 @@ def test_an_edge_is_not_joined_to_what_is_behind_it():
     assert np.isin(np.round(new[:, 0], 9), (1.0, 2.0)).all()
 
 
-@pytest.mark.parametrize(("gap_m", "is_filled"), [(1.49, True), (1.51, False)])
-def test_hits_too_far_apart_are_not_joined(gap_m: float, is_filled: bool):
-    """A wall 40 m away, at which beams are so far from each other."""
-    assert MOST_GAP_M == 1.5
-    points = np.array([(40.0, gap_m * (index - 2.0)) for index in range(5)])
-    assert (len(added(points)) > 0) == is_filled
-
-
 def test_a_round_thing_is_not_filled_with_chords():
     """Hits a quarter of a metre apart on a pillar of half a metre, seen from within."""
     points = 0.5 * beams_at(*range(0, 360, 30))
@@ -180,47 +154,6 @@ def test_a_round_thing_is_not_filled_with_chords():
 
 
 # -- odd scans -------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("count", [0, 1, 2, 3])
-def test_few_hits_stay_as_they_are(count: int):
-    points = wall_ahead()[:count]
-    assert fill_walls(points, NO_LASER, STEP_M) is points
-
-
-def test_hits_in_one_place_are_no_wall():
-    points = np.full((20, 2), (2.0, 0.5))
-    assert len(added(points)) == 0
-
-
-def test_a_hit_that_is_there_twice_puts_in_nothing_that_is_not_finite():
-    points = np.repeat(wall_ahead(), 2, axis=0)
-    new = added(points)
-    assert np.isfinite(new).all()
-    np.testing.assert_allclose(new[:, :1], 2.0, atol=1e-12)
-
-
-def test_hits_on_the_laser_itself_do_no_harm():
-    points = np.concatenate((np.zeros((3, 2)), wall_ahead(), np.zeros((2, 2))))
-    new = added(points)
-    assert np.isfinite(new).all()
-    assert len(new) > 0
-    np.testing.assert_allclose(new[:, :1], 2.0, atol=1e-12)
-
-
-def test_a_scan_all_around_fills_four_walls():
-    """A room of 4 m by 4 m and 90 beams all around it; the last beam is not joined to the first."""
-    directions = beams_at(*np.arange(-180.0, 180.0, 4.0))
-    points = directions * (2.0 / np.abs(directions).max(axis=1))[:, None]
-    new = added(points)
-    assert np.abs(np.abs(new).max(axis=1) - 2.0).max() < 1e-12
-    is_on = np.abs(np.abs(points) - 2.0) < 1e-9
-    for index in range(90):
-        following = [points[(index + step) % 90] for step in (-1, 0, 1, 2)]
-        walls = [is_on[(index + step) % 90] for step in (-1, 0, 1, 2)]
-        is_one_wall = bool(np.logical_and.reduce(walls).any())
-        is_inside = 1 <= index <= 87
-        assert is_between(new, following[1], following[2]) == (is_one_wall and is_inside), index
 
 
 SCANS = st.builds(

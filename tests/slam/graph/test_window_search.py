@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slamfusion.compute import ComputeDevice, NumpyDevice, open_device
-from slamfusion.geometry import Pose2, wrap_angle
+from slamfusion.geometry import wrap_angle
 from slamfusion.slam.graph.submap import Pyramid, Submap
 from slamfusion.slam.graph.window_search import (
     BESIDE_M,
@@ -159,14 +159,6 @@ def test_nothing_at_or_below_the_least_is_found(device: ComputeDevice, case: Cas
         assert found is None
 
 
-@given(case=CASES)
-@settings(max_examples=examples(60), deadline=None)
-def test_the_best_score_itself_as_least_is_not_found_again(device: ComputeDevice, case: Case):
-    found = case.search(device)
-    if found is not None:
-        assert case.search(device, least=found.score) is None
-
-
 @given(seed=st.integers(0, 2**32 - 1), half_cells=st.sampled_from((0.0, 2.6, 17.0)))
 @settings(max_examples=examples(15), deadline=None)
 def test_twins_find_the_same_pose_of_equals(device: ComputeDevice, seed: int, half_cells: float):
@@ -211,87 +203,6 @@ def test_finds_the_best_of_every_other_place(
     assert case.scores(found.pose[None])[0] == pytest.approx(found.score, abs=1e-12)
     assert is_elsewhere(found.pose[None], beside).all()
     assert np.abs(allowed - found.pose).max(axis=1).min() < 1e-9
-
-
-@given(
-    case=BESIDE_CASES,
-    place=st.tuples(*[st.floats(-3.0, 3.0)] * 3),
-    share=st.floats(0.5, 1.0),
-)
-@settings(max_examples=examples(60), deadline=None)
-def test_another_place_must_still_be_better_than_the_least(
-    device: ComputeDevice, case: Case, place: tuple[float, ...], share: float
-):
-    beside = case.centre + np.array(place) * (0.2, 0.2, 0.1)
-    other = case.search(device, beside=beside)
-    if other is None:
-        assert case.search(device, share, beside=beside) is None
-        return
-    again = case.search(device, share * other.score, beside=beside)
-    if share < 1.0 - 1e-9:
-        assert again is not None
-        assert again.score == other.score
-    assert case.search(device, other.score, beside=beside) is None
-
-
-def test_twins_find_the_same_other_place(device: ComputeDevice):
-    """Also among many equals: a field that is the same everywhere but in one corner."""
-    field = np.full((80, 80), 200, dtype=np.uint8)
-    field[:20, :20] = 210
-    points, corner = np.array([(0.1, 0.2), (0.4, -0.3)]), np.array([-40.0, -40.0])
-    for beside in ((0.0, 0.0, 0.0), (-1.5, -1.5, 0.3), (0.6, -0.6, 0.3 + math.tau)):
-        case = Case(field, corner, points, np.array([0.0, 0.0, 0.3]), *(0.9, 0.5, 0.05))
-        on_device, plain = (
-            case.search(place, beside=np.array(beside)) for place in (device, NumpyDevice())
-        )
-        assert on_device is not None
-        assert plain is not None
-        assert on_device.pose.tobytes() == plain.pose.tobytes()
-        assert on_device.opened == plain.opened
-        assert is_elsewhere(on_device.pose[None], np.array(beside)).all()
-
-
-def test_a_field_that_one_place_fits_has_no_other(device: ComputeDevice):
-    """A single wall cell: every pose that hits it with the only point lies in one place."""
-    field = np.zeros((60, 60), dtype=np.uint8)
-    field[30, 30] = 255
-    case = Case(field, np.zeros(2), np.zeros((1, 2)), np.array([1.5, 1.5, 0.0]), 1.0, 0.15, 0.05)
-    found = case.search(device)
-    assert found is not None
-    assert case.search(device, beside=found.pose) is None
-    # There with another heading is another place.
-    turned = np.array([*found.pose[:2], 0.15 + BESIDE_RAD + 0.01])
-    assert case.search(device, beside=turned) is not None
-
-
-def test_many_equals_give_one_pose(device: ComputeDevice):
-    """A field that is the same everywhere."""
-    case = Case(
-        np.full((60, 60), 200, dtype=np.uint8),
-        np.array([-30.0, -30.0]),
-        np.array([(0.1, 0.2), (0.4, -0.3)]),
-        np.array([0.0, 0.0, 0.3]),
-        *(0.6, 0.1, 0.05),
-    )
-    first, second = case.search(device), case.search(NumpyDevice())
-    assert first is not None
-    assert second is not None
-    assert first.pose.tobytes() == second.pose.tobytes()
-    assert first.score == 200 / 255
-
-
-def test_a_window_off_the_field_has_nothing(device: ComputeDevice):
-    field = np.full((20, 20), 255, dtype=np.uint8)
-    points = np.array([(0.5, 0.0), (0.0, 0.5)])
-    for centre in ((5.0, 0.5, 0.0), (-3.0, -3.0, 1.0), (1e6, -1e6, 0.0)):
-        case = Case(field, np.zeros(2), points, np.array(centre), 0.8, 0.3, 0.05)
-        assert case.search(device) is None
-    # And one that reaches over its corner finds the one cell that is left of it.
-    case = Case(field, np.zeros(2), np.zeros((1, 2)), np.array([-0.52, 1.47, 0.0]), 0.55, 0.0, 0.05)
-    found = case.search(device)
-    assert found is not None
-    assert found.score == 1.0
-    assert 0.0 <= found.pose[0] < 0.05
 
 
 @pytest.fixture(scope="module")
@@ -346,37 +257,3 @@ def test_of_a_clear_match_few_blocks_are_opened(device: ComputeDevice, flat: Sub
     assert better.pose.tobytes() == found.pose.tobytes()
     assert better.opened <= found.opened
     assert search_window(device, flat.pyramid(), points, centre, **window, least=0.99) is None
-
-
-def test_another_place_than_the_submap_matches_little(device: ComputeDevice, flat: Submap):
-    """A ring of hits fits nowhere in an L of straight walls."""
-    angles = np.linspace(0.0, 2.0 * math.pi, 90, endpoint=False)
-    ring = 1.4 * np.column_stack((np.cos(angles), np.sin(angles)))
-    centre = np.array([4.0, 3.0, 0.0])
-    window = {"half_m": 4.0, "half_rad": 0.349, "resolution": CELL_M}
-    found = search_window(device, flat.pyramid(), ring, centre, **window)
-    assert found is not None
-    assert found.score < 0.5
-    assert search_window(device, flat.pyramid(), ring, centre, **window, least=0.5) is None
-
-
-def test_turned_submap_and_scan_find_the_same_place(device: ComputeDevice):
-    """The anchor's frame is free: a submap turned by 2 rad finds the pose in its own frame."""
-    frame, poses = Pose2(3.0, -40.0, 2.0), true_poses(120)
-    submap = Submap(device, 0, CELL_M, 0.1)
-    for index, pose in enumerate(poses[::8]):
-        local = frame.inverse().compose(pose)
-        submap.insert(scan_at(pose, 0.1 * index).points(), np.zeros(2), local)
-    truth = frame.inverse().compose(poses[60])
-    found = search_window(
-        device,
-        submap.pyramid(),
-        scan_at(poses[60], 0.0).points()[::2],
-        np.array([truth.x - 2.0, truth.y + 1.0, truth.yaw_rad + 0.1]),
-        half_m=2.5,
-        half_rad=0.2,
-        resolution=CELL_M,
-        least=0.3,
-    )
-    assert found is not None
-    assert math.hypot(found.pose[0] - truth.x, found.pose[1] - truth.y) < 2.0 * CELL_M
