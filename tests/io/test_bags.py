@@ -77,13 +77,6 @@ def test_a_bag_without_message_definitions_is_read(tmp_path: Path) -> None:
     assert len(list(open_log(driven().scan(10.5).write(tmp_path, "sqlite3", version=8)))) == 1
 
 
-def test_a_second_reading_gives_the_same(tmp_path: Path) -> None:
-    log, first = read(driven().scan(9.0).scan(10.5).scan(10.5), tmp_path)
-    assert [scan.line for scan in log] == [scan.line for scan in first] == [2]
-    assert log.skips.counts == {"laser before odometry": 1, "two scans of one stamp": 1}
-    assert log.fraction_read == 1.0
-
-
 # --- odometry ------------------------------------------------------------------------------------
 
 
@@ -192,12 +185,6 @@ def test_a_laser_that_turns_on_the_robot_has_a_mount_for_each_time(tmp_path: Pat
 # --- scans ---------------------------------------------------------------------------------------
 
 
-def test_the_users_limit_lowers_the_scans_own(tmp_path: Path) -> None:
-    (scan,) = read(driven().scan(10.5, [1.0, 2.0, 6.0]), tmp_path, no_return_m=5.0)[1]
-    assert scan.scan.range_max_m == 5.0
-    assert scan.scan.is_clear().tolist() == [False, False, True]
-
-
 @pytest.mark.parametrize(
     "fields",
     [
@@ -215,29 +202,11 @@ def test_a_scan_of_impossible_geometry_is_a_counted_skip(
     assert log.skips.counts == {"angles or ranges that cannot be a scan": 1}
 
 
-def test_an_empty_scan_is_a_counted_skip(tmp_path: Path) -> None:
-    log, scans = read(driven().scan(10.5, []).scan(11.0), tmp_path)
-    assert len(scans) == 1
-    assert log.skips.total == 1
-
-
 def test_scans_without_stamps_take_the_time_of_recording_and_say_so(tmp_path: Path) -> None:
     bag = Bag().scan(0.0).scan(0.0)
     log, scans = read(bag, tmp_path)
     assert [scan.scan.stamp_s for scan in scans] == [5.0, 6.0]
     assert any("when each was recorded" in note for note in log.notes)
-
-
-def test_gaps_and_jumps_are_kept_and_counted(tmp_path: Path) -> None:
-    bag = Bag()
-    for stamp, x in ((10.0, 0.0), (10.1, 60.0), (4000.0, 60.0)):
-        bag.odometry(stamp, (x, 0.0, 0.0)).scan(stamp)
-    log, scans = read(bag, tmp_path)
-    assert len(scans) == 3
-    assert log.warnings.counts == {
-        "no scan for an hour or more": 1,
-        "odometry jumps by 50 m or more": 1,
-    }
 
 
 # --- choices and errors --------------------------------------------------------------------------

@@ -13,9 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slamfusion.config import LogConfig
-from slamfusion.errors import LogError, MapFileError
+from slamfusion.errors import LogError
 from slamfusion.geometry import Pose2, wrap_angle
-from slamfusion.io import AtomicFiles, LogScan, open_log, write_carmen
+from slamfusion.io import LogScan, open_log, write_carmen
 from slamfusion.io.carmen import CarmenLog
 from slamfusion.io.log import Skips
 from slamfusion.scan import LaserScan
@@ -56,11 +56,6 @@ def test_an_odd_beam_count_is_spread_over_180_degrees_and_said(tmp_path: Path) -
     angles = np.degrees(next(iter(log)).scan.angles())
     assert angles.tolist() == pytest.approx([-90.0, -45.0, 0.0, 45.0, 90.0])
     assert any("5 beams" in note and "45 degrees" in note for note in log.notes)
-
-
-def test_one_beam_looks_ahead(tmp_path: Path) -> None:
-    scan = next(iter(log_of(tmp_path, flaser(1, [2.0])))).scan
-    assert scan.points()[0] == pytest.approx([2.0, 0.0])
 
 
 def test_robotlaser_says_its_own_geometry(tmp_path: Path) -> None:
@@ -145,10 +140,6 @@ def test_scans_that_a_log_holds_in_two_forms_are_read_once(tmp_path: Path) -> No
     assert any("repeat ROBOTLASER1" in note for note in log.notes)
 
 
-def test_front_and_robot_lasers_of_their_own_times_are_all_read(tmp_path: Path) -> None:
-    assert len(list(log_of(tmp_path, flaser(1), robotlaser(2), flaser(3)))) == 3
-
-
 def test_a_laser_before_any_odometry_is_a_counted_skip(tmp_path: Path) -> None:
     log = log_of(tmp_path, "Laser 2 1.0 2.0", "Odometry 1 2 0.5", "Laser 2 1.0 2.0")
     scans, skips = read(log)
@@ -199,11 +190,6 @@ def test_a_largest_reading_that_occurs_once_is_a_hit(tmp_path: Path) -> None:
     assert any("all count as hits" in note for note in log.notes)
 
 
-def test_real_readings_that_reach_up_to_the_longest_stay_hits(tmp_path: Path) -> None:
-    lines = [flaser(k, varied(361, 30.0, k)) for k in range(1, 40)]
-    assert all(scan.scan.is_hit().all() for scan in log_of(tmp_path, *lines))
-
-
 def test_a_room_of_equal_readings_is_a_room(tmp_path: Path) -> None:
     assert next(iter(log_of(tmp_path, flaser(1, [5.0] * 180)))).scan.is_hit().all()
 
@@ -225,14 +211,6 @@ def test_zero_and_negative_readings_measured_nothing(tmp_path: Path) -> None:
     scan = next(iter(log_of(tmp_path, flaser(1, [0.0, -1.0, 2.0])))).scan
     assert np.isnan(scan.ranges).tolist() == [True, True, False]
     assert scan.is_hit().tolist() == [False, False, True]
-
-
-@pytest.mark.parametrize("word", ["nan", "inf"])
-def test_a_scan_of_nothing_but_nan_or_inf_is_passed_on(tmp_path: Path, word: str) -> None:
-    scans, skips = read(log_of(tmp_path, flaser(1, [float(word)] * 180)))
-    assert len(scans) == 1
-    assert skips.total == 0
-    assert not scans[0].scan.is_hit().any()
 
 
 # --- time ----------------------------------------------------------------------------------------
@@ -338,17 +316,6 @@ def test_a_cut_off_packed_file_gives_what_is_whole_and_says_so(tmp_path: Path) -
     assert any("ends early" in reason for reason in skips.counts)
 
 
-def test_100_000_beams_are_one_scan(tmp_path: Path) -> None:
-    ranges = varied(100_000, 20.0)
-    scan = next(iter(log_of(tmp_path, flaser(1, ranges)))).scan
-    assert len(scan) == 100_000
-    np.testing.assert_array_equal(scan.ranges, np.float32(ranges))
-
-
-def test_a_log_of_one_scan_is_a_log(tmp_path: Path) -> None:
-    assert len(list(log_of(tmp_path, flaser(1)))) == 1
-
-
 @pytest.mark.once
 def test_memory_does_not_grow_with_the_log(tmp_path: Path) -> None:
     def peak(scans: int) -> int:
@@ -364,18 +331,6 @@ def test_memory_does_not_grow_with_the_log(tmp_path: Path) -> None:
 
     peak(10)
     assert peak(2000) < 1.2 * peak(200)
-
-
-def test_progress_grows_to_1(tmp_path: Path) -> None:
-    lines = "\n".join(flaser(k, varied(180, 20.0, k)) for k in range(1, 400))
-    path = tmp_path / "a.log.gz"
-    path.write_bytes(gzip.compress(lines.encode()))
-    log = CarmenLog(path)
-    seen = [log.fraction_read for _ in log]
-    assert seen == sorted(seen)
-    assert seen[0] < 0.5
-    assert len(set(seen)) > 3
-    assert log.fraction_read == 1.0
 
 
 # --- writing -------------------------------------------------------------------------------------
@@ -493,14 +448,6 @@ def test_infinity_is_written_as_the_longest_range_and_nan_as_0(tmp_path: Path) -
     assert line.split()[2:7] == ["10.0000", "0.0000", "0.0000", "10.0000", "2.5000"]
 
 
-def test_odometry_lines_carry_the_speed_since_the_last_scan(tmp_path: Path) -> None:
-    path = tmp_path / "a.log"
-    second = LogScan(one_scan(3.0).scan, Pose2(1.0, 0.0, 0.5), 2)
-    write_carmen(path, [one_scan(1.0), second])
-    speeds = [line.split()[4:6] for line in path.read_text().splitlines() if line[:4] == "ODOM"]
-    assert speeds == [["0.000000", "0.000000"], ["0.500000", "0.250000"]]
-
-
 def test_the_same_scans_give_the_same_bytes(tmp_path: Path) -> None:
     first, second = tmp_path / "a.log.gz", tmp_path / "b.log.gz"
     for path in (first, second):
@@ -520,19 +467,6 @@ def test_a_scan_without_odometry_cannot_be_written(tmp_path: Path) -> None:
 def test_no_scan_is_no_log(tmp_path: Path) -> None:
     with pytest.raises(LogError, match="no scan to write"):
         write_carmen(tmp_path / "a.log", [])
-
-
-def test_a_log_appears_together_with_the_other_files(tmp_path: Path) -> None:
-    path = tmp_path / "a.log"
-    with AtomicFiles() as files:
-        write_carmen(path, [one_scan()], files=files)
-        assert not path.exists()
-    assert path.exists()
-
-
-def test_a_target_that_cannot_be_written_is_named(tmp_path: Path) -> None:
-    with pytest.raises(MapFileError, match="cannot write"):
-        write_carmen(tmp_path, [one_scan()])
 
 
 # --- recordings ----------------------------------------------------------------------------------

@@ -169,25 +169,6 @@ def test_a_ring_of_frames_is_no_way() -> None:
         tree.lookup("a", "c", 0.0)
 
 
-def test_what_comes_later_is_seen_by_who_asked_before() -> None:
-    tree = TransformTree(KEEP_S)
-    tree.add(*sent("odom", "base", Pose2(), 5.0))
-    assert not tree.is_connected("odom", "laser")
-    assert tree.is_constant("odom", "base")
-    tree.add(*sent("base", "laser", Pose2()), is_static=True)
-    assert tree.is_connected("odom", "laser")
-    tree.add(*sent("odom", "base", Pose2(1.0, 0.0, 0.0), 5.1))
-    assert not tree.is_constant("odom", "laser")
-    assert tree.change_stamps_s("odom", "laser").tolist() == [5.0, 5.1]
-
-
-@pytest.mark.parametrize("frames", [("base", "base"), ("/base", "base"), ("", "base"), ("map", "")])
-def test_a_transform_is_of_two_frames(frames: tuple[str, str]) -> None:
-    tree = TransformTree(KEEP_S)
-    assert not tree.add(*frames, 0.0, (0.0,) * 6 + (1.0,), is_static=True)
-    assert tree.frames == set()
-
-
 def test_a_frame_has_the_parent_that_was_sent_last() -> None:
     tree = TransformTree(KEEP_S)
     tree.add(*sent("odom", "base", Pose2(1.0, 0.0, 0.0)), is_static=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import os
 from pathlib import Path
 
 import numpy as np
@@ -62,12 +61,6 @@ def test_an_empty_file_is_refused(tmp_path: Path, name: str) -> None:
     assert "the file is empty" in refusal(path)
 
 
-def test_an_empty_packed_file_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "a.log.gz"
-    path.write_bytes(gzip.compress(b""))
-    assert "the file is empty" in refusal(path)
-
-
 @pytest.mark.parametrize("name", ["a.xyz", "a", "a.gz", "a.pgm.gz"])
 def test_an_unknown_extension_is_refused_whatever_is_inside(tmp_path: Path, name: str) -> None:
     message = refusal(write_lines(tmp_path / name, flaser(1)))
@@ -82,33 +75,11 @@ def test_binary_junk_is_refused(tmp_path: Path, name: str) -> None:
     assert "found binary data" in refusal(path)
 
 
-@pytest.mark.parametrize("name", ["a.bag", "a.db3", "a.mcap"])
-def test_binary_junk_is_no_bag(tmp_path: Path, name: str) -> None:
-    pytest.importorskip("rosbags", reason="rosbags comes with the bags extra")
-    path = tmp_path / name
-    path.write_bytes(np.random.default_rng(1).bytes(5000))
-    assert "cannot be read as a bag" in refusal(path)
-
-
-def test_packed_junk_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "a.log.gz"
-    path.write_bytes(b"\x1f\x8b" + np.random.default_rng(1).bytes(500))
-    refusal(path)
-
-
 def test_a_log_without_a_laser_says_what_it_has(tmp_path: Path) -> None:
     lines = ["PARAM a b h 0", *["ODOM 0 0 0 0 0 0 1 h 0"] * 3]
     message = refusal(write_lines(tmp_path / "a.log", *lines))
     assert "no laser in it" in message
     assert "3 ODOM, 1 PARAM" in message
-
-
-def test_a_log_of_comments_has_no_line_at_all(tmp_path: Path) -> None:
-    assert "found no line" in refusal(write_lines(tmp_path / "a.log", "# nothing", "# at all"))
-
-
-def test_prose_is_no_log(tmp_path: Path) -> None:
-    assert "2 other lines" in refusal(write_lines(tmp_path / "a.txt", "Dear all,", "no laser."))
 
 
 def test_a_log_whose_scans_are_all_damaged_says_why(tmp_path: Path) -> None:
@@ -127,17 +98,6 @@ def test_the_only_log_of_a_folder_is_taken(tmp_path: Path) -> None:
     write_lines(tmp_path / "a.log", flaser(1))
     (tmp_path / "notes.md").write_text("notes", encoding="utf-8")
     assert len(list(open_log(tmp_path))) == 1
-
-
-def test_a_pipe_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "pipe.log"
-    os.mkfifo(path)
-    assert "wanted a file, found a pipe" in refusal(path)
-
-
-def test_a_missing_file_is_the_systems_error(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError):
-        open_log(tmp_path / "none.log")
 
 
 def test_a_line_without_end_is_refused_before_it_fills_the_memory(tmp_path: Path) -> None:
@@ -199,13 +159,6 @@ def test_time_must_go_on() -> None:
     flags, skips, _ = accepted((5.0, None), (5.0, None), (4.0, None), (5.1, None))
     assert flags == [True, False, False, True]
     assert skips.lines == {"two scans of one stamp": [2], "time goes back": [3]}
-
-
-def test_a_refused_scan_is_not_what_the_next_is_measured_by() -> None:
-    far = Pose2(80.0, 0.0, 0.0)
-    flags, _, warnings = accepted((1.0, Pose2()), (0.5, far), (2.0, Pose2(1.0, 0.0, 0.0)))
-    assert flags == [True, False, True]
-    assert warnings.total == 0
 
 
 @pytest.mark.parametrize(("gap_s", "warned"), [(3599.0, 0), (3600.0, 1)])

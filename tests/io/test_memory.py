@@ -7,7 +7,6 @@ import pytest
 
 from slamfusion.errors import MemoryBudgetError
 from slamfusion.io import available_memory, check_memory, memory
-from slamfusion.io.memory import format_bytes
 
 
 def test_no_more_is_available_than_the_machine_has() -> None:
@@ -25,17 +24,3 @@ def test_what_fits_passes_and_what_does_not_is_refused_with_numbers(
         "here.yaml: fusing 3 maps needs 5.0 GiB of memory, but only 3.0 GiB is available; "
         "free memory, crop it or use a coarser cell"
     )
-
-
-@pytest.mark.parametrize(
-    ("count", "text"),
-    [
-        (0, "0 bytes"),
-        (1023, "1023 bytes"),
-        (1536, "1.5 KiB"),
-        (2**31, "2.0 GiB"),
-        (2**42, "4.0 TiB"),
-    ],
-)
-def test_byte_counts_are_readable(count: int, text: str) -> None:
-    assert format_bytes(count) == text

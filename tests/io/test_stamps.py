@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import operator
-
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
@@ -98,14 +96,6 @@ def test_a_gap_is_passed_when_three_have_said_so_and_at_once_when_time_has_passe
     assert waited.jumps == []
 
 
-def test_scans_that_are_rare_are_held_once_and_not_each_time():
-    heard = Heard(StampGate(1.0))
-    for index in range(20):
-        heard.offer(15.0 * index)
-    assert heard.used_s == [15.0 * index for index in range(20)]
-    assert len(heard.jumps) == 1
-
-
 def test_two_clocks_in_turn_are_no_jump():
     heard = Heard(StampGate(1.0))
     for index in range(50):
@@ -114,32 +104,6 @@ def test_two_clocks_in_turn_are_no_jump():
     assert heard.jumps == []
     assert heard.used_s == [100.0 + 0.1 * index for index in range(50)]
     assert len(heard.strays_s) == 49
-
-
-def test_two_sensors_of_one_stamp_are_no_hindrance_to_a_jump():
-    heard = Heard(StampGate(1.0))
-    heard.offer(100.0)
-    for stamp_s in (5.0, 5.0, 5.1, 5.05, 5.1, 5.2):
-        assert heard.jumps == []
-        heard.offer(stamp_s)
-    assert heard.jumps == [Jump(100.0, 5.0)]
-    assert heard.used_s == [5.0, 5.1, 5.2]
-    assert heard.strays_s == []
-
-
-def test_a_stamp_that_stands_still_is_no_jump_but_an_item_sent_again_is():
-    heard = Heard(StampGate(1.0))
-    heard.offer(100.0)
-    for _ in range(10):
-        heard.offer(0.0)
-    assert heard.used_s == [100.0]
-    assert heard.jumps == []
-    again = Heard(StampGate(1.0, operator.eq))
-    again.offer(100.0)
-    for _ in range(CONFIRMING):
-        again.offer(0.0)
-    assert again.used_s == [0.0]
-    assert again.jumps == [Jump(100.0, 0.0)]
 
 
 @pytest.mark.parametrize("after_s", [5.0, 5000.0])
