@@ -45,13 +45,6 @@ def test_a_row_without_a_wall_says_so_and_does_not_count(corridor: OccupancyGrid
     assert (values["rows_used"], values["rows_total"]) == (1, 2)
 
 
-def test_a_map_without_walls_has_no_mean() -> None:
-    empty = OccupancyGrid(np.zeros((5, 5), dtype=np.int8), 0.1)
-    result = compare_distances(empty, [MeasuredDistance("a", (0, 0), (0.2, 0), 0.2)])
-    assert result.mean_absolute_error_m is None
-    assert result.mean_absolute_error_percent is None
-
-
 def test_csv_and_yaml_hold_the_same_rows(tmp_path: Path, corridor: OccupancyGrid) -> None:
     csv_file = tmp_path / "d.csv"
     csv_file.write_text(
@@ -69,13 +62,13 @@ def test_csv_and_yaml_hold_the_same_rows(tmp_path: Path, corridor: OccupancyGrid
     assert result.mean_absolute_error_m == pytest.approx(0.0)
 
 
+HEADER = "name,x1,y1,x2,y2,distance_m\n"
+
+
 def test_a_bare_yaml_list_needs_no_name(tmp_path: Path) -> None:
     file = tmp_path / "d.yml"
     file.write_text("- {x1: 2, y1: -1, x2: 2, y2: 1, distance_m: 2.0}\n")
     assert load_distances(file)[0].name == "entry 1"
-
-
-HEADER = "name,x1,y1,x2,y2,distance_m\n"
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from slamfusion.evaluation import (
     doubled_walls,
     fused_doubled_shares,
 )
-from slamfusion.grid import CellBox, OccupancyGrid
+from slamfusion.grid import CellBox
 
 Line = tuple[tuple[int, int], tuple[int, int]]
 
@@ -66,29 +66,6 @@ def test_touching_and_distant_walls_are_not_doubled(distance: int, angle_deg: fl
     assert doubled_wall_share(pair(distance, angle_deg)) < 0.05
 
 
-def test_the_limits_are_inclusive_in_whole_cells() -> None:
-    shares = [
-        doubled_wall_share(draw_walls(HORIZONTAL, ((5, 40 + d), (75, 40 + d))))
-        for d in (1, 2, 8, 9)
-    ]
-    assert shares == [0.0, pytest.approx(1.0, abs=0.1), pytest.approx(1.0, abs=0.1), 0.0]
-
-
-def test_two_thick_walls_are_doubled() -> None:
-    walls = draw_walls(HORIZONTAL, ((5, 46), (75, 46)), thickness=3)
-    assert doubled_wall_share(walls) > 0.85
-
-
-def test_three_parallel_walls_are_doubled() -> None:
-    walls = draw_walls(*(((5, y), (75, y)) for y in (30, 35, 40)))
-    assert doubled_wall_share(walls) == pytest.approx(1.0, abs=0.05)
-
-
-def test_a_half_doubled_wall_counts_by_its_cells() -> None:
-    walls = draw_walls(HORIZONTAL, ((5, 46), (40, 46)))
-    assert doubled_wall_share(walls) == pytest.approx((36 + 36) / (71 + 36), abs=0.05)
-
-
 def test_corners_and_junctions_are_not_doubled() -> None:
     corner = draw_walls(((20, 20), (60, 20)), ((20, 20), (20, 60)))
     junction = draw_walls(((10, 20), (60, 20)), ((30, 20), (30, 60)))
@@ -118,41 +95,6 @@ def test_a_slipped_copy_of_a_room_raises_the_share_with_its_size() -> None:
     assert shares == sorted(shares)
     assert shares[0] == 0.0
     assert shares[-1] > 0.6
-
-
-def test_a_grid_and_its_walls_give_the_same_share() -> None:
-    walls = pair(5, 30)
-    grid = OccupancyGrid(np.where(walls, 100, 0).astype(np.int8), 0.05)
-    assert doubled_wall_share(grid) == doubled_wall_share(walls)
-    assert doubled_wall_cells(grid).sum() > 100
-
-
-def test_walls_at_the_border_are_seen() -> None:
-    walls = np.zeros((6, 40), dtype=np.bool_)
-    walls[[0, 5]] = True
-    assert doubled_wall_share(walls) > 0.9
-
-
-@pytest.mark.parametrize("shape", [(1, 1), (1, 30), (30, 1), (40, 40)])
-def test_empty_maps_have_no_doubled_wall(shape: tuple[int, int]) -> None:
-    assert doubled_wall_share(np.zeros(shape, dtype=np.bool_)) == 0.0
-
-
-def test_the_share_of_a_turned_map_stays() -> None:
-    walls = draw_walls(HORIZONTAL, ((5, 46), (40, 46)), ((60, 5), (60, 70)))
-    share = doubled_wall_share(walls)
-    assert doubled_wall_share(np.ascontiguousarray(np.rot90(walls))) == pytest.approx(share)
-    matrix = cv2.getRotationMatrix2D((40, 40), 20, 1)
-    turned = np.asarray(
-        cv2.warpAffine(walls.astype(np.uint8), matrix, (80, 80), flags=cv2.INTER_NEAREST)
-    )
-    assert doubled_wall_share(turned > 0) == pytest.approx(share, abs=0.12)
-
-
-@pytest.mark.parametrize(("near", "far"), [(1.0, 8.0), (5.0, 4.0), (math.nan, 8.0)])
-def test_limits_that_make_no_sense_are_refused(near: float, far: float) -> None:
-    with pytest.raises(ValueError, match="near"):
-        doubled_wall_cells(draw_walls(HORIZONTAL), near, far)
 
 
 def test_a_slip_is_added_by_the_fusion_and_a_narrow_passage_is_not():

@@ -145,15 +145,6 @@ def test_stamps_that_are_off_do_no_harm_where_the_log_is_known() -> None:
     assert means["stamp"] > 10.0 * means["odometry"]
 
 
-def test_repeated_odometry_is_taken_in_order() -> None:
-    # At rest from row 100 to 130; scans of every third row keep their order there.
-    _, odometry = run()
-    rows = np.arange(0, 400, 3)
-    match = match_odometry(part(odometry, rows), odometry, TOLERANCE_M)
-    assert (np.diff(match.rows) > 0).all()
-    np.testing.assert_allclose(match.rows, rows, atol=2)
-
-
 def test_a_place_that_is_met_again_minutes_later_is_another_row() -> None:
     # Twice round one closed curve without drift: every pose comes twice, 100 s apart.
     turn = np.linspace(0.0, 4.0 * np.pi, 1001)[:-1]
@@ -192,21 +183,6 @@ def test_odometry_of_another_run_is_refused() -> None:
         poses_by_odometry(truth, late, odometry, tolerance_s=0.01, tolerance_m=TOLERANCE_M)
 
 
-def test_rounded_stamps_are_made_fine_again_by_the_scans() -> None:
-    # Bursts of three rows within 3 ms; the file has all three at one stamp.
-    truth, odometry = run()
-    burst = np.repeat(np.arange(134), 3)[:400]
-    fine_s = START_S + 0.6 * burst + 0.001 * (np.arange(400) % 3)
-    exact = Trajectory(fine_s, truth.poses, "exact")
-    coarse = Trajectory(START_S + 0.6 * burst + 0.001, odometry.poses, "coarse")
-    relations = own_relations(exact)
-    for scans in (None, Trajectory(fine_s, odometry.poses, "scans")):
-        dense = poses_by_odometry(
-            exact, scans, coarse, tolerance_s=TOLERANCE_S, tolerance_m=TOLERANCE_M
-        )
-        assert relation_errors(dense.trajectory, relations, TOLERANCE_S).translation.max < 1e-9
-
-
 def least_cost(poses_s: list[float], rows_s: list[float], tolerance_s: float) -> float:
     """The least cost of giving poses rows in order, by trying all; left out costs the tolerance."""
     best = tolerance_s * len(poses_s)
@@ -237,13 +213,6 @@ def test_rows_by_stamp_are_the_best_in_order(
     assert (apart <= tolerance_s + 1e-9).all()
     cost = float(apart.sum()) + tolerance_s * (len(poses_s) - len(used))
     assert cost == pytest.approx(least_cost(poses_s, rows_s, tolerance_s), abs=1e-6)
-
-
-def test_of_rows_with_one_stamp_a_lone_pose_takes_the_one_on_its_side() -> None:
-    rows = Trajectory(np.array([0.0, 1.0, 1.0, 1.0, 2.0]), np.zeros((5, 3)))
-    for stamp_s, row in ((0.95, 1), (1.05, 3)):
-        _, found = _rows_by_stamp(Trajectory(np.array([stamp_s]), np.zeros((1, 3))), rows, 0.1)
-        assert found.tolist() == [row]
 
 
 def test_the_floor_is_the_best_path_at_the_scans() -> None:
@@ -280,12 +249,6 @@ def test_nanoseconds_are_seconds(tmp_path: Path) -> None:
     assert read_odometry(path).stamps_s[0] == pytest.approx(976052857.33753, abs=1e-6)
 
 
-def test_other_files_are_read_as_trajectories(tmp_path: Path) -> None:
-    path = tmp_path / "wheels.tum"
-    path.write_text("1.0 2.0 3.0 0 0 0 0 1\n2.0 3.0 3.0 0 0 0 0 1\n", encoding="ascii")
-    assert read_odometry(path).poses[:, 0].tolist() == [2.0, 3.0]
-
-
 @pytest.mark.parametrize("line", ["1 2 3", "1 2 3 4 5", "1 2 x 4", "1 nan 3 4"])
 def test_a_bad_row_is_named(tmp_path: Path, line: str) -> None:
     path = tmp_path / "wheels.txt"
@@ -303,11 +266,6 @@ def test_a_packed_file_that_ends_early_is_refused(tmp_path: Path) -> None:
 
 
 # --- the Intel run -------------------------------------------------------------------------------
-
-recorded = [
-    pytest.mark.datasets,
-    pytest.mark.skipif(not INTEL.is_dir(), reason=ABSENT),
-]
 
 
 def intel(log: str) -> tuple[Trajectory, Trajectory, Relations]:
@@ -331,49 +289,20 @@ def score(
     return found.translation.mean, found.translation.std
 
 
-def inside(relations: Relations, best: Trajectory) -> Relations:
-    """The relations with exact poses in a trajectory that ends before the run does."""
-    nearest = best.nearest(relations.stamps_s)
-    near = (np.abs(best.stamps_s[nearest] - relations.stamps_s) < TOLERANCE_S).all(axis=1)
-    return Relations(relations.stamps_s[near], relations.motions[near], "inside")
-
-
-class TestIntel:
-    pytestmark = recorded
-
-    @pytest.mark.parametrize(("log", "scans_in_it"), [("910", 910), ("2726", 2726)])
-    def test_every_scan_has_its_row_and_raw_odometry_its_error(
-        self, log: str, scans_in_it: int
-    ) -> None:
-        scans, odometry, relations = intel(log)
-        match = match_odometry(scans, odometry, TOLERANCE_M)
-        assert match.matched == scans_in_it
-        # The logs were turned by one fixed angle, as their description says.
-        assert match.pose_scan_file.yaw_rad == pytest.approx(-0.00245, abs=1e-4)
-        assert len(relations) == 2984
-        assert score(scans, scans, odometry, relations)[0] == pytest.approx(7.39, abs=0.02)
-
-    def test_gmappings_path_has_its_known_error(self) -> None:
-        scans, odometry, relations = intel("910")
+@pytest.mark.datasets
+@pytest.mark.skipif(not INTEL.is_dir(), reason=ABSENT)
+@pytest.mark.parametrize(("log", "scans_in_it"), [("910", 910), ("2726", 2726)])
+def test_every_scan_of_intel_has_its_row_and_paths_their_known_errors(
+    log: str, scans_in_it: int
+) -> None:
+    scans, odometry, relations = intel(log)
+    match = match_odometry(scans, odometry, TOLERANCE_M)
+    assert match.matched == scans_in_it
+    # The logs were turned by one fixed angle, as their description says.
+    assert match.pose_scan_file.yaw_rad == pytest.approx(-0.00245, abs=1e-4)
+    assert len(relations) == 2984
+    assert score(scans, scans, odometry, relations)[0] == pytest.approx(7.39, abs=0.02)
+    if log == "910":
         gmapping = read_trajectory(INTEL / "intel-910-corrected.poses.csv.gz")
         found = score(gmapping, scans, odometry, relations)
         assert found == pytest.approx((0.0507, 0.047), abs=5e-4)
-
-    @pytest.mark.parametrize("log", ["910", "2726"])
-    def test_the_floor(self, log: str) -> None:
-        scans, odometry, relations = intel(log)
-        best = read_trajectory(INTEL / "intel-estimate-11439.txt.gz")
-        floor = subsample_to_scans(
-            best, scans, odometry, tolerance_s=TOLERANCE_S, tolerance_m=TOLERANCE_M
-        )
-        mean, _ = score(floor, scans, odometry, inside(relations, best))
-        assert 0.038 < mean < 0.044
-
-    def test_at_full_density_a_path_keeps_its_own_relations(self) -> None:
-        _, odometry, relations = intel("910")
-        best = read_trajectory(INTEL / "intel-estimate-11439.txt.gz")
-        stamps = inside(relations, best).stamps_s
-        ends = best.poses[best.nearest(stamps)]
-        own = Relations(stamps, compose_poses(invert_poses(ends[:, 0]), ends[:, 1]), "own")
-        assert len(own) == 2518
-        assert score(best, None, odometry, own)[0] < 0.002

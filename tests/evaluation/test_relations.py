@@ -28,7 +28,6 @@ from slamfusion.trajectory import Trajectory
 from tests.support.datasets import ABSENT, DATASETS
 
 CSAIL = DATASETS / "mit-csail"
-INTEL = DATASETS / "intel"
 # The table of the recordings counts "exact" stamps only.
 EXACT_S = 2e-5
 
@@ -73,14 +72,6 @@ def test_the_error_of_one_relation_by_hand() -> None:
     found = relation_errors(path, Relations([[0.0, 1.0]], [[2.0, 0.0, 0.0]]), 0.01)
     assert found.translation_m == pytest.approx([0.5])
     assert found.rotation_deg.mean == pytest.approx(30.0)
-
-
-def test_what_is_left_is_seen_from_where_the_relation_ends() -> None:
-    # d*^-1 (p1^-1 p2): with a turn in d* the remaining motion is turned, its length is the same.
-    path = Trajectory(np.array([0.0, 1.0]), np.array([[0.0, 0.0, 0.0], [3.0, 4.0, 0.5]]))
-    found = relation_errors(path, Relations([[0.0, 1.0]], [[0.0, 0.0, 2.0]]), 0.01)
-    assert found.translation_m == pytest.approx([5.0])
-    assert found.rotation_rad == pytest.approx([1.5])
 
 
 def test_rotations_wrap() -> None:
@@ -159,13 +150,6 @@ def test_relations_at_scans_are_those_with_a_scan_at_both_ends() -> None:
     assert document["rotation_deg_mean_95"] == pytest.approx([0.0, 0.0], abs=1e-6)
 
 
-def test_no_relation_at_scans_is_none() -> None:
-    path = drive()
-    relations = relations_of(path, random_pairs(5, 60))
-    late = Relations(relations.stamps_s + 0.001, relations.motions)
-    assert errors_at_scans(path, late) is None
-
-
 def test_no_relation_names_both_ranges_of_time() -> None:
     relations = Relations([[50.0, 60.5]], [[0.0, 0.0, 0.0]], "known")
     with pytest.raises(TrajectoryError) as caught:
@@ -176,11 +160,11 @@ def test_no_relation_names_both_ranges_of_time() -> None:
     assert "\n" not in message
 
 
-def test_an_empty_trajectory_is_refused() -> None:
-    with pytest.raises(TrajectoryError, match="no pose"):
-        relation_errors(
-            Trajectory(np.zeros(0), np.zeros((0, 3))), Relations([[0, 1]], [[0] * 3]), 1
-        )
+TEXT = """# t1 t2 x y z roll pitch yaw
+1134864645.90321 1134864646.32420 0.31293 0.02935 0.5  0.6 0.7 0.24198
+
+  976052905.167303 976052911.885496 -0.056990 -0.128430 0 0 0 -1.682210
+"""
 
 
 @pytest.mark.parametrize(
@@ -196,13 +180,6 @@ def test_relations_that_are_none_are_refused(
 ) -> None:
     with pytest.raises(TrajectoryError, match=word):
         Relations(np.array(stamps), np.array(motions))
-
-
-TEXT = """# t1 t2 x y z roll pitch yaw
-1134864645.90321 1134864646.32420 0.31293 0.02935 0.5  0.6 0.7 0.24198
-
-  976052905.167303 976052911.885496 -0.056990 -0.128430 0 0 0 -1.682210
-"""
 
 
 @pytest.mark.parametrize("packed", [False, True])
@@ -253,11 +230,6 @@ def test_a_packed_file_that_ends_early_is_refused(tmp_path: Path) -> None:
     path.write_bytes(gzip.compress(lines.encode())[:-200])
     with pytest.raises(TrajectoryError, match=r"line \d+: the packed file ends early"):
         read_relations(path)
-
-
-def test_a_missing_file_is_the_systems_error(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError):
-        read_relations(tmp_path / "none")
 
 
 @pytest.mark.datasets
@@ -316,20 +288,3 @@ def test_the_recordings_have_their_known_errors(
     place, turn = found.translation, found.rotation_deg
     assert (place.mean, place.std) == pytest.approx(translation, abs=5.1e-5)
     assert (turn.mean, turn.std) == pytest.approx(rotation, abs=5.1e-3)
-
-
-@pytest.mark.datasets
-@pytest.mark.skipif(not INTEL.is_dir(), reason=ABSENT)
-@pytest.mark.parametrize(("scans", "count"), [(910, 90), (2726, 100)])
-def test_some_relations_of_intel_are_at_scans(scans: int, count: int) -> None:
-    odometry = read_trajectory(INTEL / f"intel-{scans}-raw.log.gz")
-    found = errors_at_scans(odometry, read_relations(INTEL / "intel.relations"))
-    assert found is not None
-    assert found.relations_used == count
-
-
-@pytest.mark.datasets
-@pytest.mark.skipif(not INTEL.is_dir(), reason=ABSENT)
-def test_relations_of_the_recordings_are_all_read() -> None:
-    assert len(read_relations(INTEL / "intel.relations")) == 2984
-    assert len(read_relations(CSAIL / "mit-csail.relations")) == 1172

@@ -104,12 +104,6 @@ def test_a_pair_spans_what_was_asked(delta: float, unit: str, pairs: int, error_
     assert len(found.relative_travelled_m) == pairs
 
 
-def test_steps_of_a_tenth_make_a_metre_of_ten() -> None:
-    path = line(101, 0.1)
-    found = trajectory_errors(path, path, replace(CONFIG, rpe_unit="m"))
-    assert found.relative_travelled_m == pytest.approx(np.arange(1, 11))
-
-
 def test_a_jump_is_one_relative_error_and_turns_what_follows() -> None:
     truth = drive()
     wrong = truth.poses.copy()
@@ -117,15 +111,6 @@ def test_a_jump_is_one_relative_error_and_turns_what_follows() -> None:
     found = trajectory_errors(Trajectory(truth.stamps_s, wrong), truth)
     assert np.flatnonzero(found.relative_rotation_rad > 1e-9).tolist() == [99]
     assert found.relative_rotation_rad[99] == pytest.approx(0.2)
-
-
-def test_a_path_too_short_for_a_pair_has_no_relative_error() -> None:
-    config = replace(CONFIG, rpe_delta=100.0, rpe_unit="m")
-    document = plain(trajectory_errors(line(), line(), config))
-    assert document["rpe"] is None
-    assert document["rpe_rotation_deg"] is None
-    assert document["rpe_pairs"] == 0
-    assert document["ate"]["max"] == 0.0
 
 
 def test_the_document_says_how_it_was_counted() -> None:
@@ -149,13 +134,6 @@ def test_poses_are_paired_once_by_the_nearest_time() -> None:
     assert second.tolist() == [0, 1, 3]
 
 
-def test_poses_of_one_stamp_are_paired_once() -> None:
-    path = Trajectory(np.array([0.0, 1.0, 1.0, 2.0]), np.zeros((4, 3)))
-    first, second = associate(path, path, 0.01)
-    assert first.tolist() == [0, 1, 3]
-    assert second.tolist() == [0, 1, 3]
-
-
 @pytest.mark.parametrize("shift_s", [100.0, 9.995])
 def test_paths_that_do_not_meet_name_both_ranges(shift_s: float) -> None:
     late = Trajectory(line().stamps_s + shift_s, line().poses, "late")
@@ -164,13 +142,6 @@ def test_paths_that_do_not_meet_name_both_ranges(shift_s: float) -> None:
     message = str(caught.value)
     for word in ("at least two", "late", "line", "0.000 to 10.000", f"{shift_s:.3f} to"):
         assert word in message
-
-
-def test_a_robot_that_stands_is_aligned_by_its_heading() -> None:
-    still = Trajectory(np.arange(4.0), np.tile([1.0, 2.0, 0.5], (4, 1)))
-    found = trajectory_errors(moved(still, Pose2(5.0, 6.0, 2.0)), still)
-    assert found.translation_m.max() < 1e-12
-    assert found.rotation_rad.max() < 1e-12
 
 
 @given(st.integers(0, 10_000))
@@ -244,7 +215,7 @@ def assert_as_evo(estimate: Trajectory, truth: Trajectory, config: TrajectoryCon
         assert figures == pytest.approx(plain(ErrorStatistics.of(judge[name])), abs=1e-6)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("alignment", ["se2", "none"])
 @pytest.mark.parametrize(("delta", "unit"), [(1.0, "frames"), (7.0, "frames"), (1.0, "m")])
 def test_drawn_paths_have_evos_errors(seed: int, alignment: str, delta: float, unit: str) -> None:
@@ -253,25 +224,6 @@ def test_drawn_paths_have_evos_errors(seed: int, alignment: str, delta: float, u
     noisy = moved(drive(seed=seed, noise=0.05), Pose2(4.0, -1.0, 2.5))
     config = TrajectoryConfig(alignment=alignment, rpe_delta=delta, rpe_unit=unit)
     assert_as_evo(noisy, truth, config)
-
-
-def test_paths_of_different_rates_have_evos_errors() -> None:
-    pytest.importorskip("evo", reason="evo comes with the test extra")
-    truth = drive()
-    noisy = drive(noise=0.03)
-    rare = Trajectory(noisy.stamps_s[::3] + 0.004, noisy.poses[::3], "rare")
-    assert_as_evo(rare, truth, CONFIG)
-
-
-def test_the_six_figures_are_evos() -> None:
-    pytest.importorskip("evo", reason="evo comes with the test extra")
-    from evo.core import metrics  # noqa: PLC0415
-
-    metric = metrics.APE(metrics.PoseRelation.translation_part)
-    metric.process_data((evo_path(drive()), evo_path(drive(noise=0.1))))
-    ours = plain(trajectory_errors(drive(noise=0.1), drive(), AS_IT_LIES).ate)
-    judge = metric.get_all_statistics()
-    assert ours == pytest.approx({name: judge[name] for name in ours}, abs=1e-9)
 
 
 @pytest.mark.datasets

@@ -12,7 +12,6 @@ from hypothesis.extra import numpy as hnp
 
 from slamfusion.config import NormalizeConfig
 from slamfusion.evaluation import (
-    FACE_TOLERANCES_M,
     MapError,
     compare_to_truth,
     face_cells,
@@ -68,10 +67,6 @@ def test_faces_are_the_wall_cells_that_share_a_side_with_a_free_one() -> None:
 
 def test_a_wall_has_a_face_on_each_side_that_is_free() -> None:
     assert faces("...", "###", "###", "###", "...") == ["---", "fff", "---", "fff", "---"]
-
-
-def test_a_free_cell_at_a_corner_alone_makes_no_face() -> None:
-    assert faces(".?", "?#") == ["--", "--"]
 
 
 def test_a_map_against_itself_has_perfect_faces() -> None:
@@ -132,14 +127,6 @@ def test_a_map_without_faces_has_no_figures() -> None:
     assert result.wall_thickness_m is None
 
 
-def test_f1_is_told_at_the_tolerances_that_were_counted_only() -> None:
-    grid = draw("###", "...")
-    result = compare(grid, grid).faces
-    assert [item.tolerance_m for item in result.agreements] == list(FACE_TOLERANCES_M)
-    with pytest.raises(KeyError):
-        result.f1(0.07)
-
-
 @pytest.mark.parametrize("cells", [1, 2, 3, 6])
 def test_thickness_is_that_across_the_wall_in_metres(cells: int) -> None:
     wall = ["#" * 30] * cells
@@ -163,15 +150,6 @@ def test_a_diagonal_wall_is_measured_along_the_other_diagonal(falls: bool) -> No
     assert 3 * math.sqrt(2) * 0.05 <= found.median <= 4 * math.sqrt(2) * 0.05
 
 
-def test_thickness_tells_the_mean_of_thin_and_thick_walls() -> None:
-    grid = draw("." * 40, "#" * 40, "." * 40, *["#" * 40] * 3, "." * 40)
-    found = wall_thickness(grid)
-    assert found is not None
-    # Faces: 40 cells of the thin wall, 40 on each side of the thick one.
-    assert found.mean == pytest.approx((40 * 1 + 80 * 3) / 120 * 0.05, rel=0.03)
-    assert found.p95 == pytest.approx(0.15)
-
-
 def test_what_is_known_outside_the_outline_is_counted_in_square_metres() -> None:
     truth = draw("?????", "?###?", "?...?", "?###?", "?????", resolution=0.5)
     found = draw("?.?#?", "?###?", "?...?", "?###?", "?????", resolution=0.5)
@@ -188,37 +166,12 @@ def test_what_the_truth_encloses_lies_inside() -> None:
     assert outside(found, truth) == pytest.approx(10 * 0.05**2)
 
 
-def test_the_margin_is_a_distance() -> None:
-    truth = draw("?????????", "?????????", "?????????", "???..????", "?????????")
-    found = draw(".........", ".........", "?????????", "???..????", "?????????")
-    everything = outside(found, truth)
-    assert everything == pytest.approx(18 * 0.05**2)
-    # Two cells up are within 0.1 m, their neighbours to the side are not.
-    assert outside(found, truth, margin_m=0.1) == pytest.approx(16 * 0.05**2)
-
-
 def test_spikes_beyond_the_box_of_the_truth_count() -> None:
     truth = draw("###", "#.#", "###")
     spiked = OccupancyGrid(np.zeros((3, 200), dtype=np.int8), 0.05)
     assert outside(spiked, truth) == pytest.approx(3 * 197 * 0.05**2)
     far = OccupancyGrid(np.zeros((2, 2), dtype=np.int8), 0.05, Pose2(-500.0, 500.0))
     assert outside(far, truth) == pytest.approx(4 * 0.05**2)
-
-
-def test_the_document_holds_the_measures_as_plain_values() -> None:
-    truth = draw("?????", "#####", ".....", ".....")
-    found = draw(".....", "#####", ".....", ".....")
-    document = plain(compare(found, truth))
-    assert document["faces"]["agreements"][0] == {
-        "tolerance_m": 0.05,
-        "precision": 1.0,
-        "recall": 1.0,
-        "f1": 1.0,
-    }
-    assert document["faces"]["map_to_truth_m"]["max"] == 0.0
-    assert document["wall_thickness_m"]["median"] == pytest.approx(0.05)
-    assert document["doubled_wall_share"] == 0.0
-    assert document["outside_m2"] == pytest.approx(5 * 0.05**2)
 
 
 @settings(max_examples=examples(40))

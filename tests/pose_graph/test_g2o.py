@@ -12,9 +12,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from slamfusion.errors import GraphError
-from slamfusion.io import AtomicFiles
 from slamfusion.pose_graph import PoseGraph, read_g2o, write_g2o
-from tests.pose_graph.graphs import INFORMATION, drawn, laps, ring
+from tests.pose_graph.graphs import INFORMATION, drawn, laps
 from tests.support.examples import examples
 
 POSES = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0.5\n"
@@ -42,14 +41,6 @@ def test_each_format_has_its_own_order_of_information(tmp_path: Path, edge: str)
     assert graph.information[0].tolist() == INFORMATION.tolist()
     assert graph.motions.tolist() == [[1.0, 0.0, 0.5]]
     assert graph.edges.tolist() == [[0, 1]]
-
-
-def test_both_formats_may_be_mixed(tmp_path: Path) -> None:
-    text = "VERTEX2 0 0 0 0\n" + "VERTEX_SE2 1 1 0 0.5\n" + EDGE
-    text += "EDGE2 1 0 1 0 0.5 100 10 60 400 2 -3\n"
-    graph = read_g2o(written(tmp_path, text)).graph
-    assert (graph.information[0] == graph.information[1]).all()
-    assert graph.edges.tolist() == [[0, 1], [1, 0]]
 
 
 def test_ids_may_have_gaps_any_order_and_a_sign(tmp_path: Path) -> None:
@@ -88,10 +79,6 @@ def test_a_file_of_edges_alone_gets_poses_along_the_odometry(tmp_path: Path) -> 
     assert file.graph.is_closure.tolist() == graph.is_closure.tolist()
 
 
-def test_without_fix_the_first_pose_is_held(tmp_path: Path) -> None:
-    assert read_g2o(written(tmp_path, POSES + EDGE)).fixed == (0,)
-
-
 @given(st.integers(0, 10_000))
 @settings(
     max_examples=examples(25),
@@ -113,14 +100,6 @@ def test_what_is_written_reads_back_bit_by_bit(tmp_path: Path, seed: int) -> Non
         assert file.fixed == tuple(fixed)
     plain, packed = (tmp_path / name for name in ("graph.g2o", "graph.g2o.gz"))
     assert gzip.decompress(packed.read_bytes()) == plain.read_bytes()
-
-
-def test_a_staged_file_appears_with_the_others(tmp_path: Path) -> None:
-    path = tmp_path / "graph.g2o"
-    with AtomicFiles() as files:
-        write_g2o(path, drawn(*ring()), files=files)
-        assert not path.exists()
-    assert len(read_g2o(path).graph) == 20
 
 
 @pytest.mark.parametrize(

@@ -7,19 +7,16 @@ import math
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from slamfusion.geometry import compose_poses, invert_poses, wrap_angles
 from slamfusion.pose_graph import PoseGraph, optimize
-from slamfusion.pose_graph.covariance import inverted, moved, turned, turned_vectors
+from slamfusion.pose_graph.covariance import turned
 from slamfusion.pose_graph.graph import chained_poses
 from slamfusion.pose_graph.measurements import Measurements
 from slamfusion.pose_graph.normal_equations import NormalEquations
 from slamfusion.pose_graph.uncertainty import Uncertainty, gates
 from tests.pose_graph.graphs import INFORMATION, between, drawn, laps, ring
 from tests.pose_graph.gtsam_oracle import GtsamGraph, has_gtsam
-from tests.support.examples import examples
 
 Array = npt.NDArray[np.float64]
 
@@ -66,17 +63,6 @@ def test_relative_covariances_are_those_of_a_dense_inverse(pair: tuple[int, int]
     assert found == pytest.approx(expected, rel=1e-5, abs=1e-9)
 
 
-def test_pairs_do_not_depend_on_their_company() -> None:
-    graph, equations = solved()
-    uncertainty = Uncertainty(equations, graph.poses)
-    pairs = np.random.default_rng(0).integers(0, len(graph), (23, 2))
-    together = uncertainty.relative(pairs)
-    for pair, covariance in zip(pairs, together, strict=True):
-        assert uncertainty.relative(pair)[0] == pytest.approx(covariance, rel=1e-9, abs=1e-12)
-    assert uncertainty.relative(np.zeros((0, 2))).shape == (0, 3, 3)
-    assert np.abs(uncertainty.relative([(5, 5)])).max() < 1e-12
-
-
 def test_one_edge_alone_is_as_certain_as_its_information() -> None:
     poses, edges = ring()
     graph = drawn(poses, edges[:-1], noise=1.0)
@@ -85,13 +71,6 @@ def test_one_edge_alone_is_as_certain_as_its_information() -> None:
     uncertainty = Uncertainty(NormalEquations(measured, len(graph), (0,)), graph.poses)
     covariance = uncertainty.relative(graph.edges)
     assert np.linalg.inv(covariance) == pytest.approx(graph.information, rel=1e-6, abs=1e-6)
-
-
-def test_weights_count() -> None:
-    graph, equations = solved()
-    full = Uncertainty(equations, graph.poses).relative([(0, 10)])
-    halved = Uncertainty(equations, graph.poses, np.full(len(graph.edges), 0.5))
-    assert halved.relative([(0, 10)]) == pytest.approx(2.0 * full)
 
 
 def test_covariance_is_as_large_as_the_noise_makes_the_error() -> None:
@@ -170,29 +149,3 @@ def test_gtsam_knows_as_much(pair: tuple[int, int]) -> None:
     expected = GtsamGraph(graph, like_g2o=True).relative_covariance(graph.poses, *pair)
     found = Uncertainty(equations, graph.poses).relative([pair])[0]
     assert found == pytest.approx(expected, rel=1e-3, abs=1e-7)
-
-
-@given(st.floats(-3.0, 3.0), st.floats(-5.0, 5.0), st.floats(-5.0, 5.0), st.integers(0, 1000))
-@settings(max_examples=examples(40), deadline=None)
-def test_turning_and_moving_there_and_back_changes_nothing(
-    yaw: float, x: float, y: float, seed: int
-) -> None:
-    roots = np.random.default_rng(seed).normal(size=(4, 3, 3))
-    covariance = roots @ roots.transpose(0, 2, 1) + 0.1 * np.eye(3)
-    yaws, way = np.full(4, yaw), np.tile([x, y], (4, 1))
-    assert turned(turned(covariance, yaws), -yaws) == pytest.approx(covariance)
-    assert moved(moved(covariance, way), -way) == pytest.approx(covariance, rel=1e-6, abs=1e-6)
-    assert inverted(inverted(covariance)) == pytest.approx(covariance, rel=1e-6, abs=1e-6)
-    # What is certain in one direction is certain in the turned direction.
-    vectors = roots[:, 0]
-    rank_one = vectors[:, :, None] * vectors[:, None, :]
-    there = turned_vectors(vectors, yaws)
-    assert turned(rank_one, yaws) == pytest.approx(there[:, :, None] * there[:, None, :])
-
-
-def test_a_lever_turns_yaw_into_place() -> None:
-    only_yaw = np.zeros((1, 3, 3))
-    only_yaw[0, 2, 2] = 0.01
-    ahead = moved(only_yaw, np.array([[10.0, 0.0]]))[0]
-    # 10 m ahead, 0.1 rad are 1 m to the side.
-    assert ahead == pytest.approx(np.array([[0, 0, 0], [0, 1.0, 0.1], [0, 0.1, 0.01]]))
