@@ -42,14 +42,6 @@ def test_free_cells_never_touch_the_outside(seed: int) -> None:
     assert not np.any(cells[:, [0, -1]] == FREE)
 
 
-def test_half_a_turn_does_not_map_it_onto_itself() -> None:
-    cells = draw_building(np.random.default_rng(2), 16.0, 11.0).cells
-    walls = cells == OCCUPIED
-    turned = walls[::-1, ::-1]
-    inner = np.s_[5:-5, 5:-5]
-    assert np.sum(walls[inner] & turned[inner]) < 0.4 * np.sum(walls[inner])
-
-
 def test_small_building_is_refused() -> None:
     with pytest.raises(ValueError, match="at least 6"):
         draw_building(np.random.default_rng(0), 5.0, 20.0)

@@ -82,14 +82,6 @@ def test_named_courses_survive_their_file(tmp_path: Path, name: str) -> None:
     assert again.lidar == course.lidar
 
 
-def test_the_f16_course_is_the_published_one() -> None:
-    course = named_course("f16", 0)
-    turn, forward, back = course.script
-    assert (turn.turn_deg, turn.speed_deg_s, turn.duration_s) == (360.0, 90.0, 4.0)
-    assert (forward.speed_mps, back) == (0.5, turn)
-    assert course.obstacles is True
-
-
 def test_unknown_course_names_the_nearest() -> None:
     with pytest.raises(SimulationError, match="the nearest one is 'corridor', the others are off"):
         named_course("coridor", 0)

@@ -167,18 +167,3 @@ def test_biases_are_shares_of_way_and_turn() -> None:
     biased = replace(DRIVES["differential"], **{**EXACT, "turn_travel_bias": 0.1})
     both = read_odometry(script(ActionConfig(forward_m=3.0)), biased, NO_CHANCE)
     assert both[-1, 2] == pytest.approx(0.3)
-
-
-@pytest.mark.parametrize("way_m", [1.0, 4.0])
-def test_noise_grows_with_the_square_root_of_the_way_whatever_the_step(way_m: float) -> None:
-    drive = replace(DRIVES["differential"], **{**EXACT, "travel_noise": 0.05})
-    ends = []
-    for steps in (10, 80):
-        wheels = np.zeros((steps + 1, 2))
-        wheels[1:, 0] = way_m / steps
-        motion = Motion(0.02, np.zeros((steps + 1, 3)), wheels)
-        found = [
-            read_odometry(motion, drive, np.random.default_rng(seed))[-1, 0] for seed in range(300)
-        ]
-        ends.append(np.std(found))
-    assert ends == pytest.approx([0.05 * math.sqrt(way_m)] * 2, rel=0.15)

@@ -60,17 +60,6 @@ def test_nobody_walks_into_the_robot() -> None:
     assert discs[120:, 0, 0].max() > 3.8, "walks on when the robot is gone"
 
 
-def test_one_waypoint_is_someone_who_stands() -> None:
-    _, discs, _ = walk((Person(((1.0, 1.0),), PersonConfig(body="disc")),), SPACE, AWAY, STEP_S)
-    assert (discs[:, 0] == (1.0, 1.0)).all()
-
-
-def test_nobody_is_no_disc() -> None:
-    places, discs, radii = walk((), SPACE, AWAY, STEP_S)
-    assert places.shape == discs.shape == (200, 0, 2)
-    assert radii.shape == (0,)
-
-
 def test_a_place_in_a_wall_is_refused_by_the_persons_number() -> None:
     people = (Person(((0.0, 0.0), (5.0, 0.0)), PersonConfig()),)
     with pytest.raises(SimulationError, match="waypoint of person 1"):
