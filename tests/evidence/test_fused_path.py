@@ -88,12 +88,6 @@ def test_a_frame_is_fitted_to_the_greater_part_of_a_path() -> None:
     assert np.abs(plain.transform(moved[:150, :2]) - truth[:150, :2]).max() > 0.5
 
 
-def test_a_path_of_one_place_still_has_a_frame() -> None:
-    stands = np.tile((1.0, 2.0, 0.3), (20, 1))
-    motion = fit_frame(stands, compose_poses((4.0, 5.0, 1.0), stands))
-    assert (motion.x, motion.y, motion.yaw_rad) == (pytest.approx(4.0), pytest.approx(5.0), 1.0)
-
-
 def test_paths_in_frames_of_their_own_are_laid_into_one() -> None:
     truth = two_rounds()
     paths = {
@@ -103,15 +97,6 @@ def test_paths_in_frames_of_their_own_are_laid_into_one() -> None:
     }
     laid = lay_paths(paths)
     assert np.abs(laid.poses - laid.poses[0])[..., :2].max() < 1e-6
-
-
-def test_poses_of_other_times_are_not_used() -> None:
-    truth = two_rounds()
-    sparse = Trajectory(0.1 * np.arange(SCANS)[::7], truth[::7], "sparse")
-    laid = lay_paths({"all": path(truth), "sparse": sparse})
-    has = np.isfinite(laid.poses[1, :, 0])
-    assert np.flatnonzero(has).tolist() == list(range(0, SCANS, 7))
-    assert (laid.weights[1] == has).all()
 
 
 def test_what_cannot_be_laid_is_said() -> None:
@@ -145,17 +130,6 @@ def test_a_path_that_lies_elsewhere_has_no_say() -> None:
     assert np.abs(consensus_poses(lost)[:, :2] - truth[:, :2]).max() < 0.03
 
 
-def test_of_two_paths_far_apart_the_one_of_greater_weight_is_followed() -> None:
-    truth = two_rounds()
-    bent = broken_away(truth, 120, (0.0, 0.0, 0.8))
-    for weights, followed in (((1.0, 0.2), 0), ((0.2, 1.0), 1), ((1.0, 1.0), 0)):
-        laid = lay_paths({"a": path(truth), "b": path(bent)}, dict(zip("ab", weights, strict=True)))
-        found = consensus_poses(laid)
-        far = np.hypot(*(laid.poses[0] - laid.poses[1])[:, :2].T) > 2.0
-        assert far.any()
-        assert np.abs(found[far] - laid.poses[followed, far]).max() < 0.01
-
-
 # --- the fused path ---------------------------------------------------------------------------
 
 
@@ -163,14 +137,6 @@ def test_one_path_alone_stays_as_it_is() -> None:
     truth = two_rounds()
     assert np.abs(fuse(truth).trajectory.poses - truth).max() < 1e-12
     assert len(fuse(truth[:1], truth[:1]).trajectory) == 1
-
-
-def test_equal_paths_give_that_path() -> None:
-    truth = two_rounds()
-    found = fuse(truth, truth, truth)
-    assert np.abs(found.trajectory.poses - truth).max() < 1e-6
-    assert found.gaps_m.max() < 1e-5
-    assert found.names == ("slam0", "slam1", "slam2")
 
 
 def test_noise_averages_out_below_the_best_input() -> None:

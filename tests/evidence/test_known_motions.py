@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from slamfusion.evidence import judged_scans, refine_path
 from slamfusion.evidence.beams import JudgedScans
-from slamfusion.evidence.known_motions import HALF_WAY_M, KnownMotions, turned
+from slamfusion.evidence.known_motions import KnownMotions, turned
 from slamfusion.evidence.path_frames import fit_frame
 from slamfusion.geometry import compose_poses, invert_poses
 from slamfusion.trajectory import Trajectory
@@ -121,17 +121,6 @@ def stood_still(odometry: F64, first: int, last: int) -> F64:
     return by_steps(steps)
 
 
-def test_odometry_that_stands_still_counts_for_nothing_there(corridor: JudgedScans) -> None:
-    truth = along_corridor()
-    odometry = stood_still(wheels_of(truth.poses), 50, 70)
-    motions = KnownMotions.of(truth.poses, odometry)
-    assert not motions.is_sound[50:70].any()
-    assert motions.is_sound[:45].all()
-    assert motions.is_sound[75:].all()
-    refined = refine_path(with_odometry(corridor, odometry), truth)
-    assert length_m(refined) == pytest.approx(LONG_M, abs=0.1)
-
-
 def test_odometry_that_the_walls_contradict_harms_nothing() -> None:
     """In a room everything is seen: wheels that slip here and there change nothing."""
     truth = circuit()
@@ -156,16 +145,6 @@ def test_odometry_of_another_unit_is_none(corridor: JudgedScans, scale: float) -
     )
 
 
-def test_odometry_that_never_moves_is_none() -> None:
-    truth = along_corridor()
-    for odometry in (np.zeros_like(truth.poses), None):
-        motions = KnownMotions.of(truth.poses, odometry)
-        assert not motions.is_sound.any()
-        assert motions.calibration.tolist() == [1.0, 0.0]
-        assert not motions.say(truth.poses, motions.calibration, 0).any()
-        assert not motions.say(truth.poses, motions.calibration, 5).any()
-
-
 @settings(max_examples=25, deadline=None)
 @given(
     scale=st.floats(0.6, 1.6),
@@ -186,21 +165,6 @@ def test_the_usual_calibration_is_found_whatever_a_part_does(
     assert motions.calibration == pytest.approx(wanted, abs=0.03)
     assert not motions.is_sound[60:80].any()
     assert motions.is_sound[:50].all()
-
-
-def test_say_falls_with_the_distance_and_from_round_to_round() -> None:
-    path = along_corridor(30).poses
-    motions = KnownMotions.of(path, wheels_of(path))
-    moved = path.copy()
-    moved[15:, 0] += HALF_WAY_M
-    says = [motions.say(moved, motions.calibration, number)[14] for number in range(7)]
-    assert says[0] == 1.0
-    assert says[1] > 0.9
-    assert (np.diff(says) <= 0.0).all()
-    assert says[-1] == pytest.approx(0.25, abs=0.01)
-    assert motions.say(moved, motions.calibration, 6)[[5, 20]] == pytest.approx(1.0, abs=0.01)
-    moved[15:, 0] += HALF_WAY_M
-    assert motions.say(moved, motions.calibration, 6)[14] < says[-1]
 
 
 def test_the_equations_are_the_derivatives_of_one_sum_of_squares() -> None:

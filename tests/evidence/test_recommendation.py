@@ -19,10 +19,7 @@ from slamfusion.evidence import (
     score_paths,
 )
 from slamfusion.evidence.beams import CHUNKS
-from slamfusion.evidence.parting import PART_M
-from slamfusion.evidence.recommendation import MOST_CHECKS, distance_m
-from slamfusion.geometry import compose_poses
-from slamfusion.json_values import plain
+from slamfusion.evidence.recommendation import MOST_CHECKS
 from slamfusion.trajectory import Trajectory
 from tests.evidence.rooms import ROOM, bent, box, circuit, moved, recorded
 
@@ -89,14 +86,6 @@ def test_a_fused_path_that_the_scans_contradict_is_not_the_answer(
     assert (answer.path, answer.best_single) == ("right", "right")
 
 
-def test_the_frame_of_a_path_is_no_distance(device: ComputeDevice, scans: JudgedScans):
-    elsewhere = Trajectory(TRUTH.stamps_s, compose_poses(np.array([7.0, -3.0, 2.0]), TRUTH.poses))
-    late = moved(TRUTH, (0.9, 1.2, 0.0), 108)
-    evidence = score_paths(scans, {"a": TRUTH, "b": elsewhere, "late": late}, device)
-    assert distance_m(evidence, "a", "b") == pytest.approx(0.0, abs=1e-9)
-    assert distance_m(evidence, "b", "late") == pytest.approx(distance_m(evidence, "late", "a"))
-
-
 def test_a_right_path_is_green_whatever_stands_in_the_way(device: ComputeDevice):
     """What stands elsewhere each time makes hits unlikely, and displaces no wall."""
     rng = np.random.default_rng(3)
@@ -159,29 +148,6 @@ def test_walls_displaced_in_one_part_alone_are_amber(device: ComputeDevice):
     assert all(28.0 < place.from_s < 38.0 for place in answer.check)
 
 
-def test_walls_less_than_a_parting_beside_are_amber(device: ComputeDevice):
-    torn = moved(ROUNDS, (0.2, 0.0, 0.0), 144)
-    evidence = score_paths(judged_scans(recorded(ROUNDS, odometry=False)), {"a": torn}, device)
-    displaced = find_displacements(evidence, "a", device)
-    assert displaced
-    assert all(part.away_m < PART_M for part in displaced)
-    answer = answer_of(evidence, device)
-    assert (answer.confidence, answer.tone) == ("medium", "warn")
-    assert "but check 3 places first" in answer.headline
-
-
-def test_places_are_told_in_the_frame_that_is_asked_for(device: ComputeDevice):
-    torn = moved(ROUNDS, (0.3, 0.4, 0.0), 144)
-    evidence = score_paths(judged_scans(recorded(ROUNDS, odometry=False)), {"a": torn}, device)
-    exclusions = find_exclusions(evidence, device)
-    frames = {"a": Trajectory(torn.stamps_s, torn.poses + np.array([100.0, 0.0, 0.0]))}
-    own = recommend(evidence, ("a",), exclusions, device)
-    there = recommend(evidence, ("a",), exclusions, device, frames=frames)
-    assert [place.x + 100.0 for place in own.check] == pytest.approx(
-        [place.x for place in there.check]
-    )
-
-
 def test_where_two_paths_part_and_no_scan_tells_is_a_place_to_check(device: ComputeDevice):
     """In the room, then off through a place that is seen once, each its own way, and back."""
     poses = circuit(144, 3.0).poses.copy()
@@ -228,31 +194,4 @@ def test_the_answer_is_read_as_it_was_written(device: ComputeDevice):
     answer = answer_of(evidence, device)
     again = Recommendation.from_json(plain(answer))
     assert (again.headline, again.lines()) == (answer.headline, answer.lines())
-    assert plain(again) == plain(answer)
-
-
-def test_the_reasons_have_their_intervals(device: ComputeDevice, scans: JudgedScans):
-    evidence = score_paths(scans, {"bent": BENT, "truth": TRUTH}, device)
-    best, other = answer_of(evidence, device).paths
-    assert (best.name, best.tied, best.behind) == ("truth", True, 0.0)
-    assert best.behind_95 is None
-    assert not other.tied
-    low, high = other.behind_95 or (0.0, 0.0)
-    assert 0.0 < low < other.behind < high
-    assert other.behind == pytest.approx(best.consistency - other.consistency)
-    assert sum(part.beams for part in other.over_time) == other.beams_judged
-
-
-def test_what_is_seen_twice_is_scored_whatever_is_seen_once(device: ComputeDevice):
-    # The same drive, and one that then goes where it never comes again.
-    scores = []
-    for off in (0.0, 40.0):
-        poses = circuit(192, 2.0).poses.copy()
-        poses[144:, 0] += off
-        walls = np.concatenate((ROOM, ROOM + np.array([40.0, 0.0, 40.0, 0.0])))
-        path = Trajectory(0.25 * np.arange(192), poses)
-        scans = judged_scans(recorded(path, odometry=False, walls=walls))
-        scores.append(score_paths(scans, {"a": path}, device).scores["a"])
-    near, off = scores
-    assert off.consistency < near.consistency - 0.02
-    assert off.seen_consistency == pytest.approx(near.seen_consistency, abs=0.03)
+    assert again.to_json() == answer.to_json()
