@@ -103,16 +103,6 @@ def test_up_is_up_and_both_ends_are_marked() -> None:
     assert start[1] > 0.6
 
 
-def test_one_metre_is_as_long_up_as_along() -> None:
-    wide = path_of([(0.0, 0.0), (40.0, 0.0), (40.0, 10.0)])
-    tall = path_of([(0.0, 0.0), (0.0, 40.0), (10.0, 40.0)])
-    for path, ratio in ((wide, 4.0), (tall, 0.25), (corner(), 1.0)):
-        image = pixels(paths.paths_picture(path))
-        rows, cols = np.nonzero(near(image, ESTIMATE))
-        found = np.ptp(cols) / np.ptp(rows)
-        assert found == pytest.approx(ratio, rel=0.05)
-
-
 def test_the_path_lies_on_the_map() -> None:
     image = pixels(paths.paths_picture(in_room(), grid=own_map()))
     free = near(image, (255, 255, 255), 2)
@@ -124,29 +114,6 @@ def test_the_path_lies_on_the_map() -> None:
     assert line.sum() > 500
     assert line[inside].sum() == line.sum()
     assert free[inside].mean() > 0.5
-
-
-def test_a_turned_map_is_turned_with_its_path() -> None:
-    grid = own_map()
-    turned = OccupancyGrid(
-        grid.cells, grid.resolution, replace(grid.origin, yaw_rad=np.pi / 2), grid.name
-    )
-    image = pixels(paths.path_picture(in_room(), grid=turned))
-    rows, cols = np.nonzero(near(image, (18, 22, 28), 2))
-    assert np.ptp(rows) > np.ptp(cols)
-
-
-def test_time_and_error_colour_the_path() -> None:
-    by_time = pixels(paths.path_picture(corner()))
-    errors = np.zeros(21)
-    errors[:5] = 3.0
-    by_error = pixels(paths.path_picture(corner(), values=errors))
-    assert (by_time != by_error).any(axis=2).mean() > 0.01
-    # The largest error is dark red, and stands where it was: at the lower left.
-    dark = near(by_error[:, : int(0.8 * by_error.shape[1])], (128, 0, 38), 20)
-    rows, cols = np.nonzero(dark)
-    assert cols.mean() / by_error.shape[1] < 0.4
-    assert rows.mean() / by_error.shape[0] > 0.5
 
 
 def test_every_path_has_its_colour() -> None:
@@ -185,45 +152,6 @@ def test_other_paths_are_faint_and_under_the_estimate() -> None:
     assert rows.mean() / apart.shape[0] > centre(apart, START_RGB)[1]
 
 
-def test_a_belief_held_by_many_is_darker() -> None:
-    once = pixels(paths.paths_picture(corner(), others=[beside(corner(), 2.0)]))
-    often = pixels(paths.paths_picture(corner(), others=[beside(corner(), 2.0)] * 9))
-    assert often[purple(often)].mean() < once[purple(once)].mean() - 30.0
-
-
-def test_many_long_paths_keep_their_shape_and_their_ends() -> None:
-    turn = np.linspace(0.0, 2.0 * np.pi, 60_001)
-    poses = np.column_stack((np.cos(turn), np.sin(turn), turn))
-    ring = Trajectory(np.arange(len(turn), dtype=np.float64), poses, "ring")
-    still = Trajectory(ring.stamps_s[:2], np.zeros((2, 3)), "still")
-    image = pixels(paths.paths_picture(still, others=[ring] * 12))
-    rows, cols = np.nonzero(purple(image))
-    # Closed all around: no ray from the middle meets a gap.
-    angles = np.arctan2(rows - rows.mean(), cols - cols.mean())
-    assert np.histogram(angles, 72)[0].min() > 0
-
-
-def test_other_paths_without_a_pose_are_left_out() -> None:
-    empty = Trajectory(np.zeros(0), np.zeros((0, 3)), "empty")
-    assert paths.paths_picture(corner(), others=[empty]) == paths.paths_picture(corner())
-    single = path_of([(5.0, 5.0)])
-    assert pixels(paths.paths_picture(corner(), others=[single])).size
-
-
-def test_the_legend_counts_the_other_paths() -> None:
-    for count, text in ((1, "1 other path, faint"), (29, "29 other paths, faint")):
-        entries = {entry.text: entry.rgb for entry in paths.others_legend("path", count)}
-        assert entries[text] == OTHER
-        assert {"estimate", "start (circle)", "end (square)"} <= entries.keys()
-
-
-def test_drift_does_not_make_the_rest_small() -> None:
-    far = Trajectory(corner().stamps_s, corner().poses * (500.0, 500.0, 1.0))
-    image = pixels(paths.paths_picture(corner(), odometry=far))
-    rows, _ = np.nonzero(near(image, ESTIMATE))
-    assert np.ptp(rows) > 0.4 * image.shape[0]
-
-
 @pytest.mark.parametrize(
     "places",
     [
@@ -241,16 +169,6 @@ def test_odd_paths_can_be_drawn(places: list[tuple[float, float]]) -> None:
         paths.paths_picture(path_of(places), truth=path_of(places)),
     ):
         assert max(pixels(png).shape) < 2000
-
-
-def test_the_largest_error_is_the_highest_point() -> None:
-    values = np.full(60, 0.1)
-    values[45] = 2.0
-    errors = replace(truth_errors(), translation_m=values)
-    image = pixels(paths.error_picture(errors, ESTIMATE))
-    rows, cols = np.nonzero(near(image, ESTIMATE)[: image.shape[0] // 2])
-    share = (float(cols[rows == rows.min()].mean()) - cols.min()) / np.ptp(cols)
-    assert share == pytest.approx(errors.travelled_m[45] / errors.travelled_m[-1], abs=0.02)
 
 
 def test_a_long_path_keeps_its_worst_error_in_the_picture() -> None:
@@ -276,16 +194,6 @@ def test_revisits_are_marked() -> None:
     slow = relation_values([0.01, 0.02, 0.03], [[0.0, 1.0], [5.0, 90.0], [9.0, 10.0]])
     assert near(pixels(paths.relations_picture(slow)), DISAGREEMENT_RGB, 75).any()
     assert "30 s" in paths.revisit_legend()[1].text
-
-
-@pytest.mark.parametrize("values", [[0.0], [0.0, 0.0], [1e-12, 1e3], [5.0]])
-def test_odd_errors_can_be_drawn(values: list[float]) -> None:
-    stamps = [[float(index), float(index) + 1.0] for index in range(len(values))]
-    assert pixels(paths.relations_picture(relation_values(values, stamps))).size
-
-
-def test_a_perfect_path_can_be_drawn() -> None:
-    assert pixels(paths.error_picture(trajectory_errors(corner(), corner()), ESTIMATE)).size
 
 
 # --- pages ---------------------------------------------------------------------------------------

@@ -12,7 +12,6 @@ import pytest
 from slamfusion.geometry import Pose2
 from slamfusion.palette import DISAGREEMENT_RGB, colours_of
 from slamfusion.report import plots
-from tests.report.drawn import alignment
 
 WALL = (18, 22, 28)
 
@@ -63,12 +62,6 @@ def test_agreeing_layers_are_walls_and_single_ones_keep_their_colour(count: int)
         assert centre_of(image, colours[0])[0] < 0.6
 
 
-def test_a_wall_of_most_maps_is_darker_than_one_of_few() -> None:
-    layers = np.array([[[1, 1, 1, 0]], [[0, 1, 1, 0]], [[-1, -1, 1, -1]]], dtype=np.int8)
-    rgb = plots.overlay_rgb(list(layers), [(200, 0, 0), (0, 0, 200), (0, 200, 0)])
-    assert rgb[0].tolist() == [[200, 0, 0], [59, 11, 64], [*WALL], [238, 240, 241]]
-
-
 def test_full_agreement_is_white_and_the_worst_cell_of_a_block_shows() -> None:
     agreement = np.full((3000, 3000), 100, dtype=np.int8)
     agreement[1500, 1500] = 33
@@ -109,16 +102,3 @@ def test_odd_shapes_and_all_unknown_maps_can_be_drawn(shape: tuple[int, int]) ->
         cells = np.full(shape, value, dtype=np.int8)
         image = pixels(plots.map_picture(cells, 0.05, Pose2(1e6, -1e6, 0.3)))
         assert max(image.shape) < 2000
-
-
-def test_a_profile_without_scores_is_refused() -> None:
-    found = alignment("a", "b", accepted=True)
-    object.__setattr__(found, "yaw_profile", None)
-    with pytest.raises(ValueError, match="no scores"):
-        plots.yaw_picture(found)
-
-
-def test_a_profile_of_one_yaw_and_an_answer_outside_it_can_be_drawn() -> None:
-    found = alignment("a", "b", accepted=True)
-    object.__setattr__(found, "yaw_profile", np.array([[0.5, 0.0]]))
-    assert pixels(plots.yaw_picture(found)).size

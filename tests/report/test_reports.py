@@ -104,17 +104,6 @@ def test_the_headline_names_the_fused_and_the_rejected_with_the_reason(report: P
     assert page.text.index("Only 3 of 4") < page.text.index("Agreement")
 
 
-def test_a_fusion_without_rejects_says_that_all_were_fused(tmp_path: Path) -> None:
-    result = fusion()
-    page = read(
-        write_fusion_report(
-            replace(result, inputs=result.accepted, pairs=()), tmp_path, config=CONFIG
-        )
-    )
-    assert "All 3 maps were fused" in page.text
-    assert "rejected" not in page.text
-
-
 @pytest.mark.parametrize(
     ("share", "strength", "is_told"),
     [(0.94, "strong", False), (0.8, "fair", False), (0.47, "weak", True)],
@@ -137,11 +126,6 @@ def test_a_weak_match_is_told_first_and_each_says_how_good_it_is(
     )
     assert f"accepted: {strength}" in page.text
     assert ("room 1 may not belong here: fits" in page.text) is is_told
-
-
-def test_one_remaining_map_is_not_called_a_vote(tmp_path: Path) -> None:
-    page = read(write_fusion_report(fusion(accepted=1), tmp_path, config=CONFIG))
-    assert "Not a vote: only 1 of 2 maps remains" in page.text
 
 
 def test_a_failure_stands_above_everything(tmp_path: Path) -> None:
@@ -240,12 +224,6 @@ def test_a_failed_fusion_shows_each_map_and_each_pair(tmp_path: Path) -> None:
     assert len(list(tmp_path.glob("*.png"))) == 4  # two maps, one pair, one curve
 
 
-def test_a_failed_fusion_may_have_no_pairs_and_unknown_maps(tmp_path: Path) -> None:
-    unknown = replace(room("a", 1), cells=np.full((3, 2), -1, dtype=np.int8))
-    page = read(write_failure_report([unknown], [], "all unknown", tmp_path, config=CONFIG))
-    assert "all unknown" in page.text
-
-
 def test_an_evaluation_report_names_the_nearest_map_and_the_lost_one(tmp_path: Path) -> None:
     found = [alignment("truth", "room 0", accepted=False), None]
     path = write_evaluation_report(evaluations(), tmp_path, config=CONFIG, alignments=found)
@@ -256,23 +234,12 @@ def test_an_evaluation_report_names_the_nearest_map_and_the_lost_one(tmp_path: P
     assert "missing wall" in page.text
 
 
-def test_an_evaluation_report_of_nothing_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="at least one"):
-        write_evaluation_report([], tmp_path, config=CONFIG)
-
-
 def test_undefined_measures_are_dashes(tmp_path: Path) -> None:
     empty = replace(room("empty", 1), cells=np.zeros((40, 60), dtype=np.int8))
     error = compare_to_truth(empty, room("truth", 7), normalize=NormalizeConfig(), tolerance_m=0.1)
     page = read(write_evaluation_report([error], tmp_path, config=CONFIG))
     assert not re.search(r"\b(nan|inf)\b", page.text)
     assert "None" not in page.text
-
-
-def test_a_report_replaces_an_older_one(tmp_path: Path) -> None:
-    (tmp_path / "report.html").write_text("old")
-    path = write_fusion_report(fusion(), tmp_path / ".", config=CONFIG)
-    assert "Only 3 of 4" in path.read_text(encoding="utf-8")
 
 
 def test_a_place_that_cannot_be_written_is_one_clear_line(tmp_path: Path) -> None:
@@ -283,19 +250,6 @@ def test_a_place_that_cannot_be_written_is_one_clear_line(tmp_path: Path) -> Non
     assert str(blocked) in str(caught.value)
     assert "\n" not in str(caught.value)
     assert list(tmp_path.iterdir()) == [blocked]
-
-
-def test_a_huge_map_stays_a_small_page_and_keeps_its_thin_walls(tmp_path: Path) -> None:
-    cells = np.zeros((4000, 4000), dtype=np.int8)
-    cells[::400] = 100
-    cells[:, ::400] = 100
-    huge = replace(room("huge", 1), cells=cells)
-    path = write_failure_report([huge], [], "a test of size", tmp_path, config=CONFIG)
-    assert path.stat().st_size < 1_000_000
-    image = cv2.imread(str(next(tmp_path.glob("*huge*.png"))), cv2.IMREAD_COLOR)
-    assert image is not None
-    across = image[image.shape[0] // 2, :, 0] < 60
-    assert 9 <= np.count_nonzero(np.diff(across.astype(np.int8)) == 1) <= 12
 
 
 def test_the_difference_image_is_a_png_with_all_its_colours(tmp_path: Path) -> None:
@@ -327,17 +281,6 @@ def test_pictures_are_also_had_as_svg_and_pdf_the_same_bytes_each_time(tmp_path:
     assert b"x in m" in (tmp_path / "difference.svg").read_bytes()
     with pytest.raises(TypeError, match="wanted a picture that was drawn here"):
         in_form(b"", "svg")
-
-
-def test_without_matplotlib_the_import_says_what_to_install() -> None:
-    code = (
-        "import sys; sys.modules['matplotlib'] = None\n"
-        "from slamfusion.errors import SlamFusionError\n"
-        "try:\n    import slamfusion.report\n"
-        "except SlamFusionError as error:\n    print(error)\n"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "the report needs matplotlib; pip install 'slamfusion[report]'"
 
 
 def test_the_report_leaves_pyplot_and_its_global_state_alone() -> None:

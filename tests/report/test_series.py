@@ -44,50 +44,6 @@ def test_a_rising_quantity_rises_to_the_right() -> None:
     assert np.corrcoef(rows, cols)[0, 1] < -0.99
 
 
-def test_each_series_has_axes_of_its_own_one_above_the_other() -> None:
-    one = pixels(series_picture([series([1.0, 2.0])], colour=COLOUR))
-    high, low = series([5.0] * 100), series([0.001] * 100)
-    both = line(series_picture([high, low, high], colour=COLOUR))
-    assert both.shape[0] > 1.9 * one.shape[0]
-    rows = np.flatnonzero(both.sum(axis=1) > 300)
-    assert np.count_nonzero(np.diff(rows) > 50) == 2
-
-
-def test_all_share_one_axis_of_time() -> None:
-    early, late = series([3.0] * 50), series([3.0] * 50)
-    late = Series(late.name, late.unit, late.stamps_s + 50.0, late.values)
-    drawn = line(series_picture([early, late], colour=COLOUR))
-    half = drawn.shape[0] // 2
-    first, second = np.nonzero(drawn[:half])[1], np.nonzero(drawn[half:])[1]
-    assert first.max() <= second.min() + 3
-
-
-def test_the_axis_of_time_begins_at_the_start() -> None:
-    values = series([3.0] * 50)
-    at_once = np.nonzero(line(series_picture([values], colour=COLOUR)))[1]
-    later = np.nonzero(line(series_picture([values], colour=COLOUR, start_s=-49.0)))[1]
-    assert np.ptp(later) == pytest.approx(np.ptp(at_once) / 2, rel=0.02)
-    assert later.max() == pytest.approx(at_once.max(), abs=5)
-
-
-def test_a_limit_is_a_line_across_and_in_sight() -> None:
-    def dotted(png: bytes) -> npt.NDArray[np.int64]:
-        """Grey pixels of each row, without the frame and the lettering left of it."""
-        grey = (np.abs(pixels(png).astype(int) - (123, 130, 140)) <= 40).all(axis=2)
-        inside = grey[:, int(0.2 * grey.shape[1]) : int(0.95 * grey.shape[1])]
-        counts = inside.sum(axis=1)
-        return np.flatnonzero((counts > 0.25 * inside.shape[1]) & (counts < 0.9 * inside.shape[1]))
-
-    without = dotted(series_picture([series([9.0, 9.5] * 30)], colour=COLOUR))
-    with_limit = dotted(series_picture([series([9.0, 9.5] * 30, limit=15.0)], colour=COLOUR))
-    assert without.size == 0
-    assert 0 < with_limit.size < 8
-    below = np.nonzero(line(series_picture([series([9.0, 9.5] * 30, limit=15.0)], colour=COLOUR)))[
-        0
-    ]
-    assert with_limit.max() < below.min()
-
-
 @pytest.mark.parametrize("value", [0.0, 2.0])
 def test_one_moment_in_a_long_run_stays_in_the_picture(value: float) -> None:
     values = np.full(50_000, 1.0)
@@ -119,14 +75,6 @@ def test_a_line_is_broken_over_a_pause_also_where_it_is_thinned() -> None:
     assert pause / np.ptp(cols) == pytest.approx(100.0 / 900.0, abs=0.01)
 
 
-@pytest.mark.parametrize("step_s", [0.1, 30.0])
-def test_a_line_of_even_steps_is_not_broken(step_s: float) -> None:
-    stamps_s = step_s * np.arange(10.0)
-    for count in (0, 1, 2, 10):
-        times_s, shown = broken(stamps_s[:count], stamps_s[:count])
-        assert times_s.tolist() == stamps_s[:count].tolist() == shown.tolist()
-
-
 @pytest.mark.parametrize(
     "values",
     [
@@ -152,21 +100,3 @@ def test_what_has_no_value_is_left_out() -> None:
     )
     with pytest.raises(ValueError, match="none of the series"):
         series_picture(nothing)
-
-
-def test_names_are_drawn_as_they_are_written() -> None:
-    odd = Series("a $ and $ a_b^{c", "$", np.arange(3.0), np.arange(3.0))
-    assert line(series_picture([odd], colour=COLOUR)).any()
-
-
-def test_times_are_shaded_behind_the_line_that_goes_on_in_them() -> None:
-    values = series([3.0] * 100)
-    bare = pixels(series_picture([values], colour=COLOUR)).astype(int)
-    spans = {values.name: [(20.0, 40.0)], "another": [(60.0, 80.0)]}
-    shaded = pixels(series_picture([values], colour=COLOUR, shaded=spans)).astype(int)
-    cols = np.unique(np.nonzero(np.abs(shaded - bare).max(axis=2) > 15)[1])
-    drawn = np.nonzero(line(series_picture([values], colour=COLOUR, shaded=spans)))[1]
-    at = (cols - drawn.min()) / np.ptp(drawn)
-    assert (at.min(), at.max()) == pytest.approx((20 / 99, 40 / 99), abs=0.01)
-    assert np.diff(cols).max() == 1
-    assert np.diff(np.unique(drawn)).max() == 1

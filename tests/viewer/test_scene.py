@@ -12,7 +12,6 @@ from slamfusion.grid import OccupancyGrid
 from slamfusion.page.feed import Feed
 from slamfusion.viewer.messages import TILE, encode_tile
 from slamfusion.viewer.scene import Scene
-from slamfusion.viewer.tiles import TiledLayer
 from tests.viewer.maps import noise, painted, texts, tiles
 
 pytestmark = pytest.mark.once
@@ -102,12 +101,6 @@ def test_a_vote_that_changes_is_an_event(scene: Scene) -> None:
     assert said == ["a votes: fits", "a does not vote: lost"]
 
 
-def test_a_figure_that_is_no_number_is_told_as_unknown(scene: Scene) -> None:
-    item = {"name": "a", "votes": True, "reason": "", "transform": None, "score": float("nan")}
-    scene.put_status([item])
-    assert texts(scene.since(0)[0], "status")[0]["inputs"][0]["score"] is None
-
-
 def test_a_path_goes_on_where_it_was(scene: Scene) -> None:
     for x_m in (0.0, 0.01, 1.0):
         scene.put_point("a", x_m, 0.0)
@@ -115,26 +108,6 @@ def test_a_path_goes_on_where_it_was(scene: Scene) -> None:
     assert texts(messages, "trail")[0]["points"] == [[0.0, 0.0], [1.0, 0.0]]
     scene.put_point("a", 2.0, 0.0)
     assert texts(scene.since(seq)[0], "trail")[0]["points"] == [[2.0, 0.0]]
-
-
-def test_everything_put_wakes_who_looks(scene: Scene) -> None:
-    woken: list[int] = []
-    scene.on_change = lambda: woken.append(scene.since(0)[1])
-    scene.put_map("a", noise(10, 10), "input")
-    scene.put_event("ok", "b")
-    scene.put_point("a", 0.0, 0.0)
-    scene.put_status([])
-    assert woken == sorted(set(woken))
-    assert len(woken) == 4
-
-
-def test_of_a_large_map_at_rest_nothing_is_cut_anew() -> None:
-    layer = TiledLayer()
-    cells = np.full((1000, 1000), -1, dtype=np.int8)
-    cells[500, 500] = 0
-    assert layer.put(OccupancyGrid(cells, 0.05, Pose2(), "a")) == (True, [(3, 3)])
-    assert list(layer.tiles) == [(3, 3)]
-    assert layer.put(OccupancyGrid(cells.copy(), 0.05, Pose2(), "a")) == (False, [])
 
 
 def test_a_map_that_is_taken_away_is_told_and_may_come_again(scene: Scene) -> None:

@@ -126,28 +126,6 @@ def test_maps_in_a_chain_are_as_right_as_its_weakest_link() -> None:
     assert trust.weights.tolist() == [255] * 20
 
 
-@pytest.mark.parametrize(
-    ("share", "level"),
-    [
-        # The log-odds of the share against those of 98 %, in steps of a fifteenth, from a tenth on.
-        (0.98, 15),
-        (0.90, 8),
-        (0.70, 3),
-        (0.55, 0),
-        (0.30, 0),
-    ],
-)
-def test_weights_are_log_odds_of_the_agreement(share: float, level: int) -> None:
-    """Three maps of a hundred thousand wall cells; two agree on 98 % of theirs."""
-    seen = np.full((3, 3), 100_000)
-    np.fill_diagonal(seen, 0)
-    met = np.rint(0.98 * seen).astype(int)
-    met[2, :2] = met[:2, 2] = round(share * 100_000)
-    trust = trust_of(("a", "b", "c"), WallCounts(seen, met, met, 0 * seen))
-    assert trust.weights.tolist() == [255, 255, 17 * level]
-    assert trust.agreement.tolist() == pytest.approx([0.98, 0.98, share], abs=0.021)
-
-
 def test_thick_walls_are_the_error_of_the_map_that_has_them() -> None:
     """Two maps with walls of five cells, which agree with each other, and two of one cell."""
     thick = cv2.dilate((room() == 1).astype(np.uint8), np.ones((5, 5), dtype=np.uint8))
