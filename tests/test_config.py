@@ -67,16 +67,6 @@ def test_starts_are_lists_or_texts_of_numbers(tmp_path: Path) -> None:
     assert load_config(path) == RunConfig()
 
 
-def test_an_empty_file_is_all_defaults(tmp_path: Path) -> None:
-    path = tmp_path / "run.yaml"
-    path.write_text("# nothing set\n")
-    assert load_config(path) == RunConfig()
-
-
-def test_a_whole_number_serves_as_a_real_one() -> None:
-    assert from_mapping(AlignConfig, {"window_m": 3}).window_m == 3.0
-
-
 @pytest.mark.parametrize("config_class", LEAVES)
 def test_every_field_says_what_it_is(config_class: type[Any]) -> None:
     for info in field_infos(config_class):
