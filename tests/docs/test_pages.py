@@ -16,10 +16,9 @@ import pytest
 import yaml
 
 from docs.generate.commands import walk
-from docs.generate.marks import COMMAND, DOCS, PARTS, pages, with_parts
-from docs.generate.parameters import gmapping_table, parameter_table
+from docs.generate.marks import COMMAND, DOCS, pages, with_parts
 from slamfusion.cli.program import COMMANDS, cli
-from slamfusion.config import GMAPPING_PROFILES, FusionNodeConfig, GmappingConfig, field_infos
+from slamfusion.config import FusionNodeConfig
 from slamfusion.grid import OCCUPIED
 from slamfusion.io import load_map
 from slamfusion.jobs.doctor import INSTALL
@@ -74,48 +73,8 @@ def test_generated_parts_are_up_to_date(name: str) -> None:
     assert with_parts(PAGES[name]) == PAGES[name], f"run: {COMMAND}"
 
 
-@pytest.mark.parametrize("name", PARTS)
-def test_a_part_that_is_behind_is_noticed(name: str) -> None:
-    part = PARTS[name]()
-    having = [text for text in PAGES.values() if f"<!-- {name}: written by" in text]
-    assert having
-    row = part.splitlines()[-1]
-    for page in having:
-        assert part in page
-        assert with_parts(page.replace(part, part.removesuffix(row))) == page
-
-
-def test_a_part_that_nothing_writes_is_refused() -> None:
-    with pytest.raises(KeyError, match="weather"):
-        with_parts(f"<!-- weather: written by `{COMMAND}` -->\n<!-- end of weather -->")
-
-
 def test_the_readme_is_short() -> None:
     assert len(PAGES["README.md"].splitlines()) <= README_LINES
-
-
-def test_the_table_of_gmapping_has_both_profiles() -> None:
-    rows = [
-        [cell.strip() for cell in line.strip("|").split(" | ")]
-        for line in gmapping_table().splitlines()[2:]
-    ]
-    assert [row[0].strip("`") for row in rows] == [
-        info.name for info in field_infos(GmappingConfig)
-    ]
-    table = {row[0].strip("`"): row[1:4] for row in rows}
-    own, published = GMAPPING_PROFILES["own"], GMAPPING_PROFILES["published"]
-    for name in own:
-        for value, shown in ((published[name], table[name][1]), (own[name], table[name][2])):
-            wanted = {True: "yes", False: "no"}[value] if isinstance(value, bool) else value
-            assert shown == wanted if isinstance(wanted, str) else float(shown) == value, name
-    assert table["delta"][0] == "m"
-    assert table["maxUrange"][1:] == ["-", "-"]
-    assert table["wheel_base"][1:] == ["-", "0.3"]
-
-
-def test_there_are_commands_to_run() -> None:
-    assert sum(len(commands(block)) for block in RUN) >= 8
-    assert all(commands(block) for block in RUN)
 
 
 @pytest.mark.parametrize(
@@ -161,12 +120,6 @@ def parse(command: click.Command, words: list[str]) -> None:
         _, found, left = command.resolve_command(context, rest)
         assert found is not None
         parse(found, left)
-
-
-@pytest.mark.parametrize("command", ["slamfusion fuse a.yaml --speed 9", "slamfusion fly"])
-def test_a_command_that_is_not_there_is_noticed(command: str) -> None:
-    with pytest.raises(click.UsageError):
-        parse(cli, shlex.split(command)[1:])
 
 
 def test_modules_and_scripts_that_pages_name_are_there() -> None:
@@ -233,12 +186,6 @@ def test_every_command_and_driver_is_listed() -> None:
         assert f"| {device} | {line} |" in PAGES["docs/install.md"]
 
 
-def test_a_setting_that_no_command_takes_is_not_shown_as_an_option() -> None:
-    rows = {row.split(" | ")[1]: row.split(" | ")[0] for row in parameter_table().splitlines()[2:]}
-    assert rows["`live.extent`"] == "| (fusion node)"
-    assert rows["`fusion.vote.extent`"] == "| `--extent`"
-
-
 def anchors(page: Path) -> set[str]:
     """The anchors of a page's headings, as GitHub and the built pages make them."""
     heads = re.findall(r"^#+ (.*)$", page.read_text(encoding="utf-8"), flags=re.MULTILINE)
@@ -253,22 +200,6 @@ def test_links_lead_to_files_and_headings(name: str) -> None:
             page = (ROOT / name).parent / path if path else ROOT / name
             assert page.exists(), target
             assert not anchor or anchor in anchors(page), target
-
-
-def test_what_newcomers_ask_is_found_from_the_first_page() -> None:
-    for name in ("README.md", "docs/index.md"):
-        page = PAGES[name]
-        for words, target in {
-            "overlap": "concepts/alignment.md#how-much-overlap-do-two-maps-need",
-            "two robots": "guides/two_robots.md",
-            "nav2": "guides/nav2.md",
-            "vote": "concepts/voting.md#which-vote",
-            "start": "guides/fuse_saved_maps.md#start-poses",
-            "paper": "guides/tables_for_a_paper.md",
-            "localise": "guides/localise.md",
-        }.items():
-            (line,) = (row for row in page.splitlines() if row.startswith("|") and target in row)
-            assert words in line.lower(), (name, target)
 
 
 def test_every_page_is_in_the_contents() -> None:
@@ -300,11 +231,3 @@ def test_every_key_of_every_document_has_a_row() -> None:
         for key in item.get("properties", {}):
             section = page.split(f"\n### {name}\n", 1)[1].split("\n### ", 1)[0]
             assert f"| `{key}` |" in section, (name, key)
-
-
-@pytest.mark.parametrize(
-    "path", sorted((DOCS / "concepts").glob("*.md")), ids=lambda path: path.stem
-)
-def test_a_method_names_its_sources_and_what_differs(path: Path) -> None:
-    if path.stem != "differences":
-        assert "\n## Sources and what differs\n" in path.read_text(encoding="utf-8")

@@ -20,12 +20,10 @@ from slamfusion.evaluation import result_rows
 from slamfusion.experiments.runs import RunResult
 from slamfusion.experiments.trials import fusion_experiment
 from slamfusion.experiments.voting import FUSIONS
-from slamfusion.io import write_carmen, write_tum
 from slamfusion.jobs.documents import circumstances
 from slamfusion.json_values import plain
 from slamfusion.slam.registry import BUILT_IN
 from tests.docs.test_pages import parse
-from tests.experiments.drives import room
 from tests.support.documents import check_document
 
 pytestmark = pytest.mark.once
@@ -75,84 +73,6 @@ def test_methods_stand_beside_each_other_and_votes_against_the_best_input() -> N
     assert found["consensus"] == "-10.0 to -10.0 %"
 
 
-def test_what_was_drawn_stands_beside_what_it_is_held_against() -> None:
-    rows = [
-        row
-        for seed in ("0", "1")
-        for method, figures in {
-            "fused path": {"ate_rmse_m": 0.1},
-            "drawn": {"faces_f1": 0.61 + 0.01 * int(seed)},
-            "graph": {"ate_rmse_m": 0.57, "faces_f1": 0.5, "error": 1.0},
-            "tinyslam": {"faces_f1": 0.57, "error": 1.0},
-            **{name: {"error": 1.0} for name in FUSIONS},
-        }.items()
-        for row in result_rows("obstacle", seed, method, figures)
-    ]
-    experiment = fusion_experiment("t", "t", [("obstacle", RunResult(rows))], draws=True)
-    document = plain(experiment.document([], RunConfig(), "a device"))
-    assert tables.paths_and_faces([document]) == (
-        ("mean of", "", "graph", "tinySLAM"),
-        (
-            ("obstacle, ATE m, fused path", "0.100", "0.570 (p 0.500)", "-"),
-            ("obstacle, faces F1 at 0.1 m, drawn", "0.615", "0.500 (p 0.500)", "0.570 (p 0.500)"),
-        ),
-    )
-    with pytest.raises(ValueError, match="give --draw"):
-        tables.paths_and_faces([error_table({}, 2, "obstacle")])
-
-
-def test_worlds_stand_beside_each_other() -> None:
-    documents = [
-        error_table({"consensus": gain}, 1, "glass, kinect", "slip, kinect") for gain in (9.6, 19.2)
-    ]
-    columns, rows = tables.failures(documents)
-    column = columns.index("consensus")
-    assert [(row[0], row[column]) for row in rows] == [
-        ("glass, kinect", "-10 / -20"),
-        ("slip, kinect", "-10 / -20"),
-        ("**mean of the 2**", "**-10.0 / -20.0**"),
-        ("worst", "-10.0 / -20.0"),
-        ("of the sums", "-10.0 / -20.0"),
-    ]
-    with pytest.raises(ValueError, match="of the same conditions"):
-        tables.failures([*documents, error_table({}, 1, "glass, kinect")])
-
-
-def test_of_each_recorded_map_three_figures_are_shown() -> None:
-    maps = {"graph": (299.4, 0.934, 0.059), "consensus": (372.0, 0.934, None)}
-    maps["reference"] = (None, None, 0.01)
-    summaries = [
-        {"case": "mit", "figure": figure, "method": name, "mean": value}
-        for name, values in maps.items()
-        for figure, value in zip(("error", "wall_f1", "doubled_wall_share"), values, strict=True)
-        if value is not None
-    ]
-    assert tables.real_logs([{"summaries": summaries}]) == (
-        ("log", "", "graph", "consensus"),
-        (
-            ("mit", "error [F16]", "**299**", "372"),
-            ("", "wall F1", "0.934", "0.934"),
-            ("", "doubled walls %", "5.9", "-"),
-        ),
-    )
-
-
-def test_each_run_s_paths_stand_beside_the_fused_one() -> None:
-    def run(log: str, fused: float, **means: float) -> dict[str, Any]:
-        producers = [
-            {"name": name, "failed": None, "translation": {"mean": mean}}
-            for name, mean in means.items()
-        ]
-        producers.append({"name": "gmapping", "failed": "it ended with exit code 1"})
-        return {"log": log, "producers": producers, "fused_path": {"translation": {"mean": fused}}}
-
-    runs = [run("data/a.clf.gz", 0.0282, tinyslam=0.0293), run("b.log", 0.0445, graph=0.0441)]
-    assert tables.fused_path(runs) == (
-        ("log", "tinySLAM", "graph", "fused path"),
-        (("a", "0.0293", "-", "**0.0282**"), ("b", "-", "**0.0441**", "0.0445")),
-    )
-
-
 def test_a_document_becomes_a_dated_table(tmp_path: Path) -> None:
     document, kept_in = error_table({}, 2, "no obstacle"), tmp_path / "kept"
     main(
@@ -195,35 +115,6 @@ def test_a_command_is_run_and_its_table_kept(
     assert len(kept.rows) >= 3
 
 
-@pytest.mark.full
-def test_an_experiment_is_run_and_its_table_kept(tmp_path: Path) -> None:
-    drive, folder = room(drift=0.3), tmp_path / "mit-csail"
-    folder.mkdir()
-    assert drive.relations is not None
-    assert drive.reference is not None
-    write_carmen(folder / "mit-csail.clf.gz", drive.scans)
-    ((first, second),), ((x, y, yaw),) = drive.relations.stamps_s, drive.relations.motions
-    (folder / "mit-csail.relations").write_text(f"{first} {second} {x} {y} 0 0 0 {yaw}\n")
-    write_tum(folder / "mit-csail-reference-graph.log.gz", drive.reference)
-    small = ("--floors", "0", "--seeds", "1", "--resolutions", "0.1", "--device", "numpy")
-    main(
-        [
-            "occupancy-estimator", "--datasets", str(tmp_path), "--out", str(tmp_path / "out"),
-            "--record", str(tmp_path / "kept"), "--", *small,
-        ]
-    )  # fmt: skip
-    kept = measurements(tmp_path / "kept")["occupancy-estimator"]
-    assert kept.columns == ("drive", "measure", "constant", "area", "p")
-    assert [row[:2] for row in kept.rows] == [
-        ("mit-csail, 0.1 m", "relations"),
-        ("mit-csail, 0.1 m", "ATE"),
-    ]
-    assert all(0.0 < float(row[2].split()[0]) < 1.0 for row in kept.rows)
-    assert "cores" in kept.machine
-    assert kept.command.endswith("record occupancy-estimator -- " + " ".join(small))
-    assert str(tmp_path) not in kept.to_json()
-
-
 @pytest.mark.parametrize(
     ("words", "told"),
     [
@@ -241,10 +132,4 @@ def test_what_cannot_be_made_is_refused_in_a_line(
     with pytest.raises(SystemExit, match=told) as ended:
         main([*(word.format(made=made) for word in words), "--record", str(tmp_path / "kept")])
     assert "\n" not in str(ended.value)
-    assert not (tmp_path / "kept").exists()
-
-
-def test_a_command_that_fails_leaves_no_table(tmp_path: Path) -> None:
-    with pytest.raises(SystemExit, match="ended with exit code"):
-        main(["failures", "--record", str(tmp_path / "kept"), "--", "--no-such-option"])
     assert not (tmp_path / "kept").exists()

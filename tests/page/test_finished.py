@@ -122,63 +122,6 @@ def test_the_path_of_a_saved_map_is_shown_and_a_damaged_one_named(tmp_path: Path
     assert any(text.startswith("the path of a is not shown: ") for text in events)
 
 
-def write_path(file: Path, x_m: float) -> list[list[float]]:
-    """Write a path of two points, and return them."""
-    poses = np.array([[x_m, 0.0, 0.0], [x_m + 1.0, 0.0, 0.0]])
-    write_tum(file, Trajectory(np.array([0.0, 1.0]), poses, file.stem))
-    return [[x_m, 0.0], [x_m + 1.0, 0.0]]
-
-
-def shown_paths(found: Finished) -> dict[str, list[list[float]]]:
-    """Return the points of the paths by their layer."""
-    return {item["name"]: item["points"] for item in texts(found.scene.since(0)[0], "trail")}
-
-
-def test_inputs_called_as_the_fused_map_and_the_agreement_have_paths_of_their_own(
-    tmp_path: Path,
-) -> None:
-    write_run(tmp_path)
-    record = json.loads((tmp_path / "fused.json").read_text())
-    record["inputs"][1]["name"], record["inputs"][2]["name"] = "fused", "agreement"
-    record["inputs"][2]["accepted"] = True
-    (tmp_path / "given").mkdir()
-    files = [tmp_path / "given" / f"{name}.yaml" for name in ("fused", "agreement")]
-    for file in files:
-        save_map(OccupancyGrid(CELLS, 0.05, Pose2(), file.stem), file.with_suffix(""))
-    record["saved_maps"] = [str(file) for file in files]
-    record["saved_paths"] = [{"name": "agreement", "file": str(tmp_path / "given" / "its.tum")}]
-    (tmp_path / "fused.json").write_text(json.dumps(record), encoding="utf-8")
-    wanted = {
-        "a": [[0.0, 0.0], [1.0, 2.0]],
-        "fused": write_path(tmp_path / "fused.tum", 5.0),
-        "agreement (input)": write_path(tmp_path / "given" / "its.tum", 7.0),
-    }
-    found = read_finished(tmp_path)
-    assert shown_paths(found) == wanted, "that of no path has not the fused one"
-    assert [*fed(found)] == [
-        "fused",
-        "agreement",
-        "a",
-        "fused (input)",
-        "agreement (input)",
-        "drawn",
-    ]
-
-
-def test_a_map_called_agreement_is_not_taken_for_that_of_the_fused_map(tmp_path: Path) -> None:
-    write_run(tmp_path)
-    (tmp_path / "fused.json").unlink()
-    save_map(OccupancyGrid(CELLS, 0.05, Pose2(), "agreement"), tmp_path / "agreement")
-    points = write_path(tmp_path / "agreement.tum", 3.0)
-    found = read_finished(tmp_path)
-    kinds = {name: kind for name, (_, kind, _) in fed(found).items()}
-    assert kinds["agreement"] == "agreement"
-    assert kinds["agreement (input)"] == "input"
-    assert shown_paths(found)["agreement (input)"] == points
-    (status,) = texts(found.scene.since(0)[0], "status")
-    assert "agreement (input)" in {item["name"] for item in status["inputs"]}
-
-
 def test_maps_without_a_record_lie_as_their_frames_say(tmp_path: Path) -> None:
     write_run(tmp_path)
     (tmp_path / "fused.json").unlink()
@@ -212,12 +155,6 @@ def test_a_folder_without_a_map_is_refused(tmp_path: Path) -> None:
         read_finished(tmp_path)
     with pytest.raises(MapFileError, match="wanted the folder of a run"):
         read_finished(tmp_path / "none")
-
-
-def test_the_scene_of_a_folder_is_at_rest(tmp_path: Path) -> None:
-    write_run(tmp_path)
-    assert isinstance(read_finished(tmp_path).scene, Scene)
-    assert not read_finished(tmp_path).scene.is_live
 
 
 def write_fusion(folder: Path) -> FuseDocument:
