@@ -42,7 +42,7 @@ BENCHMARKS = ROOT / "tests" / "benchmarks"
 WORDS = {
     "docs/concepts/alignment.md": {"| match | share of the common walls | what it means |"},
     "README.md": {"| question | page |", "| where | how |"},
-    "CONTRIBUTING.md": {"| after a change of | run |"},
+    "CONTRIBUTING.md": {"| after a change of | run |", "| area | command | seconds |"},
     "SECURITY.md": {"| how far | what |", "| what | how far |"},
     "data/README.md": {"| map | faults |"},
     "docs/concepts/gmapping.md": {"| ours | published | why |"},
