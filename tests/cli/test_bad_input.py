@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import os
 import resource
-import subprocess
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from slamfusion.io import load_map, save_map
-from tests.cli.command import INSTALLED, MAPS, TRUTH, assert_one_line_failure, json_of, run, tree
+from tests.cli.command import MAPS, TRUTH, assert_one_line_failure, json_of, run, tree
 
 pytestmark = pytest.mark.once
 
@@ -62,32 +60,14 @@ def bare_image(folder: Path) -> Path:
     return folder / "map.pgm"
 
 
-def swapped_thresholds(folder: Path) -> Path:
-    text = YAML.replace("0.65", "0.1").replace("0.196", "0.9")
-    return bad_map(folder, text)
-
-
 CASES: dict[str, tuple[Callable[[Path], Path], tuple[str, ...]]] = {
-    "missing file": (lambda folder: folder / "map.yaml", ("map.yaml", "no such file")),
     "missing key": (with_line("resolution", ""), ("map.yaml", "resolution")),
-    "nan resolution": (with_line("resolution", ".nan"), ("map.yaml", "resolution")),
-    "negative resolution": (with_line("resolution", "-0.05"), ("map.yaml", "resolution")),
-    "missing image": (with_line("image", "absent.pgm"), ("absent.pgm",)),
-    "empty image": (with_image(b""), ("map.pgm", "starts with")),
     "truncated PGM": (with_image(b"P5\n40 40\n255\n" + PIXELS[:-7]), ("map.pgm",)),
-    "image of 0 x n": (with_image(b"P5\n0 40\n255\n"), ("map.pgm", "0")),
     "text in place of an image": (with_image(b"hello, I am a map\n"), ("map.pgm",)),
     "all-unknown map": (bad_map, ("map", "unknown")),
     "a folder": (folder_as_map, ("map.yaml",)),
-    "thresholds swapped": (swapped_thresholds, ("map.yaml", "free_thresh", "occupied_thresh")),
-    "unknown mode": (with_line("mode", "quadrinary"), ("map.yaml", "quadrinary", "trinary")),
-    "origin of two numbers": (with_line("origin", "[1.0, 2.0]"), ("map.yaml", "origin")),
-    "nan origin": (with_line("origin", "[1.0, .nan, 0.0]"), ("map.yaml", "origin")),
-    "tiny cells": (with_line("resolution", "0.00001"), ("map.yaml", "0.0001 to 100", "1e-05")),
-    "far origin": (with_line("origin", "[0.0, 1.0e+12, 0.0]"), ("map.yaml", "origin", "1e+12")),
     "yaw in degrees": (with_line("origin", "[0.0, 0.0, 90.0]"), ("map.yaml", "yaw", "degrees")),
     "bare image": (bare_image, ("map.pgm", "--resolution")),
-    "not YAML": (lambda folder: bad_map(folder, "image: [\n"), ("map.yaml",)),
 }
 
 
@@ -119,15 +99,6 @@ def test_no_scheduler_and_a_store_that_exists_are_one_line(tmp_path: Path) -> No
     assert_one_line_failure(run(*fuse, tmp_path / "out.zarr"), "out.zarr exists", "remove it")
     assert run(*fuse, tmp_path / "new.zarr", "--report", tmp_path / "page").returncode == 2
     assert [item.name for item in tmp_path.iterdir()] == ["out.zarr"]
-
-
-@pytest.mark.parametrize("command", ["align", "evaluate"])
-def test_other_commands_say_the_same(tmp_path: Path, command: str) -> None:
-    bad = with_line("resolution", "-1")(tmp_path)
-    arguments = [MAPS[0], bad] if command == "align" else [MAPS[0], "--truth", bad]
-    done = run(command, *arguments, "--device", "numpy")
-    assert_one_line_failure(done, "map.yaml", "resolution")
-    assert done.stdout == ""
 
 
 IN_MEMORY = ("map_a: ", "at 0.0001 m", "the cell size of map,", "is brought", "GiB of memory")
@@ -170,12 +141,6 @@ def test_unknown_that_reads_as_free_is_told_and_mended(tmp_path: Path) -> None:
     assert json_of(mended)["maps"][0]["error"] == 0.0
 
 
-def test_one_map_alone(tmp_path: Path) -> None:
-    done = run("fuse", MAPS[0], "-o", tmp_path / "out")
-    assert_one_line_failure(done, "map_a.yaml", "at least two")
-    assert not tree(tmp_path)
-
-
 def test_maps_without_overlap_are_both_named(tmp_path: Path) -> None:
     """A strip of corridor and a lone square have nothing in common."""
     for name, filled in (("strip", range(18, 22)), ("square", range(5, 35))):
@@ -197,75 +162,10 @@ def test_maps_without_overlap_are_both_named(tmp_path: Path) -> None:
     assert tree(tmp_path) == before
 
 
-def test_huge_map_says_how_much_memory_it_needs(tmp_path: Path) -> None:
-    text = YAML.replace("map.pgm", "huge.pgm")
-    (tmp_path / "huge.yaml").write_text(text, encoding="utf-8")
-    (tmp_path / "huge.pgm").write_bytes(b"P5\n2000000 2000000\n255\n")
-    maps = (MAPS[0], tmp_path / "huge.yaml")
-    done = run("fuse", *maps, "-o", tmp_path / "out", "--device", "numpy")
-    assert_one_line_failure(done, "huge.pgm", "2000000 x 2000000", "TiB of memory")
-
-
 @pytest.mark.parametrize("place", ["/proc", "/dev/null"])
 def test_impossible_place_is_refused(place: str) -> None:
     done = run("fuse", *MAPS[:2], "-o", f"{place}/fused")
     assert_one_line_failure(done, place, "cannot write")
-
-
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
-def test_read_only_folder_is_refused_before_any_work(tmp_path: Path) -> None:
-    tmp_path.chmod(0o555)
-    done = run("fuse", *MAPS[:2], "-o", tmp_path / "out")
-    tmp_path.chmod(0o755)
-    assert_one_line_failure(done, str(tmp_path), "cannot write")
-    assert not tree(tmp_path)
-
-
-@pytest.fixture
-def tiny_disk(tmp_path: Path) -> Iterator[Path]:
-    """A file system of 64 kB: room for no fused map."""
-    disk = tmp_path / "disk"
-    disk.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(disk)]
-    if subprocess.run(mount, check=False, capture_output=True).returncode != 0:
-        pytest.skip("mounting a tmpfs needs root")
-    yield disk
-    subprocess.run(["umount", str(disk)], check=True)
-
-
-def test_full_disk_leaves_nothing_behind(tiny_disk: Path) -> None:
-    done = run("fuse", *MAPS, "-o", tiny_disk / "out")
-    assert_one_line_failure(done, str(tiny_disk / "out"), "No space left")
-    assert not tree(tiny_disk)
-
-
-def test_full_standard_output_is_a_failure(tmp_path: Path) -> None:
-    command = f"exec {INSTALLED} devices > /dev/full"
-    done = subprocess.run(
-        ["bash", "-c", command], cwd=tmp_path, capture_output=True, text=True, check=False
-    )
-    assert_one_line_failure(done, "standard output: No space left")
-
-
-def test_a_closed_pipe_is_silent(tmp_path: Path) -> None:
-    command = f"{INSTALLED} fuse --help | true; exit ${{PIPESTATUS[0]}}"
-    done = subprocess.run(
-        ["bash", "-c", command], cwd=tmp_path, capture_output=True, text=True, check=False
-    )
-    assert done.returncode in {0, 141}
-    assert done.stderr == ""
-
-
-def test_misspelt_config_key_names_the_nearest(tmp_path: Path) -> None:
-    (tmp_path / "config.yaml").write_text("fusion: {aline: {candidates: 6}}\n", encoding="utf-8")
-    config = tmp_path / "config.yaml"
-    done = run("fuse", *MAPS, "-o", tmp_path / "out", "--config", config)
-    assert_one_line_failure(done, "config.yaml", "'aline'", "'align'")
-
-
-def test_unknown_device_names_itself(tmp_path: Path) -> None:
-    done = run("fuse", *MAPS, "-o", tmp_path / "out", "--device", "abacus")
-    assert_one_line_failure(done, "abacus")
 
 
 def test_debug_shows_the_traceback(tmp_path: Path) -> None:

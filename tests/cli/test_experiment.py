@@ -156,19 +156,6 @@ def test_real_logs_without_any_is_one_line(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.full
-def test_simulated_floor_is_the_default(tmp_path: Path) -> None:
-    done = run(
-        "experiment", "occupancy-estimator", "-o", tmp_path,
-        "--seeds", "2", "--resolutions", "0.5", "--json", timeout=600.0,
-    )  # fmt: skip
-    document = json_of(done)
-    (sentence,) = document["sentences"]
-    assert sentence.startswith("office-1, cells of 0.5 m")
-    assert document["summaries"][0]["figure"] == "ate_rmse_m"
-    assert document["summaries"][0]["max"] < 1.0
-
-
 @pytest.mark.parametrize(
     ("arguments", "word"),
     [

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from slamfusion.io import load_map, read_trajectory, write_carmen
+from slamfusion.io import write_carmen
 from tests.cli.command import assert_one_line_failure, json_of, run, tree
 from tests.support.producers import room_drive
 
@@ -60,18 +60,6 @@ def record_of(path: Path) -> dict:
     return record
 
 
-def test_the_room_is_mapped(parts: Path) -> None:
-    grid = load_map(parts / "whole.yaml")
-    assert grid.width * grid.resolution == pytest.approx(6.0, abs=0.3)
-    assert len(read_trajectory(parts / "whole.tum")) == COUNT
-    record = record_of(parts / "whole.json")
-    assert (record["name"], record["scans"]) == ("gmapping", COUNT)
-    assert 1.0 <= record["health"]["n_eff"] <= 3.0
-    assert record["health"]["filter"]["filter_steps"] >= 3
-    assert (record["resumed_from"], record["state_file"], record["known_scans"]) == (None, None, 0)
-    assert not {"series", "other_paths"} & record.keys()
-
-
 def test_a_stopped_run_says_so_and_is_no_doubt(parts: Path) -> None:
     record = record_of(parts / "half.json")
     assert (record["scans"], record["complete"], record["warnings"]) == (HALF, False, [])
@@ -79,10 +67,6 @@ def test_a_stopped_run_says_so_and_is_no_doubt(parts: Path) -> None:
     assert record["files"][-1] == "states/half.state"
     (line,) = (parts / "half.stderr").read_text(encoding="utf-8").splitlines()
     assert f"stopped after {HALF} scans, as asked for" in line
-
-
-def test_nothing_is_left_beside_the_state(parts: Path) -> None:
-    assert list(tree(parts / "states")) == ["half.state"]
 
 
 def test_the_report_plots_the_filter_and_the_other_paths(parts: Path) -> None:
@@ -113,15 +97,6 @@ def test_parts_give_the_bytes_of_one_run(parts: Path, state: Path, log: str, kno
     assert ("The path beside the others" in page) == bool(known)
 
 
-def test_the_table_counts_what_was_fed_in_this_run(state: Path) -> None:
-    done = gmapping(state, "-o", "on", "--resume", "half.state", "--stop-after", "2")
-    assert done.returncode == 0, done.stderr
-    assert f"{HALF + 2}, {HALF + 2} of them used" in done.stdout
-    (row,) = [line for line in done.stdout.splitlines() if "scans fed in this run" in line]
-    assert row.split()[-1] == "2"
-    assert len(done.stderr.splitlines()) == 2
-
-
 def test_a_log_that_the_state_knows_is_one_line(state: Path) -> None:
     before = tree(state)
     done = gmapping(state, "-o", "on", "--resume", "half.state", log="half.log")
@@ -137,36 +112,6 @@ def test_other_settings_cannot_go_on(state: Path, other: tuple[str, str]) -> Non
     assert_one_line_failure(
         done, "half.state", f"{other[0].removeprefix('--')} = ", f"found {other[1]}"
     )
-
-
-@pytest.mark.parametrize("spoil", ["text", "cut", "changed", "empty", "folder"])
-def test_a_file_that_is_no_state_is_refused(state: Path, spoil: str) -> None:
-    path = state / "half.state"
-    data = path.read_bytes()
-    middle = len(data) // 2
-    damaged = {
-        "text": b"hello\n",
-        "cut": data[:middle],
-        "changed": data[:middle] + bytes([data[middle] ^ 0x55]) + data[middle + 1 :],
-        "empty": b"",
-    }
-    path.unlink()
-    if spoil == "folder":
-        path.mkdir()
-    else:
-        path.write_bytes(damaged[spoil])
-    before = tree(state)
-    done = gmapping(state, "-o", "on", "--resume", "half.state")
-    assert done.returncode == 1, done.stderr
-    assert "half.state" in done.stderr
-    assert "Traceback" not in done.stderr
-    assert tree(state) == before
-
-
-def test_a_missing_state_is_refused_before_the_log_is_read(tmp_path: Path) -> None:
-    (tmp_path / "room.log").write_text("no log at all\n", encoding="utf-8")
-    done = gmapping(tmp_path, "-o", "on", "--resume", "gone.state")
-    assert_one_line_failure(done, "gone.state: No such file")
 
 
 @pytest.mark.parametrize(
@@ -196,31 +141,6 @@ def test_what_cannot_end_well_is_refused(
     assert tree(state) == before
 
 
-def test_a_place_that_takes_no_files_is_refused(state: Path) -> None:
-    done = gmapping(state, "-o", "on", "--save-state", "room.log/run.state")
-    assert_one_line_failure(done, "room.log is not a folder")
-    assert not (state / "on.yaml").exists()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("--particles", "0"), "'--particles': must lie in [1, 10000], found 0"),
-        (("--particles", "-3"), "'--particles': must lie in [1, 10000], found -3"),
-        (("--particles", "many"), "'--particles': 'many' is not a valid integer."),
-        (("--delta", "0"), "'--delta': must lie in [0.005, 1] m, found 0.0"),
-        (("--occ_thresh", "nan"), "'--occ_thresh': must lie in [0, 1], found nan"),
-        (("--use-odometry", "some"), "'--use-odometry': 'some' is not one of 'poses', 'none'."),
-        (("--profile", "mine"), "'--profile': 'mine' is not one of 'published', 'own'."),
-    ],
-)
-def test_a_bad_value_is_one_line(tmp_path: Path, arguments: tuple[str, str], words: str) -> None:
-    done = run("slam", "gmapping", "gone.log", "-o", "on", *arguments, cwd=tmp_path)
-    assert done.returncode == 2
-    assert done.stderr == f"slamfusion: error: Invalid value for {words}\n"
-    assert done.stdout == ""
-
-
 def test_settings_reach_the_filter_and_the_record(tmp_path: Path) -> None:
     write_log(tmp_path / "room.log", 3)
     done = gmapping(
@@ -232,10 +152,3 @@ def test_settings_reach_the_filter_and_the_record(tmp_path: Path) -> None:
     wanted = {"odometry": "none", "profile": "published", "str": 0.3, "occ_thresh": 0.4}
     assert {name: settings[name] for name in wanted} == wanted
     assert (settings["particles"], settings["srr"]) == (3, None)
-
-
-def test_tinyslam_has_no_state_to_save(tmp_path: Path) -> None:
-    done = run("slam", "tinyslam", "x.log", "-o", "on", "--save-state", "s", cwd=tmp_path)
-    assert done.returncode == 2
-    assert "No such option" in done.stderr
-    assert "--save-state" in done.stderr

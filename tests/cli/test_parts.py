@@ -113,17 +113,6 @@ def test_gmapping_has_every_public_setting_under_its_published_name() -> None:
     assert {"--odometry", "--use-odometry"} <= offered.keys()
 
 
-def test_help_shows_the_value_of_both_profiles() -> None:
-    shown = gmapping_help()
-    own, published = GMAPPING_PROFILES["own"], GMAPPING_PROFILES["published"]
-    particles = f"[default: {own['particles']}; published {published['particles']}]"
-    assert shown["--particles"].endswith(particles)
-    assert shown["--delta"].endswith(f"[default: {own['delta']:g} m; published 0.05]")
-    assert shown["--match-every-scan"].endswith("[default: yes; published no]")
-    assert shown["--wheel-base"].endswith("[default: 0.3 m]")
-    assert "[default" not in shown["--maxRange"]
-
-
 def test_only_producers_that_can_go_on_have_the_options_for_it() -> None:
     wanted = {"--save-state", "--resume", "--stop-after"}
     context = click.Context(slam.command)

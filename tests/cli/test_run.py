@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from slamfusion.config import NormalizeConfig
-from slamfusion.grid import OccupancyGrid, trinary_cells
+from slamfusion.grid import OccupancyGrid
 from slamfusion.io import load_map, read_trajectory, save_map, write_carmen, write_tum
 from slamfusion.trajectory import Trajectory
 from tests.cli.command import (
@@ -138,37 +137,6 @@ def test_a_saved_map_has_the_errors_that_the_run_told(
             assert found[key] == told[found["name"]][key], (found["name"], key)
 
 
-def test_the_probabilities_go_into_maps_of_their_own(
-    made: tuple[Path, dict[str, Any]], place: Path, tmp_path: Path
-) -> None:
-    out, _ = made
-    log, stem = place / "flat.log", tmp_path / "graph"
-    done = run("slam", "graph", log, "--seed", "3", "-o", stem, "--probabilities", "--json")
-    assert done.returncode == 0, done.stderr
-    assert outputs(tmp_path) == files_of("graph") | {
-        "graph_probability.yaml",
-        "graph_probability.png",
-    }
-    assert set(json_of(done)["producers"][0]["files"]) == {str(p) for p in tmp_path.iterdir()}
-    full, classes = load_map(tmp_path / "graph_probability.yaml"), load_map(out / "graph.yaml")
-    assert len(np.unique(full.cells)) > 5
-    votes = trinary_cells(full.cells, NormalizeConfig())
-    assert np.array_equal(votes, np.sign(classes.cells))
-    assert ((full.cells > 20) & (votes == 0)).any()
-
-
-def test_the_report_is_one_page_with_everything(made: tuple[Path, dict[str, Any]]) -> None:
-    out, _ = made
-    html = (out / "report" / "report.html").read_text(encoding="utf-8")
-    for anchor in ("maps", "paths", "health", "alignment", "path-errors", "errors", "timings"):
-        assert f'<section id="{anchor}">' in html
-    for name in NAMES:
-        assert html.count(name) > 5
-    pictures = sorted(path.name for path in (out / "report").glob("*.png"))
-    assert all(f'href="{name}"' in html for name in pictures)
-    assert html.count("<img ") == len(pictures)
-
-
 def test_the_tables_name_the_same_and_the_vote_is_that_of_fuse(place: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     vote = ("--mode", "consensus")
@@ -240,19 +208,6 @@ def test_a_run_that_fuses_nothing_leaves_the_earlier_results(place: Path, tmp_pa
     assert outputs(out) == files_of("tinyslam", "graph") | MAPS_OF_FUSION | {"notes.txt"}
     assert not (out / "failed").exists()
     assert not list(out.rglob(".slamfusion-*"))
-
-
-def test_maps_that_no_run_made_are_left_alone(place: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    (out).mkdir()
-    for suffix in (".yaml", ".pgm"):
-        (out / f"tinyslam{suffix}").write_bytes((place / f"saved{suffix}").read_bytes())
-    before = tree(out)
-    done = run("run", place / "flat.log", "-o", out, "--producers", "graph")
-    assert done.returncode == 1
-    assert outputs(out / "failed") == files_of("graph")
-    assert tree(out).items() >= before.items()
-    assert outputs(out) == set(before)
 
 
 def test_a_time_limit_leaves_out_who_takes_longer(place: Path, tmp_path: Path) -> None:

@@ -167,20 +167,3 @@ def test_a_run_interrupted_in_its_producers_leaves_no_folder(place: Path, tmp_pa
     assert own_words(stderr) == "slamfusion: interrupted\n"
     assert not Path(f"/proc/{producer}").exists()
     assert tree(tmp_path) == {}
-
-
-@pytest.mark.full
-def test_a_reader_that_went_away_is_told_by_the_code(
-    a_vote: tuple[str | Path, ...], tmp_path: Path
-) -> None:
-    """The files are whole: only the words had no reader."""
-    reading, writing = os.pipe()
-    os.close(reading)
-    try:
-        files = [os.open(os.devnull, os.O_RDWR), writing, os.open(os.devnull, os.O_RDWR)]
-        words = [*map(str, a_vote), "-o", str(tmp_path / "out")]
-        assert server().start(words, os.environ, tmp_path, files).wait(180.0) == 141
-    finally:
-        for file in files:
-            os.close(file)
-    assert outputs(tmp_path / "out") == MADE

@@ -17,10 +17,8 @@ import pytest
 
 from slamfusion.cli import run
 from slamfusion.cli.main import main
-from slamfusion.evaluation import distances
 from slamfusion.io import load_map, read_trajectory, save_map, write_tum
 from slamfusion.io.carmen import write_carmen
-from slamfusion.io.regular import read_small
 from slamfusion.jobs.cases import CaseFile
 from slamfusion.jobs.results import read_results
 from slamfusion.trajectory import Trajectory
@@ -216,18 +214,6 @@ def test_results_of_one_case_are_named_as_those_of_several(ask: Ask, tmp_path: P
     assert named_in(tmp_path / "one.zip") < named_in(tmp_path / "several.zip")
 
 
-def test_wrong_use_is_refused_before_any_work(ask: Ask, tmp_path: Path) -> None:
-    paths(tmp_path)
-    for words in (
-        ("compare", "a.zip", "b.zip", "--plot", "plot.jpg"),
-        ("trajectory", *ALL, *TRUTHS, "--save-results", "out.tar"),
-        ("trajectory", *ALL, *TRUTHS, "--report", "out", "--map", "map.yaml"),
-        ("run", "a.log", "b.log", "-o", "out", "--inputs", "a.yaml", "--paths", "a.tum"),
-    ):
-        assert ask(*words)[0] == 2, words
-    assert not (tmp_path / "out").exists()
-
-
 def test_maps_of_several_truths(ask: Ask, tmp_path: Path) -> None:
     """Both places are one here: what is measured is told by the tests of ``evaluate``."""
     truth = load_map(TRUTH)
@@ -251,39 +237,6 @@ def test_maps_of_several_truths(ask: Ask, tmp_path: Path) -> None:
     assert (tmp_path / "a.zip").exists()
 
 
-def test_distances_are_measured_in_the_maps_that_were_read(
-    ask: Ask, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Of several truths as of one: each map is read once, and its doubts are told once."""
-    read: list[str] = []
-    monkeypatch.setattr(
-        distances,
-        "read_small",
-        lambda path, *rest: read.append(path.name) or read_small(path, *rest),
-    )
-    grid = load_map(TRUTH)
-    for stem in ("hall", "yard", "a/hall", "a/yard", "b/yard"):
-        save_map(grid, tmp_path / stem)
-    odd = tmp_path / "a" / "yard.yaml"
-    text = odd.read_text(encoding="utf-8")
-    odd.write_text(re.sub("free_thresh: .*", "free_thresh: 0.25", text), encoding="utf-8")
-    x, y = (grid.origin.x, grid.origin.y)
-    rows = f"name,x1,y1,x2,y2,distance_m\nhall,{x},{y},{x + 3.0},{y + 2.0},3.6\n"
-    (tmp_path / "tape.csv").write_text(rows, encoding="utf-8")
-    maps = ("a/hall.yaml", "a/yard.yaml", "b/yard.yaml")
-    options = ("--no-align", "--device", "numpy", "--distances", "tape.csv", "--json")
-    truths = ("--truth", "hall.yaml", "--truth", "yard.yaml")
-    told = []
-    for given in (truths[:2], truths):
-        read.clear()
-        done = ask("evaluate", *maps, *given, *options)
-        told.append(document(done, "evaluate")["distances"])
-        assert done[2].count("a/yard.yaml") == 1, done[2]
-        assert read == ["tape.csv"]
-    assert [item["name"] for item in told[0]] == ["hall", "a/yard", "b/yard"]
-    assert told[0] == told[1]
-
-
 def test_paths_of_several_logs(ask: Ask, tmp_path: Path) -> None:
     truth = circuit()
     for case in ("north", "south"):
@@ -305,16 +258,6 @@ def test_paths_of_several_logs(ask: Ask, tmp_path: Path) -> None:
     code, out, _ = ask("compare", "a.zip", "a.zip")
     assert code == 0
     assert "log-likelihood a hit" in out
-
-
-def test_an_experiment_is_saved_too(ask: Ask) -> None:
-    code, *_ = ask("experiment", "cell-models", "-o", "out", "--save-results", "a.zip")
-    assert code == 0
-    found = document(ask("compare", "a.zip", "a.zip", "--json"), "compare")
-    assert found["results"][0]["command"] == "experiment cell-models"
-    assert found["figures"][0]["count_first"] == 24
-    assert found["figures"][0]["difference"] == 0.0
-    assert found["figures"][0]["better"] is None
 
 
 def test_maps_and_paths_may_follow_each_other() -> None:

@@ -8,7 +8,6 @@ import pytest
 import yaml
 
 from slamfusion.io import load_map, open_log, read_trajectory
-from slamfusion.sim import COURSES
 from tests.cli.command import assert_one_line_failure, json_of, run, tree
 
 pytestmark = pytest.mark.once
@@ -90,27 +89,6 @@ def test_the_truth_of_one_drive_is_the_world_of_another(f16: Path, tmp_path: Pat
     assert (tmp_path / "truth.pgm").read_bytes() == (f16 / "truth.pgm").read_bytes()
 
 
-def test_tables_for_people(tmp_path: Path) -> None:
-    done = run("simulate", "f16", "-o", "out", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    for words in (
-        "f16, seed 0",
-        "differential, kinect of 320 beams",
-        "181",
-        "18.0 s",
-        "course.yaml",
-    ):
-        assert words in done.stdout
-
-
-def test_help_lists_every_course() -> None:
-    done = run("simulate", "--help")
-    assert done.returncode == 0
-    for name in COURSES:
-        assert f"\n  {name} " in done.stdout
-    assert "--obstacle / --no-obstacle" in done.stdout
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -140,9 +118,3 @@ def test_wrong_usage_is_2(tmp_path: Path) -> None:
     assert run("simulate", "f16", cwd=tmp_path).returncode == 2
     assert run("simulate", "f16", "-o", "out", "--people", "-1", cwd=tmp_path).returncode == 2
     assert run("simulate", "f16", "-o", "out", "--lidar", "sonar", cwd=tmp_path).returncode == 2
-
-
-def test_an_unwritable_place_is_refused_before_any_work(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("", encoding="utf-8")
-    done = run("simulate", "office", "-o", tmp_path / "file" / "out")
-    assert_one_line_failure(done, "not a folder")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -14,13 +13,11 @@ from slamfusion.io import load_map, read_trajectory, save_map, write_carmen, wri
 from slamfusion.io.log import LogScan
 from slamfusion.scan import LaserScan
 from tests.cli.command import assert_one_line_failure, json_of, run, tree
-from tests.support.datasets import ABSENT, DATASETS
 from tests.support.producers import room_drive
 
 pytestmark = pytest.mark.once
 
 SUFFIXES = (".json", ".pgm", ".tum", ".yaml")
-CSAIL = DATASETS / "mit-csail"
 
 
 def write_log(path: Path, scans: Sequence[LogScan]) -> Path:
@@ -74,21 +71,6 @@ def test_a_truth_of_another_time_loses_no_map(tmp_path: Path) -> None:
         assert (tmp_path / f"m{suffix}").stat().st_size > 0
 
 
-def test_the_record_has_the_promised_keys(made: tuple[Path, dict]) -> None:
-    _, document = made
-    (record,) = document["producers"]
-    assert record["name"] == "tinyslam"
-    assert (record["scans"], record["scans_used"]) == (12, 12)
-    times = record["time_per_scan_ms"]
-    assert times.keys() == {"mean", "p50", "p95", "p99", "p999", "max"}
-    assert record["peak_memory_mb"] > 0.0
-    assert record["process_peak_memory_mb"] > record["peak_memory_mb"]
-    assert record["warnings"] == []
-    assert document["seed"] == 3
-    assert document["config"]["producers"]["tinyslam"]["cell_model"] == "base"
-    assert document["versions"]["numpy"] == np.__version__
-
-
 def test_map_path_and_record_are_written_and_nothing_else(made: tuple[Path, dict]) -> None:
     folder, document = made
     assert sorted(tree(folder / "out")) == [f"room{suffix}" for suffix in SUFFIXES]
@@ -110,23 +92,6 @@ def test_errors_are_measured(made: tuple[Path, dict]) -> None:
     assert record["poses_matched"] == 12
     assert record["ate"]["rmse"] < 0.1
     assert record["map_error"]["error"] >= 0.0
-
-
-def test_report_shows_the_run(made: tuple[Path, dict]) -> None:
-    folder, _ = made
-    html = (folder / "report" / "report.html").read_text(encoding="utf-8")
-    for text in ("tinyslam", "12 of 12", "time per scan", "map and filter"):
-        assert text in html
-
-
-def test_one_seed_gives_the_same_bytes(made: tuple[Path, dict], tmp_path: Path) -> None:
-    folder, _ = made
-    log = folder / "room.log.gz"
-    done = run("slam", "tinyslam", log, "--seed", "3", "-o", tmp_path / "again")
-    assert done.returncode == 0, done.stderr
-    for suffix in (".pgm", ".tum"):
-        first = (folder / "plain" / f"room{suffix}").read_bytes()
-        assert (tmp_path / f"again{suffix}").read_bytes() == first
 
 
 def test_the_graph_s_path_as_first_reported_is_measured_too(
@@ -199,14 +164,6 @@ def test_a_doubtful_run_is_said_everywhere(tmp_path: Path) -> None:
     assert "tracking may be lost" in html
 
 
-def test_one_scan_makes_a_map(tmp_path: Path) -> None:
-    log = write_log(tmp_path / "one.log", room_drive(1))
-    done = run("slam", "tinyslam", log, "-o", tmp_path / "map")
-    assert done.returncode == 0, done.stderr
-    assert (load_map(tmp_path / "map.yaml").cells == 100).any()
-    assert len(read_trajectory(tmp_path / "map.tum")) == 1
-
-
 def test_scans_that_see_nothing_make_no_map_and_no_file(tmp_path: Path) -> None:
     log = write_log(tmp_path / "blind.log", [unseeing(item) for item in room_drive(3)])
     done = run("slam", "tinyslam", log, "-o", tmp_path / "map")
@@ -222,17 +179,6 @@ def test_a_failed_run_leaves_old_files_as_they_were(tmp_path: Path) -> None:
     done = run("slam", "tinyslam", log, "-o", tmp_path / "map")
     assert_one_line_failure(done, "none of 3 scans")
     assert tree(tmp_path) == before
-
-
-def test_relations_of_another_time_lose_no_map(tmp_path: Path) -> None:
-    log = write_log(tmp_path / "room.log", room_drive(3))
-    (tmp_path / "far.relations").write_text("900 901 0 0 0 0 0 0\n", encoding="utf-8")
-    done = run(
-        "slam", "tinyslam", log, "-o", tmp_path / "map",
-        "--relations", tmp_path / "far.relations",
-    )  # fmt: skip
-    assert_one_line_failure(done, "none of the 1 relations", "written all the same")
-    assert len(read_trajectory(tmp_path / "map.tum")) == 3
 
 
 def test_files_that_cannot_all_be_written_are_not_written(tmp_path: Path) -> None:
@@ -266,25 +212,3 @@ def test_wrong_usage(tmp_path: Path, arguments: tuple[str, ...], word: str) -> N
     assert done.returncode == 2
     assert word in " ".join(done.stderr.split())
     assert set(tree(tmp_path)) == {name}
-
-
-def test_an_unknown_producer_is_wrong_usage() -> None:
-    done = run("slam", "hector", "a.log", "-o", "map")
-    assert done.returncode == 2
-    assert "hector" in done.stderr
-
-
-@pytest.mark.full
-@pytest.mark.datasets
-@pytest.mark.skipif(not CSAIL.exists(), reason=ABSENT)
-def test_a_recorded_drive_end_to_end(tmp_path: Path) -> None:
-    done = run(
-        "slam", "tinyslam", CSAIL / "mit-csail.clf.gz", "-o", tmp_path / "csail",
-        "--relations", CSAIL / "mit-csail.relations", "--json",
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    (record,) = json_of(done)["producers"]
-    assert (record["scans"], record["relations_used"]) == (1988, 1172)
-    assert record["translation"]["mean"] < 0.5
-    assert record["duration_s"] == pytest.approx(424.0, abs=0.1)
-    assert math.isclose(record["odometry_path_length_m"], 373.6, abs_tol=0.1)

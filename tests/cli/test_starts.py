@@ -56,8 +56,10 @@ def assert_refused(folder: Path, words: str, *arguments: str | Path) -> None:
     assert not tree(folder)
 
 
-@pytest.mark.parametrize("given", BAD)
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize(
+    ("command", "given"),
+    [*(("fuse", given) for given in BAD), *((command, "map_a=1,2") for command in COMMANDS)],
+)
 def test_a_start_that_is_none_is_refused_in_one_line(
     tmp_path: Path, command: str, given: str
 ) -> None:
@@ -140,10 +142,3 @@ def test_align_takes_the_start_of_the_moving_map_without_its_name(form: str) -> 
     assert run("align", TRUTH, MAPS[1], *form.split(), *near).returncode == 0
     off = form.replace("-2.2", "-2.4")
     assert run("align", TRUTH, MAPS[1], *off.split(), *near).returncode == 1
-
-
-@pytest.mark.parametrize("command", COMMANDS)
-def test_help_says_the_default_tolerances(command: str) -> None:
-    text = " ".join(run(command, "--help").stdout.split())
-    assert "X,Y,YAW[,M,RAD]" in text
-    assert "[default: 2 m, 0.35 rad]" in text

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.cli.command import assert_one_line_failure, json_of, run, tree
+from tests.cli.command import assert_one_line_failure, json_of, run
 from tests.support.datasets import ABSENT, DATASETS
 
 pytestmark = pytest.mark.once
@@ -129,40 +129,6 @@ def test_options_decide_how_errors_are_counted(files: dict[str, Path]) -> None:
     assert document["config"]["trajectory"]["rpe_unit"] == "m"
 
 
-def test_both_may_be_asked_at_once_and_tables_say_how(files: dict[str, Path]) -> None:
-    done = run("trajectory", files["estimate"], *options(files, "relations", "odometry", "truth"))
-    assert done.returncode == 0
-    assert done.stderr == ""
-    for words in (
-        "slam: 4 poses",
-        "relations, translation m",
-        "ATE, translation m",
-        "RPE over 1 frames",
-        "3 of 3 relations used",
-        "found by stamp",
-        "4 of 4 poses met one of true within 0.01 s, aligned; 3 pairs",
-    ):
-        assert words in done.stdout
-
-
-def test_the_report_has_every_picture(files: dict[str, Path], tmp_path: Path) -> None:
-    report = tmp_path / "report"
-    asked = options(files, "relations", "odometry", "log", "truth")
-    done = run("trajectory", files["estimate"], *asked, "--report", report)
-    assert done.returncode == 0, done.stderr
-    assert sorted(tree(report)) == [
-        "01-path.png",
-        "02-paths.png",
-        "03-error-along-path.png",
-        "04-error-on-path.png",
-        "05-relations.png",
-        "report.html",
-    ]
-    page = (report / "report.html").read_text(encoding="utf-8")
-    assert "3 of 3" in page
-    assert "raw odometry" in page
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -205,11 +171,6 @@ def test_bad_input_is_one_line(
     done = run("trajectory", files["estimate"], *asked, "--report", tmp_path / "report")
     assert_one_line_failure(done, *words)
     assert not (tmp_path / "report").exists()
-
-
-def test_a_missing_file_is_one_line(files: dict[str, Path], tmp_path: Path) -> None:
-    done = run("trajectory", files["estimate"], "--relations", tmp_path / "none.relations")
-    assert_one_line_failure(done, "none.relations", "check the path")
 
 
 # --- recordings ----------------------------------------------------------------------------------
