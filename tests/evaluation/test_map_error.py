@@ -101,6 +101,11 @@ def test_a_finer_map_is_read_at_the_centres_of_the_truth() -> None:
     assert compare(OccupancyGrid(noisy, 1.0 / 3.0), truth).error == 0.0
 
 
+def counts(error: MapError) -> npt.NDArray[np.int64]:
+    """The confusion as a table."""
+    return np.array([list(row.values()) for row in error.confusion.values()])
+
+
 def test_confusion_has_the_truth_in_rows() -> None:
     truth = draw("?.#", "#.#")
     found = draw("#?.", "#.#")

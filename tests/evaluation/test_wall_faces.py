@@ -20,7 +20,6 @@ from slamfusion.evaluation import (
 )
 from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY, OccupancyGrid, trinary_cells
-from slamfusion.json_values import plain
 from tests.support.examples import examples
 
 NORMALIZE = NormalizeConfig()

@@ -20,7 +20,7 @@ def test_the_same_question_is_asked_once_and_another_one_anew() -> None:
     a, b, other = (features_of(building(seed, 7.0, 6.0), device) for seed in (3, 3, 4))
     remembered = RememberedSearches()
     for made, question in ((1, (a, b)), (1, (b, a)), (2, (a, other)), (3, (other, a))):
-        _, motions, scores = remembered(*question, config, SearchWindow(), device)
+        _, motions, scores = remembered(Pair(*question), config, SearchWindow())
         _, wanted, of = search(Pair(*question), config, SearchWindow())
         assert np.array_equal(motions, wanted)
         assert np.array_equal(scores, of)

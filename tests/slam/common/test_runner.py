@@ -10,6 +10,7 @@ import pytest
 
 from slamfusion.errors import SlamFusionError
 from slamfusion.io.log import LogScan
+from slamfusion.json_values import plain
 from slamfusion.slam.common.runner import run_producer
 from tests.support.producers import DeadReckoning, ListLog, ResumableReckoning, room_drive
 

@@ -1,0 +1,461 @@
+"""Compare votes with their inputs: is the fused map never worse than the good maps it is made of?
+
+    python -m tests.benchmarks.bench_vote --cases five-slams,degraded --modes majority,consensus
+
+Each case fuses maps of one place, some of them bad, and compares the inputs and every fused map
+with the true maps, of thin and of solid walls (``vote_cases``). Good inputs are those whose wall F1
+is within 0.02 of the best. These bars are judged:
+
+- ``f1``: the wall F1 (walls within 0.1 m) is at least the best input's less 0.01;
+- ``error``: the error of [F16] is at most 1.1 times the mean of the good inputs;
+- ``thickness``, ``doubled``: the mean thickness of walls and the share of doubled walls lie within
+  the range of the good inputs, to a tenth of a cell and one wall cell in a hundred (less than the
+  range is no fault where the true map has less); both of each map as it lies on the true map's
+  cells;
+- of two maps instead ``common``: on ground that both know, the wall F1 is at least that of the
+  worse one less 0.01; and ``adds``: of the true walls that only one of them shows, 95 % are there.
+
+The summary counts cases of three or more inputs in which two good ones agree, and pairs that could
+be aligned.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+import time
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from itertools import combinations
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+from rich.progress import track
+from rich.table import Table
+
+from slamfusion.align.align import track_pair
+from slamfusion.align.features import GridFeatures
+from slamfusion.align.normalize import common_resolution, normalize_grid
+from slamfusion.align.pair import Pair
+from slamfusion.align.records import FusionResult
+from slamfusion.compute import ComputeDevice, open_device
+from slamfusion.config import EvaluateConfig, FusionConfig, NormalizeConfig, VoteMode
+from slamfusion.errors import AlignmentError
+from slamfusion.evaluation import doubled_wall_share, wall_thickness
+from slamfusion.evaluation.cells import sample_on_lattice, wall_centres
+from slamfusion.evaluation.wall_distances import harmonic_mean, nearest_distances, share_within
+from slamfusion.fusion.pipeline import fuse_grids, vote_again
+from slamfusion.geometry import Pose2
+from slamfusion.grid import IDENTITY, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, trinary_cells
+from tests.benchmarks.record import add_record_option, console_for
+from tests.benchmarks.vote_cases import CACHE, KINDS, Case, cases
+
+F64 = npt.NDArray[np.float64]
+
+THRESHOLDS = NormalizeConfig()
+TOLERANCE_M = EvaluateConfig().tolerance_m
+GOOD_WITHIN, F1_LOSS, ERROR_RATIO, ADDED_SHARE = 0.02, 0.01, 1.1, 0.95
+# Two good maps alone span no range: how far outside is still inside, metres and share.
+THICKNESS_SLACK_M, DOUBLED_SLACK = 0.005, 0.01
+# Two maps agree where the F1 of their walls, one against the other, is at least this.
+AGREEMENT = 0.9
+BARS = ("f1", "error", "thickness", "doubled", "common", "adds")
+
+
+@dataclass(frozen=True)
+class Figures:
+    """How good a map is.
+
+    Attributes:
+        f1: of walls within 0.1 m of the true ones, 0 to 1.
+        error: of [F16].
+        thickness_m: mean of the walls; NaN without a wall.
+        doubled: share of the walls that have a parallel one close by, 0 to 1.
+    """
+
+    f1: float
+    error: float
+    thickness_m: float
+    doubled: float
+
+
+@dataclass(frozen=True, eq=False)
+class Fused:
+    """A fused map.
+
+    Attributes:
+        grid: None where the inputs could not be aligned.
+        starts: poses of its frame in the frame of the true maps by which to look for the best fit.
+        time_s: processor time of the fusion, or of the vote alone.
+        reason: why there is none.
+    """
+
+    grid: OccupancyGrid | None
+    starts: tuple[Pose2, ...] = ()
+    time_s: float = 0.0
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class Row:
+    """A fused map against one true map.
+
+    Attributes:
+        case: its name.
+        truth: ``thin`` or ``solid``.
+        mode: of the vote.
+        counts: in the summary: two good inputs agree, or it is of a pair that was aligned.
+        fused: of the fused map; None where the inputs could not be aligned.
+        inputs: of each input.
+        good: names of the good inputs.
+        margins: by bar; at least 0 where it holds.
+        time_s: see ``Fused``.
+        reason: why there is no fused map.
+    """
+
+    case: str
+    truth: str
+    mode: str
+    counts: bool
+    fused: Figures | None
+    inputs: Mapping[str, Figures]
+    good: tuple[str, ...]
+    margins: Mapping[str, float]
+    time_s: float
+    reason: str
+
+
+# --- fuse ----------------------------------------------------------------------------------------
+
+
+def fuse_case(
+    case: Case, modes: Sequence[str], device: ComputeDevice, *, each: bool = False
+) -> dict[str, Fused]:
+    """Fuse the maps of a case in several modes.
+
+    Args:
+        case: its maps.
+        modes: of the vote.
+        device: computes.
+        each: align the maps for each mode again; else all modes vote under the first's alignment.
+    """
+    result: FusionResult | None = None
+    made = {}
+    for mode in modes:
+        config = FusionConfig()
+        align = replace(config.align, shared_frame=case.shared_frame)
+        vote = replace(config.vote, mode=mode, extent="union")  # type: ignore[arg-type]  # words of a command line
+        config = replace(config, align=align, vote=vote)
+        began_s = time.process_time()
+        try:
+            if result is None or each:
+                result = fuse_grids(case.inputs, config, device)
+            else:
+                result = vote_again(result, config, device)
+        except AlignmentError as error:
+            failed = Fused(None, reason=str(error))
+            if not each:
+                return dict.fromkeys(modes, failed)
+            made[mode] = failed
+            continue
+        starts = [
+            case.poses[record.name].compose(record.alignment.transform.inverse())
+            for record in result.accepted
+            if record.alignment is not None
+        ]
+        made[mode] = Fused(result.fused, tuple(starts), time.process_time() - began_s)
+    return made
+
+
+# --- measure -------------------------------------------------------------------------------------
+
+
+def place_on(
+    truth: OccupancyGrid, grid: OccupancyGrid, starts: Iterable[Pose2], device: ComputeDevice
+) -> Pose2:
+    """Return the pose of a map's frame in the truth's at which its wall F1 is best.
+
+    Args:
+        truth: the true map.
+        grid: the map.
+        starts: poses within about 0.5 m and a few degrees; each is refined.
+        device: computes.
+    """
+    resolution = common_resolution([truth, grid], THRESHOLDS)
+    features = [
+        GridFeatures(normalize_grid(item, resolution, THRESHOLDS, device), device)
+        for item in (truth, grid)
+    ]
+    poses: list[Pose2] = []
+    for start in starts:
+        if all(_apart(start, other) for other in poses[1::2]):
+            poses += [track_pair(Pair(features[0], features[1]), start).transform, start]
+    walls = _walls(truth)
+    return max(poses, key=lambda pose: _f1(_walls(grid, pose), walls))
+
+
+def _apart(a: Pose2, b: Pose2) -> bool:
+    step = a.inverse().compose(b)
+    return math.hypot(step.x, step.y) > 0.05 or abs(step.yaw_rad) > 0.005
+
+
+def measure(grid: OccupancyGrid, truth: OccupancyGrid, pose: Pose2) -> Figures:
+    """Measure a map against a true map.
+
+    Args:
+        grid: the map.
+        truth: the true map.
+        pose: of the map's frame in the truth's, metres.
+    """
+    cells = trinary_cells(truth.cells, THRESHOLDS)
+    whole = CellBox(0, 0, truth.height, truth.width)
+    found = sample_on_lattice(trinary_cells(grid.cells, THRESHOLDS), grid, truth, whole, pose)
+    error = float(np.linalg.norm((cells.astype(np.int64) - found).ravel()))
+    # Both depend on how walls lie on the cells, so they are of one lattice for all maps.
+    laid = OccupancyGrid(np.where(found == 1, OCCUPIED, found), truth.resolution, truth.origin)
+    thickness = wall_thickness(laid)
+    return Figures(
+        _f1(_walls(grid, pose), _walls(truth)),
+        error,
+        math.nan if thickness is None else thickness.mean,
+        doubled_wall_share(laid),
+    )
+
+
+def _walls(grid: OccupancyGrid, pose: Pose2 = IDENTITY) -> F64:
+    return wall_centres(trinary_cells(grid.cells, THRESHOLDS), grid, pose)
+
+
+def _f1(walls: F64, true_walls: F64) -> float:
+    """Return the F1 of walls, (N, 2) metres, against true ones; 0 where one side has none."""
+    precision = share_within(nearest_distances(walls, true_walls), TOLERANCE_M)
+    recall = share_within(nearest_distances(true_walls, walls), TOLERANCE_M)
+    return harmonic_mean(precision, recall) or 0.0
+
+
+# --- judge ---------------------------------------------------------------------------------------
+
+
+def good_inputs(inputs: Mapping[str, Figures]) -> tuple[str, ...]:
+    """Return the names of the inputs whose wall F1 is within 0.02 of the best."""
+    best = max(item.f1 for item in inputs.values())
+    return tuple(name for name, item in inputs.items() if item.f1 >= best - GOOD_WITHIN)
+
+
+def judge_bars(
+    fused: Figures | None, inputs: Mapping[str, Figures], truth: Figures
+) -> dict[str, float]:
+    """Return the margin by which a fused map of three or more meets each bar; below 0 it does not.
+
+    Args:
+        fused: of the fused map; None misses every bar without end.
+        inputs: of each input.
+        truth: of the true map itself.
+    """
+    good = [inputs[name] for name in good_inputs(inputs)]
+    if fused is None:
+        return dict.fromkeys(BARS[:4], -math.inf)
+    best = max(item.f1 for item in good)
+    mean_error = float(np.mean([item.error for item in good]))
+    return {
+        "f1": fused.f1 - best + F1_LOSS,
+        "error": (ERROR_RATIO * mean_error - fused.error) / max(mean_error, 1.0),
+        "thickness": THICKNESS_SLACK_M
+        + _inside(fused.thickness_m, [item.thickness_m for item in good], truth.thickness_m),
+        "doubled": DOUBLED_SLACK
+        + _inside(fused.doubled, [item.doubled for item in good], truth.doubled),
+    }
+
+
+def _inside(value: float, good: Sequence[float], true: float) -> float:
+    """Return how far a value lies inside a range of values; below 0 outside."""
+    return min(value - min(*good, true), max(good) - value)
+
+
+def judge_pair(
+    fused: tuple[OccupancyGrid, Pose2] | None,
+    inputs: Sequence[tuple[OccupancyGrid, Pose2]],
+    truth: OccupancyGrid,
+) -> dict[str, float]:
+    """Return the margins of a fused map of two: on common ground, and in what only one saw.
+
+    Args:
+        fused: the map with the pose of its frame in the truth's; None misses both bars.
+        inputs: likewise, two.
+        truth: the true map.
+    """
+    if fused is None:
+        return dict.fromkeys(BARS[4:], -math.inf)
+    reach = math.ceil(TOLERANCE_M / truth.resolution)
+    whole = CellBox(0, 0, truth.height, truth.width)
+    known = []
+    for grid, pose in inputs:
+        classes = trinary_cells(grid.cells, THRESHOLDS)
+        found = sample_on_lattice(classes, grid, truth, whole, pose)
+        known.append(scipy.ndimage.binary_closing(found != UNKNOWN, iterations=reach))
+    is_common = known[0] & known[1]
+    true_walls = _walls(truth)
+
+    def within(walls: F64, mask: npt.NDArray[np.bool_]) -> F64:
+        rows, cols = truth.cell_indices(walls)
+        is_on = (rows >= 0) & (rows < truth.height) & (cols >= 0) & (cols < truth.width)
+        is_on[is_on] = mask[rows[is_on], cols[is_on]]
+        return walls[is_on]
+
+    walls, *own = (_walls(grid, pose) for grid, pose in (fused, *inputs))
+    common = partial(within, mask=is_common)
+    scores = [_f1(common(item), common(true_walls)) for item in (walls, *own)]
+    shown = []
+    for mine, here, other in ((own[0], known[0], known[1]), (own[1], known[1], known[0])):
+        alone = within(true_walls, here & ~scipy.ndimage.binary_dilation(other, iterations=reach))
+        distances = nearest_distances(alone, mine)
+        if distances is not None:
+            shown.append(alone[distances <= TOLERANCE_M])
+    only = np.concatenate(shown) if shown else np.empty((0, 2))
+    added = share_within(nearest_distances(only, walls), TOLERANCE_M)
+    return {
+        "common": scores[0] - min(scores[1:]) + F1_LOSS,
+        "adds": (1.0 if added is None else added) - ADDED_SHARE,
+    }
+
+
+def measure_case(case: Case, fused: Mapping[str, Fused], device: ComputeDevice) -> Iterator[Row]:
+    """Yield a row for each fused map and true map."""
+    lattice = case.truths["thin"]
+    inputs = [
+        (grid, place_on(lattice, grid, [case.poses[grid.name]], device)) for grid in case.inputs
+    ]
+    placed = {
+        mode: None
+        if item.grid is None
+        else (item.grid, place_on(lattice, item.grid, item.starts, device))
+        for mode, item in fused.items()
+    }
+    for kind, truth in case.truths.items():
+        own = {grid.name: measure(grid, truth, pose) for grid, pose in inputs}
+        good = good_inputs(own)
+        walls = {grid.name: _walls(grid, pose) for grid, pose in inputs}
+        agreed = max((_f1(walls[a], walls[b]) for a, b in combinations(good, 2)), default=0.0)
+        true = measure(truth, truth, IDENTITY)
+        for mode, item in placed.items():
+            found = None if item is None else measure(item[0], truth, item[1])
+            if len(inputs) == 2:
+                margins = judge_pair(item, inputs, truth)
+            else:
+                margins = judge_bars(found, own, true)
+            counts = item is not None if len(inputs) == 2 else agreed >= AGREEMENT
+            how = fused[mode]
+            yield Row(
+                case.name, kind, mode, counts, found, own, good, margins, how.time_s, how.reason
+            )
+
+
+# --- tables --------------------------------------------------------------------------------------
+
+
+def case_table(rows: Sequence[Row], modes: Sequence[str]) -> Table:
+    """Return a table with a row for each case and true map."""
+    table = Table("case", "walls", "inputs F1", "good error", *modes)
+    grouped: dict[tuple[str, str], dict[str, Row]] = defaultdict(dict)
+    for row in rows:
+        grouped[row.case, row.truth][row.mode] = row
+    for (name, truth), by_mode in grouped.items():
+        first = next(iter(by_mode.values()))
+        shown = ", ".join(
+            f"{item.f1:.3f}" + ("*" if key in first.good else "")
+            for key, item in sorted(first.inputs.items(), key=lambda pair: -pair[1].f1)
+        )
+        error = np.mean([first.inputs[key].error for key in first.good])
+        cells = [_cell(by_mode[mode]) for mode in modes]
+        table.add_row(name if first.counts else f"({name})", truth, shown, f"{error:.0f}", *cells)
+    return table
+
+
+def _cell(row: Row) -> str:
+    """Return F1 and error of a fused map, with the bars that it misses."""
+    if row.fused is None:
+        return "not aligned"
+    missed = [bar for bar, margin in row.margins.items() if not margin >= 0.0]
+    return f"{row.fused.f1:.3f} ({row.fused.error:.0f}) {' '.join(missed) or 'ok'}"
+
+
+def summary_table(rows: Sequence[Row], modes: Sequence[str]) -> Table:
+    """Return, of each mode and bar, the share of cases that meet it, and the worst case."""
+    table = Table("mode", "bar", "thin", "solid", "worst margin", "worst case")
+    for mode in modes:
+        own = [row for row in rows if row.mode == mode and row.counts]
+        for bar in (*BARS, "all"):
+            judged = [(_margin(row, bar), row) for row in own if bar == "all" or bar in row.margins]
+            if not judged:
+                continue
+            shares = [
+                _share([margin for margin, row in judged if row.truth == kind])
+                for kind in ("thin", "solid")
+            ]
+            worst, row = min(judged, key=lambda pair: pair[0])
+            words = ("", "") if bar == "all" else (f"{worst:.3f}", f"{row.case}, {row.truth}")
+            table.add_row(mode, bar, *shares, *words)
+        times = [row.time_s for row in own if row.fused is not None]
+        table.add_row(mode, "processor s", "", "", f"{max(times, default=0.0):.1f}", "longest")
+    return table
+
+
+def _margin(row: Row, bar: str) -> float:
+    return min(row.margins.values()) if bar == "all" else row.margins[bar]
+
+
+def _share(margins: Sequence[float]) -> str:
+    held = sum(margin >= 0.0 for margin in margins)
+    return f"{held} of {len(margins)}" if margins else ""
+
+
+def _names(text: str) -> list[str]:
+    return [name.strip() for name in text.split(",") if name.strip()]
+
+
+def main() -> None:
+    """Read the options and run."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--cases", type=_names, default=KINDS, help=f"default: {','.join(KINDS)}")
+    parser.add_argument("--modes", type=_names, default=get_args(VoteMode), help="default: all")
+    parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--first-seed", type=int, default=0)
+    parser.add_argument("--match", default="", help="only cases with this in their names")
+    parser.add_argument("--each", action="store_true", help="align the maps for each mode again")
+    parser.add_argument(
+        "--cache", type=Path, default=CACHE, help="maps of drives; default: %(default)s"
+    )
+    parser.add_argument(
+        "--json", type=Path, metavar="FILE", help="write all figures, after each case"
+    )
+    add_record_option(parser)
+    options = parser.parse_args()
+    if not set(options.cases) <= set(KINDS):
+        parser.error(f"--cases takes {', '.join(KINDS)}, found {', '.join(options.cases)}")
+    device = open_device()
+    rows: list[Row] = []
+    for kind in options.cases:
+        for seed in range(options.first_seed, options.first_seed + options.seeds):
+            found = cases(kind, seed, options.match, options.cache)
+            for case in track(found, f"{kind} {seed}", disable=not sys.stderr.isatty()):
+                fused = fuse_case(case, options.modes, device, each=options.each)
+                rows += measure_case(case, fused, device)
+                if options.json is not None:
+                    document: list[dict[str, Any]] = [asdict(row) for row in rows]
+                    options.json.write_text(json.dumps(document, indent=1), encoding="utf-8")
+    console = console_for("vote", options.record, width=200)
+    console.print(summary_table(rows, options.modes))
+    console.print(case_table(rows, options.modes))
+
+
+if __name__ == "__main__":
+    main()
