@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import json
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -26,35 +26,13 @@ if TYPE_CHECKING:
 SHOWN = {"score": "score", "overlap": "overlap", "age [s]": "age s", "rate [Hz]": "rate Hz"}
 
 
-class _Client(Protocol):
-    """What is asked; see ``slamfusion.ros.live_client.LiveClient``."""
-
-    def status(self) -> LiveStatusDocument:
-        """Return what the node says next."""
-
-    def call(self, service: str) -> LiveAnswerDocument:
-        """Call a service."""
-
-    def save_as(self, **rules: str) -> LiveAnswerDocument:
-        """Save the fused map."""
-
-    def set(self, name: str, value: str) -> LiveAnswerDocument:
-        """Set a parameter."""
-
-    def add(self, name: str, topic: str | None) -> LiveAnswerDocument:
-        """Add an input."""
-
-    def remove(self, name: str) -> LiveAnswerDocument:
-        """Remove an input."""
-
-
 @click.group("live")
 def command() -> None:
     """Ask a running fusion node how it is; let it save, reset, and change inputs or settings."""
 
 
 def _node_options(function: Callable[..., int]) -> Callable[..., int]:
-    """Give a command ``--node`` and ``--timeout``; it gets the client."""
+    """Give a command ``--node`` and ``--timeout``; it gets the ``LiveClient``."""
     node = click.option(
         "--node",
         default="fusion",
@@ -83,7 +61,7 @@ def _node_options(function: Callable[..., int]) -> Callable[..., int]:
 
 @command.command("status")
 @_node_options
-def status_command(client: _Client, as_json: bool) -> int:
+def status_command(client: Any, as_json: bool) -> int:
     """Say who votes, who does not and why."""
     found = client.status()
     if as_json:
@@ -95,7 +73,7 @@ def status_command(client: _Client, as_json: bool) -> int:
 
 @command.command("watch")
 @_node_options
-def watch_command(client: _Client, as_json: bool) -> int:
+def watch_command(client: Any, as_json: bool) -> int:
     """Say so each time a vote or a warning changes, until Ctrl-C; with --json a line for each."""
     told: dict[str, tuple[str, str]] = {}
     try:
@@ -127,7 +105,7 @@ def _words(line: LiveLineJson) -> str:
 @click.option("--mode", type=click.Choice(["trinary", "scale", "raw"]), help="Of the map's values.")
 @_node_options
 def save_command(
-    client: _Client,
+    client: Any,
     path: str | None,
     image_format: str | None,
     mode: str | None,
@@ -141,7 +119,7 @@ def save_command(
 
 @command.command("reset")
 @_node_options
-def reset_command(client: _Client, as_json: bool) -> int:
+def reset_command(client: Any, as_json: bool) -> int:
     """Begin a new fused frame with the newest maps."""
     return _tell(client.call("reset"), as_json)
 
@@ -154,7 +132,7 @@ def reset_command(client: _Client, as_json: bool) -> int:
     help="Of its maps; or file:PATH of a saved one, where the node is. [default: NAME/map]",
 )
 @_node_options
-def add_command(client: _Client, name: str, topic: str | None, as_json: bool) -> int:
+def add_command(client: Any, name: str, topic: str | None, as_json: bool) -> int:
     """Fuse the maps of one SLAM more, which votes once its map was found to fit."""
     return _tell(client.add(name, topic), as_json)
 
@@ -162,7 +140,7 @@ def add_command(client: _Client, name: str, topic: str | None, as_json: bool) ->
 @command.command("remove")
 @click.argument("name", metavar="NAME")
 @_node_options
-def remove_command(client: _Client, name: str, as_json: bool) -> int:
+def remove_command(client: Any, name: str, as_json: bool) -> int:
     """Fuse an input's maps no more; its vote goes with it."""
     return _tell(client.remove(name), as_json)
 
@@ -172,7 +150,7 @@ def remove_command(client: _Client, name: str, as_json: bool) -> int:
 @click.argument("parameter", metavar="PARAMETER")
 @click.argument("value", metavar="VALUE")
 @_node_options
-def set_command(client: _Client, parameter: str, value: str, as_json: bool) -> int:
+def set_command(client: Any, parameter: str, value: str, as_json: bool) -> int:
     """Set a parameter that may be changed while the node runs, such as max_publish_rate_hz."""
     return _tell(client.set(parameter, value), as_json)
 

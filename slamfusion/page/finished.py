@@ -14,9 +14,8 @@ from slamfusion.grid import OccupancyGrid
 from slamfusion.io import load_map
 from slamfusion.io.trajectories import read_trajectory
 from slamfusion.jobs.outputs import AGREEMENT, AGREEMENT_END, DRAWN, FUSED, FUSED_PATH, RUN_RECORD
-from slamfusion.page.feed import Feed
 from slamfusion.viewer import scene
-from slamfusion.viewer.scene import Kind, Scene, layer_name, unlaid
+from slamfusion.viewer.scene import Feed, Kind, Scene, layer_name, unlaid
 
 # The layers of the maps of a fusion, and their kinds, by the names of their files.
 FUSION: dict[str, tuple[str, Kind]] = {

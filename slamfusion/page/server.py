@@ -22,19 +22,20 @@ except ImportError as missing:  # starlette, uvicorn
     raise ImportError(message, name=missing.name) from None
 
 from slamfusion.errors import ConfigError
-from slamfusion.page.feed import Feed
-from slamfusion.page.guard import is_own_origin, may_ask, may_command
 from slamfusion.page.protocol import (
     MESSAGE_BYTES,
     Command,
     Hello,
     PageMessageError,
     Seen,
+    is_own_origin,
+    may_ask,
+    may_command,
     parse_message,
 )
 from slamfusion.viewer.front import front_end, with_fragments
 from slamfusion.viewer.messages import to_text
-from slamfusion.viewer.scene import Scene
+from slamfusion.viewer.scene import Feed, Scene
 
 # Whether a command was carried out, and what to say.
 Answer = tuple[bool, str]

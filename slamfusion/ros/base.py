@@ -1,19 +1,24 @@
 """``NodeBase``: what every node shares, and ``run_node``, which runs one to its end.
 
-Diagnostics, the names of what is wrong, callbacks that cannot bring the node down, jumps of the
-clock, and a clean end.
+Diagnostics, which name what is wrong; callbacks that cannot bring the node down; a ``Worker`` for
+what takes long; the compute device; jumps of the clock; a clean end.
 """
 
 from __future__ import annotations
 
+import hashlib
+import logging
+import os
 import signal
 import threading
 import time
 import traceback
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Any
+from pathlib import Path
+from typing import Any, Generic, TypeVar
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -26,10 +31,12 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.qos import qos_policy_name_from_kind
 from rclpy.signals import SignalHandlerOptions
 
+from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.errors import ConfigError
 from slamfusion.ros import qos
 from slamfusion.ros.parameters import TypedNode, unknown_parameters
-from slamfusion.ros.session import is_first_to_say
+
+T = TypeVar("T")
 
 DIAGNOSTICS_TOPIC = "/diagnostics"
 DIAGNOSTICS_PERIOD_S = 1.0
@@ -39,8 +46,14 @@ FORWARD_JUMP_S = 10.0
 SPIN_S = 0.1
 # The longest rest of an executor, seconds.
 REST_MAX_S = 0.02
-# Words about a jump of the clock stay in the diagnostics this long.
-JUMP_SHOWN_S = 10.0
+# What has passed stays in the diagnostics this long, seconds.
+SHOWN_S = 10.0
+# A folder for as long as nodes that were started together run, so that one of them says what holds
+# for all; ``slamfusion.sh`` makes one.
+SESSION_VARIABLE = "SLAMFUSION_SESSION"
+# Whose warnings stay true while a node runs and cost it time: NumPy in place of OpenCL, kernels
+# that are built at each start. That the wheel's PoCL was changed costs nothing.
+DEVICE_LOGGERS = ("slamfusion.compute", "slamfusion.compute.pocl_cache")
 
 
 class Level(IntEnum):
@@ -115,6 +128,13 @@ class Diagnostics:
         elif is_new:
             self._log.warning(text)
 
+    def say(self, key: str, text: str | None, level: Level = Level.WARN) -> None:
+        """Say that something is wrong, or with None that it is right."""
+        if text is None:
+            self.clear(key)
+        else:
+            self.add(key, level, text)
+
     def clear(self, key: str) -> None:
         """Say that something is right again, if it was wrong."""
         with self._lock:
@@ -151,6 +171,142 @@ class Diagnostics:
             if until_s is not None and until_s <= now_s:
                 del self._now[key]
         return self._now
+
+
+def is_first_to_say(text: str) -> bool:
+    """Return whether no node of this session has said the same; the caller now has."""
+    folder = os.environ.get(SESSION_VARIABLE)
+    if not folder:
+        return True
+    said = Path(folder) / f"said-{hashlib.sha256(text.encode()).hexdigest()[:16]}"
+    try:
+        said.touch(exist_ok=False)
+    except FileExistsError:
+        return False
+    except OSError:  # the folder is gone, or full: rather twice than never
+        return True
+    return True
+
+
+class Worker(Generic[T]):
+    """A thread that takes items one by one, in order, from a queue that never grows.
+
+    When the queue is full the oldest waiting item is dropped: a robot's newest scan says most of
+    where it is. What is being worked on is never dropped. An item that fails is reported and the
+    next one is taken.
+
+    Args:
+        work: called in the thread with each item.
+        capacity: items that may wait, at least 1; with 1 only the newest waits.
+        on_error: called in the thread with the item and what its work raised.
+        name: of the thread.
+
+    Attributes:
+        capacity: may be changed; what is over is dropped with the next ``put``.
+    """
+
+    def __init__(
+        self,
+        work: Callable[[T], None],
+        capacity: int,
+        on_error: Callable[[T, Exception], None],
+        name: str = "worker",
+    ) -> None:
+        self.capacity = capacity
+        self._work, self._on_error = work, on_error
+        self._waiting: deque[T] = deque()
+        self._is_busy = self._is_closed = False
+        self._changed = threading.Condition()
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread.start()
+
+    def put(self, item: T) -> list[T]:
+        """Let an item wait for its turn; returns at once.
+
+        Returns:
+            What was dropped to make room: nothing, the oldest, or, after ``close``, the item.
+        """
+        with self._changed:
+            if self._is_closed:
+                return [item]
+            lost = []
+            while len(self._waiting) >= self.capacity:
+                lost.append(self._waiting.popleft())
+            self._waiting.append(item)
+            self._changed.notify_all()
+            return lost
+
+    def clear(self) -> list[T]:
+        """Take away everything that waits, and return it."""
+        with self._changed:
+            taken = list(self._waiting)
+            self._waiting.clear()
+            self._changed.notify_all()
+            return taken
+
+    @property
+    def waiting(self) -> int:
+        """Items that wait now."""
+        return len(self._waiting)
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether nothing waits and nothing is being worked on."""
+        return self.wait_idle(0.0)
+
+    def wait_idle(self, timeout_s: float) -> bool:
+        """Wait until nothing waits and nothing is worked on; return whether that came."""
+        with self._changed:
+            return self._changed.wait_for(
+                lambda: not self._waiting and not self._is_busy, timeout_s
+            )
+
+    def close(self, timeout_s: float = 5.0) -> bool:
+        """Drop what waits, let the current item end, and return whether the thread has ended."""
+        with self._changed:
+            self._is_closed = True
+            self._waiting.clear()
+            self._changed.notify_all()
+        self._thread.join(timeout_s)
+        return not self._thread.is_alive()
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                self._is_busy = False
+                self._changed.notify_all()
+                self._changed.wait_for(lambda: self._waiting or self._is_closed)
+                if self._is_closed:
+                    return
+                item = self._waiting.popleft()
+                self._is_busy = True
+            try:
+                self._work(item)
+            except Exception as error:  # noqa: BLE001  (a node goes on; the error is named)
+                self._on_error(item, error)
+
+
+def open_node_device(wanted: str, diagnostics: Diagnostics) -> ComputeDevice:
+    """Open a device; what that warns of stays in the diagnostics, and so in the log.
+
+    Args:
+        wanted: as in the parameter ``device``; see ``open_device`` for it and the errors.
+        diagnostics: of the node.
+    """
+    handler = logging.Handler(logging.WARNING)
+
+    def emit(record: logging.LogRecord) -> None:
+        if record.name in DEVICE_LOGGERS:
+            key, text = f"device {record.name}", record.getMessage()
+            diagnostics.add(key, Level.WARN, text, is_of_all=True)
+
+    handler.emit = emit  # type: ignore[method-assign]
+    logger = logging.getLogger(DEVICE_LOGGERS[0])
+    logger.addHandler(handler)
+    try:
+        return open_device(wanted)
+    finally:
+        logger.removeHandler(handler)
 
 
 class NodeBase:
@@ -207,6 +363,13 @@ class NodeBase:
     def close(self) -> None:
         """End threads; called once, before the node is destroyed."""
 
+    def failed(self, _: object, error: Exception) -> None:
+        """Name what a worker's item raised."""
+        if not self.diagnostics.is_on("worker"):
+            self.log.error("".join(traceback.format_exception(error)))
+        text = f"{type(error).__name__}: {error}"
+        self.diagnostics.add("worker", Level.ERROR, text, SHOWN_S)
+
     @property
     def rest(self) -> float:
         """How many times as long as it has worked the executor rests, 20 ms at most; 0: never.
@@ -231,10 +394,6 @@ class NodeBase:
     def clock_s(self) -> float:
         """Return the node's time, seconds: simulated time where it is used."""
         return float(self.node.get_clock().now().nanoseconds * 1e-9)
-
-    def publisher(self, kind: Any, topic: str, profile: Any) -> Any:
-        """Return a publisher."""
-        return self.node.create_publisher(kind, topic, profile)
 
     def subscribe(
         self, kind: Any, topic: str, callback: Callable[[Any], None], profile: Any
@@ -285,15 +444,12 @@ class NodeBase:
         """Name other nodes that have this one's name and namespace."""
         own = self.name, str(self.node.get_namespace())
         count = self.node.get_node_names_and_namespaces().count(own)
-        if count > 1:
-            text = (
-                f"{count} nodes are called {self.node.get_fully_qualified_name()!r}: their topics, "
-                "parameters and diagnostics cannot be told apart; end one, or rename it with "
-                "-r __node:=NAME (one that was killed is known for half a minute)"
-            )
-            self.diagnostics.add("namesake", Level.WARN, text)
-        else:
-            self.diagnostics.clear("namesake")
+        text = (
+            f"{count} nodes are called {self.node.get_fully_qualified_name()!r}: their topics, "
+            "parameters and diagnostics cannot be told apart; end one, or rename it with "
+            "-r __node:=NAME (one that was killed is known for half a minute)"
+        )
+        self.diagnostics.say("namesake", text if count > 1 else None)
 
     def _status(self, status: Status) -> DiagnosticStatus:
         return DiagnosticStatus(
@@ -313,7 +469,7 @@ class NodeBase:
             "time jump",
             Level.WARN,
             f"time jumped {how} by {abs(delta_s):.3f} s to {self.clock_s():.3f} s",
-            JUMP_SHOWN_S,
+            SHOWN_S,
         )
         self.on_time_jump(delta_s)
 
@@ -326,7 +482,7 @@ class NodeBase:
             if not self.diagnostics.is_on(key):
                 self.log.error(traceback.format_exc())
             text = f"{what}: {type(error).__name__}: {error}"
-            self.diagnostics.add(key, Level.ERROR, text, JUMP_SHOWN_S)
+            self.diagnostics.add(key, Level.ERROR, text, SHOWN_S)
 
 
 def _shown(value: object) -> str:

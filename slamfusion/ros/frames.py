@@ -20,8 +20,8 @@ from slamfusion.geometry import Pose2
 from slamfusion.io.transform_edge import TransformError
 from slamfusion.io.transforms import KEEP_S, Mount, TransformTree
 from slamfusion.ros import qos
+from slamfusion.ros.base import is_first_to_say
 from slamfusion.ros.messages import stamp_s
-from slamfusion.ros.session import is_first_to_say
 
 try:
     from tf2_msgs.msg import TFMessage

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped
@@ -11,15 +11,13 @@ from nav_msgs.msg import Odometry
 
 from slamfusion.config import FusionNodeConfig
 from slamfusion.errors import TrajectoryError
-from slamfusion.fusion.live.session import Believed
+from slamfusion.fusion.live.session import FusionState
 from slamfusion.geometry import Pose2
 from slamfusion.io.transform_edge import TransformError
 from slamfusion.ros import messages, qos
-from slamfusion.ros.base import Level, NodeBase
-from slamfusion.ros.child_frames import ChildFrames
-from slamfusion.ros.frame_warnings import FrameWarnings
+from slamfusion.ros.base import SHOWN_S, Level, NodeBase
 from slamfusion.ros.frames import TransformInput, TransformOutput, TransformStore
-from slamfusion.ros.map_source import HeardPose, MapSource
+from slamfusion.ros.input_health import HeardPose, MapSource
 
 ODOM_TOPIC, POSE_TOPIC = "odom", "fused/pose"
 # A stamp of an input this far behind its last one begins a new time: a bag that loops.
@@ -29,7 +27,74 @@ BACK_NS = 10**9
 STEP_NS = 1000
 # A pose that is older says nothing of its producer's health now.
 POSE_FRESH_S = 2.0
-SHOWN_S = 10.0
+# publish_tf that has sent nothing for so long since somebody votes is named, seconds.
+TF_LATE_S = 5.0
+
+
+class ChildFrames:
+    """The frame that each input's transform is sent to, where several maps claim one.
+
+    Two robots that run the same programs call their maps' frames the same. The first that claims a
+    frame keeps it; the frame of another is put into as much of its topic's namespace as tells the
+    two apart: ``graph_map`` of ``robot2/graph/map`` is ``robot2/graph_map`` where that of
+    ``robot1/graph/map`` came before. What was told once stays: no frame changes its place when
+    others come, go or lose their votes.
+
+    Args:
+        taken: frames that no input may have, such as the fused one.
+    """
+
+    def __init__(self, taken: Collection[str] = ()) -> None:
+        self._taken = set(taken)
+        # The child frame and its input's namespace, by the input's name and its map's frame.
+        self._children: dict[tuple[str, str], tuple[str, tuple[str, ...]]] = {}
+
+    def of(self, name: str, topic: str, frame: str) -> str:
+        """Return the frame that an input's transform is sent to.
+
+        Args:
+            name: of the input.
+            topic: of its maps, resolved.
+            frame: of its maps; not empty.
+        """
+        key = name, frame
+        if key not in self._children:
+            space = _space(topic)
+            others = [theirs for (_, own), (_, theirs) in self._children.items() if own == frame]
+            child = next(self._names(space, frame, others)) if others else frame
+            self._children[key] = child, space
+            self._taken.add(child)
+        return self._children[key][0]
+
+    def renamed(self) -> dict[str, tuple[str, str]]:
+        """Return the map's frame and the one that is sent, of inputs where these differ."""
+        return {
+            name: (frame, child)
+            for (name, frame), (child, _) in self._children.items()
+            if child != frame
+        }
+
+    def _names(
+        self, space: tuple[str, ...], frame: str, others: Collection[tuple[str, ...]]
+    ) -> Iterator[str]:
+        """Yield names that nobody has, the one with the shortest namespace first."""
+        for length in range(1, len(space) + 1):
+            is_own = all(theirs[:length] != space[:length] for theirs in others)
+            child = "/".join((*space[:length], frame))
+            if is_own and child not in self._taken:
+                yield child
+        number = 2
+        while True:
+            child = "/".join((*space, f"{frame}_{number}"))
+            if child not in self._taken:
+                yield child
+            number += 1
+
+
+def _space(topic: str) -> tuple[str, ...]:
+    """Return the words of a topic but the last ``map``; of a bare topic that is all."""
+    words = tuple(filter(None, topic.split("/")))
+    return words[:-1] if len(words) > 1 and words[-1] == "map" else words
 
 
 class FusedFrames:
@@ -50,38 +115,35 @@ class FusedFrames:
 
     Attributes:
         settings: may be replaced.
-        believed: set by whoever fuses.
+        sources: the inputs whose frames are sent, by name; set by the node.
+        state: of the fusion; set by the node.
         leader: name of the input whose pose is taken; empty without.
         rival: name of another node that fuses into the same topic; empty without.
     """
 
     def __init__(self, base: NodeBase, settings: FusionNodeConfig) -> None:
         self.settings = settings
-        self.believed = Believed()
+        self.sources: Mapping[str, MapSource] = {}
+        self.state = FusionState()
         self.leader = ""
         self.rival = ""
         self._base = base
-        self._sources: dict[str, MapSource] = {}
         self._children = ChildFrames([settings.fused_frame])
         self._newest_s: float | None = None
         # The last stamp and what was sent with it: by child frame, and of the fused pose.
         self._sent: dict[str, tuple[int, Pose2]] = {}
         self._heard_ns: dict[str, int] = {}
         self._has_sent_odometry = False
-        self._told = self.believed
-        self._warnings = FrameWarnings(base.diagnostics)
+        self._wanted_since_s: float | None = None
+        self._told = self.state
         self._output = TransformOutput(base.node)
-        self._pose_topic = base.publisher(PoseStamped, POSE_TOPIC, qos.STREAM)
+        self._pose_topic = base.node.create_publisher(PoseStamped, POSE_TOPIC, qos.STREAM)
         self._odometry: TransformStore
         if settings.odometry_source == "tf":
             self._odometry = TransformInput(base.node)
         else:
             self._odometry = TransformStore()
             base.subscribe(Odometry, ODOM_TOPIC, self._on_odometry, qos.SENSOR)
-
-    def watch(self, sources: Mapping[str, MapSource]) -> None:
-        """Take the inputs whose frames are sent."""
-        self._sources = dict(sources)
 
     def on_pose(self, source: MapSource) -> None:
         """Send what a new pose of an input tells."""
@@ -96,7 +158,7 @@ class FusedFrames:
 
     def _tell(self, source: MapSource, heard: HeardPose, *, is_revised: bool) -> None:
         """Send what a pose says; ``is_revised``: it was told before, and may be told otherwise."""
-        transform = self.believed.transform(source.name)
+        transform = self.state.transform(source.name)
         if transform is None:
             return
         self._note(messages.stamp_s(heard.stamp))
@@ -143,13 +205,13 @@ class FusedFrames:
         now_s = time.monotonic()
         fresh = {
             name: record
-            for name, record in self.believed.inputs.items()
+            for name, record in self.state.inputs.items()
             if record.accepted
-            and (source := self._sources.get(name)) is not None
+            and (source := self.sources.get(name)) is not None
             and source.pose is not None
             and now_s - source.pose.heard_s < POSE_FRESH_S
         }
-        for name in (self.leader, self.believed.reference):
+        for name in (self.leader, self.state.reference):
             if name in fresh:
                 return name
         return max(fresh, key=lambda name: fresh[name].score, default="")
@@ -160,30 +222,23 @@ class FusedFrames:
         And name what is wrong with frames.
         """
         now_s = time.monotonic()
-        for source in self._sources.values():
+        for source in self.sources.values():
             self.child_frame(source)  # claimed in the order of the inputs, whoever votes first
-        if self._told is not self.believed:
-            self._told = self.believed
-            for source in self._sources.values():
+        if self._told is not self.state:
+            self._told = self.state
+            for source in self.sources.values():
                 if source.pose is not None:
                     self._tell(source, source.pose, is_revised=True)
-        for source in self._sources.values():
-            transform = self.believed.transform(source.name)
+        for source in self.sources.values():
+            transform = self.state.transform(source.name)
             has_pose = source.pose is not None and now_s - source.pose.heard_s < POSE_FRESH_S
             if source.stamp_s is not None:
                 self._note(source.stamp_s)
             if transform is not None and not has_pose and self._newest_s is not None:
                 self._send_frame(source, transform, messages.to_stamp(self._newest_s))
-        self._warnings.update(
-            self.settings,
-            self.believed,
-            frames=[source.frame for source in self._sources.values() if source.frame],
-            renamed=self._children.renamed(),
-            rivals=self._output.rivals(),
-            other_fusion=self.rival,
-            leader=self.leader,
-            has_sent_odometry=self._has_sent_odometry,
-        )
+        self._name_shared()
+        self._base.diagnostics.say("rival", self._rival_words(), Level.ERROR)
+        self._name_unsent()
 
     def on_time_jump(self, now_s: float) -> None:
         """Forget what came of a future that has not come; ``now_s`` is the node's time."""
@@ -210,6 +265,53 @@ class FusedFrames:
             return ""
         topic = self._base.node.resolve_topic_name(source.topic)
         return self._children.of(source.name, topic, source.frame)
+
+    def _name_shared(self) -> None:
+        """Name frames that two inputs share, or that are the fused one."""
+        told = [
+            f"{name!r} is in frame {frame!r} as another map is: its transform is sent to {child!r}"
+            for name, (frame, child) in self._children.renamed().items()
+        ]
+        said = "; ".join([*told, "give each map a frame_id of its own"])
+        self._base.diagnostics.say("shared frame", f"the map of {said}" if told else None)
+        fused = self.settings.fused_frame
+        is_own = any(source.frame == fused for source in self.sources.values())
+        text = f"an input's map is in {fused!r}, the frame of the fused map; rename one of them"
+        self._base.diagnostics.say("own frame", text if is_own else None)
+
+    def _rival_words(self) -> str | None:
+        """Say who else sends one of our transforms, and what to do; None where nobody does."""
+        rivals, odom_frame = self._output.rivals(), self.settings.odom_frame
+        if not rivals:
+            return None
+        child = odom_frame if odom_frame in rivals else next(iter(rivals))
+        words = f"another node sends the transform to {child!r} too (from {rivals[child]!r}): "
+        if self.rival:
+            return words + f"the other fusion is {self.rival!r}; end one of the two"
+        if child == odom_frame:
+            return words + "set publish_tf to false in all but one"
+        return words + "end one of them, or give the frames of each robot names of their own"
+
+    def _name_unsent(self) -> None:
+        """Name that fused_frame -> odom_frame was never sent, though somebody votes."""
+        settings, now_s = self.settings, time.monotonic()
+        has_voters = any(record.accepted for record in self.state.inputs.values())
+        if not (settings.publish_tf and has_voters) or self._has_sent_odometry:
+            self._wanted_since_s = None
+            self._base.diagnostics.clear("unsent")
+            return
+        if self._wanted_since_s is None:
+            self._wanted_since_s = now_s
+        if now_s - self._wanted_since_s < TF_LATE_S:
+            return
+        if settings.fused_frame == settings.odom_frame:
+            why = "both are one frame; rename one of them"
+        elif not self.leader:
+            why = "no input that votes tells the robot's pose (NAME/pose beside NAME/map)"
+        else:
+            why = "the odometry does not tell where the robot is at the times of its poses"
+        text = f"publish_tf: {settings.fused_frame} -> {settings.odom_frame} was never sent: {why}"
+        self._base.diagnostics.say("unsent", text)
 
     def _send_odometry(self, pose: Pose2, heard: HeardPose, *, is_revised: bool) -> None:
         """Send where the odometry frame lies, from the robot's pose in the fused frame."""

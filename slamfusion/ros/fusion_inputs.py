@@ -1,10 +1,11 @@
-"""``FusionInputs``: the inputs of a fusion node, which come and go while it runs."""
+"""Which maps a fusion node fuses: entries of ``inputs``, what is discovered, and their changes."""
 
 from __future__ import annotations
 
-import threading
+import time
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from pathlib import Path
 from typing import Any
 
 from rclpy.exceptions import NameValidationException
@@ -14,54 +15,158 @@ from rclpy.validate_full_topic_name import validate_full_topic_name
 from rclpy.validate_topic_name import validate_topic_name
 
 from slamfusion.compute.layout import MOST_INPUTS
-from slamfusion.config import FusionNodeConfig
+from slamfusion.config import FusionNodeConfig, MapFileConfig
 from slamfusion.errors import ConfigError, SlamFusionError
 from slamfusion.grid import OccupancyGrid
-from slamfusion.ros.base import Level, NodeBase, invalid_name
-from slamfusion.ros.discovery import Discovery
-from slamfusion.ros.input_entries import input_names, topic_of
-from slamfusion.ros.map_source import MapSource
+from slamfusion.io.map_server import load_map
+from slamfusion.ros.base import SHOWN_S, Level, NodeBase, invalid_name
+from slamfusion.ros.input_health import MAP_SUFFIX, MapSource
 from slamfusion.ros.parameters import declare_names
 from slamfusion.slam.registry import BUILT_IN
 
+# Lines in the diagnostics: the fusion's, an input's before its name, and its figure with the entry.
+FUSION, PREFIX, ENTRY = "fusion", "input ", "entry"
+FILE_PREFIX = "file:"
+# No topic has it in its name.
+NAMED = "="
+MAP_TYPE = "nav_msgs/msg/OccupancyGrid"
+ANY_WORDS = "**"
 DEFAULT = tuple(f"{name}/map" for name in BUILT_IN)
 TEXT = (
     "what is fused: map topics, and file:PATH for saved maps; NAME=TOPIC gives a name of its own; "
     "may be changed while the node runs; default with discover: none but what is found"
 )
-SHOWN_S = 10.0
 
 
-@dataclass(frozen=True, eq=False)
-class Taken:
-    """What came of the inputs since it was asked last.
+def input_names(entries: Sequence[str], before: Mapping[str, str] | None = None) -> dict[str, str]:
+    """Return a short name for every entry of ``inputs``, and the entry, in order.
 
-    Attributes:
-        removed: names of those that are inputs no more; older than all else.
-        saved: saved maps of new ones.
-        maps: the newest message of each input that sent one, when it came (``time.monotonic``) and
-            the frame of the one before.
+    ``robot/map`` is called robot, ``file:lab.yaml`` lab; ``yard=TOPIC`` and ``yard=file:PATH`` are
+    called yard. Where two would be called the same, both are called by their whole entry.
+
+    Args:
+        entries: what is fused.
+        before: entries by the names that they have and keep: a new one that would be called as one
+            of these is called by its whole entry.
+
+    Raises:
+        ConfigError: one is given twice, or two are given one name.
     """
+    if len(set(entries)) < len(entries):
+        message = f"inputs names one map twice: {', '.join(entries)}"
+        raise ConfigError(message)
+    kept = {entry: name for name, entry in (before or {}).items() if entry in entries}
+    called = {entry: kept.get(entry) or _short_name(entry) for entry in entries}
+    names: dict[str, str] = {}
+    for entry, name in called.items():
+        is_shared = list(called.values()).count(name) > 1 and entry not in kept
+        if is_shared and _given_name(entry):
+            message = f"inputs calls two maps {name!r}: {', '.join(entries)}"
+            raise ConfigError(message)
+        names[entry if is_shared else name] = entry
+    return names
 
-    removed: list[str] = field(default_factory=list)
-    saved: list[OccupancyGrid] = field(default_factory=list)
-    maps: list[tuple[MapSource, Any, float, str]] = field(default_factory=list)
+
+def entry_for(name: str, topic: str | None = None) -> str:
+    """Return the entry of an input of a name.
+
+    Args:
+        name: what it is to be called.
+        topic: of its maps, or ``file:PATH``; None: ``NAME/map``.
+
+    Raises:
+        ConfigError: the name is none.
+    """
+    if not name.strip("/") or NAMED in name or "," in name or name.startswith(FILE_PREFIX):
+        message = f"{name!r} is no name of an input; wanted one like robot3, and --topic for others"
+        raise ConfigError(message)
+    where = f"{name.rstrip('/')}{MAP_SUFFIX}" if topic is None else topic
+    return where if _short_name(where) == name.strip("/") else f"{name}{NAMED}{where}"
+
+
+def topic_of(entry: str) -> str | None:
+    """Return the map topic of an entry; None of a saved map."""
+    where = _place(entry)
+    return None if where.startswith(FILE_PREFIX) else where
+
+
+def saved_path(entry: str) -> Path | None:
+    """Return the file of a saved map's entry; None of a topic."""
+    where = _place(entry)
+    return Path(where.removeprefix(FILE_PREFIX)) if where.startswith(FILE_PREFIX) else None
+
+
+def load_saved(
+    name: str, entry: str, config: MapFileConfig, warn: Callable[[str], Any]
+) -> OccupancyGrid | None:
+    """Return the map of a saved one's entry, None of a topic.
+
+    Args:
+        name: of the input.
+        entry: as in ``inputs``.
+        config: how saved maps are read.
+        warn: told what is doubtful about the map.
+
+    Raises:
+        MapFileError: it cannot be read.
+    """
+    path = saved_path(entry)
+    if path is None:
+        return None
+    return load_map(path, name=name, legacy_unknown=config.legacy_unknown, warn=warn)
+
+
+def _given_name(entry: str) -> str:
+    """Return the name that an entry gives itself; empty without."""
+    name, is_named, _ = entry.partition(NAMED)
+    return name if is_named and not entry.startswith(FILE_PREFIX) else ""
+
+
+def _place(entry: str) -> str:
+    """Return an entry without the name that it gives itself."""
+    return entry.partition(NAMED)[2] if _given_name(entry) else entry
+
+
+def _short_name(entry: str) -> str:
+    if name := _given_name(entry):
+        return name
+    if entry.startswith(FILE_PREFIX):
+        return Path(entry.removeprefix(FILE_PREFIX)).stem
+    return entry.removesuffix(MAP_SUFFIX).strip("/") or entry
+
+
+def fits(topic: str, pattern: str) -> bool:
+    """Return whether a topic fits a pattern; both are whole names that begin with a slash.
+
+    ``*``, ``?`` and ``[ab]`` stand for parts of one word between slashes, ``**`` for any words.
+    """
+    return _fit(topic.split("/"), pattern.split("/"))
+
+
+def _fit(words: Sequence[str], wanted: Sequence[str]) -> bool:
+    if not wanted:
+        return not words
+    if wanted[0] == ANY_WORDS:
+        return any(_fit(words[count:], wanted[1:]) for count in range(len(words) + 1))
+    return bool(words) and fnmatchcase(words[0], wanted[0]) and _fit(words[1:], wanted[1:])
 
 
 class FusionInputs:
     """Which maps are fused, by name: the parameter ``inputs``, and what is discovered.
 
-    In the executor's thread, apart from ``take``, ``has_come`` and ``is_waiting``.
+    In the executor's thread.
 
     Args:
         base: the node, which gets the parameter.
         outputs: topics that a fusion writes, relative; they are not discovered.
         is_open: whether there may be none at first, since they are discovered.
-        on_change: called after a change with the names of those that are inputs no more.
+        on_change: called after a change with the names of those that are inputs no more, and the
+            saved maps among the new ones.
 
     Attributes:
-        entries: those of ``inputs`` by name; this and the next one are replaced as wholes.
+        entries: those of ``inputs`` by name; this and the next two are replaced as wholes.
         sources: of the map topics, by name; none before ``begin``.
+        saved: the saved maps, by name; the same.
 
     Raises:
         ConfigError: there is none, or one is given twice.
@@ -73,11 +178,12 @@ class FusionInputs:
         outputs: Collection[str],
         *,
         is_open: bool,
-        on_change: Callable[[list[str]], None],
+        on_change: Callable[[list[str], list[OccupancyGrid]], None],
     ) -> None:
         self._base = base
         self._on_change = on_change
-        self._discovery = Discovery(base, outputs)
+        self._outputs = tuple(outputs)
+        self._looked_s = float("-inf")
         given = declare_names(
             base.node,
             "inputs",
@@ -91,15 +197,12 @@ class FusionInputs:
             raise ConfigError(message)
         self.entries = input_names(given)
         self.sources: dict[str, MapSource] = {}
-        self._saved: dict[str, OccupancyGrid] = {}
+        self.saved: dict[str, OccupancyGrid] = {}
         # Topics, resolved, of inputs that were removed and not added again.
         self._unwanted: set[str] = set()
         self._load: Callable[[str, str], OccupancyGrid | None] = lambda *_: None
         self._make: Callable[[str, str], MapSource]
-        self._lock = threading.Lock()
-        self._removed: list[str] = []
-        self._fresh: list[OccupancyGrid] = []
-        # Saved maps by entry, from when they were checked until they are taken.
+        # Saved maps by entry, from when they were checked until they are inputs.
         self._loaded: dict[str, OccupancyGrid | None] = {}
 
     def begin(
@@ -122,10 +225,31 @@ class FusionInputs:
         self._replace(self._checked(entries))
 
     def discover(self, settings: FusionNodeConfig) -> None:
-        """Let topics that fit ``discover`` be inputs, as many as can be; not those removed."""
-        topics = self._discovery.look(settings)
-        known = {*self._topics(self.entries), *self._unwanted} if topics else set()
-        found = [self._discovery.entry(topic) for topic in topics if topic not in known]
+        """Let topics that fit ``discover`` be inputs, as many as can be; not those removed.
+
+        Topics that nobody publishes are none. The maps that a fusion makes are never found, neither
+        this one's nor another's: theirs hold the inputs once more.
+        """
+        now_s = time.monotonic()
+        if not settings.discover or now_s - self._looked_s < 1.0 / settings.discovery_rate_hz:
+            return
+        self._looked_s = now_s
+        node = self._base.node
+        space = str(node.get_namespace()).rstrip("/") + "/"
+        patterns = [part.strip() for part in settings.discover.split(",")]
+        patterns = [part if part.startswith("/") else space + part for part in patterns]
+        known = {*self._topics(self.entries), *self._unwanted}
+        known |= {str(node.resolve_topic_name(name)) for name in self._outputs}
+        # As relative as can be: robots are called by their own namespaces.
+        found = [
+            topic.removeprefix(space)
+            for topic, types in sorted(node.get_topic_names_and_types())
+            if MAP_TYPE in types
+            and topic not in known
+            and any(fits(topic, pattern) for pattern in patterns)
+            and not any(topic.endswith(f"/{name}") for name in self._outputs)
+            and node.count_publishers(topic)
+        ]
         room = MOST_INPUTS - len(self.entries)
         if found[room:]:
             text = (
@@ -150,7 +274,7 @@ class FusionInputs:
         if problem := self._ask([*others, entry]):
             return None, problem
         name = next(name for name, other in self.entries.items() if other == entry)
-        return self._saved[name], ""
+        return self.saved[name], ""
 
     def _ask(self, entries: Sequence[str]) -> str:
         """Set the parameter; return why it was refused, empty where it was not."""
@@ -214,53 +338,25 @@ class FusionInputs:
             self._base.diagnostics.add(f"removed {name}", Level.WARN, text, SHOWN_S)
         for name, entry in added.items():
             self._base.log.info(f"{name} is an input now ({entry})")
-        self._on_change([*removed])
+        saved = [grid for name, grid in self.saved.items() if name in added]
+        self._on_change([*removed], saved)
 
     def _replace(self, names: dict[str, str]) -> None:
         """Let these be the inputs, checked."""
         added, removed = _others(names, self.entries), _others(self.entries, names)
+        gone = [source for name, source in self.sources.items() if name in removed]
         sources = {name: source for name, source in self.sources.items() if name not in removed}
-        saved = [grid for entry in added.values() if (grid := self._loaded[entry]) is not None]
+        saved = {name: grid for name, grid in self.saved.items() if name not in removed}
         for name, entry in added.items():
             if (topic := topic_of(entry)) is not None:
                 sources[name] = self._make(name, topic)
-        with self._lock:
-            gone = [source for name, source in self.sources.items() if name in removed]
-            self._removed += removed
-            self._fresh = [grid for grid in self._fresh if grid.name not in removed] + saved
-            kept = {name: grid for name, grid in self._saved.items() if name not in removed}
-            self._saved = kept | {grid.name: grid for grid in saved}
-            self.sources = {name: sources[name] for name in names if name in sources}
-            self.entries = names
+            elif (grid := self._loaded[entry]) is not None:
+                saved[name] = grid
+        self.sources = {name: sources[name] for name in names if name in sources}
+        self.saved, self.entries, self._loaded = saved, names, {}
         self._unwanted -= {*self._topics(names)}
-        self._loaded = {}
         for source in gone:
             source.close()
-
-    # --- the worker's thread -----------------------------------------------------------------
-
-    def take(self) -> Taken:
-        """Return what came since the last call, as of one moment."""
-        with self._lock:
-            taken = Taken(self._removed, self._fresh)
-            self._removed, self._fresh = [], []
-            for source in self.sources.values():
-                before = source.frame
-                if (newest := source.take()) is not None:
-                    taken.maps.append((source, *newest, before))
-        return taken
-
-    def has_come(self, name: str) -> bool:
-        """Whether an input has sent a map, or is a saved one."""
-        source = self.sources.get(name)
-        return name in self._saved or (source is not None and bool(source.frame))
-
-    @property
-    def is_waiting(self) -> bool:
-        """Whether anything waits to be taken."""
-        if self._removed or self._fresh:
-            return True
-        return any(source.is_waiting for source in self.sources.values())
 
 
 def _others(names: Mapping[str, str], before: Mapping[str, str]) -> dict[str, str]:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-import traceback
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from functools import partial
 from typing import Any
 
 from nav_msgs.msg import OccupancyGrid
@@ -18,28 +18,21 @@ from slamfusion.config import (
     MapFileConfig,
     RunConfig,
 )
-from slamfusion.fusion.live import LiveFusion
-from slamfusion.fusion.live.outbox import Fused, Outbox
-from slamfusion.fusion.live.session import FusionSession, warm_up
-from slamfusion.ros import messages
-from slamfusion.ros.base import Level, NodeBase, Status
-from slamfusion.ros.clocks import Clocks
-from slamfusion.ros.device import open_node_device
+from slamfusion.errors import GridError
+from slamfusion.fusion.live import LiveFusion, LiveInput
+from slamfusion.fusion.live.session import FusedMap, FusionSession, warm_up
+from slamfusion.geometry import Pose2
+from slamfusion.ros import messages, qos
+from slamfusion.ros.base import Level, NodeBase, Status, Worker, open_node_device
 from slamfusion.ros.fused_frames import FusedFrames
-from slamfusion.ros.fused_output import AGREEMENT_TOPIC, MAP_TOPIC, FusedOutput
-from slamfusion.ros.fusion_inputs import FusionInputs
-from slamfusion.ros.fusion_ports import FusionPorts
-from slamfusion.ros.fusion_services import FusionServices
-from slamfusion.ros.fusion_status import fusion_figures, fusion_status, input_status
-from slamfusion.ros.input_entries import load_saved
+from slamfusion.ros.fusion_inputs import ENTRY, FUSION, PREFIX, FusionInputs, load_saved
+from slamfusion.ros.fusion_services import MAP_TOPIC, FusionServices
+from slamfusion.ros.fusion_state import StateKeeper
+from slamfusion.ros.input_health import Clocks, MapSource, Writers
 from slamfusion.ros.live_page import LivePage
-from slamfusion.ros.map_source import MapSource
 from slamfusion.ros.parameters import declare, declare_starts, parameter_names
-from slamfusion.ros.stamps import Stamps
-from slamfusion.ros.state_keeper import Memory
-from slamfusion.ros.worker import Worker
-from slamfusion.ros.writers import Writers
 
+AGREEMENT_TOPIC = "fused/agreement"
 CHANGEABLE = (
     *("discover", "discovery_rate_hz"),
     *("max_publish_rate_hz", "publish_tf", "save_path", "lost_after_s"),
@@ -47,7 +40,6 @@ CHANGEABLE = (
 # How often the node looks whether a fused map may go out, at frames, and who publishes its inputs;
 # and shows itself on the page.
 TURN_S, LOOK_S, LOOK_AROUND_S, SHOW_S = 0.02, 0.1, 1.0, 0.5
-SHOWN_S = 10.0
 # From so many inputs on the executor rests so many times as long as it works.
 MANY, REST = 8, 3.0
 
@@ -55,10 +47,6 @@ MANY, REST = 8, 3.0
 def make_node(_: str, **options: Any) -> NodeBase:
     """Return the fusion node; see ``FusionNode``."""
     return FusionNode(**options)
-
-
-class _Wake:
-    """Tells the worker to look what there is to do."""
 
 
 class FusionNode(NodeBase):
@@ -96,7 +84,7 @@ class FusionNode(NodeBase):
         super().__init__("fusion", context=context, arguments=arguments)
         node = self.node
         self.settings = declare(
-            node, FusionNodeConfig, changeable=CHANGEABLE, on_change=self._on_settings
+            node, FusionNodeConfig(), changeable=CHANGEABLE, on_change=self._on_settings
         )
         is_open = bool(self.settings.discover)
         outputs = MAP_TOPIC, AGREEMENT_TOPIC
@@ -112,16 +100,15 @@ class FusionNode(NodeBase):
             on_change=self._on_live,
         )
         config = RunConfig(
-            fusion=declare(node, FusionConfig, "fusion"),
+            fusion=declare(node, FusionConfig(), "fusion"),
             live=live,
-            device=declare(node, DeviceConfig),
-            map_files=declare(node, MapFileConfig),
+            device=declare(node, DeviceConfig()),
+            map_files=declare(node, MapFileConfig()),
             start=declare_starts(node, names, may_come=is_open),
         )
-        self._stamps, self._clocks = Stamps(self.clock_s), Clocks(self.clock_s, self.diagnostics)
+        self._clocks = Clocks(self.clock_s, self.diagnostics)
         # Before the inputs: of what has come the odometry is heard first, and then the poses.
         self._frames = FusedFrames(self, self.settings)
-        callbacks = self._wake, self._on_pose
         self.inputs.begin(
             lambda name, entry: load_saved(name, entry, config.map_files, self.log.warning),
             lambda name, topic: MapSource(
@@ -129,33 +116,38 @@ class FusionNode(NodeBase):
                 name,
                 topic,
                 self.settings.lost_after_s,
-                self._stamps,
                 self._clocks,
-                *callbacks,
+                self._on_map,
+                self._on_pose,
             ),
         )
+        self._frames.sources = self.inputs.sources
         self._device = open_node_device(config.device.device, self.diagnostics)
-        fusion = LiveFusion(config, self._device, None if is_open else names)
+        self._fusion = LiveFusion(config, self._device, None if is_open else names)
         warm_up(config, self._device)
 
-        self._outbox = Outbox(self.settings.max_publish_rate_hz)
-        self._services = FusionServices(self, self)
-        carry_out = self._services.carry_out
-        page = LivePage(self, self.settings, carry_out) if self.settings.page else None
-        self._page = page
-        self._output = FusedOutput(
-            self, self.settings, self._outbox, *([] if page is None else [page.put_fused])
+        # The last published map as message and as grid, replaced as a whole; None before the first.
+        self.published: tuple[OccupancyGrid, grids.OccupancyGrid] | None = None
+        self._map_topic = node.create_publisher(OccupancyGrid, MAP_TOPIC, qos.MAP)
+        self._agreement_topic = node.create_publisher(OccupancyGrid, AGREEMENT_TOPIC, qos.MAP)
+        self._session = FusionSession(
+            self._fusion,
+            self.settings.max_publish_rate_hz,
+            publish=self._publish,
+            publish_agreement=self._publish_agreement,
+            stamp_s=self._stamp_s,
+            on_vote=self._on_vote,
+            is_heard=lambda: self._agreement_topic.get_subscription_count() > 0,
         )
+        carry_out = FusionServices(self).carry_out
+        self._page = LivePage(self, self.settings, carry_out) if self.settings.page else None
         self._writers = Writers(self, MAP_TOPIC)
-        self._memory = Memory(self, fusion, self.settings.state_path, names)
-        if (kept := self._memory.restored) is not None:
-            self._outbox.offer(Fused(*kept.grids(), kept.stamp_s, None))
-        self._session = FusionSession(fusion, self._outbox, self._memory)
+        self._keeper = StateKeeper(self, self._fusion, self.settings.state_path, names)
+        if (kept := self._keeper.restored) is not None:
+            self._session.offer(FusedMap(*kept.grids(), kept.stamp_s))
+        self._put_saved(self.inputs.saved.values())
         self._told_votes = 0
-        self._worker: Worker[_Wake] = Worker(self._turn, 1, self._failed, "fusion")
-        self._frames.watch(self.inputs.sources)
-        heard = [] if page is None else [page.put_heard]
-        self._ports = FusionPorts(self, self.inputs, self._output, *heard)
+        self._worker: Worker[None] = Worker(self._turn, 1, self.failed, "fusion")
         self.timer(TURN_S, self._look_turn)
         self.timer(LOOK_S, self._look)
         self.timer(SHOW_S, self._show)
@@ -174,31 +166,44 @@ class FusionNode(NodeBase):
 
     # --- callbacks, in the executor's thread -------------------------------------------------
 
-    def _on_inputs(self, removed: Sequence[str]) -> None:
+    def _on_inputs(self, removed: Sequence[str], saved: Sequence[grids.OccupancyGrid]) -> None:
         """Forget inputs that are none any more, and let the worker see to those that came."""
         for name in removed:
-            self._session.forget(name)
-            self._stamps.remove(name)
-            self._writers.remove(name)
-        self._frames.watch(self.inputs.sources)
+            self._session.remove(name)
+            self._clocks.remove(name)
+            self.diagnostics.clear(f"writers {name}")
+        self._put_saved(saved)
+        self._frames.sources = self.inputs.sources
         self._wake()
 
+    def _put_saved(self, saved: Iterable[grids.OccupancyGrid]) -> None:
+        for grid in saved:
+            read = partial(self._shown, grid.name, grid)
+            self._fusion.put(grid.name, read, time.monotonic(), is_saved=True)
+
     def _wake(self) -> None:
-        self._worker.put(_Wake())
+        self._worker.put(None)
+
+    def _on_map(self, source: MapSource, message: Any) -> None:
+        """Keep a map for the worker; None: the process of the input fell silent, or is back."""
+        if message is not None:
+            read = partial(self._read, source, message)
+            self._fusion.put(source.name, read, time.monotonic())
+        self._wake()
 
     def _on_pose(self, source: MapSource) -> None:
         """Let a pose be compared with the others', and send what it tells."""
         heard = source.pose
         if heard is not None:
             self._session.hear(source.name, messages.stamp_s(heard.stamp), heard.pose)
-        self._frames.believed = self._session.snapshot.believed
+        self._frames.state = self._session.snapshot
         self._frames.on_pose(source)
         if self._page is not None:
             self._page.put_pose(source)
 
     def _look_turn(self) -> None:
         """Wake the worker for what had to wait for its turn, or for somebody who listens."""
-        if self._outbox.is_due(self._output.is_heard):
+        if self._session.is_due:
             self._wake()
 
     def _look(self) -> None:
@@ -210,7 +215,7 @@ class FusionNode(NodeBase):
             ):
                 self._wake()
         snapshot = self._session.snapshot
-        self._frames.believed = snapshot.believed
+        self._frames.state = snapshot
         self._frames.look()
         if snapshot.votes != self._told_votes:  # who votes is said at once, not within the second
             self._told_votes = snapshot.votes
@@ -222,8 +227,7 @@ class FusionNode(NodeBase):
     def _show(self) -> None:
         """Show how the inputs are on the page."""
         if self._page is not None:
-            believed = self._session.snapshot.believed
-            self._page.show(self.statuses(), believed, self.inputs.sources.values())
+            self._page.show(self.statuses(), self._session.snapshot, self.inputs.sources.values())
 
     def _look_around(self) -> None:
         """See who publishes the inputs and the fused map, and let ages be looked at."""
@@ -236,8 +240,8 @@ class FusionNode(NodeBase):
         self._wake()
 
     def _on_settings(self, settings: FusionNodeConfig) -> None:
-        self.settings = self._frames.settings = self._output.settings = settings
-        self._outbox.rate_hz = settings.max_publish_rate_hz
+        self.settings = self._frames.settings = settings
+        self._session.rate_hz = settings.max_publish_rate_hz
         for source in self.inputs.sources.values():
             source.ask(settings.lost_after_s)
 
@@ -248,14 +252,8 @@ class FusionNode(NodeBase):
     def on_time_jump(self, delta_s: float) -> None:
         """Forget the odometry of a future that has not come; the maps speak for themselves."""
         if delta_s < 0.0:
-            self._stamps.forget()
             self._clocks.forget()
             self._frames.on_time_jump(self.clock_s())
-
-    @property
-    def published(self) -> tuple[OccupancyGrid, grids.OccupancyGrid] | None:
-        """The last published map as message and as grid; None before the first."""
-        return self._output.published
 
     def nothing_fused(self) -> str:
         """Say why no input votes."""
@@ -272,42 +270,134 @@ class FusionNode(NodeBase):
 
     # --- the worker's thread -----------------------------------------------------------------
 
-    def _turn(self, _wake: _Wake) -> None:
+    def _turn(self, _: None) -> None:
         """Let the session do what there is to do."""
-        self._session.turn(self._ports)
+        if self._keeper.is_waiting(self._fusion.has_come):
+            self._session.send()
+            return
+        self._session.turn()
+        self._keeper.note(self._session.snapshot)
 
-    def _failed(self, _: Any, error: Exception) -> None:
-        """Name what the worker stumbled over."""
-        if not self.diagnostics.is_on("worker"):
-            self.log.error("".join(traceback.format_exception(error)))
-        text = f"{type(error).__name__}: {error}"
-        self.diagnostics.add("worker", Level.ERROR, text, SHOWN_S)
+    def _read(self, source: MapSource, message: Any) -> grids.OccupancyGrid:
+        """Convert a map that came, and show it on the page."""
+        try:
+            return self._shown(source.name, source.read(message))
+        except GridError as error:
+            if self._page is not None:
+                self._page.put_problem(source.name, str(error))
+            raise
+
+    def _shown(self, name: str, grid: grids.OccupancyGrid) -> grids.OccupancyGrid:
+        """Show an input's map on the page, and return it."""
+        if self._page is not None:
+            self._page.put_input(name, grid)
+        return grid
+
+    def _publish(self, fused: FusedMap) -> None:
+        message = self._message(fused, fused.grid)
+        self.published = message, fused.grid
+        self._map_topic.publish(message)
+        if self._page is not None:
+            self._page.put_fused(fused)
+
+    def _publish_agreement(self, fused: FusedMap) -> None:
+        self._agreement_topic.publish(self._message(fused, fused.agreement))
+
+    def _message(self, fused: FusedMap, grid: grids.OccupancyGrid) -> OccupancyGrid:
+        """Return a grid of a fused map as a message in the fused frame."""
+        stamp = messages.to_stamp(fused.stamp_s)
+        return messages.grid_to_message(grid, self.settings.fused_frame, stamp)
+
+    def _stamp_s(self, voters: Sequence[str]) -> float:
+        """Return the stamp of a fused map: of the newest map in it, 0 where all were saved ones."""
+        sources = [source for name, source in self.inputs.sources.items() if name in voters]
+        stamps = [source.stamp_s for source in sources if source.stamp_s is not None]
+        # None of their stamps can be right: then the node's time is.
+        return max(stamps, default=self.clock_s() if sources else 0.0)
+
+    def _on_vote(self, record: LiveInput) -> None:
+        """Log that an input got or lost its vote."""
+        # Two calls: rclpy ties a place in the code to one level.
+        if record.accepted:
+            self._keeper.confirm()
+            self.log.info(f"{record.name} votes: {record.reason}")
+        else:
+            self.log.warning(f"{record.name} does not vote: {record.reason}")
 
     # --- diagnostics -------------------------------------------------------------------------
 
     def statuses(self) -> list[Status]:
         """Return a line for the fusion and one for each input."""
-        snapshot = self._session.snapshot
-        by_name = snapshot.believed.inputs
-        since_s = time.monotonic() - snapshot.noted_s
-        lines = []
-        for name, entry in self.inputs.entries.items():
-            source = self.inputs.sources.get(name)
+        lines = [self._input_status(name, entry) for name, entry in self.inputs.entries.items()]
+        return [self._fusion_status(lines), *lines]
+
+    def _fusion_status(self, lines: Sequence[Status]) -> Status:
+        level, wrong = self.diagnostics.worst("")
+        out = [line.name.removeprefix(PREFIX) for line in lines if line.level != Level.OK]
+        voters = len(lines) - len(out)
+        if not voters:
+            words = self.nothing_fused()
+            is_worse = self.published is not None and not self._keeper.is_unconfirmed
+            level = max(level, Level.ERROR if is_worse else Level.WARN)
+        elif out:
+            words = f"{voters} of {len(lines)} inputs vote; not: {', '.join(out)}"
+            level = max(level, Level.WARN)
+        else:
+            words = f"all {voters} inputs vote"
+        snapshot, sent = self._session.snapshot, self._session.sent
+        update, published = snapshot.update, self.published
+        grid = None if published is None else published[1]
+        values: dict[str, object] = {
+            "inputs": len(lines),
+            "voters": voters,
+            "reference": None if update is None else update.reference,
+            "pose from": self._frames.leader or None,
+            "maps published": sent.maps,
+            "updates": snapshot.updates,
+            "full searches": snapshot.searches,
+            "resets": snapshot.resets,
+            "phantom cells": None if update is None else update.phantom_cells,
+            "map [cells]": "-" if grid is None else f"{grid.width} x {grid.height}",
+            "latency median [ms]": sent.median_ms,
+            "latency p95 [ms]": sent.high_ms,
+            "device": self._device.name,
+        }
+        if update is not None:
+            values |= {f"{step} [ms]": 1e3 * spent for step, spent in update.time_s.items()}
+        return Status(FUSION, level, "; ".join(filter(None, (words, wrong))), values)
+
+    def _input_status(self, name: str, entry: str) -> Status:
+        snapshot, source = self._session.snapshot, self.inputs.sources.get(name)
+        record = snapshot.inputs.get(name)
+        if record is None:
             topic = "" if source is None else self.node.resolve_topic_name(source.topic)
-            frame = "-" if source is None else self._frames.child_frame(source) or source.frame
-            lines.append(
-                input_status(name, entry, source, topic, frame, by_name.get(name), since_s)
-            )
-        is_worse = self.published is not None and not self._memory.is_unconfirmed
-        worst = Level.ERROR if is_worse else Level.WARN
-        wrong, nothing = self.diagnostics.worst(""), self.nothing_fused()
-        figures = fusion_figures(
-            snapshot, self._outbox.sent, self.published, self._frames.leader, self._device.name
-        )
-        return [fusion_status(lines, wrong, nothing, worst, figures), *lines]
+            is_published = source is not None and source.silent_since_s is None
+            who = "a node could publish it" if is_published else "nobody publishes it"
+            said = f"no map on {topic!r} yet; {who}"
+            return Status(PREFIX + name, Level.STALE, said, {ENTRY: entry})
+        frame = "-" if source is None else self._frames.child_frame(source) or source.frame
+        transform, place = record.transform, record.transform or Pose2()
+        is_silent = record.reason.startswith(("lost", "no map for"))
+        level = Level.OK if record.accepted else Level.STALE if is_silent else Level.WARN
+        values: dict[str, object] = {
+            ENTRY: entry,
+            "accepted": record.accepted,
+            "score": record.score,
+            "overlap": record.overlap,
+            "tracked": record.is_tracked,
+            "age [s]": record.age_s + time.monotonic() - snapshot.noted_s,
+            "rate [Hz]": record.rate_hz,
+            "maps": record.maps,
+            "maps refused": record.rejected,
+            "x [m]": None if transform is None else place.x,
+            "y [m]": None if transform is None else place.y,
+            "yaw [rad]": None if transform is None else place.yaw_rad,
+            "frame": frame,
+        }
+        return Status(PREFIX + name, level, record.reason, values)
 
     def close(self) -> None:
         """End the worker; the map that is being fused is fused to its end, and the state kept."""
         if self._page is not None:
             self._page.close()
-        self._memory.close(is_whole=self._worker.close())
+        self._keeper.close(is_whole=self._worker.close())

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+import os
 import traceback
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from nav_msgs.srv import GetMap, LoadMap
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import parameter_value_to_python
 from std_srvs.srv import Trigger
 
-from slamfusion.grid import OccupancyGrid
+from slamfusion.errors import SlamFusionError
+from slamfusion.io.map_server import map_sources, save_map, saved_files
+from slamfusion.io.overwriting import refuse_overwriting
 from slamfusion.ros import messages
-from slamfusion.ros.base import Level, NodeBase
-from slamfusion.ros.fused_output import MAP_TOPIC
-from slamfusion.ros.input_entries import FILE_PREFIX
-from slamfusion.ros.map_saver import SHOWN_S, MapSaver, Saved
+from slamfusion.ros.base import SHOWN_S, Level
+from slamfusion.ros.fusion_inputs import FILE_PREFIX, saved_path
+
+if TYPE_CHECKING:
+    from slamfusion.ros.fusion_node import FusionNode
 
 try:
     # With nav2, in a sourced ROS.
@@ -26,7 +30,7 @@ try:
 except ImportError:
     Nav2LoadMap = Nav2SaveMap = None
 
-SAVE_AS = "save_map_as"
+MAP_TOPIC, SAVE_AS = "fused/map", "save_map_as"
 TEXT, NUMBER = (str,), (float, int)
 # What a request of ``save_map_as`` may say, as ``slamfusion.io.save_map`` calls it, and its types.
 RULES: dict[str, tuple[str, tuple[type, ...]]] = {
@@ -38,30 +42,20 @@ RULES: dict[str, tuple[str, tuple[type, ...]]] = {
 }
 
 
-class Served(Saved, Protocol):
-    """What the services ask of the node."""
-
-    def ask_reset(self) -> None:
-        """Let a new fused frame begin, soon."""
-
-    def load_input(self, entry: str) -> tuple[OccupancyGrid | None, str]:
-        """Let a saved map be an input; return it, or why not."""
-
-
 class FusionServices:
     """The services ``get_map``, ``save_map``, ``save_map_as``, ``load_map`` and ``reset``.
 
-    Where nav2 is installed ``~/save_map`` and ``~/load_map`` have its types.
+    Where nav2 is installed ``~/save_map`` and ``~/load_map`` have its types. Maps are written into
+    the folder of the ``save_path`` that the node was started with, or below it: what the parameter
+    is set to later, or what a request names, leads nowhere else.
 
     Args:
-        base: the node.
-        served: the same, as what is served.
+        node: which has what is asked for.
     """
 
-    def __init__(self, base: NodeBase, served: Served) -> None:
-        self._base = base
-        self._served = served
-        self._saver = MapSaver(base, served)
+    def __init__(self, node: FusionNode) -> None:
+        self._node = node
+        self._root = Path(os.path.realpath(Path(node.settings.save_path).parent))
         services = [
             (GetMap, "get_map", self._get_map),
             (Trigger, "save_map", self._save_map),
@@ -73,7 +67,7 @@ class FusionServices:
             services.append((Nav2SaveMap, "~/save_map", self._save_for_nav2))
             services.append((Nav2LoadMap, "~/load_map", self._load_map))
         for kind, name, answer in services:
-            base.node.create_service(kind, name, self._serve(answer))
+            node.node.create_service(kind, name, self._serve(answer))
 
     def carry_out(self, name: str) -> tuple[bool, str]:
         """Do what the service ``save`` or ``reset`` does, and return its answer."""
@@ -88,9 +82,9 @@ class FusionServices:
             try:
                 return answer(request, response)
             except Exception as error:  # noqa: BLE001  (a node must outlive a request)
-                self._base.log.error(traceback.format_exc())
+                self._node.log.error(traceback.format_exc())
                 text = f"{type(error).__name__}: {error}"
-                self._base.diagnostics.add("service", Level.ERROR, text, SHOWN_S)
+                self._node.diagnostics.add("service", Level.ERROR, text, SHOWN_S)
                 _fail(response, text)
                 return response
 
@@ -98,16 +92,16 @@ class FusionServices:
 
     def _get_map(self, _: Any, response: Any) -> Any:
         """Answer the last published map; without cells before the first."""
-        published = self._served.published
+        published = self._node.published
         if published is None:
-            response.map.header.frame_id = self._served.settings.fused_frame
+            response.map.header.frame_id = self._node.settings.fused_frame
         else:
             response.map = published[0]
         return response
 
     def _save_map(self, _: Any, response: Any) -> Any:
         """Write the last published map where ``save_path`` says."""
-        response.success, response.message = self._saver.save()
+        response.success, response.message = self._save()
         return response
 
     def _save_map_as(self, request: Any, response: Any) -> Any:
@@ -122,14 +116,14 @@ class FusionServices:
             result.successful, result.reason = False, f"not saved: wanted {wanted}, found {found}"
             return response
         rules = {RULES[name][0]: value for name, value in given.items()}
-        result.successful, result.reason = self._saver.save(**rules)
+        result.successful, result.reason = self._save(**rules)
         return response
 
     def _save_for_nav2(self, request: Any, response: Any) -> Any:
         """Write the last published map as nav2's map saver would; zeros and '' are defaults."""
         if not f"/{request.map_topic or MAP_TOPIC}".endswith(f"/{MAP_TOPIC}"):
             text = f"not saved: wanted the topic {MAP_TOPIC}, found {request.map_topic!r}"
-            self._base.diagnostics.add("save", Level.WARN, text, SHOWN_S)
+            self._node.diagnostics.add("save", Level.WARN, text, SHOWN_S)
             response.result = False
             return response
         rules = {
@@ -139,32 +133,68 @@ class FusionServices:
             "occupied_thresh": request.occupied_thresh,
         }
         given = {name: value for name, value in rules.items() if value}
-        response.result, _ = self._saver.save(request.map_url or None, **given)
+        response.result, _ = self._save(request.map_url or None, **given)
         return response
 
     def _load_map(self, request: Any, response: Any) -> Any:
         """Let a saved map be an input, and answer it."""
         path = str(request.map_url).strip().removeprefix("file://")
-        grid, problem = self._served.load_input(f"{FILE_PREFIX}{path}")
+        grid, problem = self._node.load_input(f"{FILE_PREFIX}{path}")
         if grid is not None:
             response.result = LoadMap.Response.RESULT_SUCCESS
-            stamp = self._base.node.get_clock().now().to_msg()
+            stamp = self._node.node.get_clock().now().to_msg()
             response.map = messages.grid_to_message(grid, f"{grid.name}_map", stamp)
             return response
         response.result = LoadMap.Response.RESULT_INVALID_MAP_DATA
         if not path or not Path(path).exists():
             response.result = LoadMap.Response.RESULT_MAP_DOES_NOT_EXIST
         text = f"not loaded: {problem}"
-        self._base.diagnostics.add("load", Level.WARN, text, SHOWN_S)
+        self._node.diagnostics.add("load", Level.WARN, text, SHOWN_S)
         return response
 
     def _reset(self, _: Any, response: Any) -> Any:
         """Let a new fused frame begin."""
-        self._base.log.warning("reset was called: the newest maps begin a new fused frame")
-        self._served.ask_reset()
+        self._node.log.warning("reset was called: the newest maps begin a new fused frame")
+        self._node.ask_reset()
         response.success = True
         response.message = "the newest maps begin a new fused frame"
         return response
+
+    def _save(self, path: str | None = None, **rules: Any) -> tuple[bool, str]:
+        """Write the last published map.
+
+        Args:
+            path: without an ending; relative to the working folder; None: ``save_path``.
+            rules: mode, image_format, free_thresh and occupied_thresh of ``save_map``.
+
+        Returns:
+            Whether it was written, and the path of its YAML file or why not.
+        """
+        published = self._node.published
+        if published is None:
+            return False, self._node.nothing_fused()
+        try:
+            name = "save_path" if path is None else "path"
+            given_path = self._node.settings.save_path if path is None else path
+            target = save_target(given_path, self._root, name)
+            kind = {key: rules[key] for key in ("mode", "image_format") if key in rules}
+            refuse_overwriting(
+                [
+                    (given, file)
+                    for entry in self._node.inputs.entries.values()
+                    if (given := saved_path(entry)) is not None
+                    for file in map_sources(given)
+                ],
+                [(f"the map {target}", file) for file in saved_files(target, **kind)],
+            )
+            written, _ = save_map(published[1], target, **rules)
+        except (SlamFusionError, OSError) as error:
+            text = f"not saved: {error}"
+            self._node.diagnostics.add("save", Level.WARN, text, SHOWN_S)
+            return False, text
+        where = str(written.resolve())
+        self._node.log.info(f"the fused map is saved as {where!r}")
+        return True, where
 
 
 def _fail(response: Any, text: str) -> None:
@@ -175,3 +205,32 @@ def _fail(response: Any, text: str) -> None:
         response.success, response.message = False, text
     elif hasattr(response, "RESULT_UNDEFINED_FAILURE"):
         response.result = response.RESULT_UNDEFINED_FAILURE
+
+
+def save_target(save_path: str, root: Path, name: str) -> Path:
+    """Return where a map is written, without an ending.
+
+    Args:
+        save_path: as the parameter says now, or a request; relative to the working folder.
+        root: the folder that it must not leave, without links.
+        name: of what gave it.
+
+    Raises:
+        SlamFusionError: it names no file, leaves ``root`` (also by a link), or its folder is not
+            there.
+    """
+    given = Path(save_path)
+    if given.name in {"", ".."} or "\0" in save_path:
+        message = f"{name} {save_path!r} names no file; add a name"
+        raise SlamFusionError(message)
+    folder = Path(os.path.realpath(given.parent))
+    if folder != root and root not in folder.parents:
+        message = (
+            f"{name} {save_path!r} leads out of {str(root)!r}, the folder that the node was "
+            "started with; name a path in it, or start the node with another save_path"
+        )
+        raise SlamFusionError(message)
+    if not folder.is_dir():
+        message = f"{name} {save_path!r}: there is no folder {str(folder)!r}; make it first"
+        raise SlamFusionError(message)
+    return folder / given.name

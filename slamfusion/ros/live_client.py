@@ -23,9 +23,8 @@ from slamfusion.errors import SlamFusionError
 from slamfusion.jobs.tool_records import LiveAnswerDocument, LiveLineJson, LiveStatusDocument
 from slamfusion.ros import qos
 from slamfusion.ros.base import DIAGNOSTICS_TOPIC, Level
+from slamfusion.ros.fusion_inputs import ENTRY, FUSION, PREFIX, entry_for
 from slamfusion.ros.fusion_services import SAVE_AS
-from slamfusion.ros.fusion_status import ENTRY, FUSION, PREFIX
-from slamfusion.ros.input_entries import entry_for
 from slamfusion.ros.parameters import names_of
 
 SPIN_S = 0.1

@@ -11,11 +11,11 @@ from concurrent.futures import Future
 
 from slamfusion.config import FusionNodeConfig
 from slamfusion.errors import ConfigError
-from slamfusion.fusion.live.outbox import Fused
-from slamfusion.fusion.live.session import Arrived, Believed
+from slamfusion.fusion.live.session import FusedMap, FusionState
+from slamfusion.grid import OccupancyGrid
 from slamfusion.ros.base import Level, NodeBase, Status
-from slamfusion.ros.fusion_status import PREFIX
-from slamfusion.ros.map_source import MapSource
+from slamfusion.ros.fusion_inputs import PREFIX
+from slamfusion.ros.input_health import MapSource
 from slamfusion.viewer.scene import AGREEMENT, FUSED, Scene, layer_name
 
 LEVELS = {Level.OK: "good", Level.WARN: "warn", Level.ERROR: "bad", Level.STALE: "warn"}
@@ -58,6 +58,8 @@ class LivePage:
         self._lock = threading.Lock()
         self._asked: deque[tuple[str, Future[tuple[bool, str]]]] = deque()
         self._is_closed = False
+        # Whose maps were shown.
+        self._inputs: set[str] = set()
         self._scene = Scene(f"SLAMfusion: {base.name}", is_live=True)
         token = os.environ.get(PAGE_TOKEN, "")
         if token and not TOKEN.fullmatch(token):
@@ -74,17 +76,16 @@ class LivePage:
 
     # -- in the worker's thread -------------------------------------------------------------------
 
-    def put_heard(self, arrived: Arrived) -> None:
-        """Show the newest map of an input, or no more of one that was removed."""
-        if arrived.is_removed:
-            self._server.feed.remove(layer_name(arrived.name))
-            self._scene.put_event("warn", f"{arrived.name} is removed from the inputs")
-        elif arrived.grid is not None:
-            self._server.feed.put(layer_name(arrived.name), arrived.grid, "input")
-        else:
-            self._scene.put_event("warn", f"a map of {arrived.name}: {arrived.problem}")
+    def put_input(self, name: str, grid: OccupancyGrid) -> None:
+        """Show the newest map of an input."""
+        self._inputs.add(name)
+        self._server.feed.put(layer_name(name), grid, "input")
 
-    def put_fused(self, fused: Fused) -> None:
+    def put_problem(self, name: str, problem: str) -> None:
+        """Say that a map of an input cannot be read."""
+        self._scene.put_event("warn", f"a map of {name}: {problem}")
+
+    def put_fused(self, fused: FusedMap) -> None:
         """Show a fused map that was published, and where its voters agree."""
         self._server.feed.put(FUSED, fused.grid, "fused")
         self._server.feed.put(AGREEMENT, fused.agreement, "agreement")
@@ -108,25 +109,30 @@ class LivePage:
             self._scene.put_point(name, pose.x, pose.y)
 
     def show(
-        self, lines: Sequence[Status], believed: Believed, sources: Iterable[MapSource]
+        self, lines: Sequence[Status], state: FusionState, sources: Iterable[MapSource]
     ) -> None:
-        """Show how the inputs are.
+        """Show how the inputs are, and no more the maps of those that were removed.
 
         Args:
             lines: of the diagnostics, the fusion's first.
-            believed: by the last fusion.
+            state: after the last fusion.
             sources: of the inputs, whose poses are drawn.
         """
         fusion, *others = lines
+        names = [line.name.removeprefix(PREFIX) for line in others]
+        for name in self._inputs.difference(names):
+            self._inputs.discard(name)
+            self._server.feed.remove(layer_name(name))
+            self._scene.put_event("warn", f"{name} is removed from the inputs")
         poses = []
         for source in sources:
-            transform = believed.transform(source.name)
+            transform = state.transform(source.name)
             if transform is not None and source.pose is not None:
                 pose = transform.compose(source.pose.pose)
                 place = [pose.x, pose.y, pose.yaw_rad]
                 poses.append({"name": layer_name(source.name), "pose": place})
         self._scene.put_status(
-            [_shown(line, believed) for line in others],
+            [_shown(name, line, state) for name, line in zip(names, others, strict=True)],
             poses=poses,
             headline=fusion.message,
             level=LEVELS[fusion.level],
@@ -156,10 +162,9 @@ class LivePage:
         return future.result()
 
 
-def _shown(line: Status, believed: Believed) -> dict[str, object]:
+def _shown(name: str, line: Status, state: FusionState) -> dict[str, object]:
     """Return an input as the page shows it."""
-    name = line.name.removeprefix(PREFIX)
-    record = believed.inputs.get(name)
+    record = state.inputs.get(name)
     transform = None if record is None else record.transform
     return {
         "name": layer_name(name),

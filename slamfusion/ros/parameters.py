@@ -13,7 +13,7 @@ import difflib
 import sys
 import typing
 from collections.abc import Callable, Collection, Mapping
-from typing import Any, TypeVar, overload
+from typing import Any, TypeVar
 
 from rcl_interfaces.msg import (
     FloatingPointRange,
@@ -67,31 +67,9 @@ class TypedNode(Node):  # type: ignore[misc]  # rclpy is untyped
         return [self.set_parameters_atomically([item]) for item in parameter_list]
 
 
-@overload
-def declare(
-    node: Any,
-    section: type[T],
-    prefix: str = "",
-    *,
-    changeable: Collection[str] = (),
-    on_change: Callable[[T], None] | None = None,
-) -> T: ...
-
-
-@overload
 def declare(
     node: Any,
     section: T,
-    prefix: str = "",
-    *,
-    changeable: Collection[str] = (),
-    on_change: Callable[[T], None] | None = None,
-) -> T: ...
-
-
-def declare(
-    node: Any,
-    section: type[T] | T,
     prefix: str = "",
     *,
     changeable: Collection[str] = (),
@@ -101,8 +79,8 @@ def declare(
 
     Args:
         node: an rclpy node.
-        section: a configuration dataclass, or an instance whose values are the defaults. Nested
-            sections become ``prefix.section.field``.
+        section: a configuration whose values are the defaults. Nested sections become
+            ``prefix.section.field``.
         prefix: before every name, e.g. a producer's name; empty for none.
         changeable: names of fields (dotted below ``section``, without the prefix) that may be
             changed while the node runs; the others are read-only.
@@ -115,14 +93,13 @@ def declare(
     Raises:
         ConfigError: a value of the wrong type, out of its range, or refused beside the others.
     """
-    config_class: type[T] = section if isinstance(section, type) else type(section)
-    default: T = config_class() if isinstance(section, type) else section
+    config_class = type(section)
     unknown = sorted(set(changeable) - set(parameter_names(config_class)))
     if unknown:
         message = f"{config_class.__name__} has no field {unknown[0]!r} that could be changeable"
         raise ValueError(message)
     fields = _Fields(node, prefix, frozenset(changeable))
-    fields.declare(default, "")
+    fields.declare(section, "")
     current: T = _built(config_class, fields.tree(), prefix, _where(node))
 
     def check(changes: list[Any]) -> SetParametersResult:

@@ -2,24 +2,348 @@
 
 from __future__ import annotations
 
+import math
+import tempfile
 import threading
 import time
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import OccupancyGrid, Odometry
+from rclpy.duration import Duration
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import LaserScan
+
 from slamfusion.config import LogConfig, PlayerNodeConfig
 from slamfusion.errors import ConfigError, LogError, SlamFusionError
+from slamfusion.geometry import Pose2
 from slamfusion.io.log import LogScan, ScanLog
-from slamfusion.io.logs import open_log
+from slamfusion.io.logs import log_sources, open_log
+from slamfusion.io.map_server import save_map, saved_files
+from slamfusion.io.overwriting import refuse_overwriting
+from slamfusion.io.stamps import AHEAD_S, CONFIRMING
+from slamfusion.ros import messages, qos
 from slamfusion.ros.base import Level, NodeBase, Status
-from slamfusion.ros.interrupt import Interrupt
+from slamfusion.ros.frames import TransformOutput
 from slamfusion.ros.parameters import declare, declare_names
-from slamfusion.ros.player_answers import AGAIN_S, Answers
-from slamfusion.ros.player_maps import PlayerMaps
-from slamfusion.ros.player_output import SCAN_TOPIC, ScanSender
-from slamfusion.ros.player_progress import ProgressLines
+
+# A scan that is not answered is sent again after this long: best-effort readers may lose one.
+AGAIN_S = 1.0
+# After a jump of the log's time producers wait for a scan to be sent again, and are not made to
+# wait long for that.
+AGAIN_AT_JUMP_S = 0.1
+STAMP_TOLERANCE_S = 1e-6
+
+
+class Interrupt(threading.Condition):
+    """One condition for all that the player's thread waits for, the end of the node among it.
+
+    Attributes:
+        is_set: whether the node ends; waits end at once from then on.
+    """
+
+    is_set = False
+
+    def set(self) -> None:
+        """End all waits."""
+        with self:
+            self.is_set = True
+            self.notify_all()
+
+    def wait_until(self, is_true: Callable[[], bool], duration_s: float) -> bool:
+        """Wait until something is true or the node ends; return whether either is so."""
+        with self:
+            return self.wait_for(lambda: self.is_set or is_true(), duration_s)
+
+    def pause(self, duration_s: float) -> None:
+        """Wait, but not beyond the end of the node."""
+        self.wait_until(lambda: False, duration_s)
+
+
+class Answers:
+    """Listens on each producer's ``NAME/pose``.
+
+    Args:
+        base: the node.
+        names: the producers.
+        interrupt: ends every wait.
+        timeout_s: how long an answer may take.
+    """
+
+    def __init__(
+        self, base: NodeBase, names: Sequence[str], interrupt: Interrupt, timeout_s: float
+    ) -> None:
+        self._node = base.node
+        self._names = tuple(names)
+        self._interrupt = interrupt
+        self._timeout_s = timeout_s
+        # Stamp of the newest pose, by producer.
+        self._stamps_s: dict[str, float] = {}
+        for name in names:
+            base.subscribe(PoseStamped, f"{name}/pose", partial(self._on_pose, name), qos.STREAM)
+
+    def absent(self) -> list[str]:
+        """Return the producers that are not there yet."""
+        return [name for name in self._names if not self._node.count_publishers(f"{name}/pose")]
+
+    def wait(self, stamp_s: float, before_s: float | None, send_again: Callable[[], None]) -> None:
+        """Wait until every producer has told its pose at a scan that was sent.
+
+        Args:
+            stamp_s: of the scan.
+            before_s: stamp of the scan before it; None for the first.
+            send_again: repeats the scan.
+
+        Raises:
+            SlamFusionError: one has not, however often the scan was sent.
+        """
+        until_s = time.monotonic() + self._timeout_s
+        is_jump = before_s is not None and not 0.0 < stamp_s - before_s <= AHEAD_S
+        pauses_s = [AGAIN_AT_JUMP_S] * (CONFIRMING - 1) if is_jump else []
+        again_s = time.monotonic() + (pauses_s.pop() if pauses_s else AGAIN_S)
+        while not self._interrupt.is_set:
+            duration_s = min(again_s, until_s) - time.monotonic()
+            if self._interrupt.wait_until(lambda: not self._silent(stamp_s), duration_s):
+                return
+            now_s = time.monotonic()
+            if now_s >= until_s:
+                with self._interrupt:
+                    silent = self._silent(stamp_s)
+                if not silent:  # the last answer came with the end of the wait
+                    return
+                message = (
+                    f"no pose at {stamp_s:.3f} s from {', '.join(silent)} within "
+                    f"{self._timeout_s:g} s; the producer may have ended, or "
+                    "leaves the scan out: see its diagnostics"
+                )
+                raise SlamFusionError(message)
+            if now_s >= again_s:
+                send_again()
+                again_s = now_s + (pauses_s.pop() if pauses_s else AGAIN_S)
+
+    def _silent(self, stamp_s: float) -> list[str]:
+        """Return the producers whose newest pose is none at a stamp."""
+        return [
+            name
+            for name in self._names
+            if abs(self._stamps_s.get(name, math.inf) - stamp_s) > STAMP_TOLERANCE_S
+        ]
+
+    def _on_pose(self, name: str, message: Any) -> None:
+        """Note that a producer has told its pose at a stamp."""
+        with self._interrupt:
+            self._stamps_s[name] = messages.stamp_s(message)
+            self._interrupt.notify_all()
+
+
+class PlayerMaps:
+    """Keeps the newest map of every topic.
+
+    Args:
+        base: the node.
+        topics: of the maps.
+        folder: where they are written; made when missing.
+        interrupt: ends the wait for the last ones.
+        log: that is played.
+
+    Raises:
+        SlamFusionError: a map would be written over a file of the log.
+        OSError: the folder cannot be made, or written to: said before the log plays, not after.
+    """
+
+    def __init__(
+        self, base: NodeBase, topics: Sequence[str], folder: Path, interrupt: Interrupt, log: Path
+    ) -> None:
+        self._stems = {
+            topic: folder / topic.strip("/").removesuffix("/map").replace("/", "_")
+            for topic in topics
+        }
+        refuse_overwriting(
+            [(log, file) for file in log_sources(log)],
+            [(f"save {stem}", file) for stem in self._stems.values() for file in saved_files(stem)],
+        )
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass  # a file can be made there
+        self._node, self._log = base.node, base.log
+        self._topics = tuple(topics)
+        self._folder = folder
+        self._interrupt = interrupt
+        self._maps: dict[str, Any] = {}
+        for topic in topics:
+            base.subscribe(OccupancyGrid, topic, partial(self._on_map, topic), qos.MAP)
+
+    def save(self, stamp_s: float, timeout_s: float, played: str) -> None:
+        """Write the newest map of every topic, as soon as they hold the last scan.
+
+        When the node is ended before, those that have come.
+
+        Args:
+            stamp_s: of the last scan.
+            timeout_s: how long its map may take.
+            played: what was played so far, in words.
+
+        Raises:
+            SlamFusionError: no map came, or one is none or cannot be written.
+        """
+        is_early = self._interrupt.is_set
+        self._interrupt.wait_until(lambda: not self._late(stamp_s), timeout_s)
+        with self._interrupt:
+            maps, late = dict(self._maps), self._late(stamp_s)
+        if is_early:
+            ends = "the maps that have come are saved" if maps else "no map has come to be saved"
+            self._log.warning(f"stopped after {played}; {ends}")
+            late = []
+        for topic in late:
+            what = "it is older than the last scan" if topic in maps else "no map came"
+            self._log.warning(f"the map on {self._node.resolve_topic_name(topic)!r}: {what}")
+        if not maps and not is_early:
+            message = f"no map came on {', '.join(self._topics) or '(no topic)'}"
+            raise SlamFusionError(message)
+        self._folder.mkdir(parents=True, exist_ok=True)
+        for topic, message in maps.items():
+            path, _ = save_map(messages.grid_from_message(message, topic), self._stems[topic])
+            self._log.info(f"wrote {path}")
+
+    def _late(self, stamp_s: float) -> list[str]:
+        """Return the topics whose newest map does not hold the scan of a stamp."""
+        return [
+            topic
+            for topic in self._topics
+            if topic not in self._maps
+            or messages.stamp_s(self._maps[topic]) < stamp_s - STAMP_TOLERANCE_S
+        ]
+
+    def _on_map(self, topic: str, message: Any) -> None:
+        """Keep the newest map of a topic."""
+        with self._interrupt:
+            self._maps[topic] = message
+            self._interrupt.notify_all()
+
+
+SCAN_TOPIC, ODOM_TOPIC, CLOCK_TOPIC = "scan", "odom", "/clock"
+# Reliable readers are given this long to take the last messages.
+ACKNOWLEDGE_S = 5.0
+
+
+class ScanSender:
+    """Sends ``scan``, ``odom``, transforms and ``/clock``, all with the log's stamps.
+
+    Args:
+        base: the node.
+        settings: its frames, and what of the odometry is sent.
+
+    Attributes:
+        sent: scans sent so far, each counted once.
+        sent_again: how often one of them was repeated.
+        stamp_s: of the last scan; None before the first.
+    """
+
+    def __init__(self, base: NodeBase, settings: PlayerNodeConfig) -> None:
+        self.sent = 0
+        self.sent_again = 0
+        self.stamp_s: float | None = None
+        self._settings = settings
+        self._scans = base.node.create_publisher(LaserScan, SCAN_TOPIC, qos.STREAM)
+        self._odometry = base.node.create_publisher(Odometry, ODOM_TOPIC, qos.STREAM)
+        self._clock = base.node.create_publisher(Clock, CLOCK_TOPIC, qos.STREAM)
+        self._transforms = TransformOutput(base.node)
+        self._mount: Pose2 | None = None
+
+    def listeners(self) -> int:
+        """Return how many subscriptions the scans have."""
+        return int(self._scans.get_subscription_count())
+
+    def rivals(self) -> dict[str, str]:
+        """Return the parents of frames that another node sends too, by child; see ``frames``."""
+        return self._transforms.rivals()
+
+    def send(self, item: LogScan) -> None:
+        """Send a scan with its time, transforms and odometry, the scan last."""
+        settings, scan = self._settings, item.scan
+        stamp = messages.to_stamp(scan.stamp_s)
+        self.stamp_s = scan.stamp_s
+        self.send_clock(scan.stamp_s)
+        if scan.mount != self._mount:
+            self._mount = scan.mount
+            self._transforms.send_static(
+                [
+                    messages.transform_to_message(
+                        scan.mount, settings.base_frame, settings.laser_frame, stamp
+                    )
+                ]
+            )
+        pose = item.odometry
+        if pose is not None and settings.odometry in {"tf", "both"}:
+            self._transforms.send(
+                [
+                    messages.transform_to_message(
+                        pose, settings.odom_frame, settings.base_frame, stamp
+                    )
+                ]
+            )
+        if pose is not None and settings.odometry in {"topic", "both"}:
+            self._odometry.publish(
+                messages.odometry_to_message(pose, settings.odom_frame, settings.base_frame, stamp)
+            )
+        self._scans.publish(messages.scan_to_message(scan, settings.laser_frame))
+        self.sent += 1
+
+    def send_again(self, item: LogScan) -> None:
+        """Repeat a scan that was sent."""
+        self.send(item)
+        self.sent -= 1
+        self.sent_again += 1
+
+    def send_clock(self, stamp_s: float) -> None:
+        """Send the log's time, where that is asked for."""
+        if self._settings.publish_clock:
+            self._clock.publish(Clock(clock=messages.to_stamp(max(stamp_s, 0.0))))
+
+    def wait_for_delivery(self) -> None:
+        """Give reliable readers the time to take the last messages."""
+        for publisher in (self._scans, self._odometry):
+            publisher.wait_for_all_acked(Duration(seconds=ACKNOWLEDGE_S))
+
+
+# A line for each tenth of the log, but no more often than this, seconds.
+PARTS, APART_S = 10, 5.0
+
+
+class ProgressLines:
+    """Says each tenth of a log that was played; of a short log not all of them.
+
+    Args:
+        say: takes a line.
+        clock_s: seconds that never go back.
+    """
+
+    def __init__(
+        self, say: Callable[[str], None], clock_s: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._say, self._clock_s = say, clock_s
+        self._part = 0
+        self._told_s = clock_s()
+
+    def tell(self, share: float, words: str) -> None:
+        """Take how far the log is.
+
+        Args:
+            share: of it that was read, 0 to 1; less than before: it is played again.
+            words: what was done so far.
+        """
+        part = math.floor(PARTS * share)
+        if part < self._part:
+            self._part = 0
+        now_s = self._clock_s()
+        if part > self._part and part < PARTS and now_s - self._told_s >= APART_S:
+            self._part, self._told_s = part, now_s
+            self._say(f"played {share:.0%}: {words}")
+
 
 # Between two scans the clock goes on in steps of this real time.
 CLOCK_STEP_S = 0.02
@@ -57,8 +381,10 @@ class PlayerNode(NodeBase):
     def __init__(self, *, context: Any = None, arguments: Any = None) -> None:
         super().__init__("player", context=context, arguments=arguments)
         node = self.node
-        self.settings = declare(node, PlayerNodeConfig, changeable=("rate",), on_change=self._take)
-        reading = declare(node, LogConfig, "log")
+        self.settings = declare(
+            node, PlayerNodeConfig(), changeable=("rate",), on_change=self._take
+        )
+        reading = declare(node, LogConfig(), "log")
         self.wait_for = declare_names(
             node,
             "wait_for",

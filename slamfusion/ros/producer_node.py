@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import dataclasses
 import time
-import traceback
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,23 +18,109 @@ from sensor_msgs.msg import LaserScan
 
 from slamfusion.compute import open_device
 from slamfusion.config import DeviceConfig, ProducerNodeConfig, RunConfig
+from slamfusion.geometry import Pose2
 from slamfusion.ros import messages, qos
-from slamfusion.ros.base import Level, NodeBase, Status
-from slamfusion.ros.child_frames import in_namespace
-from slamfusion.ros.device import open_node_device
-from slamfusion.ros.map_transform import MapTransform
+from slamfusion.ros.base import SHOWN_S, Level, NodeBase, Status, Worker, open_node_device
+from slamfusion.ros.frames import TransformOutput
 from slamfusion.ros.parameters import declare
-from slamfusion.ros.producer_status import producer_figures
-from slamfusion.ros.scan_frames import ScanFrames
-from slamfusion.ros.scan_gate import ArrivedScan, ScanGate
-from slamfusion.ros.worker import Worker
+from slamfusion.ros.scan_input import ArrivedScan, ScanFrames, ScanGate
 from slamfusion.slam.registry import producer, settings_of
 from slamfusion.slam.session import (
     Answer,
     ProducerSession,
     QueuedScan,
+    Snapshot,
     UndrawnMap,
 )
+
+# Scans that come for so long without a transform are a reason to name it, seconds.
+NEVER_SENT_S = 5.0
+
+
+class MapTransform:
+    """Sends where the odometry frame lies in the map while ``publish_tf`` is on.
+
+    Args:
+        base: the node.
+        settings: of the node.
+        map_frame: parent of the transform.
+    """
+
+    def __init__(self, base: NodeBase, settings: ProducerNodeConfig, map_frame: str) -> None:
+        self._base = base
+        self._map_frame = map_frame
+        self._output: TransformOutput | None = None
+        # Written by the worker that sends, read by the executor.
+        self._sent_s: float | None = None
+        self._due_since_s: float | None = None
+        self.configure(settings)
+
+    def configure(self, settings: ProducerNodeConfig) -> None:
+        """Take changed settings."""
+        self._settings = settings
+        if settings.publish_tf and self._output is None:
+            self._output = TransformOutput(self._base.node)
+
+    @property
+    def _child(self) -> str:
+        """The frame whose place is sent: without odometry the robot itself."""
+        settings = self._settings
+        return settings.base_frame if settings.odometry_source == "none" else settings.odom_frame
+
+    def send(self, pose: Pose2, odometry: Pose2 | None, stamp: Any) -> None:
+        """Send the transform, where that is asked for and can be said.
+
+        Args:
+            pose: of the robot in the map; metres, radians.
+            odometry: of the robot in the odometry frame at that time; None where it is not known.
+            stamp: builtin_interfaces/Time of both.
+        """
+        settings = self._settings
+        if self._output is None or not settings.publish_tf:
+            return
+        if settings.odometry_source != "none":
+            if odometry is None:
+                return
+            pose = pose.compose(odometry.inverse())
+        self._output.send(
+            [messages.transform_to_message(pose, self._map_frame, self._child, stamp)]
+        )
+        self._sent_s = time.monotonic()
+
+    def name(self, *, are_scans_coming: bool) -> None:
+        """Name a transform that is not sent although scans come, and other senders of the same."""
+        self._name_unsent(is_due=are_scans_coming and self._settings.publish_tf)
+        rivals = {} if self._output is None else self._output.rivals()
+        child, parent = next(iter(rivals.items()), ("", ""))
+        text = (
+            f"another node sends the transform to {child!r} too (from {parent!r}): set publish_tf "
+            "to false in all but one"
+        )
+        self._base.diagnostics.say("rival", text if rivals else None, Level.ERROR)
+
+    def _name_unsent(self, *, is_due: bool) -> None:
+        now_s = time.monotonic()
+        if not is_due:
+            self._due_since_s = None
+        elif self._due_since_s is None:
+            self._due_since_s = now_s
+        since_s = max(self._due_since_s or now_s, self._sent_s or 0.0)
+        if now_s - since_s <= NEVER_SENT_S:
+            self._base.diagnostics.clear("unsent")
+            return
+        settings = self._settings
+        wanted = {
+            "topic": "odometry at the scans' times; check its topic and its stamps",
+            "tf": f"transforms from {settings.base_frame!r} to {settings.odom_frame!r} at the "
+            "scans' times; check base_frame and odom_frame",
+            "none": "scans that are used; see what else is said",
+        }[settings.odometry_source]
+        text = (
+            f"publish_tf is on and {self._map_frame!r} -> {self._child!r} cannot be sent: it needs "
+            f"{wanted}"
+        )
+        self._base.diagnostics.add("unsent", Level.ERROR, text)
+
 
 SCAN_TOPIC = "scan"
 # Fields of ``ProducerNodeConfig`` that may be changed while the node runs.
@@ -54,13 +139,14 @@ LOOK_S = 0.1
 PAUSE_S = 1.0
 # A scan that is worked on for longer is named.
 SLOW_SCAN_S = 5.0
-# Words on what has passed stay in the diagnostics this long.
-SHOWN_S = 10.0
 
 
 def make_node(kind: str, **options: Any) -> NodeBase:
     """Return the node of a producer; see ``ProducerNode``."""
     return ProducerNode(kind, **options)
+
+
+STRAY = "a stamp far from those before and after it"
 
 
 class _MapDue:
@@ -103,15 +189,15 @@ class ProducerNode(NodeBase):
         super().__init__(kind, context=context, arguments=arguments)
         node = self.node
         self.settings = declare(
-            node, ProducerNodeConfig, changeable=CHANGEABLE, on_change=self._on_settings
+            node, ProducerNodeConfig(), changeable=CHANGEABLE, on_change=self._on_settings
         )
         section = declare(node, settings_of(RunConfig(), kind), kind)
-        device = declare(node, DeviceConfig)
+        device = declare(node, DeviceConfig())
         self._config = dataclasses.replace(
             RunConfig(), producers={kind: section}, device=device, seed=self.settings.seed
         )
         self._own_interval_s = producer(kind).map_interval_s(section)
-        own_frame = in_namespace(node.get_namespace(), f"{self.name}_map")
+        own_frame = f"{node.get_namespace()}/{self.name}_map".strip("/")
         self._map_frame = self.settings.map_frame or own_frame
         self._device = open_node_device(device.device, self.diagnostics)
         self._session = ProducerSession(
@@ -123,19 +209,19 @@ class ProducerNode(NodeBase):
         )
 
         # Of the executor's thread alone.
-        self._received = self._dropped = self._strays = 0
+        self._received = self._dropped = 0
         self._last_scan_s = time.monotonic()
 
         name = self.name
-        self._map_topic = self.publisher(OccupancyGrid, f"{name}/map", qos.MAP)
-        self._metadata_topic = self.publisher(MapMetaData, f"{name}/map_metadata", qos.MAP)
-        self._path_topic = self.publisher(Path, f"{name}/path", qos.MAP)
-        self._pose_topic = self.publisher(PoseStamped, f"{name}/pose", qos.POSE)
+        self._map_topic = node.create_publisher(OccupancyGrid, f"{name}/map", qos.MAP)
+        self._metadata_topic = node.create_publisher(MapMetaData, f"{name}/map_metadata", qos.MAP)
+        self._path_topic = node.create_publisher(Path, f"{name}/path", qos.MAP)
+        self._pose_topic = node.create_publisher(PoseStamped, f"{name}/pose", qos.POSE)
         self._messages: Worker[UndrawnMap] = Worker(
-            self._publish_map, 1, self._failed, f"{name} maps"
+            self._publish_map, 1, self.failed, f"{name} maps"
         )
         self._worker: Worker[_Queued | _MapDue] = Worker(
-            self._work, self.settings.scan_queue, self._failed, f"{name} scans"
+            self._work, self.settings.scan_queue, self.failed, f"{name} scans"
         )
         self._inputs = ScanFrames(self, self.settings)
         self._transform = MapTransform(self, self.settings, self._map_frame)
@@ -156,7 +242,6 @@ class ProducerNode(NodeBase):
         self._received += 1
         self._last_scan_s = time.monotonic()
         passed = self._gate.offer(message)
-        self._strays += len(passed.strays)
         if passed.jump is not None and passed.jump.is_back:
             self._begin_new_map()
         for scan in passed.items:
@@ -194,7 +279,7 @@ class ProducerNode(NodeBase):
     def _on_settings(self, settings: ProducerNodeConfig) -> None:
         """Take changed settings."""
         self.settings = settings
-        self._worker.resize(settings.scan_queue)
+        self._worker.capacity = settings.scan_queue
         self._gate.set_back(settings.reset_back_s)
         self._inputs.configure(settings)
         self._transform.configure(settings)
@@ -253,13 +338,6 @@ class ProducerNode(NodeBase):
         if answer.is_new:
             self._transform.send(answer.pose, answer.odometry, stamp)
 
-    def _failed(self, _: Any, error: Exception) -> None:
-        """Name what a worker stumbled over."""
-        if not self.diagnostics.is_on("worker"):
-            self.log.error("".join(traceback.format_exception(error)))
-        text = f"{type(error).__name__}: {error}"
-        self.diagnostics.add("worker", Level.ERROR, text, SHOWN_S)
-
     # --- the thread of messages --------------------------------------------------------------
 
     def _publish_map(self, item: UndrawnMap) -> None:
@@ -284,37 +362,61 @@ class ProducerNode(NodeBase):
         self._gate.name_odometry()
         snapshot = self._session.snapshot
         level, message = self.diagnostics.worst("mapping" if snapshot.fed else "waiting for scans")
-        values = producer_figures(
-            snapshot, self._session.drawn, self._gate, self._inputs.odometry, self._strays
-        )
-        received_s = time.monotonic() - self._last_scan_s
-        values |= {
+        return [Status("slam", level, message, self._figures(snapshot))]
+
+    def _figures(self, snapshot: Snapshot) -> dict[str, object]:
+        gate, odometry, drawn = self._gate, self._inputs.odometry, self._session.drawn
+        health, now_s = snapshot.health, time.monotonic()
+        heard_s = None if odometry is None else odometry.last_s
+        median_ms, high_ms = snapshot.latencies_ms()
+        left_out = {STRAY: gate.strays} if gate.strays else {}
+        left_out |= snapshot.left_out
+        return {
+            "scans fed": snapshot.fed,
+            "scans used": health.scans_used,
+            "scans held for their stamps": gate.held,
+            "scans without odometry": snapshot.without_odometry,
+            "maps published": drawn.maps,
+            "maps begun anew": gate.jumps_back,
+            "match score": health.match_score,
+            "mean match score": health.mean_match_score,
+            "low scores": health.low_scores,
+            "effective particles": health.n_eff,
+            "latency median [ms]": median_ms,
+            "latency p95 [ms]": high_ms,
+            "map [cells]": f"{drawn.shape[0]} x {drawn.shape[1]}",
+            "reading the map [ms]": 1e3 * snapshot.map_time_s,
+            "drawing the map [ms]": None if drawn.time_s is None else 1e3 * drawn.time_s,
+            "memory [MB]": snapshot.memory_bytes / 1e6,
+            "odometry with a stray stamp": None if odometry is None else odometry.strays,
+            "last odometry [s ago]": None if heard_s is None else now_s - heard_s,
+            **{f"left out: {key}": count for key, count in left_out.items()},
+            **{f"not used: {key}": count for key, count in health.skips.items()},
             "scans received": self._received,
             "scans dropped": self._dropped,
             "scans waiting": self._worker.waiting,
-            "last scan [s ago]": received_s if self._received else None,
+            "last scan [s ago]": now_s - self._last_scan_s if self._received else None,
             "device": self._device.name,
         }
-        return [Status("slam", level, message, values)]
 
     def _name_silence(self) -> None:
         """Name scans that do not come, a scan that takes too long, and what is wrong with /tf."""
         now_s = time.monotonic()
         silent_s = now_s - self._last_scan_s
-        if silent_s > self.settings.scans_stale_s:
-            topic = self.node.resolve_topic_name(SCAN_TOPIC)
-            writers = self.node.count_publishers(SCAN_TOPIC)
-            who = f"{writers} node(s) could send them" if writers else "nobody sends them"
-            since = "yet" if not self._received else "any more"
-            # Without the time, which would be news each second.
-            self.diagnostics.add("scans", Level.STALE, f"no scans on {topic!r} {since}; {who}")
-        else:
-            self.diagnostics.clear("scans")
+        topic, writers = (
+            self.node.resolve_topic_name(SCAN_TOPIC),
+            self.node.count_publishers(SCAN_TOPIC),
+        )
+        who = f"{writers} node(s) could send them" if writers else "nobody sends them"
+        since = "yet" if not self._received else "any more"
+        # Without the time, which would be news each second.
+        text = f"no scans on {topic!r} {since}; {who}"
+        is_silent = silent_s > self.settings.scans_stale_s
+        self.diagnostics.say("scans", text if is_silent else None, Level.STALE)
         busy_s = self._session.snapshot.busy_since_s
-        if busy_s is not None and now_s - busy_s > SLOW_SCAN_S:
-            self.diagnostics.add("busy", Level.ERROR, "a scan has been worked on for over 5 s")
-        else:
-            self.diagnostics.clear("busy")
+        is_slow = busy_s is not None and now_s - busy_s > SLOW_SCAN_S
+        text = "a scan has been worked on for over 5 s"
+        self.diagnostics.say("busy", text if is_slow else None, Level.ERROR)
         self._transform.name(are_scans_coming=silent_s <= self.settings.scans_stale_s)
 
     def close(self) -> None:

@@ -15,14 +15,18 @@ bytes in zlib's format, row by row from the lowest. A cell is an int8 seen as ui
 from __future__ import annotations
 
 import json
+import math
 import struct
 import zlib
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from slamfusion.geometry import Pose2
+from slamfusion.grid import UNKNOWN, OccupancyGrid
 from slamfusion.json_values import plain
 
 # Cells along a tile's side.
@@ -70,3 +74,92 @@ def decode_tile(data: bytes) -> tuple[dict[str, Any], npt.NDArray[np.int8]]:
     body = data[HEADER.size + length :]
     raw = body * (TILE * TILE) if len(body) == 1 else zlib.decompress(body)
     return header, np.frombuffer(raw, dtype=np.int8).reshape(TILE, TILE)
+
+
+# A map whose cells lie this far beside the lattice, in cells, has another one; and this much turned
+# (the farthest cell of 10^4 moves by a tenth of one).
+OFFSET_CELLS, TURNED_RAD = 1e-3, 1e-5
+
+Place = tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """Where cells lie: cell (0, 0) has its lower-left corner at the anchor.
+
+    Attributes:
+        resolution: metres per cell.
+        anchor: pose of it in the map frame.
+    """
+
+    resolution: float
+    anchor: Pose2
+
+    def offset(self, grid: OccupancyGrid) -> Place | None:
+        """Return row and column of the grid's first cell; None where it lies on no cell."""
+        if not math.isclose(grid.resolution, self.resolution, rel_tol=1e-6):
+            return None
+        place = self.anchor.inverse().compose(grid.origin)
+        if abs(place.yaw_rad) > TURNED_RAD:
+            return None
+        row, column = place.y / self.resolution, place.x / self.resolution
+        if max(abs(row - round(row)), abs(column - round(column))) > OFFSET_CELLS:
+            return None
+        return round(row), round(column)
+
+
+class TiledLayer:
+    """Cuts each state of a map into tiles and tells those that differ from the last state.
+
+    Tiles are counted from where the map first began, so that one that grows to the left or below
+    sends no tile twice.
+
+    Attributes:
+        lattice: of the tiles; None before the first map.
+        tiles: (TILE, TILE) int8 by (row, column) of the tile; those without a known cell are not
+            in it.
+    """
+
+    def __init__(self) -> None:
+        self.lattice: Lattice | None = None
+        self.tiles: dict[Place, npt.NDArray[np.int8]] = {}
+
+    def put(self, grid: OccupancyGrid) -> tuple[bool, list[Place]]:
+        """Take a new state.
+
+        Returns:
+            Whether the lattice is another one, so that all that was sent before is void, and the
+            places of the tiles that changed; those that hold nothing any more are not in ``tiles``.
+        """
+        offset = None if self.lattice is None else self.lattice.offset(grid)
+        is_new = offset is None
+        if offset is None:
+            self.lattice, offset, self.tiles = Lattice(grid.resolution, grid.origin), (0, 0), {}
+        found = _cut(grid.cells, offset)
+        changed = [
+            place
+            for place, cells in found.items()
+            if (old := self.tiles.get(place)) is None or not np.array_equal(old, cells)
+        ]
+        changed += [place for place in self.tiles if place not in found]
+        self.tiles = found
+        return is_new, changed
+
+
+def _cut(cells: npt.NDArray[np.int8], offset: Place) -> dict[Place, npt.NDArray[np.int8]]:
+    """Return the tiles of cells that lie at an offset, but those without a known cell."""
+    (row0, column0), (height, width) = offset, cells.shape
+    first = row0 // TILE, column0 // TILE
+    last = (row0 + height - 1) // TILE, (column0 + width - 1) // TILE
+    whole = np.full(
+        ((last[0] - first[0] + 1) * TILE, (last[1] - first[1] + 1) * TILE), UNKNOWN, dtype=np.int8
+    )
+    top, left = row0 - first[0] * TILE, column0 - first[1] * TILE
+    whole[top : top + height, left : left + width] = cells
+    rows, columns = whole.shape[0] // TILE, whole.shape[1] // TILE
+    blocks = whole.reshape(rows, TILE, columns, TILE).swapaxes(1, 2)
+    known = (blocks != UNKNOWN).any(axis=(2, 3))
+    return {
+        (first[0] + int(row), first[1] + int(column)): np.ascontiguousarray(blocks[row, column])
+        for row, column in np.argwhere(known)
+    }

@@ -12,17 +12,14 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Collection
-from dataclasses import dataclass, field
 
 import numpy as np
 from rich.table import Table
 
 from slamfusion.compute import open_device
 from slamfusion.config import RunConfig
-from slamfusion.fusion.live import LiveFusion, LiveInput
-from slamfusion.fusion.live.outbox import Outbox
-from slamfusion.fusion.live.session import Arrived, FusionSession, warm_up
+from slamfusion.fusion.live import LiveFusion
+from slamfusion.fusion.live.session import FusedMap, FusionSession, warm_up
 from slamfusion.grid import OccupancyGrid
 from tests.benchmarks.bench_live import draw_maps, windowed
 from tests.benchmarks.record import add_record_option, console_for
@@ -41,55 +38,30 @@ class Clock:
         return self.waited_s + time.process_time()
 
 
-@dataclass
 class Desk:
-    """Where the session takes its maps from, and publishes to; it remembers nothing."""
+    """Hands the session the maps whose second has come, whenever it looks at the clock."""
 
-    clock: Clock
-    outbox: Outbox
-    coming: list[tuple[float, OccupancyGrid]] = field(default_factory=list)
-    unshown_s: list[float] = field(default_factory=list)
-    latencies_s: list[float] = field(default_factory=list)
-    fused: int = 0
+    def __init__(self, live: LiveFusion, clock: Clock) -> None:
+        self.live, self.clock = live, clock
+        self.coming: list[tuple[float, OccupancyGrid]] = []
+        self.unshown_s: list[float] = []
+        self.latencies_s: list[float] = []
+        self.fused = 0
 
-    def take(self) -> list[Arrived]:
-        came: dict[str, Arrived] = {}
-        while self.has_maps():
+    def now_s(self) -> float:
+        """Return the time, after what came until then was put."""
+        now_s = self.clock()
+        while self.coming and self.coming[0][0] <= now_s:
             arrived_s, grid = self.coming.pop(0)
-            came[grid.name] = Arrived(grid.name, grid, "", arrived_s)
+            self.live.put(grid.name, grid, arrived_s)
             self.unshown_s.append(arrived_s)
-        return [*came.values()]
+        return now_s
 
-    def has_maps(self) -> bool:
-        return bool(self.coming) and self.coming[0][0] <= self.clock()
-
-    def has_come(self, _: str) -> bool:
-        return True
-
-    def send(self, *, with_agreement: bool = True) -> None:
-        del with_agreement
-        if (fused := self.outbox.take()) is not None:
-            self.outbox.count(fused)
-            self.fused += 1
-            self.latencies_s += [self.clock() - came_s for came_s in self.unshown_s]
-            self.unshown_s.clear()
-
-    def stamp_s(self, _: Collection[str]) -> float:
-        return 0.0
-
-    def say_vote(self, record: LiveInput) -> None:
-        del record
-
-    def is_waiting(self, _: object) -> bool:
-        return False
-
-    def confirm(self) -> None: ...
-
-    def change(self, _: float) -> None: ...
-
-    def keep(self) -> None: ...
-
-    def clear(self) -> None: ...
+    def publish(self, _: FusedMap) -> None:
+        """Count a fused map."""
+        self.fused += 1
+        self.latencies_s += [self.clock() - came_s for came_s in self.unshown_s]
+        self.unshown_s.clear()
 
 
 def run(count: int, side: int, rounds: int) -> list[str]:
@@ -98,16 +70,24 @@ def run(count: int, side: int, rounds: int) -> list[str]:
     maps = draw_maps(side, tuple(f"robot{number}" for number in range(count)))
     config, device, clock = RunConfig(), open_device(), Clock()
     warm_up(config, device)
-    desk = Desk(clock, Outbox(5.0, clock))
-    session = FusionSession(LiveFusion(config, device), desk.outbox, desk, clock)
+    desk = Desk(LiveFusion(config, device), clock)
+    session = FusionSession(
+        desk.live,
+        5.0,
+        publish=desk.publish,
+        publish_agreement=lambda _: None,
+        stamp_s=lambda _: 0.0,
+        on_vote=lambda _: None,
+        clock=desk.now_s,
+    )
 
     def voters() -> int:
-        return sum(record.accepted for record in session.snapshot.believed.inputs.values())
+        return sum(record.accepted for record in session.snapshot.inputs.values())
 
     began_s = clock()
     desk.coming = [(began_s, grid) for grid in maps.values()]
     while voters() < count and clock() - began_s < FIRST_S:
-        session.turn(desk)
+        session.turn()
         clock.waited_s += TURN_S
     first_s = clock() - began_s
     desk.latencies_s.clear()
@@ -120,9 +100,9 @@ def run(count: int, side: int, rounds: int) -> list[str]:
     desk.coming.sort(key=lambda item: item[0])
     clock.waited_s -= time.process_time() - spent_s  # drawing them took no time
     spent_s = time.process_time()
-    while desk.coming or desk.outbox.waiting is not None:
-        session.turn(desk)
-        if not desk.has_maps():
+    while desk.coming or session.waiting is not None:
+        session.turn()
+        if not desk.live.has_news:
             clock.waited_s += TURN_S
     spent_s = (time.process_time() - spent_s) / (rounds * PERIOD_S)
     times_ms = 1e3 * np.percentile(desk.latencies_s, (50.0, 95.0, 100.0))

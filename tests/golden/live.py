@@ -16,17 +16,19 @@ which 1000 s pass and the session has its turn. Events:
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
 from unittest import mock
 
 import numpy as np
 
 from slamfusion.compute import open_device
 from slamfusion.config import LiveConfig, RunConfig
+from slamfusion.errors import GridError
 from slamfusion.fusion.live import LiveFusion, LiveInput
-from slamfusion.fusion.live.outbox import Fused, Outbox
-from slamfusion.fusion.live.session import Arrived, FusionSession
+from slamfusion.fusion.live.session import FusedMap, FusionSession
 from slamfusion.fusion.live.state import LiveState
 from slamfusion.geometry import Pose2
 from slamfusion.grid import UNKNOWN, OccupancyGrid
@@ -53,6 +55,16 @@ def play(events: Iterable[str]) -> str:
     return "\n".join(out) + "\n"
 
 
+class Arrived(NamedTuple):
+    """What waits until the next turn: a map, one that cannot be read, or that an input is gone."""
+
+    name: str
+    grid: OccupancyGrid | None
+    problem: str
+    arrived_s: float
+    is_removed: bool = False
+
+
 class Player:
     """A session with all that it asks of its surroundings, and its clock.
 
@@ -70,19 +82,30 @@ class Player:
 
     def _begin(self) -> None:
         self._fusion = LiveFusion(RunConfig(live=self._live), self._device)
-        self._outbox = Outbox(1.0, lambda: self._now_s)
-        self._session = FusionSession(self._fusion, self._outbox, self, lambda: self._now_s)
+        self._session = FusionSession(
+            self._fusion,
+            1.0,
+            publish=lambda fused: self._publish("fused map", fused.grid, fused),
+            publish_agreement=lambda fused: self._publish("agreement", fused.agreement, fused),
+            stamp_s=self.stamp_s,
+            on_vote=self.on_vote,
+            clock=lambda: self._now_s,
+        )
 
     def turn(self) -> None:
         """Let the session work, and write down what it believes."""
         self._now_s += STEP_S
-        self._session.turn(self)
+        self._deliver()
+        resets, told = self._session.snapshot.resets, len(self.said)
+        self._session.turn()
         now = self._session.snapshot
+        if now.resets > resets:
+            self.said.insert(told, "the kept state is forgotten")
         counts = f"{now.updates} updates, {now.searches} searches, {now.resets} resets"
-        self.said.append(f"{counts}, {now.votes} votes, reference {now.believed.reference or '-'}")
-        if not any(record.accepted for record in now.believed.inputs.values()):
+        self.said.append(f"{counts}, {now.votes} votes, reference {now.reference or '-'}")
+        if not any(record.accepted for record in now.inputs.values()):
             self.said.append(now.nothing_fused)
-        for record in now.believed.inputs.values():
+        for record in now.inputs.values():
             place = "nowhere" if record.transform is None else _pose(record.transform)
             self.said.append(
                 f"{record.name} {'votes' if record.accepted else 'no vote'}: {record.reason}; "
@@ -107,7 +130,6 @@ class Player:
         self._session.look(name, "", has_map=True, is_back=True)
 
     def _removed(self, name: str) -> None:
-        self._session.forget(name)
         self._waiting.append(Arrived(name, None, "", self._now_s, is_removed=True))
 
     def _pose(self, name: str, *numbers: str) -> None:
@@ -131,57 +153,32 @@ class Player:
 
     # -- what a session asks ----------------------------------------------------------------------
 
-    def take(self) -> list[Arrived]:
-        """Return what came."""
-        taken, self._waiting = self._waiting, []
-        return taken
+    def _deliver(self) -> None:
+        """Hand over what came: first the inputs that are gone."""
+        for item in self._waiting:
+            if item.is_removed:
+                self._session.remove(item.name)
+            elif item.grid is not None:
+                self._fusion.put(item.name, item.grid, item.arrived_s)
+            else:
+                self._fusion.put(item.name, partial(_refuse, item.problem), item.arrived_s)
+        self._waiting = []
 
-    def has_maps(self) -> bool:
-        """Return whether anything waits."""
-        return bool(self._waiting)
-
-    def has_come(self, name: str) -> bool:
-        """Return that every input has sent a map."""
-        return bool(name)
-
-    def send(self, *, with_agreement: bool = True) -> None:
-        """Write down what is published."""
-        fused = self._outbox.take()
-        if fused is not None:
-            self._outbox.count(fused)
-            self._publish("fused map", fused.grid, fused)
-        told = self._outbox.take_agreement() if with_agreement else None
-        if told is not None:
-            self._publish("agreement", told.agreement, told)
-
-    def _publish(self, what: str, grid: OccupancyGrid, fused: Fused) -> None:
+    def _publish(self, what: str, grid: OccupancyGrid, fused: FusedMap) -> None:
         place = f"origin {_pose(grid.origin)}, cells of {grid.resolution:g} m"
         self.said.append(f"{what}: {_cells(grid.cells)}, {place}, stamp {fused.stamp_s:g}")
 
-    def stamp_s(self, voters: Collection[str]) -> float:
+    def stamp_s(self, voters: Sequence[str]) -> float:
         """Return a stamp that shows how many vote."""
         return self._now_s + len(voters)
 
-    def say_vote(self, record: LiveInput) -> None:
+    def on_vote(self, record: LiveInput) -> None:
         """Write down that an input got or lost its vote."""
         self.said.append(f"{record.name} {'got' if record.accepted else 'has no'} vote")
 
-    def is_waiting(self, has_come: Callable[[str], bool]) -> bool:
-        """Return that nobody is waited for."""
-        return not has_come("a")
 
-    def confirm(self) -> None:
-        """Keep nothing: ``restart`` does."""
-
-    def change(self, stamp_s: float) -> None:
-        """Keep nothing."""
-
-    def keep(self) -> None:
-        """Keep nothing."""
-
-    def clear(self) -> None:
-        """Write down that the kept state is forgotten."""
-        self.said.append("the kept state is forgotten")
+def _refuse(problem: str) -> OccupancyGrid:
+    raise GridError(problem)
 
 
 def _message(word: str) -> OccupancyGrid:

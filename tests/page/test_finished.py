@@ -21,10 +21,9 @@ from slamfusion.jobs.fuse import FusedMaps, save_fused_maps
 from slamfusion.jobs.fuse_documents import DoubledWalls
 from slamfusion.jobs.inputs import GivenMaps
 from slamfusion.jobs.records import FuseDocument
-from slamfusion.page.feed import Feed
 from slamfusion.page.finished import Finished, read_finished
 from slamfusion.trajectory import Trajectory
-from slamfusion.viewer.scene import Kind, Scene
+from slamfusion.viewer.scene import Feed, Kind, Scene
 from tests.report.drawn import fusion, room
 from tests.viewer.maps import texts
 

@@ -6,12 +6,14 @@ import json
 
 import pytest
 
-from slamfusion.page.guard import is_own_origin, may_ask, may_command
 from slamfusion.page.protocol import (
     Command,
     Hello,
     PageMessageError,
     Seen,
+    is_own_origin,
+    may_ask,
+    may_command,
     parse_message,
 )
 

@@ -2,7 +2,10 @@ from __future__ import annotations
 
 import importlib.util
 import logging
+import os
+import threading
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -16,12 +19,23 @@ from rclpy.executors import SingleThreadedExecutor
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 
+from slamfusion.compute import pocl_cache
 from slamfusion.errors import ConfigError
 from slamfusion.ros import qos
-from slamfusion.ros.base import Diagnostics, Level, NodeBase, Status, run_node
+from slamfusion.ros.base import (
+    SESSION_VARIABLE,
+    Diagnostics,
+    Level,
+    NodeBase,
+    Status,
+    Worker,
+    is_first_to_say,
+    open_node_device,
+    run_node,
+)
 from slamfusion.ros.messages import to_stamp
 from tests.cli.command import run
-from tests.ros.live import Observer, values
+from tests.ros.live import Observer, Processes, values
 
 pytestmark = pytest.mark.ros
 
@@ -241,3 +255,177 @@ def test_every_node_has_its_module():
     from slamfusion.cli.node import NODES, PRODUCER_NODE  # noqa: PLC0415
 
     assert all(importlib.util.find_spec(module) for module in (*NODES.values(), PRODUCER_NODE))
+
+
+# -- what nodes that were started together say -----------------------------------------------------
+
+
+class Log:
+    """Keeps warnings, as a logger of rclpy takes them."""
+
+    def __init__(self) -> None:
+        self.said: list[str] = []
+
+    def warning(self, text: str) -> None:
+        self.said.append(text)
+
+
+def test_of_the_nodes_of_a_session_one_says_what_holds_for_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    logs = Log(), Log()
+    first, second = (Diagnostics(log) for log in logs)
+    monkeypatch.setenv(SESSION_VARIABLE, str(tmp_path))
+    for told in (first, second):
+        told.add("device", Level.WARN, "no GPU", is_of_all=True)
+        told.add("own", Level.WARN, "no scans")
+    assert [log.said for log in logs] == [["no GPU", "no scans"], ["no scans"]]
+    # Each goes on to have it in its diagnostics.
+    assert second.worst() == (Level.WARN, "no GPU; no scans")
+
+
+@pytest.mark.parametrize("folder", [None, "gone", "file"])
+def test_a_node_alone_and_one_whose_session_cannot_be_written_speak(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folder: str | None
+) -> None:
+    (tmp_path / "file").touch()  # no folder
+    monkeypatch.delenv(SESSION_VARIABLE, raising=False)
+    if folder is not None:
+        monkeypatch.setenv(SESSION_VARIABLE, str(tmp_path / folder))
+    assert [is_first_to_say("no GPU") for _ in range(2)] == [True, True]
+
+
+# -- the device ------------------------------------------------------------------------------------
+
+
+def test_without_any_room_for_kernels_the_node_says_that_numpy_computes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for name in (pocl_cache.FOLDER, pocl_cache.CACHES):
+        monkeypatch.setenv(name, os.devnull)
+    monkeypatch.setattr(pocl_cache, "_why_not", lambda _: os.strerror(28))
+    monkeypatch.setattr("slamfusion.compute.device.find_devices", list)
+    log = Log()
+    diagnostics = Diagnostics(log)
+    pocl_cache.find_cache.cache_clear()
+    try:
+        assert open_node_device("auto", diagnostics).name.startswith("NumPy")
+    finally:
+        pocl_cache.find_cache.cache_clear()
+    level, text = diagnostics.worst()
+    assert level == Level.WARN
+    assert f"PoCL's cache {os.devnull} cannot be written" in text
+    assert "NumPy computes instead" in text
+    assert log.said == [text]
+
+
+def test_a_device_that_is_fine_is_no_warning() -> None:
+    diagnostics = Diagnostics(Log())
+    open_node_device("numpy", diagnostics)
+    assert diagnostics.worst() == (Level.OK, "ok")
+
+
+@pytest.mark.full
+def test_a_node_without_pocls_cache_says_so_and_works(
+    processes: Processes, observer: Observer, tmp_path: Path
+) -> None:
+    cache = tmp_path / "file"
+    cache.write_bytes(b"")
+    node = processes.node("tinyslam", env={pocl_cache.FOLDER: str(cache)})
+    words = f"PoCL's cache {cache} cannot be written", "built for this process only"
+    status = observer.wait_status("tinyslam: slam", *words)
+    assert status.level == bytes([Level.WARN])
+    assert node.interrupt() == 0
+    (line,) = [line for line in node.text().splitlines() if "[WARN]" in line and words[0] in line]
+    assert words[1] in line
+
+
+# -- the worker ------------------------------------------------------------------------------------
+
+
+class Gate:
+    """Work that waits until it is let go, and notes what it has seen."""
+
+    def __init__(self) -> None:
+        self.begun = threading.Event()
+        self.go = threading.Event()
+        self.seen: list[object] = []
+        self.errors: list[tuple[object, str]] = []
+
+    def work(self, item: object) -> None:
+        self.begun.set()
+        assert self.go.wait(20.0)
+        if item == "bad":
+            message = "no good"
+            raise ValueError(message)
+        self.seen.append(item)
+
+    def fail(self, item: object, error: Exception) -> None:
+        self.errors.append((item, str(error)))
+
+
+def held(gate: Gate, capacity: int) -> Worker[object]:
+    """A worker that is busy with its first item."""
+    worker: Worker[object] = Worker(gate.work, capacity, gate.fail)
+    assert worker.put("first") == []
+    assert gate.begun.wait(20.0)
+    return worker
+
+
+def test_the_oldest_waiting_item_is_dropped_and_counted():
+    gate = Gate()
+    worker = held(gate, 3)
+    lost = [item for number in range(10) for item in worker.put(number)]
+    assert lost == [0, 1, 2, 3, 4, 5, 6]
+    assert worker.waiting == 3
+    gate.go.set()
+    assert worker.wait_idle(20.0)
+    assert gate.seen == ["first", 7, 8, 9]
+    assert worker.close()
+
+
+def test_an_item_that_fails_is_reported_and_the_next_is_taken():
+    gate = Gate()
+    worker = held(gate, 5)
+    worker.put("bad")
+    worker.put("good")
+    gate.go.set()
+    assert worker.wait_idle(20.0)
+    assert gate.errors == [("bad", "no good")]
+    assert gate.seen == ["first", "good"]
+    assert worker.close()
+
+
+def test_what_waits_can_be_taken_away():
+    gate = Gate()
+    worker = held(gate, 5)
+    worker.put("second")
+    worker.put("third")
+    assert worker.clear() == ["second", "third"]
+    assert not worker.is_idle
+    gate.go.set()
+    assert worker.wait_idle(20.0)
+    assert gate.seen == ["first"]
+    assert worker.close()
+
+
+def test_after_its_end_nothing_is_taken():
+    gate = Gate()
+    gate.go.set()
+    worker: Worker[object] = Worker(gate.work, 2, gate.fail)
+    assert worker.close()
+    assert worker.put("late") == ["late"]
+    assert gate.seen == []
+
+
+def test_a_smaller_queue_drops_with_the_next_item():
+    gate = Gate()
+    worker = held(gate, 4)
+    for number in range(4):
+        worker.put(number)
+    worker.capacity = 2
+    assert worker.put(4) == [0, 1, 2]
+    gate.go.set()
+    assert worker.wait_idle(20.0)
+    assert gate.seen == ["first", 3, 4]
+    assert worker.close()

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from slamfusion.geometry import Pose2
 from slamfusion.io.transform_edge import TransformError
 from slamfusion.ros.frames import TransformStore
+from slamfusion.ros.fused_frames import ChildFrames
 from slamfusion.ros.messages import to_stamp, transform_to_message
 
 pytestmark = pytest.mark.ros
@@ -109,3 +110,48 @@ def test_what_a_clock_that_jumped_back_leaves_is_forgotten():
     store.add([sent("odom", "base", Pose2(3.0, 0.0, 0.0), 500.0)])
     store.settle(499.9)
     assert store.lookup("odom", "base", 500.0).x == pytest.approx(3.0)
+
+
+# -- where several maps claim one frame ------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("topics", "wanted"),
+    [
+        (["/robot1/graph/map", "/robot2/graph/map"], ["map", "robot2/map"]),
+        (["/robot1/map", "/robot2/map", "/robot3/map"], ["map", "robot2/map", "robot3/map"]),
+        (["/r/a/map", "/r/b/map", "/r/c/map"], ["map", "r/b/map", "r/c/map"]),
+        (["/f/r1/g/map", "/f/r2/g/map", "/f/r2/h/map"], ["map", "f/r2/map", "f/r2/h/map"]),
+        (["/map", "/robot2/map"], ["map", "robot2/map"]),
+        (["/robot1/map", "/map"], ["map", "map/map"]),
+        (["/robot1/map", "/robot1/map"], ["map", "robot1/map_2"]),
+    ],
+)
+def test_the_first_keeps_a_frame_and_others_have_as_much_namespace_as_tells_them_apart(
+    topics: list[str], wanted: list[str]
+):
+    frames = ChildFrames()
+    found = [frames.of(str(number), topic, "map") for number, topic in enumerate(topics)]
+    assert found == wanted
+    # Asked again, in any order, each has its own.
+    again = [frames.of(str(number), topic, "map") for number, topic in enumerate(topics)]
+    assert again == wanted
+    assert frames.renamed() == {
+        str(number): ("map", child) for number, child in enumerate(wanted) if child != "map"
+    }
+
+
+def test_a_name_that_somebody_has_is_not_given():
+    frames = ChildFrames(["fused_map"])
+    assert frames.of("a", "/robot2/x/map", "robot2/map") == "robot2/map"
+    assert frames.of("b", "/robot1/y/map", "map") == "map"
+    assert frames.of("c", "/robot2/y/map", "map") == "robot2/y/map"
+    assert frames.of("d", "/robot2/y/map", "other") == "other"
+
+
+def test_an_input_whose_frame_changes_has_a_new_one_and_the_old_stays_its_own():
+    frames = ChildFrames()
+    assert frames.of("a", "/robot1/map", "map") == "map"
+    assert frames.of("a", "/robot1/map", "map_2") == "map_2"
+    assert frames.of("b", "/robot2/map", "map") == "robot2/map"
+    assert frames.of("a", "/robot1/map", "map") == "map"

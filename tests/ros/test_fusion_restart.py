@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,11 +17,12 @@ from rclpy.context import Context
 from std_srvs.srv import Trigger
 
 from slamfusion.errors import ConfigError
+from slamfusion.fusion.live.session import FusionState
 from slamfusion.fusion.live.state import LiveState
 from slamfusion.geometry import Pose2
 from slamfusion.ros import messages, qos
 from slamfusion.ros.base import Level, NodeBase
-from slamfusion.ros.state_keeper import StateKeeper
+from slamfusion.ros.fusion_state import StateKeeper
 from slamfusion.vote.lattice import Lattice
 from tests.fusion.live.maps import assert_same_lattice, share_standing, three, touched
 from tests.ros.fused import Makers, start_fusion
@@ -123,55 +125,69 @@ def base(domain: int) -> Iterator[NodeBase]:
     rclpy.shutdown(context=context)
 
 
-def test_a_keeper_writes_reads_and_clears_one_file(base: NodeBase, tmp_path: Path):
+class Live:
+    """A fusion in a state."""
+
+    def __init__(self) -> None:
+        self.restored: LiveState | None = None
+
+    def restore(self, state: LiveState) -> None:
+        self.restored = state
+
+    def state(self, stamp_s: float) -> LiveState:
+        return replace(a_state(), stamp_s=stamp_s)
+
+
+MADE, RESET = FusionState(fused_maps=1, fused_stamp_s=7.0), FusionState(resets=1)
+
+
+def test_a_keeper_writes_restores_and_clears_one_file(base: NodeBase, tmp_path: Path):
     path = tmp_path / "state"
-    keeper = StateKeeper(base, str(path))
-    assert keeper.read() is None
-    assert keeper.is_due
-    keeper.keep(a_state())
-    assert not keeper.is_due
-    keeper.close(None)
-    again = StateKeeper(base, str(path))
-    found = again.read()
-    assert found is not None
-    assert found[0].to_bytes() == a_state().to_bytes() == path.read_bytes()
-    assert str(path) in found[1]
-    again.clear()
-    again.close(None)
+    keeper = StateKeeper(base, Live(), str(path), "ab")
+    assert keeper.restored is None
+    assert not keeper.is_waiting(lambda _: False)
+    keeper.note(MADE)
+    keeper.close(is_whole=True)
+    assert LiveState.from_bytes(path.read_bytes()).stamp_s == 7.0
+    live = Live()
+    again = StateKeeper(base, live, str(path), ["a", "z"])
+    assert live.restored is again.restored is not None
+    assert live.restored.to_bytes() == path.read_bytes()
+    assert f"restored from '{path}' of" in base.diagnostics.worst()[1]
+    assert again.is_unconfirmed
+    # Of the inputs that had a place one is missing, and another never had one.
+    assert again.is_waiting(lambda name: name == "z")
+    assert not again.is_waiting(lambda name: name == "a")
+    again.note(RESET)
+    again.close(is_whole=True)
     assert not path.exists()
+    assert not again.is_unconfirmed
     assert base.diagnostics.worst() == (Level.OK, "ok")
 
 
 def test_a_keeper_leaves_files_of_others_alone(base: NodeBase, tmp_path: Path):
     path = tmp_path / "lab.pgm"
     path.write_bytes(b"P5\n1 1\n255\n\x00")
-    keeper = StateKeeper(base, str(path))
-    assert keeper.read() is None
+    keeper = StateKeeper(base, Live(), str(path), "")
+    assert keeper.restored is None
     assert "is no state of the fusion and is left as it is" in base.diagnostics.worst()[1]
-    keeper.keep(a_state())
-    keeper.clear()
-    keeper.close(a_state())
+    keeper.note(MADE)
+    keeper.note(RESET)
+    keeper.close(is_whole=True)
     assert path.read_bytes() == b"P5\n1 1\n255\n\x00"
     with pytest.raises(ConfigError, match="is a folder"):
-        StateKeeper(base, str(tmp_path))
+        StateKeeper(base, Live(), str(tmp_path), "")
 
 
-def test_a_keeper_that_cannot_write_says_so_until_it_can(base: NodeBase, tmp_path: Path):
+def test_a_keeper_that_cannot_write_says_so(base: NodeBase, tmp_path: Path):
     folder = tmp_path / "gone"
     folder.mkdir()
-    keeper = StateKeeper(base, str(folder / "state"))
+    keeper = StateKeeper(base, Live(), str(folder / "state"), "")
     folder.rmdir()
     folder.write_text("no folder")
-    keeper.keep(a_state())
-    keeper.close(None)
+    keeper.note(MADE)
+    keeper.close(is_whole=False)
     assert "the state is not kept" in base.diagnostics.worst()[1]
-
-
-def test_without_a_path_nothing_is_kept(base: NodeBase):
-    keeper = StateKeeper(base, "")
-    assert keeper.read() is None
-    assert not keeper.is_due
-    keeper.close(a_state())
 
 
 def a_state() -> LiveState:

@@ -17,7 +17,6 @@ from nav_msgs.msg import OccupancyGrid
 from slamfusion.geometry import Pose2
 from slamfusion.ros import messages, qos
 from slamfusion.ros.frames import TransformInput
-from slamfusion.ros.stamps import AHEAD_S, Stamps
 from tests.fusion.live.maps import three, touched
 from tests.ros.fused import Makers, Robot, start_fusion, told_transforms
 from tests.ros.live import Observer, Processes
@@ -116,24 +115,3 @@ def test_rivals_are_named_with_what_to_do(domain: int, processes: Processes, obs
         observer.wait_status(FUSION, words)
     for words in ("publishes '/fused/map'", "nodes publish"):
         observer.wait(lambda words=words: words not in observer.statuses()[FUSION].message)
-
-
-def test_a_stamp_is_ahead_of_the_clock_and_of_all_others_or_it_is_not():
-    now_s = 1000.0
-    tomorrow_s = now_s + DAY_S
-    stamps = Stamps(lambda: now_s)
-    # Alone it has nobody to contradict it, and within a minute nobody does.
-    assert stamps.ahead_s("a", tomorrow_s) is None
-    assert stamps.ahead_s("a", now_s + AHEAD_S) is None
-    assert stamps.ahead_s("b", now_s + AHEAD_S) is None
-    # Two that agree are as wrong as one, where the clock is with the third.
-    assert stamps.ahead_s("b", tomorrow_s) == pytest.approx(DAY_S)
-    assert stamps.ahead_s("c", tomorrow_s) == pytest.approx(DAY_S)
-    assert stamps.ahead_s("a", now_s + 1.0) is None
-    # All say the same: it is the node's clock that is behind.
-    stamps.forget()
-    assert [stamps.ahead_s(name, tomorrow_s) for name in "abcabc"] == [None] * 6
-    # A clock that has not begun says nothing; a log lies behind it.
-    for clock_s in (0.0, 1e9):
-        stamps = Stamps(lambda clock_s=clock_s: clock_s)
-        assert [stamps.ahead_s(*item) for item in (("a", 5.0), ("b", 5000.0))] == [None, None]

@@ -76,7 +76,7 @@ def test_what_goes_wrong_unforeseen_is_no_success(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     node = Node(tmp_path)
-    FusionServices(node, node)
+    FusionServices(node)
 
     def fail(*_: Any, **__: Any) -> Any:
         message = "no more threads"
@@ -84,7 +84,7 @@ def test_what_goes_wrong_unforeseen_is_no_success(
 
     monkeypatch.setattr(node, "load_input", fail)
     monkeypatch.setattr(node, "ask_reset", fail)
-    monkeypatch.setattr("slamfusion.ros.map_saver.save_map", fail)
+    monkeypatch.setattr("slamfusion.ros.fusion_services.save_map", fail)
     said = "RuntimeError: no more threads"
     request = LoadMap.Request(map_url="/maps/lab.yaml")
     loaded = node.answers["load_map"](request, LoadMap.Response())
@@ -97,7 +97,7 @@ def test_what_goes_wrong_unforeseen_is_no_success(
 
 def test_a_map_is_loaded_from_its_path_alone(tmp_path: Path) -> None:
     node = Node(tmp_path)
-    FusionServices(node, node)
+    FusionServices(node)
     for url in ("/maps/lab.yaml", "file:///maps/lab.yaml", " file:///maps/lab.yaml \n"):
         answer = node.answers["load_map"](LoadMap.Request(map_url=url), LoadMap.Response())
         assert answer.result == LoadMap.Response.RESULT_SUCCESS
@@ -106,7 +106,7 @@ def test_a_map_is_loaded_from_its_path_alone(tmp_path: Path) -> None:
 
 def test_save_as_names_all_that_it_does_not_take(tmp_path: Path) -> None:
     node = Node(tmp_path)
-    FusionServices(node, node)
+    FusionServices(node)
     path = str(tmp_path / "other")
     wanted = "path, format and mode as texts, free_thresh and occupied_thresh as numbers"
     assert save_as(node, path=path, colour="red", mode=5, occupied_thresh=True) == (
@@ -119,7 +119,7 @@ def test_save_as_names_all_that_it_does_not_take(tmp_path: Path) -> None:
 
 def test_a_saved_input_is_not_written_over(tmp_path: Path) -> None:
     node = Node(tmp_path)
-    FusionServices(node, node)
+    FusionServices(node)
     (tmp_path / "sub").mkdir()
     yaml, picture = save_map(three()["b"], tmp_path / "yard")
     floor = yaml.rename(tmp_path / "floor.yaml")
@@ -137,7 +137,7 @@ def test_nav2s_requests_are_understood(tmp_path: Path, monkeypatch: pytest.Monke
     for name in ("Nav2SaveMap", "Nav2LoadMap"):  # their types only name the service
         monkeypatch.setattr(f"slamfusion.ros.fusion_services.{name}", object)
     node = Node(tmp_path)
-    FusionServices(node, node)
+    FusionServices(node)
 
     def save(**fields: Any) -> bool:
         return bool(node.answers["~/save_map"](asked(**fields), SimpleNamespace()).result)

@@ -122,7 +122,7 @@ def test_a_hostile_peer_moves_no_cell_of_the_fused_map(
     ]
     rng = np.random.default_rng(1)
     flood(observer, goods, BEFORE, rng)
-    observer.listen(2.0)
+    observer.listen(0.5)
     before_mb, before = resident_mb(fusion), heard[-1]
     flood(observer, goods, count_of(request), rng)
     assert heard[-1].data == before.data
@@ -171,10 +171,10 @@ def test_a_hostile_peer_ends_no_producer(
     ]
     rng = np.random.default_rng(2)
     flood(observer, goods, BEFORE, rng)
-    observer.listen(2.0)
+    observer.listen(0.5)
     before_mb = resident_mb(node)
     flood(observer, goods, count_of(request), rng)
-    observer.listen(2.0)
+    observer.listen(0.5)
     assert node.is_running
     assert resident_mb(node) - before_mb < GROWTH_MB
     assert "Traceback" not in node.text()

@@ -21,9 +21,7 @@ from slamfusion.errors import ConfigError
 from slamfusion.io.map_server import save_map
 from slamfusion.ros import qos
 from slamfusion.ros.base import NodeBase
-from slamfusion.ros.discovery import fits
-from slamfusion.ros.fusion_inputs import FusionInputs
-from slamfusion.ros.input_entries import entry_for, input_names, topic_of
+from slamfusion.ros.fusion_inputs import FusionInputs, entry_for, fits, input_names, topic_of
 from slamfusion.ros.live_client import LiveClient, LiveNodeError
 from tests.fusion.live.maps import three, touched
 from tests.ros.fused import Makers, fused_without_ros, share_equal
@@ -196,26 +194,23 @@ def test_what_is_no_name_is_refused() -> None:
 class Listener:
     """Stands for the source of a topic's maps; it hears nothing."""
 
-    frame = ""
-    is_waiting = False
-
     def __init__(self, name: str, topic: str) -> None:
         self.name, self.topic = name, topic
         self.is_closed = False
-
-    def take(self) -> None:
-        return None
 
     def close(self) -> None:
         self.is_closed = True
 
 
-def fusion_inputs(observer: Observer, *entries: str) -> tuple[NodeBase, FusionInputs]:
+def fusion_inputs(
+    observer: Observer, *entries: str, removed: list[str] | None = None
+) -> tuple[NodeBase, FusionInputs]:
     """Return the inputs of a node in this process, which listens to nothing."""
+    gone = [] if removed is None else removed
     words = ["--ros-args", "-p", f"inputs:=[{','.join(entries)}]"] if entries else []
     base = NodeBase("fusing", context=observer.node.context, arguments=words)
     inputs = FusionInputs(
-        base, ("fused/map",), is_open=not entries, on_change=lambda removed: removed.sort()
+        base, ("fused/map",), is_open=not entries, on_change=lambda names, _: gone.extend(names)
     )
     inputs.begin(lambda *_: None, Listener)
     return base, inputs
@@ -237,16 +232,14 @@ def test_what_finds_no_room_is_named_and_the_others_are_fused(observer: Observer
 
 
 def test_one_that_is_put_in_the_place_of_another_comes_after_it(observer: Observer) -> None:
-    base, inputs = fusion_inputs(observer, "a=x/map", "b/map")
+    removed: list[str] = []
+    base, inputs = fusion_inputs(observer, "a=x/map", "b/map", removed=removed)
     before = inputs.sources["a"]
     (answer,) = base.node.set_parameters([Parameter("inputs", value=["a=y/map", "b/map"])])
     assert answer.successful
     assert inputs.sources["a"].topic == "y/map"
     assert before.is_closed
-    assert inputs.is_waiting
-    assert inputs.take().removed == ["a"]
-    assert not inputs.is_waiting
-    assert inputs.take().removed == []
+    assert removed == ["a"]
     # A text with commas is as good as a list.
     (answer,) = base.node.set_parameters([Parameter("inputs", value="b/map, c/map")])
     assert answer.successful

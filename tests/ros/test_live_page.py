@@ -20,15 +20,14 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 from slamfusion.config import FusionNodeConfig
-from slamfusion.fusion.live.outbox import Fused
-from slamfusion.fusion.live.records import LiveInput
-from slamfusion.fusion.live.session import Arrived, Believed
+from slamfusion.fusion.live import LiveInput
+from slamfusion.fusion.live.session import FusedMap, FusionState
 from slamfusion.geometry import Pose2
 from slamfusion.palette import FREE_RGB, UNKNOWN_RGB, WALL_RGB
 from slamfusion.ros import messages, qos
 from slamfusion.ros.base import Level, Status
+from slamfusion.ros.input_health import HeardPose
 from slamfusion.ros.live_page import LivePage
-from slamfusion.ros.map_source import HeardPose
 from tests.page.test_server import batch, say
 from tests.ros.drives import write_log
 from tests.ros.live import Observer, Process, Processes
@@ -74,10 +73,10 @@ def test_an_input_called_fused_comes_and_goes_beside_the_fused_map() -> None:
     lines = [Status("fusion", Level.OK, "all"), Status("input fused", Level.OK, "fits")]
     with closing(live), socket(urls[0].rpartition(" ")[2]) as page:
         say(page, type="hello", token="")
-        live.put_fused(Fused(grids["fused"], grids["fused"], 1.0, None))
-        live.put_heard(Arrived("fused", grids["input"], "", 0.0))
+        live.put_fused(FusedMap(grids["fused"], grids["fused"], 1.0))
+        live.put_input("fused", grids["input"])
         live.put_pose(source)
-        live.show(lines, Believed({"fused": record}), [source])
+        live.show(lines, FusionState({"fused": record}), [source])
         told = heard(
             page,
             lambda told: (
@@ -93,7 +92,7 @@ def test_an_input_called_fused_comes_and_goes_beside_the_fused_map() -> None:
         assert status["inputs"][0]["score"] == 0.7
         assert status["poses"] == [{"name": "fused (input)", "pose": [4.0, 2.0, 0.0]}]
         assert texts(told, "trail")[-1]["name"] == "fused (input)"
-        live.put_heard(Arrived("fused", None, "", 0.0, is_removed=True))
+        live.show(lines[:1], FusionState(), [])
         told = heard(page, lambda told: texts(told, "layer"))
         assert texts(told, "layer") == [{"type": "layer", "name": "fused (input)", "gone": True}]
 

@@ -61,9 +61,9 @@ def make_node(domain: int) -> Iterator[MakeNode]:
 
 
 def test_without_a_word_the_defaults_hold(make_node: MakeNode):
-    assert declare(make_node(), Drawn) == Drawn()
-    assert declare(make_node(), TinySlamConfig, "tinyslam") == TinySlamConfig()
-    assert declare(make_node(), GmappingConfig, "gmapping") == GmappingConfig()
+    assert declare(make_node(), Drawn()) == Drawn()
+    assert declare(make_node(), TinySlamConfig(), "tinyslam") == TinySlamConfig()
+    assert declare(make_node(), GmappingConfig(), "gmapping") == GmappingConfig()
 
 
 def test_an_instance_gives_the_defaults(make_node: MakeNode):
@@ -75,7 +75,7 @@ def test_the_command_line_sets_fields_of_every_kind(make_node: MakeNode):
     node = make_node(
         a__inner__beams="20", a__period_s="3", a__name="box", a__share="0.25", a__is_on="false"
     )
-    found = declare(node, Drawn, "a")
+    found = declare(node, Drawn(), "a")
     assert found == Drawn(Inner(20), 3.0, "fast", "box", 0.25, is_on=False)
     assert isinstance(found.period_s, float)
 
@@ -98,7 +98,7 @@ def test_a_value_that_cannot_be_is_refused_by_node_and_name(
     # The whole name, with the section it stands in.
     whole = rf"a\.{name.replace('__', '.')}"
     with pytest.raises(ConfigError, match=rf"^node drawn0: {whole}.*{words}"):
-        declare(make_node(**{f"a__{name}": value}), Drawn, "a")
+        declare(make_node(**{f"a__{name}": value}), Drawn(), "a")
 
 
 @pytest.mark.parametrize(
@@ -139,7 +139,7 @@ def test_a_start_that_cannot_be_is_refused_by_node_and_name(
 
 def test_tools_are_told_what_a_parameter_is(make_node: MakeNode):
     node = make_node()
-    declare(node, Drawn, "a", changeable=("mode",))
+    declare(node, Drawn(), "a", changeable=("mode",))
     period = node.describe_parameter("a.period_s")
     assert period.description == "how often [s] (public)"
     (limits,) = period.floating_point_range
@@ -156,7 +156,7 @@ def test_tools_are_told_what_a_parameter_is(make_node: MakeNode):
 def test_a_change_is_checked_and_told(make_node: MakeNode):
     node = make_node()
     told: list[Drawn] = []
-    declare(node, Drawn, changeable=("mode", "inner.beams", "share"), on_change=told.append)
+    declare(node, Drawn(), changeable=("mode", "inner.beams", "share"), on_change=told.append)
 
     def change(name: str, value: Any) -> Any:
         return node.set_parameters([Parameter(name, value=value)])[0]
@@ -177,7 +177,7 @@ def test_a_refused_change_leaves_the_type_as_it_was(make_node: MakeNode):
     node = make_node()
     names = ("a.mode", "a.inner.beams", "a.share", "a.is_on", "a.period_s", "a.name")
     fields = [name.removeprefix("a.") for name in names]
-    declare(node, Drawn, "a", changeable=[name for name in fields if name != "period_s"])
+    declare(node, Drawn(), "a", changeable=[name for name in fields if name != "period_s"])
     before = [node.describe_parameter(name).type for name in names]
     kinds = Parameter.Type
     assert before == [
@@ -211,7 +211,7 @@ def test_a_refused_change_leaves_the_type_as_it_was(make_node: MakeNode):
 
 def test_only_known_fields_can_be_changeable(make_node: MakeNode):
     with pytest.raises(ValueError, match="no field 'beams'"):
-        declare(make_node(), Drawn, changeable=("beams",))
+        declare(make_node(), Drawn(), changeable=("beams",))
 
 
 def test_names_are_those_of_the_configuration_file():

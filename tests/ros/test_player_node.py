@@ -1,4 +1,4 @@
-"""The player as a process: rate, loop, lockstep, transforms, and how it ends."""
+"""The player: of a log and of a bag, its rate, loop, lockstep, transforms, and how it ends."""
 
 from __future__ import annotations
 
@@ -18,6 +18,8 @@ from slamfusion.geometry import Pose2
 from slamfusion.io import open_log
 from slamfusion.ros import messages, qos
 from slamfusion.ros.frames import HAS_TF2, TransformInput
+from slamfusion.ros.player_node import APART_S, ProgressLines
+from tests.io.bags import Bag
 from tests.ros import tf2
 from tests.ros.drives import FIRST_S, write_log
 from tests.ros.live import Observer, Processes, values
@@ -231,3 +233,44 @@ def test_a_log_without_a_usable_scan_ends_with_the_reason(
     player = processes.node("player", file=str(log), rate=100.0)
     assert player.wait(30.0) == 1
     assert "blind.log" in said(player)[-1]
+
+
+def test_a_bag_is_played_with_its_transforms(
+    processes: Processes, observer: Observer, tmp_path: Path
+):
+    bag = Bag().transform(100.0, "base_link", "front_laser", (0.3, 0.1, 0.2), topic="/tf_static")
+    for index in range(10):
+        stamp_s = 100.0 + 0.1 * index
+        bag.transform(stamp_s, "odom", "base_link", (0.05 * index, 0.0, 0.0))
+        bag.scan(stamp_s, (1.0, 2.0, 3.0 + index), topic="/front/scan", frame="front_laser")
+    path = bag.write(tmp_path)
+    heard = observer.collect(LaserScan, "scan")
+    transforms = TransformInput(observer.node)
+    player = processes.node("player", file=str(path), rate=4.0)
+    assert player.wait(40.0) == 0, player.text()
+    observer.listen(0.5)
+    assert [message.ranges[2] for message in heard] == [3.0 + index for index in range(10)]
+    last_s = messages.stamp_s(heard[-1])
+    assert last_s == pytest.approx(100.9)
+    found = transforms.lookup("odom", "laser", last_s)
+    assert (found.x, found.y, found.yaw_rad) == pytest.approx((0.75, 0.1, 0.0))
+
+
+def test_each_tenth_of_a_log_is_a_line_but_none_comes_too_soon() -> None:
+    said: list[str] = []
+    now_s = [0.0]
+    progress = ProgressLines(said.append, lambda: now_s[0])
+
+    def tell(share: float, after_s: float) -> None:
+        now_s[0] += after_s
+        progress.tell(share, f"at {share}")
+
+    tell(0.05, APART_S)
+    tell(0.11, 0.1)
+    tell(0.12, 0.1)
+    tell(0.25, APART_S - 0.2)
+    tell(0.31, 0.2)
+    tell(1.0, APART_S)  # the end has a line of its own
+    assert said == ["played 11%: at 0.11", "played 31%: at 0.31"]
+    tell(0.1, APART_S)  # played again
+    assert said[2:] == ["played 10%: at 0.1"]

@@ -95,6 +95,17 @@ class Robot:
             )
 
 
+def started(
+    processes: Processes, observer: Observer, **parameters: Any
+) -> tuple[Robot, list[PoseStamped]]:
+    """Start a producer that listens to a robot; return that, and the poses that come."""
+    poses = observer.collect(PoseStamped, "tinyslam/pose")
+    robot = Robot(observer)
+    processes.node("tinyslam", **parameters)
+    robot.wait_for()
+    return robot, poses
+
+
 @pytest.mark.parametrize("kind", sorted(SETTINGS))
 def test_in_lockstep_the_map_is_that_of_the_offline_run(
     kind: str, processes: Processes, observer: Observer, tmp_path: FilePath
@@ -261,10 +272,7 @@ def moved_by(item: LogScan, offset_s: float) -> LogScan:
 
 def test_time_that_jumps_back_begins_a_new_map(processes: Processes, observer: Observer):
     maps = observer.collect(OccupancyGrid, "tinyslam/map", qos.MAP)
-    poses = observer.collect(PoseStamped, "tinyslam/pose")
-    robot = Robot(observer)
-    processes.node("tinyslam", map_update_interval_s=0.2)
-    robot.wait_for()
+    robot, poses = started(processes, observer, map_update_interval_s=0.2)
     robot.drive(scans(20), poses)
     late = [moved_by(item, -50.0) for item in scans(COUNT)[15:]]
     # The third confirms the first two, and none is lost.
@@ -290,10 +298,7 @@ def test_time_that_jumps_back_begins_a_new_map(processes: Processes, observer: O
 
 def test_one_stray_stamp_takes_no_map_away(processes: Processes, observer: Observer):
     maps = observer.collect(OccupancyGrid, "tinyslam/map", qos.MAP)
-    poses = observer.collect(PoseStamped, "tinyslam/pose")
-    robot = Robot(observer)
-    processes.node("tinyslam", map_update_interval_s=0.2)
-    robot.wait_for()
+    robot, poses = started(processes, observer, map_update_interval_s=0.2)
     driven = scans(COUNT)
     for index, item in enumerate(driven):
         if index in (20, 25, 30):
@@ -325,10 +330,7 @@ def test_one_stray_stamp_takes_no_map_away(processes: Processes, observer: Obser
 def test_scans_whose_time_jumps_without_their_odometry_are_left_out_and_named(
     processes: Processes, observer: Observer
 ):
-    poses = observer.collect(PoseStamped, "tinyslam/pose")
-    robot = Robot(observer)
-    processes.node("tinyslam")
-    robot.wait_for()
+    robot, poses = started(processes, observer)
     driven = scans(COUNT)
     robot.drive(driven[:20], poses)
 
@@ -356,10 +358,7 @@ def test_odometry_of_other_stamps_is_waited_for_and_interpolated(
     processes: Processes, observer: Observer
 ):
     maps = observer.collect(OccupancyGrid, "tinyslam/map", qos.MAP)
-    poses = observer.collect(PoseStamped, "tinyslam/pose")
-    robot = Robot(observer)
-    processes.node("tinyslam", map_update_interval_s=0.2, odometry_wait_s=5.0)
-    robot.wait_for()
+    robot, poses = started(processes, observer, map_update_interval_s=0.2, odometry_wait_s=5.0)
     driven = scans(20)
     store = TransformStore()
 
@@ -475,10 +474,7 @@ def test_a_laser_without_a_transform_is_named(processes: Processes, observer: Ob
 
 
 def test_what_is_no_scan_is_left_out_and_the_node_goes_on(processes: Processes, observer: Observer):
-    poses = observer.collect(PoseStamped, "tinyslam/pose")
-    robot = Robot(observer)
-    processes.node("tinyslam")
-    robot.wait_for()
+    robot, poses = started(processes, observer)
     sent = scans(12)
     robot.drive(sent[:4], poses)
     for field, value in (("ranges", []), ("angle_increment", 0.0), ("angle_min", math.nan)):
@@ -509,10 +505,7 @@ def test_the_transform_to_the_odometry_leads_to_the_pose(processes: Processes, o
     from tf2_msgs.msg import TFMessage  # noqa: PLC0415
 
     heard = observer.collect(TFMessage, "/tf", qos.TF)
-    poses = observer.collect(PoseStamped, "tinyslam/pose")
-    robot = Robot(observer)
-    processes.node("tinyslam", publish_tf=True)
-    robot.wait_for()
+    robot, poses = started(processes, observer, publish_tf=True)
     sent = scans(20)
     robot.drive(sent, poses)
     observer.wait(lambda: len(heard) >= 20, what="the transforms")
@@ -567,6 +560,11 @@ def test_parameters_may_change_where_that_makes_sense(processes: Processes, obse
     assert observer.set_parameter("tinyslam", "map_update_interval_s", 0.1).successful
     wait_for_last_map(observer, maps)
     assert 1 <= len(maps) <= 3
+    # Who listens late gets map and path.
+    late = observer.collect(OccupancyGrid, "tinyslam/map", qos.MAP)
+    paths = observer.collect(Path, "tinyslam/path", qos.MAP)
+    wait_for_last_map(observer, late)
+    observer.wait(lambda: paths and len(paths[-1].poses) == COUNT, what="the path")
     refused = observer.set_parameter("tinyslam", "map_update_interval_s", -1.0)
     assert not refused.successful
     refused = observer.set_parameter("tinyslam", "tinyslam.resolution", 0.1)
@@ -575,34 +573,17 @@ def test_parameters_may_change_where_that_makes_sense(processes: Processes, obse
     assert node.is_running
 
 
-def test_who_listens_late_gets_map_and_path(processes: Processes, observer: Observer):
-    poses = observer.collect(PoseStamped, "tinyslam/pose")
-    robot = Robot(observer)
-    processes.node("tinyslam", map_update_interval_s=0.2)
-    robot.wait_for()
-    robot.drive(scans(COUNT), poses)
-    observer.listen(1.0)
-    maps = observer.collect(OccupancyGrid, "tinyslam/map", qos.MAP)
-    paths = observer.collect(Path, "tinyslam/path", qos.MAP)
-    wait_for_last_map(observer, maps)
-    observer.wait(lambda: paths and len(paths[-1].poses) == COUNT, what="the path")
-
-
-@pytest.mark.parametrize(
-    ("parameters", "words"),
-    [
-        ({"odometry_source": "wheels"}, "must be one of topic, tf, none, found 'wheels'"),
-        ({"tinyslam__resolution": 5.0}, "tinyslam.resolution"),
-        ({"scan_queue": "many"}, "wanted int, found 'many'"),
-        ({"device": "no such device"}, "no such device"),
-    ],
-)
-def test_a_parameter_that_cannot_be_ends_the_node_with_one_line(
-    parameters: dict[str, Any], words: str, processes: Processes
-):
-    node = processes.node("tinyslam", **parameters)
-    assert node.wait(40.0) == 1
-    said = [line for line in node.text().splitlines() if "tf2_msgs" not in line]
-    assert len(said) == 1
-    assert said[0].startswith("slamfusion: error: ")
-    assert words in said[0]
+def test_a_parameter_that_cannot_be_ends_the_node_with_one_line(processes: Processes):
+    refused: dict[str, dict[str, Any]] = {
+        "must be one of topic, tf, none, found 'wheels'": {"odometry_source": "wheels"},
+        "tinyslam.resolution": {"tinyslam__resolution": 5.0},
+        "wanted int, found 'many'": {"scan_queue": "many"},
+        "no such device": {"device": "no such device"},
+    }
+    nodes = {words: processes.node("tinyslam", **given) for words, given in refused.items()}
+    for words, node in nodes.items():
+        assert node.wait(60.0) == 1
+        said = [line for line in node.text().splitlines() if "tf2_msgs" not in line]
+        assert len(said) == 1
+        assert said[0].startswith("slamfusion: error: ")
+        assert words in said[0]

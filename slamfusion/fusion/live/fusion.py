@@ -47,27 +47,91 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 from slamfusion.align.starts import place_starts
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import LiveConfig, RunConfig
-from slamfusion.fusion.live.inbox import Inbox
-from slamfusion.fusion.live.intake import Intake
+from slamfusion.errors import GridError, MemoryBudgetError, SlamFusionError
+from slamfusion.fusion.live.align import Aligner
+from slamfusion.fusion.live.limits import too_large, unusable
+from slamfusion.fusion.live.mailbox import Mailbox, Received
 from slamfusion.fusion.live.poses import PoseWatch
-from slamfusion.fusion.live.records import LiveInput, LiveUpdate
 from slamfusion.fusion.live.state import LiveState, StateError
 from slamfusion.fusion.live.supervisor import InputSupervisor
-from slamfusion.fusion.live.voting import Voting
+from slamfusion.fusion.live.track import Track
+from slamfusion.fusion.live.voting import FusedLayers
+from slamfusion.fusion.resolutions import odd_resolution
+from slamfusion.fusion.start import place_starts
 from slamfusion.geometry import Pose2
-from slamfusion.grid import OccupancyGrid
+from slamfusion.grid import CellBox, OccupancyGrid
 from slamfusion.vote.tiles import check_votes
+
+
+@dataclass(frozen=True, eq=False)
+class LiveInput:
+    """One input after the last update.
+
+    Attributes:
+        name: as given to ``put``.
+        age_s: time since its last message; infinite before the first.
+        rate_hz: messages a second, smoothed; 0 before the second.
+        accepted: whether it votes.
+        reason: why (not), one line.
+        transform: its map frame into the fused frame, metres; the last that was accepted.
+        score, overlap: of its last alignment, see ``Alignment``; 1 for the reference.
+        maps: messages that came, usable or not.
+        rejected: those among them that contain too little or cannot be read.
+        is_tracked: whether the last alignment started from the last transform.
+    """
+
+    name: str
+    age_s: float
+    rate_hz: float
+    accepted: bool
+    reason: str
+    transform: Pose2 | None
+    score: float
+    overlap: float
+    maps: int
+    rejected: int
+    is_tracked: bool
+
+
+@dataclass(frozen=True, eq=False)
+class LiveUpdate:
+    """What an update did.
+
+    Attributes:
+        fused: cells -1, 0, 100 in the fused frame; None when there is nothing new to publish.
+        agreement: share of votes for the winner, 0..100, -1 without; None with ``fused``.
+        inputs: every input that ever came, in the order in which they came.
+        phantom_cells: occupied in the fused map, in no input.
+        time_s: seconds by step: ``prepare``, ``align``, ``vote``.
+        is_full_search: whether an input was searched everywhere.
+        reference: name of the input that others are aligned to; empty without.
+        changed_box: the cells of ``fused`` that were voted on; None with ``fused``.
+        problem: why nothing is fused, one line; empty while something is.
+        arrived_s: when the first map came that the update took; None: none, or saved maps alone.
+    """
+
+    fused: OccupancyGrid | None
+    agreement: OccupancyGrid | None
+    inputs: tuple[LiveInput, ...]
+    phantom_cells: int
+    time_s: dict[str, float]
+    is_full_search: bool
+    reference: str
+    changed_box: CellBox | None
+    problem: str = ""
+    arrived_s: float | None = None
 
 
 class LiveFusion:
     """Fuse maps that arrive again and again; the fused frame never moves.
 
-    ``put``, ``reject`` and ``drop`` are quick and may be called from any thread; ``update``,
-    ``remove`` and ``reset`` from one, which does the work.
+    ``put``, ``drop``, ``recall``, ``remove`` and ``hear`` are quick and may be called from any
+    thread; ``update`` and the others from one, which does the work.
     """
 
     def __init__(
@@ -89,43 +153,54 @@ class LiveFusion:
         self._config = config.fusion
         self._starts = place_starts(config.start, inputs, config.fusion.reference)
         self._device = device
-        self._inbox = Inbox()
-        self._intake = Intake(self._inbox, config.fusion.normalize, config.live, device)
+        self._mailbox = Mailbox()
         # Poses come from any thread.
         self._poses_lock = threading.Lock()
         self._clear()
 
     def _clear(self) -> None:
-        self._supervisor = InputSupervisor(self._config, self._live, self._device, self._starts)
+        self._aligner = Aligner(self._config, self._live, self._device, self._starts)
+        self._supervisor = InputSupervisor(self._aligner)
         self._tracks = self._supervisor.tracks
-        self._voting = Voting(self._config, self._live, self._device)
+        self._layers = FusedLayers(self._config, self._live, self._device)
         with self._poses_lock:
             self._poses = PoseWatch(self._live)
         self._restored: dict[str, Pose2] = {}
-        self._has_left = False
 
-    # -- inbox ------------------------------------------------------------------------------------
+    # -- what comes -------------------------------------------------------------------------------
 
     def put(
-        self, name: str, grid: OccupancyGrid, received_s: float, *, is_saved: bool = False
+        self,
+        name: str,
+        grid: OccupancyGrid | Callable[[], OccupancyGrid],
+        received_s: float,
+        *,
+        is_saved: bool = False,
     ) -> None:
         """Take the newest map of an input; one that waits is replaced.
 
         Args:
             name: of the input.
-            grid: its map, in its own frame; whatever it is called, it goes by the input's name.
+            grid: its map, in its own frame; whatever it is called, it goes by the input's name. Or
+                what reads it in the thread of updates; where that raises a SlamFusionError the
+                input votes no more until one can be read.
             received_s: when it came, on the clock of ``update``.
             is_saved: read from a file: it never grows stale.
         """
-        self._inbox.put(name, grid, received_s, is_saved=is_saved)
-
-    def reject(self, name: str, reason: str, received_s: float) -> None:
-        """Count a message that could not be read; the input votes no more until one can."""
-        self._inbox.reject(name, reason, received_s)
+        self._mailbox.put(name, grid, received_s, is_saved=is_saved)
 
     def drop(self, name: str, reason: str) -> None:
         """Take an input for lost; it votes no more and comes back with its next map."""
-        self._inbox.drop(name, reason)
+        self._mailbox.drop(name, reason)
+
+    @property
+    def has_news(self) -> bool:
+        """Whether anything came that no update has seen; quick."""
+        return self._mailbox.has_new
+
+    def has_come(self, name: str) -> bool:
+        """Whether an input has sent a map."""
+        return self._mailbox.has_come(name)
 
     def hear(self, name: str, stamp_s: float, pose: Pose2) -> None:
         """Take a pose that an input tells; see ``live.poses`` for what it is compared with.
@@ -141,28 +216,22 @@ class LiveFusion:
     def recall(self, name: str) -> None:
         """Take an input that was dropped for present again, with the last map that it sent."""
         track = self._tracks.get(name)
-        self._inbox.recall(name, None if track is None else track.grid)
+        self._mailbox.recall(name, None if track is None else track.grid)
 
     def remove(self, name: str) -> None:
         """Forget an input, its vote and its place; under its name a new one may come."""
-        self._inbox.remove(name)
-        self._supervisor.remove(name)
-        self._voting.remove(name)
-        self._restored.pop(name, None)
-        with self._poses_lock:
-            self._poses.remove(name)
-        self._has_left = True
+        self._mailbox.remove(name)
 
     def reset(self) -> None:
         """Forget the fused frame; every input's newest map starts the next one."""
-        self._inbox.refill({t.name: t.grid for t in self._tracks.values() if t.is_live})
+        self._mailbox.refill({t.name: t.grid for t in self._tracks.values() if t.is_live})
         self._clear()
 
     def configure(self, live: LiveConfig) -> None:
         """Take other settings for what comes; from the thread of updates."""
         self._live = live
-        self._supervisor.configure(live)
-        self._voting.live = self._intake.live = live
+        self._aligner.live = live
+        self._layers.live = live
         with self._poses_lock:
             self._poses.live = live
 
@@ -177,8 +246,8 @@ class LiveFusion:
         Returns:
             None before the first fusion.
         """
-        layers = self._voting.layers
-        if layers is None or layers.box is None:
+        layers = self._layers
+        if layers.lattice is None or layers.box is None:
             return None
         fused, agreement = layers.grids()
         placed = {t.name: t.transform for t in self._tracks.values() if t.transform is not None}
@@ -190,7 +259,7 @@ class LiveFusion:
             agreement.cells,
             {**self._restored, **placed},
             self._supervisor.reference,
-            self._supervisor.scores,
+            self._aligner.scores,
             stamp_s,
         )
 
@@ -208,15 +277,14 @@ class LiveFusion:
             message = f"the state has cells of {found:g} m, and resolution asks for {wanted:g} m"
             raise StateError(message)
         self._clear()
-        self._supervisor.restore(state.lattice, state.scores)
-        self._voting.restore(state)
+        self._aligner.restore(state.lattice, state.scores)
+        self._supervisor.problem = "no input has come yet"
+        self._layers.restore(state)
         self._restored = dict(state.transforms)
 
     # -- update -----------------------------------------------------------------------------------
 
-    def update(
-        self, now_s: float, is_wanted: Callable[[], bool] | None = None
-    ) -> LiveUpdate | None:
+    def update(self, now_s: float) -> LiveUpdate | None:
         """Bring the fused map up to date; None when nothing came and nothing changed.
 
         Call it for every map that comes, and again until it answers None: what can wait (aligning
@@ -224,28 +292,25 @@ class LiveFusion:
 
         Args:
             now_s: on the clock of ``put``.
-            is_wanted: whether maps wait that were not put yet; asked often, so it must be quick.
         """
         clock = [time.perf_counter()]
-        before, resolution = self._state(), self._voting.resolution
-        has_news = self._intake.collect(self._supervisor, self._restored, resolution, now_s)
-        has_news, self._has_left = has_news or self._has_left, False
+        before = self._state()
+        has_news, arrived_s = self._collect(now_s)
         self._contradict()
         clock.append(time.perf_counter())
         self._supervisor.align(
             now_s,
-            self._voting.last_fused,
+            self._layers.last_fused,
             is_idle=not has_news,
-            is_wanted=lambda: self._inbox.has_new or (is_wanted is not None and is_wanted()),
-            agreed=lambda: self._voting.agreed,
+            is_wanted=lambda: self._mailbox.has_new,
+            agreed=lambda: self._layers.agreed,
         )
         self._place()
-        if self._voting.layers is None and self._supervisor.lattice is not None:
-            self._voting.begin(self._supervisor.lattice)
+        self._layers.lattice = self._aligner.lattice
         clock.append(time.perf_counter())
         supervisor = self._supervisor
-        box = self._voting.vote(self._tracks.values(), supervisor.voters, supervisor.reference)
-        fused, agreement = (None, None) if box is None else self._voting.grids()
+        box = self._layers.update(self._tracks.values(), supervisor.voters, supervisor.reference)
+        fused, agreement = (None, None) if box is None else self._layers.grids()
         clock.append(time.perf_counter())
         if not has_news and box is None and self._state() == before:
             return None
@@ -254,27 +319,97 @@ class LiveFusion:
             fused,
             agreement,
             self.inputs(now_s),
-            self._voting.phantom_cells,
+            self._layers.phantom_cells,
             {step: end - begin for step, begin, end in steps},
-            self._supervisor.has_searched,
+            self._aligner.has_searched,
             self._supervisor.reference,
             box,
-            "" if self._voting.names else self._supervisor.problem,
+            "" if self._layers.names else self._supervisor.problem,
+            arrived_s,
         )
+
+    def _collect(self, now_s: float) -> tuple[bool, float | None]:
+        """Hand what came to the tracks; return whether there was any, and when the first map came.
+
+        An input is stale when its last message is older than another's by ``live.stale_after_s``,
+        and not older than now: when the robot stands still all fall silent together.
+        """
+        removed, fresh, received = self._mailbox.take()
+        for name in removed:
+            self._tracks.pop(name, None)
+            self._aligner.remove(name)
+            self._layers.lift(name)
+            self._restored.pop(name, None)
+            with self._poses_lock:
+                self._poses.remove(name)
+        for name, item in fresh.items():
+            track = self._tracks.setdefault(name, Track(name, transform=self._restored.get(name)))
+            reason = item.gone
+            if reason is None:
+                try:
+                    grid = item.read()
+                except SlamFusionError as error:
+                    grid, reason = None, str(error)
+                if grid is not None:
+                    reason = self._follow(
+                        track, grid if grid.name == name else grid.with_name(name)
+                    )
+                if reason is not None:
+                    self._mailbox.count_rejected(name)
+            if reason is not None:
+                track.is_live = False
+                track.refuse(reason)
+        newest = max(received.values(), default=now_s)
+        for name, came_s in received.items():
+            stale = self._tracks.get(name)
+            if stale is not None and stale.is_live and newest - came_s > self._live.stale_after_s:
+                stale.is_live = False
+                stale.refuse(f"no map for {now_s - came_s:.0f} s")
+        since_s = [
+            item.waits_since_s
+            for item in fresh.values()
+            if item.waits_since_s is not None and not item.is_saved
+        ]
+        return bool(fresh or removed), min(since_s, default=None)
+
+    def _follow(self, track: Track, grid: OccupancyGrid) -> str | None:
+        """Let a track follow its new map; return why it cannot, in words."""
+        resolution, thresholds = self._layers.resolution, self._config.normalize
+        reason = unusable(grid, thresholds)
+        if reason is None and resolution is not None:
+            reason = odd_resolution(grid.resolution, resolution)
+        reason = reason or too_large(grid, resolution or grid.resolution)
+        if reason is not None:
+            return reason
+        try:
+            change = track.follow(grid, resolution, thresholds, self._live, self._device)
+        except (GridError, MemoryBudgetError) as error:
+            return str(error)
+        except MemoryError:
+            return f"no memory is left for a map of {grid.height} x {grid.width} cells"
+        if not track.is_live:
+            track.is_live = True
+            track.tried = None
+            track.refuse("new; not aligned yet")
+        if change is not None and track.name == self._supervisor.reference:
+            for other in self._tracks.values():
+                if other is not track:
+                    other.drift += change.walls
+        return None
 
     def _state(self) -> tuple[object, ...]:
         inputs = tuple((t.name, t.votes, t.why) for t in self._tracks.values())
-        return (self._supervisor.reference, self._voting.names, inputs)
+        return (self._supervisor.reference, self._layers.names, inputs)
 
     def inputs(self, now_s: float) -> tuple[LiveInput, ...]:
         """Return the inputs as they stand; from the thread of updates."""
         out = []
-        counts = self._inbox.counts()
+        counts = self._mailbox.counts()
         for name, track in self._tracks.items():
-            came = counts[name]
+            came = counts.get(name) or Received()  # removed, and not yet noticed
             is_reference = name == self._supervisor.reference and track.votes
             reason = track.why
-            if self._voting.names == (name,) and self._live.minimum_inputs > 1:
+            if self._layers.names == (name,) and self._live.minimum_inputs > 1:
                 reason = "goes on alone: no other input to agree with"
             out.append(
                 LiveInput(

@@ -1,298 +1,122 @@
-"""The fused layers: one lattice that never moves, what each input says on it, and the vote.
-
-Each input's layer is kept as the lattice sees it, so that a new map costs what it changed: the
-changed cells are carried over and voted on again, everything else stays as it was.
-"""
+"""``Layer``: the cells of one input on its own lattice."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.config import FusionConfig
-from slamfusion.fusion.live.lattice import Layer, carry
+from slamfusion.compute.lattice import fixed_poses
+from slamfusion.compute.layout import FIXED_ONE
+from slamfusion.config import NormalizeConfig
+from slamfusion.fusion.normalize import pool_cells
 from slamfusion.geometry import Pose2
-from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, trinary_cells
-from slamfusion.io.memory import check_memory
-from slamfusion.vote.agreement import Trust, WallCounts, count_walls
-from slamfusion.vote.boxes import grown_inside, hull, overlap, padded, slices
-from slamfusion.vote.lattice import Lattice
-from slamfusion.vote.tiles import TileVoter
-from slamfusion.vote.walls import codes_on, margin_cells
+from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid
+from slamfusion.vote.boxes import overlap, padded, slices
+from slamfusion.vote.lattice import SAME_RESOLUTION, Lattice
 
 I8 = npt.NDArray[np.int8]
 
-# Results and copies of a fused cell, and what a layer takes, in bytes.
-CELL_BYTES, LAYER_BYTES = 6, 2
-# Fused layers of this many cells or more shrink where this share of them would do.
-SHRUNK_CELLS, SHRUNK_SHARE = 1 << 22, 0.25
 
-
-class FusedLayers:
-    """The fused cells, and what every input shows of them.
-
-    They grow by whole cells of their lattice and never move. They shrink only where four times
-    fewer cells would do, so that an input which leaves for a while does not change the size of what
-    is published, and one that lay far away gives the memory back.
+@dataclass(frozen=True, eq=False)
+class Layer:
+    """Cells on a lattice of their own frame.
 
     Attributes:
-        lattice: of the fused frame.
-        box: cells of the lattice that are kept; None before the first ``grow``.
-        phantom_cells: occupied in the fused cells, occupied in no layer that voted.
+        cells: (H, W) int8, -1 unknown, 0..100 percent.
+        lattice: on which they lie.
+        row, col: the lattice's indices of ``cells[0, 0]``.
     """
 
-    def __init__(self, lattice: Lattice, config: FusionConfig, device: ComputeDevice) -> None:
-        """Start without cells; ``config`` gives the vote and its thresholds."""
-        self.lattice = lattice
-        self.box: CellBox | None = None
-        self.phantom_cells = 0
-        self._config = config
-        self._device = device
-        # Cells in {-1, 0, 1} of each input, and what they show around each cell, if that decides.
-        self._carried: dict[str, I8] = {}
-        self._walls: dict[str, npt.NDArray[np.uint8]] = {}
-        self._trust: Trust | None = None
-        # Walls that agree, of the voters and the cells of the last vote.
-        self._counts: WallCounts | None = None
-        self._counted: tuple[tuple[str, ...], CellBox] | None = None
-        self._covered: dict[str, CellBox] = {}
-        self._fused = np.zeros((0, 0), dtype=np.int8)
-        self._agreement = self._fused
-        self._trinary = trinary_cells(
-            np.arange(256, dtype=np.uint8).view(np.int8), config.normalize
-        ).view(np.uint8)
+    cells: I8
+    lattice: Lattice
+    row: int = 0
+    col: int = 0
 
-    def grow(self, box: CellBox, name: str) -> CellBox | None:
-        """Make room for a box of the lattice; return all their cells where they grew.
+    @property
+    def box(self) -> CellBox:
+        """The cells of the lattice that it covers."""
+        height, width = self.cells.shape
+        return CellBox(self.row, self.col, self.row + height, self.col + width)
 
-        Args:
-            box: cells of the lattice.
-            name: the input that needs them.
-
-        Raises:
-            MemoryBudgetError: the grown layers would not fit; nothing was changed.
-        """
-        if self.box is not None and hull(self.box, box) == self.box:
-            return None
-        grown = box if self.box is None else hull(self.box, box)
-        room = grown.area * (CELL_BYTES + LAYER_BYTES * len(self._carried))
-        check_memory(room, f"a fused map of {grown.height} x {grown.width} cells", name)
-        self._fused = self._moved(self._fused, grown)
-        self._agreement = self._moved(self._agreement, grown)
-        self._carried = {name: self._moved(cells, grown) for name, cells in self._carried.items()}
-        self._walls = {
-            name: self._moved(walls.view(np.int8), grown, 0).view(np.uint8)
-            for name, walls in self._walls.items()
-        }
-        self.box = grown
-        return grown
-
-    def shrink(self, box: CellBox) -> CellBox | None:
-        """Give back the memory of cells that nobody needs; return what is left where they shrank.
-
-        Args:
-            box: cells of the lattice that the voters need.
-        """
-        if self.box is None or self.box.area < SHRUNK_CELLS:
-            return None
-        if box.area > SHRUNK_SHARE * self.box.area or hull(self.box, box) != self.box:
-            return None
-        self._fused = self._cut(self._fused, box)
-        self._agreement = self._cut(self._agreement, box)
-        self._carried = {name: self._cut(cells, box) for name, cells in self._carried.items()}
-        self._walls = {
-            name: self._cut(walls.view(np.int8), box).view(np.uint8)
-            for name, walls in self._walls.items()
-        }
-        kept = {name: overlap(covered, box) for name, covered in self._covered.items()}
-        self._covered = {name: part for name, part in kept.items() if part is not None}
-        self.box = box
-        return box
-
-    def _cut(self, cells: I8, box: CellBox) -> I8:
-        whole = self.box
-        if whole is None:
-            return cells
-        return cells[slices(box, whole.row0, whole.col0)].copy()
-
-    def restore(self, box: CellBox, fused: I8, agreement: I8) -> None:
-        """Begin with fused cells of an earlier run on this lattice, which no layer is under yet.
-
-        Args:
-            box: cells of the lattice; those of the arrays.
-            fused: (H, W) int8, cells -1, 0, 100, as ``grids`` gives them.
-            agreement: (H, W) int8, 0..100, -1 without votes.
-        """
-        classes = np.array([UNKNOWN] * 256, dtype=np.int8)
-        classes[FREE], classes[OCCUPIED] = 0, 1
-        self._fused = np.asarray(cv2.LUT(fused.view(np.uint8), classes.view(np.uint8))).view(
-            np.int8
-        )
-        self._agreement = agreement.copy()
-        self.box = box
-
-    def _moved(self, cells: I8, grown: CellBox, outside: int = UNKNOWN) -> I8:
-        out = np.full((grown.height, grown.width), outside, dtype=np.int8)
-        if self.box is not None:
-            out[slices(self.box, grown.row0, grown.col0)] = cells
+    def window(self, box: CellBox) -> I8:
+        """Return the cells of a box of the lattice; unknown outside of the layer."""
+        common = overlap(box, self.box)
+        if common == box:
+            return self.cells[slices(box, self.row, self.col)]
+        out = np.full((box.height, box.width), UNKNOWN, dtype=np.int8)
+        if common is not None:
+            out[slices(common, box.row0, box.col0)] = self.cells[slices(common, self.row, self.col)]
         return out
 
-    def lay(
-        self, name: str, layer: Layer, known: CellBox, transform: Pose2, changed: CellBox | None
-    ) -> CellBox | None:
-        """Carry an input's cells onto its layer; return the cells of the lattice that it touched.
 
-        Args:
-            name: the input.
-            layer: all of its cells.
-            known: cells of the layer's lattice that hold every known one.
-            transform: maps the layer's frame into the fused frame, metres.
-            changed: cells of the layer's lattice that differ from what was laid here before with
-                the same transform and lattice; None for all.
-        """
-        box = self.box
-        if box is None:
-            message = "grow the layers before anything is laid on them"
-            raise ValueError(message)
-        before = self._covered.get(name)
-        if name not in self._carried:
-            self._carried[name] = np.full((box.height, box.width), UNKNOWN, dtype=np.int8)
-            self._walls[name] = np.zeros((box.height, box.width), dtype=np.uint8)
-        carried = self._carried[name]
-        now = overlap(self.lattice.box_of(known, layer.lattice, transform), box)
-        if changed is None:
-            target = now
-            if before is not None:
-                carried[slices(before, box.row0, box.col0)] = UNKNOWN
-            touched = now if before is None or now is None else hull(before, now)
-            touched = touched or before
-        else:
-            near = self.lattice.box_of(changed, layer.lattice, transform)
-            target = touched = overlap(padded(near, 1), box)
-        self._covered.pop(name, None)
-        if now is not None:
-            self._covered[name] = now if before is None or changed is None else hull(before, now)
-        if target is not None:
-            cells = carry(layer, transform, self.lattice, target, self._device)
-            carried[slices(target, box.row0, box.col0)] = self._classes(cells)
-        if touched is not None and self._config.vote.mode == "consensus":
-            self._show(name, touched, box)
-        return touched
+def lay_out(
+    grid: OccupancyGrid,
+    lattice: Lattice | None,
+    resolution: float,
+    thresholds: NormalizeConfig,
+    device: ComputeDevice,
+) -> Layer:
+    """Return a grid as a layer of cells of the given size.
 
-    def _show(self, name: str, touched: CellBox, whole: CellBox) -> None:
-        """Find what a layer shows around the cells that changed."""
-        size = self.lattice.resolution
-        box = grown_inside(touched, margin_cells(size), whole)
-        cells = self._carried[name]
+    Args:
+        grid: the map.
+        lattice: where this input's cells lay before; None for a new input. A grid that lies on
+            none of its cells starts a lattice of its own.
+        resolution: metres per cell of the layer.
+        thresholds: what makes a wall, where cells are joined.
+        device: resamples. The nearest cell, or where the layer is coarser any wall in a cell.
+    """
+    own = Lattice(grid.resolution, grid.origin)
+    if lattice is not None:
+        before = Lattice(grid.resolution, lattice.origin)
+        own = before if before.cell_of(grid) is not None else own
+    row, col = own.cell_of(grid) or (0, 0)
+    fused = Lattice(resolution, own.origin)
+    ratio = resolution / grid.resolution
+    if abs(ratio - 1.0) < SAME_RESOLUTION:
+        return Layer(grid.cells, fused, row, col)
+    parts = max(1, int(np.ceil(ratio - 1e-9)))
+    box = fused.box_of(CellBox(row, col, row + grid.height, col + grid.width), own, Pose2())
+    scale = round(ratio / parts * FIXED_ONE)
+    shift_x = 2 * (scale * box.col0 * parts - FIXED_ONE * col)
+    shift_y = 2 * (scale * box.row0 * parts - FIXED_ONE * row)
+    poses = np.array([[scale, 0, shift_x, shift_y]], dtype=np.int64)
+    shape = (box.height * parts, box.width * parts)
+    fine = device.download(device.warp(device.upload(grid.cells), poses, shape, UNKNOWN))[0]
+    if parts > 1:
+        fine = pool_cells(fine.reshape(box.height, parts, box.width, parts), thresholds)
+    return Layer(np.ascontiguousarray(fine), fused, box.row0, box.col0)
 
-        def read(part: CellBox) -> I8:
-            return np.ascontiguousarray(cells[slices(part, whole.row0, whole.col0)])
 
-        window = slices(box, whole.row0, whole.col0)
-        self._walls[name][window] = codes_on(box, whole, size, read)
+def carry(
+    layer: Layer, transform: Pose2, lattice: Lattice, box: CellBox, device: ComputeDevice
+) -> I8:
+    """Return a box of a lattice as a layer sees it, nearest cell, unknown outside.
 
-    def lift(self, name: str) -> CellBox | None:
-        """Take an input's layer away; return the cells that it had covered."""
-        self._carried.pop(name, None)
-        self._walls.pop(name, None)
-        self._counted = None
-        return self._covered.pop(name, None)
+    The motion is rounded once for cell [0, 0] of both lattices and then moved by whole cells: a
+    cell gets the same answer whatever box it is asked with, and however the layer grew.
 
-    def vote(self, names: Sequence[str], box: CellBox, *, has_young: bool = False) -> CellBox:
-        """Let the layers of some inputs vote again on a box of the lattice.
-
-        Args:
-            names: the voters, one or more, in order; each has a layer.
-            box: cells of the lattice, inside of those kept. All of these are voted on where the
-                trust in the inputs has changed.
-            has_young: whether a map that began anew votes: unknown abstains by the rule ``auto``.
-
-        Returns:
-            The cells that were voted on.
-        """
-        whole = self.box
-        if whole is None:
-            message = "grow the layers before their cells are voted on"
-            raise ValueError(message)
-        config = self._config.vote
-        if has_young and config.unknown == "auto":
-            config = replace(config, unknown="abstain")
-        voter = TileVoter(whole, config, self.lattice.resolution, tuple(names))
-        counts = None
-        if voter.weighs:
-            all_counts = self._count(voter, box)
-            voter = voter.trusting(all_counts.total())
-            is_same = voter.trust is not None and voter.trust.decides_like(self._trust)
-            reach = margin_cells(voter.resolution) + (1 << voter.shift)
-            box = voter.aligned(grown_inside(box, reach, whole)) if is_same else whole
-            counts = all_counts.part(voter.blocks(voter.around(box), whole))
-        self._trust = voter.trust
-        decided = voter.decide(box, self._shown(voter, box), self._device, counts)
-        if decided is None:
-            return box
-        window = slices(box, whole.row0, whole.col0)
-        self._fused[window] = decided.fused
-        self._agreement[window] = decided.agreement
-        if box == whole:
-            self.phantom_cells = decided.phantom_cells
-        elif decided.phantom_cells or self.phantom_cells:
-            self.phantom_cells = self._count_phantoms(names)
-        return box
-
-    def _count(self, voter: TileVoter, changed: CellBox) -> WallCounts:
-        """Count the walls of the blocks that changed again; return the counts of all blocks."""
-        whole, key = voter.whole, (voter.names, voter.whole)
-        if self._counts is None or key != self._counted:
-            changed = whole
-        box = voter.aligned(grown_inside(changed, margin_cells(voter.resolution), whole))
-        window = slices(box, whole.row0, whole.col0)
-        codes = [self._walls[name][window] for name in voter.names]
-        found = count_walls(codes, voter.shift, voter.phase(box))
-        if self._counts is None or box == whole:
-            self._counts = found
-        else:
-            kept = self._counts.part(voter.blocks(box, whole))
-            for table, new in zip(kept.tables, found.tables, strict=True):
-                table[:] = new
-        self._counted = key
-        return self._counts
-
-    def _shown(self, voter: TileVoter, tile: CellBox) -> dict[str, npt.NDArray[Any]]:
-        """Return what the voters show around a tile."""
-        shown = self._walls if voter.weighs else self._carried
-        whole = self.box or tile
-        window = slices(voter.around(tile), whole.row0, whole.col0)
-        return {name: shown[name][window] for name in voter.names}
-
-    def _classes(self, cells: I8) -> I8:
-        return np.asarray(cv2.LUT(cells.view(np.uint8), self._trinary)).view(np.int8)
-
-    def _count_phantoms(self, names: Sequence[str]) -> int:
-        """Count the fused walls of all cells that were voted for and that no voter has."""
-        alone = (self._fused == 1) & (self._agreement >= 0)
-        for name in names:
-            alone &= self._carried[name] != 1
-        return int(np.count_nonzero(alone))
-
-    def grids(self) -> tuple[OccupancyGrid, OccupancyGrid]:
-        """Return the fused map (cells -1, 0, 100) and the agreement (0..100, -1 without votes)."""
-        if self.box is None:
-            message = "layers without cells are no map"
-            raise ValueError(message)
-        values = np.array([FREE, OCCUPIED] + [UNKNOWN] * 254, dtype=np.int8).view(np.uint8)
-        cells = np.asarray(cv2.LUT(self._fused.view(np.uint8), values)).view(np.int8)
-        agreement = self._agreement.copy()
-        for array in (cells, agreement):
-            array.flags.writeable = False
-        origin = self.lattice.corner(self.box.row0, self.box.col0)
-        size = self.lattice.resolution
-        return (
-            OccupancyGrid(cells, size, origin, "fused"),
-            OccupancyGrid(agreement, size, origin, "agreement"),
-        )
+    Args:
+        layer: the cells, of the lattice's resolution.
+        transform: maps the layer's frame into the lattice's, metres.
+        lattice: onto which.
+        box: cells of the lattice; the answer is (height, width) int8.
+        device: resamples.
+    """
+    away = transform.inverse()
+    into = layer.lattice.origin.inverse().compose(away).compose(lattice.origin)
+    size = lattice.resolution
+    pose = fixed_poses((into.x / size, into.y / size, into.yaw_rad))[0]
+    cos, sin = int(pose[0]), int(pose[1])
+    source = layer.lattice.box_of(box, lattice, away)
+    needed = overlap(padded(source, 2), layer.box)
+    if needed is None:
+        return np.full((box.height, box.width), UNKNOWN, dtype=np.int8)
+    pose[2] += 2 * (cos * box.col0 - sin * box.row0 - FIXED_ONE * needed.col0)
+    pose[3] += 2 * (sin * box.col0 + cos * box.row0 - FIXED_ONE * needed.row0)
+    cells = device.upload(np.ascontiguousarray(layer.window(needed)))
+    warped = device.warp(cells, pose[None], (box.height, box.width), UNKNOWN)
+    return np.asarray(device.download(warped)[0])

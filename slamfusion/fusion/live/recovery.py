@@ -1,16 +1,246 @@
-"""Go by the last fused map when no input is left to align to."""
+"""How the fused frame begins, and how it is kept when inputs leave, return or start a new map.
+
+The first fusion aligns the maps that can be brought to one resolution. When no input is left to
+align to, inputs return by the last fused map. Such inputs, and those that start a new map, are
+young: a young map straightens while it grows, so what it draws far from its start is off by more
+and more. Where one is the reference it is therefore aligned with that fused map again as it grows,
+and all inputs that stand with it move along, until it knows more than that map did.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
-from slamfusion.align.records import Alignment
+from slamfusion.config import SMALLEST, NormalizeConfig
+from slamfusion.errors import AlignmentError, MemoryBudgetError
+from slamfusion.fusion.features import GridFeatures
+from slamfusion.fusion.groups import AlignedGroup, align_group
 from slamfusion.fusion.live.align import Aligner, Held
-from slamfusion.fusion.live.anchor import LAST_FUSED, hold_map
-from slamfusion.fusion.live.track import Track, refuse_all
+from slamfusion.fusion.live.limits import too_large, unusable
+from slamfusion.fusion.live.track import GROWN_SHARE, Track, refuse_all
+from slamfusion.fusion.normalize import common_resolution, normalize_grid
+from slamfusion.fusion.records import Alignment
+from slamfusion.fusion.resolutions import odd_resolution, odd_resolutions
 from slamfusion.geometry import Pose2
-from slamfusion.grid import OccupancyGrid
+from slamfusion.grid import IDENTITY, OccupancyGrid
+from slamfusion.vote.lattice import Lattice
+
+
+def fusable(tracks: Sequence[Track], config: NormalizeConfig) -> list[Track]:
+    """Return the inputs that can be brought to one resolution; refuse the others by name."""
+    grids = {track.name: track.grid for track in tracks if track.grid is not None}
+    reasons = odd_resolutions({name: grid.resolution for name, grid in grids.items()})
+    rest = [grid for name, grid in grids.items() if name not in reasons]
+    for grid in rest:
+        reason = too_large(grid, common_resolution(rest, config))
+        if reason is not None:
+            reasons[grid.name] = reason
+    for track in tracks:
+        if track.name in reasons:
+            track.refuse(reasons[track.name])
+    return [track for track in tracks if track.name in grids and track.name not in reasons]
+
+
+def align_first(
+    tracks: Sequence[Track], least: int, aligner: Aligner
+) -> tuple[AlignedGroup, Lattice]:
+    """Return the inputs that agree, and the cells of the frame that their reference gives.
+
+    Args:
+        tracks: inputs that can be brought to one resolution.
+        least: how many must agree.
+        aligner: gives the settings and computes.
+
+    Raises:
+        SlamFusionError: too few agree, or memory cannot hold them; in one line.
+    """
+    config, device = aligner.config, aligner.device
+    # The walls of the reference are what the others are compared with until it is lost.
+    config = replace(config, reference=config.reference or SMALLEST)
+    thresholds = config.normalize
+    resolution = common_resolution([t.grid for t in tracks if t.grid is not None], thresholds)
+    try:
+        features = {t.name: t.features(resolution, thresholds, -1.0, device) for t in tracks}
+        group = align_group(
+            features,
+            {},
+            config,
+            device,
+            list(features),
+            starts=aligner.starts,
+        )
+    except MemoryError:
+        message = f"no memory is left to align {len(tracks)} maps at {resolution:g} m a cell"
+        raise MemoryBudgetError(message) from None
+    if len(group.alignments) < least:
+        message = f"{len(group.alignments)} of the {least} inputs needed agree"
+        raise AlignmentError(message)
+    base = features[group.reference].grid.grid
+    return group, Lattice(base.resolution, base.origin)
+
+
+def believe_first(
+    group: AlignedGroup, lattice: Lattice, tracks: Mapping[str, Track], aligner: Aligner
+) -> None:
+    """Fix the fused frame, and let the group vote.
+
+    Args:
+        group: the inputs that agree, and why others do not.
+        lattice: of the fused frame.
+        tracks: all inputs by name.
+        aligner: keeps the frame, and what was found of each pair.
+    """
+    aligner.lattice = lattice
+    _place_all(tracks.values(), aligner)
+    for name, pair in group.alignments.items():
+        aligner.believe(tracks[name], pair.transform, pair, is_tracked=False)
+    for pair in group.pairs:
+        if pair.accepted:
+            aligner.note(pair)
+    for name, (reason, shown) in group.left_out.items():
+        track = tracks[name]
+        track.refuse(reason)
+        if shown is not None:
+            track.score, track.overlap = shown.score, shown.overlap
+
+
+def _place_all(tracks: Iterable[Track], aligner: Aligner) -> None:
+    """Lay every input's map out on the fused lattice; one that cannot be begins with its next."""
+    lattice, thresholds = aligner.fixed(), aligner.config.normalize
+    for track in tracks:
+        if track.grid is None:
+            continue
+        odd = odd_resolution(track.grid.resolution, lattice.resolution)
+        reason = odd or too_large(track.grid, lattice.resolution)
+        if reason is None:
+            track.place(lattice.resolution, thresholds, aligner.device)
+        elif track.is_live:
+            track.is_live = False
+            track.refuse(reason)
+
+
+LAST_FUSED = "the last fused map"
+
+# The reference is laid onto the last fused map again when it has this many times the walls.
+GROWTH = 1.2
+CHANGED = "the place is not as it was in the last fused map"
+
+
+class Anchor:
+    """The last fused map from before inputs came back, for as long as it knows more than they do.
+
+    Attributes:
+        held: that map; None where there is none, or it is outgrown.
+    """
+
+    def __init__(self) -> None:
+        """Start without one."""
+        self.held: Held | None = None
+        # The last fused map from before an input began anew.
+        self._before: Held | None = None
+        self._laid: tuple[str, int] = ("", 0)
+
+    @property
+    def walls(self) -> int:
+        """Wall cells of the map."""
+        return 0 if self.held is None else self.held.walls
+
+    def keep(self, held: Held) -> None:
+        """Take the last fused map that inputs came back by, unless a fuller one is held."""
+        if held.walls > self.walls:
+            self.held, self._laid = held, ("", 0)
+
+    def note(
+        self, tracks: Collection[Track], fused: Callable[[], OccupancyGrid | None], aligner: Aligner
+    ) -> None:
+        """Remember the last fused map when an input begins anew, until all have outgrown it.
+
+        With it goes what it alone, or with one other, knew: a majority of young maps knows little.
+
+        Args:
+            tracks: all inputs.
+            fused: gives the last fused map; asked for only where it is needed.
+            aligner: knows what is a wall.
+        """
+        has_begun = any(track.has_begun_anew for track in tracks)
+        for track in tracks:
+            track.has_begun_anew = False
+        if has_begun and self._before is None:
+            self._before = hold_map(fused(), LAST_FUSED, aligner)
+        elif self._before is not None:
+            standing = [track.walls for track in tracks if track.stands]
+            if standing and min(standing) >= GROWN_SHARE * self._before.walls:
+                self._before = None
+
+    def hand_over(self, reference: Track) -> None:
+        """Hold that map while an input that knows less takes over.
+
+        Args:
+            reference: the input that others are aligned to from now on.
+        """
+        before = self._before
+        if before is not None and reference.walls < GROWN_SHARE * before.walls:
+            self.keep(before)
+
+    def settle(self, reference: Track, tracks: Iterable[Track], aligner: Aligner) -> None:
+        """Lay the reference onto the map again if it has grown, and carry along who stands with it.
+
+        One that fits there no more is searched on the whole map, in two ways: a young map may have
+        been believed in the wrong place, and others with it. Where it is not found it stays, since
+        the place may have changed, and says so.
+
+        Args:
+            reference: the input that others are aligned to.
+            tracks: all inputs.
+            aligner: tracks and searches the reference.
+        """
+        name, walls = self._laid
+        if self.held is None or (reference.name == name and reference.walls < GROWTH * walls):
+            return
+        last, told = reference.transform, (reference.score, reference.overlap)
+        if last is None:
+            return
+        fit = aligner.fit(reference, self.held)
+        if fit is None and not aligner.may_search(reference):
+            return  # with one of its next maps
+        moved, is_done = (fit[1], True) if fit else _found(reference, self.held, aligner)
+        reference.mismatch, (reference.score, reference.overlap) = "", told
+        if not is_done:
+            return
+        self._laid = (reference.name, reference.walls)
+        reference.reason = "the reference" + ("" if moved else f"; {CHANGED}")
+        if moved and aligner.is_worth_a_move(reference, last, moved):
+            correction = moved.compose(last.inverse())
+            for track in tracks:
+                if track.stands and track.transform is not None:
+                    track.transform = correction.compose(track.transform)
+                    track.relay = True
+        if reference.walls >= GROWN_SHARE * self.walls:
+            self.held = None
+
+
+def hold_map(fused: OccupancyGrid | None, name: str, aligner: Aligner) -> Held | None:
+    """Return a fused map as something to align to; None without walls."""
+    if fused is None or unusable(fused, aligner.config.normalize) is not None:
+        return None
+    thresholds, device = aligner.config.normalize, aligner.device
+    normal = normalize_grid(fused, fused.resolution, thresholds, device)
+    return Held(name, IDENTITY, GridFeatures(normal, device))
+
+
+def _found(reference: Track, held: Held, aligner: Aligner) -> tuple[Pose2 | None, bool]:
+    """Return where a whole map has an input, if anywhere, and whether the search ended."""
+    moved: list[Pose2] = []
+    for is_swapped in (False, True):
+        pair = aligner.searched(reference, held, is_swapped=is_swapped)
+        if pair is None:
+            return None, False
+        if not pair.accepted:
+            return None, True
+        moved.append(held.transform.compose(pair.transform))
+    return (None if aligner.is_jump(reference, *moved) else moved[0]), True
+
 
 LAST_AGREED = "the last map that a majority decided"
 # What ``Track.tried`` has in the place of a reference's version: all was tried in vain on the last

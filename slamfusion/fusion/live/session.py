@@ -1,67 +1,68 @@
 """``FusionSession``: a live fusion at work beside whoever receives maps and publishes; no ROS.
 
 Requests and poses come from one thread, maps are fused in another. What the worker made is one
-frozen ``Snapshot``, replaced as a whole, so that the other thread reads it without a lock.
+frozen ``FusionState``, replaced as a whole, so that the other thread reads it without a lock.
 """
 
 from __future__ import annotations
 
-import threading
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from functools import partial
+from queue import Empty, SimpleQueue
 
 import numpy as np
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import LiveConfig, RunConfig
-from slamfusion.fusion.live.fusion import LiveFusion
-from slamfusion.fusion.live.outbox import Fused, Outbox
-from slamfusion.fusion.live.records import LiveInput, LiveUpdate
+from slamfusion.fusion.live.fusion import LiveFusion, LiveInput, LiveUpdate
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
-
-__all__ = ["Arrived", "Believed", "FusionSession", "Memory", "Ports", "Snapshot", "warm_up"]
 
 # Updates of one turn of the worker; it is to be woken again each second.
 ROUNDS = 8
 # Updates after which what is known of an input has seen that it was lost: one may be under way.
 NOTICED = 2
+# Fused maps whose latency counts in the figures.
+LATENCIES = 300
+# A fused map waits no longer than this for maps that came while it was made, seconds: sending one
+# of 16 MB keeps them waiting longer than fusing them does.
+GATHER_S = 0.25
 
 
 @dataclass(frozen=True, eq=False)
-class Arrived:
-    """The newest message of an input, or the news that it is no input any more.
+class FusionState:
+    """What the worker made so far.
 
     Attributes:
-        name: of the input.
-        grid: its map; None where it cannot be read.
-        problem: why not, one line; empty with ``grid``.
-        arrived_s: when it came, on the clock of the session.
-        is_saved: read from a file: it never grows stale.
-        is_removed: it is no input any more; there is no map.
-    """
-
-    name: str
-    grid: OccupancyGrid | None
-    problem: str
-    arrived_s: float
-    is_saved: bool = False
-    is_removed: bool = False
-
-
-@dataclass(frozen=True, eq=False)
-class Believed:
-    """What the last fusion believes.
-
-    Attributes:
-        inputs: by name.
+        inputs: by name, after the last update.
         reference: name of the input that others are aligned to.
+        noted_s: when the last update was, on the clock of the session.
+        update: the last one; None before the first.
+        updates, searches, resets: how often.
+        votes: how often an input got or lost its vote, or came, or left with its vote.
+        fused_maps: how many fused maps were made.
+        fused_stamp_s: stamp of the newest of them, seconds.
     """
 
     inputs: Mapping[str, LiveInput] = field(default_factory=dict)
     reference: str = ""
+    noted_s: float = 0.0
+    update: LiveUpdate | None = None
+    updates: int = 0
+    searches: int = 0
+    resets: int = 0
+    votes: int = 0
+    fused_maps: int = 0
+    fused_stamp_s: float = 0.0
+
+    @property
+    def nothing_fused(self) -> str:
+        """Why no input votes, one line."""
+        problem = "" if self.update is None else self.update.problem
+        return f"nothing is fused: {problem or 'no map yet'}"
 
     def transform(self, name: str) -> Pose2 | None:
         """Return an input's map frame in the fused frame; None while it does not vote."""
@@ -70,125 +71,98 @@ class Believed:
 
 
 @dataclass(frozen=True, eq=False)
-class Snapshot:
-    """What the worker made so far.
+class FusedMap:
+    """A fused map that is to be published.
 
     Attributes:
-        believed: by the last update.
-        noted_s: when that was, on the clock of the session.
-        update: the last one; None before the first.
-        updates, searches, resets: how often.
-        votes: how often an input got or lost its vote, or came, or left with its vote.
+        grid, agreement: of one update; the agreement goes out after it, when somebody listens.
+        stamp_s: of the newest map in it; 0 where all were saved maps.
+        arrived_s: when the first map came that it shows and none before it did.
     """
 
-    believed: Believed = field(default_factory=Believed)
-    noted_s: float = 0.0
-    update: LiveUpdate | None = None
-    updates: int = 0
-    searches: int = 0
-    resets: int = 0
-    votes: int = 0
-
-    @property
-    def nothing_fused(self) -> str:
-        """Why no input votes, one line."""
-        problem = "" if self.update is None else self.update.problem
-        return f"nothing is fused: {problem or 'no map yet'}"
+    grid: OccupancyGrid
+    agreement: OccupancyGrid
+    stamp_s: float
+    arrived_s: float | None = None
 
 
-class Ports(Protocol):
-    """What a session asks of whoever receives maps and publishes; in the worker's thread."""
+@dataclass(frozen=True)
+class Sent:
+    """What went out so far; replaced as a whole, so that any thread may read it.
 
-    def take(self) -> Sequence[Arrived]:
-        """Return what came since the last call: who was removed, then each one's newest message.
+    Attributes:
+        maps: how many.
+        median_ms, high_ms: median and 95th percentile from a map's coming to its fused one's going.
+    """
 
-        After an input was removed no message of it comes, but of a new one that has its name.
-        """
-
-    def has_maps(self) -> bool:
-        """Whether anything waits to be taken; asked often, so it must be quick."""
-
-    def has_come(self, name: str) -> bool:
-        """Whether an input has sent a map, or is a saved one."""
-
-    def send(self, *, with_agreement: bool = True) -> None:
-        """Publish what is due of the outbox."""
-
-    def stamp_s(self, voters: Collection[str]) -> float:
-        """Return the stamp of a fused map of these voters, seconds."""
-
-    def say_vote(self, record: LiveInput) -> None:
-        """Say that an input got or lost its vote, and why."""
-
-
-class Memory(Protocol):
-    """What a session remembers over a restart; in the worker's thread."""
-
-    def is_waiting(self, has_come: Callable[[str], bool]) -> bool:
-        """Whether inputs that had a place before the restart are waited for."""
-
-    def confirm(self) -> None:
-        """Take note that an input votes."""
-
-    def change(self, stamp_s: float) -> None:
-        """Take note of a new fused map and its stamp."""
-
-    def keep(self) -> None:
-        """Write what has changed, now and then."""
-
-    def clear(self) -> None:
-        """Forget it all: a new fused frame begins."""
+    maps: int = 0
+    median_ms: float = 0.0
+    high_ms: float = 0.0
 
 
 class FusionSession:
-    """Takes what came, fuses and lets be published; then does what could wait, until a map comes.
+    """Fuses what comes and publishes it; then does what could wait, until a map comes.
+
+    Of several fused maps within one period of ``rate_hz`` only the last goes out.
 
     Args:
-        live: fuses; the session feeds it.
-        outbox: where fused maps wait.
-        memory: what is kept over a restart.
+        live: fuses; maps are put there.
+        rate_hz: maps a second that may go out at most.
+        publish: sends a fused map; in the worker's thread, as the next two.
+        publish_agreement: sends the agreement of the map that went out last.
+        stamp_s: returns the stamp of a fused map of these voters, seconds.
+        on_vote: called with an input that got or lost its vote.
+        is_heard: whether somebody listens to the agreement; from any thread.
         clock: seconds, growing; of the maps too.
 
     Attributes:
         snapshot: what the worker made so far; any thread may read it.
-        outbox: as given.
+        sent: what went out so far; the same.
+        rate_hz: may be replaced.
+        waiting: the fused map that waits for its turn; None without.
     """
 
     def __init__(
         self,
         live: LiveFusion,
-        outbox: Outbox,
-        memory: Memory,
+        rate_hz: float,
+        *,
+        publish: Callable[[FusedMap], None],
+        publish_agreement: Callable[[FusedMap], None],
+        stamp_s: Callable[[Sequence[str]], float],
+        on_vote: Callable[[LiveInput], None],
+        is_heard: Callable[[], bool] = lambda: True,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.outbox = outbox
-        self.snapshot = Snapshot(noted_s=clock())
+        self.snapshot = FusionState(noted_s=clock())
+        self.sent = Sent()
+        self.rate_hz = rate_hz
+        self.waiting: FusedMap | None = None
         self._live = live
-        self._memory = memory
+        self._publish, self._publish_agreement = publish, publish_agreement
+        self._stamp_s, self._on_vote, self._is_heard = stamp_s, on_vote, is_heard
         self._clock = clock
-        self._arrived_s: float | None = None
-        # Requests of any thread, taken by the worker's.
-        self._lock = threading.Lock()
-        self._wanted_live: LiveConfig | None = None
-        self._is_reset_wanted = False
-        # Of the thread that looks after the inputs.
-        # Inputs that are lost, and how many updates there were before.
+        # Requests of other threads, for the worker's.
+        self._asked: SimpleQueue[Callable[[], None]] = SimpleQueue()
+        # The map that went out last, until its agreement does.
+        self._unagreed: FusedMap | None = None
+        self._sent_s = float("-inf")
+        self._latencies_s: deque[float] = deque(maxlen=LATENCIES)
+        # Inputs that are lost, and how many updates there were before; of the thread of ``look``.
         self._lost: dict[str, int] = {}
 
     # -- from other threads -----------------------------------------------------------------------
 
     def ask_reset(self) -> None:
         """Let a new fused frame begin with the worker's next turn."""
-        with self._lock:
-            self._is_reset_wanted = True
+        self._asked.put(self._reset)
 
     def ask_settings(self, live: LiveConfig) -> None:
         """Let other settings hold from the worker's next turn on."""
-        with self._lock:
-            self._wanted_live = live
+        self._asked.put(partial(self._live.configure, live))
 
     def hear(self, name: str, stamp_s: float, pose: Pose2) -> None:
-        """Take a pose that an input tells; see ``LiveFusion.hear``."""
+        """Take a pose that an input sends; see ``LiveFusion.hear``."""
         self._live.hear(name, stamp_s, pose)
 
     def look(self, name: str, lost: str, *, has_map: bool, is_back: bool) -> bool:
@@ -203,11 +177,11 @@ class FusionSession:
         Returns:
             Whether the worker has something to do.
         """
-        record = self.snapshot.believed.inputs.get(name)
-        is_believed = record is not None and record.accepted
+        record = self.snapshot.inputs.get(name)
+        is_accepted = record is not None and record.accepted
         if lost and has_map:
             # Also where a map that waited was taken after all.
-            if name not in self._lost or is_believed:
+            if name not in self._lost or is_accepted:
                 self._live.drop(name, lost)
                 self._lost[name] = self.snapshot.updates
                 return True
@@ -215,95 +189,110 @@ class FusionSession:
             del self._lost[name]
             self._live.recall(name)
             return True
-        elif is_believed and self.snapshot.updates - self._lost.get(name, 0) >= NOTICED:
+        elif is_accepted and self.snapshot.updates - self._lost.get(name, 0) >= NOTICED:
             # By a map of its own. Until then it may yet turn out to be the one that was lost: its
             # first message may come ahead of the news of its process.
             self._lost.pop(name, None)
         return False
 
-    def forget(self, name: str) -> None:
-        """Forget how an input was that is none any more; from the thread of ``look``."""
+    def remove(self, name: str) -> None:
+        """Let an input be none any more; from the thread of ``look``."""
         self._lost.pop(name, None)
+        self._live.remove(name)
+
+    @property
+    def is_due(self) -> bool:
+        """Whether a fused map could go out now, or an agreement to somebody who listens."""
+        is_map_due = self.waiting is not None and self._is_turn
+        return is_map_due or (self._unagreed is not None and self._is_heard())
 
     # -- in the worker's thread -------------------------------------------------------------------
 
-    def turn(self, ports: Ports) -> None:
+    def turn(self) -> None:
         """Do what there is to do."""
-        self._apply_requests()
-        outbox = self.outbox
-        for _ in range(ROUNDS):
-            if not self._take(ports.take()):
-                ports.send()
-                if outbox.waiting is not None:
-                    return  # what could wait is not begun while a fused map waits for its turn
-            if self._memory.is_waiting(ports.has_come):
-                return
-            update = self._live.update(self._clock(), ports.has_maps)
-            if update is not None:
-                self._note(update, ports)
-            if outbox.waiting is not None and not outbox.may_gather(ports.has_maps):
-                ports.send(with_agreement=not ports.has_maps())
-            if update is None and not ports.has_maps():
+        while True:
+            try:
+                self._asked.get_nowait()()
+            except Empty:
                 break
-        ports.send()  # however many maps come
-        self._memory.keep()
+        for _ in range(ROUNDS):
+            now_s = self._clock()
+            if not self._live.has_news:
+                self.send()
+                if self.waiting is not None:
+                    return  # what could wait is not begun while a fused map waits for its turn
+            update = self._live.update(now_s)
+            if update is not None:
+                self._note(update)
+            if self.waiting is not None and not self._may_gather():
+                self.send(with_agreement=not self._live.has_news)
+            if update is None and not self._live.has_news:
+                break
+        self.send()  # however many maps come
 
-    def _apply_requests(self) -> None:
-        """Do what was asked for since the last turn."""
-        with self._lock:
-            wanted, self._wanted_live = self._wanted_live, None
-            is_reset, self._is_reset_wanted = self._is_reset_wanted, False
-        if wanted is not None:
-            self._live.configure(wanted)
-        if is_reset:
-            self._live.reset()
-            self.snapshot = replace(self.snapshot, resets=self.snapshot.resets + 1)
-            self._memory.clear()
+    def offer(self, fused: FusedMap) -> None:
+        """Let a fused map wait in the place of an older one; what came first for that counts."""
+        before = self.waiting
+        self.waiting = fused if before is None else replace(fused, arrived_s=before.arrived_s)
 
-    def _take(self, arrived: Sequence[Arrived]) -> bool:
-        """Hand what came to the fusion; return whether there was any."""
-        for item in arrived:
-            if item.is_removed:
-                self._live.remove(item.name)
-                continue
-            if self._arrived_s is None and not item.is_saved:
-                self._arrived_s = item.arrived_s
-            if item.grid is None:
-                self._live.reject(item.name, item.problem, item.arrived_s)
-            else:
-                self._live.put(item.name, item.grid, item.arrived_s, is_saved=item.is_saved)
-        return bool(arrived)
+    def send(self, *, with_agreement: bool = True) -> None:
+        """Publish the map that waits, if its turn has come, and the agreement where it is heard."""
+        fused = self.waiting
+        if fused is not None and self._is_turn:
+            self.waiting, self._unagreed, self._sent_s = None, fused, self._clock()
+            self._publish(fused)
+            if fused.arrived_s is not None:
+                self._latencies_s.append(self._clock() - fused.arrived_s)
+            median, high = 1e3 * np.percentile([*self._latencies_s] or [0.0], (50.0, 95.0))
+            self.sent = Sent(self.sent.maps + 1, float(median), float(high))
+        if with_agreement and self._unagreed is not None and self._is_heard():
+            fused, self._unagreed = self._unagreed, None
+            self._publish_agreement(fused)
 
-    def _note(self, update: LiveUpdate, ports: Ports) -> None:
+    @property
+    def _is_turn(self) -> bool:
+        """Whether the last map that was sent is old enough for another one."""
+        return self._clock() - self._sent_s >= 1.0 / self.rate_hz
+
+    def _may_gather(self) -> bool:
+        """Whether the map that waits goes on waiting for maps that came while it was made."""
+        arrived_s = None if self.waiting is None else self.waiting.arrived_s
+        is_young = arrived_s is not None and self._clock() - arrived_s < GATHER_S
+        return is_young and self._live.has_news
+
+    def _reset(self) -> None:
+        self._live.reset()
+        self.snapshot = replace(self.snapshot, resets=self.snapshot.resets + 1)
+
+    def _note(self, update: LiveUpdate) -> None:
         """Keep what an update did; a fused map waits for its turn to be published."""
         before = self.snapshot
         records = {record.name: record for record in update.inputs}
         votes = 0
         for name, record in records.items():
-            old = before.believed.inputs.get(name)
+            old = before.inputs.get(name)
             if old is None or old.accepted != record.accepted:
                 votes += 1
-                ports.say_vote(record)
-        left = before.believed.inputs.keys() - records.keys()
-        votes += sum(before.believed.inputs[name].accepted for name in left)
-        voters = [name for name, record in records.items() if record.accepted]
-        if voters:
-            self._memory.confirm()
-        self.snapshot = Snapshot(
-            Believed(records, update.reference),
+                self._on_vote(record)
+        left = before.inputs.keys() - records.keys()
+        votes += sum(before.inputs[name].accepted for name in left)
+        state = FusionState(
+            records,
+            update.reference,
             self._clock(),
             update,
             before.updates + 1,
             before.searches + update.is_full_search,
             before.resets,
             before.votes + votes,
+            before.fused_maps,
+            before.fused_stamp_s,
         )
-        arrived_s, self._arrived_s = self._arrived_s, None
-        if update.fused is None or update.agreement is None:
-            return
-        stamp_s = ports.stamp_s(voters)
-        self.outbox.offer(Fused(update.fused, update.agreement, stamp_s, arrived_s))
-        self._memory.change(stamp_s)
+        if update.fused is not None and update.agreement is not None:
+            stamp_s = self._stamp_s([name for name, item in records.items() if item.accepted])
+            self.offer(FusedMap(update.fused, update.agreement, stamp_s, update.arrived_s))
+            state = replace(state, fused_maps=before.fused_maps + 1, fused_stamp_s=stamp_s)
+        self.snapshot = state
 
 
 def warm_up(config: RunConfig, device: ComputeDevice) -> None:

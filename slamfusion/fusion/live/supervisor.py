@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
-from slamfusion.align.cancel import CancelledSearchError
-from slamfusion.align.starts import Starts
-from slamfusion.compute import ComputeDevice
-from slamfusion.config import FusionConfig, LiveConfig
+from slamfusion.config import LiveConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.fusion.live.align import Aligner
-from slamfusion.fusion.live.anchor import Anchor
-from slamfusion.fusion.live.begin import align_first, believe_first, fusable
-from slamfusion.fusion.live.recovery import recover
+from slamfusion.fusion.live.recovery import Anchor, align_first, believe_first, fusable, recover
 from slamfusion.fusion.live.track import Track, refuse_all
 from slamfusion.grid import OccupancyGrid
-from slamfusion.vote.lattice import Lattice
 
 NEVER = float("-inf")
 # A steady voter is late when the usual share has changed this many times; then it waits for others
@@ -32,55 +26,16 @@ class InputSupervisor:
         problem: why nobody votes, one line.
     """
 
-    def __init__(
-        self,
-        config: FusionConfig,
-        live: LiveConfig,
-        device: ComputeDevice,
-        starts: Starts | None = None,
-    ) -> None:
+    def __init__(self, aligner: Aligner) -> None:
         """Start without inputs."""
         self.tracks: dict[str, Track] = {}
         self.reference = ""
         self.problem = "no map yet"
-        self._aligner = Aligner(config, live, device, starts)
-        self._config = self._aligner.config
-        self._live = live
+        self._aligner = aligner
         self._anchor = Anchor()
         self._began: tuple[float, tuple[tuple[str, int], ...]] = (NEVER, ())
-        self._now_s = 0.0
         self._fused: Callable[[], OccupancyGrid | None] = lambda: None
         self._agreed: Callable[[], OccupancyGrid | None] = lambda: None
-        self._is_wanted: Callable[[], bool] | None = None
-
-    def configure(self, live: LiveConfig) -> None:
-        """Take other settings for what comes."""
-        self._live = self._aligner.live = live
-
-    @property
-    def lattice(self) -> Lattice | None:
-        """The cells of the fused frame; None before the first fusion."""
-        return self._aligner.lattice
-
-    @property
-    def scores(self) -> dict[frozenset[str], float]:
-        """What the search, or the first fusion, gave for a pair of names."""
-        return dict(self._aligner.scores)
-
-    def restore(self, lattice: Lattice, scores: Mapping[frozenset[str], float]) -> None:
-        """Take the fused frame of an earlier run; inputs come back by the last fused map."""
-        self._aligner.restore(lattice, scores)
-        self.problem = "no input has come yet"
-
-    def remove(self, name: str) -> None:
-        """Forget an input; where it was the reference, another one takes over."""
-        self.tracks.pop(name, None)
-        self._aligner.remove(name)
-
-    @property
-    def has_searched(self) -> bool:
-        """Whether the last round searched an input everywhere."""
-        return self._aligner.has_searched
 
     @property
     def voters(self) -> list[Track]:
@@ -105,11 +60,10 @@ class InputSupervisor:
             is_wanted: asked while steady voters are aligned that no map waits for; True: give up.
             agreed: gives what a majority last decided; asked for only where the last two disagree.
         """
-        self._now_s, self._is_wanted = now_s, is_wanted
         self._fused, self._agreed = fused, agreed
         self._aligner.now_s, self._aligner.is_wanted = now_s, is_wanted
         self._aligner.has_searched = False
-        if self.lattice is None:
+        if self._aligner.lattice is None:
             self._begin()
             return
         self._anchor.note(self.tracks.values(), fused, self._aligner)
@@ -123,17 +77,19 @@ class InputSupervisor:
 
     def _begin(self) -> None:
         """Try the first fusion, once for every new map and not too often."""
-        usable = fusable([t for t in self.tracks.values() if t.is_live], self._config.normalize)
-        least = self._live.minimum_inputs
+        usable = fusable(
+            [t for t in self.tracks.values() if t.is_live], self._aligner.config.normalize
+        )
+        least = self._aligner.live.minimum_inputs
         if len(usable) < least:
             self.problem = f"waits for {least} inputs that agree, has {len(usable)}"
             refuse_all(usable, self.problem)
             return
         versions = tuple((track.name, track.version) for track in usable)
         last_s, tried = self._began
-        if versions == tried or self._now_s - last_s < self._live.search_pause_s:
+        if versions == tried or self._aligner.now_s - last_s < self._aligner.live.search_pause_s:
             return
-        self._began = (self._now_s, versions)
+        self._began = (self._aligner.now_s, versions)
         self._aligner.has_searched = len(usable) > 1
         try:
             group, lattice = align_first(usable, least, self._aligner)
@@ -184,13 +140,13 @@ class InputSupervisor:
             if track is reference:
                 continue
             own = 0 if track.layer is None else track.layer.box.area
-            may_wait = track.votes and cells + own > self._live.track_cells
-            is_late = track.drift > LATE * _few(track, reference, self._live)
+            may_wait = track.votes and cells + own > self._aligner.live.track_cells
+            is_late = track.drift > LATE * _few(track, reference, self._aligner.live)
             if may_wait and (has_late or not is_late):
                 if not (is_idle and cells == 0):
                     continue
                 try:
-                    self._align(track, reference, self._is_wanted)
+                    self._align(track, reference, self._aligner.is_wanted)
                 except CancelledSearchError:
                     return
             else:

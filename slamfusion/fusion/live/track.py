@@ -16,7 +16,10 @@ from slamfusion.align.features import GridFeatures
 from slamfusion.align.normalize import normalize_grid
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import LiveConfig, NormalizeConfig
-from slamfusion.fusion.live.lattice import Layer, carry, lay_out
+from slamfusion.fusion.accept import WALLS_MIN
+from slamfusion.fusion.cancel import CancelToken
+from slamfusion.fusion.features import GridFeatures
+from slamfusion.fusion.live.layers import Layer, carry, lay_out
 from slamfusion.fusion.live.limits import bands
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.grid import CellBox, OccupancyGrid, known_box

@@ -1,29 +1,56 @@
-"""``Voting``: keeps the fused layers as the voters want them, and votes on what changed."""
+"""The fused layers: one lattice that never moves, what each input says on it, and the vote.
+
+Each input's layer is kept as the lattice sees it, so that a new map costs what it changed: the
+changed cells are carried over and voted on again, everything else stays as it was.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, LiveConfig
 from slamfusion.errors import MemoryBudgetError
-from slamfusion.fusion.live.layers import FusedLayers
+from slamfusion.fusion.live.layers import Layer, carry
 from slamfusion.fusion.live.state import LiveState
 from slamfusion.fusion.live.track import Track
-from slamfusion.grid import CellBox, OccupancyGrid
-from slamfusion.vote.boxes import hull, joined, moved
+from slamfusion.geometry import Pose2
+from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, trinary_cells
+from slamfusion.io.memory import check_memory
+from slamfusion.vote.agreement import Trust, WallCounts, count_walls
+from slamfusion.vote.boxes import grown_inside, hull, joined, moved, overlap, padded, slices
 from slamfusion.vote.lattice import Lattice
+from slamfusion.vote.tiles import TileVoter
+from slamfusion.vote.walls import codes_on, margin_cells
 
+I8 = npt.NDArray[np.int8]
+
+# Results and copies of a fused cell, and what a layer takes, in bytes.
+CELL_BYTES, LAYER_BYTES = 6, 2
+# Fused layers of this many cells or more shrink where this share of them would do.
+SHRUNK_CELLS, SHRUNK_SHARE = 1 << 22, 0.25
 # Voters of which two overrule one: what they say is on the fused map is agreed on by more than one.
 MAJORITY = 3
 
 
-class Voting:
-    """Lays what changed of each voter and votes on it.
+class FusedLayers:
+    """The fused cells, what every input shows of them, and the vote.
+
+    They grow by whole cells of their lattice and never move. They shrink only where four times
+    fewer cells would do, so that an input which leaves for a while does not change the size of what
+    is published, and one that lay far away gives the memory back.
 
     Attributes:
         live: its ``extent`` counts; may be replaced.
-        layers: None before the first fusion.
+        lattice: of the fused frame; None before the first fusion.
+        box: cells of the lattice that are kept; None before the first ``grow``.
+        phantom_cells: occupied in the fused cells, occupied in no layer that voted.
         names: who voted last.
         has_young: whether a map that began anew was among them.
         agreed: the fused map when a majority last decided, before all but two or fewer lost their
@@ -31,57 +58,44 @@ class Voting:
     """
 
     def __init__(self, config: FusionConfig, live: LiveConfig, device: ComputeDevice) -> None:
-        """Start without layers; ``config`` gives the vote."""
+        """Start without cells; ``config`` gives the vote and its thresholds."""
         self.live = live
-        self.layers: FusedLayers | None = None
+        self.lattice: Lattice | None = None
+        self.box: CellBox | None = None
+        self.phantom_cells = 0
         self.names: tuple[str, ...] = ()
         self.has_young = False
         self.agreed: OccupancyGrid | None = None
         self._config = config
         self._device = device
+        # Cells in {-1, 0, 1} of each input, and what they show around each cell, if that decides.
+        self._carried: dict[str, I8] = {}
+        self._walls: dict[str, npt.NDArray[np.uint8]] = {}
+        self._trust: Trust | None = None
+        # Walls that agree, of the voters and the cells of the last vote.
+        self._counts: WallCounts | None = None
+        self._counted: tuple[tuple[str, ...], CellBox] | None = None
+        self._covered: dict[str, CellBox] = {}
+        self._fused = np.zeros((0, 0), dtype=np.int8)
+        self._agreement = self._fused
+        self._trinary = trinary_cells(
+            np.arange(256, dtype=np.uint8).view(np.int8), config.normalize
+        ).view(np.uint8)
+
+    @property
+    def _fixed(self) -> Lattice:
+        """The lattice, which must be fixed."""
+        if self.lattice is None:
+            message = "nothing was fused yet"
+            raise ValueError(message)
+        return self.lattice
 
     @property
     def resolution(self) -> float | None:
         """Metres per fused cell; None before the first fusion."""
-        return None if self.layers is None else self.layers.lattice.resolution
+        return None if self.lattice is None else self.lattice.resolution
 
-    @property
-    def phantom_cells(self) -> int:
-        """Fused walls that no voter has."""
-        return 0 if self.layers is None else self.layers.phantom_cells
-
-    def begin(self, lattice: Lattice) -> FusedLayers:
-        """Begin with empty layers on a lattice."""
-        self.layers = FusedLayers(lattice, self._config, self._device)
-        return self.layers
-
-    def restore(self, state: LiveState) -> None:
-        """Begin with the last fused map of an earlier run, which no layer is under yet."""
-        self.begin(state.lattice).restore(state.box, state.fused, state.agreement)
-
-    def remove(self, name: str) -> None:
-        """Take an input's layer away; the next vote goes without it."""
-        if self.layers is not None:
-            self.layers.lift(name)
-
-    def last_fused(self) -> OccupancyGrid | None:
-        """Return the last fused map; None before the first."""
-        if self.layers is None or self.layers.box is None:
-            return None
-        return self.layers.grids()[0]
-
-    def grids(self) -> tuple[OccupancyGrid, OccupancyGrid]:
-        """Return the fused map and the agreement.
-
-        Raises:
-            ValueError: nothing was fused yet.
-        """
-        if self.layers is None:
-            message = "nothing was fused yet"
-            raise ValueError(message)
-        return self.layers.grids()
-
-    def vote(
+    def update(
         self, tracks: Iterable[Track], voters: Sequence[Track], reference: str
     ) -> CellBox | None:
         """Lay what changed and vote on it.
@@ -97,35 +111,32 @@ class Voting:
         Returns:
             Those cells of the fused map, counted from its first cell; None without any.
         """
-        layers = self.layers
-        if layers is None:
+        if self.lattice is None:
             return None
-        grown = [self._make_room(layers, track, reference) for track in voters]
+        grown = [self._make_room(track, reference) for track in voters]
         voters = [track for track in voters if track.votes]
         names = tuple(track.name for track in voters)
         self._keep_agreed(names)
         for track in tracks:
             if track.name not in names:
-                layers.lift(track.name)
+                self.lift(track.name)
                 track.relay = True
-        if layers.box is None or not names:
+        if self.box is None or not names:
             self.names = names
             return None
-        has_shrunk = self._shrink(layers, voters, reference)
-        parts = [_lay(layers, track) for track in voters]
+        has_shrunk = self._give_back(voters, reference)
+        parts = [self._lay(track) for track in voters]
         boxes = [part for part in parts if part is not None]
         before, now = (self.names, self.has_young), (names, any(t.is_young for t in voters))
         if has_shrunk or any(grown) or now != before:
-            boxes = [layers.box]
+            boxes = [self.box]
         self.names, self.has_young = now
         if not boxes:
             return None
-        box, *others = (
-            layers.vote(names, part, has_young=self.has_young) for part in joined(boxes)
-        )
+        box, *others = (self.vote(names, part, has_young=self.has_young) for part in joined(boxes))
         for other in others:
             box = hull(box, other)
-        return moved(box, -layers.box.row0, -layers.box.col0)
+        return moved(box, -self.box.row0, -self.box.col0)
 
     def _keep_agreed(self, names: Sequence[str]) -> None:
         """Keep what a majority decided while fewer voters are left than make one."""
@@ -134,43 +145,267 @@ class Voting:
         elif len(self.names) >= MAJORITY:
             self.agreed = self.last_fused()
 
-    def _make_room(self, layers: FusedLayers, track: Track, reference: str) -> bool:
+    def _make_room(self, track: Track, reference: str) -> bool:
         """Grow the layers to hold an input's new cells; return whether they grew."""
-        needed = self._needed(layers, track, reference)
+        needed = self._needed(track, reference)
         if needed is None:
             return False
         try:
-            return layers.grow(needed, track.name) is not None
+            return self.grow(needed, track.name) is not None
         except MemoryBudgetError as error:
             track.refuse(str(error))
             return False
 
-    def _shrink(self, layers: FusedLayers, voters: Sequence[Track], reference: str) -> bool:
+    def _give_back(self, voters: Sequence[Track], reference: str) -> bool:
         """Give back what the layers hold for no voter; return whether there was any."""
-        found = [self._needed(layers, track, reference) for track in voters]
+        found = [self._needed(track, reference) for track in voters]
         boxes = [box for box in found if box is not None]
         if not boxes:
             return False
         needed = boxes[0]
         for box in boxes[1:]:
             needed = hull(needed, box)
-        return layers.shrink(needed) is not None
+        return self.shrink(needed) is not None
 
-    def _needed(self, layers: FusedLayers, track: Track, reference: str) -> CellBox | None:
+    def _needed(self, track: Track, reference: str) -> CellBox | None:
         """Return the cells of the lattice that an input needs; None where it gives no extent."""
         if track.layer is None or track.known is None or track.transform is None:
             return None
         if self.live.extent == "reference" and track.name != reference:
             return None
-        return layers.lattice.box_of(track.known, track.layer.lattice, track.transform)
+        return self._fixed.box_of(track.known, track.layer.lattice, track.transform)
 
+    def _lay(self, track: Track) -> CellBox | None:
+        """Lay what the layers have not seen of an input; return the cells of the lattice."""
+        if track.layer is None or track.known is None or track.transform is None:
+            return None
+        if not track.relay and track.unlaid is None:
+            return None
+        changed = None if track.relay else track.unlaid
+        track.relay, track.unlaid = False, None
+        return self.lay(track.name, track.layer, track.known, track.transform, changed)
 
-def _lay(layers: FusedLayers, track: Track) -> CellBox | None:
-    """Lay what the layers have not seen of an input; return the cells of the lattice."""
-    if track.layer is None or track.known is None or track.transform is None:
-        return None
-    if not track.relay and track.unlaid is None:
-        return None
-    changed = None if track.relay else track.unlaid
-    track.relay, track.unlaid = False, None
-    return layers.lay(track.name, track.layer, track.known, track.transform, changed)
+    def grow(self, box: CellBox, name: str) -> CellBox | None:
+        """Make room for a box of the lattice; return all their cells where they grew.
+
+        Args:
+            box: cells of the lattice.
+            name: the input that needs them.
+
+        Raises:
+            MemoryBudgetError: the grown layers would not fit; nothing was changed.
+        """
+        if self.box is not None and hull(self.box, box) == self.box:
+            return None
+        grown = box if self.box is None else hull(self.box, box)
+        room = grown.area * (CELL_BYTES + LAYER_BYTES * len(self._carried))
+        check_memory(room, f"a fused map of {grown.height} x {grown.width} cells", name)
+        self._fused = self._moved(self._fused, grown)
+        self._agreement = self._moved(self._agreement, grown)
+        self._carried = {name: self._moved(cells, grown) for name, cells in self._carried.items()}
+        self._walls = {
+            name: self._moved(walls.view(np.int8), grown, 0).view(np.uint8)
+            for name, walls in self._walls.items()
+        }
+        self.box = grown
+        return grown
+
+    def shrink(self, box: CellBox) -> CellBox | None:
+        """Give back the memory of cells that nobody needs; return what is left where they shrank.
+
+        Args:
+            box: cells of the lattice that the voters need.
+        """
+        if self.box is None or self.box.area < SHRUNK_CELLS:
+            return None
+        if box.area > SHRUNK_SHARE * self.box.area or hull(self.box, box) != self.box:
+            return None
+        self._fused = self._cut(self._fused, box)
+        self._agreement = self._cut(self._agreement, box)
+        self._carried = {name: self._cut(cells, box) for name, cells in self._carried.items()}
+        self._walls = {
+            name: self._cut(walls.view(np.int8), box).view(np.uint8)
+            for name, walls in self._walls.items()
+        }
+        kept = {name: overlap(covered, box) for name, covered in self._covered.items()}
+        self._covered = {name: part for name, part in kept.items() if part is not None}
+        self.box = box
+        return box
+
+    def _cut(self, cells: I8, box: CellBox) -> I8:
+        whole = self.box
+        if whole is None:
+            return cells
+        return cells[slices(box, whole.row0, whole.col0)].copy()
+
+    def restore(self, state: LiveState) -> None:
+        """Begin with the last fused map of an earlier run, which no layer is under yet."""
+        classes = np.array([UNKNOWN] * 256, dtype=np.int8)
+        classes[FREE], classes[OCCUPIED] = 0, 1
+        fused = cv2.LUT(state.fused.view(np.uint8), classes.view(np.uint8))
+        self._fused, self._agreement = np.asarray(fused).view(np.int8), state.agreement.copy()
+        self.lattice, self.box = state.lattice, state.box
+
+    def _moved(self, cells: I8, grown: CellBox, outside: int = UNKNOWN) -> I8:
+        out = np.full((grown.height, grown.width), outside, dtype=np.int8)
+        if self.box is not None:
+            out[slices(self.box, grown.row0, grown.col0)] = cells
+        return out
+
+    def lay(
+        self, name: str, layer: Layer, known: CellBox, transform: Pose2, changed: CellBox | None
+    ) -> CellBox | None:
+        """Carry an input's cells onto its layer; return the cells of the lattice that it touched.
+
+        Args:
+            name: the input.
+            layer: all of its cells.
+            known: cells of the layer's lattice that hold every known one.
+            transform: maps the layer's frame into the fused frame, metres.
+            changed: cells of the layer's lattice that differ from what was laid here before with
+                the same transform and lattice; None for all.
+        """
+        box = self.box
+        if box is None:
+            message = "grow the layers before anything is laid on them"
+            raise ValueError(message)
+        before = self._covered.get(name)
+        if name not in self._carried:
+            self._carried[name] = np.full((box.height, box.width), UNKNOWN, dtype=np.int8)
+            self._walls[name] = np.zeros((box.height, box.width), dtype=np.uint8)
+        carried = self._carried[name]
+        now = overlap(self._fixed.box_of(known, layer.lattice, transform), box)
+        if changed is None:
+            target = now
+            if before is not None:
+                carried[slices(before, box.row0, box.col0)] = UNKNOWN
+            touched = now if before is None or now is None else hull(before, now)
+            touched = touched or before
+        else:
+            near = self._fixed.box_of(changed, layer.lattice, transform)
+            target = touched = overlap(padded(near, 1), box)
+        self._covered.pop(name, None)
+        if now is not None:
+            self._covered[name] = now if before is None or changed is None else hull(before, now)
+        if target is not None:
+            cells = carry(layer, transform, self._fixed, target, self._device)
+            carried[slices(target, box.row0, box.col0)] = self._classes(cells)
+        if touched is not None and self._config.vote.mode == "consensus":
+            self._show(name, touched, box)
+        return touched
+
+    def _show(self, name: str, touched: CellBox, whole: CellBox) -> None:
+        """Find what a layer shows around the cells that changed."""
+        size = self._fixed.resolution
+        box = grown_inside(touched, margin_cells(size), whole)
+        cells = self._carried[name]
+
+        def read(part: CellBox) -> I8:
+            return np.ascontiguousarray(cells[slices(part, whole.row0, whole.col0)])
+
+        window = slices(box, whole.row0, whole.col0)
+        self._walls[name][window] = codes_on(box, whole, size, read)
+
+    def lift(self, name: str) -> CellBox | None:
+        """Take an input's layer away; return the cells that it had covered."""
+        self._carried.pop(name, None)
+        self._walls.pop(name, None)
+        self._counted = None
+        return self._covered.pop(name, None)
+
+    def vote(self, names: Sequence[str], box: CellBox, *, has_young: bool = False) -> CellBox:
+        """Let the layers of some inputs vote again on a box of the lattice.
+
+        Args:
+            names: the voters, one or more, in order; each has a layer.
+            box: cells of the lattice, inside of those kept. All of these are voted on where the
+                trust in the inputs has changed.
+            has_young: whether a map that began anew votes: unknown abstains by the rule ``auto``.
+
+        Returns:
+            The cells that were voted on.
+        """
+        whole = self.box
+        if whole is None:
+            message = "grow the layers before their cells are voted on"
+            raise ValueError(message)
+        config = self._config.vote
+        if has_young and config.unknown == "auto":
+            config = replace(config, unknown="abstain")
+        voter = TileVoter(whole, config, self._fixed.resolution, tuple(names))
+        counts = None
+        if voter.weighs:
+            all_counts = self._count(voter, box)
+            voter = voter.trusting(all_counts.total())
+            is_same = voter.trust is not None and voter.trust.decides_like(self._trust)
+            reach = margin_cells(voter.resolution) + (1 << voter.shift)
+            box = voter.aligned(grown_inside(box, reach, whole)) if is_same else whole
+            counts = all_counts.part(voter.blocks(voter.around(box), whole))
+        self._trust = voter.trust
+        decided = voter.decide(box, self._shown(voter, box), self._device, counts)
+        if decided is None:
+            return box
+        window = slices(box, whole.row0, whole.col0)
+        self._fused[window] = decided.fused
+        self._agreement[window] = decided.agreement
+        if box == whole:
+            self.phantom_cells = decided.phantom_cells
+        elif decided.phantom_cells or self.phantom_cells:
+            self.phantom_cells = self._count_phantoms(names)
+        return box
+
+    def _count(self, voter: TileVoter, changed: CellBox) -> WallCounts:
+        """Count the walls of the blocks that changed again; return the counts of all blocks."""
+        whole, key = voter.whole, (voter.names, voter.whole)
+        if self._counts is None or key != self._counted:
+            changed = whole
+        box = voter.aligned(grown_inside(changed, margin_cells(voter.resolution), whole))
+        window = slices(box, whole.row0, whole.col0)
+        codes = [self._walls[name][window] for name in voter.names]
+        found = count_walls(codes, voter.shift, voter.phase(box))
+        if self._counts is None or box == whole:
+            self._counts = found
+        else:
+            kept = self._counts.part(voter.blocks(box, whole))
+            for table, new in zip(kept.tables, found.tables, strict=True):
+                table[:] = new
+        self._counted = key
+        return self._counts
+
+    def _shown(self, voter: TileVoter, tile: CellBox) -> dict[str, npt.NDArray[Any]]:
+        """Return what the voters show around a tile."""
+        shown = self._walls if voter.weighs else self._carried
+        whole = self.box or tile
+        window = slices(voter.around(tile), whole.row0, whole.col0)
+        return {name: shown[name][window] for name in voter.names}
+
+    def _classes(self, cells: I8) -> I8:
+        return np.asarray(cv2.LUT(cells.view(np.uint8), self._trinary)).view(np.int8)
+
+    def _count_phantoms(self, names: Sequence[str]) -> int:
+        """Count the fused walls of all cells that were voted for and that no voter has."""
+        alone = (self._fused == 1) & (self._agreement >= 0)
+        for name in names:
+            alone &= self._carried[name] != 1
+        return int(np.count_nonzero(alone))
+
+    def last_fused(self) -> OccupancyGrid | None:
+        """Return the last fused map; None before the first."""
+        return None if self.box is None else self.grids()[0]
+
+    def grids(self) -> tuple[OccupancyGrid, OccupancyGrid]:
+        """Return the fused map (cells -1, 0, 100) and the agreement (0..100, -1 without votes)."""
+        if self.box is None:
+            message = "nothing was fused yet"
+            raise ValueError(message)
+        values = np.array([FREE, OCCUPIED] + [UNKNOWN] * 254, dtype=np.int8).view(np.uint8)
+        cells = np.asarray(cv2.LUT(self._fused.view(np.uint8), values)).view(np.int8)
+        agreement = self._agreement.copy()
+        for array in (cells, agreement):
+            array.flags.writeable = False
+        origin = self._fixed.corner(self.box.row0, self.box.col0)
+        size = self._fixed.resolution
+        return (
+            OccupancyGrid(cells, size, origin, "fused"),
+            OccupancyGrid(agreement, size, origin, "agreement"),
+        )

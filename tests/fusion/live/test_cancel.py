@@ -10,7 +10,7 @@ import pytest
 from slamfusion.align.cancel import CancelledSearchError, CancelToken, check_cancelled
 from slamfusion.compute import ComputeDevice
 from slamfusion.fusion.live import LiveInput, LiveUpdate
-from tests.fusion.live.maps import Drive, started, three, touched
+from tests.fusion.live.maps import Drive, interrupted, started, three, touched
 
 
 class Doorbell:
@@ -36,7 +36,7 @@ def drifted(device: ComputeDevice) -> Drive:
 
 def rest(drive: Drive, is_wanted: Callable[[], bool]) -> LiveUpdate | None:
     drive.now_s += 0.1
-    return drive.live.update(drive.now_s, is_wanted)
+    return interrupted(drive, is_wanted)
 
 
 def figures(drive: Drive) -> list[object]:

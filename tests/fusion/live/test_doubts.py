@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.fusion.live import layers as fused_layers
+from slamfusion.fusion.live import voting as fused_layers
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OCCUPIED, CellBox, OccupancyGrid
 from tests.fusion.drawings import off_by, padded
@@ -18,6 +18,7 @@ from tests.fusion.live.maps import (
     AWAY,
     Drive,
     assert_same_lattice,
+    interrupted,
     littered,
     live_fusion,
     mirrored,
@@ -163,7 +164,7 @@ def test_implausible_numbers_are_refused_by_name_and_the_others_go_on(
     device: ComputeDevice, bad: OccupancyGrid, words: str
 ) -> None:
     drive = started(device)
-    box = drive.live._voting.layers.box if drive.live._voting.layers is not None else None
+    box = drive.live._layers.box
     tracemalloc.start()
     update = drive.step(bad, touched(three()["a"], 1))
     _, peak = tracemalloc.get_traced_memory()
@@ -172,8 +173,7 @@ def test_implausible_numbers_are_refused_by_name_and_the_others_go_on(
     assert drive.accepted() == "ac"
     assert drive.input("b").rejected == 1
     assert update.fused is not None
-    assert drive.live._voting.layers is not None
-    assert drive.live._voting.layers.box == box
+    assert drive.live._layers.box == box
     assert peak < 20 * MEGABYTE
     drive.step(three()["b"])
     assert drive.accepted() == "abc"
@@ -188,8 +188,7 @@ def test_an_origin_that_jumps_by_10_km_takes_no_memory_and_is_followed(
     device: ComputeDevice,
 ) -> None:
     drive = started(device)
-    assert drive.live._voting.layers is not None
-    first, box = drive.fused, drive.live._voting.layers.box
+    first, box = drive.fused, drive.live._layers.box
     tracemalloc.start()
     drive.step(moved_frame(three()["b"], Pose2(10_000.0, -7_000.0, 0.0)), touched(three()["a"], 1))
     _, peak = tracemalloc.get_traced_memory()
@@ -197,7 +196,7 @@ def test_an_origin_that_jumps_by_10_km_takes_no_memory_and_is_followed(
     assert peak < 30 * MEGABYTE
     assert drive.accepted() == "ac"
     assert wait(drive, 5.0) <= 4.0
-    assert drive.live._voting.layers.box == box
+    assert drive.live._layers.box == box
     assert first is not None
     assert drive.fused is not None
     assert share_standing(first, drive.fused) > 0.97
@@ -208,7 +207,7 @@ def test_the_layers_give_back_what_a_far_cell_took_and_the_frame_stays(
 ) -> None:
     monkeypatch.setattr(fused_layers, "SHRUNK_CELLS", 1 << 16)
     drive = started(device)
-    layers, first = drive.live._voting.layers, drive.fused
+    layers, first = drive.live._layers, drive.fused
     assert layers is not None
     assert layers.box is not None
     assert first is not None
@@ -282,12 +281,12 @@ def test_a_long_search_is_put_off_while_maps_of_others_wait_and_ends_in_the_end(
     track = drive.live._tracks["b"]
     track.jump, track.tried, track.patience_s = None, None, 0.0
     drive.now_s += 1.0
-    update = drive.live.update(drive.now_s, lambda: True)
+    update = interrupted(drive, lambda: True)
     assert update is not None
     assert "put off for the maps of others" in drive.input("b").reason
     track.patience_s = 1000.0
     drive.now_s += 1.0
-    drive.live.update(drive.now_s, lambda: True)
+    interrupted(drive, lambda: True)
     assert "jumped by" in drive.input("b").reason
 
 

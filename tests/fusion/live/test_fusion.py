@@ -13,7 +13,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import SMALLEST, NormalizeConfig, VoteConfig
 from slamfusion.errors import ConfigError
 from slamfusion.fusion import fuse_grids
-from slamfusion.fusion.live.layers import FusedLayers
+from slamfusion.fusion.live.voting import FusedLayers
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid, trinary_cells
 from slamfusion.io import memory
@@ -185,7 +185,7 @@ def test_what_was_not_voted_on_again_is_as_if_it_had_been(
             grids.append(replace(grid, cells=cells))
         drive.step(*grids)
     live = drive.live
-    layers = live._voting.layers
+    layers = live._layers
     assert layers is not None
     assert layers.box is not None
     fresh = FusedLayers(layers.lattice, live._config, device)
@@ -294,18 +294,6 @@ def test_a_map_that_says_too_little_is_named_and_the_others_go_on(
     assert update.reference != name
     assert share_standing(first, update.fused) > 0.97
     drive.step(three()[name])
-    assert drive.accepted() == "abc"
-
-
-def test_a_message_that_cannot_be_read_is_counted_and_named(device: ComputeDevice) -> None:
-    drive = started(device)
-    drive.live.reject("b", "b: resolution nan", drive.now_s)
-    drive.step()
-    assert drive.input("b").reason == "b: resolution nan"
-    assert drive.input("b").rejected == 1
-    assert drive.input("b").maps == 2
-    assert drive.accepted() == "ac"
-    drive.step(three()["b"])
     assert drive.accepted() == "abc"
 
 
@@ -523,32 +511,6 @@ def test_a_place_that_looks_alike_from_two_sides_is_believed_on_the_side_where_i
 # -- health ----------------------------------------------------------------------------------------
 
 
-def test_an_input_without_a_map_is_stale_only_while_another_has_one(device: ComputeDevice) -> None:
-    drive = started(device, stale_after_s=5.0)
-    for number in range(6):
-        drive.step(touched(three()["a"], number), touched(three()["b"], number))
-    assert drive.input("c").reason == "no map for 6 s"
-    assert drive.accepted() == "ab"
-    # The robot stands still: all fall silent, one 4 s after the other, and both stay.
-    drive.now_s += 3.0
-    drive.step(touched(three()["a"], 9))
-    for _ in range(20):
-        drive.now_s += 0.5
-        drive.maybe()
-        assert drive.accepted() == "ab"
-    drive.step(three()["c"])
-    assert drive.input("c").accepted
-
-
-def test_a_saved_map_is_never_stale(device: ComputeDevice) -> None:
-    drive = Drive(live_fusion(device, stale_after_s=5.0))
-    drive.live.put("c", three()["c"], drive.now_s, is_saved=True)
-    drive.step(three()["a"], three()["b"])
-    for number in range(8):
-        drive.step(touched(three()["a"], number), touched(three()["b"], number))
-    assert drive.accepted() == "cab"
-
-
 def test_health_counts_what_came(device: ComputeDevice) -> None:
     drive = started(device)
     for number in range(4):
@@ -590,11 +552,3 @@ def test_the_extent_may_be_that_of_the_reference(device: ComputeDevice) -> None:
     offline = fuse_grids(list(three().values()), config, device)
     assert update.fused.cells.shape == offline.fused.cells.shape
     assert np.array_equal(update.fused.cells, offline.fused.cells)
-
-
-def test_the_newest_map_replaces_one_that_waits(device: ComputeDevice) -> None:
-    drive = started(device)
-    drive.live.put("b", littered(three()["b"], 1), drive.now_s)
-    update = drive.step(three()["b"])
-    assert update.fused is None
-    assert drive.accepted() == "abc"

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import NormalizeConfig
-from slamfusion.fusion.live.lattice import carry
+from slamfusion.fusion.live.layers import carry
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, OccupancyGrid
 from slamfusion.vote.lattice import Lattice

@@ -9,10 +9,9 @@ import numpy.typing as npt
 import pytest
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.config import FusionConfig, NormalizeConfig, VoteConfig
+from slamfusion.config import FusionConfig, LiveConfig, NormalizeConfig, VoteConfig
 from slamfusion.errors import MemoryBudgetError
-from slamfusion.fusion.live.lattice import Layer
-from slamfusion.fusion.live.layers import FusedLayers
+from slamfusion.fusion.live.voting import FusedLayers, Layer
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, trinary_cells
 from slamfusion.io import memory
@@ -42,7 +41,8 @@ def test_boxes_voted_on_one_by_one_are_one_vote(
     full = [np.full(size, -1, dtype=np.int8) for _ in stack]
     for out, cells in zip(full, stack, strict=True):
         out[: cells.shape[0], : cells.shape[1]] = cells
-    layers = FusedLayers(Lattice(0.1, Pose2(1.0, 2.0, 0.2)), config, device)
+    layers = FusedLayers(config, LiveConfig(), device)
+    layers.lattice = Lattice(0.1, Pose2(1.0, 2.0, 0.2))
     box = CellBox(0, 0, *size)
     layers.grow(box, "all")
     for name, cells in zip("abc", full, strict=True):
@@ -88,7 +88,8 @@ def assert_voted_anew(
 def test_fused_layers_grow_by_whole_cells_and_never_beyond_memory(
     device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    layers = FusedLayers(Lattice(0.1, Pose2(1.0, 2.0, 0.2)), FusionConfig(), device)
+    layers = FusedLayers(FusionConfig(), LiveConfig(), device)
+    layers.lattice = Lattice(0.1, Pose2(1.0, 2.0, 0.2))
     layer = Layer(random_cells(1), layers.lattice)
     layers.grow(layer.box, "a")
     layers.lay("a", layer, layer.box, Pose2(), None)

@@ -105,6 +105,7 @@ def test_nothing_is_left_of_it_in_the_state(device: ComputeDevice) -> None:
     again = live_fusion(device)
     again.restore(state)
     again.remove("c")
+    again.update(0.0)
     kept = again.state()
     assert kept is not None
     assert set(kept.transforms) == {"a"}

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Collection
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import pytest
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import LiveConfig, RunConfig
+from slamfusion.errors import GridError
 from slamfusion.fusion.live import LiveFusion, LiveInput
-from slamfusion.fusion.live.outbox import Fused, Outbox
-from slamfusion.fusion.live.session import Arrived, FusionSession, warm_up
+from slamfusion.fusion.live.session import GATHER_S, FusedMap, FusionSession, Sent, warm_up
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from tests.fusion.live.maps import live_fusion, noise, three, touched
@@ -20,78 +20,54 @@ from tests.fusion.live.maps import live_fusion, noise, three, touched
 
 @dataclass
 class Desk:
-    """Ports of a session, its memory and its clock, on the table."""
+    """What surrounds a session: its clock, and all that it publishes and says."""
 
-    outbox: Outbox
+    live: LiveFusion
     now_s: float = 100.0
-    waiting: list[Arrived] = field(default_factory=list)
-    went: list[Fused] = field(default_factory=list)
-    agreements: int = 0
+    went: list[FusedMap] = field(default_factory=list)
+    agreements: list[FusedMap] = field(default_factory=list)
     said: list[tuple[str, bool]] = field(default_factory=list)
-    kept: list[str] = field(default_factory=list)
-    is_returning: bool = False
+    is_heard: bool = True
     stamps: list[tuple[str, ...]] = field(default_factory=list)
+    # Maps that come while the first are fused, which takes this long.
+    late: list[OccupancyGrid] = field(default_factory=list)
+    takes_s: float = 0.0
 
     def put(self, *grids: OccupancyGrid) -> None:
-        self.waiting += [Arrived(grid.name, grid, "", self.now_s) for grid in grids]
+        for grid in grids:
+            self.live.put(grid.name, grid, self.now_s)
 
-    # Ports.
-
-    def take(self) -> list[Arrived]:
-        taken, self.waiting = self.waiting, []
-        return taken
-
-    def has_maps(self) -> bool:
-        return bool(self.waiting)
-
-    def has_come(self, name: str) -> bool:
-        return bool(name)
-
-    def send(self, *, with_agreement: bool = True) -> None:
-        fused = self.outbox.take()
-        if fused is not None:
-            self.outbox.count(fused)
-            self.went.append(fused)
-        if with_agreement and self.outbox.take_agreement() is not None:
-            self.agreements += 1
-
-    def stamp_s(self, voters: Collection[str]) -> float:
+    def stamp_s(self, voters: Sequence[str]) -> float:
         self.stamps.append(tuple(voters))
+        self.now_s, self.takes_s = self.now_s + self.takes_s, 0.0
+        self.put(*self.late)
+        self.late = []
         return 10.0 + len(voters)
 
-    def say_vote(self, record: LiveInput) -> None:
+    def on_vote(self, record: LiveInput) -> None:
         self.said.append((record.name, record.accepted))
-
-    # Memory.
-
-    def is_waiting(self, has_come: Callable[[str], bool]) -> bool:
-        return self.is_returning and has_come("a")
-
-    def confirm(self) -> None:
-        self.kept.append("confirm")
-
-    def change(self, stamp_s: float) -> None:
-        self.kept.append(f"change {stamp_s:g}")
-
-    def keep(self) -> None:
-        self.kept.append("keep")
-
-    def clear(self) -> None:
-        self.kept.append("clear")
 
 
 def begun(device: ComputeDevice, rate_hz: float = 1.0, **live: float) -> tuple[FusionSession, Desk]:
-    desk = Desk(Outbox(rate_hz))
-    desk.outbox = Outbox(rate_hz, lambda: desk.now_s)
-    fusion = live_fusion(device, **live)
-    return FusionSession(fusion, desk.outbox, desk, lambda: desk.now_s), desk
+    desk = Desk(live_fusion(device, **live))
+    session = FusionSession(
+        desk.live,
+        rate_hz,
+        publish=desk.went.append,
+        publish_agreement=desk.agreements.append,
+        stamp_s=desk.stamp_s,
+        on_vote=desk.on_vote,
+        is_heard=lambda: desk.is_heard,
+        clock=lambda: desk.now_s,
+    )
+    return session, desk
 
 
 def started(device: ComputeDevice, **live: float) -> tuple[FusionSession, Desk]:
     """Return a session whose three inputs were fused and published."""
     session, desk = begun(device, **live)
     desk.put(*three().values())
-    session.turn(desk)
+    session.turn()
     assert len(desk.went) == 1
     assert sorted(desk.said) == [("a", True), ("b", True), ("c", True)]
     return session, desk
@@ -100,7 +76,7 @@ def started(device: ComputeDevice, **live: float) -> tuple[FusionSession, Desk]:
 def later(session: FusionSession, desk: Desk) -> None:
     """Let the session work when a fused map may go out again."""
     desk.now_s += 1.1
-    session.turn(desk)
+    session.turn()
 
 
 def test_maps_that_come_together_are_one_fused_map_with_one_agreement(
@@ -112,11 +88,10 @@ def test_maps_that_come_together_are_one_fused_map_with_one_agreement(
     assert snapshot.searches == 1
     assert desk.went[0].stamp_s == 13.0
     assert desk.went[0].arrived_s == 100.0
-    assert desk.agreements == 1
-    assert desk.kept[:2] == ["confirm", "change 13"]
-    assert desk.kept[-1] == "keep"
-    assert snapshot.believed.transform("b") is not None
-    assert snapshot.believed.transform("z") is None
+    assert desk.agreements == desk.went
+    assert (snapshot.fused_maps, snapshot.fused_stamp_s) == (1, 13.0)
+    assert snapshot.transform("b") is not None
+    assert snapshot.transform("z") is None
     assert snapshot.noted_s == 100.0
 
 
@@ -125,11 +100,11 @@ def test_a_snapshot_is_frozen_and_stays_as_it_was(device: ComputeDevice) -> None
     before = session.snapshot
     with pytest.raises(dataclasses.FrozenInstanceError):
         before.updates = 7
-    updates, inputs = before.updates, before.believed.inputs
+    updates, inputs = before.updates, before.inputs
     desk.put(touched(three()["b"], 1))
-    session.turn(desk)
+    session.turn()
     assert session.snapshot is not before
-    assert (before.updates, before.believed.inputs) == (updates, inputs)
+    assert (before.updates, before.inputs) == (updates, inputs)
     assert session.snapshot.updates > updates
 
 
@@ -138,21 +113,26 @@ def test_a_map_waits_for_its_turn_and_the_newest_goes(device: ComputeDevice) -> 
     for number in range(3):
         desk.now_s += 0.1
         desk.put(touched(three()["b"], number))
-        session.turn(desk)
+        session.turn()
     assert len(desk.went) == 1
     desk.now_s += 1.0
-    session.turn(desk)
+    session.turn()
     assert len(desk.went) == 2
     first_s = desk.went[1].arrived_s
     assert first_s == pytest.approx(100.1), "the first that was not shown"
-    assert desk.outbox.sent.maps == 2
+    assert session.sent.maps == 2
 
 
 def test_what_cannot_be_read_is_counted_and_named(device: ComputeDevice) -> None:
     session, desk = started(device)
-    desk.waiting.append(Arrived("b", None, "no cells", 101.0))
-    session.turn(desk)
-    record = session.snapshot.believed.inputs["b"]
+
+    def fail() -> OccupancyGrid:
+        message = "no cells"
+        raise GridError(message)
+
+    desk.live.put("b", fail, 101.0)
+    session.turn()
+    record = session.snapshot.inputs["b"]
     assert (record.accepted, record.reason, record.rejected) == (False, "no cells", 1)
     assert desk.said[-1] == ("b", False)
     assert session.snapshot.votes == 4
@@ -165,17 +145,17 @@ def test_an_input_that_is_lost_votes_no_more_and_is_recalled_with_its_map(
     assert not session.look("z", "lost: gone", has_map=False, is_back=False), "it never came"
     assert session.look("b", "lost: gone", has_map=True, is_back=False)
     later(session, desk)
-    assert session.snapshot.believed.inputs["b"].reason == "lost: gone"
+    assert session.snapshot.inputs["b"].reason == "lost: gone"
     assert not session.look("b", "lost: gone", has_map=True, is_back=False), "said already"
     assert session.look("b", "", has_map=True, is_back=True)
     later(session, desk)
-    assert session.snapshot.believed.inputs["b"].accepted
+    assert session.snapshot.inputs["b"].accepted
     # One that comes back as another process waits for its next map.
     assert session.look("b", "lost: gone", has_map=True, is_back=False)
     later(session, desk)
     assert not session.look("b", "", has_map=True, is_back=False)
     later(session, desk)
-    assert not session.snapshot.believed.inputs["b"].accepted
+    assert not session.snapshot.inputs["b"].accepted
 
 
 def test_an_input_that_sends_before_its_process_is_known_to_live_is_recalled_all_the_same(
@@ -190,7 +170,7 @@ def test_an_input_that_sends_before_its_process_is_known_to_live_is_recalled_all
     later(session, desk)
     assert session.look("b", "", has_map=True, is_back=True)
     later(session, desk)
-    assert session.snapshot.believed.inputs["b"].accepted
+    assert session.snapshot.inputs["b"].accepted
     assert not session.look("b", "", has_map=True, is_back=True), "once"
 
 
@@ -203,7 +183,7 @@ def test_an_input_that_came_back_by_a_map_of_its_own_is_not_recalled(
     for count in (1, 2):
         desk.put(touched(three()["b"], count))
         later(session, desk)
-    assert session.snapshot.believed.inputs["b"].accepted
+    assert session.snapshot.inputs["b"].accepted
     assert not session.look("b", "", has_map=True, is_back=False)
     assert not session.look("b", "", has_map=True, is_back=True)
 
@@ -215,45 +195,32 @@ def test_an_input_whose_last_map_was_taken_after_it_was_lost_is_lost_again(
     session.look("b", "lost: gone", has_map=True, is_back=False)
     desk.put(touched(three()["b"], 1))
     later(session, desk)
-    assert session.snapshot.believed.inputs["b"].accepted
+    assert session.snapshot.inputs["b"].accepted
     assert session.look("b", "lost: gone", has_map=True, is_back=False)
     later(session, desk)
-    assert not session.snapshot.believed.inputs["b"].accepted
+    assert not session.snapshot.inputs["b"].accepted
 
 
 def test_requests_hold_from_the_next_turn_on(device: ComputeDevice) -> None:
     session, desk = started(device, stale_after_s=1000.0)
     session.ask_reset()
     assert session.snapshot.resets == 0
-    session.turn(desk)
+    session.turn()
     assert session.snapshot.resets == 1
-    assert "clear" in desk.kept
-    session.turn(desk)
+    session.turn()
     assert session.snapshot.resets == 1
     session.ask_settings(LiveConfig(search_pause_s=0.0, stale_after_s=2.0))
     desk.now_s += 3.0
     desk.put(touched(three()["a"], 1), touched(three()["b"], 1))
-    session.turn(desk)
-    assert session.snapshot.believed.inputs["c"].reason == "no map for 3 s"
-
-
-def test_after_a_restart_inputs_that_had_a_place_are_waited_for(device: ComputeDevice) -> None:
-    session, desk = begun(device)
-    desk.is_returning = True
-    desk.put(three()["a"], three()["b"])
-    session.turn(desk)
-    assert session.snapshot.updates == 0
-    assert desk.went == []
-    desk.is_returning = False
-    session.turn(desk)
-    assert len(desk.went) == 1
+    session.turn()
+    assert session.snapshot.inputs["c"].reason == "no map for 3 s"
 
 
 def test_why_nothing_is_fused_is_said(device: ComputeDevice) -> None:
     session, desk = begun(device)
     assert session.snapshot.nothing_fused == "nothing is fused: no map yet"
     desk.put(three()["a"], noise().with_name("b"))
-    session.turn(desk)
+    session.turn()
     assert session.snapshot.nothing_fused == (
         "nothing is fused: waits for 2 inputs that agree, has 1"
     )
@@ -290,43 +257,104 @@ def test_who_is_removed_is_told_at_once_and_its_name_may_come_again(device: Comp
     session, desk = started(device)
     votes, searches = session.snapshot.votes, session.snapshot.searches
     # The same name comes with the removal: a new input, that has to be looked for.
-    desk.waiting.append(Arrived("b", None, "", desk.now_s, is_removed=True))
+    session.remove("b")
     desk.put(three()["b"])
     later(session, desk)
-    assert list(session.snapshot.believed.inputs) == ["a", "c", "b"]
-    assert session.snapshot.believed.inputs["b"].maps == 1
+    assert list(session.snapshot.inputs) == ["a", "c", "b"]
+    assert session.snapshot.inputs["b"].maps == 1
     assert session.snapshot.searches == searches + 1
 
     votes = session.snapshot.votes
-    desk.waiting.append(Arrived("c", None, "", desk.now_s, is_removed=True))
+    session.remove("c")
     went = len(desk.went)
     later(session, desk)
-    assert list(session.snapshot.believed.inputs) == ["a", "b"]
+    assert list(session.snapshot.inputs) == ["a", "b"]
     assert session.snapshot.votes == votes + 1
     assert len(desk.went) == went + 1, "the map of the other two"
     assert desk.stamps[-1] == ("a", "b")
-
-
-def test_a_saved_map_comes_as_others_do_and_grows_never_stale(device: ComputeDevice) -> None:
-    session, desk = begun(device, stale_after_s=5.0)
-    saved = three()["c"]
-    desk.waiting.append(Arrived("c", saved, "", desk.now_s, is_saved=True))
-    desk.put(three()["a"], three()["b"])
-    session.turn(desk)
-    desk.now_s += 60.0
-    desk.put(touched(three()["a"], 1))
-    session.turn(desk)
-    accepted = {name: item.accepted for name, item in session.snapshot.believed.inputs.items()}
-    assert accepted == {"c": True, "a": True, "b": False}
 
 
 def test_one_that_was_lost_and_removed_is_not_lost_under_its_name(device: ComputeDevice) -> None:
     session, desk = started(device)
     assert session.look("b", "lost: killed", has_map=True, is_back=False)
     later(session, desk)
-    session.forget("b")
-    desk.waiting.append(Arrived("b", None, "", desk.now_s, is_removed=True))
+    session.remove("b")
     desk.put(three()["b"])
     later(session, desk)
     assert not session.look("b", "", has_map=True, is_back=True), "nothing is to be recalled"
-    assert session.snapshot.believed.inputs["b"].accepted
+    assert session.snapshot.inputs["b"].accepted
+
+
+# -- fused maps on their way out -------------------------------------------------------------------
+
+
+def fused(stamp_s: float, arrived_s: float | None = None) -> FusedMap:
+    return FusedMap(three()["a"], three()["b"], stamp_s, arrived_s)
+
+
+def test_of_several_within_a_period_the_last_goes_and_waits_for_its_turn(
+    device: ComputeDevice,
+) -> None:
+    session, desk = begun(device, rate_hz=2.0)
+    session.send()
+    assert not desk.went
+    session.offer(fused(1.0))
+    session.send()
+    for stamp_s in (2.0, 3.0):
+        session.offer(fused(stamp_s))
+    desk.now_s += 0.499
+    assert not session.is_due
+    session.send()
+    assert [item.stamp_s for item in desk.went] == [1.0]
+    desk.now_s += 0.002
+    assert session.is_due
+    session.send()
+    assert [item.stamp_s for item in desk.went] == [1.0, 3.0]
+    session.rate_hz = 100.0
+    session.offer(fused(4.0))
+    desk.now_s += 0.011
+    session.send()
+    assert session.waiting is None
+
+
+def test_the_agreement_waits_for_somebody_who_listens_and_goes_once(device: ComputeDevice) -> None:
+    session, desk = begun(device)
+    desk.is_heard = False
+    session.offer(fused(1.0))
+    session.send()
+    assert not session.is_due
+    desk.is_heard = True
+    assert session.is_due
+    session.send(with_agreement=False)
+    assert not desk.agreements
+    session.send()
+    session.send()
+    assert [item.stamp_s for item in desk.agreements] == [1.0]
+    assert not session.is_due
+
+
+def test_latency_counts_from_the_first_map_that_was_not_shown(device: ComputeDevice) -> None:
+    session, desk = begun(device)
+    assert session.sent == Sent(0, 0.0, 0.0)
+    for arrived_s in (99.0, 99.9):
+        session.offer(fused(1.0, arrived_s))
+    session.send()
+    assert session.sent.maps == 1
+    assert session.sent.median_ms == pytest.approx(1000.0)
+    desk.now_s += 2.0
+    session.offer(fused(2.0))
+    session.send()
+    assert session.sent.maps == 2
+    assert session.sent.high_ms == pytest.approx(1000.0), "a saved map came at no time"
+
+
+@pytest.mark.parametrize("share", [0.99, 1.01])
+def test_a_map_waits_a_moment_for_those_that_came_meanwhile(
+    device: ComputeDevice, share: float
+) -> None:
+    """The map of c comes while a and b are fused."""
+    session, desk = begun(device)
+    desk.put(three()["a"], three()["b"])
+    desk.late, desk.takes_s = [three()["c"]], share * GATHER_S
+    session.turn()
+    assert [item.stamp_s for item in desk.went] == [13.0 if share < 1.0 else 12.0]

@@ -131,31 +131,6 @@ def test_a_share_of_the_walls_must_change_before_it_is_aligned_again(
     assert drive.accepted() == "abc"
 
 
-def test_walls_that_change_in_the_reference_count_for_all_others(device: ComputeDevice) -> None:
-    share, least = 0.2, min(walls("b"), walls("c"))
-    enough = next(k for k in range(1, 999) if k > share * min(least, walls("a") + k))
-    for count in (enough - 1, enough):
-        drive = started(device, track_share=share)
-        drive.step(grown("a", count))
-        assert drive.accepted() == "abc"
-        is_due = [count > share * min(walls(name), walls("a") + count) for name in "bc"]
-        assert [drive.input(name).is_tracked for name in "bc"] == is_due
-        assert any(is_due) == (count == enough)
-        assert not drive.input("a").is_tracked
-
-
-@pytest.mark.parametrize(("count", "waits"), [(20, True), (21, False)])
-def test_what_has_changed_twenty_times_as_much_waits_no_longer(
-    device: ComputeDevice, count: int, waits: bool
-) -> None:
-    few = 1.000001 / walls("a")  # of the walls: one cell
-    drive = started(device, track_cells=1, track_share=few)
-    drive.step(grown("b", count))
-    assert drive.input("b").is_tracked != waits
-    drive.maybe()
-    assert drive.input("b").is_tracked
-
-
 @pytest.mark.parametrize(("shift_m", "is_held"), [(0.0, True), (0.03, True), (0.09, False)])
 def test_a_transform_moves_only_by_more_than_half_a_cell(
     device: ComputeDevice, shift_m: float, is_held: bool
@@ -243,23 +218,6 @@ def test_one_input_is_searched_in_an_update(device: ComputeDevice) -> None:
     assert not drive.step(touched(three()["a"], 1, 0.0005)).is_full_search
 
 
-def test_a_new_input_is_searched_once_on_each_voter_and_then_left_alone(
-    device: ComputeDevice,
-) -> None:
-    drive = started(device)
-    searched = [drive.step(stranger("d")).is_full_search]
-    reasons = [drive.input("d").reason]
-    for _ in range(4):
-        drive.maybe()
-        searched.append(drive.live._supervisor.has_searched)
-        reasons.append(drive.input("d").reason)
-    assert searched == [True, True, True, False, False]
-    assert [reason.partition(":")[0] for reason in reasons[:3]] == ["to a", "to b", "to c"]
-    # Another map of its own is a reason to try again.
-    assert drive.step(stranger("d", 98)).is_full_search
-    assert drive.accepted() == "abc"
-
-
 # -- who is the reference --------------------------------------------------------------------------
 
 
@@ -320,35 +278,6 @@ def test_an_input_that_comes_back_elsewhere_alone_is_searched_on_the_last_map(
     drive.step(three()["b"])
     assert drive.accepted() == "b"
     assert "alone" in drive.input("b").reason
-
-
-def test_what_fits_nowhere_waits_until_it_may_be_searched_again(
-    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    drive = started(device, search_pause_s=20.0)
-    drive.live.drop("c", "gone")
-    asked = 0
-    last_fused = drive.live._voting.last_fused
-
-    def counted() -> OccupancyGrid | None:
-        nonlocal asked
-        asked += 1
-        return last_fused()
-
-    monkeypatch.setattr(drive.live._voting, "last_fused", counted)
-    drive.step(stranger("a", 97), stranger("b", 98))
-    for _ in range(4):
-        drive.maybe()
-    assert asked > 0
-    assert drive.accepted() == ""
-    before = asked
-    for _ in range(4):
-        drive.maybe()
-    assert asked == before
-    drive.now_s += 20.0
-    drive.step(stranger("a", 96))
-    assert asked > before
-    assert drive.live._supervisor.has_searched
 
 
 def test_a_map_that_came_too_soon_to_be_searched_is_searched_though_no_other_comes(

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import LiveConfig, NormalizeConfig
 from slamfusion.fusion.live import limits
-from slamfusion.fusion.live.lattice import Layer
+from slamfusion.fusion.live.layers import Layer
 from slamfusion.fusion.live.track import Track, compare
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox

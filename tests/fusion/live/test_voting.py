@@ -8,7 +8,7 @@ import pytest
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, LiveConfig
 from slamfusion.fusion.live.track import Track
-from slamfusion.fusion.live.voting import Voting
+from slamfusion.fusion.live.voting import FusedLayers
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, OccupancyGrid
 from slamfusion.io import memory
@@ -28,16 +28,16 @@ def voter(name: str, x: float, device: ComputeDevice) -> Track:
     return track
 
 
-def voting_of(device: ComputeDevice, **live: str) -> Voting:
-    voting = Voting(FusionConfig(), LiveConfig(**live), device)
-    voting.begin(Lattice(SIZE, Pose2()))
+def voting_of(device: ComputeDevice, **live: str) -> FusedLayers:
+    voting = FusedLayers(FusionConfig(), LiveConfig(**live), device)
+    voting.lattice = Lattice(SIZE, Pose2())
     return voting
 
 
 def test_without_layers_nothing_is_voted_on(device: ComputeDevice) -> None:
-    voting = Voting(FusionConfig(), LiveConfig(), device)
+    voting = FusedLayers(FusionConfig(), LiveConfig(), device)
     track = voter("a", 0.0, device)
-    assert voting.vote([track], [track], "a") is None
+    assert voting.update([track], [track], "a") is None
     assert voting.last_fused() is None
     assert voting.resolution is None
     assert voting.phantom_cells == 0
@@ -48,17 +48,17 @@ def test_without_layers_nothing_is_voted_on(device: ComputeDevice) -> None:
 def test_what_was_laid_is_not_laid_again_until_a_voter_leaves(device: ComputeDevice) -> None:
     voting = voting_of(device)
     tracks = [voter("a", 0.0, device), voter("b", 1.0, device)]
-    box = voting.vote(tracks, tracks, "a")
+    box = voting.update(tracks, tracks, "a")
     fused, _ = voting.grids()
     assert box == CellBox(0, 0, fused.height, fused.width)
     assert voting.names == ("a", "b")
-    assert voting.vote(tracks, tracks, "a") is None
+    assert voting.update(tracks, tracks, "a") is None
     # Without b its cells are voted on again, and the frame keeps its size.
     tracks[1].refuse("gone")
-    assert voting.vote(tracks, tracks[:1], "a") == box
+    assert voting.update(tracks, tracks[:1], "a") == box
     assert tracks[1].relay
     assert voting.grids()[0].cells.shape == fused.cells.shape
-    assert voting.vote(tracks, [], "a") is None
+    assert voting.update(tracks, [], "a") is None
     assert voting.names == ()
 
 
@@ -67,17 +67,17 @@ def test_what_a_majority_decided_is_kept_while_fewer_are_left_than_make_one(
 ) -> None:
     voting = voting_of(device)
     tracks = [voter("a", 0.0, device), voter("b", 0.5, device), voter("c", 1.0, device)]
-    voting.vote(tracks, tracks[:2], "a")
+    voting.update(tracks, tracks[:2], "a")
     assert voting.agreed is None
-    voting.vote(tracks, tracks, "a")
+    voting.update(tracks, tracks, "a")
     whole = voting.grids()[0]
     assert voting.agreed is None
     for left in (tracks[:2], tracks[:1], [], tracks[1:]):
-        voting.vote(tracks, left, "a")
+        voting.update(tracks, left, "a")
         assert voting.agreed is not None
         assert np.array_equal(voting.agreed.cells, whole.cells)
     assert not np.array_equal(voting.grids()[0].cells, whole.cells)
-    voting.vote(tracks, tracks, "a")
+    voting.update(tracks, tracks, "a")
     assert voting.agreed is None
 
 
@@ -87,7 +87,7 @@ def test_the_extent_of_the_reference_cuts_the_others(device: ComputeDevice) -> N
     for voting in (wide, narrow):
         for track in tracks:
             track.relay = True
-        voting.vote(tracks, tracks, "a")
+        voting.update(tracks, tracks, "a")
     assert wide.grids()[0].width > 200
     assert narrow.grids()[0].width <= 40
 
@@ -98,7 +98,7 @@ def test_a_voter_that_memory_has_no_room_for_is_refused_and_the_others_vote(
     voting = voting_of(device)
     tracks = [voter("a", 0.0, device), voter("b", 5000.0, device)]
     monkeypatch.setattr(memory, "available_memory", lambda: 1_000_000)
-    assert voting.vote(tracks, tracks, "a") is not None
+    assert voting.update(tracks, tracks, "a") is not None
     assert voting.names == ("a",)
     assert not tracks[1].votes
     assert "b: a fused map" in tracks[1].reason

@@ -1,0 +1,188 @@
+"""``StateKeeper``: the fusion's state in a file, so that a restart goes on in the same frame."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Collection
+from datetime import datetime
+from pathlib import Path
+
+from slamfusion.errors import ConfigError, SlamFusionError
+from slamfusion.fusion.live import LiveFusion
+from slamfusion.fusion.live.session import FusionState
+from slamfusion.fusion.live.state import LiveState, StateError, is_state
+from slamfusion.io.atomic import write_atomic
+from slamfusion.io.memory import check_memory
+from slamfusion.ros.base import Level, NodeBase, Worker
+
+# A state is written at most this often, seconds, and so that writing takes a tenth of the time.
+PAUSE_S, SHARE = 2.0, 0.1
+# What was wrong with the state that was found is shown this long, seconds.
+STATE_SHOWN_S = 60.0
+# After a restart the inputs that had a place are waited for this long, seconds, so that the first
+# map that is fused again is not that of the quickest alone.
+RETURN_S = 2.0
+UNUSABLE = ".unusable"
+# Bytes of a state in memory for each of the file: most maps compress well.
+GROWTH = 20
+
+
+class StateKeeper:
+    """Restores the state at the start, and writes the newest in a thread of its own.
+
+    What is not a state is never written over; one that cannot be used is moved aside. Without a
+    path nothing is read or kept. In the worker's thread, apart from the constructor.
+
+    Args:
+        base: the node, whose diagnostics name what goes wrong.
+        live: what is restored and kept; nothing was put there yet.
+        path: of the file, ``~`` for the home folder; None or empty: nothing is kept.
+        names: the inputs, which are waited for; places of others are kept until these come.
+
+    Attributes:
+        restored: the state that the node went on from; None where it started empty.
+
+    Raises:
+        ConfigError: the path's folder does not exist, or the path is a folder.
+    """
+
+    def __init__(
+        self, base: NodeBase, live: LiveFusion, path: str | None, names: Collection[str]
+    ) -> None:
+        self.restored: LiveState | None = None
+        self._base = base
+        self._live = live
+        self._path = Path(path).expanduser() if path else None
+        self._next_s = float("-inf")
+        # What was noted last, and the newest fused map that is not kept.
+        self._resets = self._fused_maps = 0
+        self._unkept_s: float | None = None
+        self._began_s = time.monotonic()
+        self._returning: set[str] = set()
+        if self._path is not None:
+            _check_place(self._path)
+            self._read(self._path, names)
+        self._writer: Worker[LiveState | None] = Worker(self._write, 1, self._failed, "state")
+
+    def _read(self, path: Path, names: Collection[str]) -> None:
+        """Restore the kept state, if there is a usable one."""
+        if not path.exists():
+            return
+        try:
+            check_memory(GROWTH * path.stat().st_size, "the fusion's state", str(path))
+            data = path.read_bytes()
+            when = datetime.fromtimestamp(path.stat().st_mtime).astimezone()
+        except (OSError, SlamFusionError) as error:
+            self._give_up(f"{path}: the state cannot be read ({error})")
+            return
+        if not is_state(data):
+            self._give_up(f"{path} is no state of the fusion and is left as it is")
+            return
+        try:
+            state = LiveState.from_bytes(data)
+            self._live.restore(state)
+        except StateError as error:
+            self._refuse(path, error)
+            return
+        self.restored = state
+        self._returning = {*names} & {*state.transforms}
+        text = (
+            f"restored from {str(path)!r} of {when.isoformat(' ', 'seconds')}, no input confirmed "
+            "yet; reset begins a new fused frame"
+        )
+        self._base.diagnostics.add("restored", Level.WARN, text)
+
+    def _refuse(self, path: Path, error: StateError) -> None:
+        """Move a state that cannot be used aside, and say so."""
+        aside = path.with_name(path.name + UNUSABLE)
+        try:
+            path.replace(aside)
+        except OSError as failure:
+            self._give_up(f"{path}: {error}, and it cannot be moved aside ({failure.strerror})")
+            return
+        text = f"{path}: {error}; it is {aside.name!r} now, and a new fused frame begins"
+        self._base.diagnostics.add("state", Level.WARN, text, STATE_SHOWN_S)
+
+    def _give_up(self, problem: str) -> None:
+        """Keep nothing, and say why for as long as the node runs."""
+        self._path = None
+        text = f"{problem}: no state is kept; start with another state_path"
+        self._base.diagnostics.add("state", Level.WARN, text)
+
+    @property
+    def is_unconfirmed(self) -> bool:
+        """Whether no input has voted since the restart."""
+        return self._base.diagnostics.is_on("restored")
+
+    def confirm(self) -> None:
+        """Take note that an input votes."""
+        self._base.diagnostics.clear("restored")
+
+    def is_waiting(self, has_come: Callable[[str], bool]) -> bool:
+        """Whether inputs that had a place before the restart are waited for."""
+        is_young = time.monotonic() - self._began_s < RETURN_S
+        if not is_young or all(has_come(name) for name in self._returning):
+            self._returning = set()
+        return bool(self._returning)
+
+    def note(self, state: FusionState) -> None:
+        """Let what has changed be written, now and then; a new frame forgets the kept one."""
+        if state.resets != self._resets:
+            self._resets, self._returning, self._unkept_s = state.resets, set(), None
+            self._next_s = float("-inf")
+            self.confirm()
+            self._put(None)
+        if state.fused_maps != self._fused_maps:
+            self._fused_maps, self._unkept_s = state.fused_maps, state.fused_stamp_s
+        is_due = time.monotonic() >= self._next_s and self._writer.is_idle
+        if self._unkept_s is not None and is_due and self._path is not None:
+            self._keep()
+
+    def close(self, *, is_whole: bool) -> None:
+        """Keep the last state; ``is_whole``: no other thread is at work on the fusion."""
+        if is_whole and self._unkept_s is not None:
+            self._keep()
+        self._writer.wait_idle(5.0)
+        self._writer.close()
+
+    def _keep(self) -> None:
+        state, self._unkept_s = self._live.state(self._unkept_s or 0.0), None
+        if state is not None:
+            self._next_s = time.monotonic() + PAUSE_S
+            self._put(state)
+
+    def _put(self, state: LiveState | None) -> None:
+        """Let a state be written, or with None the file be removed; returns at once."""
+        if self._path is not None:
+            self._writer.put(state)
+
+    # --- the writer's thread -----------------------------------------------------------------
+
+    def _write(self, state: LiveState | None) -> None:
+        path = self._path
+        if path is None:
+            return
+        began_s = time.monotonic()
+        if state is None:
+            path.unlink(missing_ok=True)
+        else:
+            write_atomic(path, state.to_bytes())
+        spent_s = time.monotonic() - began_s
+        self._next_s = max(self._next_s, time.monotonic() + spent_s / SHARE)
+        self._base.diagnostics.clear("keep state")
+
+    def _failed(self, _: LiveState | None, error: Exception) -> None:
+        text = f"the state is not kept: {error}"
+        self._base.diagnostics.add("keep state", Level.WARN, text)
+
+
+def _check_place(path: Path) -> None:
+    """Refuse a path that no file can have; folders are not made."""
+    if path.is_dir():
+        message = f"state_path: {path} is a folder; name a file in it"
+        raise ConfigError(message)
+    folder = Path(os.path.realpath(path)).parent
+    if not folder.is_dir():
+        message = f"state_path: there is no folder {folder}; make it, or name another path"
+        raise ConfigError(message)

@@ -1,0 +1,557 @@
+"""An input of the fusion node, and whether it is well.
+
+``MapSource`` hears a map topic and the poses beside it. ``Heartbeat`` tells whether the process
+that writes them lives, ``Clocks`` whose clock is off, ``Writers`` where several nodes write one
+topic.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import OccupancyGrid
+from rclpy.event_handler import SubscriptionEventCallbacks, UnsupportedEventTypeError
+from rclpy.qos import DurabilityPolicy
+
+from slamfusion.errors import GridError, TrajectoryError
+from slamfusion.geometry import Pose2
+from slamfusion.grid import OccupancyGrid as Grid
+from slamfusion.ros import messages, qos
+from slamfusion.ros.base import SHOWN_S, Diagnostics, Level, NodeBase
+
+try:
+    from map_msgs.msg import OccupancyGridUpdate
+except ImportError:  # only a sourced ROS has it; without it whole maps are taken alone
+    OccupancyGridUpdate = None
+
+MAP_SUFFIX = "/map"
+
+# A lease that ran out counts after this long, seconds: when this process itself was stopped, every
+# lease seems to have run out at once, and the next sign of life is a third of a second away.
+DOUBT_S = 0.5
+# Kept of the time after which a writer is dead, seconds, to see it and to say so.
+NOTICE_S = 0.2
+
+# A stamp that is further ahead than this is wrong; clocks of machines that nobody has set together
+# differ by less, seconds.
+AHEAD_S = 60.0
+# Clocks that differ by less are near enough, and messages come late by as much, seconds.
+SKEW_S = 2.0
+# Stamps kept of each input, and what they must be to tell a clock: this many, and this far apart,
+# so that none of them is a kept map of some time ago. Seconds.
+KEPT, LEAST, SPAN_S = 50, 4, 1.0
+# Of the last stamps this share is farther ahead than the one that counts: a stray one does not.
+UPPER = 0.25
+
+# A process that was killed is known to DDS for another 20 s; two writers of one name are more than
+# a dead one and its successor only after this long, seconds.
+DEAD_KNOWN_S = 45.0
+UNKNOWN = "_NODE_NAME_UNKNOWN_"
+
+
+class Liveliness:
+    """What the events of a lease say of the writers of a topic, seconds on a growing clock.
+
+    Attributes:
+        is_back: whether the writer that lives now is the one that had fallen silent. It stands
+            until all are silent again: under load a lease may run out and be renewed more than once
+            before anybody asks.
+    """
+
+    def __init__(self) -> None:
+        """Start without writers."""
+        self.is_back = False
+        self._silent_since_s: float | None = None
+        self._lives = False
+
+    def take(self, alive: int, alive_change: int, not_alive_change: int, now_s: float) -> bool:
+        """Take an event; return whether there are writers that live now, or none any more.
+
+        Of a writer that is given up before its first sign of life Fast DDS takes one from the
+        living that it was never added to, so a count may be too small from then on, and a change
+        tells more.
+
+        Args:
+            alive: writers that renew their lease, or fewer.
+            alive_change: how many more do since the last event.
+            not_alive_change: how many more do not.
+            now_s: when.
+        """
+        had, self._lives = self._lives, alive > 0 or alive_change > 0
+        if self._lives:
+            self._silent_since_s = None
+            if not had:
+                self.is_back = not_alive_change < 0
+        else:
+            self.is_back = False
+            if not_alive_change > 0 and self._silent_since_s is None:
+                self._silent_since_s = now_s
+        # Without any writer: one that said good-bye is missed by who reads the maps, one that had
+        # fallen silent has now been given up by DDS, and stays dead.
+        return had != self._lives
+
+    def is_dead(self, now_s: float) -> bool:
+        """Whether every writer has fallen silent, and none has taken its place."""
+        since_s = self._silent_since_s
+        return since_s is not None and now_s - since_s > DOUBT_S
+
+    def forgive(self) -> None:
+        """Take the writers for living ones until their lease runs out anew."""
+        self._silent_since_s = None
+
+
+class Heartbeat:
+    """Watches the liveliness lease that the writers of a pose topic offer.
+
+    A robot that stands still, or whose log has ended, makes no maps and no poses, and its SLAMs are
+    well; one whose process was killed or frozen must lose its vote. Neither messages nor
+    diagnostics tell the two apart soon enough: a node that is busy with a loop closure is late with
+    both. So the poses of our producers are offered with a DDS liveliness lease, which the process
+    renews three times a second from a thread that neither Python nor a long computation holds up,
+    and a second reader of the pose topic asks for that lease. A reader that asks hears nothing from
+    writers that offer none (the SLAMs of others), so it is no part of the reading of poses, and
+    such inputs are told from dead ones only by DDS itself, after the lease of a participant (20 s
+    by default). All in the executor's thread.
+
+    Args:
+        base: the node.
+        topic: of poses.
+        lost_after_s: a writer without a sign of life for this long is dead; below one second it is
+            taken for one.
+        on_change: called when a writer has fallen silent or is back.
+
+    Attributes:
+        writers: what is known of them.
+    """
+
+    def __init__(
+        self, base: NodeBase, topic: str, lost_after_s: float, on_change: Callable[[], None]
+    ) -> None:
+        self.writers = Liveliness()
+        self._base = base
+        self._topic = topic
+        self._on_change = on_change
+        self._lost_after_s = lost_after_s
+        self._subscription: Any = None
+
+    @property
+    def is_dead(self) -> bool:
+        """Whether every writer with a lease has fallen silent, and none has taken its place."""
+        return self.writers.is_dead(time.monotonic())
+
+    def look(self) -> None:
+        """Begin to watch when a writer offers a lease."""
+        if self._subscription is None:
+            infos = self._base.node.get_publishers_info_by_topic(self._topic)
+            leases_s = [1e-9 * i.qos_profile.liveliness_lease_duration.nanoseconds for i in infos]
+            if any(0.0 < lease_s <= self._lease_s for lease_s in leases_s):
+                self._subscription = self._listen()
+
+    @property
+    def _lease_s(self) -> float:
+        return max(self._lost_after_s - DOUBT_S - NOTICE_S, qos.LEASE_S)
+
+    def ask(self, lost_after_s: float) -> None:
+        """Ask for another lease, if it is one."""
+        if lost_after_s != self._lost_after_s:
+            self._lost_after_s = lost_after_s
+            self.close()
+            self.writers = Liveliness()
+            self.look()
+
+    def close(self) -> None:
+        """Watch no more."""
+        if self._subscription is not None:
+            self._base.node.destroy_subscription(self._subscription)
+            self._subscription = None
+
+    def _listen(self) -> Any:
+        def listen(**options: Any) -> Any:
+            # It is the lease that counts, not the poses.
+            return self._base.node.create_subscription(
+                PoseStamped,
+                self._topic,
+                lambda _: None,
+                qos.heartbeat(self._lease_s),
+                raw=True,
+                **options,
+            )
+
+        # Without the default ones: that others offer no lease is nothing to warn of.
+        events = SubscriptionEventCallbacks(
+            use_default_callbacks=False, liveliness=self._on_liveliness
+        )
+        try:
+            return listen(event_callbacks=events)
+        except UnsupportedEventTypeError:
+            # This middleware has no leases; its own word that nobody publishes must do.
+            return listen()
+
+    def _on_liveliness(self, event: Any) -> None:
+        counts = event.alive_count, event.alive_count_change, event.not_alive_count_change
+        if self.writers.take(*counts, time.monotonic()):
+            self._on_change()
+
+
+class Clocks:
+    """Compares the clocks of the inputs' machines with each other and with this one's.
+
+    A stamp is as far ahead of the node's clock as the sender's clock is, less the time that the
+    message took: of an input's last stamps one of those farthest ahead tells its clock best. The
+    clock that most have, this machine's among them, is taken for the right one, so that a log that
+    is played without simulated time is not named. No input is refused for its clock: alignment and
+    votes go by when a map came. A single stamp is refused that is far ahead of the node's clock
+    while another input's is not.
+
+    In the executor's thread, apart from ``too_far_ahead_s``.
+
+    Args:
+        clock_s: the node's time, seconds; 0 or less while it is not known (simulated time before
+            its first message).
+        diagnostics: says who is off.
+    """
+
+    def __init__(self, clock_s: Callable[[], float], diagnostics: Diagnostics) -> None:
+        self._clock_s = clock_s
+        self._diagnostics = diagnostics
+        # Stamps, and how far ahead of the node's clock they were, by name and kind of message.
+        self._heard: dict[tuple[str, str], deque[tuple[float, float]]] = {}
+        # How far ahead each input's last stamp was; each use is one operation on the mapping.
+        self._ahead_s: dict[str, float] = {}
+
+    def too_far_ahead_s(self, name: str, stamp_s: float) -> float | None:
+        """Note a stamp of an input; return by how much it is too far ahead, or None.
+
+        Inputs are compared by how far they are ahead of the clock, so one that has been silent for
+        an hour is no witness for an hour ago.
+        """
+        now_s = self._clock_s()
+        if now_s <= 0.0:
+            return None
+        ahead_s = self._ahead_s[name] = stamp_s - now_s
+        others = [other for key, other in list(self._ahead_s.items()) if key != name]
+        is_wrong = bool(others) and ahead_s > AHEAD_S and ahead_s - min(others) > AHEAD_S
+        return ahead_s if is_wrong else None
+
+    def hear(self, name: str, kind: str, stamp_s: float) -> None:
+        """Take the stamp of a message that has just come.
+
+        Args:
+            name: of the input.
+            kind: of the message; stamps of one kind grow, or begin again.
+            stamp_s: seconds.
+        """
+        now_s = self._clock_s()
+        if now_s <= 0.0:
+            return
+        heard = self._heard.setdefault((name, kind), deque(maxlen=KEPT))
+        if heard and stamp_s == heard[-1][0]:
+            return
+        if heard and stamp_s < heard[-1][0]:
+            heard.clear()
+        heard.append((stamp_s, stamp_s - now_s))
+
+    def _relative_s(self) -> dict[str, float]:
+        """Return by how much the clock of each input is ahead of the one that most have, seconds.
+
+        Inputs that sent too little to tell are left out; without two there is nothing to compare.
+        """
+        ahead_s: dict[str, float] = {}
+        for (name, _), heard in self._heard.items():
+            if len(heard) >= LEAST and heard[-1][0] - heard[0][0] >= SPAN_S:
+                own_s = sorted(ahead for _, ahead in heard)[-1 - int(UPPER * len(heard))]
+                ahead_s[name] = max(own_s, ahead_s.get(name, own_s))
+        if len(ahead_s) < 2:
+            return {}
+        ordered = sorted([0.0, *ahead_s.values()])
+        middle = ordered[(len(ordered) - 1) // 2], ordered[len(ordered) // 2]
+        right_s = min(middle, key=abs)
+        return {name: ahead - right_s for name, ahead in ahead_s.items()}
+
+    def look(self, names: Collection[str]) -> None:
+        """Name who is off, and no more who was; ``names`` are those of the inputs."""
+        known = self._relative_s()
+        for name in names:
+            ahead_s = known.get(name, 0.0)
+            way = "ahead of" if ahead_s > 0.0 else "behind"
+            late = "" if ahead_s > 0.0 else ", or its messages come that late"
+            text = (
+                f"the clock of {name!r} is {abs(ahead_s):.1f} s {way} the others'{late}; its maps "
+                "count all the same; set the clock of its machine"
+            )
+            self._diagnostics.say(f"clock {name}", text if abs(ahead_s) > SKEW_S else None)
+
+    def remove(self, name: str) -> None:
+        """Forget the stamps of an input that is none any more."""
+        self._ahead_s.pop(name, None)
+        self._heard = {key: heard for key, heard in self._heard.items() if key[0] != name}
+        self._diagnostics.clear(f"clock {name}")
+
+    def forget(self) -> None:
+        """Forget every stamp: time jumped back."""
+        self._heard.clear()
+        self._ahead_s.clear()
+
+
+class Writers:
+    """Names several nodes on a topic that should have one, by what DDS knows of them.
+
+    Args:
+        base: the node.
+        output: topic of the fused map.
+
+    Attributes:
+        rival: another node that writes the fused map; empty without.
+    """
+
+    def __init__(self, base: NodeBase, output: str) -> None:
+        self.rival = ""
+        self._base = base
+        self._output = output
+        self._alike_since_s: dict[str, float] = {}
+
+    def look(self, topics: Mapping[str, str]) -> None:
+        """Name topics with several writers; ``topics`` of the inputs by their names."""
+        node, diagnostics = self._base.node, self._base.diagnostics
+        for name, topic in topics.items():
+            nodes = self._nodes(topic)
+            who = " and ".join(repr(node) for node in nodes)
+            text = (
+                f"{len(nodes)} nodes publish {node.resolve_topic_name(topic)!r}, {who}, and their "
+                "maps take turns as one input: end one, or give each a topic of its own in inputs"
+            )
+            diagnostics.say(f"writers {name}", text if len(nodes) > 1 else None)
+        own, others = node.get_fully_qualified_name(), self._nodes(self._output)
+        if own in others:
+            others.remove(own)
+        self.rival = others[0] if others else ""
+        text = (
+            f"another node, {self.rival!r}, publishes {node.resolve_topic_name(self._output)!r} "
+            "too: end one of the two, or start it in a namespace of its own (-r __ns:=/NAME)"
+        )
+        diagnostics.say("other fusion", text if self.rival else None, Level.ERROR)
+
+    def _nodes(self, topic: str) -> list[str]:
+        """Return the nodes that write a topic, each once; one more by a name that stays double."""
+        infos = self._base.node.get_publishers_info_by_topic(topic)
+        names = [
+            f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+            for info in infos
+            if info.node_name != UNKNOWN
+        ]
+        single = sorted(set(names))
+        if len(names) == len(single):
+            self._alike_since_s.pop(topic, None)
+            return single
+        now_s = time.monotonic()
+        if now_s - self._alike_since_s.setdefault(topic, now_s) < DEAD_KNOWN_S:
+            return single
+        return sorted(names)
+
+
+@dataclass(frozen=True)
+class HeardPose:
+    """Where an input's SLAM says that the robot is.
+
+    Attributes:
+        pose: of the base in the input's map frame; metres, radians.
+        stamp: builtin_interfaces/Time of it.
+        heard_s: when it came, ``time.monotonic``.
+    """
+
+    pose: Pose2
+    stamp: Any
+    heard_s: float
+
+
+class MapSource:
+    """A map topic and the pose topic beside it: ``NAME/pose`` for ``NAME/map``.
+
+    The map is read with the durability that is offered: a reader that asks for kept maps never
+    hears a writer that keeps none. ``MAP_updates`` (map_msgs/OccupancyGridUpdate), which some SLAMs
+    and costmaps send for the part that changed, are put into the last whole map. Stamps far ahead
+    of all else are named and not used, nor are poses that have them. In the executor's thread,
+    apart from ``read``.
+
+    Args:
+        base: the node.
+        name: of the input.
+        topic: of its maps.
+        lost_after_s: an input whose process gave no sign of life for this long is lost, and one
+            that nobody publishes; may be replaced by ``ask``.
+        clocks: of all inputs.
+        on_map: called with this and the message when a map has come, and with None when its
+            process fell silent or is back.
+        on_pose: called with this when a pose has come.
+
+    Attributes:
+        name, topic: as given.
+        frame: of the newest map that was read; empty before the first.
+        stamp_s: of the newest map that was read whose stamp can be right; None before the first.
+        pose: the newest; None before the first.
+        silent_since_s: since when nobody publishes the map, ``time.monotonic``; None: somebody
+            does.
+    """
+
+    def __init__(
+        self,
+        base: NodeBase,
+        name: str,
+        topic: str,
+        lost_after_s: float,
+        clocks: Clocks,
+        on_map: Callable[[MapSource, Any], None],
+        on_pose: Callable[[MapSource], None],
+    ) -> None:
+        self.name = name
+        self.topic = topic
+        self.frame = ""
+        self.stamp_s: float | None = None
+        self.pose: HeardPose | None = None
+        self.silent_since_s: float | None = time.monotonic()
+        self._base = base
+        self._clocks = clocks
+        self._lost_after_s = lost_after_s
+        self._on_map, self._on_pose = on_map, on_pose
+        self._durability: DurabilityPolicy | None = None
+        # The last map, which updates are put into.
+        self._last: Any = None
+        self._others: list[Any] = []
+        if OccupancyGridUpdate is not None:
+            self._others.append(
+                base.subscribe(
+                    OccupancyGridUpdate, f"{topic}_updates", self._take_update, qos.STREAM
+                )
+            )
+        self._subscription = self._listen()
+        self._heartbeat: Heartbeat | None = None
+        if topic.endswith(MAP_SUFFIX):
+            pose_topic = topic.removesuffix(MAP_SUFFIX) + "/pose"
+            self._others.append(
+                base.subscribe(PoseStamped, pose_topic, self._take_pose, qos.SENSOR)
+            )
+            self._heartbeat = Heartbeat(base, pose_topic, lost_after_s, lambda: on_map(self, None))
+
+    @property
+    def lost(self) -> str:
+        """Why the input is lost, one line; empty while it is not."""
+        if self._heartbeat is not None and self._heartbeat.is_dead:
+            return (
+                f"lost: its process gave no sign of life for {self._lost_after_s:g} s (killed, "
+                "frozen or cut off)"
+            )
+        since_s = self.silent_since_s
+        if since_s is not None and time.monotonic() - since_s > self._lost_after_s:
+            topic = self._base.node.resolve_topic_name(self.topic)
+            return f"lost: nobody publishes {topic!r} any more"
+        return ""
+
+    @property
+    def is_back(self) -> bool:
+        """Whether the process that was lost is the one that lives again, with the same map."""
+        return self._heartbeat is not None and self._heartbeat.writers.is_back
+
+    def ask(self, lost_after_s: float) -> None:
+        """Take another time after which the input is lost."""
+        self._lost_after_s = lost_after_s
+        if self._heartbeat is not None:
+            self._heartbeat.ask(lost_after_s)
+
+    def close(self) -> None:
+        """Hear nothing more."""
+        for subscription in (self._subscription, *self._others):
+            self._base.node.destroy_subscription(subscription)
+        if self._heartbeat is not None:
+            self._heartbeat.close()
+
+    def _listen(self) -> Any:
+        profile = qos.map_qos(self._durability)
+        return self._base.subscribe(OccupancyGrid, self.topic, self._take_map, profile)
+
+    def look(self) -> None:
+        """See who publishes the map, and read it and its signs of life as they are offered."""
+        if self._heartbeat is not None:
+            self._heartbeat.look()
+        durability = qos.offered_durability(self._base.node, self.topic)
+        if durability is None:
+            if self.silent_since_s is None:
+                self.silent_since_s = time.monotonic()
+            return
+        self.silent_since_s = None
+        was_latched = self._durability != DurabilityPolicy.VOLATILE
+        is_latched = durability != DurabilityPolicy.VOLATILE
+        self._durability = durability
+        if was_latched != is_latched:
+            self._base.node.destroy_subscription(self._subscription)
+            self._subscription = self._listen()
+
+    def _take_map(self, message: Any) -> None:
+        self._clocks.hear(self.name, "map", messages.stamp_s(message))
+        # Whoever sent it lives, though the last one who promised signs of life does not.
+        self.silent_since_s = None
+        if self._heartbeat is not None and self._heartbeat.is_dead:
+            self._heartbeat.writers.forgive()
+        if OccupancyGridUpdate is not None:
+            self._last = message
+        self._on_map(self, message)
+
+    def _take_update(self, update: Any) -> None:
+        """Hand on what an update makes of the last map; one that cannot be used is counted."""
+        reason = "it came before the first map"
+        if self._last is not None:
+            try:
+                self._take_map(messages.updated_map(self._last, update))
+            except GridError as error:
+                reason = str(error)
+            else:
+                return
+        key = f"update {self.name}"
+        count = self._base.diagnostics.count(key) + 1
+        text = f"an update of the map of {self.name!r} is left out ({count} so far): {reason}"
+        self._base.diagnostics.add(key, Level.WARN, text, SHOWN_S)
+
+    def read(self, message: Any) -> Grid:
+        """Convert a map that came; in the worker's thread.
+
+        Raises:
+            GridError: it is no grid.
+        """
+        before, self.frame = self.frame, message.header.frame_id.lstrip("/")
+        if before and self.frame != before:
+            text = f"the map of {self.name!r} was in {before!r} and is in {self.frame!r} now"
+            self._base.diagnostics.add(f"frame {self.name}", Level.WARN, text, SHOWN_S)
+        stamp_s = messages.stamp_s(message)
+        if not self._is_ahead("map", stamp_s, "the fused map is stamped by the others"):
+            self.stamp_s = stamp_s
+        return messages.grid_from_message(message, self.name)
+
+    def _is_ahead(self, what: str, stamp_s: float, outcome: str) -> bool:
+        """Whether a stamp lies in a future that nobody else knows of; named while it does."""
+        ahead_s = self._clocks.too_far_ahead_s(self.name, stamp_s)
+        if ahead_s is None:
+            return False
+        text = (
+            f"the {what} of {self.name!r} is stamped {ahead_s:.0f} s ahead of the clock, and "
+            f"other inputs are not: {outcome}; set the clock of its machine"
+        )
+        self._base.diagnostics.add(f"ahead {what} {self.name}", Level.WARN, text, SHOWN_S)
+        return True
+
+    def _take_pose(self, message: Any) -> None:
+        try:
+            pose = messages.pose2_from_message(message.pose)
+        except TrajectoryError as error:
+            text = f"a pose of {self.name!r} is left out: {error}"
+            self._base.diagnostics.add(f"pose {self.name}", Level.WARN, text, SHOWN_S)
+            return
+        stamp_s = messages.stamp_s(message)
+        self._clocks.hear(self.name, "pose", stamp_s)
+        if self._is_ahead("pose", stamp_s, "it is left out"):
+            return
+        self.pose = HeardPose(pose, message.header.stamp, time.monotonic())
+        self._on_pose(self)
