@@ -1,7 +1,10 @@
 """The ROS 2 nodes: thin faces over the core, and the only place that imports rclpy.
 
-``messages`` turns ROS messages into values and back, ``parameters`` declares a node's parameters
-from the configuration, ``frames`` sends and follows transforms, ``worker`` takes the work out of
-the callbacks, ``base`` is what every node shares. Nothing is imported here: a program without ROS
-may name this package.
+Every node: ``base`` is what all share, ``parameters`` declares a node's parameters from the
+configuration, ``messages`` turns ROS messages into values and back, ``frames`` sends and follows
+transforms, ``qos`` has the qualities of service. ``player_node``; ``producer_node`` with its
+``scan_input``; ``fusion_node`` with ``fusion_inputs`` (which maps), ``input_health`` (whether each
+is well), ``fused_frames``, ``fusion_services``, ``fusion_state`` (over a restart), ``live_page``.
+``live_client`` asks a fusion node from outside. Nothing is imported here: a program without ROS may
+name this package.
 """

@@ -86,9 +86,6 @@ class Diagnostics:
     """What is wrong now, each by a key; said once in the log when it comes and when it goes.
 
     Safe between threads.
-
-    Args:
-        log: an rclpy logger.
     """
 
     def __init__(self, log: Any) -> None:
@@ -291,7 +288,6 @@ def open_node_device(wanted: str, diagnostics: Diagnostics) -> ComputeDevice:
 
     Args:
         wanted: as in the parameter ``device``; see ``open_device`` for it and the errors.
-        diagnostics: of the node.
     """
     handler = logging.Handler(logging.WARNING)
 
@@ -318,7 +314,6 @@ class NodeBase:
 
     Args:
         name: the node's name unless ``--ros-args -r __node:=NAME`` says otherwise.
-        context: rclpy's; default: the one of ``rclpy.init``.
         arguments: ROS arguments of this node alone, beside those of ``rclpy.init``.
 
     Attributes:
@@ -386,11 +381,6 @@ class NodeBase:
         """The node's name, without its namespace."""
         return str(self.node.get_name())
 
-    @property
-    def is_sim_time(self) -> bool:
-        """Whether the node's clock is that of ``/clock``."""
-        return bool(self.node.get_clock().ros_time_is_active)
-
     def clock_s(self) -> float:
         """Return the node's time, seconds: simulated time where it is used."""
         return float(self.node.get_clock().now().nanoseconds * 1e-9)
@@ -457,7 +447,7 @@ class NodeBase:
             name=f"{self.node.get_fully_qualified_name().lstrip('/')}: {status.name}",
             message=status.message,
             hardware_id=self.name,
-            values=[KeyValue(key=key, value=_shown(item)) for key, item in status.values.items()],
+            values=[KeyValue(key=key, value=shown(item)) for key, item in status.values.items()],
         )
 
     def _on_jump(self, jump: TimeJump) -> None:
@@ -485,7 +475,7 @@ class NodeBase:
             self.diagnostics.add(key, Level.ERROR, text, SHOWN_S)
 
 
-def _shown(value: object) -> str:
+def shown(value: object) -> str:
     """Return a figure as text."""
     if isinstance(value, bool):
         return "yes" if value else "no"

@@ -11,9 +11,10 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import Any
 
+from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Transform, TransformStamped
 
 from slamfusion.geometry import Pose2
@@ -21,7 +22,7 @@ from slamfusion.io.transform_edge import TransformError
 from slamfusion.io.transforms import KEEP_S, Mount, TransformTree
 from slamfusion.ros import qos
 from slamfusion.ros.base import is_first_to_say
-from slamfusion.ros.messages import stamp_s
+from slamfusion.ros.messages import stamp_s, transform_to_message
 
 try:
     from tf2_msgs.msg import TFMessage
@@ -157,27 +158,17 @@ class TransformInput(TransformStore):
 
     Args:
         node: an rclpy node; its executor must spin.
-        on_change: called in the executor's thread after transforms came in.
     """
 
-    def __init__(self, node: Any, on_change: Callable[[], None] | None = None) -> None:
+    def __init__(self, node: Any) -> None:
         super().__init__()
-        self._on_change = on_change
         moving, static = _topics(node)
         self._subscriptions = [
-            node.create_subscription(moving[0], moving[1], self._take, moving[2]),
-            node.create_subscription(static[0], static[1], self._take_static, qos.latched(100)),
+            node.create_subscription(*moving[:2], lambda m: self.add(_listed(m)), moving[2]),
+            node.create_subscription(
+                *static[:2], lambda m: self.add(_listed(m), is_static=True), qos.latched(100)
+            ),
         ]
-
-    def _take(self, message: Any) -> None:
-        self.add(_listed(message))
-        if self._on_change is not None:
-            self._on_change()
-
-    def _take_static(self, message: Any) -> None:
-        self.add(_listed(message), is_static=True)
-        if self._on_change is not None:
-            self._on_change()
 
 
 class TransformOutput:
@@ -191,7 +182,6 @@ class TransformOutput:
 
     def __init__(self, node: Any) -> None:
         self._lock = threading.Lock()
-        self._static: dict[str, TransformStamped] = {}
         self._own: deque[tuple[Any, ...]] = deque(maxlen=OWN_KEPT)
         self._children: set[str] = set()
         self._rivals: dict[str, tuple[str, float]] = {}
@@ -200,22 +190,17 @@ class TransformOutput:
         self._latched = node.create_publisher(*static)
         self._subscription = node.create_subscription(moving[0], moving[1], self._listen, qos.TF)
 
-    def send(self, transforms: Iterable[TransformStamped]) -> None:
-        """Send transforms that hold at their stamps."""
-        listed = list(transforms)
+    def send(self, pose: Pose2, parent: str, child: str, stamp: Time) -> None:
+        """Send the pose of a frame in another one, which holds at a stamp."""
+        item = transform_to_message(pose, parent, child, stamp)
         with self._lock:
-            self._own.extend(_key(item) for item in listed)
-            self._children |= {item.child_frame_id for item in listed}
-        self._publish(self._moving, listed)
+            self._own.append(_key(item))
+            self._children.add(child)
+        self._publish(self._moving, item)
 
-    def send_static(self, transforms: Iterable[TransformStamped]) -> None:
-        """Send transforms that hold from now on; who comes later gets them too."""
-        listed = list(transforms)
-        with self._lock:
-            self._static |= {item.child_frame_id: item for item in listed}
-            every = list(self._static.values())
-        # One message of tf2 holds all of a sender's; plain ones are kept one by one.
-        self._publish(self._latched, every if TFMessage is not None else listed)
+    def send_static(self, pose: Pose2, parent: str, child: str, stamp: Time) -> None:
+        """Send one that holds from now on, the only one; who comes later gets it too."""
+        self._publish(self._latched, transform_to_message(pose, parent, child, stamp))
 
     def rivals(self) -> dict[str, str]:
         """Return child frames that another node sent in the last seconds, with its parent frame."""
@@ -228,12 +213,8 @@ class TransformOutput:
             }
 
     @staticmethod
-    def _publish(publisher: Any, transforms: list[TransformStamped]) -> None:
-        if TFMessage is not None:
-            publisher.publish(TFMessage(transforms=transforms))
-            return
-        for item in transforms:
-            publisher.publish(item)
+    def _publish(publisher: Any, item: TransformStamped) -> None:
+        publisher.publish(item if TFMessage is None else TFMessage(transforms=[item]))
 
     def _listen(self, message: Any) -> None:
         """Take note of foreign transforms to a child frame of ours."""

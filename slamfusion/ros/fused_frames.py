@@ -53,7 +53,6 @@ class ChildFrames:
         """Return the frame that an input's transform is sent to.
 
         Args:
-            name: of the input.
             topic: of its maps, resolved.
             frame: of its maps; not empty.
         """
@@ -108,10 +107,6 @@ class FusedFrames:
     reference, or else the best score; it stays with one until that one votes no more or is silent.
     The stamps of each of them only grow: what a new fusion changes of a stamp that was told already
     is told a microsecond later, and the pose of a new leader is told from its first newer stamp on.
-
-    Args:
-        base: the node.
-        settings: of the node.
 
     Attributes:
         settings: may be replaced.
@@ -257,7 +252,7 @@ class FusedFrames:
             return
         fresh = self._fresh(frame, stamp, transform, is_revised=True)
         if fresh is not None:
-            self._output.send([messages.transform_to_message(transform, parent, frame, fresh)])
+            self._output.send(transform, parent, frame, fresh)
 
     def child_frame(self, source: MapSource) -> str:
         """Return the frame that an input's transform is sent to; empty without one."""
@@ -329,7 +324,7 @@ class FusedFrames:
         stamp = self._fresh(child, heard.stamp, moved, is_revised=is_revised)
         if stamp is not None and child != parent:
             self._has_sent_odometry = True
-            self._output.send([messages.transform_to_message(moved, parent, child, stamp)])
+            self._output.send(moved, parent, child, stamp)
 
     def _on_odometry(self, message: Any) -> None:
         """Keep a pose of the odometry."""

@@ -102,7 +102,6 @@ def load_saved(
     """Return the map of a saved one's entry, None of a topic.
 
     Args:
-        name: of the input.
         entry: as in ``inputs``.
         config: how saved maps are read.
         warn: told what is doubtful about the map.
@@ -157,7 +156,6 @@ class FusionInputs:
     In the executor's thread.
 
     Args:
-        base: the node, which gets the parameter.
         outputs: topics that a fusion writes, relative; they are not discovered.
         is_open: whether there may be none at first, since they are discovered.
         on_change: called after a change with the names of those that are inputs no more, and the

@@ -70,10 +70,6 @@ class FusionNode(NodeBase):
     for those. When several fused maps fall into one period of ``max_publish_rate_hz`` only the last
     is published.
 
-    Args:
-        context: rclpy's; default: the one of ``rclpy.init``.
-        arguments: ROS arguments of this node alone.
-
     Raises:
         ConfigError: a parameter is refused, or ``state_path`` cannot be a file.
         DeviceError: the device cannot be used.

@@ -48,9 +48,6 @@ class FusionServices:
     Where nav2 is installed ``~/save_map`` and ``~/load_map`` have its types. Maps are written into
     the folder of the ``save_path`` that the node was started with, or below it: what the parameter
     is set to later, or what a request names, leads nowhere else.
-
-    Args:
-        node: which has what is asked for.
     """
 
     def __init__(self, node: FusionNode) -> None:

@@ -35,7 +35,6 @@ class StateKeeper:
     path nothing is read or kept. In the worker's thread, apart from the constructor.
 
     Args:
-        base: the node, whose diagnostics name what goes wrong.
         live: what is restored and kept; nothing was put there yet.
         path: of the file, ``~`` for the home folder; None or empty: nothing is kept.
         names: the inputs, which are waited for; places of others are kept until these come.

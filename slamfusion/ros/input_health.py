@@ -119,8 +119,6 @@ class Heartbeat:
     by default). All in the executor's thread.
 
     Args:
-        base: the node.
-        topic: of poses.
         lost_after_s: a writer without a sign of life for this long is dead; below one second it is
             taken for one.
         on_change: called when a writer has fallen silent or is back.
@@ -242,7 +240,6 @@ class Clocks:
         """Take the stamp of a message that has just come.
 
         Args:
-            name: of the input.
             kind: of the message; stamps of one kind grow, or begin again.
             stamp_s: seconds.
         """
@@ -302,7 +299,6 @@ class Writers:
     """Names several nodes on a topic that should have one, by what DDS knows of them.
 
     Args:
-        base: the node.
         output: topic of the fused map.
 
     Attributes:
@@ -379,8 +375,6 @@ class MapSource:
     apart from ``read``.
 
     Args:
-        base: the node.
-        name: of the input.
         topic: of its maps.
         lost_after_s: an input whose process gave no sign of life for this long is lost, and one
             that nobody publishes; may be replaced by ``ask``.

@@ -13,7 +13,7 @@ from slamfusion.config import FusionNodeConfig
 from slamfusion.errors import ConfigError
 from slamfusion.fusion.live.session import FusedMap, FusionState
 from slamfusion.grid import OccupancyGrid
-from slamfusion.ros.base import Level, NodeBase, Status
+from slamfusion.ros.base import Level, NodeBase, Status, shown
 from slamfusion.ros.fusion_inputs import PREFIX
 from slamfusion.ros.input_health import MapSource
 from slamfusion.viewer.scene import AGREEMENT, FUSED, Scene, layer_name
@@ -34,8 +34,6 @@ class LivePage:
     ``look`` is called.
 
     Args:
-        base: the node; its log gets the address.
-        settings: where to listen.
         command: carries out ``save`` or ``reset`` in the node's own thread.
 
     Raises:
@@ -136,7 +134,7 @@ class LivePage:
             poses=poses,
             headline=fusion.message,
             level=LEVELS[fusion.level],
-            figures={name: _words(value) for name, value in fusion.values.items()},
+            figures={name: shown(value) for name, value in fusion.values.items()},
         )
 
     def close(self) -> None:
@@ -173,10 +171,3 @@ def _shown(name: str, line: Status, state: FusionState) -> dict[str, object]:
         "score": None if record is None else round(record.score, 4),
         "transform": None if transform is None else [transform.x, transform.y, transform.yaw_rad],
     }
-
-
-def _words(value: object) -> str:
-    """Return a figure as text."""
-    if isinstance(value, float):
-        return f"{value:.4g}"
-    return "-" if value is None else str(value)

@@ -154,7 +154,6 @@ def path_to_message(
     Args:
         trajectory: the poses, in ``frame_id``.
         frame_id: of the path and every pose.
-        stamp: of the path; the poses have their own.
         most: the largest number of poses, evenly chosen, first and last among them; default: all.
     """
     chosen = np.arange(len(trajectory))

@@ -13,6 +13,7 @@ import difflib
 import sys
 import typing
 from collections.abc import Callable, Collection, Mapping
+from functools import partial
 from typing import Any, TypeVar
 
 from rcl_interfaces.msg import (
@@ -78,7 +79,6 @@ def declare(
     """Declare every field of a configuration as a parameter and return what was set.
 
     Args:
-        node: an rclpy node.
         section: a configuration whose values are the defaults. Nested sections become
             ``prefix.section.field``.
         prefix: before every name, e.g. a producer's name; empty for none.
@@ -135,7 +135,6 @@ def declare_names(
     """Declare a parameter that is a list of names, and return it.
 
     Args:
-        node: an rclpy node.
         name: of the parameter.
         default: the names unless others are given.
         text: the description.
@@ -149,50 +148,32 @@ def declare_names(
     Raises:
         ConfigError: neither a text nor a list of texts.
     """
-    descriptor = ParameterDescriptor(description=text, read_only=check is None, dynamic_typing=True)
-    given = _read_names(node, name, node.declare_parameter(name, [*default] or None, descriptor))
-    if check is not None:
-        _watch_names(node, name, check, on_change or (lambda _: None))
-    return given
 
+    def read(parameter: Any) -> tuple[str, ...]:
+        try:
+            return names_of(parameter.value)
+        except ConfigError as error:
+            message = f"{_where(node)}: {name}: {error}"
+            raise ConfigError(message) from None
 
-def _watch_names(
-    node: Any,
-    name: str,
-    check: Callable[[tuple[str, ...]], object],
-    on_change: Callable[[tuple[str, ...]], None],
-) -> None:
-    """Let changes of a list of names be checked, and taken."""
+    def each(function: Callable[[tuple[str, ...]], object], changes: list[Any]) -> None:
+        for item in changes:
+            if item.name == name:
+                function(read(item))
 
     def accept(changes: list[Any]) -> SetParametersResult:
         try:
-            for item in changes:
-                if item.name == name:
-                    check(_read_names(node, name, item))
+            each(check or len, changes)
         except SlamFusionError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
-    def take(changes: list[Any]) -> None:
-        for item in changes:
-            if item.name == name:
-                on_change(_read_names(node, name, item))
-
-    node.add_on_set_parameters_callback(accept)
-    node.add_post_set_parameters_callback(take)
-
-
-def _read_names(node: Any, name: str, parameter: Any) -> tuple[str, ...]:
-    """Return the names that a parameter of a node holds.
-
-    Raises:
-        ConfigError: it is neither a text nor a list of texts.
-    """
-    try:
-        return names_of(parameter.value)
-    except ConfigError as error:
-        message = f"{_where(node)}: {name}: {error}"
-        raise ConfigError(message) from None
+    descriptor = ParameterDescriptor(description=text, read_only=check is None, dynamic_typing=True)
+    given = read(node.declare_parameter(name, [*default] or None, descriptor))
+    if check is not None:
+        node.add_on_set_parameters_callback(accept)
+        node.add_post_set_parameters_callback(partial(each, on_change or len))
+    return given
 
 
 def names_of(given: Any) -> tuple[str, ...]:
@@ -216,7 +197,6 @@ def declare_starts(
     """Declare a read-only parameter ``start.NAME`` for each input, and return those that are set.
 
     Args:
-        node: an rclpy node.
         names: of the inputs.
         may_come: whether others may come, whose starts are told already.
 

@@ -64,167 +64,6 @@ class Interrupt(threading.Condition):
         self.wait_until(lambda: False, duration_s)
 
 
-class Answers:
-    """Listens on each producer's ``NAME/pose``.
-
-    Args:
-        base: the node.
-        names: the producers.
-        interrupt: ends every wait.
-        timeout_s: how long an answer may take.
-    """
-
-    def __init__(
-        self, base: NodeBase, names: Sequence[str], interrupt: Interrupt, timeout_s: float
-    ) -> None:
-        self._node = base.node
-        self._names = tuple(names)
-        self._interrupt = interrupt
-        self._timeout_s = timeout_s
-        # Stamp of the newest pose, by producer.
-        self._stamps_s: dict[str, float] = {}
-        for name in names:
-            base.subscribe(PoseStamped, f"{name}/pose", partial(self._on_pose, name), qos.STREAM)
-
-    def absent(self) -> list[str]:
-        """Return the producers that are not there yet."""
-        return [name for name in self._names if not self._node.count_publishers(f"{name}/pose")]
-
-    def wait(self, stamp_s: float, before_s: float | None, send_again: Callable[[], None]) -> None:
-        """Wait until every producer has told its pose at a scan that was sent.
-
-        Args:
-            stamp_s: of the scan.
-            before_s: stamp of the scan before it; None for the first.
-            send_again: repeats the scan.
-
-        Raises:
-            SlamFusionError: one has not, however often the scan was sent.
-        """
-        until_s = time.monotonic() + self._timeout_s
-        is_jump = before_s is not None and not 0.0 < stamp_s - before_s <= AHEAD_S
-        pauses_s = [AGAIN_AT_JUMP_S] * (CONFIRMING - 1) if is_jump else []
-        again_s = time.monotonic() + (pauses_s.pop() if pauses_s else AGAIN_S)
-        while not self._interrupt.is_set:
-            duration_s = min(again_s, until_s) - time.monotonic()
-            if self._interrupt.wait_until(lambda: not self._silent(stamp_s), duration_s):
-                return
-            now_s = time.monotonic()
-            if now_s >= until_s:
-                with self._interrupt:
-                    silent = self._silent(stamp_s)
-                if not silent:  # the last answer came with the end of the wait
-                    return
-                message = (
-                    f"no pose at {stamp_s:.3f} s from {', '.join(silent)} within "
-                    f"{self._timeout_s:g} s; the producer may have ended, or "
-                    "leaves the scan out: see its diagnostics"
-                )
-                raise SlamFusionError(message)
-            if now_s >= again_s:
-                send_again()
-                again_s = now_s + (pauses_s.pop() if pauses_s else AGAIN_S)
-
-    def _silent(self, stamp_s: float) -> list[str]:
-        """Return the producers whose newest pose is none at a stamp."""
-        return [
-            name
-            for name in self._names
-            if abs(self._stamps_s.get(name, math.inf) - stamp_s) > STAMP_TOLERANCE_S
-        ]
-
-    def _on_pose(self, name: str, message: Any) -> None:
-        """Note that a producer has told its pose at a stamp."""
-        with self._interrupt:
-            self._stamps_s[name] = messages.stamp_s(message)
-            self._interrupt.notify_all()
-
-
-class PlayerMaps:
-    """Keeps the newest map of every topic.
-
-    Args:
-        base: the node.
-        topics: of the maps.
-        folder: where they are written; made when missing.
-        interrupt: ends the wait for the last ones.
-        log: that is played.
-
-    Raises:
-        SlamFusionError: a map would be written over a file of the log.
-        OSError: the folder cannot be made, or written to: said before the log plays, not after.
-    """
-
-    def __init__(
-        self, base: NodeBase, topics: Sequence[str], folder: Path, interrupt: Interrupt, log: Path
-    ) -> None:
-        self._stems = {
-            topic: folder / topic.strip("/").removesuffix("/map").replace("/", "_")
-            for topic in topics
-        }
-        refuse_overwriting(
-            [(log, file) for file in log_sources(log)],
-            [(f"save {stem}", file) for stem in self._stems.values() for file in saved_files(stem)],
-        )
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass  # a file can be made there
-        self._node, self._log = base.node, base.log
-        self._topics = tuple(topics)
-        self._folder = folder
-        self._interrupt = interrupt
-        self._maps: dict[str, Any] = {}
-        for topic in topics:
-            base.subscribe(OccupancyGrid, topic, partial(self._on_map, topic), qos.MAP)
-
-    def save(self, stamp_s: float, timeout_s: float, played: str) -> None:
-        """Write the newest map of every topic, as soon as they hold the last scan.
-
-        When the node is ended before, those that have come.
-
-        Args:
-            stamp_s: of the last scan.
-            timeout_s: how long its map may take.
-            played: what was played so far, in words.
-
-        Raises:
-            SlamFusionError: no map came, or one is none or cannot be written.
-        """
-        is_early = self._interrupt.is_set
-        self._interrupt.wait_until(lambda: not self._late(stamp_s), timeout_s)
-        with self._interrupt:
-            maps, late = dict(self._maps), self._late(stamp_s)
-        if is_early:
-            ends = "the maps that have come are saved" if maps else "no map has come to be saved"
-            self._log.warning(f"stopped after {played}; {ends}")
-            late = []
-        for topic in late:
-            what = "it is older than the last scan" if topic in maps else "no map came"
-            self._log.warning(f"the map on {self._node.resolve_topic_name(topic)!r}: {what}")
-        if not maps and not is_early:
-            message = f"no map came on {', '.join(self._topics) or '(no topic)'}"
-            raise SlamFusionError(message)
-        self._folder.mkdir(parents=True, exist_ok=True)
-        for topic, message in maps.items():
-            path, _ = save_map(messages.grid_from_message(message, topic), self._stems[topic])
-            self._log.info(f"wrote {path}")
-
-    def _late(self, stamp_s: float) -> list[str]:
-        """Return the topics whose newest map does not hold the scan of a stamp."""
-        return [
-            topic
-            for topic in self._topics
-            if topic not in self._maps
-            or messages.stamp_s(self._maps[topic]) < stamp_s - STAMP_TOLERANCE_S
-        ]
-
-    def _on_map(self, topic: str, message: Any) -> None:
-        """Keep the newest map of a topic."""
-        with self._interrupt:
-            self._maps[topic] = message
-            self._interrupt.notify_all()
-
-
 SCAN_TOPIC, ODOM_TOPIC, CLOCK_TOPIC = "scan", "odom", "/clock"
 # Reliable readers are given this long to take the last messages.
 ACKNOWLEDGE_S = 5.0
@@ -234,7 +73,6 @@ class ScanSender:
     """Sends ``scan``, ``odom``, transforms and ``/clock``, all with the log's stamps.
 
     Args:
-        base: the node.
         settings: its frames, and what of the odometry is sent.
 
     Attributes:
@@ -270,26 +108,13 @@ class ScanSender:
         self.send_clock(scan.stamp_s)
         if scan.mount != self._mount:
             self._mount = scan.mount
-            self._transforms.send_static(
-                [
-                    messages.transform_to_message(
-                        scan.mount, settings.base_frame, settings.laser_frame, stamp
-                    )
-                ]
-            )
-        pose = item.odometry
+            frames = settings.base_frame, settings.laser_frame
+            self._transforms.send_static(scan.mount, *frames, stamp)
+        pose, frames = item.odometry, (settings.odom_frame, settings.base_frame)
         if pose is not None and settings.odometry in {"tf", "both"}:
-            self._transforms.send(
-                [
-                    messages.transform_to_message(
-                        pose, settings.odom_frame, settings.base_frame, stamp
-                    )
-                ]
-            )
+            self._transforms.send(pose, *frames, stamp)
         if pose is not None and settings.odometry in {"topic", "both"}:
-            self._odometry.publish(
-                messages.odometry_to_message(pose, settings.odom_frame, settings.base_frame, stamp)
-            )
+            self._odometry.publish(messages.odometry_to_message(pose, *frames, stamp))
         self._scans.publish(messages.scan_to_message(scan, settings.laser_frame))
         self.sent += 1
 
@@ -315,12 +140,7 @@ PARTS, APART_S = 10, 5.0
 
 
 class ProgressLines:
-    """Says each tenth of a log that was played; of a short log not all of them.
-
-    Args:
-        say: takes a line.
-        clock_s: seconds that never go back.
-    """
+    """Says each tenth of a log that was played; of a short log not all of them."""
 
     def __init__(
         self, say: Callable[[str], None], clock_s: Callable[[], float] = time.monotonic
@@ -368,10 +188,6 @@ class PlayerNode(NodeBase):
     scan. The node ends after the last scan; with ``save`` it writes the newest maps first, and also
     when it is stopped before.
 
-    Args:
-        context: rclpy's; default: the one of ``rclpy.init``.
-        arguments: ROS arguments of this node alone.
-
     Raises:
         ConfigError: a parameter is refused, or no file is named.
         LogError: the log cannot be read.
@@ -401,15 +217,16 @@ class PlayerNode(NodeBase):
             message = "player: lockstep needs to know whom to wait for: -p wait_for:=[NAME]"
             raise ConfigError(message)
         self._interrupt = Interrupt()
-        self._maps: PlayerMaps | None = None
+        # The newest map by topic, and where it is to be written; the stamp of each newest pose.
+        self._maps: dict[str, Any] = {}
+        self._stems: dict[str, Path] = {}
+        self._stamps_s: dict[str, float] = {}
         if self.settings.save is not None:
-            folder = Path(self.settings.save)
-            log = Path(self.settings.file)
-            self._maps = PlayerMaps(self, map_topics, folder, self._interrupt, log)
+            self._open_maps(map_topics, Path(self.settings.save), Path(self.settings.file))
         self._log: ScanLog = open_log(self.settings.file, reading)
         self._sender = ScanSender(self, self.settings)
-        timeout_s = self.settings.lockstep_timeout_s
-        self._answers = Answers(self, self.wait_for, self._interrupt, timeout_s)
+        for name in self.wait_for:
+            self.subscribe(PoseStamped, f"{name}/pose", partial(self._on_pose, name), qos.STREAM)
         self._progress = ProgressLines(self.log.info)
         self._rounds = 0
         self._due_s: float | None = None
@@ -431,10 +248,8 @@ class PlayerNode(NodeBase):
             if not self._interrupt.is_set:
                 self._sender.wait_for_delivery()
                 self.log.info(self._words_at_end(time.monotonic() - begun_s))
-            if self._maps is not None:
-                played = f"{self._sender.sent} scans of {self._log.path}"
-                stamp_s = self._sender.stamp_s or 0.0
-                self._maps.save(stamp_s, self.settings.save_timeout_s, played)
+            if self.settings.save is not None:
+                self._save()
             code = 0
         except (SlamFusionError, OSError) as error:
             self.log.error(f"player: {error}")
@@ -460,7 +275,9 @@ class PlayerNode(NodeBase):
         """
         until_s = time.monotonic() + self.settings.start_timeout_s
         while not self._interrupt.is_set:
-            absent, listeners = self._answers.absent(), self._sender.listeners()
+            count = self.node.count_publishers
+            absent = [name for name in self.wait_for if not count(f"{name}/pose")]
+            listeners = self._sender.listeners()
             if not absent and listeners >= max(1, len(self.wait_for)):
                 self._interrupt.pause(SETTLE_S)
                 return
@@ -532,8 +349,121 @@ class PlayerNode(NodeBase):
         self._due_s = time.monotonic()
 
     def _wait_for_answers(self, item: LogScan, before_s: float | None) -> None:
-        """Wait until every producer has told its pose at a scan; see ``Answers.wait``."""
-        self._answers.wait(item.scan.stamp_s, before_s, lambda: self._sender.send_again(item))
+        """Wait until every producer has told its pose at a scan that was sent.
+
+        Args:
+            item: the scan.
+            before_s: stamp of the scan before it; None for the first.
+
+        Raises:
+            SlamFusionError: one has not, however often the scan was sent.
+        """
+        stamp_s, timeout_s = item.scan.stamp_s, self.settings.lockstep_timeout_s
+        until_s = time.monotonic() + timeout_s
+        is_jump = before_s is not None and not 0.0 < stamp_s - before_s <= AHEAD_S
+        pauses_s = [AGAIN_AT_JUMP_S] * (CONFIRMING - 1) if is_jump else []
+        again_s = time.monotonic() + (pauses_s.pop() if pauses_s else AGAIN_S)
+        while not self._interrupt.is_set:
+            duration_s = min(again_s, until_s) - time.monotonic()
+            if self._interrupt.wait_until(lambda: not self._silent(stamp_s), duration_s):
+                return
+            now_s = time.monotonic()
+            if now_s >= until_s:
+                with self._interrupt:
+                    silent = self._silent(stamp_s)
+                if not silent:  # the last answer came with the end of the wait
+                    return
+                message = (
+                    f"no pose at {stamp_s:.3f} s from {', '.join(silent)} within "
+                    f"{timeout_s:g} s; the producer may have ended, or "
+                    "leaves the scan out: see its diagnostics"
+                )
+                raise SlamFusionError(message)
+            if now_s >= again_s:
+                self._sender.send_again(item)
+                again_s = now_s + (pauses_s.pop() if pauses_s else AGAIN_S)
+
+    def _silent(self, stamp_s: float) -> list[str]:
+        """Return the producers whose newest pose is none at a stamp."""
+        return [
+            name
+            for name in self.wait_for
+            if abs(self._stamps_s.get(name, math.inf) - stamp_s) > STAMP_TOLERANCE_S
+        ]
+
+    def _on_pose(self, name: str, message: Any) -> None:
+        """Note that a producer has told its pose at a stamp."""
+        with self._interrupt:
+            self._stamps_s[name] = messages.stamp_s(message)
+            self._interrupt.notify_all()
+
+    # --- maps that are written at the end ----------------------------------------------------
+
+    def _open_maps(self, topics: Sequence[str], folder: Path, log: Path) -> None:
+        """Listen to maps, and see that they can be written: before the log plays, not after.
+
+        Raises:
+            SlamFusionError: a map would be written over a file of the log.
+            OSError: the folder cannot be made, or written to.
+        """
+        self._stems = {
+            topic: folder / topic.strip("/").removesuffix("/map").replace("/", "_")
+            for topic in topics
+        }
+        refuse_overwriting(
+            [(log, file) for file in log_sources(log)],
+            [(f"save {stem}", file) for stem in self._stems.values() for file in saved_files(stem)],
+        )
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass  # a file can be made there
+        for topic in topics:
+            self.subscribe(OccupancyGrid, topic, partial(self._on_map, topic), qos.MAP)
+
+    def _save(self) -> None:
+        """Write the newest map of every topic, as soon as they hold the last scan.
+
+        When the node is ended before, those that have come.
+
+        Raises:
+            SlamFusionError: no map came, or one is none or cannot be written.
+        """
+        stamp_s = self._sender.stamp_s or 0.0
+        is_early = self._interrupt.is_set
+        self._interrupt.wait_until(lambda: not self._late(stamp_s), self.settings.save_timeout_s)
+        with self._interrupt:
+            maps, late = dict(self._maps), self._late(stamp_s)
+        if is_early:
+            played = f"{self._sender.sent} scans of {self._log.path}"
+            ends = "the maps that have come are saved" if maps else "no map has come to be saved"
+            self.log.warning(f"stopped after {played}; {ends}")
+            late = []
+        for topic in late:
+            what = "it is older than the last scan" if topic in maps else "no map came"
+            self.log.warning(f"the map on {self.node.resolve_topic_name(topic)!r}: {what}")
+        if not maps and not is_early:
+            message = f"no map came on {', '.join(self._stems) or '(no topic)'}"
+            raise SlamFusionError(message)
+        for topic, message in maps.items():
+            stem = self._stems[topic]
+            stem.parent.mkdir(parents=True, exist_ok=True)
+            path, _ = save_map(messages.grid_from_message(message, topic), stem)
+            self.log.info(f"wrote {path}")
+
+    def _late(self, stamp_s: float) -> list[str]:
+        """Return the topics whose newest map does not hold the scan of a stamp."""
+        return [
+            topic
+            for topic in self._stems
+            if topic not in self._maps
+            or messages.stamp_s(self._maps[topic]) < stamp_s - STAMP_TOLERANCE_S
+        ]
+
+    def _on_map(self, topic: str, message: Any) -> None:
+        """Keep the newest map of a topic."""
+        with self._interrupt:
+            self._maps[topic] = message
+            self._interrupt.notify_all()
 
     # --- diagnostics and end -----------------------------------------------------------------
 

@@ -18,12 +18,11 @@ from sensor_msgs.msg import LaserScan
 
 from slamfusion.compute import open_device
 from slamfusion.config import DeviceConfig, ProducerNodeConfig, RunConfig
-from slamfusion.geometry import Pose2
 from slamfusion.ros import messages, qos
 from slamfusion.ros.base import SHOWN_S, Level, NodeBase, Status, Worker, open_node_device
 from slamfusion.ros.frames import TransformOutput
 from slamfusion.ros.parameters import declare
-from slamfusion.ros.scan_input import ArrivedScan, ScanFrames, ScanGate
+from slamfusion.ros.scan_input import ArrivedScan, ScanInput
 from slamfusion.slam.registry import producer, settings_of
 from slamfusion.slam.session import (
     Answer,
@@ -35,93 +34,6 @@ from slamfusion.slam.session import (
 
 # Scans that come for so long without a transform are a reason to name it, seconds.
 NEVER_SENT_S = 5.0
-
-
-class MapTransform:
-    """Sends where the odometry frame lies in the map while ``publish_tf`` is on.
-
-    Args:
-        base: the node.
-        settings: of the node.
-        map_frame: parent of the transform.
-    """
-
-    def __init__(self, base: NodeBase, settings: ProducerNodeConfig, map_frame: str) -> None:
-        self._base = base
-        self._map_frame = map_frame
-        self._output: TransformOutput | None = None
-        # Written by the worker that sends, read by the executor.
-        self._sent_s: float | None = None
-        self._due_since_s: float | None = None
-        self.configure(settings)
-
-    def configure(self, settings: ProducerNodeConfig) -> None:
-        """Take changed settings."""
-        self._settings = settings
-        if settings.publish_tf and self._output is None:
-            self._output = TransformOutput(self._base.node)
-
-    @property
-    def _child(self) -> str:
-        """The frame whose place is sent: without odometry the robot itself."""
-        settings = self._settings
-        return settings.base_frame if settings.odometry_source == "none" else settings.odom_frame
-
-    def send(self, pose: Pose2, odometry: Pose2 | None, stamp: Any) -> None:
-        """Send the transform, where that is asked for and can be said.
-
-        Args:
-            pose: of the robot in the map; metres, radians.
-            odometry: of the robot in the odometry frame at that time; None where it is not known.
-            stamp: builtin_interfaces/Time of both.
-        """
-        settings = self._settings
-        if self._output is None or not settings.publish_tf:
-            return
-        if settings.odometry_source != "none":
-            if odometry is None:
-                return
-            pose = pose.compose(odometry.inverse())
-        self._output.send(
-            [messages.transform_to_message(pose, self._map_frame, self._child, stamp)]
-        )
-        self._sent_s = time.monotonic()
-
-    def name(self, *, are_scans_coming: bool) -> None:
-        """Name a transform that is not sent although scans come, and other senders of the same."""
-        self._name_unsent(is_due=are_scans_coming and self._settings.publish_tf)
-        rivals = {} if self._output is None else self._output.rivals()
-        child, parent = next(iter(rivals.items()), ("", ""))
-        text = (
-            f"another node sends the transform to {child!r} too (from {parent!r}): set publish_tf "
-            "to false in all but one"
-        )
-        self._base.diagnostics.say("rival", text if rivals else None, Level.ERROR)
-
-    def _name_unsent(self, *, is_due: bool) -> None:
-        now_s = time.monotonic()
-        if not is_due:
-            self._due_since_s = None
-        elif self._due_since_s is None:
-            self._due_since_s = now_s
-        since_s = max(self._due_since_s or now_s, self._sent_s or 0.0)
-        if now_s - since_s <= NEVER_SENT_S:
-            self._base.diagnostics.clear("unsent")
-            return
-        settings = self._settings
-        wanted = {
-            "topic": "odometry at the scans' times; check its topic and its stamps",
-            "tf": f"transforms from {settings.base_frame!r} to {settings.odom_frame!r} at the "
-            "scans' times; check base_frame and odom_frame",
-            "none": "scans that are used; see what else is said",
-        }[settings.odometry_source]
-        text = (
-            f"publish_tf is on and {self._map_frame!r} -> {self._child!r} cannot be sent: it needs "
-            f"{wanted}"
-        )
-        self._base.diagnostics.add("unsent", Level.ERROR, text)
-
-
 SCAN_TOPIC = "scan"
 # Fields of ``ProducerNodeConfig`` that may be changed while the node runs.
 CHANGEABLE = (
@@ -177,8 +89,6 @@ class ProducerNode(NodeBase):
 
     Args:
         kind: a producer of ``slamfusion.slam.registry``; also the node's name unless remapped.
-        context: rclpy's; default: the one of ``rclpy.init``.
-        arguments: ROS arguments of this node alone.
 
     Raises:
         ConfigError: a parameter is refused.
@@ -223,11 +133,12 @@ class ProducerNode(NodeBase):
         self._worker: Worker[_Queued | _MapDue] = Worker(
             self._work, self.settings.scan_queue, self.failed, f"{name} scans"
         )
-        self._inputs = ScanFrames(self, self.settings)
-        self._transform = MapTransform(self, self.settings, self._map_frame)
-        frames = self.settings.odom_frame, self.settings.base_frame
-        back_s, inputs = self.settings.reset_back_s, self._inputs
-        self._gate = ScanGate(self.diagnostics, back_s, inputs.odometry, frames, inputs.stores)
+        self._inputs = ScanInput(self, self.settings)
+        self._transforms: TransformOutput | None = None
+        # Written by the worker that sends, read by the executor.
+        self._transform_sent_s: float | None = None
+        self._transform_due_s: float | None = None
+        self._open_transforms()
         self.subscribe(LaserScan, SCAN_TOPIC, self._on_scan, qos.SENSOR)
         self.timer(LOOK_S, self._look)
         self.log.info(
@@ -241,7 +152,7 @@ class ProducerNode(NodeBase):
         """Queue a scan, and those that were held back and that it confirms."""
         self._received += 1
         self._last_scan_s = time.monotonic()
-        passed = self._gate.offer(message)
+        passed = self._inputs.offer(message)
         if passed.jump is not None and passed.jump.is_back:
             self._begin_new_map()
         for scan in passed.items:
@@ -280,9 +191,8 @@ class ProducerNode(NodeBase):
         """Take changed settings."""
         self.settings = settings
         self._worker.capacity = settings.scan_queue
-        self._gate.set_back(settings.reset_back_s)
         self._inputs.configure(settings)
-        self._transform.configure(settings)
+        self._open_transforms()
 
     def on_time_jump(self, delta_s: float) -> None:
         """Forget the transforms of a future that has not come; scans decide about the map."""
@@ -336,7 +246,59 @@ class ProducerNode(NodeBase):
             self.diagnostics.add("blind", Level.WARN, answer.unused, SHOWN_S)
         self._pose_topic.publish(messages.pose_to_message(answer.pose, self._map_frame, stamp))
         if answer.is_new:
-            self._transform.send(answer.pose, answer.odometry, stamp)
+            self._send_transform(answer, stamp)
+
+    # --- the transform from the map to the odometry, while ``publish_tf`` is on ----------------
+
+    def _open_transforms(self) -> None:
+        if self.settings.publish_tf and self._transforms is None:
+            self._transforms = TransformOutput(self.node)
+
+    @property
+    def _child_frame(self) -> str:
+        """The frame whose place is sent: without odometry the robot itself."""
+        settings = self.settings
+        return settings.base_frame if settings.odometry_source == "none" else settings.odom_frame
+
+    def _send_transform(self, answer: Answer, stamp: Any) -> None:
+        """Send the transform, where that is asked for and can be said."""
+        pose, settings = answer.pose, self.settings
+        if self._transforms is None or not settings.publish_tf:
+            return
+        if settings.odometry_source != "none":
+            if answer.odometry is None:
+                return
+            pose = pose.compose(answer.odometry.inverse())
+        self._transforms.send(pose, self._map_frame, self._child_frame, stamp)
+        self._transform_sent_s = time.monotonic()
+
+    def _name_transform(self, *, is_due: bool) -> None:
+        """Name a transform that is not sent although scans come, and other senders of the same."""
+        now_s, settings = time.monotonic(), self.settings
+        if not is_due:
+            self._transform_due_s = None
+        elif self._transform_due_s is None:
+            self._transform_due_s = now_s
+        since_s = max(self._transform_due_s or now_s, self._transform_sent_s or 0.0)
+        wanted = {
+            "topic": "odometry at the scans' times; check its topic and its stamps",
+            "tf": f"transforms from {settings.base_frame!r} to {settings.odom_frame!r} at the "
+            "scans' times; check base_frame and odom_frame",
+            "none": "scans that are used; see what else is said",
+        }[settings.odometry_source]
+        text = (
+            f"publish_tf is on and {self._map_frame!r} -> {self._child_frame!r} cannot be sent: it "
+            f"needs {wanted}"
+        )
+        is_late = now_s - since_s > NEVER_SENT_S
+        self.diagnostics.say("unsent", text if is_late else None, Level.ERROR)
+        rivals = {} if self._transforms is None else self._transforms.rivals()
+        child, parent = next(iter(rivals.items()), ("", ""))
+        text = (
+            f"another node sends the transform to {child!r} too (from {parent!r}): set publish_tf "
+            "to false in all but one"
+        )
+        self.diagnostics.say("rival", text if rivals else None, Level.ERROR)
 
     # --- the thread of messages --------------------------------------------------------------
 
@@ -359,25 +321,25 @@ class ProducerNode(NodeBase):
     def statuses(self) -> list[Status]:
         """Return one line: how the SLAM is, what is wrong, and its figures."""
         self._name_silence()
-        self._gate.name_odometry()
+        self._inputs.name_odometry()
         snapshot = self._session.snapshot
         level, message = self.diagnostics.worst("mapping" if snapshot.fed else "waiting for scans")
         return [Status("slam", level, message, self._figures(snapshot))]
 
     def _figures(self, snapshot: Snapshot) -> dict[str, object]:
-        gate, odometry, drawn = self._gate, self._inputs.odometry, self._session.drawn
+        scans, odometry, drawn = self._inputs, self._inputs.odometry, self._session.drawn
         health, now_s = snapshot.health, time.monotonic()
         heard_s = None if odometry is None else odometry.last_s
         median_ms, high_ms = snapshot.latencies_ms()
-        left_out = {STRAY: gate.strays} if gate.strays else {}
+        left_out = {STRAY: scans.strays} if scans.strays else {}
         left_out |= snapshot.left_out
         return {
             "scans fed": snapshot.fed,
             "scans used": health.scans_used,
-            "scans held for their stamps": gate.held,
+            "scans held for their stamps": scans.held,
             "scans without odometry": snapshot.without_odometry,
             "maps published": drawn.maps,
-            "maps begun anew": gate.jumps_back,
+            "maps begun anew": scans.jumps_back,
             "match score": health.match_score,
             "mean match score": health.mean_match_score,
             "low scores": health.low_scores,
@@ -417,7 +379,7 @@ class ProducerNode(NodeBase):
         is_slow = busy_s is not None and now_s - busy_s > SLOW_SCAN_S
         text = "a scan has been worked on for over 5 s"
         self.diagnostics.say("busy", text if is_slow else None, Level.ERROR)
-        self._transform.name(are_scans_coming=silent_s <= self.settings.scans_stale_s)
+        self._name_transform(is_due=not is_silent and self.settings.publish_tf)
 
     def close(self) -> None:
         """End the threads; the scan that is being fed is fed to its end."""

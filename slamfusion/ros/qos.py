@@ -82,7 +82,6 @@ def offered_durability(node: Any, topic: str) -> DurabilityPolicy | None:
     """Return the durability that every writer of a topic offers.
 
     Args:
-        node: an rclpy node.
         topic: as for a subscription: relative names and remapping rules hold.
 
     Returns:

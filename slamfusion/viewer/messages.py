@@ -15,19 +15,17 @@ bytes in zlib's format, row by row from the lowest. A cell is an int8 seen as ui
 from __future__ import annotations
 
 import json
-import math
 import struct
 import zlib
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.geometry import Pose2
 from slamfusion.grid import UNKNOWN, OccupancyGrid
 from slamfusion.json_values import plain
+from slamfusion.vote.lattice import Lattice
 
 # Cells along a tile's side.
 TILE = 128
@@ -67,45 +65,7 @@ def encode_tile(
     return HEADER.pack(len(head)) + head + body
 
 
-def decode_tile(data: bytes) -> tuple[dict[str, Any], npt.NDArray[np.int8]]:
-    """Return a tile's header and cells, as the page reads them."""
-    (length,) = HEADER.unpack_from(data)
-    header = json.loads(data[HEADER.size : HEADER.size + length])
-    body = data[HEADER.size + length :]
-    raw = body * (TILE * TILE) if len(body) == 1 else zlib.decompress(body)
-    return header, np.frombuffer(raw, dtype=np.int8).reshape(TILE, TILE)
-
-
-# A map whose cells lie this far beside the lattice, in cells, has another one; and this much turned
-# (the farthest cell of 10^4 moves by a tenth of one).
-OFFSET_CELLS, TURNED_RAD = 1e-3, 1e-5
-
 Place = tuple[int, int]
-
-
-@dataclass(frozen=True)
-class Lattice:
-    """Where cells lie: cell (0, 0) has its lower-left corner at the anchor.
-
-    Attributes:
-        resolution: metres per cell.
-        anchor: pose of it in the map frame.
-    """
-
-    resolution: float
-    anchor: Pose2
-
-    def offset(self, grid: OccupancyGrid) -> Place | None:
-        """Return row and column of the grid's first cell; None where it lies on no cell."""
-        if not math.isclose(grid.resolution, self.resolution, rel_tol=1e-6):
-            return None
-        place = self.anchor.inverse().compose(grid.origin)
-        if abs(place.yaw_rad) > TURNED_RAD:
-            return None
-        row, column = place.y / self.resolution, place.x / self.resolution
-        if max(abs(row - round(row)), abs(column - round(column))) > OFFSET_CELLS:
-            return None
-        return round(row), round(column)
 
 
 class TiledLayer:
@@ -131,7 +91,7 @@ class TiledLayer:
             Whether the lattice is another one, so that all that was sent before is void, and the
             places of the tiles that changed; those that hold nothing any more are not in ``tiles``.
         """
-        offset = None if self.lattice is None else self.lattice.offset(grid)
+        offset = None if self.lattice is None else self.lattice.cell_of(grid)
         is_new = offset is None
         if offset is None:
             self.lattice, offset, self.tiles = Lattice(grid.resolution, grid.origin), (0, 0), {}

@@ -21,12 +21,12 @@ from slamfusion.palette import AGREED_WALL_RGB, DISAGREEMENT_RGB, FREE_RGB, Rgb,
 from slamfusion.viewer.messages import (
     FASTEST,
     TILE,
-    Lattice,
     Place,
     TiledLayer,
     encode_tile,
     to_text,
 )
+from slamfusion.vote.lattice import Lattice
 
 _LOG = logging.getLogger(__name__)
 
@@ -279,7 +279,7 @@ def _described(name: str, layer: _Layer, colours: Mapping[str, Rgb]) -> dict[str
         "is_shown": layer.is_shown,
         "epoch": layer.epoch,
         "resolution": lattice.resolution,
-        "anchor": [lattice.anchor.x, lattice.anchor.y, lattice.anchor.yaw_rad],
+        "anchor": [lattice.origin.x, lattice.origin.y, lattice.origin.yaw_rad],
         "size": list(layer.size),
         "tile": TILE,
         "colours": {

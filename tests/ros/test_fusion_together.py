@@ -36,27 +36,25 @@ def offline(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, FusionResul
     return log, fuse_grids(maps, config, open_device())
 
 
-@pytest.mark.parametrize("space", ["", "/robot1"])
 def test_the_fused_map_of_a_log_is_that_of_the_offline_run(
     processes: Processes,
     observer: Observer,
     offline: tuple[Path, FusionResult],
-    space: str,
 ):
+    """In a namespace, by other names and by the log's time."""
     log, wanted = offline
+    space, prefix = "/robot1", "robot1/"
     fused = observer.collect(OccupancyGrid, f"{space}/fused/map", qos.MAP)
     poses = observer.collect(PoseStamped, f"{space}/fused/pose")
-    names = ("-r", f"__ns:={space}") if space else ()
-    prefix = f"{space.lstrip('/')}/" if space else ""
-    # In a namespace also by other names and by the log's time.
-    renamed = ("-r", "scan:=front/scan", "-r", "odom:=wheels") if space else ()
+    names = ("-r", f"__ns:={space}")
+    renamed = ("-r", "scan:=front/scan", "-r", "odom:=wheels")
     processes.node(
         "fusion",
         *names,
-        *(("-r", "odom:=wheels") if space else ()),
+        *renamed[2:],
         fusion__reference="graph",
         live__search_pause_s=0.0,
-        use_sim_time=bool(space),
+        use_sim_time=True,
         publish_tf=True,
     )
     for kind, given in SETTINGS.items():
@@ -66,7 +64,7 @@ def test_the_fused_map_of_a_log_is_that_of_the_offline_run(
             *names,
             *renamed,
             map_update_interval_s=0.3,
-            use_sim_time=bool(space),
+            use_sim_time=True,
             **settings,
         )
     observer.wait_status(f"{prefix}fusion: fusion", "nothing is fused", timeout_s=60.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import zlib
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,16 @@ import numpy.typing as npt
 
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
-from slamfusion.viewer.messages import TILE, decode_tile
+from slamfusion.viewer.messages import HEADER, TILE
+
+
+def decode_tile(data: bytes) -> tuple[dict[str, Any], npt.NDArray[np.int8]]:
+    """Return a tile's header and cells, as the page reads them."""
+    (length,) = HEADER.unpack_from(data)
+    header = json.loads(data[HEADER.size : HEADER.size + length])
+    body = data[HEADER.size + length :]
+    raw = body * (TILE * TILE) if len(body) == 1 else zlib.decompress(body)
+    return header, np.frombuffer(raw, dtype=np.int8).reshape(TILE, TILE)
 
 
 def noise(height: int, width: int, *, seed: int = 0, x: float = 0.0, y: float = 0.0) -> Any:

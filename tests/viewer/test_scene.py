@@ -9,7 +9,7 @@ import pytest
 
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
-from slamfusion.viewer.messages import TILE, TiledLayer, encode_tile
+from slamfusion.viewer.messages import TILE, encode_tile
 from slamfusion.viewer.scene import Feed, Scene
 from tests.viewer.maps import noise, painted, texts, tiles
 

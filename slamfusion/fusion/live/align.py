@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 from slamfusion.align.align import align_pair, track_pair
 from slamfusion.align.cancel import CancelledSearchError, CancelToken
-from slamfusion.align.decide import DecisionKind, decide_mirrored
+from slamfusion.align.decide import CLASH_MAX, MATCH_MIN, DecisionKind, decide_mirrored
 from slamfusion.align.features import GridFeatures
 from slamfusion.align.hypotheses import SURE_SHARE, mirror_gain
 from slamfusion.align.pair import Pair
@@ -17,11 +17,6 @@ from slamfusion.align.records import Alignment
 from slamfusion.align.starts import StartPose, Starts
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, LiveConfig
-from slamfusion.fusion.accept import CLASH_MAX, MATCH_MIN, DecisionKind, decide_mirrored
-from slamfusion.fusion.align import align_features, track_features
-from slamfusion.fusion.cancel import CancelledSearchError, CancelToken
-from slamfusion.fusion.features import GridFeatures
-from slamfusion.fusion.frames import motion_of
 from slamfusion.fusion.live.track import Track
 from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY
@@ -35,7 +30,7 @@ CLASH_MORE = 0.05
 
 
 @dataclass(frozen=True)
-class Searched:
+class LastSearch:
     """What the search, or the first fusion, gave for a pair.
 
     The score and the walls that meet are shares of all walls of both maps. Where two robots' maps
@@ -58,7 +53,7 @@ class Searched:
     pieces: float = math.inf
 
     @classmethod
-    def of(cls, pair: Alignment) -> Searched:
+    def of(cls, pair: Alignment) -> LastSearch:
         """Return what is kept of a pair that was searched."""
         statistics, evidence = pair.statistics, pair.evidence
         return cls(
@@ -88,7 +83,7 @@ class Searched:
             "wall_clash", 1.0
         ) <= self.clash + CLASH_MORE
 
-    def tracked(self, pair: Alignment, share: float) -> Searched:
+    def tracked(self, pair: Alignment, share: float) -> LastSearch:
         """Return this with the lower score of a pair whose maps grew away from each other."""
         if pair.score >= self.score or not self._has_ground(pair, share):
             return self
@@ -117,7 +112,7 @@ REST = 4.0
 
 
 @dataclass(frozen=True, eq=False)
-class Held:
+class AnchorMap:
     """What an input is aligned to: another input, or the last fused map."""
 
     name: str
@@ -147,6 +142,7 @@ class Aligner:
         live: LiveConfig,
         device: ComputeDevice,
         starts: Starts | None = None,
+        is_wanted: Callable[[], bool] = lambda: False,
     ) -> None:
         """Start without a frame."""
         self.config = config
@@ -154,10 +150,10 @@ class Aligner:
         self.lattice: Lattice | None = None
         self.has_searched = False
         self.now_s = 0.0
-        self.is_wanted: Callable[[], bool] | None = None
+        self.is_wanted = is_wanted
         self.device = device
         self.starts = starts or Starts()
-        self._found: dict[frozenset[str], Searched] = {}
+        self._found: dict[frozenset[str], LastSearch] = {}
 
     # -- what is aligned --------------------------------------------------------------------------
 
@@ -173,13 +169,13 @@ class Aligner:
         size, thresholds = self.fixed().resolution, self.config.normalize
         return track.features(size, thresholds, self.live.track_share, self.device, cancel)
 
-    def held(self, track: Track) -> Held:
+    def held(self, track: Track) -> AnchorMap:
         """Return an input as something to align others to."""
-        return Held(track.name, track.transform or IDENTITY, self.features(track))
+        return AnchorMap(track.name, track.transform or IDENTITY, self.features(track))
 
     def note(self, pair: Alignment) -> None:
         """Keep what a search gave for a pair."""
-        self._found[frozenset((pair.reference, pair.moving))] = Searched.of(pair)
+        self._found[frozenset((pair.reference, pair.moving))] = LastSearch.of(pair)
 
     @property
     def scores(self) -> dict[frozenset[str], float]:
@@ -192,7 +188,7 @@ class Aligner:
         On what ground a pair was believed is not kept: until it is searched its walls must match.
         """
         self.lattice = lattice
-        self._found = {pair: Searched(score, 1.0, 0.0, "") for pair, score in scores.items()}
+        self._found = {pair: LastSearch(score, 1.0, 0.0, "") for pair, score in scores.items()}
 
     def remove(self, name: str) -> None:
         """Forget what the searches gave for an input."""
@@ -200,7 +196,9 @@ class Aligner:
 
     # -- tracking ---------------------------------------------------------------------------------
 
-    def follow(self, track: Track, held: Held, is_wanted: Callable[[], bool] | None = None) -> bool:
+    def follow(
+        self, track: Track, held: AnchorMap, is_wanted: Callable[[], bool] | None = None
+    ) -> bool:
         """Track an input from its last transform and believe it where it still fits.
 
         Raises:
@@ -211,7 +209,7 @@ class Aligner:
         if fit is not None and not track.is_steady:
             found = self._found.get(frozenset((track.name, held.name)))
             if found is None or fit[0].score < MIRROR_SHARE * found.score:
-                fit = _unmirrored(self, track, held, fit, cancel)
+                fit = self._unmirrored(track, held, fit, cancel)
         if fit is not None:
             names = frozenset((track.name, held.name))
             if (found := self._found.get(names)) is not None:
@@ -220,7 +218,7 @@ class Aligner:
         return fit is not None
 
     def fit(
-        self, track: Track, held: Held, cancel: CancelToken | None = None
+        self, track: Track, held: AnchorMap, cancel: CancelToken | None = None
     ) -> tuple[Alignment, Pose2] | None:
         """Track an input from its last transform; None where it fits there no more.
 
@@ -251,7 +249,7 @@ class Aligner:
         pause = max(self.live.search_pause_s, track.rest_s)
         return not self.has_searched and self.now_s - track.searched_s >= pause
 
-    def search(self, track: Track, held: Held) -> bool:
+    def search(self, track: Track, held: AnchorMap) -> bool:
         """Search an input everywhere and believe, doubt or refuse what is found.
 
         Returns:
@@ -262,7 +260,7 @@ class Aligner:
             self._weigh(track, held, pair)
         return pair is not None
 
-    def _weigh(self, track: Track, held: Held, pair: Alignment) -> None:
+    def _weigh(self, track: Track, held: AnchorMap, pair: Alignment) -> None:
         """Believe, doubt or refuse what a search found."""
         last, jump = track.transform, track.jump
         moved = held.transform.compose(pair.transform)
@@ -296,7 +294,7 @@ class Aligner:
         is_same = track.jump is not None and track.jump_version == track.version
         return is_same and (is_waited or is_repeated)
 
-    def confirm(self, track: Track, candidates: Sequence[Held]) -> bool:
+    def confirm(self, track: Track, candidates: Sequence[AnchorMap]) -> bool:
         """Search a jump of an unchanged map once more, in another way; return whether any is left.
 
         Against the first candidate that was not tried; against the last, which is the one that it
@@ -325,18 +323,19 @@ class Aligner:
             )
         return not is_last
 
-    def searched(self, track: Track, held: Held, *, is_swapped: bool = False) -> Alignment | None:
+    def searched(
+        self, track: Track, held: AnchorMap, *, is_swapped: bool = False
+    ) -> Alignment | None:
         """Search an input everywhere; None where that was given up for maps that wait."""
         self.has_searched = True
         track.searched_s = self.now_s
         track.searches += 1
-        start = _expected(self, track, held)
+        start = self._expected(track, held)
         own, began = self.features(track), time.perf_counter()
         until_s = began + track.patience_s
 
         def is_wanted() -> bool:
-            wanted = self.is_wanted
-            return wanted is not None and time.perf_counter() > until_s and wanted()
+            return time.perf_counter() > until_s and self.is_wanted()
 
         cancel = CancelToken(is_wanted, self.device)
         sides, where = Pair(held.features, own, cancel), start
@@ -381,47 +380,34 @@ class Aligner:
         track.accepted = track.is_steady = True
         track.pin()
 
+    def _expected(self, track: Track, held: AnchorMap) -> Pose2 | StartPose | None:
+        """Return where a search expects an input in the frame of what it is aligned to.
 
-def _expected(aligner: Aligner, track: Track, held: Held) -> Pose2 | StartPose | None:
-    """Return where a search expects an input in the frame of what it is held against.
+        One that has no place yet is looked for around its start. One that had a place may have
+        begun a new map elsewhere, so it is searched everywhere; where the place looks alike from
+        two sides, the side of the last transform is accepted.
+        """
+        if track.transform is None:
+            return self.starts.between(held.name, track.name)
+        return held.transform.inverse().compose(track.transform)
 
-    One that has no place yet is looked for around its start. One that had a place may have begun a
-    new map elsewhere, so it is searched everywhere; where the place looks alike from two sides, the
-    side of the last transform is believed.
-    """
-    last = track.transform
-    if last is None:
-        return aligner.starts.between(held.name, track.name)
-    return held.transform.inverse().compose(last)
-
-
-def _unmirrored(
-    aligner: Aligner,
-    track: Track,
-    held: Held,
-    fit: tuple[Alignment, Pose2],
-    cancel: CancelToken | None,
-) -> tuple[Alignment, Pose2] | None:
-    """Return the fit of new walls, which is much worse than the old ones'; None: mirrored."""
-    pair = fit[0]
-    if pair.evidence is not None and pair.evidence.share >= SURE_SHARE:
-        return fit
-    own = aligner.features(track, cancel)
-    refused = decide_mirrored(gain_of_image(aligner, held.features, own, pair, cancel))
-    if refused is None:
-        return fit
-    track.mismatch = f"to {held.name}: {refused.reason}"
-    return None
-
-
-def gain_of_image(
-    aligner: Aligner,
-    reference: GridFeatures,
-    own: GridFeatures,
-    pair: Alignment,
-    cancel: CancelToken | None,
-) -> float | None:
-    """Return by how much the mirror image of a tracked map fits better: see ``mirror_gain``."""
-    maps = Pair(reference, own, cancel)
-    motion = maps.motion_of(pair.transform)
-    return mirror_gain(maps, motion, aligner.config.align, maps.widths[0])
+    def _unmirrored(
+        self,
+        track: Track,
+        held: AnchorMap,
+        fit: tuple[Alignment, Pose2],
+        cancel: CancelToken | None,
+    ) -> tuple[Alignment, Pose2] | None:
+        """Return the fit of new walls, which is much worse than the old ones'; None: mirrored."""
+        pair, reference = fit[0], held.features
+        if pair.evidence is not None and pair.evidence.share >= SURE_SHARE:
+            return fit
+        own = self.features(track, cancel)
+        maps = Pair(reference, own, cancel)
+        motion = maps.motion_of(pair.transform)
+        gain = mirror_gain(maps, motion, self.config.align, maps.widths[0])
+        refused = decide_mirrored(gain)
+        if refused is None:
+            return fit
+        track.mismatch = f"to {held.name}: {refused.reason}"
+        return None

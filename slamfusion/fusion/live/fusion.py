@@ -53,16 +53,15 @@ from slamfusion.align.starts import place_starts
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import LiveConfig, RunConfig
 from slamfusion.errors import GridError, MemoryBudgetError, SlamFusionError
+from slamfusion.fusion.inputs import odd_resolution
 from slamfusion.fusion.live.align import Aligner
 from slamfusion.fusion.live.limits import too_large, unusable
-from slamfusion.fusion.live.mailbox import Mailbox, Received
+from slamfusion.fusion.live.mailbox import InputMessage, Mailbox
 from slamfusion.fusion.live.poses import PoseWatch
 from slamfusion.fusion.live.state import LiveState, StateError
 from slamfusion.fusion.live.supervisor import InputSupervisor
 from slamfusion.fusion.live.track import Track
 from slamfusion.fusion.live.voting import FusedLayers
-from slamfusion.fusion.resolutions import odd_resolution
-from slamfusion.fusion.start import place_starts
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, OccupancyGrid
 from slamfusion.vote.tiles import check_votes
@@ -159,10 +158,16 @@ class LiveFusion:
         self._clear()
 
     def _clear(self) -> None:
-        self._aligner = Aligner(self._config, self._live, self._device, self._starts)
-        self._supervisor = InputSupervisor(self._aligner)
-        self._tracks = self._supervisor.tracks
+        self._aligner = Aligner(
+            self._config,
+            self._live,
+            self._device,
+            self._starts,
+            is_wanted=lambda: self._mailbox.has_new,
+        )
         self._layers = FusedLayers(self._config, self._live, self._device)
+        self._supervisor = InputSupervisor(self._aligner, self._layers)
+        self._tracks = self._supervisor.tracks
         with self._poses_lock:
             self._poses = PoseWatch(self._live)
         self._restored: dict[str, Pose2] = {}
@@ -180,7 +185,6 @@ class LiveFusion:
         """Take the newest map of an input; one that waits is replaced.
 
         Args:
-            name: of the input.
             grid: its map, in its own frame; whatever it is called, it goes by the input's name. Or
                 what reads it in the thread of updates; where that raises a SlamFusionError the
                 input votes no more until one can be read.
@@ -206,7 +210,6 @@ class LiveFusion:
         """Take a pose that an input tells; see ``live.poses`` for what it is compared with.
 
         Args:
-            name: of the input.
             stamp_s: of the scan that it is for, seconds.
             pose: of the robot in the input's map frame; metres, radians.
         """
@@ -298,13 +301,7 @@ class LiveFusion:
         has_news, arrived_s = self._collect(now_s)
         self._contradict()
         clock.append(time.perf_counter())
-        self._supervisor.align(
-            now_s,
-            self._layers.last_fused,
-            is_idle=not has_news,
-            is_wanted=lambda: self._mailbox.has_new,
-            agreed=lambda: self._layers.agreed,
-        )
+        self._supervisor.align(now_s, is_idle=not has_news)
         self._place()
         self._layers.lattice = self._aligner.lattice
         clock.append(time.perf_counter())
@@ -406,7 +403,7 @@ class LiveFusion:
         out = []
         counts = self._mailbox.counts()
         for name, track in self._tracks.items():
-            came = counts.get(name) or Received()  # removed, and not yet noticed
+            came = counts.get(name) or InputMessage()  # removed, and not yet noticed
             is_reference = name == self._supervisor.reference and track.votes
             reason = track.why
             if self._layers.names == (name,) and self._live.minimum_inputs > 1:

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from slamfusion.align.normalize import pool_cells
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.lattice import fixed_poses
 from slamfusion.compute.layout import FIXED_ONE
 from slamfusion.config import NormalizeConfig
-from slamfusion.fusion.normalize import pool_cells
 from slamfusion.geometry import Pose2
 from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid
 from slamfusion.vote.boxes import overlap, padded, slices
@@ -104,7 +104,6 @@ def carry(
         transform: maps the layer's frame into the lattice's, metres.
         lattice: onto which.
         box: cells of the lattice; the answer is (height, width) int8.
-        device: resamples.
     """
     away = transform.inverse()
     into = layer.lattice.origin.inverse().compose(away).compose(lattice.origin)

@@ -13,7 +13,7 @@ RATE_WEIGHT = 0.3
 
 
 @dataclass(eq=False)
-class Received:
+class InputMessage:
     """What came of one input.
 
     Attributes:
@@ -65,7 +65,7 @@ class Mailbox:
     def __init__(self) -> None:
         """Start empty."""
         self._lock = threading.Lock()
-        self._received: dict[str, Received] = {}
+        self._received: dict[str, InputMessage] = {}
         self._removed: list[str] = []
 
     def put(
@@ -78,14 +78,14 @@ class Mailbox:
     ) -> None:
         """Take the newest map of an input; one that waits is replaced."""
         with self._lock:
-            item = self._received.setdefault(name, Received())
+            item = self._received.setdefault(name, InputMessage())
             item.count(received_s)
             item.grid, item.gone, item.is_saved, item.is_new = grid, None, is_saved, True
 
     def drop(self, name: str, reason: str) -> None:
         """Take an input for lost until its next map."""
         with self._lock:
-            item = self._received.setdefault(name, Received())
+            item = self._received.setdefault(name, InputMessage())
             item.grid, item.gone, item.is_new = None, reason, True
 
     def recall(self, name: str, grid: OccupancyGrid | None) -> None:
@@ -126,7 +126,7 @@ class Mailbox:
         with self._lock:
             return name in self._received and self._received[name].maps > 0
 
-    def take(self) -> tuple[list[str], dict[str, Received], dict[str, float]]:
+    def take(self) -> tuple[list[str], dict[str, InputMessage], dict[str, float]]:
         """Return what came since the last call, as of one moment.
 
         Returns:
@@ -143,7 +143,7 @@ class Mailbox:
             }
         return removed, fresh, came
 
-    def counts(self) -> dict[str, Received]:
+    def counts(self) -> dict[str, InputMessage]:
         """Return a copy of what came of each input, by name."""
         with self._lock:
             return {name: replace(item) for name, item in self._received.items()}

@@ -146,7 +146,6 @@ class PoseWatch:
         """Take a pose of an input.
 
         Args:
-            name: of the input.
             stamp_s: of the scan that it is for, seconds.
             pose: of the robot in the input's map frame; metres, radians.
         """

@@ -12,16 +12,17 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from slamfusion.align.features import GridFeatures
+from slamfusion.align.normalize import common_resolution, normalize_grid
+from slamfusion.align.records import Alignment
 from slamfusion.config import SMALLEST, NormalizeConfig
 from slamfusion.errors import AlignmentError, MemoryBudgetError
-from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.groups import AlignedGroup, align_group
-from slamfusion.fusion.live.align import Aligner, Held
+from slamfusion.fusion.inputs import odd_resolution, odd_resolutions
+from slamfusion.fusion.live.align import Aligner, AnchorMap
 from slamfusion.fusion.live.limits import too_large, unusable
 from slamfusion.fusion.live.track import GROWN_SHARE, Track, refuse_all
-from slamfusion.fusion.normalize import common_resolution, normalize_grid
-from slamfusion.fusion.records import Alignment
-from slamfusion.fusion.resolutions import odd_resolution, odd_resolutions
+from slamfusion.fusion.live.voting import FusedLayers
 from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY, OccupancyGrid
 from slamfusion.vote.lattice import Lattice
@@ -88,7 +89,6 @@ def believe_first(
     Args:
         group: the inputs that agree, and why others do not.
         lattice: of the fused frame.
-        tracks: all inputs by name.
         aligner: keeps the frame, and what was found of each pair.
     """
     aligner.lattice = lattice
@@ -136,9 +136,9 @@ class Anchor:
 
     def __init__(self) -> None:
         """Start without one."""
-        self.held: Held | None = None
+        self.held: AnchorMap | None = None
         # The last fused map from before an input began anew.
-        self._before: Held | None = None
+        self._before: AnchorMap | None = None
         self._laid: tuple[str, int] = ("", 0)
 
     @property
@@ -146,28 +146,25 @@ class Anchor:
         """Wall cells of the map."""
         return 0 if self.held is None else self.held.walls
 
-    def keep(self, held: Held) -> None:
+    def keep(self, held: AnchorMap) -> None:
         """Take the last fused map that inputs came back by, unless a fuller one is held."""
         if held.walls > self.walls:
             self.held, self._laid = held, ("", 0)
 
-    def note(
-        self, tracks: Collection[Track], fused: Callable[[], OccupancyGrid | None], aligner: Aligner
-    ) -> None:
+    def note(self, tracks: Collection[Track], layers: FusedLayers, aligner: Aligner) -> None:
         """Remember the last fused map when an input begins anew, until all have outgrown it.
 
         With it goes what it alone, or with one other, knew: a majority of young maps knows little.
 
         Args:
-            tracks: all inputs.
-            fused: gives the last fused map; asked for only where it is needed.
+            layers: have the last fused map, which is drawn only where it is needed.
             aligner: knows what is a wall.
         """
         has_begun = any(track.has_begun_anew for track in tracks)
         for track in tracks:
             track.has_begun_anew = False
         if has_begun and self._before is None:
-            self._before = hold_map(fused(), LAST_FUSED, aligner)
+            self._before = hold_map(layers.last_fused(), LAST_FUSED, aligner)
         elif self._before is not None:
             standing = [track.walls for track in tracks if track.stands]
             if standing and min(standing) >= GROWN_SHARE * self._before.walls:
@@ -192,7 +189,6 @@ class Anchor:
 
         Args:
             reference: the input that others are aligned to.
-            tracks: all inputs.
             aligner: tracks and searches the reference.
         """
         name, walls = self._laid
@@ -220,16 +216,16 @@ class Anchor:
             self.held = None
 
 
-def hold_map(fused: OccupancyGrid | None, name: str, aligner: Aligner) -> Held | None:
+def hold_map(fused: OccupancyGrid | None, name: str, aligner: Aligner) -> AnchorMap | None:
     """Return a fused map as something to align to; None without walls."""
     if fused is None or unusable(fused, aligner.config.normalize) is not None:
         return None
     thresholds, device = aligner.config.normalize, aligner.device
     normal = normalize_grid(fused, fused.resolution, thresholds, device)
-    return Held(name, IDENTITY, GridFeatures(normal, device))
+    return AnchorMap(name, IDENTITY, GridFeatures(normal, device))
 
 
-def _found(reference: Track, held: Held, aligner: Aligner) -> tuple[Pose2 | None, bool]:
+def _found(reference: Track, held: AnchorMap, aligner: Aligner) -> tuple[Pose2 | None, bool]:
     """Return where a whole map has an input, if anywhere, and whether the search ended."""
     moved: list[Pose2] = []
     for is_swapped in (False, True):
@@ -251,7 +247,7 @@ Fit = tuple[Track, Alignment, Pose2]
 
 
 @dataclass(frozen=True, eq=False)
-class Recovered:
+class Recovery:
     """What a recovery gave.
 
     Attributes:
@@ -261,16 +257,11 @@ class Recovered:
     """
 
     reference: Track | None = None
-    held: Held | None = None
+    held: AnchorMap | None = None
     problem: str | None = None
 
 
-def recover(
-    tracks: Sequence[Track],
-    aligner: Aligner,
-    fused: Callable[[], OccupancyGrid | None],
-    agreed: Callable[[], OccupancyGrid | None] = lambda: None,
-) -> Recovered:
+def recover(tracks: Sequence[Track], aligner: Aligner, layers: FusedLayers) -> Recovery:
     """Let inputs vote again that fit the last fused map.
 
     Inputs that fit it and each other come back together; one that fits it, when no other does.
@@ -282,24 +273,23 @@ def recover(
     Args:
         tracks: inputs whose newest message is a usable map.
         aligner: aligns, and knows the time.
-        fused: gives the last fused map; asked for only when it is needed.
-        agreed: gives what a majority last decided, if anything; the same.
+        layers: have the last fused map, and what a majority last decided.
     """
     names = "/".join(track.name for track in tracks)
     if not tracks:
-        return Recovered(problem="no input is left")
+        return Recovery(problem="no input is left")
     if not _is_due(tracks, names, aligner):
-        return Recovered()
-    last = hold_map(fused(), LAST_FUSED, aligner)
+        return Recovery()
+    last = hold_map(layers.last_fused(), LAST_FUSED, aligner)
     if last is None:
         problem = f"{LAST_FUSED} has too few walls to go by"
         refuse_all(tracks, problem)
-        return Recovered(problem=problem)
+        return Recovery(problem=problem)
     _begin(tracks, names)
     found = _fitting([track for track in tracks if track.transform is not None], last, aligner)
     group = _largest_group([track for track, _, _ in found.values()], aligner)
     if len(group) == 1 and len(found) > 1:
-        kept = hold_map(agreed(), LAST_AGREED, aligner)
+        kept = hold_map(layers.agreed, LAST_AGREED, aligner)
         rivals = [track for track, _, _ in found.values()]
         fits = {} if kept is None else _fitting(rivals, kept, aligner)
         if kept is None or len(fits) != 1:
@@ -312,11 +302,11 @@ def recover(
         if group and track not in group:
             track.refuse(f"does not fit {last.name}")
     if group:
-        return Recovered(max(group, key=lambda track: track.walls), last)
+        return Recovery(max(group, key=lambda track: track.walls), last)
     return _search(last, tracks, names, aligner)
 
 
-def _fitting(tracks: Sequence[Track], held: Held, aligner: Aligner) -> dict[str, Fit]:
+def _fitting(tracks: Sequence[Track], held: AnchorMap, aligner: Aligner) -> dict[str, Fit]:
     """Return the inputs that fit a map where they stand, by name."""
     return {
         track.name: (track, *fit)
@@ -352,7 +342,7 @@ def _begin(tracks: Sequence[Track], names: str) -> None:
 
 def _dispute(
     tracks: Sequence[Track], names: str, found: Mapping[str, Fit], aligner: Aligner
-) -> Recovered:
+) -> Recovery:
     """Look for two that agree where those that fit the last fused map do not fit each other.
 
     An input that fits nowhere, as one that has come back, is searched on one of them; without any,
@@ -378,24 +368,24 @@ def _dispute(
         if track not in wanted or track.jump is None:
             track.refuse(problem)
     if chosen is None:
-        return Recovered(problem=problem)
+        return Recovery(problem=problem)
     partner, pair, moved = found[partners[chosen.name].name]
     aligner.believe(partner, moved, pair, is_tracked=True)
-    return Recovered(partner)
+    return Recovery(partner)
 
 
-def _search(last: Held, tracks: Sequence[Track], names: str, aligner: Aligner) -> Recovered:
+def _search(last: AnchorMap, tracks: Sequence[Track], names: str, aligner: Aligner) -> Recovery:
     """Search one input on the last fused map."""
     for track in tracks:
         if track.jump is None:
             track.refuse(f"does not fit {LAST_FUSED}")
     if _search_one(tracks, lambda _: last, names, aligner) is not None:
-        return Recovered(held=last)
-    return Recovered(problem=f"no input fits {LAST_FUSED}")
+        return Recovery(held=last)
+    return Recovery(problem=f"no input fits {LAST_FUSED}")
 
 
 def _search_one(
-    tracks: Sequence[Track], held: Callable[[Track], Held], names: str, aligner: Aligner
+    tracks: Sequence[Track], held: Callable[[Track], AnchorMap], names: str, aligner: Aligner
 ) -> Track | None:
     """Search the input that waited longest, before all one that jumped; return it if it votes."""
     able = [track for track in tracks if aligner.may_search(track)]

@@ -169,7 +169,6 @@ class FusionSession:
         """Take how an input is; from one thread.
 
         Args:
-            name: of the input.
             lost: why it is lost, one line; empty while it is not.
             has_map: whether it ever sent a map; one that did not cannot be lost.
             is_back: whether the process that was lost is the one that lives again.

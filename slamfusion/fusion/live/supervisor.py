@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from slamfusion.config import LiveConfig
+from slamfusion.align.cancel import CancelledSearchError
 from slamfusion.errors import SlamFusionError
 from slamfusion.fusion.live.align import Aligner
 from slamfusion.fusion.live.recovery import Anchor, align_first, believe_first, fusable, recover
 from slamfusion.fusion.live.track import Track, refuse_all
-from slamfusion.grid import OccupancyGrid
+from slamfusion.fusion.live.voting import FusedLayers
 
 NEVER = float("-inf")
 # A steady voter is late when the usual share has changed this many times; then it waits for others
@@ -26,47 +26,34 @@ class InputSupervisor:
         problem: why nobody votes, one line.
     """
 
-    def __init__(self, aligner: Aligner) -> None:
-        """Start without inputs."""
+    def __init__(self, aligner: Aligner, layers: FusedLayers) -> None:
+        """Start without inputs; ``layers`` have the last fused map."""
         self.tracks: dict[str, Track] = {}
         self.reference = ""
         self.problem = "no map yet"
         self._aligner = aligner
         self._anchor = Anchor()
         self._began: tuple[float, tuple[tuple[str, int], ...]] = (NEVER, ())
-        self._fused: Callable[[], OccupancyGrid | None] = lambda: None
-        self._agreed: Callable[[], OccupancyGrid | None] = lambda: None
+        self._layers = layers
 
     @property
     def voters(self) -> list[Track]:
         """The inputs that vote, in order."""
         return [track for track in self.tracks.values() if track.votes]
 
-    def align(
-        self,
-        now_s: float,
-        fused: Callable[[], OccupancyGrid | None],
-        *,
-        is_idle: bool,
-        is_wanted: Callable[[], bool] | None = None,
-        agreed: Callable[[], OccupancyGrid | None] = lambda: None,
-    ) -> None:
+    def align(self, now_s: float, *, is_idle: bool) -> None:
         """Align what is new, came back or changed.
 
         Args:
             now_s: paces the searches.
             is_idle: whether no new map waits for the answer.
-            fused: gives the last fused map; asked for only when no input is left to align to.
-            is_wanted: asked while steady voters are aligned that no map waits for; True: give up.
-            agreed: gives what a majority last decided; asked for only where the last two disagree.
         """
-        self._fused, self._agreed = fused, agreed
-        self._aligner.now_s, self._aligner.is_wanted = now_s, is_wanted
+        self._aligner.now_s = now_s
         self._aligner.has_searched = False
         if self._aligner.lattice is None:
             self._begin()
             return
-        self._anchor.note(self.tracks.values(), fused, self._aligner)
+        self._anchor.note(self.tracks.values(), self._layers, self._aligner)
         if self._choose_reference():
             self._anchor.settle(self.tracks[self.reference], self.tracks.values(), self._aligner)
             self._realign(is_idle=is_idle)
@@ -130,7 +117,7 @@ class InputSupervisor:
         changed most is aligned whatever waits, one a round, so that each has its turn.
         """
         first = self.tracks[self.reference]
-        due = [track for track in self.tracks.values() if _is_due(track, first, self._aligner)]
+        due = [track for track in self.tracks.values() if self._is_due(track, first)]
         due.sort(key=lambda track: (track.votes, -track.drift))
         cells, has_late = 0, False
         for track in due:
@@ -141,7 +128,7 @@ class InputSupervisor:
                 continue
             own = 0 if track.layer is None else track.layer.box.area
             may_wait = track.votes and cells + own > self._aligner.live.track_cells
-            is_late = track.drift > LATE * _few(track, reference, self._aligner.live)
+            is_late = track.drift > LATE * self._few(track, reference)
             if may_wait and (has_late or not is_late):
                 if not (is_idle and cells == 0):
                     continue
@@ -222,30 +209,28 @@ class InputSupervisor:
     def _recover(self) -> None:
         """Go by the last fused map: no input is left to align to."""
         live = [track for track in self.tracks.values() if track.is_live]
-        found = recover(live, self._aligner, self._fused, self._agreed)
+        found = recover(live, self._aligner, self._layers)
         self.problem = self.problem if found.problem is None else found.problem
         if found.held is not None:
             self._anchor.keep(found.held)
         if found.reference is not None:
             self._hand_over(found.reference)
 
+    def _is_due(self, track: Track, reference: Track) -> bool:
+        """Whether an input has to be aligned in this round."""
+        if track is reference or not track.is_live:
+            return False
+        if not track.accepted:
+            if track.jump is not None and track.jump_version == track.version:
+                return self._aligner.may_confirm(track)
+            return track.tried != (track.version, reference.name, reference.version)
+        return not track.is_steady or track.drift > self._few(track, reference)
 
-def _is_due(track: Track, reference: Track, aligner: Aligner) -> bool:
-    """Whether an input has to be aligned in this round."""
-    if track is reference or not track.is_live:
-        return False
-    if not track.accepted:
-        if track.jump is not None and track.jump_version == track.version:
-            return aligner.may_confirm(track)
-        return track.tried != (track.version, reference.name, reference.version)
-    return not track.is_steady or track.drift > _few(track, reference, aligner.live)
+    def _few(self, track: Track, reference: Track) -> float:
+        """Return the changed wall cells below which nothing needs to be aligned again."""
+        return self._aligner.live.track_share * min(track.walls, reference.walls)
 
 
 def _waits(track: Track) -> str:
     """Return the reason of an input that has to be searched and may not be yet."""
     return "; ".join(filter(None, (track.mismatch, "waits for a full search")))
-
-
-def _few(track: Track, reference: Track, live: LiveConfig) -> float:
-    """Return the changed wall cells below which nothing needs to be aligned again."""
-    return live.track_share * min(track.walls, reference.walls)

@@ -16,9 +16,6 @@ from slamfusion.align.features import GridFeatures
 from slamfusion.align.normalize import normalize_grid
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import LiveConfig, NormalizeConfig
-from slamfusion.fusion.accept import WALLS_MIN
-from slamfusion.fusion.cancel import CancelToken
-from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.live.layers import Layer, carry, lay_out
 from slamfusion.fusion.live.limits import bands
 from slamfusion.geometry import Pose2, wrap_angle
@@ -82,7 +79,6 @@ def compare(
         new: the map now; on another lattice it is resampled first, and all of it counts as changed.
         walls: wall cells of ``old``.
         thresholds: what is a wall, and what is free.
-        device: resamples.
     """
     if new.lattice == old.lattice:
         box = _changed_box(old, new)
@@ -206,7 +202,6 @@ class Track:
     """What the fusion keeps of one input.
 
     Attributes:
-        name: of the input.
         grid: its newest usable map.
         version: counts the maps that differed from the one before.
         layer: ``grid`` at the fused resolution; None before the first fusion.
@@ -331,7 +326,6 @@ class Track:
             resolution: of the fused map; None before the first fusion.
             thresholds: what is a wall, and what is free.
             live: the share of the old walls that must stand for the transform to hold.
-            device: resamples.
         """
         before, walls, last = self.layer, self.walls, self.grid
         self.grid = grid

@@ -186,9 +186,9 @@ def test_what_was_not_voted_on_again_is_as_if_it_had_been(
         drive.step(*grids)
     live = drive.live
     layers = live._layers
-    assert layers is not None
     assert layers.box is not None
-    fresh = FusedLayers(layers.lattice, live._config, device)
+    fresh = FusedLayers(live._config, live._live, device)
+    fresh.lattice = layers.lattice
     fresh.grow(layers.box, "all")
     for track in live._tracks.values():
         assert track.layer is not None

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from slamfusion.fusion.live.align import Searched
-from slamfusion.fusion.records import Alignment, MatchEvidence
+from slamfusion.align.records import Alignment, MatchEvidence
+from slamfusion.fusion.live.align import LastSearch
 from slamfusion.geometry import Pose2
 
 SHARE = 0.5
-THEN = Searched(0.8, 0.75, 0.125, "walls match", ground=0.75, pieces=32.0)
+THEN = LastSearch(0.8, 0.75, 0.125, "walls match", ground=0.75, pieces=32.0)
 
 
 def tracked(
@@ -41,13 +41,13 @@ def test_a_fit_lasts_by_its_score_or_by_the_common_ground(pair: Alignment, lasts
 
 
 def test_what_is_kept_over_a_restart_knows_no_common_ground() -> None:
-    kept = Searched(0.8, 0.75, 0.125, "kept over a restart")
+    kept = LastSearch(0.8, 0.75, 0.125, "kept over a restart")
     assert not kept.lasts(tracked(0.39, 1.0, 1e9), SHARE)
     assert kept.lasts(tracked(0.41, 0.0, 0.0), SHARE)
 
 
 def test_growth_lowers_the_score_that_is_expected_and_nothing_else_does() -> None:
-    assert Searched.of(tracked(0.8, 0.75, 32.0, wall_match=0.75, wall_clash=0.125)) == THEN
+    assert LastSearch.of(tracked(0.8, 0.75, 32.0, wall_match=0.75, wall_clash=0.125)) == THEN
     assert THEN.tracked(tracked(0.3, 0.7, 30.0), SHARE).score == 0.3
     assert THEN.tracked(tracked(0.3, 0.2, 30.0), SHARE) == THEN
     assert THEN.tracked(tracked(0.9, 0.7, 30.0), SHARE) == THEN
