@@ -11,7 +11,6 @@ import click
 from slamfusion.cli.evaluate import print_evaluations
 from slamfusion.cli.fleet import asked_executor, processes_option, scheduler_option
 from slamfusion.cli.fused import print_alignments, print_frames, print_pairs, tell_left_out
-from slamfusion.cli.next_steps import print_next_steps
 from slamfusion.cli.options import (
     check_report,
     common_options,
@@ -21,7 +20,7 @@ from slamfusion.cli.options import (
     report_option,
     with_config,
 )
-from slamfusion.cli.output import notice, print_json, progress_bar
+from slamfusion.cli.output import notice, print_json, print_next_steps, progress_bar
 from slamfusion.cli.paths import MAP
 from slamfusion.cli.starts import GivenStarts, start_errors, start_option, with_starts
 from slamfusion.cli.table_files import table_option
@@ -41,8 +40,6 @@ from slamfusion.jobs.outputs import (
 )
 
 if TYPE_CHECKING:
-    from concurrent.futures import Executor
-
     from slamfusion.jobs.fuse import FusedMaps
 
 
@@ -123,27 +120,26 @@ def command(
     """
     from slamfusion.jobs.fuse import (  # noqa: PLC0415
         check_count,
+        check_stores,
         fuse_maps,
         save_fused_maps,
     )
 
-    config = with_starts(config, starts)
+    config, store = with_starts(config, starts), out if out.suffix == STORE_END else None
     check_count(maps)
-    if out.suffix == STORE_END:
+    check_report(report_dir)
+    if store is not None:
         if truth_path is not None or report_dir is not None:
             message = (
                 f"--truth and --report look at the whole map, and {out} need not fit into memory"
             )
             raise click.UsageError(message)
-        with start_errors(starts), asked_executor(scheduler, config, processes) as executor:
-            return _fuse_into_store(maps, out, resolution, config, executor, as_json=as_json)
-    check_report(report_dir)
+        check_stores(store, len(maps))
     grids = load_maps(maps, resolution, config.map_files, notice)
     truth = None
     if truth_path is not None:
         (truth,) = load_maps([truth_path], resolution, config.map_files, notice)
-    given = GivenMaps.of(maps, resolution)
-    device = device_for(config)
+    given, device = GivenMaps.of(maps, resolution), device_for(config)
     try:
         with (
             start_errors(starts),
@@ -152,60 +148,21 @@ def command(
         ):
             fused = fuse_maps(
                 grids, config, device,
-                truth=truth, given=given, executor=executor, progress=progress,
+                truth=truth, store=store, given=given, executor=executor, progress=progress,
             )  # fmt: skip
     except AlignmentError as error:
         _report_failure(error, grids, config, device.name, report_dir, given, as_json)
         raise
     stem = _stem(out)
-    document = save_fused_maps(fused, stem, report=report_dir)
+    document = fused.to_json() if store else save_fused_maps(fused, stem, report=report_dir)
     tell_left_out(fused.result)
+    for path, own in zip(fused.stores, fused.stems, strict=True):
+        if own is None:
+            notice(f"{path}: too large for a map server; its files are not written")
     if as_json:
         print_json(document)
     else:
         _print_result(fused, stem, report_dir)
-    return 0
-
-
-def _fuse_into_store(
-    maps: Sequence[Path],
-    store: Path,
-    resolution: float | None,
-    config: RunConfig,
-    executor: Executor | None,
-    *,
-    as_json: bool,
-) -> int:
-    """Fuse maps tile by tile, and say what came of it."""
-    from slamfusion.jobs.fuse_documents import fusion_sentences  # noqa: PLC0415
-    from slamfusion.jobs.fuse_store import check_stores, fuse_into_store  # noqa: PLC0415
-
-    check_stores(store, len(maps))
-    grids = load_maps(maps, resolution, config.map_files, notice)
-    given = GivenMaps.of(maps, resolution)
-    device = device_for(config)
-    try:
-        with progress_bar() as progress:
-            stored = fuse_into_store(
-                grids, store, config, device,
-                given=given, executor=executor, progress=progress,
-            )  # fmt: skip
-    except AlignmentError as error:
-        _report_failure(error, grids, config, device.name, None, given, as_json)
-        raise
-    tell_left_out(stored.result)
-    for path, stem in zip(stored.stores, stored.stems, strict=True):
-        if stem is None:
-            notice(f"{path}: too large for a map server; its files are not written")
-    if as_json:
-        print_json(stored.to_json())
-        return 0
-    print_alignments(stored.result)
-    for sentence in fusion_sentences(stored.result, None):
-        print(sentence)
-    print_frames(stored.result, config.fusion.reference)
-    for path, stem in zip(stored.stores, stored.stems, strict=True):
-        print(f"fused map: {path}" + ("" if stem is None else f", {stem}.yaml"))
     return 0
 
 
@@ -217,6 +174,10 @@ def _print_result(fused: FusedMaps, stem: Path, report_dir: Path | None) -> None
     for sentence in fusion_sentences(fused.result, fused.doubled):
         print(sentence)
     print_frames(fused.result, fused.config.fusion.reference)
+    for path, own in zip(fused.stores, fused.stems, strict=True):
+        print(f"fused map: {path}" + ("" if own is None else f", {own}.yaml"))
+    if fused.stores:
+        return
     if fused.evaluations:
         print()
         print_evaluations(fused.evaluations)

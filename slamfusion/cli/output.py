@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import json
+import shlex
 import shutil
 import sys
 import textwrap
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import click
@@ -117,3 +119,18 @@ class _Lines:
         if now_s - self._told_s >= TOLD_EVERY_S:
             self._told_s = now_s
             notice(f"{stage}: {100 * done // max(total, 1)} %")
+
+
+def print_next_steps(map_file: Path, steps: Sequence[str]) -> None:
+    """Print how nav2 and RViz load a map, and what can be done now.
+
+    Args:
+        map_file: its YAML.
+        steps: each what for and a command or file, e.g. ``look: out/report/report.html``.
+    """
+    where = shlex.quote(f"yaml_filename:={map_file.absolute()}")
+    server = f"ros2 run nav2_map_server map_server --ros-args -p {where}"
+    print(f"nav2, RViz: {server}")
+    print("            (then: ros2 run nav2_util lifecycle_bringup map_server)")
+    for number, step in enumerate(steps):
+        print(f"{'' if number else 'next:':<12}{step}")

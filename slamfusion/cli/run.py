@@ -15,7 +15,6 @@ from slamfusion.cli.evaluate import print_evaluations
 from slamfusion.cli.fleet import scheduler_option
 from slamfusion.cli.fused import print_alignments, print_pairs
 from slamfusion.cli.judge import print_reasons, print_recommendation
-from slamfusion.cli.next_steps import print_next_steps
 from slamfusion.cli.options import (
     common_options,
     drive_options,
@@ -24,7 +23,14 @@ from slamfusion.cli.options import (
     output_option,
     with_config,
 )
-from slamfusion.cli.output import Settings, notice, print_json, print_table, progress_bar
+from slamfusion.cli.output import (
+    Settings,
+    notice,
+    print_json,
+    print_next_steps,
+    print_table,
+    progress_bar,
+)
 from slamfusion.cli.paths import CASE_FILE, FILE, MAP
 from slamfusion.cli.run_many import run_many
 from slamfusion.cli.starts import GivenStarts, start_errors, start_option, with_starts

@@ -1,10 +1,24 @@
-"""Aligned grids on one lattice: warp them there, vote, and report the result of each."""
+"""Aligned grids on one lattice: lay them there and vote, tile by tile.
+
+The vote goes tile by tile, of those that know something there: an input that abstains where it
+knows nothing changes nothing. So many maps may vote that lie apart, and large ones fit into memory.
+Tiles overlap as far as a cell has a say in what others become.
+
+In memory each input is laid on all of its box at once (``GridLayer``). Of a vote that does not fit
+into memory the blocks of cells under a tile travel packed (``PackedLayer``), so that any process
+can decide it (``fleet``). An input is then laid on the tile alone, by the motion that would lay it
+on all of its box: the cells are the same, bit for bit.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
-from typing import Any, TypeAlias
+import itertools
+import zlib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -15,29 +29,491 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.compute.lattice import fixed_cells, fixed_poses
 from slamfusion.compute.layout import FIXED_ONE, MOST_INPUTS, VOTE_ONE
 from slamfusion.config import FusionConfig
-from slamfusion.fusion.groups import Members
+from slamfusion.fleet import in_order
+from slamfusion.fusion.groups import Members, Progress
+from slamfusion.fusion.normalize import VotingGrid
+from slamfusion.fusion.records import Bent, FusionResult, InputRecord
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, box_origin
 from slamfusion.io.memory import check_memory
-from slamfusion.vote.agreement import AGREEING, Trust, most_borne_out
+from slamfusion.vote.agreement import AGREEING, Trust, WallCounts, most_borne_out
 from slamfusion.vote.boxes import hull, moved, overlap, padded, slices
 from slamfusion.vote.lattice import Extent, Lattice
 from slamfusion.vote.tiles import (
     SMALL_TILE,
     TILE,
+    DecidedTile,
     GridLayer,
     TileVoter,
     sum_counts,
+    tiles_of,
     worst_place,
 )
 
 I8 = npt.NDArray[np.int8]
+Result = TypeVar("Result")
 
 # Gives an input at the common resolution, by its name.
 Lattices: TypeAlias = Callable[[str], VotingGrid]
 
 # Bytes that a vote in memory holds for each fused cell: itself, its agreement, and a copy of both.
 VOTED_BYTES = 4
+# Cells on a side of the blocks in which packed inputs travel.
+BLOCK = 512
+
+
+@dataclass(frozen=True, eq=False)
+class PackedBlocks:
+    """Cells (H, W) int8 as they travel: in blocks, of which a tile needs some.
+
+    Attributes:
+        shape: rows and columns.
+        blocks: ``BLOCK`` cells on a side, compressed, by row and column of blocks; of those that
+            are not here all cells are unknown, or not needed.
+    """
+
+    shape: tuple[int, int]
+    blocks: Mapping[tuple[int, int], bytes]
+
+    @classmethod
+    def of(cls, cells: I8) -> PackedBlocks:
+        """Pack cells."""
+        height, width = cells.shape
+        blocks = {}
+        for box in tiles_of(CellBox(0, 0, height, width), BLOCK):
+            block = cells[slices(box, 0, 0)]
+            if (block != UNKNOWN).any():
+                packed = zlib.compress(block.tobytes(), 1)
+                blocks[box.row0 // BLOCK, box.col0 // BLOCK] = packed
+        return cls((height, width), blocks)
+
+    def under(self, window: CellBox | None) -> PackedBlocks:
+        """Return what holds the cells of a box; None: no cell."""
+        if window is None:
+            return replace(self, blocks={})
+        rows = range(window.row0 // BLOCK, (window.row1 - 1) // BLOCK + 1)
+        cols = range(window.col0 // BLOCK, (window.col1 - 1) // BLOCK + 1)
+        wanted = itertools.product(rows, cols)
+        return replace(self, blocks={at: self.blocks[at] for at in wanted if at in self.blocks})
+
+    def unpack(self, window: CellBox) -> I8:
+        """Return the cells of a box."""
+        cells = np.full((window.height, window.width), UNKNOWN, dtype=np.int8)
+        for (row, col), packed in self.under(window).blocks.items():
+            row0, col0 = row * BLOCK, col * BLOCK
+            row1, col1 = (
+                min(at + BLOCK, end) for at, end in zip((row0, col0), self.shape, strict=True)
+            )
+            part = overlap(CellBox(row0, col0, row1, col1), window)
+            if part is not None:
+                block = np.frombuffer(zlib.decompress(packed), np.int8)
+                block = block.reshape(row1 - row0, col1 - col0)
+                cells[slices(part, window.row0, window.col0)] = block[slices(part, row0, col0)]
+        return cells
+
+
+@dataclass(frozen=True, eq=False)
+class PackedLayer:
+    """What an input shows on the fused lattice, packed, so that it travels to any process.
+
+    Attributes:
+        cells: in {-1, 0, 1}.
+        pose: see ``warp_pose``: of the cells that it may know.
+        box: these, counted from the first fused cell; all of them where unknown is a vote.
+    """
+
+    cells: PackedBlocks
+    pose: npt.NDArray[np.int64]
+    box: CellBox
+
+    def under(self, wide: CellBox) -> PackedLayer:
+        """Return the layer with what is laid on a box of the fused lattice that it meets."""
+        part = overlap(self.box, wide)
+        window = None if part is None else self.window(part)
+        return replace(self, cells=self.cells.under(window))
+
+    def on(self, box: CellBox, device: ComputeDevice) -> I8:
+        """Return its cells on a box of the fused lattice, unknown outside of its own."""
+        out = np.full((box.height, box.width), UNKNOWN, dtype=np.int8)
+        part = overlap(self.box, box)
+        window = None if part is None else self.window(part)
+        if part is not None and window is not None:
+            pose = self.pose_of(part)
+            pose[0, 2:] -= 2 * FIXED_ONE * np.array([window.col0, window.row0])
+            cells = device.upload(self.cells.unpack(window))
+            warped = device.warp(cells, pose, (part.height, part.width), UNKNOWN)
+            out[slices(part, box.row0, box.col0)] = device.download(warped)[0]
+        return out
+
+    def pose_of(self, part: CellBox) -> npt.NDArray[np.int64]:
+        """Return the motion of a part of the box into the input."""
+        row, col = part.row0 - self.box.row0, part.col0 - self.box.col0
+        pose = self.pose.copy()
+        # Positions are in half cells, and motions are linear: exact.
+        pose[0, 2] += 2 * (pose[0, 0] * col - pose[0, 1] * row)
+        pose[0, 3] += 2 * (pose[0, 1] * col + pose[0, 0] * row)
+        return pose
+
+    def window(self, part: CellBox) -> CellBox | None:
+        """Return the cells of the input that lie under a part of the box; None without any."""
+        height, width = self.cells.shape
+        # Motions are linear, so what the corners read bounds what all others do.
+        x2, y2 = (
+            np.array([1, 2 * count - 1], dtype=np.int64) for count in (part.width, part.height)
+        )
+        row, col = fixed_cells(self.pose_of(part)[0], x2[np.newaxis], y2[:, np.newaxis])
+        box = CellBox(int(row.min()), int(col.min()), int(row.max()) + 1, int(col.max()) + 1)
+        return overlap(box, CellBox(0, 0, height, width))
+
+
+Layer: TypeAlias = GridLayer | PackedLayer
+
+
+@dataclass(frozen=True, eq=False)
+class LatticeVote:
+    """The vote of a group, ready to be held.
+
+    Attributes:
+        group: those that vote.
+        voter: decides a tile.
+        layers: what each of them shows, by name.
+        origin: of the first fused cell, in the reference's frame.
+        prepared: of a vote in memory that has one tile, what each of them shows, see
+            ``TileVoter.prepare``.
+    """
+
+    group: Members
+    voter: TileVoter
+    layers: Mapping[str, Layer]
+    origin: Pose2
+    prepared: Mapping[str, npt.NDArray[Any]] | None = None
+
+    @property
+    def extent(self) -> Extent:
+        """The lattice and the cells of the fused map."""
+        whole = self.voter.whole
+        return Extent(Lattice(self.voter.resolution, self.origin), (whole.height, whole.width))
+
+    def trusting(
+        self,
+        device: ComputeDevice,
+        executor: Executor | None = None,
+        progress: Progress | None = None,
+    ) -> LatticeVote:
+        """Return the vote with the trust in its inputs, found by all of their walls."""
+        if not self.voter.weighs:
+            return self
+        vote, whole = self, self.voter.whole
+        is_small = max(whole.height, whole.width) <= TILE and len(self.layers) <= MOST_INPUTS
+        if is_small and all(isinstance(layer, GridLayer) for layer in self.layers.values()):
+            vote = replace(self, prepared=_shown(self.voter, whole, self.layers, device))
+        found = vote.each(count_tile, "compare", device, executor, progress)
+        voter = self.voter.trusting(sum_counts([counts for _, counts in found]))
+        return replace(vote, voter=voter)
+
+    def each(
+        self,
+        task: Callable[[TileVoter, CellBox, Mapping[str, Any], ComputeDevice], Result],
+        what: str,
+        device: ComputeDevice,
+        executor: Executor | None = None,
+        progress: Progress | None = None,
+    ) -> Iterator[tuple[CellBox, Result]]:
+        """Yield the result of a task for each tile of ``TILE`` cells on a side.
+
+        Args:
+            task: ``count_tile``, ``decide_tile`` or ``decide_parts``.
+            what: name of the stage, for ``progress``.
+            device: computes, here or one like it elsewhere.
+            executor: does the tasks; None: they are done here.
+            progress: called with ``what``, the tiles done and all tiles.
+
+        Raises:
+            GridError: more inputs than a vote takes know one place.
+        """
+        tiles = _along_a_curve(self.voter.tiles(TILE))
+        calls = ((self.voter, tile, self.prepared or self._under(tile), device) for tile in tiles)
+        for done, made in enumerate(in_order(executor, task, calls)):
+            yield tiles[done], made
+            if progress is not None:
+                progress(what, done + 1, len(tiles))
+
+    def _under(self, tile: CellBox) -> dict[str, Layer]:
+        """Return the layers with what a tile needs of them."""
+        wide = self.voter.reading(tile)
+        return {
+            name: layer.under(wide) if isinstance(layer, PackedLayer) else layer
+            for name, layer in self.layers.items()
+            if overlap(layer.box, wide) is not None
+        }
+
+    def records(
+        self, grids: Sequence[OccupancyGrid], others: Mapping[str, InputRecord]
+    ) -> tuple[InputRecord, ...]:
+        """Return the records of those that vote, and of others, in the order of the grids."""
+        found = dict(others)
+        for grid in grids:
+            if grid.name in self.group.alignments:
+                pair, layer = self.group.alignments[grid.name], self.layers.get(grid.name)
+                own = layer if isinstance(layer, GridLayer) else None
+                found[grid.name] = InputRecord(grid, pair, True, pair.reason, own)
+        return tuple(found[grid.name] for grid in grids if grid.name in found)
+
+    def outcome(
+        self,
+        inputs: tuple[InputRecord, ...],
+        phantom_cells: int,
+        worst: Sequence[Mapping[str, tuple[int, int, int]]],
+        config: FusionConfig,
+        device: ComputeDevice,
+    ) -> dict[str, Any]:
+        """Return what a fusion in memory and one in a store have in common; see ``Fusion``.
+
+        Args:
+            inputs: the records.
+            phantom_cells, worst: of the decided tiles.
+            config: says whether the fused map was cut, and what is known.
+            device: computed.
+        """
+        trust, left_out = self.voter.trust, {}
+        if config.vote.extent != "union":
+            left_out = {
+                item.name: self.extent.area_outside(
+                    item.grid, item.alignment.transform, config.normalize
+                )
+                for item in inputs
+                if item.accepted and item.alignment is not None
+            }
+        return {
+            "reference": self.group.reference,
+            "inputs": inputs,
+            "pairs": (),
+            "phantom_cells": phantom_cells,
+            "weights": weights_of(tuple(self.group.alignments), trust),
+            "wall_agreement": wall_agreement_of(trust),
+            "bent": bent_maps(trust, worst, self.extent.lattice),
+            "device": device.name,
+            "time_s": 0.0,
+            "left_out_m2": {name: area for name, area in left_out.items() if area > 0.0},
+        }
+
+    def in_memory(
+        self,
+        grids: Sequence[OccupancyGrid],
+        others: Mapping[str, InputRecord],
+        config: FusionConfig,
+        device: ComputeDevice,
+    ) -> FusionResult:
+        """Hold the vote, and keep the fused map and what each input shows on it; see ``records``.
+
+        Raises:
+            GridError: more inputs than a vote takes know one place.
+        """
+        fused = np.full(self.extent.shape, UNKNOWN, dtype=np.int8)
+        agreement = np.full_like(fused, UNKNOWN)
+        phantom_cells, worst = 0, []
+        for _, decided_parts in self.each(decide_parts, "vote", device):
+            for part, decided in decided_parts:
+                window = slices(part, 0, 0)
+                fused[window], agreement[window] = decided.fused, decided.agreement
+                phantom_cells += decided.phantom_cells
+                worst.append(decided.worst)
+                for name, is_outvoted in decided.outvoted():
+                    layer = self.layers[name]
+                    if isinstance(layer, GridLayer):
+                        layer.note(part, is_outvoted)
+        fused[fused == 1] = OCCUPIED
+        # What is read-only is not copied once more.
+        fused.flags.writeable = agreement.flags.writeable = False
+        size, inputs = self.voter.resolution, self.records(grids, others)
+        return FusionResult(
+            **self.outcome(inputs, phantom_cells, worst, config, device),
+            fused=OccupancyGrid(fused, size, self.origin, "fused"),
+            agreement=OccupancyGrid(agreement, size, self.origin, "agreement"),
+        )
+
+
+def vote_in_memory(
+    grids: Sequence[OccupancyGrid],
+    groups: Sequence[Members],
+    lattices: Lattices,
+    others: Mapping[str, InputRecord],
+    config: FusionConfig,
+    device: ComputeDevice,
+) -> FusionResult:
+    """Let groups of aligned grids vote, and write the records.
+
+    Args:
+        grids: all inputs, in order.
+        groups: those that vote; the results of all but the first are its ``others``.
+        lattices: gives each of these at the common resolution.
+        others: records of the inputs that are not in the first group, by name.
+        config: settings of the vote.
+        device: computes.
+
+    Raises:
+        GridError: more inputs than a vote takes know one place.
+        MemoryBudgetError: the fused map is too large for the memory that is free.
+    """
+    first, *more = prepare_votes(groups, lattices, config, device)
+    others = {**others, **contradicting(grids, groups[0], first, more)}
+    result = first.in_memory(grids, others, config, device)
+    return replace(result, others=tuple(vote.in_memory(grids, {}, config, device) for vote in more))
+
+
+def prepare_votes(
+    groups: Sequence[Members],
+    lattices: Lattices,
+    config: FusionConfig,
+    device: ComputeDevice,
+    executor: Executor | None = None,
+    progress: Progress | None = None,
+    *,
+    is_stored: bool = False,
+) -> list[LatticeVote]:
+    """Lay the inputs of groups on their fused lattices, and find the trust in each.
+
+    Args:
+        groups: those that vote.
+        lattices: gives each input at the common resolution.
+        config: settings of the vote.
+        device, executor, progress: see ``LatticeVote.each``.
+        is_stored: no fused map will be in memory, nor more than one input at a time.
+
+    Returns:
+        The vote of each group, or those of two parts of it that contradict each other.
+
+    Raises:
+        MemoryBudgetError: a fused map is too large for the memory that is free.
+    """
+    votes = []
+    for group in groups:
+        vote = _prepare(group, lattices, config, device, is_stored=is_stored)
+        vote = vote.trusting(device, executor, progress)
+        trust = vote.voter.trust
+        apart = () if trust is None else second_opinion(trust)
+        if apart:
+            deciding = [name for name in group.alignments if name not in apart]
+            parts = (group.part(deciding), group.part(apart))
+            votes += prepare_votes(
+                parts, lattices, config, device, executor, progress, is_stored=is_stored
+            )
+        else:
+            votes.append(vote)
+    return votes
+
+
+def _prepare(
+    group: Members,
+    lattices: Lattices,
+    config: FusionConfig,
+    device: ComputeDevice,
+    *,
+    is_stored: bool,
+) -> LatticeVote:
+    """Lay the inputs of one group on its fused lattice; see ``prepare_votes``."""
+    base, packed, extents = lattices(group.reference), {}, {}
+    lattice, box = base.extent.lattice, base.extent.box
+    is_union = config.vote.extent == "union"
+    for name, pair in group.alignments.items() if is_stored or is_union else ():
+        known = base if name == group.reference else lattices(name)
+        extents[name] = known.extent
+        if is_stored:
+            packed[name] = PackedBlocks.of(known.cells)
+        if is_union:
+            box = hull(box, known.extent.on(lattice, pair.transform))
+    if not is_stored:
+        check_memory(
+            VOTED_BYTES * box.area,
+            f"a fused map of {box.width} x {box.height} cells",
+            group.reference,
+            "free memory, use a coarser cell, or fuse into a store tile by tile (-o OUT.zarr)",
+        )
+    shape, names, first = (box.height, box.width), tuple(group.alignments), (box.row0, box.col0)
+    voter = TileVoter(CellBox(0, 0, *shape), config.vote, lattice.resolution, names, first)
+
+    layers: dict[str, Layer] = {}
+    for name, pair in group.alignments.items():
+        grid = None if is_stored else base if name == group.reference else lattices(name)
+        extent = extents[name] if grid is None else grid.extent
+        own: CellBox | None = box
+        if not voter.unknown_votes:
+            own = overlap(padded(extent.on(lattice, pair.transform), 1), box)
+        place = CellBox(0, 0, 0, 0) if own is None else moved(own, -box.row0, -box.col0)
+        if grid is None:
+            pose = warp_pose(extent.lattice, pair.transform, lattice, own or box)
+            layers[name] = PackedLayer(packed[name], pose, place)
+        else:
+            cells = np.zeros((0, 0), dtype=np.int8)
+            if own is not None:
+                cells = warp_onto(grid, grid.cells, pair.transform, lattice, own, device)
+            layers[name] = GridLayer(shape, place, cells)
+    return LatticeVote(group, voter, layers, box_origin(lattice.origin, lattice.resolution, box))
+
+
+# --- where tiles are decided -----------------------------------------------------------------
+
+
+def count_tile(
+    voter: TileVoter, tile: CellBox, layers: Mapping[str, Any], device: ComputeDevice
+) -> WallCounts:
+    """Count how the walls of inputs agree in a tile; see ``TileVoter.count``."""
+    return sum_counts(
+        voter.count(part, _shown(voter, part, layers, device)) for part in _parts(tile, layers)
+    )
+
+
+def decide_parts(
+    voter: TileVoter, tile: CellBox, layers: Mapping[str, Any], device: ComputeDevice
+) -> list[tuple[CellBox, DecidedTile]]:
+    """Decide a tile, in smaller ones where many inputs show something; empty where none does."""
+    found = []
+    for part in _parts(tile, layers):
+        decided = voter.decide(part, _shown(voter, part, layers, device), device)
+        if decided is not None:
+            found.append((part, decided))
+    return found
+
+
+def decide_tile(
+    voter: TileVoter, tile: CellBox, layers: Mapping[str, Any], device: ComputeDevice
+) -> DecidedTile | None:
+    """Decide a tile; None where no input knows any cell of it."""
+    fused = np.full((tile.height, tile.width), UNKNOWN, dtype=np.int8)
+    agreement = np.full_like(fused, UNKNOWN)
+    phantom_cells, worst = 0, dict[str, tuple[int, int, int]]()
+    parts = decide_parts(voter, tile, layers, device)
+    for part, decided in parts:
+        window = slices(part, tile.row0, tile.col0)
+        fused[window], agreement[window] = decided.fused, decided.agreement
+        phantom_cells += decided.phantom_cells
+        worst |= {
+            name: worst_place([place, worst.get(name, place)])
+            for name, place in decided.worst.items()
+        }
+    return DecidedTile(fused, agreement, phantom_cells, worst=worst) if parts else None
+
+
+def _parts(tile: CellBox, layers: Mapping[str, Any]) -> Iterator[CellBox]:
+    """Yield the tile, or smaller ones where not all inputs that know something may vote at once."""
+    yield from tiles_of(tile, TILE if len(layers) <= MOST_INPUTS else SMALL_TILE)
+
+
+def _shown(
+    voter: TileVoter, tile: CellBox, layers: Mapping[str, Any], device: ComputeDevice
+) -> dict[str, npt.NDArray[Any]]:
+    """Return what those inputs show around a tile that may know a cell there."""
+    around, found = voter.around(tile), dict[str, npt.NDArray[Any]]()
+    for name, layer in layers.items():
+        if isinstance(layer, np.ndarray):  # it was prepared before
+            found[name] = layer
+        elif overlap(layer.box, around) is not None:
+            on = partial(layer.on, device=device) if isinstance(layer, PackedLayer) else layer.on
+            found[name] = voter.prepare(around, on)
+    return found
+
+
+# --- on the fused lattice ---------------------------------------------------------------------
 
 
 def warp_onto(
@@ -95,140 +571,33 @@ def warp_pose(
     return fixed_poses((corner[0], corner[1], into.yaw_rad))
 
 
-def vote_on_lattice(
+def contradicting(
     grids: Sequence[OccupancyGrid],
     group: Members,
-    lattices: Lattices,
-    others: Mapping[str, InputRecord],
-    config: FusionConfig,
-    device: ComputeDevice,
-) -> FusionResult:
-    """Warp the accepted grids onto the fused lattice, vote, and write the records.
-
-    The vote goes tile by tile, of those that know something there: an input that abstains where it
-    knows nothing changes nothing. So many maps may vote that lie apart, and large ones fit into
-    memory. Tiles overlap as far as a cell has a say in what others become.
+    first: LatticeVote,
+    others: Sequence[LatticeVote],
+) -> dict[str, InputRecord]:
+    """Return the records of maps that contradict others of their group and are fused apart.
 
     Args:
-        grids: all inputs, in order.
-        group: those that vote.
-        lattices: gives each of these at the common resolution.
-        others: records of the inputs that do not vote, by name.
-        config: settings of the vote.
-        device: computes.
-
-    Raises:
-        GridError: more inputs than a vote takes know one place.
-        MemoryBudgetError: the fused map is too large for the memory that is free.
+        grids: all inputs.
+        group: that they were in.
+        first: the vote of those that decide.
+        others: further votes.
     """
-    base = lattices(group.reference)
-
-    def normalized(name: str) -> VotingGrid:
-        return base if name == group.reference else lattices(name)
-
-    names = tuple(group.alignments)
-    box = fused_box(group, lambda name: normalized(name).extent, config)
-    check_memory(
-        VOTED_BYTES * box.area,
-        f"a fused map of {box.width} x {box.height} cells",
-        group.reference,
-        "free memory, use a coarser cell, or fuse into a store tile by tile (-o OUT.zarr)",
-    )
-    lattice = base.extent.lattice
-    whole = CellBox(0, 0, box.height, box.width)
-    first = (box.row0, box.col0)
-    voter = TileVoter(whole, config.vote, lattice.resolution, names, first)
-    layers = {name: _layer(normalized(name), group, lattice, box, voter, device) for name in names}
-    tiles = list(voter.tiles(TILE if len(names) <= MOST_INPUTS else SMALL_TILE))
-
-    def shown(tile: CellBox) -> dict[str, npt.NDArray[Any]]:
-        around = voter.around(tile)
-        return {
-            name: voter.prepare(around, layer.on)
-            for name, layer in layers.items()
-            if overlap(layer.box, around) is not None
-        }
-
-    kept = {tiles[0]: shown(tiles[0])} if len(tiles) == 1 else {}
-    if voter.weighs:
-        counts = [voter.count(tile, kept.get(tile) or shown(tile)) for tile in tiles]
-        voter = voter.trusting(sum_counts(counts))
-        parts = parts_of(group, voter.trust)
-        if len(parts) > 1:
-            deciding, apart = parts
-            others = {**others, **contradicting(grids, deciding, apart)}
-            own = [grid for grid in grids if grid.name in apart.alignments]
-            other = vote_on_lattice(own, apart, lattices, {}, config, device)
-            result = vote_on_lattice(grids, deciding, lattices, others, config, device)
-            return replace(result, others=(*result.others, other))
-    fused = np.full((box.height, box.width), UNKNOWN, dtype=np.int8)
-    agreement = np.full_like(fused, UNKNOWN)
-    phantom_cells, worst = 0, []
-    for tile in tiles:
-        decided = voter.decide(tile, kept.get(tile) or shown(tile), device)
-        if decided is None:
-            continue
-        window = slices(tile, 0, 0)
-        fused[window], agreement[window] = decided.fused, decided.agreement
-        phantom_cells += decided.phantom_cells
-        worst.append(decided.worst)
-        for name, is_outvoted in decided.outvoted():
-            layers[name].note(tile, is_outvoted)
-    origin = box_origin(lattice.origin, lattice.resolution, box)
-    fused[fused == 1] = OCCUPIED
-    # What is read-only is not copied once more.
-    fused.flags.writeable = agreement.flags.writeable = False
-    fused_grid = OccupancyGrid(fused, lattice.resolution, origin, "fused")
-    bent = bent_maps(voter.trust, worst, Lattice(lattice.resolution, origin))
-    records = [
-        InputRecord(
-            given,
-            group.alignments[given.name],
-            True,
-            group.alignments[given.name].reason,
-            layers[given.name],
+    found: dict[str, InputRecord] = {}
+    for vote in others:
+        own = vote.group.alignments
+        reason = (
+            f"agrees with {', '.join(own)} "
+            f"and contradicts {', '.join(first.group.alignments)}; fused apart"
         )
-        if given.name in layers
-        else others[given.name]
-        for given in grids
-    ]
-    trust = voter.trust
-    return FusionResult(
-        reference=group.reference,
-        inputs=tuple(records),
-        fused=fused_grid,
-        agreement=OccupancyGrid(agreement, lattice.resolution, origin, "agreement"),
-        pairs=(),
-        phantom_cells=phantom_cells,
-        weights=weights_of(names, trust),
-        wall_agreement=wall_agreement_of(trust),
-        bent=bent,
-        device=device.name,
-        time_s=0.0,
-    )
-
-
-def parts_of(group: Members, trust: Trust | None) -> tuple[Members, ...]:
-    """Return the group, or two: those that decide, and those that contradict them together."""
-    apart = () if trust is None else second_opinion(trust)
-    if not apart:
-        return (group,)
-    return group.part([name for name in group.alignments if name not in apart]), group.part(apart)
-
-
-def contradicting(
-    grids: Sequence[OccupancyGrid], first: Members, second: Members
-) -> dict[str, InputRecord]:
-    """Return the records of maps that contradict others and are fused apart from them."""
-    reason = (
-        f"agrees with {', '.join(second.alignments)} "
-        f"and contradicts {', '.join(first.alignments)}; fused apart"
-    )
-    return {
-        grid.name: InputRecord(grid, second.alignments[grid.name], False, reason)
-        for grid in grids
-        if grid.name in second.alignments
-    }
+        found |= {
+            grid.name: InputRecord(grid, own[grid.name], False, reason)
+            for grid in grids
+            if grid.name in own and grid.name in group.alignments
+        }
+    return found
 
 
 def weights_of(names: Sequence[str], trust: Trust | None) -> dict[str, float]:
@@ -292,57 +661,12 @@ def second_opinion(trust: Trust) -> tuple[str, ...]:
     )
 
 
-def fused_box(group: Members, extent_of: Callable[[str], Extent], config: FusionConfig) -> CellBox:
-    """Return the cells of the fused map, counted from the reference's first cell.
+def _along_a_curve(tiles: Iterable[CellBox]) -> list[CellBox]:
+    """Return tiles in an order in which those that follow each other are near (Morton's)."""
 
-    Args:
-        group: those that vote.
-        extent_of: tells where an input's cells lie, by its name; asked of the reference alone where
-            the fused map is no union.
-        config: settings of the vote.
-    """
-    base = extent_of(group.reference)
-    box = base.box
-    if config.vote.extent == "union":
-        for name, pair in group.alignments.items():
-            box = hull(box, extent_of(name).on(base.lattice, pair.transform))
-    return box
+    def place(tile: CellBox) -> int:
+        row, col = tile.row0 // TILE, tile.col0 // TILE
+        bits = range(max(row, col).bit_length())
+        return sum(((row >> n & 1) << (2 * n + 1)) | ((col >> n & 1) << (2 * n)) for n in bits)
 
-
-def own_box(
-    extent: Extent, name: str, group: Members, lattice: Lattice, box: CellBox, voter: TileVoter
-) -> CellBox | None:
-    """Return the fused cells in which an input has a say; None: in none.
-
-    Args:
-        extent: where its cells lie.
-        name: of the input.
-        group: those that vote.
-        lattice: of the reference.
-        box: the fused cells, see ``fused_box``.
-        voter: says whether unknown is a vote.
-
-    Returns:
-        Those that it may know, or all where unknown is a vote; counted as ``box`` is.
-    """
-    if voter.unknown_votes:
-        return box
-    return overlap(padded(extent.on(lattice, group.alignments[name].transform), 1), box)
-
-
-def _layer(
-    grid: VotingGrid,
-    group: Members,
-    lattice: Lattice,
-    box: CellBox,
-    voter: TileVoter,
-    device: ComputeDevice,
-) -> GridLayer:
-    """Return an input on the fused lattice."""
-    shape = (box.height, box.width)
-    own = own_box(grid.extent, grid.name, group, lattice, box, voter)
-    if own is None:
-        return GridLayer(shape, CellBox(0, 0, 0, 0), np.zeros((0, 0), dtype=np.int8))
-    transform = group.alignments[grid.name].transform
-    cells = warp_onto(grid, grid.cells, transform, lattice, own, device)
-    return GridLayer(shape, moved(own, -box.row0, -box.col0), cells)
+    return sorted(tiles, key=place)

@@ -15,16 +15,18 @@ from slamfusion.config import FusionConfig
 from slamfusion.errors import AlignmentError, ConfigError
 from slamfusion.fusion.groups import (
     LEAST_FUSED,
-    AlignedGroup,
     Members,
     Progress,
     SecondLook,
     align_group,
 )
-from slamfusion.fusion.inputs import PreparedInputs, copy_words, find_copies, odd_resolutions
-from slamfusion.fusion.lattice_vote import Lattices, vote_on_lattice
+from slamfusion.fusion.lattice_vote import Lattices, vote_in_memory
+from slamfusion.fusion.normalize import common_resolution, normalize_grid
+from slamfusion.fusion.prepared import PreparedInputs
+from slamfusion.fusion.records import Alignment, FusionResult, InputRecord
+from slamfusion.fusion.resolutions import odd_resolutions
+from slamfusion.fusion.start import Starts, named_input
 from slamfusion.grid import OccupancyGrid
-from slamfusion.vote.lattice import Extent, Lattice
 from slamfusion.vote.tiles import check_votes
 
 
@@ -63,17 +65,8 @@ def fuse_grids(
     """
     began = time.perf_counter()
     aligned = align_inputs(grids, config, device, progress, second_look, starts, in_part, executor)
-
-    def vote(members: Members, rest: Mapping[str, InputRecord]) -> FusionResult:
-        of = grids if members is aligned.group else aligned.grids_of(members)
-        return _vote(of, members, aligned.lattices, rest, config, device)
-
-    result = vote(aligned.group, aligned.others)
-    further = tuple(vote(members, {}) for members in aligned.group.others)
-    time_s = time.perf_counter() - began
-    return replace(
-        result, pairs=aligned.group.pairs, others=(*result.others, *further), time_s=time_s
-    )
+    result = vote_in_memory(grids, aligned.groups, aligned.lattices, aligned.others, config, device)
+    return replace(result, pairs=aligned.pairs, time_s=time.perf_counter() - began)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,20 +74,16 @@ class AlignedInputs:
     """Inputs in one frame; what is left is the vote.
 
     Attributes:
-        grids: all of them, in order.
-        group: the largest group that fits together, and further ones.
+        groups: the largest group that fits together, and further ones.
+        pairs: every pair that was aligned.
         lattices: gives an input that votes at the common resolution.
         others: what became of those that are not in the largest group, by name.
     """
 
-    grids: tuple[OccupancyGrid, ...]
-    group: AlignedGroup
+    groups: tuple[Members, ...]
+    pairs: tuple[Alignment, ...]
     lattices: Lattices
     others: Mapping[str, InputRecord]
-
-    def grids_of(self, members: Members) -> list[OccupancyGrid]:
-        """Return the inputs of a group, in order."""
-        return [grid for grid in self.grids if grid.name in members.alignments]
 
 
 def align_inputs(
@@ -147,7 +136,7 @@ def align_inputs(
     for grid in grids:
         if grid.name in copies:
             others[grid.name] = _copy(grid, copies[grid.name], group.alignments | shown)
-    return AlignedInputs(tuple(grids), group, prepared.lattice, others)
+    return AlignedInputs((group, *group.others), group.pairs, prepared.lattice, others)
 
 
 def vote_again(result: FusionResult, config: FusionConfig, device: ComputeDevice) -> FusionResult:
@@ -171,46 +160,8 @@ def vote_again(result: FusionResult, config: FusionConfig, device: ComputeDevice
     }
     rejected = {record.name: record for record in result.inputs if not record.accepted}
     members = Members(result.reference, alignments)
-    voted = _vote(grids, members, normalized.__getitem__, rejected, config, device)
+    voted = vote_in_memory(grids, [members], normalized.__getitem__, rejected, config, device)
     return replace(voted, pairs=result.pairs, time_s=time.perf_counter() - began)
-
-
-def left_out_areas(
-    inputs: Sequence[InputRecord], extent: Extent, config: FusionConfig
-) -> dict[str, float]:
-    """Return the area that each accepted input knows outside of the fused map, square metres.
-
-    Args:
-        inputs: of the fusion.
-        extent: of the fused map.
-        config: says whether the fused map was cut, and what is known.
-
-    Returns:
-        By name, without inputs that lie inside; empty for a union.
-    """
-    if config.vote.extent == "union":
-        return {}
-    found = {
-        record.name: extent.area_outside(record.grid, record.alignment.transform, config.normalize)
-        for record in inputs
-        if record.accepted and record.alignment is not None
-    }
-    return {name: area for name, area in found.items() if area > 0.0}
-
-
-def _vote(
-    grids: Sequence[OccupancyGrid],
-    members: Members,
-    lattices: Lattices,
-    others: Mapping[str, InputRecord],
-    config: FusionConfig,
-    device: ComputeDevice,
-) -> FusionResult:
-    """Vote, and measure what the fused map leaves out; see ``vote_on_lattice``."""
-    result = vote_on_lattice(grids, members, lattices, others, config, device)
-    fused = result.fused
-    extent = Extent(Lattice(fused.resolution, fused.origin), (fused.height, fused.width))
-    return replace(result, left_out_m2=left_out_areas(result.inputs, extent, config))
 
 
 def _check_names(grids: Sequence[OccupancyGrid]) -> None:

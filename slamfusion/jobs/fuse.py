@@ -1,25 +1,32 @@
-"""Saved maps of one place become one: align, vote, measure, and the files of what came of it."""
+"""Saved maps of one place become one: align, vote, measure, and write the result.
+
+The fused map stays in memory, or goes tile by tile into a Zarr store; the cells are the same.
+"""
 
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from contextlib import ExitStack, nullcontext
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from slamfusion.align.records import (
-    Fusion,
-    FusionResult,
-)
-from slamfusion.align.starts import place_starts
+import numpy as np
+
 from slamfusion.compute import ComputeDevice
-from slamfusion.config import RunConfig
+from slamfusion.config import FusionConfig, RunConfig
 from slamfusion.errors import AlignmentError, SlamFusionError
 from slamfusion.fusion import fuse_grids
 from slamfusion.fusion.groups import LEAST_FUSED
-from slamfusion.grid import OccupancyGrid
-from slamfusion.io import AtomicFiles, save_map
+from slamfusion.fusion.lattice_vote import LatticeVote, contradicting, decide_tile, prepare_votes
+from slamfusion.fusion.pipeline import align_inputs
+from slamfusion.fusion.records import Alignment, FusionResult, InputRecord, StoredFusion
+from slamfusion.fusion.start import Starts, place_starts
+from slamfusion.grid import OCCUPIED, OccupancyGrid
+from slamfusion.io import AtomicFiles, save_map, write_atomic
+from slamfusion.io.map_store import MapStore, check_store, read_stored_map
 from slamfusion.jobs.documents import circumstances, record_bytes
 from slamfusion.jobs.evaluate import evaluate_maps
 from slamfusion.jobs.fuse_documents import (
@@ -39,41 +46,40 @@ from slamfusion.jobs.inputs import (
 )
 from slamfusion.jobs.outputs import (
     FAILED,
+    FUSED,
     failure_folder,
     group_stems,
     record_file,
     remove_empty,
     report_files,
 )
-from slamfusion.jobs.records import (
-    Evaluation,
-    FuseDocument,
-)
-
-__all__ = [
-    "AllRequiredError",
-    "FusedMaps",
-    "check_count",
-    "fuse_document",
-    "fuse_maps",
-    "save_fused_maps",
-    "write_failed_fusion",
-]
+from slamfusion.jobs.records import FuseDocument
+from slamfusion.vote.tiles import TILE
 
 _LOG = logging.getLogger(__name__)
+
+# Arrays of a store: the fused map is called as a run calls it.
+AGREEMENT_ARRAY = "agreement"
+# Cells of a fused map that is also written as files of a map server: 11585 x 11585. Larger ones no
+# map server loads within a GiB.
+FILES_CELLS = 1 << 27
 
 
 class AllRequiredError(AlignmentError):
     """A fusion that had to leave an input out, where ``--require-all`` forbids it.
 
     Attributes:
-        result: what would have been fused.
+        result: what would have been fused; None where the vote was not held.
     """
 
-    def __init__(self, result: Fusion) -> None:
-        rejected = ", ".join(f"{record.name} ({record.reason})" for record in result.rejected)
-        super().__init__(f"--require-all, but rejected: {rejected}; nothing was fused")
-        self.pairs = result.pairs
+    def __init__(
+        self,
+        rejected: Sequence[InputRecord],
+        pairs: tuple[Alignment, ...],
+        result: FusionResult | None = None,
+    ) -> None:
+        words = ", ".join(f"{record.name} ({record.reason})" for record in rejected)
+        super().__init__(f"--require-all, but rejected: {words}; nothing was fused", pairs)
         self.result = result
 
 
@@ -83,27 +89,68 @@ class FusedMaps:
 
     Attributes:
         config: the settings in effect.
-        result: the fused map, what became of each input, and every alignment.
-        doubled: the doubled walls of the inputs and of the fused map.
+        result: the fused map, or where it is, what became of each input, and every alignment.
+        doubled: the doubled walls of the inputs and of the fused map; None for a store.
         evaluations: errors of the inputs and, last, of the fused map; empty without a true map.
         given: the files of the inputs.
+        stores: of each group of inputs, the largest first; empty where the maps are in memory.
+        stems: the files of a map server beside each store, paths without suffix; None: the map is
+            too large.
     """
 
     config: RunConfig
-    result: FusionResult
-    doubled: DoubledWalls
+    result: FusionResult | StoredFusion
+    doubled: DoubledWalls | None
     evaluations: tuple[Evaluation, ...] = ()
     given: GivenMaps = NO_FILES
+    stores: tuple[Path, ...] = ()
+    stems: tuple[Path | None, ...] = ()
+
+    @property
+    def in_memory(self) -> FusionResult:
+        """The fusion with its map.
+
+        Raises:
+            SlamFusionError: the map is in a store.
+        """
+        if isinstance(self.result, FusionResult):
+            return self.result
+        message = f"{self.stores[0]}: the fused map is there and not in memory"
+        raise SlamFusionError(message)
 
     @property
     def grid(self) -> OccupancyGrid:
         """The fused map: cells in {-1, 0, 100}, frame and lattice of the reference input."""
-        return self.result.fused
+        return self.in_memory.fused
 
     @property
     def agreement(self) -> OccupancyGrid:
         """Share of the voters that agree, cells 0..100 or -1, on the same lattice."""
-        return self.result.agreement
+        return self.in_memory.agreement
+
+    def to_json(self, stems: Sequence[Path | None] = ()) -> FuseDocument:
+        """Return what ``slamfusion fuse`` prints as JSON.
+
+        Args:
+            stems: of each group in memory, the files of its map, a path without suffix.
+        """
+        result, stems = self.result, self.stems or stems
+        stores = self.stores or [None] * len(stems)
+        groups = [
+            group_document(item, stem, store)
+            for item, stem, store in zip((result, *result.others), stems, stores, strict=True)
+        ]
+        return {
+            **fusion_document(result, self.doubled),
+            "fused": groups[0]["fused"],
+            "agreement": groups[0]["agreement"],
+            "store": groups[0]["store"],
+            "groups": groups,
+            "evaluations": [evaluation.to_json() for evaluation in self.evaluations],
+            **self.given.to_json(),
+            **circumstances(self.config, result.device),
+            "time_s": result.time_s,
+        }
 
 
 def check_count(maps: Sequence[object]) -> None:
@@ -129,6 +176,7 @@ def fuse_maps(
     *,
     truth: MapInput | None = None,
     resolution: float | None = None,
+    store: str | Path | None = None,
     given: GivenMaps | None = None,
     executor: Executor | None = None,
     progress: Progress | None = None,
@@ -142,17 +190,24 @@ def fuse_maps(
         config: ``fusion``, ``start``, ``evaluate`` and ``map_files`` are used; default: the
             defaults.
         device: computes; default: the one that the settings name.
-        truth: the true map: errors of every input and of the fused map.
+        truth: the true map: errors of every input and of the fused map. With a store it is not
+            looked at.
         resolution: metres per cell of bare images.
+        store: ``OUT.zarr``, a Zarr store that the fused map is written to tile by tile, so that it
+            need not fit into memory; further groups go to ``OUT-2.zarr`` ... Nothing may be at any
+            of them, see ``check_stores``. It has the arrays ``fused`` (-1, 0, 100) and
+            ``agreement`` (-1, 0 to 100); maps of up to ``FILES_CELLS`` cells are also written as
+            files of a map server beside it, with the record. Default: the map stays in memory.
         given: the files of maps that are in memory; default: those that are read.
-        executor: aligns the pairs, see ``slamfusion.fleet``; default: they are aligned here.
+        executor: aligns the pairs, and decides tiles for a store, see ``slamfusion.fleet``;
+            default: both are done here.
         progress: told the stage, and how much of it is done.
         warn: told in a sentence what is doubtful about a map.
 
     Raises:
         AlignmentError: fewer than two of the maps agree, so nothing may be fused; its ``pairs``
             hold the alignments. ``AllRequiredError``: one was left out that had to be in.
-        MapFileError: a map cannot be read.
+        MapFileError: a map cannot be read, something is at a store, or Zarr is not installed.
         ConfigError: the reference named in the settings is none of the inputs. ``StartError``: a
             start names none, or is one alone that says nothing of the others.
         MemoryBudgetError: the maps are too large for the memory that is free.
@@ -162,16 +217,21 @@ def fuse_maps(
     """
     config = config or RunConfig()
     check_count(maps)
+    if store is not None:
+        check_stores(Path(store), len(maps))
     grids = as_grids(maps, config, resolution=resolution, warn=warn)
+    given = given or GivenMaps.of(maps, resolution)
     names = [grid.name for grid in grids]
     starts = place_starts(config.start, names, config.fusion.reference)
     true_grid = None
     if truth is not None:
         (true_grid,) = as_grids([truth], config, resolution=resolution, warn=warn)
     device = device_for(config, device)
+    if store is not None:
+        return _fuse_into(Path(store), grids, config, device, starts, given, executor, progress)
     result = fuse_grids(grids, config.fusion, device, progress, starts=starts, executor=executor)
-    if config.fusion.require_all and result.rejected:
-        raise AllRequiredError(result)
+    if config.fusion.require_all:
+        _require_all(result.inputs, result.pairs, result)
     evaluations: tuple[Evaluation, ...] = ()
     if true_grid is not None:
         measured = [*grids, result.fused.with_name("fused")]
@@ -179,16 +239,127 @@ def fuse_maps(
     # The last evaluation is of the fused map.
     known = {found.name: found.doubled_wall_share for found in evaluations[:-1]}
     doubled = DoubledWalls.of(result, config, device, known)
-    given = given or GivenMaps.of(maps, resolution)
     return FusedMaps(config, result, doubled, evaluations, given)
 
 
+def _fuse_into(
+    store: Path,
+    grids: Sequence[OccupancyGrid],
+    config: RunConfig,
+    device: ComputeDevice,
+    starts: Starts,
+    given: GivenMaps,
+    executor: Executor | None,
+    progress: Progress | None,
+) -> FusedMaps:
+    """Fuse maps tile by tile into a store; in memory are the inputs and a few tiles."""
+    began_s, fusion = time.perf_counter(), config.fusion
+    aligned = align_inputs(
+        grids, fusion, device, progress, starts=starts, executor=executor, is_stored=True
+    )
+    if fusion.require_all:
+        left_out = tuple(aligned.others[grid.name] for grid in grids if grid.name in aligned.others)
+        _require_all(left_out, aligned.pairs)
+    votes = prepare_votes(
+        aligned.groups, aligned.lattices, fusion, device, executor, progress, is_stored=True
+    )
+    others = {**aligned.others, **contradicting(grids, aligned.groups[0], votes[0], votes[1:])}
+    stores = group_stores(store, len(votes))
+    results: list[StoredFusion] = []
+    stems: list[Path | None] = []
+    with ExitStack() as stack:
+        for vote, path in zip(votes, stores, strict=True):
+            records = vote.records(grids, {} if results else others)
+            results.append(
+                _vote_into(stack, vote, records, path, fusion, device, executor, progress)
+            )
+    for result, path in zip(results, stores, strict=True):
+        is_small = result.shape[0] * result.shape[1] <= FILES_CELLS
+        stems.append(path.with_suffix("") if is_small else None)
+        if is_small:
+            _write_files(path, path.with_suffix(""))
+    time_s = time.perf_counter() - began_s
+    whole = replace(results[0], pairs=aligned.pairs, others=tuple(results[1:]), time_s=time_s)
+    fused = FusedMaps(config, whole, None, (), given, stores, tuple(stems))
+    if stems[0] is not None:
+        write_atomic(record_file(stems[0]), record_bytes(fused.to_json()))
+    return fused
+
+
+def _require_all(
+    inputs: Sequence[InputRecord],
+    pairs: tuple[Alignment, ...],
+    result: FusionResult | None = None,
+) -> None:
+    """Refuse a fusion that had to leave an input out."""
+    rejected = [item for item in inputs if not item.accepted and item.copy_of is None]
+    if rejected:
+        raise AllRequiredError(rejected, pairs, result)
+
+
+def _vote_into(
+    open_stores: ExitStack,
+    vote: LatticeVote,
+    inputs: tuple[InputRecord, ...],
+    path: Path,
+    config: FusionConfig,
+    device: ComputeDevice,
+    executor: Executor | None,
+    progress: Progress | None,
+) -> StoredFusion:
+    """Hold the vote of a group; its store is put in place when all are written."""
+    size, origin, shape = vote.voter.resolution, vote.origin, vote.extent.shape
+    group = vote.group
+    facts = {"reference": group.reference, "inputs": list(group.alignments)}
+    names = (FUSED, AGREEMENT_ARRAY)
+    opened = open_stores.enter_context(MapStore(path, names, shape, TILE, size, origin, facts))
+    phantom_cells, worst = 0, []
+    for box, decided in vote.each(decide_tile, "vote", device, executor, progress):
+        if decided is not None:
+            fused = np.where(decided.fused == 1, np.int8(OCCUPIED), decided.fused)
+            opened.write(FUSED, box, fused)
+            opened.write(AGREEMENT_ARRAY, box, decided.agreement)
+            phantom_cells += decided.phantom_cells
+            worst.append(decided.worst)
+    return StoredFusion(
+        **vote.outcome(inputs, phantom_cells, worst, config, device),
+        shape=shape,
+        resolution=size,
+        origin=origin,
+    )
+
+
+def check_stores(store: Path, count: int) -> None:
+    """Refuse a fusion into stores of which one is there, before any work.
+
+    One of an earlier fusion that this one does not write would look like a group of it.
+
+    Args:
+        store: ``OUT.zarr``.
+        count: maps that are fused; a group has two or more.
+
+    Raises:
+        MapFileError: something is at one of them, or Zarr is not installed.
+    """
+    for path in group_stores(store, count // 2):
+        check_store(path)
+
+
+def group_stores(store: Path, count: int) -> tuple[Path, ...]:
+    """Return the stores of groups: OUT.zarr, OUT-2.zarr ..."""
+    stems = group_stems(store.with_suffix(""), count)
+    return tuple(stem.with_name(stem.name + store.suffix) for stem in stems)
+
+
+def _write_files(store: Path, stem: Path) -> None:
+    """Write the maps of a store as files of a map server."""
+    with AtomicFiles() as files:
+        save_map(read_stored_map(store, FUSED), stem, files=files)
+        agreement = read_stored_map(store, AGREEMENT_ARRAY)
+        save_map(agreement, agreement_stem(stem), mode="raw", files=files)
+
+
 # --- files ------------------------------------------------------------------------------------
-
-
-def all_groups(result: FusionResult) -> tuple[FusionResult, ...]:
-    """Return the fusion of each group of inputs that share ground, the largest first."""
-    return (result, *result.others)
 
 
 def save_fused_maps(
@@ -213,26 +384,25 @@ def save_fused_maps(
         SlamFusionError: a file cannot be written, or matplotlib is missing.
     """
     stem, folder = Path(stem), None if report is None else Path(report)
-    if files is None:
-        with AtomicFiles() as own:
-            document = save_fused_maps(fused, stem, report=folder, files=own)
+    groups = (fused.in_memory, *fused.in_memory.others)
+    stems = group_stems(stem, len(groups))
+    document = fused.to_json(stems)
+    with AtomicFiles() if files is None else nullcontext(files) as together:
+        for result, path in zip(groups, stems, strict=True):
+            save_map(result.fused, path, files=together)
+            save_map(result.agreement, agreement_stem(path), mode="raw", files=together)
         if folder is not None:
-            remove_empty(folder / FAILED)
-        return document
-    groups = all_groups(fused.result)
-    for result, path in zip(groups, group_stems(stem, len(groups)), strict=True):
-        save_map(result.fused, path, files=files)
-        save_map(result.agreement, agreement_stem(path), mode="raw", files=files)
-    if folder is not None:
-        from slamfusion.report import write_fusion_report  # noqa: PLC0415  (an extra)
+            from slamfusion.report import write_fusion_report  # noqa: PLC0415  (an extra)
 
-        write_fusion_report(
-            fused.result, folder, config=fused.config, evaluations=fused.evaluations, files=files
-        )
-        for page in report_files(folder / FAILED):
-            files.remove(page)
-    document = fuse_document(fused, stem)
-    files.add(record_file(stem), record_bytes(document))
+            errors = [evaluation.error for evaluation in fused.evaluations]
+            write_fusion_report(
+                fused.in_memory, folder, config=fused.config, evaluations=errors, files=together
+            )
+            for page in report_files(folder / FAILED):
+                together.remove(page)
+        together.add(record_file(stem), record_bytes(document))
+    if files is None and folder is not None:
+        remove_empty(folder / FAILED)
     return document
 
 
@@ -262,35 +432,8 @@ def write_failed_fusion(
     from slamfusion.report import write_failure_report, write_fusion_report  # noqa: PLC0415
 
     folder = failure_folder(directory, report_files(directory))
-    if isinstance(error, AllRequiredError) and isinstance(error.result, FusionResult):
+    if isinstance(error, AllRequiredError) and error.result is not None:
         return write_fusion_report(error.result, folder, config=config, failure=str(error))
     return write_failure_report(
         grids, error.pairs, str(error), folder, config=config, device=device
     )
-
-
-# --- what is said -----------------------------------------------------------------------------
-
-
-def fuse_document(fused: FusedMaps, stem: Path) -> FuseDocument:
-    """Return what ``slamfusion fuse`` prints as JSON.
-
-    Args:
-        fused: what was fused.
-        stem: the fused map's path without suffix.
-    """
-    result, groups = fused.result, all_groups(fused.result)
-    return {
-        **fusion_document(result, fused.doubled),
-        "fused": f"{stem}.yaml",
-        "agreement": f"{agreement_stem(stem)}.yaml",
-        "store": None,
-        "groups": [
-            group_document(item, own)
-            for item, own in zip(groups, group_stems(stem, len(groups)), strict=True)
-        ],
-        "evaluations": fused.evaluations,
-        **fused.given.to_json(),
-        **circumstances(fused.config, result.device),
-        "time_s": result.time_s,
-    }

@@ -136,7 +136,8 @@ def fuse_maps(
         return fusion, fusion.failure
     if config.fusion.require_all and fusion.result is not None:
         if fusion.result.rejected:
-            return fusion, AllRequiredError(fusion.result)
+            rejected = fusion.result.rejected
+            return fusion, AllRequiredError(rejected, fusion.result.pairs, fusion.result)
         if drive.failed:
             names = ", ".join(item.name for item in drive.failed)
             return fusion, SlamFusionError(f"--require-all, but no map of {names}")

@@ -18,7 +18,9 @@ from slamfusion.config import FusionConfig, NormalizeConfig, VoteConfig
 from slamfusion.errors import GridError
 from slamfusion.fusion import FusionResult, lattice_vote
 from slamfusion.fusion.groups import Members
-from slamfusion.fusion.lattice_vote import vote_on_lattice, warp_onto, warp_pose
+from slamfusion.fusion.lattice_vote import vote_in_memory, warp_onto, warp_pose
+from slamfusion.fusion.normalize import NormalizedGrid, normalize_grid, voting_grid
+from slamfusion.fusion.records import Alignment
 from slamfusion.geometry import Pose2
 from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid
 from tests.fusion.drawings import random_cells
@@ -61,8 +63,8 @@ def voted(
 ) -> FusionResult:
     """Return the vote of maps that lie at given places in the first one's frame."""
     ready = placed(places, device, names, **vote)
-    return vote_on_lattice(
-        ready.grids, ready.members, ready.normalized.__getitem__, {}, ready.config, device
+    return vote_in_memory(
+        ready.grids, [ready.members], ready.normalized.__getitem__, {}, ready.config, device
     )
 
 
@@ -132,7 +134,7 @@ def test_a_large_reference_is_laid_out_once(
         asked.append(name)
         return ready.normalized[name]
 
-    vote_on_lattice(ready.grids, ready.members, lattices, {}, ready.config, device)
+    vote_in_memory(ready.grids, [ready.members], lattices, {}, ready.config, device)
     assert Counter(asked) == {"map 0": 1, "map 1": others, "map 2": others}
 
 

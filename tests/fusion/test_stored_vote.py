@@ -14,17 +14,39 @@ import pytest
 from slamfusion.align.normalize import normalize_grid
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, NormalizeConfig, VoteConfig
-from slamfusion.fusion import stored_vote
+from slamfusion.fusion import lattice_vote
 from slamfusion.fusion.groups import Members
-from slamfusion.fusion.stored_vote import PackedBlocks, prepare_stored_vote
+from slamfusion.fusion.lattice_vote import (
+    LatticeVote,
+    PackedLayer,
+    decide_tile,
+    prepare_votes,
+)
+from slamfusion.fusion.normalize import normalize_grid
 from slamfusion.geometry import Pose2
-from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid
-from tests.fusion.test_lattice_vote import SIZE, Places, aligned, placed, scattered, voted
+from slamfusion.grid import OccupancyGrid
+from tests.fusion.test_lattice_vote import (
+    SIZE,
+    Placed,
+    Places,
+    aligned,
+    placed,
+    scattered,
+    voted,
+)
 
 
 def known_cells(height: int, width: int) -> npt.NDArray[np.int8]:
     """Return cells that are free or occupied by chance."""
     return np.random.default_rng(0).choice(np.array([0, 100], dtype=np.int8), (height, width))
+
+
+def packed(inputs: Placed, device: ComputeDevice) -> LatticeVote:
+    """Return the vote of packed maps."""
+    (vote,) = prepare_votes(
+        [inputs.members], inputs.normalized.__getitem__, inputs.config, device, is_stored=True
+    )
+    return vote
 
 
 def both_votes(
@@ -33,11 +55,13 @@ def both_votes(
     """Return fused cells, agreement, phantom cells and origin of a vote in memory and in tiles."""
     whole = voted(places, device, **vote)
     inputs = placed(places, device, **vote)
-    ready = prepare_stored_vote(inputs.members, inputs.normalized.__getitem__, inputs.config)
-    fused, agreement = np.full(ready.shape, -1, np.int8), np.full(ready.shape, -1, np.int8)
+    ready = packed(inputs, device)
+    shape = ready.extent.shape
+    fused, agreement = np.full(shape, -1, np.int8), np.full(shape, -1, np.int8)
     phantom_cells = 0
-    ready = ready.trusting(device, None)
-    for tile, decided in ready.decide(device, None):
+    for tile, decided in ready.each(decide_tile, "vote", device):
+        if decided is None:
+            continue
         window = np.s_[tile.row0 : tile.row1, tile.col0 : tile.col1]
         fused[window], agreement[window] = decided.fused, decided.agreement
         phantom_cells += decided.phantom_cells
@@ -60,8 +84,8 @@ def both_votes(
 def test_tiles_give_what_the_whole_gives(
     count: int, vote: dict[str, Any], device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(stored_vote, "TILE", 17)
-    monkeypatch.setattr(stored_vote, "BLOCK", 7)
+    monkeypatch.setattr(lattice_vote, "TILE", 17)
+    monkeypatch.setattr(lattice_vote, "BLOCK", 7)
     whole, tiles = both_votes(scattered(count), device, **vote)
     assert np.array_equal(whole[0], tiles[0])
     assert np.array_equal(whole[1], tiles[1])
@@ -77,7 +101,7 @@ def test_more_than_may_vote_in_a_tile_vote_in_smaller_ones(
     places = [
         (OccupancyGrid(hall[:, 12 * n : 12 * n + 24], SIZE), Pose2(1.2 * n, 0.0)) for n in range(40)
     ]
-    monkeypatch.setattr(stored_vote, "SMALL_TILE", 32)
+    monkeypatch.setattr(lattice_vote, "SMALL_TILE", 32)
     whole, tiles = both_votes(places, device, mode="consensus")
     assert np.array_equal(whole[0], tiles[0])
     assert np.array_equal(whole[1], tiles[1])
@@ -87,34 +111,24 @@ def test_more_than_may_vote_in_a_tile_vote_in_smaller_ones(
 def test_tiles_follow_each_other_where_they_are_near_and_those_without_maps_are_left_out(
     device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(stored_vote, "TILE", 16)
+    monkeypatch.setattr(lattice_vote, "TILE", 16)
     grid = scattered(1)[0][0]
     far = [(grid, Pose2()), (grid, Pose2(30.0, 30.0, 0.0))]
     normalized = normalize_grid(grid.with_name("map 0"), SIZE, NormalizeConfig(), device)
     members = Members("map 0", {"map 0": aligned("map 0", Pose2()), "b": aligned("b", far[1][1])})
     config = FusionConfig(vote=VoteConfig("consensus", extent="union"))
-    ready = prepare_stored_vote(members, lambda _: normalized, config)
+    (ready,) = prepare_votes([members], lambda _: normalized, config, device, is_stored=True)
     told: list[tuple[str, int, int]] = []
-    ready = ready.trusting(device, None)
-    decided = ready.decide(device, None, lambda *words: told.append(words))
-    tiles = [tile for tile, _ in decided]
+    tiles = [
+        tile
+        for tile, decided in ready.each(
+            decide_tile, "vote", device, progress=lambda *words: told.append(words)
+        )
+        if decided is not None
+    ]
     assert told[-1][1] == told[-1][2] > 4 * len(tiles)
     steps = [max(abs(a.row0 - b.row0), abs(a.col0 - b.col0)) for a, b in itertools.pairwise(tiles)]
     assert sorted(steps)[len(steps) // 2] == 16
-
-
-def test_blocks_hold_the_cells_and_none_that_are_unknown(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stored_vote, "BLOCK", 7)
-    cells = known_cells(30, 40)
-    cells[:14, :21] = UNKNOWN
-    packed = PackedBlocks.of(cells)
-    assert len(packed.blocks) == 5 * 6 - 2 * 3
-    window = CellBox(10, 3, 23, 40)
-    part = packed.under(window)
-    assert set(part.blocks) == {(r, c) for r in (1, 2, 3) for c in range(6) if r > 1 or c > 2}
-    assert np.array_equal(part.unpack(window), cells[10:23, 3:40])
-    assert np.array_equal(packed.unpack(CellBox(0, 0, 30, 40)), cells)
-    assert not packed.under(None).blocks
 
 
 class Weighing(Executor):
@@ -124,7 +138,7 @@ class Weighing(Executor):
         self.blocks: list[int] = []
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any, **_: Any) -> Future[Any]:
-        self.blocks.append(sum(len(voter.cells.blocks) for voter in arguments[2]))
+        self.blocks.append(sum(len(layer.cells.blocks) for layer in arguments[2].values()))
         future: Future[Any] = Future()
         future.set_result(function(*arguments))
         return future
@@ -133,13 +147,13 @@ class Weighing(Executor):
 def test_of_a_large_map_travels_what_lies_under_a_tile(
     device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(stored_vote, "TILE", 16)
-    monkeypatch.setattr(stored_vote, "BLOCK", 8)
+    monkeypatch.setattr(lattice_vote, "TILE", 16)
+    monkeypatch.setattr(lattice_vote, "BLOCK", 8)
     cells = known_cells(120, 150)
     places = [(OccupancyGrid(cells, SIZE), Pose2()), (OccupancyGrid(cells, SIZE), Pose2(1, 2, 0.7))]
     inputs = placed(places, device, mode="consensus")
-    ready = prepare_stored_vote(inputs.members, inputs.normalized.__getitem__, inputs.config)
-    ready = ready.trusting(device, None)
+    ready = packed(inputs, device)
     executor = Weighing()
-    assert len(list(ready.decide(device, executor))) > 50
-    assert max(executor.blocks) < 0.5 * sum(len(voter.cells.blocks) for voter in ready.inputs)
+    assert len(list(ready.each(decide_tile, "vote", device, executor))) > 50
+    whole = [layer for layer in ready.layers.values() if isinstance(layer, PackedLayer)]
+    assert max(executor.blocks) < 0.5 * sum(len(layer.cells.blocks) for layer in whole)

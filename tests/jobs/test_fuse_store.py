@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,19 +11,22 @@ import pytest
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import FusionConfig, RunConfig, VoteConfig
 from slamfusion.errors import AlignmentError, MapFileError, MemoryBudgetError
-from slamfusion.fusion import stored_vote
-from slamfusion.fusion.groups import AlignedGroup
-from slamfusion.fusion.lattice_vote import vote_on_lattice
-from slamfusion.fusion.pipeline import AlignedInputs, align_inputs
+from slamfusion.fusion import lattice_vote
+from slamfusion.fusion.lattice_vote import vote_in_memory
+from slamfusion.fusion.pipeline import AlignedInputs
+from slamfusion.fusion.records import FusionResult
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import load_map
 from slamfusion.io.map_store import read_stored_map
-from slamfusion.jobs import fuse_store
+from slamfusion.jobs import fuse
 from slamfusion.jobs.documents import record_bytes
-from slamfusion.jobs.fuse import AllRequiredError, fuse_maps
-from slamfusion.jobs.fuse_store import check_stores, fuse_into_store
-from slamfusion.json_values import plain
+from slamfusion.jobs.fuse import (
+    AllRequiredError,
+    FusedMaps,
+    check_stores,
+    fuse_maps,
+)
 from tests.fusion.test_lattice_vote import SIZE, placed
 from tests.support.documents import check_document
 from tests.support.sites import many_maps
@@ -46,50 +48,41 @@ def device() -> ComputeDevice:
     return open_device()
 
 
-def test_the_store_holds_what_fuse_makes(
-    tmp_path: Path, device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    found: list[AlignedInputs] = []
-
-    def align(*given: Any, **named: Any) -> AlignedInputs:
-        found.append(align_inputs(*given, **named))
-        return found[0]
-
-    monkeypatch.setattr(fuse_store, "align_inputs", align)
-    monkeypatch.setattr(stored_vote, "TILE", 128)
-    monkeypatch.setattr(fuse_store, "TILE", 128)
-    told: list[str] = []
-    stored = fuse_into_store(
-        SITE, tmp_path / "out.zarr", CONFIG, device, progress=lambda what, *_: told.append(what)
-    )
-    assert told.count("vote") > 4
-    (aligned,) = found
-    groups = [
-        vote_on_lattice(
-            SITE if members is aligned.group else aligned.grids_of(members),
-            members,
-            aligned.lattices,
-            aligned.others if members is aligned.group else {},
-            CONFIG.fusion,
-            device,
-        )
-        for members in (aligned.group, *aligned.group.others)
-    ]
+def assert_same(stored: FusedMaps, whole: FusionResult) -> None:
+    """Each store holds the map of its group, and the records are those of the vote in memory."""
+    groups, results = (whole, *whole.others), (stored.result, *stored.result.others)
     assert len(stored.stores) == len(groups)
-    for whole, result, store, stem in zip(
-        groups, (stored.result, *stored.result.others), stored.stores, stored.stems, strict=True
-    ):
-        for name, grid in (("fused", whole.fused), ("agreement", whole.agreement)):
+    for wanted, result, store in zip(groups, results, stored.stores, strict=True):
+        for name, grid in (("fused", wanted.fused), ("agreement", wanted.agreement)):
             found = read_stored_map(store, name)
             assert np.array_equal(found.cells, grid.cells)
             assert (found.origin, found.resolution) == (grid.origin, grid.resolution)
-        assert result.phantom_cells == whole.phantom_cells
-        assert (result.weights, result.bent) == (whole.weights, whole.bent)
+        assert result.phantom_cells == wanted.phantom_cells
+        assert (result.weights, result.bent) == (wanted.weights, wanted.bent)
         assert [(r.name, r.accepted, r.reason) for r in result.inputs] == [
-            (r.name, r.accepted, r.reason) for r in whole.inputs
+            (r.name, r.accepted, r.reason) for r in wanted.inputs
         ]
+
+
+def test_the_store_holds_what_fuse_makes(
+    tmp_path: Path, device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = fuse_maps(SITE, CONFIG, device).in_memory
+    monkeypatch.setattr(lattice_vote, "TILE", 128)
+    monkeypatch.setattr(fuse, "TILE", 128)
+    told: list[str] = []
+    stored = fuse_maps(
+        SITE,
+        CONFIG,
+        device,
+        store=tmp_path / "out.zarr",
+        progress=lambda what, *_: told.append(what),
+    )
+    assert told.count("vote") > 4
+    assert_same(stored, whole)
+    for result, stem in zip((whole, *whole.others), stored.stems, strict=True):
         assert stem is not None
-        assert np.array_equal(load_map(f"{stem}.yaml").cells, whole.fused.cells)
+        assert np.array_equal(load_map(f"{stem}.yaml").cells, result.fused.cells)
     document = stored.to_json()
     check_document(plain(document), "fuse")
     assert (tmp_path / "out.json").read_bytes() == record_bytes(document)
@@ -101,25 +94,25 @@ def test_the_store_holds_what_fuse_makes(
 def test_a_map_too_large_for_a_map_server_is_in_the_store_alone(
     tmp_path: Path, device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(fuse_store, "FILES_CELLS", 100)
-    stored = fuse_into_store(TWINS, tmp_path / "out.zarr", CONFIG, device)
+    monkeypatch.setattr(fuse, "FILES_CELLS", 100)
+    stored = fuse_maps(TWINS, CONFIG, device, store=tmp_path / "out.zarr")
     assert stored.stems == (None,)
     assert [item.name for item in tmp_path.iterdir()] == ["out.zarr"]
     assert stored.to_json()["fused"] is None
     with pytest.raises(MapFileError, match=r"out\.zarr exists"):
-        fuse_into_store(TWINS, tmp_path / "out.zarr", CONFIG, device)
+        fuse_maps(TWINS, CONFIG, device, store=tmp_path / "out.zarr")
 
 
 def test_the_store_of_another_group_is_found_before_any_work(
     tmp_path: Path, device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Where this fusion has no such group it would look like one."""
-    monkeypatch.setattr(fuse_store, "align_inputs", pytest.fail)
+    monkeypatch.setattr(fuse, "align_inputs", pytest.fail)
     for number, maps in ((2, SITE[:4]), (3, SITE)):
         other = tmp_path / f"out-{number}.zarr"
         other.mkdir()
         with pytest.raises(MapFileError, match=rf"out-{number}\.zarr exists"):
-            fuse_into_store(maps, tmp_path / "out.zarr", CONFIG, device)
+            fuse_maps(maps, CONFIG, device, store=tmp_path / "out.zarr")
         other.rmdir()
     (tmp_path / "out-3.zarr").mkdir()
     check_stores(tmp_path / "out.zarr", 5)  # no more than two groups
@@ -128,10 +121,10 @@ def test_the_store_of_another_group_is_found_before_any_work(
 def test_nothing_is_written_of_what_does_not_fit(tmp_path: Path, device: ComputeDevice) -> None:
     empty = OccupancyGrid(np.full((20, 20), -1, dtype=np.int8), 0.05, name="empty")
     with pytest.raises(AlignmentError, match="no two of the inputs"):
-        fuse_into_store([SITE[0], empty], tmp_path / "out.zarr", CONFIG, device)
+        fuse_maps([SITE[0], empty], CONFIG, device, store=tmp_path / "out.zarr")
     strict = replace(CONFIG, fusion=replace(CONFIG.fusion, require_all=True))
     with pytest.raises(AllRequiredError, match="--require-all, but rejected: empty"):
-        fuse_into_store([*TWINS, empty], tmp_path / "out.zarr", strict, device)
+        fuse_maps([*TWINS, empty], strict, device, store=tmp_path / "out.zarr")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -151,16 +144,9 @@ def test_groups_that_contradict_each_other_have_a_store_each(
         for cells in (room(), moved(room(), 4, 7))
     )
     ready = placed([(one, Pose2())] * 3 + [(other, Pose2())] * 2, device, tuple("abcde"))
-    group = AlignedGroup(ready.members.reference, ready.members.alignments, {}, ())
-    aligned = AlignedInputs(tuple(ready.grids), group, ready.normalized.__getitem__, {})
-    monkeypatch.setattr(fuse_store, "align_inputs", lambda *_, **__: aligned)
-    stored = fuse_into_store(ready.grids, tmp_path / "out.zarr", CONFIG, device)
+    groups, lattices = (ready.members,), ready.normalized.__getitem__
+    aligned = AlignedInputs(groups, (), lattices, {})
+    monkeypatch.setattr(fuse, "align_inputs", lambda *_, **__: aligned)
+    stored = fuse_maps(ready.grids, CONFIG, device, store=tmp_path / "out.zarr")
     assert [path.name for path in stored.stores] == ["out.zarr", "out-2.zarr"]
-    whole = vote_on_lattice(ready.grids, group, aligned.lattices, {}, CONFIG.fusion, device)
-    for result, wanted, path in zip(
-        (stored.result, *stored.result.others), (whole, *whole.others), stored.stores, strict=True
-    ):
-        assert np.array_equal(read_stored_map(path, "fused").cells, wanted.fused.cells)
-        assert [(r.name, r.accepted, r.reason) for r in result.inputs] == [
-            (r.name, r.accepted, r.reason) for r in wanted.inputs
-        ]
+    assert_same(stored, vote_in_memory(ready.grids, groups, lattices, {}, CONFIG.fusion, device))
