@@ -22,9 +22,9 @@ from slamfusion.jobs.cases import CaseFile
 from slamfusion.jobs.inputs import device_for
 
 if TYPE_CHECKING:
-    from slamfusion.experiments.drives import DriveFiles
     from slamfusion.experiments.page import Experiment
     from slamfusion.experiments.runs import Setup
+    from slamfusion.jobs.map_log import LogFiles
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -35,7 +35,7 @@ Inputs = Sequence[tuple[str, str, Path]]
 
 def _files(folder: Path, _: Mapping[str, Any]) -> list[Path]:
     """Return what may be written: the tables, the plot, and what is kept of runs."""
-    from slamfusion.experiments.examples import FOLDER  # noqa: PLC0415  (loads slowly)
+    from slamfusion.experiments.runs import FOLDER  # noqa: PLC0415  (loads slowly)
 
     stem = click.get_current_context().command.name
     tables = [folder / f"{stem}.{ending}" for ending in ("csv", "md", "png", *PICTURE_FORMS)]
@@ -126,7 +126,7 @@ def cell_models(setup: Setup) -> Found:
 
     Exit code 1 when a value differs from the paper's in its three decimals.
     """
-    from slamfusion.experiments.cell_models import table_two  # noqa: PLC0415
+    from slamfusion.experiments.tinyslam import table_two  # noqa: PLC0415
 
     del setup
     return table_two(), []
@@ -157,17 +157,17 @@ def occupancy_estimator(
 
     On simulated office floors, whose truth is known, and on a log where one is given.
     """
-    from slamfusion.experiments.drives import DriveFiles  # noqa: PLC0415
-    from slamfusion.experiments.occupancy_estimator import sweep_estimators  # noqa: PLC0415
+    from slamfusion.experiments.drives import drive_inputs  # noqa: PLC0415
+    from slamfusion.experiments.tinyslam import sweep_estimators  # noqa: PLC0415
+    from slamfusion.jobs.map_log import LogFiles  # noqa: PLC0415
 
     others = (relations_path, odometry_path, reference_path)
     if log_path is None and any(path is not None for path in others):
         message = "--relations, --odometry and --reference belong to a recorded drive; give --log"
         raise click.UsageError(message)
-    recorded = [] if log_path is None else [DriveFiles(log_path, *others)]
+    recorded = [] if log_path is None else [LogFiles(log_path, *others)]
     floors = _floors(setup.config.experiment.occupancy_estimator.floors, recorded)
-    inputs = [item for files in recorded for item in files.inputs()]
-    return sweep_estimators(recorded, floors, setup), inputs
+    return sweep_estimators(recorded, floors, setup), drive_inputs(recorded)
 
 
 @command.command("cell-models-trajectories")
@@ -186,27 +186,27 @@ def cell_models_trajectories(setup: Setup, logs: tuple[Path, ...]) -> Found:
 
     On simulated office floors, whose truth is known, and on the logs given.
     """
-    from slamfusion.experiments.cell_models_trajectories import compare_models  # noqa: PLC0415
+    from slamfusion.experiments.drives import drive_inputs  # noqa: PLC0415
+    from slamfusion.experiments.tinyslam import compare_models  # noqa: PLC0415
 
     recorded = [_drive_files(text) for text in logs]
     floors = _floors(setup.config.experiment.cell_models_trajectories.floors, recorded)
-    inputs = [item for files in recorded for item in files.inputs()]
-    return compare_models(recorded, floors, setup), inputs
+    return compare_models(recorded, floors, setup), drive_inputs(recorded)
 
 
-def _drive_files(text: Path) -> DriveFiles:
+def _drive_files(text: Path) -> LogFiles:
     """Return the files of ``LOG:RELATIONS[:ODOMETRY]``."""
-    from slamfusion.experiments.drives import DriveFiles  # noqa: PLC0415
+    from slamfusion.jobs.map_log import LogFiles  # noqa: PLC0415
 
     parts = str(text).split(":")
     if len(parts) not in {2, 3} or not all(parts):
         message = f"--log: wanted LOG:RELATIONS or LOG:RELATIONS:ODOMETRY, found '{text}'"
         raise click.UsageError(message)
     # No shell expands what follows a colon.
-    return DriveFiles(*(FILE.convert(part, None, None) for part in parts))
+    return LogFiles(*(FILE.convert(part, None, None) for part in parts))
 
 
-def _floors(count: int, recorded: Sequence[DriveFiles]) -> range:
+def _floors(count: int, recorded: Sequence[LogFiles]) -> range:
     """Return the seeds of the simulated floors; there must be something to run on."""
     if not recorded and not count:
         message = "nothing to run on: give --log, or --floors of at least 1"
@@ -224,7 +224,7 @@ def ground_obstacle(setup: Setup) -> Found:
     way; then every two methods are tested. What is done stays in DIR/trials: started again after
     an interruption, only the rest is run.
     """
-    from slamfusion.experiments.ground_obstacle import compare_with_obstacle  # noqa: PLC0415
+    from slamfusion.experiments.trials import compare_with_obstacle  # noqa: PLC0415
 
     return compare_with_obstacle(setup), []
 
@@ -239,7 +239,7 @@ def failures(setup: Setup) -> Found:
     with each laser. What is done stays in DIR/trials: started again after an interruption, only
     the rest is run.
     """
-    from slamfusion.experiments.failures import compare_failures  # noqa: PLC0415
+    from slamfusion.experiments.trials import compare_failures  # noqa: PLC0415
 
     try:
         return compare_failures(setup), []

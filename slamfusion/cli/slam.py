@@ -28,7 +28,7 @@ from slamfusion.errors import SlamFusionError
 from slamfusion.jobs.outputs import PAGE, SUFFIXES, output_files
 
 if TYPE_CHECKING:
-    from slamfusion.jobs.produced import ProducerResult
+    from slamfusion.jobs.map_log import ProducerResult
 
 
 class _Producers(click.Group):
@@ -234,7 +234,7 @@ def _run(name: str, request: _Request, config: RunConfig, *, as_json: bool) -> i
 
 def _print(result: ProducerResult, request: _Request) -> None:
     """Print the numbers, the remarks and the errors."""
-    from slamfusion.jobs.produced import run_remarks  # noqa: PLC0415
+    from slamfusion.jobs.map_log import run_remarks  # noqa: PLC0415
 
     run = result.run
     print_table(

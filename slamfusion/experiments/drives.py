@@ -12,9 +12,11 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig, TrajectoryConfig
 from slamfusion.errors import LogError
 from slamfusion.evaluation import Relations, Row, result_rows
-from slamfusion.experiments.runs import Progress, RunResult, Setup, run_all
+from slamfusion.experiments.runs import RunResult, Setup, run_all
 from slamfusion.io import LogScan, open_log
 from slamfusion.io.lines import strip_gz
+from slamfusion.jobs.inputs import Progress
+from slamfusion.jobs.map_log import LogFiles
 from slamfusion.jobs.results import input_records
 from slamfusion.jobs.trajectory import Yardsticks, measure_trajectory
 from slamfusion.sim import named_course, simulate
@@ -26,27 +28,15 @@ from slamfusion.trajectory import Trajectory
 RELATIONS, ATE, TIME = "relations_mean_m", "ate_rmse_m", "time_per_scan_ms"
 
 
-@dataclass(frozen=True)
-class DriveFiles:
-    """The files of a recorded drive.
-
-    Attributes:
-        log: scans with odometry.
-        relations: known motions between pairs of times; None: none.
-        odometry: raw odometry of the whole run, to carry poses on to the relations' times.
-        reference: the best known trajectory; None: none.
-    """
-
-    log: Path
-    relations: Path | None = None
-    odometry: Path | None = None
-    reference: Path | None = None
-
-    def inputs(self) -> list[tuple[str, str, Path]]:
-        """Return role, drive and path of each file."""
-        roles = ("log", "relations", "odometry", "truth")
-        named = zip(roles, astuple(self), strict=True)
-        return [(role, self.log.stem, path) for role, path in named if path is not None]
+def drive_inputs(recorded: Sequence[LogFiles]) -> list[tuple[str, str, Path]]:
+    """Return role, drive and path of each file of recorded drives."""
+    roles = ("log", "relations", "odometry", "truth")
+    return [
+        (role, files.log.stem, path)
+        for files in recorded
+        for role, path in zip(roles, astuple(files), strict=False)
+        if path is not None
+    ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,11 +85,11 @@ class Drive:
         return Trajectory(np.array([stamp_s for stamp_s, _ in known]), rows, self.name)
 
 
-def read_drive(files: DriveFiles, config: RunConfig) -> Drive:
+def read_drive(files: LogFiles, config: RunConfig) -> Drive:
     """Read a recorded drive.
 
     Args:
-        files: with relations, a reference, or both.
+        files: with relations, a true or the best known path, or both.
         config: how logs are read.
 
     Raises:
@@ -107,7 +97,7 @@ def read_drive(files: DriveFiles, config: RunConfig) -> Drive:
         TrajectoryError: relations, odometry or reference cannot be read.
         OSError: a file cannot be opened.
     """
-    if files.relations is None and files.reference is None:
+    if files.relations is None and files.truth is None:
         message = f"{files.log}: nothing to measure it by; give relations, a reference, or both"
         raise LogError(message)
     log = open_log(files.log, config.log)
@@ -117,7 +107,7 @@ def read_drive(files: DriveFiles, config: RunConfig) -> Drive:
         message = f"{files.log}: no scan of it can be used: {reasons}"
         raise LogError(message)
     held = Yardsticks.read(
-        config, relations=files.relations, odometry=files.odometry, truth=files.reference
+        config, relations=files.relations, odometry=files.odometry, truth=files.truth
     )
     name = Path(strip_gz(files.log.name)).stem
     return Drive(name, scans, held.relations, held.odometry, held.truth)
@@ -164,7 +154,7 @@ class DriveRun:
 def run_on_drives(
     plan: Callable[[str], Sequence[DriveRun]],
     make: Callable[[DriveRun], Mapper],
-    recorded: Sequence[DriveFiles],
+    recorded: Sequence[LogFiles],
     floors: Sequence[int],
     setup: Setup,
 ) -> list[Row]:
@@ -200,7 +190,7 @@ def run_on_drives(
         return RunResult(result_rows(run.case, str(run.seed), run.method, figures))
 
     runs = [run for drive in drives for run in plan(drive.name)]
-    inputs = [file for own in recorded for file in own.inputs()]
+    inputs = drive_inputs(recorded)
     facts = [record["sha256"] for file in inputs for record in input_records(*file)]
     facts.append(device.name)
     tasks = {run.key: run for run in runs}

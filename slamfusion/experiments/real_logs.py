@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -18,29 +18,23 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import ConfigError, SlamFusionError
 from slamfusion.evaluation import Row, doubled_wall_share, map_figures, result_rows
-from slamfusion.evidence import JudgedScans
-from slamfusion.experiments.drive_paths import (
-    CHOICE,
+from slamfusion.experiments.fusions import (
     FUSED_PATH,
-    draw_paths,
+    FUSIONS,
+    against_truth,
     drawn_at,
-    drive_layers,
-    judge_scans,
-    path_errors,
-    weigh_paths,
+    fuse_in_every_way,
+    produce_maps,
 )
-from slamfusion.experiments.examples import Example
 from slamfusion.experiments.page import Experiment
-from slamfusion.experiments.runs import RunResult, Setup, run_all
-from slamfusion.experiments.voting import FUSIONS, against_truth, vote_every_way
+from slamfusion.experiments.runs import RunResult, Setup, packed_maps, run_all
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan, open_log, read_trajectory
 from slamfusion.jobs.cases import CaseFile, place_files
-from slamfusion.jobs.fuse_drive import produce_maps
 from slamfusion.jobs.inputs import Warn
 from slamfusion.jobs.outputs import DRAWN
 from slamfusion.jobs.results import input_records, map_inputs
-from slamfusion.jobs.saved_maps import SavedMaps, free_name, path_at_scans
+from slamfusion.jobs.saved_maps import SavedMaps, free_name
 from slamfusion.slam.common.mapper import MapJob
 from slamfusion.slam.graph.node_map import Node, NodeMap
 from slamfusion.slam.registry import BUILT_IN, settings_of
@@ -212,15 +206,9 @@ def other_slams(
     }
 
 
-def _compare_on_log(
-    folder: Path,
-    name: str,
-    setup: Setup,
-    saved: SavedMaps,
-) -> RunResult:
+def _compare_on_log(folder: Path, name: str, setup: Setup, saved: SavedMaps) -> RunResult:
     """Return the maps of one drive."""
-    config, device = setup.config, setup.device
-    files = REAL_LOGS[name]
+    config, device, files = setup.config, setup.device, REAL_LOGS[name]
     scans = tuple(open_log(folder / files.log, config.log))
     trajectory = read_trajectory(folder / files.reference, config.log)
     reference, count = reference_map(scans, trajectory, config, device)
@@ -230,31 +218,27 @@ def _compare_on_log(
         if setup.progress is not None:
             setup.progress(f"{name}, {producer}", done, total)
 
-    fed = dict.fromkeys(BUILT_IN, scans)
-    made = produce_maps(fed, config, device, tell)
-    notes = dict(made.reasons)
-    if not made.grids:
-        message = f"{name}: no producer made a map ({'; '.join(notes.values())})"
+    produced = produce_maps(dict.fromkeys(BUILT_IN, scans), config, device, tell)
+    if not produced.paths:
+        reasons = "; ".join(produced.notes.values())
+        message = f"{name}: no producer made a map ({reasons})"
         raise SlamFusionError(message)
-    # Saved maps may have any frame.
-    align = replace(config.fusion.align, shared_frame=not others)
-    config = replace(config, fusion=replace(config.fusion, align=align))
-    judged = judge_scans(scans, notes)
-    at_scans = _at_scans(their_paths, judged, notes)
-    weighed = weigh_paths(judged, {**made.paths, **at_scans}, device, notes)
-    fed |= dict.fromkeys(at_scans, scans)
-    layers = drive_layers([*made.grids, *others], weighed, scans, fed, device)
-    fused = vote_every_way(layers, config, device, notes, shared_frame=not others)
-
-    errors = path_errors(weighed, trajectory, SAME_TIME_S)
+    made = fuse_in_every_way(
+        produced,
+        scans,
+        {},
+        config,
+        device,
+        saved=others,
+        saved_paths=their_paths,
+        drawn_cell_m=reference.resolution,
+    )
+    errors = made.path_errors(trajectory, SAME_TIME_S)
     if FUSED_PATH in errors:
         errors[DRAWN] = errors[FUSED_PATH]
-    drawn = draw_paths(scans, weighed, reference.resolution, device)
-
     rows: list[Row] = []
     differences = {}
-    maps = {**made.maps, **{grid.name: grid for grid in others}}
-    for method, grid in {**maps, **fused, **drawn}.items():
+    for method, grid in made.maps.items():
         if grid is not None:
             found = against_truth(grid, reference, config, device)
             there = found.map_to_truth_m
@@ -266,29 +250,12 @@ def _compare_on_log(
             }
             rows += result_rows(name, "", method, figures)
             differences[method] = found.difference
-    doubled = _doubled(reference, config)
-    rows += result_rows(name, "", REFERENCE, {"doubled_wall_share": doubled})
+    rows += result_rows(name, "", REFERENCE, {"doubled_wall_share": _doubled(reference, config)})
     remark = f"the reference map is drawn by {count} of {len(scans)} scans at {files.source}"
-    if weighed.choice:
-        remark += f"; the scans support the path of {weighed.choice} best"
-    example = Example(differences, found.resolution).packed()
-    return RunResult(rows, notes, example, f"{name}: {remark}.")
-
-
-def _at_scans(
-    paths: Mapping[str, Trajectory], judged: JudgedScans | None, notes: dict[str, str]
-) -> dict[str, Trajectory]:
-    """Return paths of other SLAMs at the scans; ``notes`` are told which were not used, and why."""
-    found = {}
-    for name, path in paths.items():
-        if judged is None:
-            notes[f"{name}, path"] = notes[CHOICE]
-            continue
-        try:
-            found[name] = path_at_scans(path, judged)
-        except SlamFusionError as error:
-            notes[f"{name}, path"] = str(error)
-    return found
+    if made.choice:
+        remark += f"; the scans support the path of {made.choice} best"
+    maps = packed_maps(differences, reference.resolution)
+    return RunResult(rows, made.notes, maps, f"{name}: {remark}.")
 
 
 def _doubled(grid: OccupancyGrid, config: RunConfig) -> float:

@@ -1,32 +1,44 @@
-"""The runs of an experiment: each one that is done is kept as a file, and is not run again."""
+"""The runs of an experiment: each one that is done is kept as a file, and is not run again.
+
+Of runs that are shown, the maps against the truth are kept, too.
+"""
 
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import math
+import zipfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
 
 import slamfusion
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.program import kernel_folder
 from slamfusion.config import RunConfig, to_mapping
-from slamfusion.errors import FleetError, SlamFusionError
-from slamfusion.evaluation import Row, result_rows
-from slamfusion.experiments.examples import FOLDER, example_file
+from slamfusion.errors import FleetError, MapFileError, SlamFusionError
+from slamfusion.evaluation import Row, maps_of_differences, result_rows
 from slamfusion.fleet import as_done, executor_for
+from slamfusion.geometry import Pose2
+from slamfusion.grid import OccupancyGrid
 from slamfusion.io import AtomicFiles
 from slamfusion.jobs.documents import record_bytes
+from slamfusion.jobs.inputs import Progress
 
 T = TypeVar("T")
-Progress = Callable[[str, int, int], None]
 
 # Parts of the package that do not change a result.
 FACES = {"cli", "page", "report", "ros", "viewer"}
+# The folder of what is done, in that of the experiment; and in it the names of arrays of a file.
+FOLDER = "trials"
+MAP, RESOLUTION = "map ", "resolution"
 
 
 @dataclass(frozen=True)
@@ -36,7 +48,7 @@ class RunResult:
     Attributes:
         rows: its rows of the table of results.
         notes: what went wrong, by method.
-        example: its maps against the truth (``Example.packed``), of a run that is shown.
+        example: its maps against the truth, see ``packed_maps``, of a run that is shown.
         remark: a sentence about it.
     """
 
@@ -144,7 +156,7 @@ def _read(folder: Path, key: str, mark: str) -> RunResult | None:
         kept = json.loads((folder / FOLDER / f"{key}.json").read_text(encoding="utf-8"))
         if kept["fingerprint"] != mark:
             return None
-        example = example_file(folder, key).read_bytes() if kept["example"] else None
+        example = _maps_file(folder, key).read_bytes() if kept["example"] else None
         rows = [
             row
             for case, seed, method, figure, value in kept["rows"]
@@ -167,4 +179,52 @@ def _write(folder: Path, key: str, mark: str, result: RunResult) -> None:
     with AtomicFiles() as files:
         files.add(folder / FOLDER / f"{key}.json", record_bytes(record))
         if result.example is not None:
-            files.add(example_file(folder, key), result.example)
+            files.add(_maps_file(folder, key), result.example)
+
+
+# --- the maps of a run against the truth ------------------------------------------------------
+
+
+def packed_maps(differences: Mapping[str, npt.NDArray[np.int8]], resolution: float) -> bytes:
+    """Return the file of maps against the truth.
+
+    Args:
+        differences: by method (H, W) int8, codes of ``slamfusion.evaluation``, all on one lattice.
+        resolution: metres per cell.
+    """
+    arrays: dict[str, Any] = {f"{MAP}{name}": item for name, item in differences.items()}
+    arrays[RESOLUTION] = np.float64(resolution)
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **arrays)
+    return buffer.getvalue()
+
+
+def kept_runs(folder: Path) -> list[str]:
+    """Return the names of the runs whose maps are kept in an experiment's folder."""
+    return sorted(path.stem for path in (folder / FOLDER).glob("*.npz"))
+
+
+def kept_maps(folder: Path, key: str) -> tuple[OccupancyGrid, list[OccupancyGrid]]:
+    """Return the truth and the maps of a run, all on one lattice.
+
+    Where a map lacks a true wall its cells are unknown, whatever it has there.
+
+    Raises:
+        MapFileError: the file is damaged.
+    """
+    path = _maps_file(folder, key)
+    try:
+        with np.load(path) as stored:
+            differences = {
+                name.removeprefix(MAP): np.asarray(stored[name], dtype=np.int8)
+                for name in stored.files
+                if name != RESOLUTION
+            }
+            return maps_of_differences(differences, float(stored[RESOLUTION]), Pose2())
+    except (OSError, ValueError, KeyError, IndexError, zipfile.BadZipFile) as error:
+        message = f"{path}: cannot be read as the maps of a drive ({error}); run it again"
+        raise MapFileError(message) from error
+
+
+def _maps_file(folder: Path, key: str) -> Path:
+    return folder / FOLDER / f"{key}.npz"

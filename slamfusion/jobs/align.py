@@ -15,8 +15,6 @@ from slamfusion.jobs.documents import circumstances
 from slamfusion.jobs.inputs import MapInput, Warn, as_grids, device_for
 from slamfusion.jobs.records import AlignDocument
 
-__all__ = ["align_document", "align_maps"]
-
 _LOG = logging.getLogger(__name__)
 
 # Of a start without tolerances: x, y, yaw.

@@ -16,14 +16,8 @@ from pathlib import Path
 
 from slamfusion.errors import ConfigError
 
-__all__ = [
-    "CaseFile",
-    "Placed",
-    "case_names",
-    "files_by_case",
-    "place_files",
-    "shared_case_names",
-]
+if TYPE_CHECKING:
+    from slamfusion.evaluation.records import PlacedJson
 
 # What parts words in a file name.
 _BETWEEN = r"[-_. ]+"

@@ -21,8 +21,6 @@ from slamfusion.pose_graph import (
 )
 from slamfusion.trajectory import Trajectory
 
-__all__ = ["OptimizedGraph", "optimize_graph", "save_optimized_graph"]
-
 
 @dataclass(frozen=True, eq=False)
 class OptimizedGraph:

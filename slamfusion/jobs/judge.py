@@ -244,7 +244,11 @@ def judge_paths(
         config, relations=files.relations, odometry=files.odometry, truth=files.truth
     )
     device = device_for(config) if device is None else device
-    evidence = score_log_paths(files.log, read, config, device, files.scan_odometry, warn=warn)
+    source = open_log(files.log, config.log, files.scan_odometry)
+    scans = judged_scans(source)
+    for sentence in (*source.skips.sentences(), *source.warnings.sentences(), *source.notes):
+        warn(f"{files.log}: {sentence}")
+    evidence = score_paths(scans, read, device)
     made, fused = None, None
     exclusions = find_exclusions(evidence, device)
     if files.fused is not None:
@@ -252,11 +256,11 @@ def judge_paths(
         if made.refined is not None:
             evidence = made.refined.evidence
     found = recommend(evidence, tuple(read), exclusions, device, fused=fused)
-    scans = evidence.scans.odometry_path()
+    wheels = evidence.scans.odometry_path()
     measures, not_measured = {}, []
     for name, path in (read if made is None else {**read, FUSED: made.trajectory}).items():
         try:
-            measures[name] = held.measure(path, config, scans)
+            measures[name] = held.measure(path, config, wheels)
         except SlamFusionError as error:
             not_measured.append(f"{name}: {error}")
     if made is not None:
@@ -358,33 +362,3 @@ def _fuse(
             message = f"{name}: {error}"
             raise TrajectoryError(message) from error
     return fuse_weighed_paths(at_scans, evidence, exclusions, device)
-
-
-def score_log_paths(
-    log: Path,
-    paths: Mapping[str, Trajectory],
-    config: RunConfig,
-    device: ComputeDevice,
-    scan_odometry: Path | None = None,
-    *,
-    warn: Warn | None = None,
-) -> PathEvidence:
-    """Read the scans of a log and score paths of it on them.
-
-    Args:
-        log: the scans.
-        paths: by name; see ``score_paths``.
-        config: ``log`` is used.
-        device: scores.
-        scan_odometry: what gives the scans their odometry instead of the log.
-        warn: told in a sentence what is odd about the log; None: nobody.
-
-    Raises:
-        LogError, TrajectoryError, DeviceError, OSError: see ``judge_paths``.
-    """
-    source = open_log(log, config.log, scan_odometry)
-    scans = judged_scans(source)
-    if warn is not None:
-        for sentence in (*source.skips.sentences(), *source.warnings.sentences(), *source.notes):
-            warn(f"{log}: {sentence}")
-    return score_paths(scans, paths, device)

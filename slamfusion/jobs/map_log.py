@@ -3,32 +3,32 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import MapFileError, SlamFusionError
 from slamfusion.grid import OccupancyGrid
-from slamfusion.io import AtomicFiles, open_log
-from slamfusion.jobs.documents import circumstances, path_text
-from slamfusion.jobs.evaluate import evaluate_maps
+from slamfusion.io import AtomicFiles, open_log, save_map, write_tum
+from slamfusion.jobs.documents import circumstances, number, path_text, record_bytes
+from slamfusion.jobs.evaluate import Evaluation, evaluate_maps
 from slamfusion.jobs.inputs import Progress, Warn, as_path, load_maps
-from slamfusion.jobs.outputs import output_files
-from slamfusion.jobs.produced import ProducerResult, add_run, measure_run, run_remarks
-from slamfusion.jobs.run_records import (
-    LogFilesJson,
-    SlamDocument,
-)
+from slamfusion.jobs.outputs import PROBABILITY, output_files
+from slamfusion.jobs.run_records import LogFilesJson, ProducerJson, SlamDocument
 from slamfusion.jobs.trajectory import Measures, Yardsticks
 from slamfusion.slam.common.mapper import Mapper
-from slamfusion.slam.common.runner import ProducerRun, Resumable, run_producer
+from slamfusion.slam.common.runner import (
+    ProducerRun,
+    Resumable,
+    run_producer,
+    skipped_scans,
+)
 from slamfusion.slam.registry import make_producer, open_producer_device, resume_producer
 from slamfusion.trajectory import Trajectory
-
-__all__ = ["LogFiles", "MappedLog", "map_log", "save_mapped_log", "slam_document"]
 
 _LOG = logging.getLogger(__name__)
 
@@ -66,6 +66,86 @@ class LogFiles:
             "truth": path_text(self.truth),
             "truth_map": path_text(self.truth_map),
         }
+
+
+@dataclass(frozen=True)
+class ProducerResult:
+    """A run and everything that was measured of it.
+
+    Attributes:
+        run: what the producer made.
+        measures: errors of its path.
+        evaluation: errors of its map; None without a true map.
+        device: what it computed on, in words.
+    """
+
+    run: ProducerRun
+    measures: Measures
+    evaluation: Evaluation | None
+    device: str
+
+    def to_json(self, files: Sequence[Path]) -> ProducerJson:
+        """Return the run's record with its errors and files."""
+        return {
+            **self.run.to_json(),
+            **self.measures.to_json(),
+            "map_error": None if self.evaluation is None else self.evaluation.to_json(),
+            "files": [str(path) for path in files],
+        }
+
+    def figures(self) -> list[tuple[str, str]]:
+        """Return the run's numbers with their names."""
+        run = self.run
+        time_ms, health = run.time_per_scan_ms(), run.health
+        stamps_s = run.trajectory.stamps_s
+        fed = len(run.feed_s)
+        return [
+            ("scans", f"{run.scans}, {run.scans_used} of them used"),
+            *([("scans fed in this run", f"{fed}")] if fed != run.scans else []),
+            ("duration of the drive", f"{number(float(stamps_s[-1] - stamps_s[0]), 1)} s"),
+            ("path length", f"{number(run.trajectory.path_length_m(), 1)} m"),
+            (
+                "path length by odometry",
+                "no odometry"
+                if run.odometry is None
+                else f"{number(run.odometry.path_length_m(), 1)} m",
+            ),
+            (
+                "time per scan",
+                (
+                    f"mean {number(time_ms['mean'], 2)} ms, median {number(time_ms['p50'], 2)} ms, "
+                    f"95 % within {number(time_ms['p95'], 2)} ms, "
+                    f"99.9 % within {number(time_ms['p999'], 2)} ms, "
+                    f"longest {number(time_ms['max'], 2)} ms"
+                ),
+            ),
+            ("time in all", f"{number(run.time_s, 1)} s, reading included"),
+            (
+                "peak memory",
+                (
+                    f"{number(run.peak_memory_bytes / 1e6, 1)} MB map and filter, "
+                    f"{number(run.process_peak_memory_bytes / 1e6, 0)} MB whole process"
+                ),
+            ),
+            (
+                "match score",
+                (
+                    f"mean {number(health.mean_match_score)}, last {number(health.match_score)}, "
+                    f"{health.low_scores} below half of the mean, {run.low_in_a_row} of them "
+                    "in a row"
+                ),
+            ),
+            *(
+                [("effective particles", number(health.n_eff, 1))]
+                if health.n_eff is not None
+                else []
+            ),
+            (
+                "map",
+                f"{run.grid.width} x {run.grid.height} cells of {run.grid.resolution:g} m",
+            ),
+            ("device", self.device),
+        ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,6 +289,34 @@ def _run(
     return run_producer(mapper, log, log=log, progress=tell, limit=limit)
 
 
+def run_remarks(run: ProducerRun) -> list[tuple[str, str]]:
+    """Return what was left out, what is odd, and what the log says, each with its place."""
+    remarks = [(f"left out by {run.name}", item) for item in skipped_scans(run.health)]
+    if run.log is not None:
+        remarks += [("left out of the log", item) for item in run.log.skips.sentences()]
+        remarks += [("odd in the log", item) for item in run.log.warnings.sentences()]
+        remarks += [("the log", item) for item in run.log.notes]
+    return remarks
+
+
+def measure_run(run: ProducerRun, config: RunConfig, held: Yardsticks) -> Measures:
+    """Measure the path, and the one that was first reported where the producer keeps it.
+
+    Args:
+        run: what a producer made of a log.
+        config: ``trajectory`` is used.
+        held: what the path is held against.
+
+    Raises:
+        TrajectoryError: the path does not meet the relations, the odometry or the truth.
+    """
+    online = run.online_path()
+    final = held.measure(run.trajectory, config, run.odometry)
+    if online is None or (held.relations is None and held.truth is None):
+        return final
+    return replace(final, online=held.measure(online, config, run.odometry))
+
+
 # --- files ------------------------------------------------------------------------------------
 
 
@@ -234,6 +342,34 @@ def slam_document(mapped: MappedLog, outputs: Sequence[Path], state: Path | None
     }
 
 
+def add_run(
+    files: AtomicFiles,
+    run: ProducerRun,
+    document: Mapping[str, Any],
+    stem: Path,
+    config: RunConfig,
+    *,
+    probabilities: bool,
+) -> None:
+    """Stage a run's map, path and record with other files.
+
+    Args:
+        files: the set.
+        run: what was made.
+        document: the record.
+        stem: the files' path without their suffixes.
+        config: its thresholds of the vote decide what is free and occupied in the map.
+        probabilities: also stage the map with its probabilities: value by value, mode raw.
+    """
+    _, _, tum, record = output_files(stem)
+    save_map(run.grid, stem, classes=config.fusion.normalize, files=files)
+    if probabilities:
+        other = stem.with_name(stem.name + PROBABILITY)
+        save_map(run.grid, other, mode="raw", image_format="png", files=files)
+    write_tum(tum, run.trajectory, files=files)
+    files.add(record, record_bytes(document))
+
+
 def save_mapped_log(
     mapped: MappedLog,
     stem: str | Path,
@@ -241,7 +377,6 @@ def save_mapped_log(
     probabilities: bool = False,
     state: str | Path | None = None,
     report: str | Path | None = None,
-    files: AtomicFiles | None = None,
 ) -> SlamDocument:
     """Write map, path, record, state and report; all of them or none.
 
@@ -251,7 +386,6 @@ def save_mapped_log(
         probabilities: also write the map with its probabilities.
         state: file for everything that a later run needs to go on; None: none.
         report: folder for ``report.html`` and its pictures; None: no report.
-        files: the set of files to join; default: one of its own.
 
     Returns:
         The record that is written beside the map.
@@ -260,19 +394,17 @@ def save_mapped_log(
         SlamFusionError: a file cannot be written, the producer cannot save its state, or
             matplotlib is missing.
     """
-    if files is None:
-        with AtomicFiles() as own:
-            return save_mapped_log(
-                mapped, stem, probabilities=probabilities, state=state, report=report, files=own
-            )
     stem, state = Path(stem), as_path(state)
     outputs = output_files(stem, probabilities=probabilities)
     document = slam_document(mapped, outputs if state is None else [*outputs, state], state)
-    add_run(files, mapped.result.run, document, stem, mapped.config, probabilities=probabilities)
-    if state is not None:
-        _add_state(files, state, mapped.mapper)
-    if report is not None:
-        _add_report(files, mapped, Path(report))
+    with AtomicFiles() as files:
+        add_run(
+            files, mapped.result.run, document, stem, mapped.config, probabilities=probabilities
+        )
+        if state is not None:
+            _add_state(files, state, mapped.mapper)
+        if report is not None:
+            _add_report(files, mapped, Path(report))
     return document
 
 
@@ -317,19 +449,12 @@ def _add_report(files: AtomicFiles, mapped: MappedLog, directory: Path) -> None:
     )
     write_slam_report(
         directory,
-        name=run.name,
-        grid=run.grid,
-        trajectory=run.trajectory,
+        replace(run, odometry=None) if is_later else run,
         config=mapped.config,
         facts=facts,
-        warnings=[(f"{run.name}:", sentence) for sentence in run.warnings()],
         tables=tables,
-        odometry=None if is_later else run.odometry,
         truth=mapped.truth,
         relations=result.measures.relations,
-        series=run.series,
-        other_paths=run.other_paths,
-        closures=run.closures,
         device=result.device,
         files=files,
     )

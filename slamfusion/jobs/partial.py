@@ -10,7 +10,7 @@ own map stays as it is.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -18,15 +18,13 @@ import numpy.typing as npt
 from slamfusion.align.records import InputRecord
 from slamfusion.align.starts import Starts
 from slamfusion.compute import ComputeDevice
-from slamfusion.config import RunConfig
 from slamfusion.evidence import ExcludedSpan, Exclusions, UndecidedSpan
 from slamfusion.evidence.drawn_map import DrawnScan, draw_map
 from slamfusion.evidence.path_frames import fit_onto
 from slamfusion.fusion.groups import LEAST_FUSED
 from slamfusion.fusion.path_check import Votes, moved_path
 from slamfusion.grid import OccupancyGrid
-from slamfusion.jobs.fuse_drive import DriveFusion, fuse_drive
-from slamfusion.jobs.inputs import Progress
+from slamfusion.jobs.run_records import PartialVoteJson
 from slamfusion.trajectory import Trajectory
 
 B8 = npt.NDArray[np.bool_]
@@ -201,44 +199,6 @@ def _with_excluded(
     kept = [scan for scan, has_vote in zip(own, votes(own), strict=True) if has_vote]
     kept += [scan for scan, has_vote in zip(recorded, votes(recorded), strict=True) if not has_vote]
     return sorted(kept, key=lambda scan: scan.stamp_s)
-
-
-def fuse_layers(
-    layers: Layers,
-    config: RunConfig,
-    device: ComputeDevice,
-    *,
-    shared_frame: bool,
-    progress: Progress | None = None,
-    starts: Starts | None = None,
-) -> DriveFusion:
-    """Fuse what takes part in the vote; whoever was left out stands among the inputs with why.
-
-    Args:
-        layers: of ``draw_layers``.
-        config, device, shared_frame, progress, starts: see ``fuse_drive``.
-    """
-    fusion = fuse_drive(
-        layers.grids,
-        layers.paths,
-        config,
-        device,
-        shared_frame=shared_frame,
-        progress=progress,
-        starts=starts,
-        votes=layers.votes,
-    )
-    reasons = {vote.name: vote.left_out for vote in layers.partial if vote.left_out}
-    if fusion.result is None or not reasons:
-        return fusion
-    records = {record.name: record for record in fusion.result.inputs}
-    inputs = tuple(
-        InputRecord(grid, None, False, reasons[grid.name])
-        if grid.name in reasons
-        else records[grid.name]
-        for grid in layers.maps
-    )
-    return replace(fusion, result=replace(fusion.result, inputs=inputs))
 
 
 def _span_words(span: ExcludedSpan) -> str:

@@ -1,68 +1,66 @@
 """The main job: the producers on one log side by side, their fusion, and errors of everything.
 
-``run_log`` is the whole pipeline; ``run_files`` writes what came of it.
+``run_log`` is the whole pipeline, stage by stage; ``run_files`` writes the files of its result.
 """
 
 from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
+from typing import Any, TypeVar
 
-from slamfusion.align.records import FusionResult
-from slamfusion.align.starts import place_starts
+from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionMode, RunConfig
-from slamfusion.errors import SlamFusionError
-from slamfusion.evidence import PathEvidence, Recommendation, find_exclusions
+from slamfusion.errors import AlignmentError, SlamFusionError, TrajectoryError
+from slamfusion.evidence import (
+    Exclusions,
+    JudgedScans,
+    PathEvidence,
+    Recommendation,
+    find_exclusions,
+    judged_scans,
+    recommend,
+    score_paths,
+    with_path,
+)
+from slamfusion.evidence.drawn_fusion import fuse_with_drawn
+from slamfusion.evidence.drawn_map import DrawnScan, drawn_scans
+from slamfusion.fusion.groups import LEAST_FUSED
+from slamfusion.fusion.records import FusionResult
+from slamfusion.fusion.start import place_starts
 from slamfusion.grid import OccupancyGrid
+from slamfusion.io import open_log
 from slamfusion.jobs.cases import CaseFile
-from slamfusion.jobs.defaults import RUN_DEFAULTS
-from slamfusion.jobs.drawn import DrawnRun, draw_run, is_drawn, voting_config
+from slamfusion.jobs.defaults import RUN_DEFAULTS, RUN_VOTE
+from slamfusion.jobs.evaluate import Evaluation, evaluate_maps
+from slamfusion.jobs.fuse import AllRequiredError
 from slamfusion.jobs.fuse_documents import DoubledWalls, left_out_sentences
-from slamfusion.jobs.fuse_drive import DriveFusion
-from slamfusion.jobs.fused_path import DrivePath
-from slamfusion.jobs.inputs import (
-    Progress,
-    Warn,
-    as_path,
-    device_for,
-    load_maps,
-)
-from slamfusion.jobs.map_log import PROGRESS_STEPS, LogFiles
-from slamfusion.jobs.partial import Layers
-from slamfusion.jobs.produced import ProducerResult
-from slamfusion.jobs.records import Evaluation
-from slamfusion.jobs.run_stages import (
-    Drive,
-    draw_drive_layers,
-    evaluate_drive_maps,
-    fuse_drive_paths,
-    fuse_maps,
-    fused_evidence,
-    measure_fused_path,
-    measure_producers,
-    measure_saved_paths,
-    recommend_for_drive,
-    score_drive_paths,
-    stage_timer,
-    with_fallback,
-)
-from slamfusion.jobs.saved_maps import SavedMaps, SavedPath
-from slamfusion.jobs.trajectory import Yardsticks
+from slamfusion.jobs.fuse_drive import DriveFusion, fuse_layers
+from slamfusion.jobs.fused_path import DrivePath, draw_like, fuse_weighed_paths
+from slamfusion.jobs.inputs import Progress, Warn, as_path, device_for, load_maps
+from slamfusion.jobs.map_log import PROGRESS_STEPS, LogFiles, ProducerResult, measure_run
+from slamfusion.jobs.outputs import DRAWN, FUSED
+from slamfusion.jobs.partial import Filling, Layers, draw_layers
+from slamfusion.jobs.saved_maps import SavedMaps, SavedPath, path_at_scans
+from slamfusion.jobs.trajectory import Measures, Yardsticks
 from slamfusion.slam.registry import BUILT_IN
 from slamfusion.slam.side_by_side import Outcome, SideBySide
 from slamfusion.trajectory import Trajectory
 
-__all__ = ["LogRun", "run_log"]
-
 _LOG = logging.getLogger(__name__)
+Result = TypeVar("Result")
+
+NO_PATH = "fewer than two producers have a path, so there is no fused path to draw at"
 
 
 @dataclass(frozen=True, eq=False)
 class LogRun:
-    """What came of the main job.
+    """The result of the main job.
 
     Attributes:
         files: where the log and what it is held against were read.
@@ -163,7 +161,7 @@ class LogRun:
         return tuple(found)
 
 
-def run_log(
+def run_log(  # noqa: PLR0915 - one page, a heading a stage
     log: str | Path,
     config: RunConfig | None = None,
     *,
@@ -215,7 +213,6 @@ def run_log(
         DeviceError: the device cannot be opened.
         OSError: a file cannot be opened.
     """
-    begun_s = time.perf_counter()
     config = config or RUN_DEFAULTS
     files = LogFiles(
         Path(log), *map(as_path, (relations, odometry, truth, truth_map, scan_odometry))
@@ -225,9 +222,14 @@ def run_log(
     starts = place_starts(
         config.start, (*names, *saved.names), config.fusion.reference, drive=names
     )
-    with SideBySide(names, files.log, config, files.scan_odometry) as side_by_side:
-        config = side_by_side.config
-        # Prepared while the producers are at work: what is wrong ends the run at once.
+    stages = _Stages()
+
+    # Run the SLAMs side by side. Read all else meanwhile: a bad file ends the run at once.
+    with (
+        stages.timed("producers"),
+        SideBySide(names, files.log, config, files.scan_odometry) as work,
+    ):
+        config = work.config
         if prepare is not None:
             prepare()
         true_map = None
@@ -236,63 +238,122 @@ def run_log(
         held = Yardsticks.read(
             config, relations=files.relations, odometry=files.odometry, truth=files.truth
         )
-        maps, others = saved.load(config, resolution, warn)
+        others, their_paths = saved.load(config, resolution, warn)
         device = device_for(config)
-        outcomes = side_by_side.wait(_share_teller(progress))
-    made = [outcome.run.grid for outcome in outcomes if outcome.run is not None]
-    grids = (*made, *maps)
+        outcomes = work.wait(_share_teller(progress))
+    runs = {item.name: item.run for item in outcomes if item.run is not None}
+    grids = (*(run.grid for run in runs.values()), *others)
+    paths = {name: run.trajectory for name, run in runs.items() if len(run.trajectory)}
+    scans = cache(lambda: drawn_scans(open_log(files.log, config.log, files.scan_odometry)))
+    wheels = next((run.odometry for run in runs.values()), None)
 
-    stages = {"producers": time.perf_counter() - begun_s}
-    timed = stage_timer(stages)
-    drive = Drive(files, config, outcomes, held, device, progress)
-    with timed("evidence"):
-        evidence, no_verdict = score_drive_paths(drive, others)
+    # Score the paths on the scans; those of saved maps join the producers'.
+    with stages.timed("evidence"):
+        evidence, no_verdict = score_all_paths(
+            lambda: judged_scans(open_log(files.log, config.log, files.scan_odometry)),
+            paths,
+            their_paths,
+            device,
+            lambda name, why: stages.troubles.append(f"{name}: its path was not used: {why}"),
+        )
         exclusions = None if evidence is None else find_exclusions(evidence, device)
-    with timed("path"):
-        fused_path = fuse_drive_paths(drive, evidence, exclusions)
-    with timed("fusion"):
-        layers = draw_drive_layers(drive, grids, exclusions, fused_path)
-        fusion, failure = fuse_maps(drive, layers, len(maps), starts)
+
+    # Make one path of all.
+    fused_path: DrivePath | None = None
+    with stages.timed("path"):
+        if len(paths) >= LEAST_FUSED:
+            fused_path = stages.attempt(
+                "the fused path", None, fuse_weighed_paths, paths, evidence, exclusions, device
+            )
+
+    # Vote, without what producers drew after they had left the others.
+    with stages.timed("fusion"):
+        filling = None if fused_path is None else Filling(fused_path.trajectory, scans)
+        layers = stages.attempt(
+            "the layers of the vote",
+            Layers.as_made(grids, paths),
+            draw_layers, grids, paths, exclusions, lambda _: scans(), device, filling,
+        )  # fmt: skip
+        fusion = fuse_layers(
+            layers,
+            voting_config(config),
+            device,
+            shared_frame=not others,
+            progress=progress,
+            starts=starts,
+        )
+        failure = _why_not_fused(fusion, outcomes, len(others), config)
     usable = fusion.result if failure is None else None
-    with timed("path"):
-        fused_path = (
-            None
-            if usable is None or fused_path is None
-            else measure_fused_path(drive, fused_path, usable)
+
+    # Lay the fused path into the fused map, and say which map and path to use.
+    with stages.timed("path"):
+        if usable is None or fused_path is None:
+            fused_path = None
+        else:
+            fused_path = fused_path.in_fused_frame(paths, usable)
+            measures = stages.attempt(
+                "the fused path", Measures(), held.measure, fused_path.trajectory, config, wheels
+            )
+            fused_path = replace(fused_path, measures=measures)
+    with stages.timed("evidence"):
+        if fused_path is not None and fused_path.refined is not None:
+            evidence = fused_path.refined.evidence
+        recommendation = _recommend(
+            paths, evidence, exclusions, fused_path, fusion, device, is_fused=usable is not None
         )
-    with timed("evidence"):
-        evidence = fused_evidence(evidence, fused_path)
-        recommendation = recommend_for_drive(
-            drive, evidence, exclusions, fused_path, fusion, is_fused=usable is not None
-        )
-    failure = with_fallback(failure, fusion, recommendation)
-    drawn = DrawnRun(fusion)
-    if usable is not None and is_drawn(config):
-        with timed("drawing"):
+    if recommendation is not None and failure is not None and failure is fusion.failure:
+        words = f"{failure}; the fallback map is that of {recommendation.use}"
+        failure = AlignmentError(words, fusion.pairs)
+
+    # Draw the map of all scans at the fused path, as the fused one or beside it.
+    drawn, why_voted = None, None
+    if usable is not None and (config.run.draw or config.fusion.vote.mode == DRAWN):
+        with stages.timed("drawing"):
             # What a map with a path knows is in the fused path.
-            voting = [name for name in saved.names if name not in drive.saved_paths]
-            drawn = draw_run(lambda: drive.drawn_scans, fused_path, fusion, voting, config, device)
-        fusion = drawn.fusion
-    with timed("errors"):
+            voting = [name for name in saved.names if name not in paths]
+            fusion, drawn, why_voted = draw_run(scans, fused_path, fusion, voting, config, device)
+
+    # Measure everything by what is known.
+    with stages.timed("errors"):
         doubled = None if fusion.result is None else DoubledWalls.of(fusion.result, config, device)
-        evaluations = evaluate_drive_maps(drive, grids, fusion, drawn.beside, true_map)
-        results = measure_producers(drive, evaluations)
-        measures = measure_saved_paths(drive, others)
+        fused = None if fusion.result is None else fusion.result.fused.with_name(FUSED)
+        evaluations: tuple[Evaluation, ...] = ()
+        if true_map is not None and grids:
+            measured = [grid for grid in (*grids, fused, drawn) if grid is not None]
+            evaluations = stages.attempt(
+                "", (), evaluate_maps, measured, true_map, config, device, progress=progress
+            )
+        errors = {item.error.name: item for item in evaluations}
+        results = {
+            item.name: ProducerResult(
+                item.run,
+                stages.attempt(item.name, Measures(), measure_run, item.run, config, held),
+                errors.get(item.name),
+                item.device,
+            )
+            for item in outcomes
+            if item.run is not None
+        }
+        found_paths = {
+            name: SavedPath(
+                saved.paths[name],
+                path,
+                stages.attempt(name, Measures(), held.measure, path, config, wheels),
+            )
+            for name, path in their_paths.items()
+        }
     return LogRun(
         files=files,
         saved_maps=saved.files,
-        saved_paths={
-            name: SavedPath(saved.paths[name], path, measures[name])
-            for name, path in others.items()
-        },
+        saved_paths=found_paths,
         config=config,
         outcomes=outcomes,
         grids=grids,
         layers=layers,
         fusion=fusion,
         fused_path=fused_path,
-        drawn=drawn.beside,
-        why_voted=drawn.why_voted,
+        drawn=drawn,
+        why_voted=why_voted,
         results=results,
         doubled=doubled,
         evaluations=evaluations,
@@ -300,12 +361,49 @@ def run_log(
         evidence=evidence,
         no_verdict=no_verdict,
         failure=failure,
-        not_measured=tuple(drive.troubles),
-        stages=stages,
-        begun_s=begun_s,
+        not_measured=tuple(stages.troubles),
+        stages=stages.times_s,
+        begun_s=stages.begun_s,
         device=device.name,
         truth=held.truth,
     )
+
+
+class _Stages:
+    """The time of each stage, and what failed in them.
+
+    Attributes:
+        begun_s: when the run began, seconds of ``time.perf_counter``.
+        times_s: by stage, in order.
+        troubles: a sentence each.
+    """
+
+    def __init__(self) -> None:
+        self.begun_s = time.perf_counter()
+        self.times_s: dict[str, float] = {}
+        self.troubles: list[str] = []
+
+    @contextmanager
+    def timed(self, name: str) -> Iterator[None]:
+        """Add the time of a block to that of a stage."""
+        began_s = time.perf_counter()
+        yield
+        self.times_s[name] = self.times_s.get(name, 0.0) + time.perf_counter() - began_s
+
+    def attempt(
+        self,
+        what: str,
+        otherwise: Result,
+        function: Callable[..., Result],
+        *arguments: Any,
+        **named: Any,
+    ) -> Result:
+        """Return the result of a call; if it fails, note the error and return another value."""
+        try:
+            return function(*arguments, **named)
+        except SlamFusionError as error:
+            self.troubles.append(f"{what}: {error}" if what else str(error))
+            return otherwise
 
 
 def _share_teller(progress: Progress | None) -> Callable[[str, float], None] | None:
@@ -317,3 +415,142 @@ def _share_teller(progress: Progress | None) -> Callable[[str, float], None] | N
         progress(name, round(PROGRESS_STEPS * share), PROGRESS_STEPS)
 
     return tell
+
+
+def score_all_paths(
+    judge: Callable[[], JudgedScans],
+    paths: dict[str, Trajectory],
+    saved: Mapping[str, Trajectory],
+    device: ComputeDevice,
+    leave_out: Callable[[str, str], None],
+) -> tuple[PathEvidence | None, str | None]:
+    """Score the paths on the scans; else return why that cannot be done.
+
+    Args:
+        judge: returns the scans that paths are scored on.
+        paths: of the producers, by name; those of saved maps that take part are added to them, at
+            the times of the scans.
+        saved: paths of saved maps, by name, each in its map's frame; may be sparse.
+        device: scores.
+        leave_out: called with the name of each saved path that takes no part, and the reason.
+    """
+    reason, evidence = "no producer has a path", None
+    if paths:
+        try:
+            evidence = score_paths(judge(), paths, device)
+        except SlamFusionError as error:
+            reason = str(error)
+    for name, path in saved.items():
+        try:
+            if evidence is None:
+                raise TrajectoryError(reason)
+            at_scans = path_at_scans(path, evidence.scans)
+            evidence = with_path(evidence, name, path, device)
+        except SlamFusionError as error:
+            leave_out(name, str(error))
+        else:
+            paths[name] = at_scans
+    return evidence, None if evidence is not None else reason
+
+
+def _why_not_fused(
+    fusion: DriveFusion, outcomes: Sequence[Outcome], saved: int, config: RunConfig
+) -> SlamFusionError | None:
+    """Return why the fused map may not be used; None where it may.
+
+    Args:
+        fusion: of the maps.
+        outcomes: of the producers.
+        saved: how many saved maps there are.
+        config: ``fusion.require_all`` is used.
+    """
+    failed = [item for item in outcomes if item.run is None]
+    made = len(outcomes) - len(failed) + saved
+    if made < LEAST_FUSED:
+        reasons = "; ".join(f"{item.name}: {item.reason}" for item in failed)
+        message = f"{made or 'none'} of {len(outcomes) + saved} maps was made"
+        return SlamFusionError(
+            f"{message}, at least {LEAST_FUSED} are needed for a vote{reasons and f' ({reasons})'}"
+        )
+    if fusion.result is not None and config.fusion.require_all:
+        if fusion.result.rejected:
+            return AllRequiredError(fusion.result.rejected, fusion.result.pairs, fusion.result)
+        if failed:
+            names = ", ".join(item.name for item in failed)
+            return SlamFusionError(f"--require-all, but no map of {names}")
+    return fusion.failure
+
+
+def _recommend(
+    paths: Mapping[str, Trajectory],
+    evidence: PathEvidence | None,
+    exclusions: Exclusions | None,
+    fused_path: DrivePath | None,
+    fusion: DriveFusion,
+    device: ComputeDevice,
+    *,
+    is_fused: bool,
+) -> Recommendation | None:
+    """Say which map and path to use; None if there is no map.
+
+    Args:
+        paths: of the drive, by name.
+        evidence: what the scans say of them and of the fused one; None: they could not be asked.
+        exclusions: who votes; None: that is not known.
+        fused_path: the fused path in the frame of the fused map; None: there is none.
+        fusion: of the maps.
+        device: computes.
+        is_fused: whether the fused map may be used.
+    """
+    fallback = None if fusion.fallback is None else fusion.fallback.name
+    if evidence is None or exclusions is None:
+        path = FUSED if fused_path is not None else fallback if fallback in paths else None
+        use = FUSED if is_fused else fallback
+        return None if use is None else Recommendation(use, path, fallback)
+    frames = paths if fused_path is None else {**paths, FUSED: fused_path.trajectory}
+    found = recommend(evidence, tuple(paths), exclusions, device, fused=FUSED, frames=frames)
+    is_one_map = found.path == FUSED or (is_fused and fused_path is None)
+    return replace(found, use=FUSED if is_one_map else found.path)
+
+
+def voting_config(config: RunConfig) -> RunConfig:
+    """Return the settings under which maps vote: of ``drawn`` those of the vote in its place."""
+    if config.fusion.vote.mode != DRAWN:
+        return config
+    vote = replace(config.fusion.vote, mode=RUN_VOTE)
+    return replace(config, fusion=replace(config.fusion, vote=vote))
+
+
+def draw_run(
+    scans: Callable[[], Sequence[DrawnScan]],
+    path: DrivePath | None,
+    fusion: DriveFusion,
+    saved: Collection[str],
+    config: RunConfig,
+    device: ComputeDevice,
+) -> tuple[DriveFusion, OccupancyGrid | None, str | None]:
+    """Draw the map of a log at the fused path, as the fused map or beside it, as was asked for.
+
+    Args:
+        scans: returns those of the log; called where something is drawn.
+        path: the fused path; None where there is none.
+        fusion: of the maps, by vote.
+        saved: names of inputs whose paths are not in the fused one: they vote beside what is drawn.
+        config: ``fusion.vote.mode`` and ``run.draw`` say what is wanted.
+        device: draws.
+
+    Returns:
+        The fusion, with the drawn map in place of the vote where that was asked for; the drawn map
+        beside it, where that was; and why the maps voted although they were not to.
+    """
+    is_mode = config.fusion.vote.mode == DRAWN
+    result, why = fusion.result, NO_PATH
+    if path is not None and result is not None:
+        try:
+            layer = draw_like(scans(), path.trajectory, device, result.fused)
+            if is_mode:
+                result = fuse_with_drawn(result, layer, saved, config.fusion, device)
+            return replace(fusion, result=result), layer if config.run.draw else None, None
+        except SlamFusionError as error:
+            why = str(error)
+    return fusion, None, why if is_mode else None

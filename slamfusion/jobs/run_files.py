@@ -6,12 +6,12 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from slamfusion.io import AtomicFiles, save_map, write_tum
 from slamfusion.jobs.documents import circumstances, record_bytes
 from slamfusion.jobs.fuse_documents import failure_document, fusion_document
 from slamfusion.jobs.fused_path import drawn_document
+from slamfusion.jobs.map_log import add_run
 from slamfusion.jobs.outputs import (
     AGREEMENT,
     DRAWN,
@@ -28,7 +28,6 @@ from slamfusion.jobs.outputs import (
     remove_empty,
     report_files,
 )
-from slamfusion.jobs.produced import add_run
 from slamfusion.jobs.run import LogRun
 from slamfusion.jobs.run_records import (
     FailedProducerJson,
@@ -38,11 +37,6 @@ from slamfusion.jobs.run_records import (
     RunRecordDocument,
 )
 from slamfusion.slam.side_by_side import Outcome
-
-if TYPE_CHECKING:
-    from slamfusion.report.run_contents import RunReport
-
-__all__ = ["SavedRun", "load_report", "run_document", "save_run"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +64,7 @@ def load_report() -> None:
     Raises:
         SlamFusionError: matplotlib is missing or damaged.
     """
-    import slamfusion.report.run_report  # noqa: F401, PLC0415
+    import slamfusion.jobs.run_page  # noqa: F401, PLC0415
 
 
 def save_run(run: LogRun, folder: str | Path, *, probabilities: bool = False) -> SavedRun:
@@ -108,7 +102,9 @@ def save_run(run: LogRun, folder: str | Path, *, probabilities: bool = False) ->
                 save_map(run.drawn, target / DRAWN, files=files)
                 written[DRAWN] = map_files(target / DRAWN)
         began_s = time.perf_counter()
-        written[REPORT] = [_add_report(files, run, target / REPORT)]
+        from slamfusion.jobs.run_page import write_run_page  # noqa: PLC0415  (an extra)
+
+        written[REPORT] = [write_run_page(run, target / REPORT, files)]
         stages = {**run.stages, "report": time.perf_counter() - began_s}
         document = run_document(run, written, stages, time.perf_counter() - run.begun_s)
         if run.usable is not None:
@@ -139,72 +135,6 @@ def _add_producers(
         }
         add_run(files, result.run, document, stem, run.config, probabilities=probabilities)
     return written
-
-
-def _add_report(files: AtomicFiles, run: LogRun, directory: Path) -> Path:
-    """Stage the report; return its page."""
-    from slamfusion.report.run_report import write_run_report  # noqa: PLC0415  (an extra)
-
-    return write_run_report(_reported(run), directory, config=run.config, files=files)
-
-
-def _reported(run: LogRun) -> RunReport:
-    """Return what the report shows."""
-    from slamfusion.report.run_contents import (  # noqa: PLC0415  (an extra)
-        ReportedPath,
-        ReportedRun,
-        RunReport,
-    )
-
-    runs = [
-        ReportedRun(
-            outcome.run,
-            run.results[outcome.name].measures.relations,
-            run.results[outcome.name].measures.truth,
-            outcome.time_s,
-            outcome.cpu_s,
-        )
-        for outcome in run.outcomes
-        if outcome.run is not None
-    ]
-    warnings = [(f"{item.run.name}:", text) for item in runs for text in item.run.warnings()]
-    if run.why_voted is not None:
-        warnings.append(("Not drawn:", f"the maps vote ({run.fused_mode}): {run.why_voted}"))
-    warnings += [("The vote:", sentence) for sentence in run.layers.sentences()]
-    warnings += [("Not measured:", trouble) for trouble in run.not_measured]
-    return RunReport(
-        log=str(run.files.log),
-        runs=runs,
-        failed=[(outcome.name, outcome.reason) for outcome in run.failed],
-        result=run.fusion.result,
-        mode=run.fused_mode or "",
-        failure="" if run.failure is None else str(run.failure),
-        grids=run.grids,
-        pairs=run.fusion.pairs,
-        gaps=run.fusion.gaps,
-        doubled=None
-        if run.doubled is None
-        else (run.doubled.inputs | {"fused map": run.doubled.fused}),
-        fused_path=None
-        if run.fused_path is None
-        else ReportedPath(
-            run.fused_path.trajectory,
-            run.fused_path.measures.relations,
-            run.fused_path.measures.truth,
-        ),
-        saved_paths=[
-            ReportedPath(saved.path, saved.measures.relations, saved.measures.truth)
-            for saved in run.saved_paths.values()
-        ],
-        recommendation=run.recommendation,
-        evidence=run.evidence,
-        evaluations=run.evaluations,
-        evaluation_alignments=[item.alignment for item in run.evaluations],
-        truth=run.truth,
-        warnings=warnings,
-        stages=run.stages,
-        device=run.device,
-    )
 
 
 # --- what is said -----------------------------------------------------------------------------

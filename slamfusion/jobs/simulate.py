@@ -22,13 +22,6 @@ from slamfusion.sim import (
     write_recording,
 )
 
-__all__ = [
-    "SimulatedDrive",
-    "choose_course",
-    "save_simulated_drive",
-    "simulate_course",
-]
-
 SUFFIXES = {".yaml", ".yml"}
 
 

@@ -303,12 +303,12 @@ def _read_drive(folder: Path, drive: str) -> Finished:
     Raises:
         MapFileError: there are none, or none of that name.
     """
-    from slamfusion.experiments.examples import (  # noqa: PLC0415  (the SLAMs load slowly)
-        example_maps,
-        examples_in,
+    from slamfusion.experiments.runs import (  # noqa: PLC0415  (the SLAMs load slowly)
+        kept_maps,
+        kept_runs,
     )
 
-    names = examples_in(folder)
+    names = kept_runs(folder)
     if not names:
         message = (
             f"{folder}: no map in it (NAME.yaml, or of an experiment trials/NAME.npz); name the "
@@ -320,7 +320,7 @@ def _read_drive(folder: Path, drive: str) -> Finished:
         listed = ", ".join(names[:MOST_NAMED])
         message = f"{folder}: no drive {drive!r} in it; --drive takes one of {listed}"
         raise MapFileError(message)
-    truth, maps = example_maps(folder, chosen)
+    truth, maps = kept_maps(folder, chosen)
     found = Finished(Scene(f"SLAMfusion: {chosen}", is_live=False))
     found.maps = [ShownMap("truth", "fused", truth)]
     found.maps += [

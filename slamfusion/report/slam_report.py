@@ -7,7 +7,6 @@ from pathlib import Path
 
 from slamfusion.config import RunConfig
 from slamfusion.evaluation import RelationErrors, trajectory_errors
-from slamfusion.grid import OccupancyGrid
 from slamfusion.io.atomic import AtomicFiles
 from slamfusion.palette import colours_of
 from slamfusion.report import paths
@@ -31,26 +30,19 @@ from slamfusion.report.trajectory_report import (
     relations_section,
     truth_section,
 )
-from slamfusion.slam.common.mapper import Closure, Series
+from slamfusion.slam.common.runner import ProducerRun
 from slamfusion.trajectory import Trajectory
 
 
 def write_slam_report(
     directory: str | Path,
+    run: ProducerRun,
     *,
-    name: str,
-    grid: OccupancyGrid,
-    trajectory: Trajectory,
     config: RunConfig,
     facts: Sequence[Fact] = (),
-    warnings: Sequence[tuple[str, str]] = (),
     tables: Sequence[Table] = (),
-    odometry: Trajectory | None = None,
     truth: Trajectory | None = None,
     relations: RelationErrors | None = None,
-    series: Sequence[Series] = (),
-    other_paths: Sequence[Trajectory] = (),
-    closures: Sequence[Closure] = (),
     device: str = "",
     files: AtomicFiles | None = None,
 ) -> Path:
@@ -58,21 +50,13 @@ def write_slam_report(
 
     Args:
         directory: for ``report.html`` and the PNG files; made when missing.
-        name: the producer.
-        grid: its map.
-        trajectory: its pose at each scan, in the frame of the map; at least one.
+        run: what was made; its path has at least one pose. The first of the other paths of a
+            producer with closures is the path as it was first reported.
         config: the effective configuration, written out in full.
         facts: health and timing, for the headline, in this order.
-        warnings: what the user must see first, each a subject and a sentence: scans that were
-            skipped, a producer that may be lost.
         tables: more of health and timing.
-        odometry: raw odometry of the scans, laid on the start of the path.
         truth: the true path; its errors are computed as ``config.trajectory`` says.
         relations: the trajectory's errors on known relations.
-        series: the producer's own quantities over time; those without a value are left out.
-        other_paths: what else it believes the path to be, in the frame of the map; the first of
-            a producer with closures is the path as it was first reported.
-        closures: of a producer that closes loops.
         device: the device that computed, in words.
         files: the set of files to join; default: one of its own.
 
@@ -83,20 +67,20 @@ def write_slam_report(
         TrajectoryError: the truth does not meet the trajectory in time.
         SlamFusionError: the directory cannot be written.
     """
-    normalize = config.fusion.normalize
-    errors = None
+    normalize, warnings = config.fusion.normalize, run.warnings()
+    grid, trajectory, errors = run.grid, run.trajectory, None
     if truth is not None:
         errors = trajectory_errors(trajectory, truth, config.trajectory)
     pictures = [
         input_picture(grid, normalize),
         *path_pictures(
-            trajectory, config=config, grid=grid, errors=errors, truth=truth, odometry=odometry
+            trajectory, config=config, grid=grid, errors=errors, truth=truth, odometry=run.odometry
         ),
-        *_other_paths_pictures(trajectory, other_paths, config, grid),
+        *_other_paths_pictures(run, config),
         *closure_pictures(
             trajectory,
-            other_paths[0] if other_paths else None,
-            closures,
+            run.other_paths[0] if run.other_paths else None,
+            run.closures,
             grid=grid,
             normalize=normalize,
         ),
@@ -108,7 +92,7 @@ def write_slam_report(
         sections.append(truth_section(errors, config=config, grid=grid))
     if relations is not None:
         sections.append(relations_section(relations))
-    over_time = _series_pictures(series, trajectory)
+    over_time = _series_pictures(run)
     if tables or over_time:
         health = Section("Health and time", "health", pictures=over_time, tables=tables)
         sections.append(health)
@@ -116,23 +100,22 @@ def write_slam_report(
     judged = "its map may be wrong" if warnings else "nothing in the run speaks against its map"
     size = f"{len(trajectory)} poses, {trajectory.path_length_m():.1f} m"
     # That nothing was noticed is no proof: the truth alone would be.
-    banner = Banner("warn" if warnings else "plain", f"{name}: {judged} ({size})", warnings)
+    lines = [(f"{run.name}:", sentence) for sentence in warnings]
+    banner = Banner("warn" if warnings else "plain", f"{run.name}: {judged} ({size})", lines)
     shown = [*facts, *error_facts(relations, errors)]
     page = Page("SLAMfusion run", banner, shown, sections)
     return write_page(page, directory, files, forms=config.report.pictures)
 
 
-def _other_paths_pictures(
-    trajectory: Trajectory,
-    others: Sequence[Trajectory],
-    config: RunConfig,
-    grid: OccupancyGrid,
-) -> list[Picture]:
+def _other_paths_pictures(run: ProducerRun, config: RunConfig) -> list[Picture]:
     """Return the path over what else it may have been; nothing where there is nothing else."""
-    if not others:
+    if not run.other_paths:
         return []
     png = paths.paths_picture(
-        trajectory, others=others, grid=grid, normalize=config.fusion.normalize
+        run.trajectory,
+        others=run.other_paths,
+        grid=run.grid,
+        normalize=config.fusion.normalize,
     )
     return [
         Picture(
@@ -140,17 +123,17 @@ def _other_paths_pictures(
             png,
             "The path and what else it may have been",
             "Where the faint paths leave the estimate, the producer is not of one mind.",
-            legend=paths.others_legend(trajectory.name, len(others)),
+            legend=paths.others_legend(run.trajectory.name, len(run.other_paths)),
         )
     ]
 
 
-def _series_pictures(series: Sequence[Series], trajectory: Trajectory) -> list[Picture]:
+def _series_pictures(run: ProducerRun) -> list[Picture]:
     """Return the quantities over time as one picture; nothing where none has a value."""
-    shown = drawable(series)
+    shown = drawable(run.series)
     if not shown:
         return []
-    names = ", ".join(item.name for item in shown)
-    colour = colours_of([trajectory.name])[trajectory.name]
-    png = series_picture(shown, colour=colour, start_s=float(trajectory.stamps_s[0]))
+    names, path = ", ".join(item.name for item in shown), run.trajectory
+    colour = colours_of([path.name])[path.name]
+    png = series_picture(shown, colour=colour, start_s=float(path.stamps_s[0]))
     return [Picture("over-time", png, "Over the run", f"From the top: {names}.")]

@@ -22,17 +22,13 @@ from rich.table import Table
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import RunConfig
 from slamfusion.evaluation import MapError
-from slamfusion.experiments.drive_paths import (
+from slamfusion.experiments.fusions import (
     FUSED_PATH,
-    draw_paths,
+    DriveMaps,
+    against_truth,
     drawn_at,
-    drive_layers,
-    judge_scans,
-    path_errors,
-    weigh_paths,
+    fuse_in_every_way,
 )
-from slamfusion.experiments.voting import against_truth, vote_every_way
-from slamfusion.grid import OccupancyGrid
 from slamfusion.io import load_map
 from slamfusion.jobs.defaults import RUN_VOTE
 from slamfusion.jobs.outputs import DRAWN
@@ -68,20 +64,20 @@ def measure(folder: Path, device: ComputeDevice) -> tuple[dict[str, MapError], d
     config = RunConfig()
     drive = read_drive(folder)
     truth = load_map(folder / "truth.yaml")
-    maps: dict[str, OccupancyGrid | None] = {
-        name: load_map(folder / f"{name}.yaml").with_name(name) for name in drive.paths
-    }
-    made = [grid for grid in maps.values() if grid is not None]
-    weighed = weigh_paths(judge_scans(drive.scans, {}), drive.paths, device, {})
-    layers = drive_layers(made, weighed, drive.scans, drive.fed(), device)
-    votes = vote_every_way(layers, config, device, {})
-    maps[RUN_VOTE] = votes[RUN_VOTE]
-    maps |= draw_paths(drive.scans, weighed, truth.resolution, device)
+    maps = {name: load_map(folder / f"{name}.yaml").with_name(name) for name in drive.paths}
+    made = fuse_in_every_way(
+        DriveMaps(maps, drive.paths),
+        drive.scans,
+        drive.fed(),
+        config,
+        device,
+        drawn_cell_m=truth.resolution,
+    )
     errors = {
         name: against_truth(grid, truth, config, device, same_heading=True)
-        for name, grid in maps.items()
+        for name, grid in made.maps.items()
     }
-    return errors, path_errors(weighed, drive.truth)
+    return errors, made.path_errors(drive.truth)
 
 
 def chosen(folder: Path, worlds: Sequence[str], lidars: Sequence[str]) -> list[Path]:

@@ -21,9 +21,10 @@ from rich.table import Table
 
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import RunConfig
-from slamfusion.evaluation import Relations, subsample_to_scans
-from slamfusion.experiments.drives import ATE, RELATIONS, Drive, DriveFiles, read_drive
+from slamfusion.evaluation import Relations, Summary, subsample_to_scans
+from slamfusion.experiments.drives import ATE, RELATIONS, Drive, read_drive
 from slamfusion.io import open_log, read_trajectory, save_map
+from slamfusion.jobs.map_log import LogFiles
 from slamfusion.sim.courses import named_course, with_overrides
 from slamfusion.sim.simulate import simulate
 from slamfusion.slam.common.runner import run_producer
@@ -35,9 +36,9 @@ from tests.support.datasets import DATASETS
 
 CSAIL, INTEL = DATASETS / "mit-csail", DATASETS / "intel"
 MEASURED = (
-    DriveFiles(CSAIL / "mit-csail.clf.gz", CSAIL / "mit-csail.relations"),
+    LogFiles(CSAIL / "mit-csail.clf.gz", CSAIL / "mit-csail.relations"),
     *(
-        DriveFiles(
+        LogFiles(
             INTEL / f"intel-{count}-raw.log.gz",
             INTEL / "intel.relations",
             INTEL / "intel-odometry-13631.txt.gz",

@@ -24,15 +24,13 @@ import scipy
 
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import ExperimentConfig, FailuresConfig, NormalizeConfig, RunConfig
-from slamfusion.experiments.failures import failure_trials
 from slamfusion.experiments.faults import FAULTS as DRIVE_FAULTS
-from slamfusion.experiments.trials import Trial
-from slamfusion.experiments.voting import against_truth
+from slamfusion.experiments.fusions import against_truth, produce_maps
+from slamfusion.experiments.trials import Trial, failure_trials
 from slamfusion.geometry import Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, trinary_cells
 from slamfusion.io import save_map
 from slamfusion.io.map_server import load_map
-from slamfusion.jobs.fuse_drive import produce_maps
 from slamfusion.sim import named_course, simulate, thin_walls
 from slamfusion.sim.worlds import draw_floor
 from slamfusion.slam.registry import BUILT_IN
@@ -341,7 +339,8 @@ def _make_drive(trial: Trial, config: RunConfig, device: ComputeDevice, folder: 
     save_map(truth, folder / "truth")
     save_map(thin_walls(truth), folder / "truth_thin")
     poses = {}
-    for grid in produce_maps(fed, config, device).grids:
+    made = produce_maps(fed, config, device).maps.values()
+    for grid in (grid for grid in made if grid is not None):
         save_map(grid, folder / grid.name, classes=config.fusion.normalize)
         pose = _pose_in_truth(grid, truth, device, same_heading=True)
         poses[grid.name] = astuple(pose)

@@ -8,11 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from slamfusion.experiments.drive_paths import drawn_at
-from slamfusion.experiments.drives import DriveFiles
-from slamfusion.experiments.examples import example_maps
-from slamfusion.experiments.voting import FUSIONS
+from slamfusion.experiments.fusions import FUSIONS, drawn_at
+from slamfusion.experiments.runs import kept_maps
 from slamfusion.io import write_carmen, write_tum
+from slamfusion.jobs.map_log import LogFiles
 from slamfusion.jobs.outputs import DRAWN
 from slamfusion.slam.registry import BUILT_IN
 from tests.cli.command import assert_one_line_failure, json_of, run, tree
@@ -25,7 +24,7 @@ NUMPY = ("--device", "numpy")
 
 
 @pytest.fixture(scope="module")
-def drive(tmp_path_factory: pytest.TempPathFactory) -> DriveFiles:
+def drive(tmp_path_factory: pytest.TempPathFactory) -> LogFiles:
     """A short log, its relations and its truth."""
     return room_files(tmp_path_factory.mktemp("drive"))
 
@@ -45,10 +44,10 @@ def test_cell_models_prints_and_writes_table_two(tmp_path: Path) -> None:
     assert {row["method"] for row in table} == {"base", "base [H16]", "mean", "mean [H16]"}
 
 
-def test_occupancy_estimator_on_a_log_alone(drive: DriveFiles, tmp_path: Path) -> None:
+def test_occupancy_estimator_on_a_log_alone(drive: LogFiles, tmp_path: Path) -> None:
     arguments = (
         "experiment", "occupancy-estimator", "-o", tmp_path, *NUMPY, "--log", drive.log,
-        "--relations", drive.relations, "--reference", drive.reference,
+        "--relations", drive.relations, "--reference", drive.truth,
         "--floors", "0", "--seeds", "2", "--resolutions", "0.1,0.4", "--json",
     )  # fmt: skip
     done = run(*arguments)
@@ -70,7 +69,7 @@ def test_occupancy_estimator_on_a_log_alone(drive: DriveFiles, tmp_path: Path) -
     assert json_of(run(*arguments))["summaries"] == document["summaries"]
 
 
-def test_cell_models_trajectories_on_logs(drive: DriveFiles, tmp_path: Path) -> None:
+def test_cell_models_trajectories_on_logs(drive: LogFiles, tmp_path: Path) -> None:
     log = f"{drive.log}:{drive.relations}"
     done = run(
         "experiment", "cell-models-trajectories", "-o", tmp_path,
@@ -108,7 +107,7 @@ def test_ground_obstacle_small(tmp_path: Path) -> None:
     assert "p pooled t [F16]" in text
     assert "faces F1 0.1 m, mean" in text
     for example in ("no-obstacle-w1-s0", "obstacle-w1-s0"):
-        assert len(example_maps(tmp_path, example)[1]) == len(methods)
+        assert len(kept_maps(tmp_path, example)[1]) == len(methods)
     # All of it is there: nothing is driven again, and everything is the same.
     again = json_of(run(*arguments, timeout=20.0))
     assert again["summaries"] == document["summaries"]
@@ -144,7 +143,7 @@ def test_real_logs_skips_what_is_not_there(tmp_path: Path) -> None:
     assert set(document["overall"]) == set(FUSIONS)
     assert {f"real-logs.{kind}" for kind in ("csv", "md", "png")} < set(tree(out))
     assert "12 of 12 scans" in (out / "real-logs.md").read_text(encoding="utf-8")
-    truth, maps = example_maps(out, "mit-csail")
+    truth, maps = kept_maps(out, "mit-csail")
     assert [grid.name for grid in maps] == [*methods, *drawn]
     assert all(grid.cells.shape == truth.cells.shape for grid in maps)
 

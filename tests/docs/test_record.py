@@ -17,9 +17,10 @@ from docs.generate.record import RECIPES, Recipe, main
 from slamfusion.cli.program import cli
 from slamfusion.config import RunConfig
 from slamfusion.evaluation import result_rows
+from slamfusion.experiments.fusions import FUSIONS
 from slamfusion.experiments.runs import RunResult
 from slamfusion.experiments.trials import fusion_experiment
-from slamfusion.experiments.voting import FUSIONS
+from slamfusion.io import write_carmen, write_tum
 from slamfusion.jobs.documents import circumstances
 from slamfusion.json_values import plain
 from slamfusion.slam.registry import BUILT_IN

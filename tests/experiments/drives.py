@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from slamfusion.evaluation import Relations
-from slamfusion.experiments.drives import Drive, DriveFiles
+from slamfusion.experiments.drives import Drive
 from slamfusion.geometry import Pose2
 from slamfusion.io import LogScan, write_carmen, write_tum
+from slamfusion.jobs.map_log import LogFiles
 from slamfusion.trajectory import Trajectory
 from tests.support.producers import room_drive
 
@@ -31,15 +32,15 @@ def room(name: str = "room", *, drift: float = 0.0, relations: bool = True) -> D
     return Drive(name, tuple(items), known if relations else None, None, truth)
 
 
-def room_files(folder: Path, name: str = "room", *, relations: bool = True) -> DriveFiles:
+def room_files(folder: Path, name: str = "room", *, relations: bool = True) -> LogFiles:
     """Write the room with drifting odometry, its relations and its truth."""
     made = room(name, drift=0.3)
     assert made.relations is not None
     assert made.reference is not None
-    files = DriveFiles(
+    files = LogFiles(
         folder / f"{name}.log",
         folder / f"{name}.relations" if relations else None,
-        reference=folder / f"{name}.tum",
+        truth=folder / f"{name}.tum",
     )
     write_carmen(files.log, made.scans)
     write_tum(folder / f"{name}.tum", made.reference)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from slamfusion.experiments import cell_models
-from slamfusion.experiments.cell_models import table_two
+from slamfusion.experiments import tinyslam
+from slamfusion.experiments.tinyslam import table_two
 
 TABLE_TWO = {
     ("base", "forward"): ["0.105", "0.225", "0.460"],
@@ -24,7 +24,7 @@ def test_table_two_in_three_decimals() -> None:
 
 
 def test_a_last_digit_off_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(cell_models.PAPER, ("base", "forward"), (0.104, 0.225, 0.460))
+    monkeypatch.setitem(tinyslam.PAPER, ("base", "forward"), (0.104, 0.225, 0.460))
     failure = table_two().failure
     assert failure.startswith("1 values differ from Table II of [H16]: base, forward, 3 occupied: ")
     assert failure.endswith("found 0.105, wanted 0.104")

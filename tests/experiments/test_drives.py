@@ -11,23 +11,18 @@ import pytest
 from slamfusion.compute import NumpyDevice
 from slamfusion.config import RunConfig, TrajectoryConfig
 from slamfusion.errors import LogError
-from slamfusion.evaluation import Row, read_relations, relation_errors
+from slamfusion.evaluation import read_relations, relation_errors
 from slamfusion.experiments.drives import (
     ATE,
     RELATIONS,
-    TIME,
-    DriveFiles,
-    DriveRun,
     read_drive,
-    run_on_drives,
     simulated_office,
 )
-from slamfusion.experiments.runs import Setup
 from slamfusion.io import read_trajectory, write_carmen, write_tum
+from slamfusion.jobs.map_log import LogFiles
 from slamfusion.trajectory import Trajectory
-from tests.experiments.drives import room, room_files
+from tests.experiments.drives import room
 from tests.support.datasets import ABSENT, DATASETS
-from tests.support.producers import DeadReckoning
 
 CONFIG = TrajectoryConfig(alignment="none")
 CSAIL = DATASETS / "mit-csail"
@@ -67,38 +62,6 @@ def test_odometry_carries_poses_to_relations_between_the_scans() -> None:
     assert every_third.errors(estimate, CONFIG)[RELATIONS] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_runs_on_drives_are_measured_timed_and_kept(tmp_path: Path) -> None:
-    files = room_files(tmp_path)
-    made: list[DriveRun] = []
-
-    def make(run: DriveRun) -> DeadReckoning:
-        made.append(run)
-        return DeadReckoning()
-
-    def plan(drive: str) -> list[DriveRun]:
-        return [DriveRun(drive, "dead reckoning", drive, seed) for seed in (1, 2)]
-
-    def found() -> list[Row]:
-        setup = Setup(RunConfig(), NumpyDevice(), tmp_path / "out")
-        return run_on_drives(plan, make, [files, files], [], setup)
-
-    rows = found()
-    # A drive that is given twice has two names.
-    assert list(dict.fromkeys(row[:2] for row in rows)) == [
-        ("room", "1"), ("room", "2"), ("room#2", "1"), ("room#2", "2")
-    ]  # fmt: skip
-    by_figure = {row[3]: row[4] for row in rows}
-    assert by_figure[RELATIONS] > 0.0
-    assert by_figure[ATE] > 0.0
-    assert by_figure[TIME] > 0.0
-    assert [row[:5] for row in found()] == [row[:5] for row in rows]
-    assert len(made) == 4
-    # Another log of that name is another drive.
-    files.log.write_bytes(files.log.read_bytes() + b"# again\n")
-    found()
-    assert len(made) == 8
-
-
 def test_a_drive_is_read_from_its_files(tmp_path: Path) -> None:
     drive = room()
     assert drive.reference is not None
@@ -106,7 +69,7 @@ def test_a_drive_is_read_from_its_files(tmp_path: Path) -> None:
     write_tum(tmp_path / "truth.tum", drive.reference)
     (tmp_path / "room.relations").write_text("0.0 1.1 0.5 0 0 0 0 0.2\n", encoding="utf-8")
     found = read_drive(
-        DriveFiles(
+        LogFiles(
             tmp_path / "room.log.gz",
             tmp_path / "room.relations",
             tmp_path / "room.log.gz",
@@ -126,7 +89,7 @@ def test_a_drive_is_read_from_its_files(tmp_path: Path) -> None:
 
 def test_a_drive_that_nothing_measures_is_refused(tmp_path: Path) -> None:
     with pytest.raises(LogError, match="nothing to measure it by"):
-        read_drive(DriveFiles(tmp_path / "a.log"), RunConfig())
+        read_drive(LogFiles(tmp_path / "a.log"), RunConfig())
 
 
 @pytest.mark.full
@@ -144,15 +107,15 @@ def test_an_office_is_the_same_for_one_seed_and_another_for_the_next() -> None:
 @pytest.mark.datasets
 @pytest.mark.skipif(not CSAIL.exists(), reason=ABSENT)
 def test_odometry_and_reference_of_a_recorded_drive_have_their_known_errors() -> None:
-    files = DriveFiles(
+    files = LogFiles(
         CSAIL / "mit-csail.clf.gz",
         relations=CSAIL / "mit-csail.relations",
-        reference=CSAIL / "mit-csail-reference-graph.log.gz",
+        truth=CSAIL / "mit-csail-reference-graph.log.gz",
     )
     drive = read_drive(files, RunConfig())
     errors = drive.errors(drive.scan_odometry(), TrajectoryConfig())
     assert errors[RELATIONS] == pytest.approx(1.6815, abs=5e-5)
-    reference = read_trajectory(files.reference or Path())
+    reference = read_trajectory(files.truth or Path())
     relations = read_relations(files.relations or Path())
     found = relation_errors(reference, relations, 0.01).translation
     assert found.mean == pytest.approx(0.0045, abs=5e-5)

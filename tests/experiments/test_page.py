@@ -12,11 +12,17 @@ from scipy import stats
 
 from slamfusion.config import RunConfig
 from slamfusion.evaluation import Row, result_rows
-from slamfusion.experiments.drive_paths import CHOICE, FUSED_PATH, HINDSIGHT, drawn_at
+from slamfusion.experiments.fusions import (
+    CHOICE,
+    FUSED_PATH,
+    FUSIONS,
+    HINDSIGHT,
+    alone,
+    drawn_at,
+)
 from slamfusion.experiments.page import Experiment
 from slamfusion.experiments.runs import RunResult
-from slamfusion.experiments.trials import alone, fusion_experiment
-from slamfusion.experiments.voting import FUSIONS
+from slamfusion.experiments.trials import fusion_experiment
 from slamfusion.jobs.defaults import RUN_VOTE
 from slamfusion.jobs.outputs import DRAWN
 from slamfusion.json_values import plain

@@ -11,7 +11,7 @@ from slamfusion.compute import NumpyDevice, open_device
 from slamfusion.config import RunConfig
 from slamfusion.errors import ConfigError, SlamFusionError
 from slamfusion.evidence.drawn_map import draw_map, drawn_scans
-from slamfusion.experiments.drive_paths import FUSED_PATH, drawn_at
+from slamfusion.experiments.fusions import FUSED_PATH, FUSIONS, drawn_at
 from slamfusion.experiments.real_logs import (
     REAL_LOGS,
     REFERENCE,
@@ -21,7 +21,6 @@ from slamfusion.experiments.real_logs import (
     reference_map,
 )
 from slamfusion.experiments.runs import Setup
-from slamfusion.experiments.voting import FUSIONS
 from slamfusion.fusion.path_check import moved_path
 from slamfusion.geometry import Pose2
 from slamfusion.io import save_map, write_carmen, write_tum

@@ -18,21 +18,17 @@ from slamfusion.config import (
 )
 from slamfusion.errors import ConfigError
 from slamfusion.evaluation import Row, result_rows
-from slamfusion.experiments.cell_models_trajectories import (
-    METHODS,
-    PAIRS,
-    compare_models,
-    model_sentences,
-)
 from slamfusion.experiments.drives import ATE
-from slamfusion.experiments.occupancy_estimator import (
+from slamfusion.experiments.page import Experiment
+from slamfusion.experiments.runs import Setup
+from slamfusion.experiments.tinyslam import (
+    PAIRS,
     case_of,
     change_p_value,
+    model_sentences,
     sweep_estimators,
     verdicts,
 )
-from slamfusion.experiments.page import Experiment
-from slamfusion.experiments.runs import Setup
 from tests.experiments.drives import room_files
 
 pytestmark = pytest.mark.once
@@ -150,17 +146,6 @@ def test_what_cannot_be_tested_has_no_verdict_or_no_p_value() -> None:
     # Without coarse cells, or where the error is 0.
     assert verdict(drawn(0.5), (0.1,)) == []
     assert verdict([(*row[:4], 0.0, *row[5:]) for row in drawn(1.0)]) == []
-
-
-def test_cell_models_are_compared_on_every_drive(tmp_path: Path) -> None:
-    drives = [room_files(tmp_path), room_files(tmp_path, "hall", relations=False)]
-    found = compare_models(drives, [], Setup(CONFIG, open_device(), tmp_path / "out"))
-    runs = found.table[(found.table["case"] == "room") & (found.table["figure"] == ATE)]
-    errors = [list(runs[runs["method"] == method]["value"]) for method in METHODS]
-    assert [len(own) for own in errors] == [2, 2, 2]
-    assert errors[0] != errors[1] != errors[2]
-    assert len(found.sentences()) == 9
-    assert found.sentences()[0].startswith("room, relations m: ")
 
 
 def test_the_better_model_is_named_with_its_p_value() -> None:

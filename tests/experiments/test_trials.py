@@ -18,14 +18,26 @@ from slamfusion.config import (
     from_mapping,
 )
 from slamfusion.errors import ConfigError, SlamFusionError
-from slamfusion.experiments.drive_paths import CHOICE, FUSED_PATH, HINDSIGHT, drawn_at
-from slamfusion.experiments.examples import read_example
-from slamfusion.experiments.failures import FAILURES, failure_trials
 from slamfusion.experiments.faults import FAULTS
-from slamfusion.experiments.ground_obstacle import obstacle_trials
-from slamfusion.experiments.runs import RunResult, Setup
-from slamfusion.experiments.trials import Trial, alone, measure_trial, run_trials
-from slamfusion.experiments.voting import FUSIONS, against_truth, vote_every_way
+from slamfusion.experiments.fusions import (
+    CHOICE,
+    FUSED_PATH,
+    FUSIONS,
+    HINDSIGHT,
+    against_truth,
+    alone,
+    drawn_at,
+    vote_every_way,
+)
+from slamfusion.experiments.runs import RunResult, Setup, kept_maps
+from slamfusion.experiments.trials import (
+    FAILURES,
+    Trial,
+    failure_trials,
+    measure_trial,
+    obstacle_trials,
+    run_trials,
+)
 from slamfusion.grid import OccupancyGrid
 from slamfusion.jobs.outputs import DRAWN
 from slamfusion.jobs.partial import Layers
@@ -103,13 +115,13 @@ def test_a_trial_is_the_same_in_another_process_and_keeps_its_maps(
     settings = GroundObstacleConfig(processes=2, draw=True)
     found = run_trials("t", "t", trials[:1], settings, setup(tmp_path))
     assert [row[:5] for row in found.rows] == [row[:5] for row in plain.rows]
-    example = read_example(tmp_path, trials[0].key)
+    truth, maps = kept_maps(tmp_path, trials[0].key)
     errors = figures(plain, "error")
-    assert list(example.differences) == list(errors)
-    assert example.resolution == trials[0].course.world.resolution
-    squares = np.array([0, 0, 0, 1, 1, 1, 1])  # at least, for each code of a difference
-    for method, codes in example.differences.items():
-        assert math.sqrt(squares[codes].sum()) <= errors[method]
+    assert [grid.name for grid in maps] == list(errors)
+    assert truth.resolution == trials[0].course.world.resolution
+    for grid in maps:
+        wrong = np.count_nonzero((grid.cells >= 0) & (grid.cells != truth.cells))
+        assert math.sqrt(wrong) <= errors[grid.name]
 
 
 @pytest.mark.full

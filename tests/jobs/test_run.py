@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -22,19 +20,15 @@ from slamfusion.grid import OccupancyGrid, trinary_cells
 from slamfusion.io import load_map, open_log, read_trajectory, save_map, write_carmen, write_tum
 from slamfusion.jobs.cases import CaseFile
 from slamfusion.jobs.defaults import RUN_DEFAULTS
-from slamfusion.jobs.drawn import draw_run
 from slamfusion.jobs.fuse_drive import DriveFusion
 from slamfusion.jobs.fused_path import DrivePath
-from slamfusion.jobs.map_log import LogFiles
-from slamfusion.jobs.run import LogRun, run_log
+from slamfusion.jobs.run import LogRun, draw_run, run_log, score_all_paths
 from slamfusion.jobs.run_files import SavedRun, save_run
 from slamfusion.jobs.run_many import RunOfLog
-from slamfusion.jobs.run_stages import score_drive_paths
 from slamfusion.jobs.saved_maps import SavedMaps
 from slamfusion.json_values import plain
 from slamfusion.slam.side_by_side import Outcome
 from slamfusion.trajectory import Trajectory
-from tests.cli.command import tree
 from tests.evidence.rooms import circuit, recorded
 from tests.slam.drives import CELL_M, draw_flat
 from tests.support.documents import check_document
@@ -76,23 +70,6 @@ def test_the_main_job_from_a_log_to_files(place: Path, tmp_path: Path) -> None:
     assert load_map(tmp_path / "out" / "fused.yaml").cells.tolist() == run.grid.cells.tolist()
     assert_path_and_drawing_lie_on_the_fused_map(run, saved, tmp_path / "out")
 
-    # One without a fused map goes beside it, and says why there is none.
-    before = tree(tmp_path / "out")
-    alone = run_log(
-        place / "flat.log", replace(config, run=replace(config.run, producers=("tinyslam",)))
-    )
-    assert "1 of 1 maps was made, at least 2 are needed" in str(alone.failure)
-    assert (alone.grid, alone.usable, alone.fused_path) == (None, None, None)
-    failed = save_run(alone, tmp_path / "out")
-    check_document(plain(failed.document), "run")
-    assert failed.folder == tmp_path / "out" / "failed"
-    assert failed.document["best_founded"] == "tinyslam"
-    assert alone.recommendation is not None
-    assert (alone.recommendation.use, alone.recommendation.path) == ("tinyslam", "tinyslam")
-    assert failed.document["fused_path"] is None
-    assert failed.document["drawn_map"] is None
-    after = tree(tmp_path / "out")
-    assert {name: after[name] for name in before} == before
     assert_all_that_is_doubtful_is_told(run, saved)
 
 
@@ -272,26 +249,25 @@ def test_a_path_that_cannot_be_used_is_told_and_the_map_votes(tmp_path: Path) ->
     write_carmen(tmp_path / "drive.log", recorded(truth))
     scans = judged_scans(open_log(tmp_path / "drive.log"))
     evidence = score_paths(scans, {"graph": truth}, NumpyDevice())
-    drive: Any = SimpleNamespace(
-        posed_paths={"graph": truth},
-        saved_paths={},
-        troubles=[],
-        files=LogFiles(tmp_path / "drive.log"),
-        config=RUN_DEFAULTS,
-        device=NumpyDevice(),
-    )
+    paths, troubles = {"graph": truth}, []
     begin = Trajectory(truth.stamps_s[:4], truth.poses[:4])
     late = Trajectory(truth.stamps_s + 1e6, truth.poses)
-    found, reason = score_drive_paths(drive, {"begin": begin, "late": late, "whole": truth})
+    found, reason = score_all_paths(
+        lambda: scans,
+        paths,
+        {"begin": begin, "late": late, "whole": truth},
+        NumpyDevice(),
+        lambda name, why: troubles.append(f"{name}: {why}"),
+    )
     assert reason is None
     assert found is not None
     assert set(found.scores) == {"graph", "whole"}
-    assert set(drive.saved_paths) == {"whole"}
+    assert set(paths) == {"graph", "whole"}
     assert found.scores["graph"].consistency == evidence.scores["graph"].consistency
-    short, never = drive.troubles
-    assert short.startswith("begin: its path was not used: it has poses for ")
+    short, never = troubles
+    assert short.startswith("begin: it has poses for ")
     assert "wanted 50%" in short
-    assert never.startswith("late: its path was not used: it has poses for 0% of the scans")
+    assert never.startswith("late: it has poses for 0% of the scans")
 
 
 def test_a_path_belongs_to_a_saved_map(place: Path) -> None:
@@ -316,12 +292,12 @@ def test_where_nothing_can_be_drawn_the_maps_vote(place: Path) -> None:
         (None, "fewer than two producers have a path"),
         (no_scan, "give a path of this"),
     ):
-        made = draw_run(lambda: scans, path, vote, (), RUN_DEFAULTS, NumpyDevice())
-        assert (made.fusion, made.beside) == (vote, None)
-        assert why in str(made.why_voted)
+        *made, told = draw_run(lambda: scans, path, vote, (), RUN_DEFAULTS, NumpyDevice())
+        assert made == [vote, None]
+        assert why in str(told)
     voted = replace(RUN_DEFAULTS.fusion.vote, mode="majority")
     other = replace(RUN_DEFAULTS, fusion=replace(RUN_DEFAULTS.fusion, vote=voted))
-    assert draw_run(lambda: scans, None, vote, (), other, NumpyDevice()).why_voted is None
+    assert draw_run(lambda: scans, None, vote, (), other, NumpyDevice())[2] is None
 
 
 def test_what_goes_wrong_while_preparing_ends_the_run(place: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,10 @@ from slamfusion.align.records import (
 )
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
+from slamfusion.slam.common.runner import ProducerRun, run_producer
+from slamfusion.trajectory import Trajectory
 from slamfusion.vote.tiles import GridLayer
+from tests.support.producers import DeadReckoning, room_drive
 
 NASTY = "<script>alert('$x_1$')</script>/../../é机"
 REASON = "its runner-up at 180° scores 0.97 & <b>more</b>"
@@ -113,3 +117,10 @@ def colours_of(image: npt.NDArray[Any]) -> set[tuple[int, int, int]]:
     return {
         (int(value) >> 16, (int(value) >> 8) & 255, int(value) & 255) for value in np.unique(packed)
     }
+
+
+def run_of(name: str, grid: OccupancyGrid, trajectory: Trajectory, **more: Any) -> ProducerRun:
+    """A producer's run that made this map and path, with no more than that."""
+    run = run_producer(DeadReckoning(), room_drive(6))
+    given: dict[str, Any] = {"odometry": None, "series": (), "other_paths": (), **more}
+    return replace(run, name=name, grid=grid, trajectory=trajectory, **given)

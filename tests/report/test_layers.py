@@ -21,7 +21,7 @@ from slamfusion.report import write_fusion_report, write_slam_report
 from slamfusion.report.fusion_report import fused_section, shown_box
 from slamfusion.report.layers import MOST_CELLS, error_layers, fusion_layers, map_layers
 from slamfusion.trajectory import Trajectory
-from tests.report.drawn import NASTY, alignment, fusion, room
+from tests.report.drawn import NASTY, alignment, fusion, room, run_of
 from tests.report.test_reports import check_scripts, read
 from tests.viewer.maps import painted, tiles
 
@@ -132,7 +132,7 @@ def test_a_map_is_shown_with_the_path_in_its_frame(tmp_path: Path) -> None:
     assert trail["points"] == [[0, 500], [1, 501]]
     cells = painted(tiles(data, "graph"), grid.height, grid.width, (0, 0))
     assert np.array_equal(cells, grid.cells)
-    page = write_slam_report(tmp_path, name="graph", grid=grid, trajectory=path, config=RunConfig())
+    page = write_slam_report(tmp_path, run_of("graph", grid, path), config=RunConfig())
     check_scripts(read(page))
 
 

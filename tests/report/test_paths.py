@@ -20,7 +20,7 @@ from slamfusion.report import Fact, paths, write_slam_report, write_trajectory_r
 from slamfusion.report.page import Cell, Table
 from slamfusion.slam.common.mapper import Series
 from slamfusion.trajectory import Trajectory
-from tests.report.drawn import NASTY, room
+from tests.report.drawn import NASTY, room, run_of
 
 pytestmark = pytest.mark.once
 
@@ -207,21 +207,23 @@ def test_the_report_of_a_run_has_all_parts(tmp_path: Path) -> None:
     truth = Trajectory(in_room().stamps_s, compose_poses((5.0, 6.0, 1.0), in_room().poses), "true")
     page = write_slam_report(
         tmp_path,
-        name=NASTY,
-        grid=own_map(),
-        trajectory=in_room(wrong=0.1),
+        run_of(
+            NASTY,
+            own_map(),
+            in_room(wrong=0.1),
+            odometry=in_room(wrong=0.3),
+            stopped_by="deadline",
+        ),
         config=CONFIG,
         facts=[Fact("1.25 ms", "mean time a scan")],
-        warnings=[("12 scans were skipped:", "two scans of one stamp")],
         tables=[Table("Health", ("what", "value"), [[Cell("low scores"), Cell("3")]])],
-        odometry=in_room(wrong=0.3),
         truth=truth,
         relations=relations_of_round(),
         device="a device",
     ).read_text(encoding="utf-8")
     for words in (
         "1.25 ms",
-        "12 scans were skipped:",
+        "stopped at the deadline",
         "low scores",
         "The path over the map",
         "The path beside the others",
@@ -235,12 +237,12 @@ def test_the_report_of_a_run_has_all_parts(tmp_path: Path) -> None:
     ):
         assert words in page
     assert "<script>alert" not in page
-    assert page.index("12 scans were skipped:") < page.index("1.25 ms") < page.index("ATE")
+    assert page.index("stopped at the deadline") < page.index("1.25 ms") < page.index("ATE")
 
 
 def test_the_report_of_a_run_without_truth_has_the_map_and_the_path(tmp_path: Path) -> None:
     page = write_slam_report(
-        tmp_path, name="tinyslam", grid=own_map(), trajectory=in_room(), config=CONFIG
+        tmp_path, run_of("tinyslam", own_map(), in_room()), config=CONFIG
     ).read_text(encoding="utf-8")
     assert "The path over the map" in page
     assert "tinyslam: nothing in the run speaks against its map (60 poses" in page
@@ -258,16 +260,18 @@ def test_the_report_of_a_run_shows_its_series_and_other_paths(tmp_path: Path) ->
     stamps = np.arange(60.0)
     page = write_slam_report(
         tmp_path,
-        name="filter",
-        grid=own_map(),
-        trajectory=in_room(),
+        run_of(
+            "filter",
+            own_map(),
+            in_room(),
+            series=(
+                Series("effective particles", "", stamps, stamps, limit=15.0),
+                Series("map", "MB", stamps, stamps),
+                Series("nothing yet", "", stamps[:0], stamps[:0]),
+            ),
+            other_paths=(in_room(wrong=0.1), in_room(wrong=0.2)),
+        ),
         config=CONFIG,
-        series=[
-            Series("effective particles", "", stamps, stamps, limit=15.0),
-            Series("map", "MB", stamps, stamps),
-            Series("nothing yet", "", stamps[:0], stamps[:0]),
-        ],
-        other_paths=[in_room(wrong=0.1), in_room(wrong=0.2)],
     ).read_text(encoding="utf-8")
     assert "The path and what else it may have been" in page
     assert "2 other paths, faint" in page

@@ -15,14 +15,13 @@ import numpy as np
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FailuresConfig, RunConfig
-from slamfusion.experiments.failures import FAILURES, failure_trials
 from slamfusion.experiments.faults import FAULTS
-from slamfusion.experiments.trials import Trial
+from slamfusion.experiments.fusions import produce_maps
+from slamfusion.experiments.trials import FAILURES, Trial, failure_trials
 from slamfusion.geometry import Pose2
 from slamfusion.io import LogScan, read_trajectory
 from slamfusion.io.map_server import save_map
 from slamfusion.io.tum import write_tum
-from slamfusion.jobs.fuse_drive import produce_maps
 from slamfusion.scan import LaserScan
 from slamfusion.sim.simulate import simulate
 from slamfusion.slam.registry import BUILT_IN

@@ -1,0 +1,323 @@
+"""The maps of one drive: of each producer, fused in every way, and drawn at every path.
+
+The stages are those of ``run``: the producers, what the scans say of their paths, the path that is
+fused of these, and the layers of the vote. Then the layers vote in every way.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import get_args
+
+import numpy as np
+
+from slamfusion.compute import ComputeDevice
+from slamfusion.config import FusionConfig, RunConfig, TrajectoryConfig, VoteMode
+from slamfusion.errors import GridError, SlamFusionError
+from slamfusion.evaluation import MapError, compare_to_truth, trajectory_errors
+from slamfusion.evidence import PathEvidence, choose_path, find_exclusions, judged_scans
+from slamfusion.evidence.drawn_map import draw_map, drawn_scans
+from slamfusion.fusion.align import align_grids
+from slamfusion.fusion.groups import LEAST_FUSED
+from slamfusion.fusion.pipeline import vote_again
+from slamfusion.fusion.records import FusionResult
+from slamfusion.geometry import wrap_angle
+from slamfusion.grid import IDENTITY, UNKNOWN, OccupancyGrid
+from slamfusion.io import LogScan
+from slamfusion.jobs.fuse_drive import fuse_layers
+from slamfusion.jobs.fused_path import fuse_weighed_paths
+from slamfusion.jobs.inputs import Progress
+from slamfusion.jobs.outputs import DRAWN
+from slamfusion.jobs.partial import Filling, Layers, draw_layers
+from slamfusion.jobs.run import score_all_paths
+from slamfusion.slam.common.runner import run_producer
+from slamfusion.slam.registry import BUILT_IN, make_producer
+from slamfusion.trajectory import SAME_STAMP_S, Trajectory
+
+# Every way to vote.
+FUSIONS: tuple[VoteMode, ...] = get_args(VoteMode)
+PLAIN: VoteMode = "majority"
+# The producer whose path is taken (``choose_path``), in tables.
+CHOICE = "evidence choice"
+# The best producer of each drive, known only afterwards.
+HINDSIGHT = "best in hindsight"
+# The path that is made of all of them; the map that all scans draw at it is called as in ``run``.
+FUSED_PATH = "fused path"
+# A map that is turned by more against the true one lies wrong where both head alike, radians.
+MOST_TURN_RAD = 0.5 * math.pi
+
+
+def drawn_at(name: str) -> str:
+    """Return the name of the map that all scans draw at a producer's own path."""
+    return f"{name}, drawn"
+
+
+def alone(fusion: str) -> str:
+    """Return the name of a vote from which the harmed producer is left out beforehand."""
+    return f"{fusion}, others alone"
+
+
+@dataclass(frozen=True, eq=False)
+class DriveMaps:
+    """The maps and paths of one drive.
+
+    Attributes:
+        maps: by method; None: it made none.
+        paths: by method.
+        notes: what went wrong, by method.
+        choice: the producer whose path to take, see ``choose_path``; empty where the scans cannot
+            tell.
+    """
+
+    maps: Mapping[str, OccupancyGrid | None]
+    paths: Mapping[str, Trajectory]
+    notes: Mapping[str, str] = field(default_factory=dict)
+    choice: str = ""
+
+    def path_errors(self, truth: Trajectory, tolerance_s: float = SAME_STAMP_S) -> dict[str, float]:
+        """Return the absolute error of each path (root mean square after a rigid fit), metres.
+
+        Args:
+            truth: a path that meets fewer than two of its poses in time has no error.
+            tolerance_s: poses this near in time belong together.
+        """
+        config, found = TrajectoryConfig(tolerance_s=tolerance_s), {}
+        for name, path in self.paths.items():
+            with suppress(SlamFusionError):
+                found[name] = trajectory_errors(path, truth, config).ate.rmse
+        return found
+
+
+def produce_maps(
+    scans: Mapping[str, Sequence[LogScan]],
+    config: RunConfig,
+    device: ComputeDevice,
+    progress: Progress | None = None,
+) -> DriveMaps:
+    """Run producers on scans in memory, one after the other; one that fails has a note.
+
+    Args:
+        scans: of each producer, by its name in the registry.
+        config: settings of the producers.
+        device: computes.
+        progress: called with the producer, the scans that it has been fed, and all of them.
+    """
+    maps: dict[str, OccupancyGrid | None] = dict.fromkeys(scans)
+    paths, notes = {}, {}
+    for name, items in scans.items():
+
+        def tell(done: int, name: str = name, total: int = len(items)) -> None:
+            if progress is not None:
+                progress(name, done, total)
+
+        try:
+            run = run_producer(make_producer(name, config, device), items, progress=tell)
+        except SlamFusionError as error:
+            notes[name] = str(error)
+        else:
+            maps[name], paths[name] = run.grid, run.trajectory
+    return DriveMaps(maps, paths, notes)
+
+
+def fuse_in_every_way(
+    made: DriveMaps,
+    scans: Sequence[LogScan],
+    fed: Mapping[str, Sequence[LogScan]],
+    config: RunConfig,
+    device: ComputeDevice,
+    *,
+    saved: Sequence[OccupancyGrid] = (),
+    saved_paths: Mapping[str, Trajectory] = MappingProxyType({}),
+    harmed: str = "",
+    drawn_cell_m: float | None = None,
+) -> DriveMaps:
+    """Fuse the maps and paths of producers as ``run`` does, with every way to vote.
+
+    Args:
+        made: by the producers.
+        scans: of the drive.
+        fed: the scans that a producer was fed, where they are others.
+        config: settings of the fusion.
+        device: computes.
+        saved: maps of other SLAMs, which may have any frame.
+        saved_paths: paths of some of them, by name.
+        harmed: a producer without which the others are fused, too; empty: none.
+        drawn_cell_m: metres per cell of the maps that are drawn at every path; None: none is.
+
+    Returns:
+        All maps in order, and the paths with the fused one.
+
+    Raises:
+        TrajectoryError: the scans of a producer are not those of its path.
+    """
+    notes, paths = dict(made.notes), {name: path for name, path in made.paths.items() if len(path)}
+    grids = [*(grid for grid in made.maps.values() if grid is not None), *saved]
+    evidence, reason = score_all_paths(
+        lambda: judged_scans(scans),
+        paths,
+        saved_paths,
+        device,
+        lambda name, why: notes.update({f"{name}, path": why}),
+    )
+    if reason is not None and paths:
+        notes[CHOICE] = reason
+
+    votes, fused, choice = _fuse(grids, paths, evidence, scans, fed, config, device, notes)
+    maps = {**made.maps, **{grid.name: grid for grid in saved}, **votes}
+    if harmed:
+        rest = [grid for grid in grids if grid.name != harmed]
+        others = {name: path for name, path in paths.items() if name != harmed}
+        theirs = None if evidence is None or not others else evidence.of_paths(others)
+        own_notes: dict[str, str] = {}
+        votes, _, _ = _fuse(rest, others, theirs, scans, fed, config, device, own_notes)
+        maps |= {alone(mode): votes[mode] for mode in FUSIONS}
+        notes |= {alone(name): reason for name, reason in own_notes.items()}
+    if fused is not None:
+        paths[FUSED_PATH] = fused
+    if drawn_cell_m is not None:
+        rays = drawn_scans(scans)
+        for name in dict.fromkeys((*BUILT_IN, *saved_paths, FUSED_PATH)):
+            method = DRAWN if name == FUSED_PATH else drawn_at(name)
+            if name in paths:
+                path = paths[name]
+                maps[method] = draw_map(rays, path, device, resolution=drawn_cell_m, name=method)
+            elif name not in saved_paths:
+                maps[method] = None
+    return DriveMaps(maps, paths, notes, choice)
+
+
+def _fuse(
+    grids: Sequence[OccupancyGrid],
+    paths: Mapping[str, Trajectory],
+    evidence: PathEvidence | None,
+    scans: Sequence[LogScan],
+    fed: Mapping[str, Sequence[LogScan]],
+    config: RunConfig,
+    device: ComputeDevice,
+    notes: dict[str, str],
+) -> tuple[dict[str, OccupancyGrid | None], Trajectory | None, str]:
+    """Return every vote on maps, the path fused of theirs, and the name of the path to take."""
+    exclusions = None if evidence is None else find_exclusions(evidence, device)
+    choice = "" if evidence is None else choose_path(evidence, paths)[1]
+    fused, filling = None, None
+    if len(paths) >= LEAST_FUSED:
+        try:
+            found = fuse_weighed_paths(paths, evidence, exclusions, device)
+        except SlamFusionError as error:
+            notes[FUSED_PATH] = str(error)
+        else:
+            fused = found.trajectory
+            filling = Filling(fused, lambda: drawn_scans(scans))
+            if found.refined is not None:
+                choice = choose_path(found.refined.evidence, paths, fused.name)[1]
+    layers = draw_layers(
+        grids, paths, exclusions, lambda name: drawn_scans(fed.get(name, scans)), device, filling
+    )
+    return vote_every_way(layers, config, device, notes), fused, choice
+
+
+def vote_every_way(
+    layers: Layers,
+    config: RunConfig,
+    device: ComputeDevice,
+    notes: dict[str, str],
+) -> dict[str, OccupancyGrid | None]:
+    """Return the fused map of every way to vote; all have the same voters, or the same one map.
+
+    Args:
+        layers: of the producers' maps.
+        config: settings of the fusion.
+        device: computes.
+        notes: what went wrong is added, by method.
+
+    Returns:
+        By way to vote; None where there is no map at all.
+    """
+    if not layers.maps:
+        notes[PLAIN] = "no map was made"
+        return dict.fromkeys(FUSIONS)
+    notes |= {f"{PLAIN}, {vote.name} in part": vote.sentence() for vote in layers.partial}
+    plain = _vote_plainly(layers, config, device, notes)
+    if isinstance(plain, OccupancyGrid):
+        return dict.fromkeys(FUSIONS, plain)
+    return {mode: vote_again(plain, _voting(config.fusion, mode), device).fused for mode in FUSIONS}
+
+
+def _vote_plainly(
+    layers: Layers,
+    config: RunConfig,
+    device: ComputeDevice,
+    notes: dict[str, str],
+) -> FusionResult | OccupancyGrid:
+    """Return the plain vote, or the map to go on with alone; ``notes`` say what went wrong."""
+    first, *others = layers.grids
+    if not others:
+        notes[PLAIN] = f"{first.name} alone: it made the only map"
+        return first
+    config = replace(config, fusion=_voting(config.fusion, PLAIN))
+    # The producers of a drive share its frame; saved maps, none of which has such a name, may not.
+    shared_frame = {grid.name for grid in layers.maps} <= set(BUILT_IN)
+    fusion = fuse_layers(layers, config, device, shared_frame=shared_frame)
+    if fusion.result is None:
+        best = fusion.fallback or first
+        notes[PLAIN] = f"{best.name} alone: {fusion.failure}"
+        return best
+    for record in fusion.result.rejected:
+        notes[f"{PLAIN} without {record.name}"] = record.reason
+    return fusion.result
+
+
+def _voting(config: FusionConfig, mode: VoteMode) -> FusionConfig:
+    """Return the settings with a way to vote; the search is never the fixed-step one."""
+    align, vote = replace(config.align, step=None), replace(config.vote, mode=mode)
+    return replace(config, align=align, vote=vote)
+
+
+def against_truth(
+    grid: OccupancyGrid | None,
+    truth: OccupancyGrid,
+    config: RunConfig,
+    device: ComputeDevice,
+    *,
+    same_heading: bool = False,
+) -> MapError:
+    """Measure a map where it lies best on the truth: in the truth's frame, or aligned to it.
+
+    Aligned is where its walls fit best, or next best.
+
+    Args:
+        grid: None is a map that knows nothing.
+        truth: decides lattice and box.
+        config: thresholds, search (never the fixed-step one) and tolerance.
+        device: computes.
+        same_heading: both frames head nearly alike, as those of a simulated drive and of its world
+            do: an alignment that turns the map by more than a quarter is none. In a room that looks
+            nearly the same turned round, a wrong one can have the smaller error.
+    """
+    nothing = np.full((1, 1), UNKNOWN, dtype=np.int8)
+    known = grid or OccupancyGrid(nothing, truth.resolution, truth.origin, "nothing")
+    transforms = [IDENTITY]
+    if grid is not None:
+        with suppress(GridError):  # not one known cell: it lies as well anywhere
+            found = align_grids(truth, grid, _voting(config.fusion, PLAIN), device)
+            transforms.append(found.transform)
+            # Of a map in two pieces each lies somewhere, and their scores are as good as equal.
+            if found.runner_up is not None:
+                transforms.append(found.runner_up.transform)
+    if same_heading:
+        transforms = [item for item in transforms if abs(wrap_angle(item.yaw_rad)) <= MOST_TURN_RAD]
+    errors = [
+        compare_to_truth(
+            known,
+            truth,
+            transform,
+            normalize=config.fusion.normalize,
+            tolerance_m=config.evaluate.tolerance_m,
+        )
+        for transform in transforms
+    ]
+    return min(errors, key=lambda item: item.error)

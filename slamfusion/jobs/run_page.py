@@ -1,0 +1,519 @@
+"""The report of the main job on one page: maps, paths, health, alignment, errors, timings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from slamfusion.evaluation import ErrorStatistics
+from slamfusion.fusion.path_check import PathGap, moved_path
+from slamfusion.geometry import Pose2
+from slamfusion.io.atomic import AtomicFiles
+from slamfusion.jobs.map_log import ProducerResult
+from slamfusion.jobs.run import LogRun
+from slamfusion.jobs.trajectory import Measures
+from slamfusion.palette import NAMED, Rgb
+from slamfusion.report import paths
+from slamfusion.report.evidence import evidence_section
+from slamfusion.report.fusion_report import (
+    alignment_section,
+    dissent_section,
+    doubtful_lines,
+    fused_section,
+    inputs_section,
+    shown_box,
+    statistics_section,
+)
+from slamfusion.report.map_axes import mark_legend
+from slamfusion.report.maps import (
+    error_section,
+    input_colours,
+    input_picture,
+    pairs_section,
+    statistics_table,
+)
+from slamfusion.report.page import (
+    Banner,
+    Cell,
+    Fact,
+    Page,
+    Picture,
+    Section,
+    Table,
+    circumstances,
+    number,
+    write_page,
+)
+from slamfusion.report.series import broken, drawable, series_picture
+from slamfusion.report.trajectory_report import FIGURES, figure_cells
+from slamfusion.slam.common.mapper import Series
+from slamfusion.slam.common.runner import ProducerRun
+from slamfusion.trajectory import flag_runs
+
+BYTES_PER_MB = 1e6
+MOST_OVERLAYS = 6
+# What the path is called that is made of those of the producers; among those of the verdict; and
+# the fused map among the doubled walls.
+FUSED_PATH, FUSED_VERDICT, FUSED_MAP = "fused path", "fused", "fused map"
+
+
+def _measured_paths(run: LogRun) -> list[tuple[str, Measures]]:
+    """Return the errors of the producers' paths and those of saved maps, and of the fused one."""
+    found = [(name, item.measures) for name, item in run.results.items()]
+    found += [(name, item.measures) for name, item in run.saved_paths.items()]
+    return found if run.fused_path is None else [*found, (FUSED_PATH, run.fused_path.measures)]
+
+
+def _colours(run: LogRun) -> dict[str, Rgb]:
+    """Return the colour of each input, of each path, and of the fused one, on all of the page."""
+    names = [*(grid.name for grid in run.grids), *run.results, *run.saved_paths]
+    return {**input_colours(names), FUSED_PATH: NAMED["fused"]}
+
+
+def _warnings(run: LogRun) -> list[tuple[str, str]]:
+    """Return what the user must see first, each a subject and a sentence."""
+    found = [
+        (f"{name}:", text) for name, item in run.results.items() for text in item.run.warnings()
+    ]
+    if run.why_voted is not None:
+        found.append(("Not drawn:", f"the maps vote ({run.fused_mode}): {run.why_voted}"))
+    found += [("The vote:", sentence) for sentence in run.layers.sentences()]
+    return [*found, *(("Not measured:", trouble) for trouble in run.not_measured)]
+
+
+def write_run_page(run: LogRun, directory: str | Path, files: AtomicFiles | None = None) -> Path:
+    """Write the report of a run as one self-contained page with its pictures beside it.
+
+    Args:
+        run: what was made.
+        directory: for ``report.html`` and the PNG files; made when missing.
+        files: the set of files to join; default: one of its own.
+
+    Returns:
+        The path of ``report.html``.
+
+    Raises:
+        SlamFusionError: the directory cannot be written.
+    """
+    config, result, normalize = run.config, run.fusion.result, run.config.fusion.normalize
+    sections = [_maps_section(run)]
+    if run.recommendation is not None and run.evidence is not None:
+        sections.append(evidence_section(run.recommendation, run.evidence, _colours(run)))
+    if run.results:
+        sections += [_paths_section(run), _health_section(run)]
+    if result is not None:
+        if any(record.dissent is not None for record in result.accepted):
+            sections.append(dissent_section(result, shown_box(result)))
+        sections.append(alignment_section(result, only_doubtful=True))
+    elif run.fusion.pairs:
+        sections.append(
+            pairs_section(run.grids, run.fusion.pairs, normalize, most_overlays=MOST_OVERLAYS)
+        )
+    sections += _path_errors_section(run)
+    if run.evaluations:
+        errors = [item.error for item in run.evaluations]
+        sections.append(error_section(errors, [item.alignment for item in run.evaluations]))
+    sections.append(_timings_section(run))
+    if result is not None:
+        doubled = (
+            None if run.doubled is None else run.doubled.inputs | {FUSED_MAP: run.doubled.fused}
+        )
+        sections.append(statistics_section(result, config, doubled))
+    elif run.grids:
+        tables = [statistics_table(run.grids, normalize)]
+        sections.append(Section("The maps in numbers", "numbers", tables=tables))
+    sections.append(circumstances(config, run.device))
+    page = Page("SLAMfusion run", _banner(run), _facts(run), sections)
+    return write_page(page, directory, files, forms=config.report.pictures)
+
+
+def _banner(run: LogRun) -> Banner:
+    """Say first what to use, then what to check, then what was fused and what was not."""
+    answer, result = run.recommendation, run.fusion.result
+    lines = [] if answer is None else answer.lines()
+    lines += [(f"{item.name} made no map:", item.reason) for item in run.failed]
+    if result is not None:
+        lines += doubtful_lines(result)
+    lines += _warnings(run)
+    if result is None or run.failure is not None:
+        headline = "Do not use this map" if result is not None else "Nothing was fused"
+        return Banner("bad", headline, [("", str(run.failure or "")), *lines])
+    accepted = ", ".join(record.name for record in result.accepted)
+    lines.append(
+        ("Fused:", f"{accepted}{_how(run.fused_mode)}; in the frame of {result.reference}.")
+    )
+    total = len(result.inputs) - len(result.copies) + len(run.failed)
+    fused = len(result.accepted)
+    how_many = (
+        f"Only {fused} of {total}" if fused < total else ("Both" if total == 2 else f"All {total}")
+    )
+    if answer is None:
+        return Banner("warn" if fused < total else "plain", f"{how_many} maps were fused", lines)
+    lines.append(("", f"{how_many} maps were fused."))
+    return Banner(answer.tone, answer.headline, lines)
+
+
+def _how(mode: str | None) -> str:
+    """Return how a fused map came to be, for the end of a list of names."""
+    if mode == "drawn":
+        return "; the map is drawn from all scans at the path fused of theirs"
+    return f"; by vote ({mode})" if mode else ""
+
+
+def _facts(run: LogRun) -> list[Fact]:
+    """Return the numbers of the headline."""
+    facts = []
+    if run.results:
+        first = next(iter(run.results.values())).run
+        stamps_s = first.trajectory.stamps_s
+        facts += [
+            Fact(f"{float(stamps_s[-1] - stamps_s[0]):.0f} s", "of driving"),
+            Fact(f"{first.trajectory.path_length_m():.0f} m", f"travelled, says {first.name}"),
+            Fact(str(first.scans), "scans"),
+        ]
+    result, all_gaps = run.fusion.result, run.fusion.gaps
+    if result is not None:
+        total, fused = len(result.inputs) + len(run.failed), len(result.accepted)
+        facts.append(Fact(f"{fused} of {total}", "maps fused", "good" if fused == total else "bad"))
+        known = float(np.count_nonzero(result.fused.cells != -1)) * result.fused.resolution**2
+        facts.append(Fact(f"{known:.0f} m²", "known in the fused map"))
+        agreement = result.agreement.cells[result.agreement.cells >= 0]
+        if agreement.size:
+            unanimous = 100.0 * float(np.mean(agreement == 100))
+            facts.append(Fact(f"{unanimous:.0f} %", "of the voted cells are unanimous"))
+    for gaps, when in (
+        (all_gaps, "over the drive"),
+        ([gap.voting for gap in all_gaps if not gap.both_vote.all()], "while both vote"),
+    ):
+        widest = max((gap.median_m for gap in gaps if gap is not None), default=None)
+        if widest is not None:
+            what = f"between the paths farthest apart in the fused map, {when} (median)"
+            facts.append(Fact(f"{widest:.2f} m", what))
+    facts += [
+        Fact(f"{item.relations.translation.mean:.4f} m", f"{name}: error of relations")
+        for name, item in _measured_paths(run)
+        if item.relations is not None
+    ]
+    facts += [
+        Fact(f"{item.error.error:.1f}", f"{item.error.name}: map error [F16]")
+        for item in run.evaluations
+    ]
+    facts.append(Fact(f"{sum(run.stages.values()):.1f} s", "for all, without this page"))
+    return facts
+
+
+def _maps_section(run: LogRun) -> Section:
+    """Return the fused map, the producers' maps, how they lie on each other, where they agree."""
+    result = run.fusion.result
+    text = (
+        "In its picture each input lies in its own frame, as it was made; the fused map in that of "
+        "the reference, and so do all layers."
+    )
+    if result is None:
+        pictures = [input_picture(grid, run.config.fusion.normalize) for grid in run.grids]
+        return Section("Maps", "maps", text, pictures)
+    voted = {record.name for record in result.accepted}
+    found = {name: item.run.trajectory for name, item in run.results.items()}
+    found |= {name: item.path for name, item in run.saved_paths.items()}
+    shown = {name: path for name, path in found.items() if name in voted}
+    if run.fused_path is not None:
+        shown[FUSED_VERDICT] = run.fused_path.trajectory
+    section = fused_section(result, shown_box(result), shown)
+    fused, *others = section.pictures
+    inputs = inputs_section(result, run.config).pictures
+    return Section("Maps", "maps", text, [fused, *inputs, *others], layers=section.layers)
+
+
+def _health_section(run: LogRun) -> Section:
+    """Return each producer's match score and its own quantities over time, and its warnings."""
+    pictures, colours = [], _colours(run)
+    for item in run.results.values():
+        shown = drawable(_over_time(item.run))
+        if shown:
+            start_s = float(item.run.trajectory.stamps_s[0])
+            png = series_picture(shown, colour=colours[item.run.name], start_s=start_s)
+            pictures.append(Picture(f"over-time-{item.run.name}", png, item.run.name))
+    rows = [
+        [
+            Cell(item.run.name),
+            Cell(str(item.run.scans), is_number=True),
+            Cell(str(item.run.scans_used), is_number=True),
+            number(item.run.health.mean_match_score),
+            Cell(str(item.run.health.low_scores), is_number=True),
+            Cell(str(item.run.low_in_a_row), is_number=True),
+            Cell(
+                "; ".join(item.run.warnings()) or "nothing",
+                "bad" if item.run.warnings() else "good",
+            ),
+        ]
+        for item in run.results.values()
+    ]
+    rows += [
+        [Cell(item.name), *[Cell("-", is_number=True)] * 5, Cell(f"no map: {item.reason}", "bad")]
+        for item in run.failed
+    ]
+    columns = (
+        "producer",
+        "scans",
+        "used",
+        "mean match score",
+        "low scores",
+        "in a row",
+        "what speaks against its map",
+    )
+    note = (
+        "Match score: share of a scan's hits that fall on known walls. Low: below half of the "
+        "mean, the dotted line; a robot that gets lost has many in a row."
+    )
+    tables = [Table("Health", columns, rows, note)]
+    return Section("Health over time", "health", pictures=pictures, tables=tables)
+
+
+def _over_time(run: ProducerRun) -> list[Series]:
+    """Return how well the scans matched, and the producer's own quantities."""
+    series = list(run.series)
+    scores = run.match_scores
+    if len(scores):
+        mean = run.health.mean_match_score
+        limit = None if mean is None else mean / 2.0
+        stamps_s = run.trajectory.stamps_s[-len(scores) :]
+        series.insert(0, Series("match score", "", stamps_s, scores, limit))
+    return series
+
+
+def _timings_section(run: LogRun) -> Section:
+    """Return what the producers and the stages took."""
+    rows = []
+    for item in run.outcomes:
+        if item.run is None:
+            continue
+        time_ms = item.run.time_per_scan_ms()
+        rows.append(
+            [
+                Cell(item.name),
+                *(number(time_ms[key], 2) for key in ("mean", "p50", "p95", "p999", "max")),
+                number(item.run.time_s, 1),
+                number(item.time_s, 1),
+                number(item.cpu_s, 1),
+                number(item.run.peak_memory_bytes / BYTES_PER_MB, 1),
+                number(item.run.process_peak_memory_bytes / BYTES_PER_MB, 0),
+            ]
+        )
+    columns = (
+        "producer",
+        "ms a scan",
+        "median",
+        "95 %",
+        "99.9 %",
+        "longest",
+        "log to map s",
+        "process s",
+        "processor s",
+        "map and filter MB",
+        "process MB",
+    )
+    note = (
+        "The producers run side by side, so their times overlap. Process: imports, the device and "
+        "the kernels included."
+    )
+    tables = [Table("Producers", columns, rows, note)] if rows else []
+    stages = [[Cell(name), number(seconds, 2)] for name, seconds in run.stages.items()]
+    tables.append(Table("Stages", ("stage", "s"), stages, "The drawing of this page comes on top."))
+    text = f"The log: {run.files.log}"
+    return Section("Timings and memory", "timings", text, tables=tables)
+
+
+# --- paths -------------------------------------------------------------------------------------
+
+
+def _placed(run: LogRun) -> dict[str, Pose2]:
+    """Return the transform into the fused frame of each producer that voted."""
+    if run.fusion.result is None:
+        return {}
+    return {
+        record.name: Pose2() if record.alignment is None else record.alignment.transform
+        for record in run.fusion.result.accepted
+    }
+
+
+def _paths_section(run: LogRun) -> Section:
+    """Return all paths in the fused map, how far they are apart, and each over its own map."""
+    placed, gaps, pictures = _placed(run), run.fusion.gaps, []
+    together = [item for name, item in run.results.items() if name in placed]
+    if together:
+        pictures.append(_together(run, together, placed))
+    else:
+        pictures += [
+            Picture(
+                f"path-{item.run.name}",
+                paths.path_picture(
+                    item.run.trajectory,
+                    grid=item.run.grid,
+                    normalize=run.config.fusion.normalize,
+                ),
+                f"{item.run.name}: its path over its map",
+                legend=mark_legend(),
+            )
+            for item in run.results.values()
+        ]
+    tables = []
+    if gaps:
+        limit_m = run.config.run.path_gap_m
+        over_time = [
+            Series(
+                f"{gap.a} to {gap.b}",
+                "m",
+                *broken(gap.stamps_s, gap.gaps_m),
+                limit_m if gap.max_m > limit_m else None,
+            )
+            for gap in gaps
+        ]
+        shaded = {f"{gap.a} to {gap.b}": _without_vote(gap) for gap in gaps}
+        start_s = float(gaps[0].stamps_s[0])
+        pictures.append(
+            Picture(
+                "path-gaps",
+                series_picture(over_time, start_s=start_s, shaded=shaded),
+                "Distance between the paths in the fused map",
+                "All producers rode on one robot: where two paths part, one of the two, or the "
+                "alignment of their maps, is wrong there. Shaded: one of the two has no vote. A "
+                "line is broken where one has no pose.",
+            )
+        )
+        rows = [_gap_row(gap, limit_m) for gap in gaps]
+        note = (
+            "Laid into the fused map. A producer whose path is, while both vote, more than "
+            f"{limit_m:g} m (median) from those of the others is left out of the vote, however "
+            "well its walls fit."
+        )
+        columns = (
+            *("paths", "at the start m", "median m", "at most m", "median yaw °"),
+            *("median m, both vote", "at most m, both vote"),
+        )
+        tables.append(Table("The paths against each other", columns, rows, note))
+    return Section("Paths", "paths", "", pictures, tables)
+
+
+def _without_vote(gap: PathGap) -> list[tuple[float, float]]:
+    """Return the times, stamps in seconds, in which one of two paths has no vote."""
+    last = len(gap.stamps_s) - 1
+    return [
+        (float(gap.stamps_s[here.start]), float(gap.stamps_s[min(here.stop, last)]))
+        for here in flag_runs(~gap.both_vote)
+    ]
+
+
+def _gap_row(gap: PathGap, limit_m: float) -> list[Cell]:
+    """Return the figures of a gap, over the drive and while both paths have a vote."""
+    median_m, max_m = None, None
+    if gap.voting is not None:
+        median_m, max_m = gap.voting.median_m, gap.voting.max_m
+    return [
+        Cell(f"{gap.a} to {gap.b}"),
+        number(float(gap.gaps_m[0])),
+        number(gap.median_m),
+        number(gap.max_m),
+        number(float(np.rad2deg(gap.yaw_rad)), 2),
+        number(median_m, tone="bad" if median_m is not None and median_m > limit_m else "plain"),
+        number(max_m),
+    ]
+
+
+def _together(
+    run: LogRun, together: Sequence[ProducerResult], placed: Mapping[str, Pose2]
+) -> Picture:
+    """Return the paths whose maps were fused, with truth and odometry, in the fused map."""
+    shown = [moved_path(item.run.trajectory, placed[item.run.name]) for item in together]
+    others = [item.path for name, item in run.saved_paths.items() if name in placed]
+    shown += [moved_path(path, placed[path.name]) for path in others]
+    first, start = together[0], placed[together[0].run.name]
+    truth, errors = None, first.measures.truth
+    if run.truth is not None and errors is not None:
+        truth = moved_path(run.truth, start.compose(errors.pose_truth_estimate.inverse()))
+    odometry = first.run.odometry
+    if odometry is not None:
+        odometry = paths.laid_on_start(odometry, shown[0])
+    names = [*(item.run.name for item in together), *(path.name for path in others)]
+    colours = {name: rgb for name, rgb in _colours(run).items() if name in names}
+    sentences = []
+    if truth is not None:
+        sentences.append("The truth is laid on the first path as a whole.")
+    if odometry is not None:
+        sentences.append(
+            "Raw odometry is laid on its start; drift far beyond the picture is cut off."
+        )
+    result = run.fusion.result
+    fused = None if run.fused_path is None else run.fused_path.trajectory
+    return Picture(
+        "paths",
+        paths.run_paths_picture(
+            shown,
+            list(colours.values()),
+            fused=fused,
+            truth=truth,
+            odometry=odometry,
+            grid=None if result is None else result.fused,
+            normalize=run.config.fusion.normalize,
+        ),
+        "The paths over the fused map",
+        " ".join(sentences),
+        legend=paths.run_paths_legend(
+            colours,
+            fused=fused is not None,
+            truth=truth is not None,
+            odometry=odometry is not None,
+        ),
+    )
+
+
+def _path_errors_section(run: LogRun) -> list[Section]:
+    """Return the errors of all paths in one table, and of each relation over time."""
+    rows, pictures, colours = [], [], _colours(run)
+    for name, item in _measured_paths(run):
+        if item.relations is not None:
+            errors = item.relations
+            used = f"{errors.relations_used} of {errors.relations_total}"
+            rows += [
+                _figures(name, f"relations ({used}), translation m", errors.translation, 4),
+                _figures(name, f"relations ({used}), rotation °", errors.rotation_deg, 3),
+            ]
+            pictures.append(
+                Picture(
+                    f"relations-{name}",
+                    paths.relations_picture(errors),
+                    f"{name}: error of each relation",
+                    legend=paths.revisit_legend(),
+                )
+            )
+        if item.truth is not None:
+            found = item.truth
+            pair = f"{found.config.rpe_delta:g} {found.config.rpe_unit}"
+            rows += [
+                _figures(name, "ATE, place m", found.ate, 4),
+                _figures(name, "ATE, heading °", found.ate_rotation_deg, 3),
+                _figures(name, f"RPE over {pair}, place m", found.rpe, 4),
+            ]
+            pictures.append(
+                Picture(
+                    f"error-{name}",
+                    paths.error_picture(found, colours[name]),
+                    f"{name}: error along the path",
+                )
+            )
+    if not rows:
+        return []
+    text = (
+        "Relations [K09]: the motion between two times as it should be, against what the path made "
+        "of it. ATE: of each pose after the best rigid motion of the whole; RPE: of the motion "
+        "between two poses."
+    )
+    columns = ("path", "error", *FIGURES)
+    table = Table("Errors of the paths", columns, rows)
+    return [Section("Errors of the paths", "path-errors", text, pictures, [table])]
+
+
+def _figures(name: str, what: str, statistics: ErrorStatistics | None, digits: int) -> list[Cell]:
+    """Return a row of figures; dashes where there are none."""
+    return [Cell(name), Cell(what), *figure_cells(statistics, digits)]

@@ -1,0 +1,295 @@
+"""The page of the main job: every producer, also one that made no map, and nothing that runs."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slamfusion.config import NormalizeConfig, RunConfig
+from slamfusion.errors import SlamFusionError
+from slamfusion.evaluation import Relations, compare_to_truth, relation_errors, trajectory_errors
+from slamfusion.evidence import FusedPath
+from slamfusion.fusion.path_check import moved_path, path_gaps
+from slamfusion.geometry import Pose2
+from slamfusion.io import AtomicFiles
+from slamfusion.jobs.evaluate import Evaluation
+from slamfusion.jobs.fuse_documents import DoubledWalls
+from slamfusion.jobs.fuse_drive import DriveFusion
+from slamfusion.jobs.fused_path import DrivePath
+from slamfusion.jobs.map_log import LogFiles, ProducerResult
+from slamfusion.jobs.partial import Layers
+from slamfusion.jobs.run import LogRun
+from slamfusion.jobs.run_page import write_run_page
+from slamfusion.jobs.trajectory import Measures
+from slamfusion.palette import NAMED, OTHERS
+from slamfusion.slam.common.runner import ProducerRun, run_producer
+from slamfusion.slam.side_by_side import Outcome
+from slamfusion.trajectory import Trajectory
+from tests.report.drawn import NASTY, REASON, fusion, room
+from tests.report.test_reports import check_scripts, read
+from tests.support.producers import DeadReckoning, room_drive
+
+pytestmark = pytest.mark.once
+
+CONFIG = RunConfig()
+NAMES = ("room 0", "room 1", "room 2")
+
+
+def produced(name: str, *, lost: bool = False) -> ProducerRun:
+    """A run over a drive; the lost one matches badly many times in a row."""
+    scores = dict.fromkeys(range(20, 40), 0.1) if lost else {}
+    run = run_producer(DeadReckoning(scores), room_drive(60))
+    return replace(run, name=name, grid=run.grid.with_name(name))
+
+
+def standing(path: Trajectory) -> Relations:
+    """A relation that says the robot stood still from the first pose of a path to the second."""
+    return Relations(path.stamps_s[:2].reshape(1, 2), np.zeros((1, 3)))
+
+
+def everything() -> LogRun:
+    """Three producers of which one is lost, a fourth that died, a rejected map, all errors."""
+    runs = [produced(name, lost=name == "room 1") for name in NAMES]
+    path = runs[0].trajectory
+    truth = moved_path(path, Pose2(5.0, 1.0, 0.5))
+    result = fusion()
+    grids = tuple(record.grid for record in result.inputs)
+    gaps = path_gaps(
+        {name: moved_path(path, Pose2(0.0, 2.5 * index)) for index, name in enumerate(NAMES)}
+    )
+    yardstick = room("truth", 7)
+    evaluations = [
+        Evaluation(
+            compare_to_truth(grid, yardstick, normalize=NormalizeConfig(), tolerance_m=0.1), None
+        )
+        for grid in (room("room 0", 0), room("fused", 7))
+    ]
+    died = Outcome("gmapping", None, f"its process was killed {NASTY}", 1.0)
+    errors = trajectory_errors(path, truth, CONFIG.trajectory)
+    return LogRun(
+        files=LogFiles(Path(NASTY)),
+        saved_maps=(),
+        saved_paths={},
+        config=CONFIG,
+        outcomes=(*(Outcome(run.name, run, "", 4.0, 3.5, "numpy") for run in runs), died),
+        grids=grids,
+        layers=Layers.as_made(grids, {}),
+        fusion=DriveFusion(result, gaps),
+        fused_path=DrivePath(
+            FusedPath(path, NAMES, np.zeros((3, len(path)))),
+            {},
+            {},
+            measures=Measures(relation_errors(path, standing(path), 0.01), truth=errors),
+        ),
+        drawn=None,
+        why_voted=None,
+        results={
+            run.name: ProducerResult(
+                run,
+                Measures(truth=trajectory_errors(run.trajectory, truth, CONFIG.trajectory)),
+                None,
+                "numpy",
+            )
+            for run in runs
+        },
+        doubled=DoubledWalls(dict.fromkeys([*NAMES, NASTY], 0.125), 0.125, 0.0),
+        evaluations=tuple(evaluations),
+        recommendation=None,
+        evidence=None,
+        no_verdict=None,
+        failure=None,
+        not_measured=(),
+        stages={"producers": 12.5, "fusion": 0.25},
+        begun_s=0.0,
+        device="numpy",
+        truth=truth,
+    )
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One page with everything on it, to read only."""
+    return write_run_page(everything(), tmp_path_factory.mktemp("run"))
+
+
+def test_the_headline_names_who_made_no_map_who_was_rejected_and_who_is_lost(page: Path) -> None:
+    text = read(page).text
+    assert "Only 3 of 5 maps were fused" in text
+    assert f"gmapping made no map: its process was killed {NASTY}" in text
+    assert f"{NASTY} was rejected: {REASON}" in text
+    assert "room 1: tracking may be lost" in text
+    how = "by vote (consensus)"
+    assert f"Fused: room 0, room 1, room 2; {how}; in the frame of room 0." in text
+
+
+def test_every_part_is_on_the_one_page(page: Path) -> None:
+    text = read(page).text
+    for part in (
+        "Fused map",
+        "Agreement",
+        "The paths over the fused map",
+        "Distance between the paths in the fused map",
+        "Health over time",
+        "Where each input was outvoted",
+        "Alignment to room 0",
+        "ATE, place m",
+        "Errors of the paths",
+        "Error against the truth",
+        "Timings and memory",
+        "processor s",
+        "12.8 s",
+        "for all, without this page",
+        "12.50",
+        "time_limit_s: null",
+    ):
+        assert part in text, part
+    assert text.index("Fused map") < text.index("The paths over the fused map")
+
+
+def test_a_name_has_one_colour_on_all_of_the_page(page: Path) -> None:
+    html = page.read_text(encoding="utf-8")
+    legends = re.findall(r'<li><i style="background: (rgb\([^)]*\))"></i>([^<]*)</li>', html)
+    recorded = re.search(r'id="recorded">(.*?)</script>', html, re.DOTALL)
+    assert recorded is not None
+    messages = json.loads(recorded[1])["messages"]
+    layers = [
+        (f"rgb({', '.join(map(str, item['colours']['wall']))})", item["name"])
+        for item in messages
+        if item["type"] == "layer" and item["kind"] == "input"
+    ]
+    found: dict[str, set[str]] = {}
+    for colour, name in (*legends, *layers):
+        found.setdefault(name, set()).add(re.sub(r"[, ]+", " ", colour))
+    wanted = {"fused path": NAMED["fused"], "truth, dashed": NAMED["truth"]}
+    wanted |= dict(zip(NAMES, OTHERS, strict=False))
+    for name, rgb in wanted.items():
+        assert found[name] == {f"rgb({' '.join(map(str, rgb))})"}, name
+    assert sum(name == NAMES[0] for _, name in (*legends, *layers)) >= 3
+
+
+def test_gaps_are_told_over_the_drive_and_while_both_vote(tmp_path: Path) -> None:
+    full = everything()
+    path = full.results["room 0"].run.trajectory
+    poses = path.poses + np.outer(np.arange(len(path)) >= 20, (0.0, 1.5, 0.0))
+    found = path_gaps(
+        {"room 0": path, "room 1": Trajectory(path.stamps_s, poses, "room 1")},
+        {"room 1": np.arange(len(path)) < 20},
+    )
+    report = replace(full, fusion=replace(full.fusion, gaps=found))
+    text = read(write_run_page(report, tmp_path / "apart")).text
+    assert "1.50 mbetween the paths farthest apart in the fused map, over the drive" in text
+    assert "0.00 mbetween the paths farthest apart in the fused map, while both vote" in text
+    assert "room 0 to room 10.0001.5001.5000.000.0000.000" in text
+    pictures = [next((tmp_path / "apart").glob("*path-gaps.png")).read_bytes()]
+    all_vote = tuple(replace(gap, both_vote=gap.gaps_m >= 0.0) for gap in found)
+    write_run_page(replace(report, fusion=replace(report.fusion, gaps=all_vote)), tmp_path / "all")
+    pictures.append(next((tmp_path / "all").glob("*path-gaps.png")).read_bytes())
+    assert pictures[0] != pictures[1], "the time without a vote is shaded"
+
+
+def test_the_fused_path_is_drawn_and_measured_beside_those_it_was_made_of(page: Path) -> None:
+    text = read(page).text
+    moved_m = float(np.hypot(*np.diff(produced(NAMES[0]).trajectory.poses[:2, :2], axis=0)[0]))
+    html = page.read_text(encoding="utf-8")
+    assert f"<b>{moved_m:.4f} m</b><span>fused path: error of relations</span>" in html
+    assert "relations (1 of 1), translation m" in text
+    assert "fused path: error along the path" in text
+    assert "fused path: error of each relation" in text
+
+
+def test_names_run_nothing_and_nothing_is_loaded(page: Path) -> None:
+    found = read(page)
+    check_scripts(found)
+    assert all(source.startswith("data:image/png;base64,") for source in found.sources)
+    for link in found.links:
+        assert link[1:] in found.targets if link[0] == "#" else (page.parent / link).is_file()
+
+
+def test_a_failed_fusion_shows_the_maps_and_why(tmp_path: Path) -> None:
+    full = everything()
+    assert full.fusion.result is not None
+    report = replace(
+        full,
+        fusion=DriveFusion(pairs=full.fusion.result.pairs),
+        failure=SlamFusionError("no two of them align"),
+        doubled=None,
+        evaluations=(),
+    )
+    text = read(write_run_page(report, tmp_path)).text
+    assert "Nothing was fused no two of them align" in text
+    assert "All pairs" in text
+    assert "room 2: its path over its map" in text
+    assert "Fused map" not in text
+
+
+def test_without_any_map_the_reasons_are_the_page(tmp_path: Path) -> None:
+    report = replace(
+        everything(),
+        outcomes=(Outcome("graph", None, "a bug", 1.0),),
+        grids=(),
+        fusion=DriveFusion(),
+        fused_path=None,
+        results={},
+        doubled=None,
+        evaluations=(),
+        failure=SlamFusionError("nothing to fuse"),
+    )
+    text = read(write_run_page(report, tmp_path)).text
+    assert "Nothing was fused nothing to fuse" in text
+    assert "graph made no map: a bug" in text
+    assert not list(tmp_path.glob("*.png"))
+
+
+def test_a_map_that_may_not_be_used_is_not_called_fused(tmp_path: Path) -> None:
+    report = replace(everything(), failure=SlamFusionError("--require-all, but one was rejected"))
+    text = read(write_run_page(report, tmp_path)).text
+    assert "Do not use this map --require-all, but one was rejected" in text
+    assert "maps were fused" not in text
+
+
+@pytest.mark.parametrize(
+    ("mode", "words"),
+    [("drawn", "the map is drawn from all scans"), ("consensus", "by vote (consensus)")],
+)
+def test_the_headline_says_how_the_fused_map_came_to_be(
+    tmp_path: Path, mode: str, words: str
+) -> None:
+    vote = replace(CONFIG.fusion.vote, mode=mode)
+    config = replace(CONFIG, fusion=replace(CONFIG.fusion, vote=vote))
+    report = replace(everything(), config=config)
+    text = read(write_run_page(report, tmp_path)).text
+    assert f"Fused: room 0, room 1, room 2; {words}" in text
+
+
+def test_a_producer_without_scores_or_odometry_is_drawn_all_the_same(tmp_path: Path) -> None:
+    bare = replace(
+        produced("room 0"), odometry=None, match_scores=np.empty(0), series=(), other_paths=()
+    )
+    full = everything()
+    report = replace(
+        full,
+        outcomes=(Outcome("room 0", bare, "", 4.0),),
+        results={"room 0": ProducerResult(bare, Measures(), None, "numpy")},
+        fusion=replace(full.fusion, gaps=()),
+        truth=None,
+    )
+    text = read(write_run_page(report, tmp_path)).text
+    assert "The paths over the fused map" in text
+    assert "raw odometry" not in text.lower()
+    assert "truth, dashed" not in text
+
+
+def test_the_page_joins_other_files(tmp_path: Path) -> None:
+    def interrupted() -> None:
+        with AtomicFiles() as files:
+            write_run_page(everything(), tmp_path / "report", files)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert not (tmp_path / "report").exists()
