@@ -12,6 +12,7 @@ import click
 
 from slamfusion.cli.options import (
     case_option,
+    check_odometry,
     check_report,
     common_options,
     drive_files,
@@ -58,9 +59,7 @@ class _Request:
 
     def check(self) -> None:
         """Refuse what cannot be done before any work."""
-        if self.odometry and not self.relations:
-            message = "--odometry carries poses to the times of relations; give --relations FILE"
-            raise click.UsageError(message)
+        check_odometry(self.odometry, self.relations)
         if self.fused is not None and self.more_logs:
             message = "--fused is of one log; with several (--log) call judge for each"
             raise click.UsageError(message)

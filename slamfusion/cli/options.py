@@ -303,6 +303,13 @@ def drive_files(judged: str, *, of_cases: bool = False) -> Callable[[F], F]:
     return decorate
 
 
+def check_odometry(odometry: object, relations: object) -> None:
+    """Refuse odometry of a run without the relations that it is for."""
+    if odometry and not relations:
+        message = "--odometry carries poses to the times of relations; give --relations FILE"
+        raise click.UsageError(message)
+
+
 def drive_options(judged: str) -> Callable[[F], F]:
     """Give a command the files beside LOG, and ``--probabilities``.
 

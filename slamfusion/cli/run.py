@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib.util
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +15,7 @@ from slamfusion.cli.fleet import scheduler_option
 from slamfusion.cli.fused import print_alignments, print_pairs
 from slamfusion.cli.judge import print_reasons, print_recommendation
 from slamfusion.cli.options import (
+    check_odometry,
     common_options,
     drive_options,
     file_option,
@@ -63,29 +63,6 @@ MORE = {
     "--inputs": {".yaml", ".yml", ".pgm", ".png", ".bmp", ".pnm"},
     "--paths": {".tum", ".csv"},
 }
-
-
-@dataclass(frozen=True)
-class _Request:
-    """What the job is asked for beside its settings."""
-
-    log: Path
-    out: Path
-    maps: tuple[Path, ...]
-    paths: tuple[CaseFile, ...]
-    resolution: float | None
-    truth: Path | None
-    truth_trajectory: Path | None
-    relations: Path | None
-    odometry: Path | None
-    scan_odometry: Path | None
-    probabilities: bool
-
-    def check(self) -> None:
-        """Refuse what cannot end well before any work."""
-        if self.odometry is not None and self.relations is None:
-            message = "--odometry carries poses to the times of relations; give --relations FILE"
-            raise click.UsageError(message)
 
 
 class _ManyInputs(click.Command):
@@ -216,57 +193,58 @@ def command(
     if scheduler is not None:
         message = "--scheduler does several logs; the producers on one run side by side anyway"
         raise click.UsageError(message)
-    request = _Request(logs[0], out, **asked)
-    request.check()
-    debug = click.get_current_context().ensure_object(Settings).debug
+    check_odometry(asked["odometry"], asked["relations"])
     with start_errors(starts):
-        return _run(request, with_starts(config, starts), as_json=as_json, debug=debug)
+        return _run(logs[0], out, with_starts(config, starts), as_json=as_json, **asked)
 
 
-def _run(request: _Request, config: RunConfig, *, as_json: bool, debug: bool) -> int:
+def _run(
+    log: Path,
+    out: Path,
+    config: RunConfig,
+    *,
+    as_json: bool,
+    maps: tuple[Path, ...],
+    paths: tuple[CaseFile, ...],
+    truth: Path | None,
+    truth_trajectory: Path | None,
+    probabilities: bool,
+    **asked: Any,
+) -> int:
     """Run, write, print."""
     from slamfusion.jobs.run import run_log  # noqa: PLC0415
     from slamfusion.jobs.run_files import load_report, save_run  # noqa: PLC0415
 
     with progress_bar() as progress:
         run = run_log(
-            request.log,
+            log,
             config,
-            saved_maps=request.maps,
-            saved_paths=request.paths,
-            resolution=request.resolution,
-            relations=request.relations,
-            odometry=request.odometry,
-            truth=request.truth_trajectory,
-            truth_map=request.truth,
-            scan_odometry=request.scan_odometry,
+            saved_maps=maps,
+            saved_paths=paths,
+            truth=truth_trajectory,
+            truth_map=truth,
             progress=progress,
             warn=notice,
             prepare=load_report,
+            **asked,
         )
-    saved = save_run(run, request.out, probabilities=request.probabilities)
-    _tell(run, debug=debug)
+    saved = save_run(run, out, probabilities=probabilities)
+    for sentence in run.sentences():
+        notice(sentence)
+    if click.get_current_context().ensure_object(Settings).debug:
+        for outcome in run.failed:
+            if outcome.detail:
+                print(f"{outcome.name}: {outcome.detail}", file=sys.stderr)
     if as_json:
         print_json(saved.document)
     else:
         _print(run, saved)
     reason = "; ".join(run.not_measured) if run.failure is None else str(run.failure)
     if reason:
-        earlier = ""
-        if saved.folder != request.out:
-            earlier = f"; {request.out} keeps its earlier results"
+        earlier = "" if saved.folder == out else f"; {out} keeps its earlier results"
         message = f"{reason} (what was made lies in {saved.folder}{earlier})"
         raise SlamFusionError(message)
     return 0
-
-
-def _tell(run: LogRun, *, debug: bool) -> None:
-    """Name on stderr what was left out, and what is doubtful."""
-    for sentence in run.sentences():
-        notice(sentence)
-    for outcome in run.failed:
-        if debug and outcome.detail:
-            print(f"{outcome.name}: {outcome.detail}", file=sys.stderr)
 
 
 def _print(run: LogRun, saved: SavedRun) -> None:

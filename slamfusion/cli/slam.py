@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +10,7 @@ import click
 
 from slamfusion.cli.evaluate import print_evaluations
 from slamfusion.cli.options import (
+    check_odometry,
     check_report,
     common_options,
     drive_options,
@@ -65,40 +65,6 @@ class _Producers(click.Group):
 @click.group("slam", cls=_Producers)
 def command() -> None:
     """Run one producer of maps on a log or bag."""
-
-
-@dataclass(frozen=True)
-class _Request:
-    """What a run is asked for beside its settings."""
-
-    log: Path
-    stem: Path
-    relations: Path | None
-    odometry: Path | None
-    truth: Path | None
-    truth_map: Path | None
-    report: Path | None
-    resume: Path | None = None
-    state: Path | None = None
-    stop_after: int | None = None
-    scan_odometry: Path | None = None
-    probabilities: bool = False
-
-    def check(self) -> None:
-        """Refuse what cannot end well before any work."""
-        if self.odometry is not None and self.relations is None:
-            message = "--odometry carries poses to the times of relations; give --relations FILE"
-            raise click.UsageError(message)
-        if self.resume is not None:
-            from slamfusion.io.regular import open_regular  # noqa: PLC0415  (OpenCV loads slowly)
-
-            open_regular(self.resume, SlamFusionError).close()
-        check_report(self.report)
-
-    def outputs(self) -> list[Path]:
-        """Return the files that are written: map, path, record, and what else is wanted."""
-        files = output_files(self.stem, probabilities=self.probabilities)
-        return files if self.state is None else [*files, self.state]
 
 
 def _stem(out: Path) -> Path:
@@ -181,10 +147,8 @@ def _make_command(name: str) -> click.Command:
         base=base,
     )
     @common_options
-    def run(log: Path, out: Path, config: RunConfig, as_json: bool, **asked: Any) -> int:
-        request = _Request(log, _stem(out), **asked)
-        request.check()
-        return _run(name, request, config, as_json=as_json)
+    def run(log: Path, out: Path, **asked: Any) -> int:
+        return _run(name, log, _stem(out), **asked)
 
     run.help = (
         f"Make a map of the scans in LOG with {name}: a CARMEN or tinySLAM log, or a ROS bag.\n\n"
@@ -194,31 +158,42 @@ def _make_command(name: str) -> click.Command:
     return run
 
 
-def _run(name: str, request: _Request, config: RunConfig, *, as_json: bool) -> int:
+def _run(
+    name: str,
+    log: Path,
+    stem: Path,
+    config: RunConfig,
+    *,
+    as_json: bool,
+    probabilities: bool,
+    report: Path | None,
+    resume: Path | None = None,
+    state: Path | None = None,
+    stop_after: int | None = None,
+    **asked: Any,
+) -> int:
     """Run, measure, write, print."""
     from slamfusion.jobs.map_log import map_log, save_mapped_log  # noqa: PLC0415
 
+    check_odometry(asked["odometry"], asked["relations"])
+    if resume is not None:
+        from slamfusion.io.regular import open_regular  # noqa: PLC0415  (OpenCV loads slowly)
+
+        open_regular(resume, SlamFusionError).close()
+    check_report(report)
     with progress_bar() as progress:
         mapped = map_log(
-            request.log,
+            log,
             name,
             config,
-            relations=request.relations,
-            odometry=request.odometry,
-            truth=request.truth,
-            truth_map=request.truth_map,
-            scan_odometry=request.scan_odometry,
-            resume=request.resume,
-            limit=request.stop_after,
+            resume=resume,
+            limit=stop_after,
             progress=progress,
             warn=notice,
+            **asked,
         )
     document = save_mapped_log(
-        mapped,
-        request.stem,
-        probabilities=request.probabilities,
-        state=request.state,
-        report=request.report,
+        mapped, stem, probabilities=probabilities, state=state, report=report
     )
     if mapped.failure is not None:
         message = f"{mapped.failure} (the map and the path were written all the same)"
@@ -227,12 +202,17 @@ def _run(name: str, request: _Request, config: RunConfig, *, as_json: bool) -> i
         notice(f"{name}: {sentence}")
     if as_json:
         print_json(document)
-    else:
-        _print(mapped.result, request)
+        return 0
+    _print(mapped.result, log)
+    for path in (*output_files(stem, probabilities=probabilities), state):
+        if path is not None:
+            print(path)
+    if report is not None:
+        print(report / PAGE)
     return 0
 
 
-def _print(result: ProducerResult, request: _Request) -> None:
+def _print(result: ProducerResult, log: Path) -> None:
     """Print the numbers, the remarks and the errors."""
     from slamfusion.jobs.map_log import run_remarks  # noqa: PLC0415
 
@@ -240,7 +220,7 @@ def _print(result: ProducerResult, request: _Request) -> None:
     print_table(
         ("what ", "value "),
         [[name, value] for name, value in result.figures()],
-        title=f"{run.name} on {request.log}",
+        title=f"{run.name} on {log}",
         header=False,
     )
     for where, sentence in run_remarks(run):
@@ -249,7 +229,3 @@ def _print(result: ProducerResult, request: _Request) -> None:
         print_measures(run.trajectory, result.measures)
     if result.evaluation is not None:
         print_evaluations([result.evaluation])
-    for path in request.outputs():
-        print(path)
-    if request.report is not None:
-        print(request.report / PAGE)

@@ -11,6 +11,7 @@ import click
 
 from slamfusion.cli.options import (
     case_option,
+    check_odometry,
     check_report,
     common_options,
     file_option,
@@ -56,9 +57,7 @@ class _Request:
         if not self.relations and not self.truths:
             message = "give --relations FILE, --truth FILE, or both"
             raise click.UsageError(message)
-        if self.odometry and not self.relations:
-            message = "--odometry carries poses to the times of relations; give --relations FILE"
-            raise click.UsageError(message)
+        check_odometry(self.odometry, self.relations)
         if self.logs and not self.odometry:
             message = "--log places the scans in the odometry of the run; give --odometry FILE"
             raise click.UsageError(message)

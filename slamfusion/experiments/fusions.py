@@ -15,16 +15,16 @@ from typing import get_args
 
 import numpy as np
 
+from slamfusion.align.align import align_grids
+from slamfusion.align.records import FusionResult
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, RunConfig, TrajectoryConfig, VoteMode
 from slamfusion.errors import GridError, SlamFusionError
 from slamfusion.evaluation import MapError, compare_to_truth, trajectory_errors
 from slamfusion.evidence import PathEvidence, choose_path, find_exclusions, judged_scans
 from slamfusion.evidence.drawn_map import draw_map, drawn_scans
-from slamfusion.fusion.align import align_grids
 from slamfusion.fusion.groups import LEAST_FUSED
 from slamfusion.fusion.pipeline import vote_again
-from slamfusion.fusion.records import FusionResult
 from slamfusion.geometry import wrap_angle
 from slamfusion.grid import IDENTITY, UNKNOWN, OccupancyGrid
 from slamfusion.io import LogScan

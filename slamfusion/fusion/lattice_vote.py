@@ -31,8 +31,6 @@ from slamfusion.compute.layout import FIXED_ONE, MOST_INPUTS, VOTE_ONE
 from slamfusion.config import FusionConfig
 from slamfusion.fleet import in_order
 from slamfusion.fusion.groups import Members, Progress
-from slamfusion.fusion.normalize import VotingGrid
-from slamfusion.fusion.records import Bent, FusionResult, InputRecord
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, box_origin
 from slamfusion.io.memory import check_memory

@@ -20,12 +20,8 @@ from slamfusion.fusion.groups import (
     SecondLook,
     align_group,
 )
+from slamfusion.fusion.inputs import PreparedInputs, copy_words, find_copies, odd_resolutions
 from slamfusion.fusion.lattice_vote import Lattices, vote_in_memory
-from slamfusion.fusion.normalize import common_resolution, normalize_grid
-from slamfusion.fusion.prepared import PreparedInputs
-from slamfusion.fusion.records import Alignment, FusionResult, InputRecord
-from slamfusion.fusion.resolutions import odd_resolutions
-from slamfusion.fusion.start import Starts, named_input
 from slamfusion.grid import OccupancyGrid
 from slamfusion.vote.tiles import check_votes
 

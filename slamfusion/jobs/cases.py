@@ -16,9 +16,6 @@ from pathlib import Path
 
 from slamfusion.errors import ConfigError
 
-if TYPE_CHECKING:
-    from slamfusion.evaluation.records import PlacedJson
-
 # What parts words in a file name.
 _BETWEEN = r"[-_. ]+"
 # The method of files whose names say nothing but case and seed.

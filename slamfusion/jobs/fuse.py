@@ -15,6 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
+from slamfusion.align.records import Alignment, FusionResult, InputRecord, StoredFusion
+from slamfusion.align.starts import Starts, place_starts
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, RunConfig
 from slamfusion.errors import AlignmentError, SlamFusionError
@@ -22,8 +24,6 @@ from slamfusion.fusion import fuse_grids
 from slamfusion.fusion.groups import LEAST_FUSED
 from slamfusion.fusion.lattice_vote import LatticeVote, contradicting, decide_tile, prepare_votes
 from slamfusion.fusion.pipeline import align_inputs
-from slamfusion.fusion.records import Alignment, FusionResult, InputRecord, StoredFusion
-from slamfusion.fusion.start import Starts, place_starts
 from slamfusion.grid import OCCUPIED, OccupancyGrid
 from slamfusion.io import AtomicFiles, save_map, write_atomic
 from slamfusion.io.map_store import MapStore, check_store, read_stored_map
@@ -53,7 +53,7 @@ from slamfusion.jobs.outputs import (
     remove_empty,
     report_files,
 )
-from slamfusion.jobs.records import FuseDocument
+from slamfusion.jobs.records import Evaluation, FuseDocument
 from slamfusion.vote.tiles import TILE
 
 _LOG = logging.getLogger(__name__)
@@ -146,7 +146,7 @@ class FusedMaps:
             "agreement": groups[0]["agreement"],
             "store": groups[0]["store"],
             "groups": groups,
-            "evaluations": [evaluation.to_json() for evaluation in self.evaluations],
+            "evaluations": self.evaluations,
             **self.given.to_json(),
             **circumstances(self.config, result.device),
             "time_s": result.time_s,
@@ -394,9 +394,12 @@ def save_fused_maps(
         if folder is not None:
             from slamfusion.report import write_fusion_report  # noqa: PLC0415  (an extra)
 
-            errors = [evaluation.error for evaluation in fused.evaluations]
             write_fusion_report(
-                fused.in_memory, folder, config=fused.config, evaluations=errors, files=together
+                fused.in_memory,
+                folder,
+                config=fused.config,
+                evaluations=fused.evaluations,
+                files=together,
             )
             for page in report_files(folder / FAILED):
                 together.remove(page)

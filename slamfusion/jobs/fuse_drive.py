@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from slamfusion.align.records import Alignment, FusionResult
+from slamfusion.align.records import Alignment, FusionResult, InputRecord
 from slamfusion.align.starts import Starts
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
@@ -19,8 +19,6 @@ from slamfusion.fusion.path_check import (
     fallback_map,
     fuse_with_paths,
 )
-from slamfusion.fusion.records import Alignment, FusionResult, InputRecord
-from slamfusion.fusion.start import Starts
 from slamfusion.grid import OccupancyGrid
 from slamfusion.jobs.inputs import Progress
 from slamfusion.jobs.partial import Layers

@@ -15,9 +15,10 @@ from slamfusion.errors import MapFileError, SlamFusionError
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import AtomicFiles, open_log, save_map, write_tum
 from slamfusion.jobs.documents import circumstances, number, path_text, record_bytes
-from slamfusion.jobs.evaluate import Evaluation, evaluate_maps
+from slamfusion.jobs.evaluate import evaluate_maps
 from slamfusion.jobs.inputs import Progress, Warn, as_path, load_maps
 from slamfusion.jobs.outputs import PROBABILITY, output_files
+from slamfusion.jobs.records import Evaluation
 from slamfusion.jobs.run_records import LogFilesJson, ProducerJson, SlamDocument
 from slamfusion.jobs.trajectory import Measures, Yardsticks
 from slamfusion.slam.common.mapper import Mapper
@@ -89,7 +90,7 @@ class ProducerResult:
         return {
             **self.run.to_json(),
             **self.measures.to_json(),
-            "map_error": None if self.evaluation is None else self.evaluation.to_json(),
+            "map_error": self.evaluation,
             "files": [str(path) for path in files],
         }
 
@@ -293,7 +294,7 @@ def run_remarks(run: ProducerRun) -> list[tuple[str, str]]:
     """Return what was left out, what is odd, and what the log says, each with its place."""
     remarks = [(f"left out by {run.name}", item) for item in skipped_scans(run.health)]
     if run.log is not None:
-        remarks += [("left out of the log", item) for item in run.log.skips.sentences()]
+        remarks += [("left out of the log", item) for item in run.log.skipped.sentences()]
         remarks += [("odd in the log", item) for item in run.log.warnings.sentences()]
         remarks += [("the log", item) for item in run.log.notes]
     return remarks

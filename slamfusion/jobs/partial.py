@@ -15,8 +15,6 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.align.records import InputRecord
-from slamfusion.align.starts import Starts
 from slamfusion.compute import ComputeDevice
 from slamfusion.evidence import ExcludedSpan, Exclusions, UndecidedSpan
 from slamfusion.evidence.drawn_map import DrawnScan, draw_map
@@ -24,7 +22,6 @@ from slamfusion.evidence.path_frames import fit_onto
 from slamfusion.fusion.groups import LEAST_FUSED
 from slamfusion.fusion.path_check import Votes, moved_path
 from slamfusion.grid import OccupancyGrid
-from slamfusion.jobs.run_records import PartialVoteJson
 from slamfusion.trajectory import Trajectory
 
 B8 = npt.NDArray[np.bool_]

@@ -14,6 +14,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
+from slamfusion.align.records import FusionResult
+from slamfusion.align.starts import place_starts
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionMode, RunConfig
 from slamfusion.errors import AlignmentError, SlamFusionError, TrajectoryError
@@ -31,13 +33,11 @@ from slamfusion.evidence import (
 from slamfusion.evidence.drawn_fusion import fuse_with_drawn
 from slamfusion.evidence.drawn_map import DrawnScan, drawn_scans
 from slamfusion.fusion.groups import LEAST_FUSED
-from slamfusion.fusion.records import FusionResult
-from slamfusion.fusion.start import place_starts
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import open_log
 from slamfusion.jobs.cases import CaseFile
 from slamfusion.jobs.defaults import RUN_DEFAULTS, RUN_VOTE
-from slamfusion.jobs.evaluate import Evaluation, evaluate_maps
+from slamfusion.jobs.evaluate import evaluate_maps
 from slamfusion.jobs.fuse import AllRequiredError
 from slamfusion.jobs.fuse_documents import DoubledWalls, left_out_sentences
 from slamfusion.jobs.fuse_drive import DriveFusion, fuse_layers
@@ -46,6 +46,7 @@ from slamfusion.jobs.inputs import Progress, Warn, as_path, device_for, load_map
 from slamfusion.jobs.map_log import PROGRESS_STEPS, LogFiles, ProducerResult, measure_run
 from slamfusion.jobs.outputs import DRAWN, FUSED
 from slamfusion.jobs.partial import Filling, Layers, draw_layers
+from slamfusion.jobs.records import Evaluation
 from slamfusion.jobs.saved_maps import SavedMaps, SavedPath, path_at_scans
 from slamfusion.jobs.trajectory import Measures, Yardsticks
 from slamfusion.slam.registry import BUILT_IN
@@ -323,7 +324,7 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
             evaluations = stages.attempt(
                 "", (), evaluate_maps, measured, true_map, config, device, progress=progress
             )
-        errors = {item.error.name: item for item in evaluations}
+        errors = {item.name: item for item in evaluations}
         results = {
             item.name: ProducerResult(
                 item.run,

@@ -113,8 +113,8 @@ def write_run_page(run: LogRun, directory: str | Path, files: AtomicFiles | None
         )
     sections += _path_errors_section(run)
     if run.evaluations:
-        errors = [item.error for item in run.evaluations]
-        sections.append(error_section(errors, [item.alignment for item in run.evaluations]))
+        alignments = [item.alignment for item in run.evaluations]
+        sections.append(error_section(run.evaluations, alignments))
     sections.append(_timings_section(run))
     if result is not None:
         doubled = (
@@ -197,8 +197,7 @@ def _facts(run: LogRun) -> list[Fact]:
         if item.relations is not None
     ]
     facts += [
-        Fact(f"{item.error.error:.1f}", f"{item.error.name}: map error [F16]")
-        for item in run.evaluations
+        Fact(f"{item.error:.1f}", f"{item.name}: map error [F16]") for item in run.evaluations
     ]
     facts.append(Fact(f"{sum(run.stages.values()):.1f} s", "for all, without this page"))
     return facts
@@ -415,7 +414,7 @@ def _gap_row(gap: PathGap, limit_m: float) -> list[Cell]:
         number(float(gap.gaps_m[0])),
         number(gap.median_m),
         number(gap.max_m),
-        number(float(np.rad2deg(gap.yaw_rad)), 2),
+        number(float(np.rad2deg(gap.median_yaw_rad)), 2),
         number(median_m, tone="bad" if median_m is not None and median_m > limit_m else "plain"),
         number(max_m),
     ]
@@ -489,7 +488,7 @@ def _path_errors_section(run: LogRun) -> list[Section]:
             )
         if item.truth is not None:
             found = item.truth
-            pair = f"{found.config.rpe_delta:g} {found.config.rpe_unit}"
+            pair = f"{found.rpe_delta:g} {found.rpe_unit}"
             rows += [
                 _figures(name, "ATE, place m", found.ate, 4),
                 _figures(name, "ATE, heading °", found.ate_rotation_deg, 3),

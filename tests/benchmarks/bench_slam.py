@@ -21,7 +21,7 @@ from rich.table import Table
 
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import RunConfig
-from slamfusion.evaluation import Relations, Summary, subsample_to_scans
+from slamfusion.evaluation import Relations, subsample_to_scans
 from slamfusion.experiments.drives import ATE, RELATIONS, Drive, read_drive
 from slamfusion.io import open_log, read_trajectory, save_map
 from slamfusion.jobs.map_log import LogFiles

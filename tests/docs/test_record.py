@@ -20,7 +20,6 @@ from slamfusion.evaluation import result_rows
 from slamfusion.experiments.fusions import FUSIONS
 from slamfusion.experiments.runs import RunResult
 from slamfusion.experiments.trials import fusion_experiment
-from slamfusion.io import write_carmen, write_tum
 from slamfusion.jobs.documents import circumstances
 from slamfusion.json_values import plain
 from slamfusion.slam.registry import BUILT_IN

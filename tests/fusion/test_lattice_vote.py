@@ -19,8 +19,6 @@ from slamfusion.errors import GridError
 from slamfusion.fusion import FusionResult, lattice_vote
 from slamfusion.fusion.groups import Members
 from slamfusion.fusion.lattice_vote import vote_in_memory, warp_onto, warp_pose
-from slamfusion.fusion.normalize import NormalizedGrid, normalize_grid, voting_grid
-from slamfusion.fusion.records import Alignment
 from slamfusion.geometry import Pose2
 from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid
 from tests.fusion.drawings import random_cells

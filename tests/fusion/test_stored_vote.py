@@ -22,7 +22,6 @@ from slamfusion.fusion.lattice_vote import (
     decide_tile,
     prepare_votes,
 )
-from slamfusion.fusion.normalize import normalize_grid
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from tests.fusion.test_lattice_vote import (

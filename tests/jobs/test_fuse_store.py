@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from slamfusion.align.records import FusionResult
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import FusionConfig, RunConfig, VoteConfig
 from slamfusion.errors import AlignmentError, MapFileError, MemoryBudgetError
 from slamfusion.fusion import lattice_vote
 from slamfusion.fusion.lattice_vote import vote_in_memory
 from slamfusion.fusion.pipeline import AlignedInputs
-from slamfusion.fusion.records import FusionResult
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import load_map
@@ -27,6 +27,7 @@ from slamfusion.jobs.fuse import (
     check_stores,
     fuse_maps,
 )
+from slamfusion.json_values import plain
 from tests.fusion.test_lattice_vote import SIZE, placed
 from tests.support.documents import check_document
 from tests.support.sites import many_maps

@@ -16,13 +16,12 @@ from slamfusion.evaluation import Relations, compare_to_truth, relation_errors, 
 from slamfusion.evidence import FusedPath
 from slamfusion.fusion.path_check import moved_path, path_gaps
 from slamfusion.geometry import Pose2
-from slamfusion.io import AtomicFiles
-from slamfusion.jobs.evaluate import Evaluation
 from slamfusion.jobs.fuse_documents import DoubledWalls
 from slamfusion.jobs.fuse_drive import DriveFusion
 from slamfusion.jobs.fused_path import DrivePath
 from slamfusion.jobs.map_log import LogFiles, ProducerResult
 from slamfusion.jobs.partial import Layers
+from slamfusion.jobs.records import Evaluation
 from slamfusion.jobs.run import LogRun
 from slamfusion.jobs.run_page import write_run_page
 from slamfusion.jobs.trajectory import Measures
@@ -65,7 +64,9 @@ def everything() -> LogRun:
     yardstick = room("truth", 7)
     evaluations = [
         Evaluation(
-            compare_to_truth(grid, yardstick, normalize=NormalizeConfig(), tolerance_m=0.1), None
+            **vars(compare_to_truth(grid, yardstick, normalize=NormalizeConfig(), tolerance_m=0.1)),
+            aligned=True,
+            alignment=None,
         )
         for grid in (room("room 0", 0), room("fused", 7))
     ]
@@ -172,26 +173,6 @@ def test_a_name_has_one_colour_on_all_of_the_page(page: Path) -> None:
     assert sum(name == NAMES[0] for _, name in (*legends, *layers)) >= 3
 
 
-def test_gaps_are_told_over_the_drive_and_while_both_vote(tmp_path: Path) -> None:
-    full = everything()
-    path = full.results["room 0"].run.trajectory
-    poses = path.poses + np.outer(np.arange(len(path)) >= 20, (0.0, 1.5, 0.0))
-    found = path_gaps(
-        {"room 0": path, "room 1": Trajectory(path.stamps_s, poses, "room 1")},
-        {"room 1": np.arange(len(path)) < 20},
-    )
-    report = replace(full, fusion=replace(full.fusion, gaps=found))
-    text = read(write_run_page(report, tmp_path / "apart")).text
-    assert "1.50 mbetween the paths farthest apart in the fused map, over the drive" in text
-    assert "0.00 mbetween the paths farthest apart in the fused map, while both vote" in text
-    assert "room 0 to room 10.0001.5001.5000.000.0000.000" in text
-    pictures = [next((tmp_path / "apart").glob("*path-gaps.png")).read_bytes()]
-    all_vote = tuple(replace(gap, both_vote=gap.gaps_m >= 0.0) for gap in found)
-    write_run_page(replace(report, fusion=replace(report.fusion, gaps=all_vote)), tmp_path / "all")
-    pictures.append(next((tmp_path / "all").glob("*path-gaps.png")).read_bytes())
-    assert pictures[0] != pictures[1], "the time without a vote is shaded"
-
-
 def test_the_fused_path_is_drawn_and_measured_beside_those_it_was_made_of(page: Path) -> None:
     text = read(page).text
     moved_m = float(np.hypot(*np.diff(produced(NAMES[0]).trajectory.poses[:2, :2], axis=0)[0]))
@@ -227,69 +208,8 @@ def test_a_failed_fusion_shows_the_maps_and_why(tmp_path: Path) -> None:
     assert "Fused map" not in text
 
 
-def test_without_any_map_the_reasons_are_the_page(tmp_path: Path) -> None:
-    report = replace(
-        everything(),
-        outcomes=(Outcome("graph", None, "a bug", 1.0),),
-        grids=(),
-        fusion=DriveFusion(),
-        fused_path=None,
-        results={},
-        doubled=None,
-        evaluations=(),
-        failure=SlamFusionError("nothing to fuse"),
-    )
-    text = read(write_run_page(report, tmp_path)).text
-    assert "Nothing was fused nothing to fuse" in text
-    assert "graph made no map: a bug" in text
-    assert not list(tmp_path.glob("*.png"))
-
-
 def test_a_map_that_may_not_be_used_is_not_called_fused(tmp_path: Path) -> None:
     report = replace(everything(), failure=SlamFusionError("--require-all, but one was rejected"))
     text = read(write_run_page(report, tmp_path)).text
     assert "Do not use this map --require-all, but one was rejected" in text
     assert "maps were fused" not in text
-
-
-@pytest.mark.parametrize(
-    ("mode", "words"),
-    [("drawn", "the map is drawn from all scans"), ("consensus", "by vote (consensus)")],
-)
-def test_the_headline_says_how_the_fused_map_came_to_be(
-    tmp_path: Path, mode: str, words: str
-) -> None:
-    vote = replace(CONFIG.fusion.vote, mode=mode)
-    config = replace(CONFIG, fusion=replace(CONFIG.fusion, vote=vote))
-    report = replace(everything(), config=config)
-    text = read(write_run_page(report, tmp_path)).text
-    assert f"Fused: room 0, room 1, room 2; {words}" in text
-
-
-def test_a_producer_without_scores_or_odometry_is_drawn_all_the_same(tmp_path: Path) -> None:
-    bare = replace(
-        produced("room 0"), odometry=None, match_scores=np.empty(0), series=(), other_paths=()
-    )
-    full = everything()
-    report = replace(
-        full,
-        outcomes=(Outcome("room 0", bare, "", 4.0),),
-        results={"room 0": ProducerResult(bare, Measures(), None, "numpy")},
-        fusion=replace(full.fusion, gaps=()),
-        truth=None,
-    )
-    text = read(write_run_page(report, tmp_path)).text
-    assert "The paths over the fused map" in text
-    assert "raw odometry" not in text.lower()
-    assert "truth, dashed" not in text
-
-
-def test_the_page_joins_other_files(tmp_path: Path) -> None:
-    def interrupted() -> None:
-        with AtomicFiles() as files:
-            write_run_page(everything(), tmp_path / "report", files)
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        interrupted()
-    assert not (tmp_path / "report").exists()
