@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -191,9 +192,10 @@ def _print_result(fused: FusedMaps, stem: Path, report_dir: Path | None) -> None
     if report_dir is not None:
         print(f"report:    {report_dir / PAGE}")
     steps = [f"open {report_dir / PAGE} in a browser"] if report_dir is not None else []
-    steps.append(f"slamfusion show {stem}.yaml")
+    own = shlex.quote(f"{stem}.yaml")
+    steps.append(f"slamfusion show {own}")
     if not fused.evaluations:
-        steps.append(f"slamfusion evaluate {stem}.yaml --truth TRUE_MAP.yaml")
+        steps.append(f"slamfusion evaluate {own} --truth TRUE_MAP.yaml")
     print_next_steps(Path(f"{stem}.yaml"), steps)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import shlex
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -268,7 +269,7 @@ def _print(run: LogRun, saved: SavedRun) -> None:
     answer = run.recommendation
     if run.usable is not None and answer is not None:
         page = saved.folder / REPORT / PAGE
-        steps = [f"open {page} in a browser", f"slamfusion show {saved.folder}"]
+        steps = [f"open {page} in a browser", f"slamfusion show {shlex.quote(str(saved.folder))}"]
         # The map of another SLAM lies elsewhere.
         name = answer.use if answer.use in run.results else FUSED
         print_next_steps(saved.folder / f"{name}.yaml", steps)
