@@ -192,10 +192,10 @@ def _print_result(fused: FusedMaps, stem: Path, report_dir: Path | None) -> None
     if report_dir is not None:
         print(f"report:    {report_dir / PAGE}")
     steps = [f"open {report_dir / PAGE} in a browser"] if report_dir is not None else []
-    own = shlex.quote(f"{stem}.yaml")
-    steps.append(f"slamfusion show {own}")
+    quoted = shlex.quote(f"{stem}.yaml")
+    steps.append(f"slamfusion show {quoted}")
     if not fused.evaluations:
-        steps.append(f"slamfusion evaluate {own} --truth TRUE_MAP.yaml")
+        steps.append(f"slamfusion evaluate {quoted} --truth TRUE_MAP.yaml")
     print_next_steps(Path(f"{stem}.yaml"), steps)
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from slamfusion.config.core import Checked, option
+from slamfusion.config.run import LaserMounting
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,11 @@ class ProducerNodeConfig(Checked):
     laser_x: float = option(0.0, "the laser is this far ahead of the robot's origin", unit="m")
     laser_y: float = option(0.0, "the laser is this far to the left of it", unit="m")
     laser_yaw: float = option(0.0, "the laser looks this far to the left", unit="rad")
+    laser: LaserMounting = option(
+        "as-given",
+        "how the laser sits, where the transforms say otherwise: mirrored (upside down, or it "
+        "turns the other way) or backward",
+    )
     scan_queue: int = option(
         20, "scans that may wait; when one more comes the oldest is dropped", low=1, high=10_000
     )

@@ -323,6 +323,8 @@ class ProducerNode(NodeBase):
         self._name_silence()
         self._inputs.name_odometry()
         snapshot = self._session.snapshot
+        text = "; ".join(snapshot.contradictions)
+        self.diagnostics.say("odometry against path", text or None, Level.WARN)
         level, message = self.diagnostics.worst("mapping" if snapshot.fed else "waiting for scans")
         return [Status("slam", level, message, self._figures(snapshot))]
 

@@ -134,10 +134,11 @@ class ScanInput:
         if mount is None:
             raise LeftOutError(NO_LASER_FRAME)
         try:
-            return messages.scan_from_message(scan.message, mount.pose, is_flipped=mount.is_flipped)
+            read = messages.scan_from_message(scan.message, mount.pose, is_flipped=mount.is_flipped)
         except ScanError as error:
             self._base.diagnostics.add("scan", Level.WARN, str(error), SHOWN_S)
             raise LeftOutError(NO_SCAN) from error
+        return read.remounted(self._settings.laser)
 
     def mount(self, scan: ArrivedScan) -> Mount | None:
         """Return where the laser sits at a scan, or None, named, where that is not known."""

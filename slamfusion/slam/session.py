@@ -7,6 +7,7 @@ a frozen snapshot, replaced as a whole, so that others read it without a lock.
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
@@ -19,6 +20,7 @@ from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY, OccupancyGrid
 from slamfusion.scan import LaserScan
 from slamfusion.slam.common.mapper import DrawsAside, Health, MapDrawer, MapJob, Mapper
+from slamfusion.slam.common.odometry_check import contradictions
 from slamfusion.slam.registry import make_producer
 from slamfusion.trajectory import Trajectory
 
@@ -39,6 +41,8 @@ NOT_FED = "the SLAM failed"
 
 # Scans whose latency is kept.
 LATENCIES = 300
+# Scans whose motion is held against the odometry.
+MOTIONS = 3000
 WARM_UP_BEAMS = 360
 NEVER_S = float("-inf")
 
@@ -127,6 +131,8 @@ class Snapshot:
         is_path_due: whether that one went without a path, since nobody listened.
         memory_bytes: of the producer.
         latencies_s: from a scan's coming to its answer, of the last 300.
+        contradictions: how the poses contradict the odometry, a sentence each, when a map was last
+            read.
     """
 
     fed: int = 0
@@ -144,6 +150,7 @@ class Snapshot:
     is_path_due: bool = False
     memory_bytes: int = 0
     latencies_s: tuple[float, ...] = ()
+    contradictions: tuple[str, ...] = ()
 
     def latencies_ms(self) -> tuple[float, float]:
         """Return median and 95th percentile of the latencies, ms; 0 without any."""
@@ -226,6 +233,8 @@ class ProducerSession:
         self._producer_generation = 0
         self._job: MapJob | None = None
         self._drawer: tuple[int, MapDrawer] | None = None
+        # Stamp, pose and odometry of the last scans.
+        self._moved: deque[tuple[float, Pose2, Pose2]] = deque(maxlen=MOTIONS)
         _warm_up(self._make(), self._drawing)
 
     def begin_new_map(self) -> None:
@@ -270,6 +279,7 @@ class ProducerSession:
         if item.generation != self._producer_generation:
             self._producer = self._make()
             self._producer_generation, self._job = item.generation, None
+            self._moved.clear()
             self._change(fed_s=None, unmapped=0, is_settled=True, health=HealthFigures())
         fed_s = self.snapshot.fed_s
         if fed_s is not None and item.stamp_s <= fed_s:
@@ -298,6 +308,8 @@ class ProducerSession:
             health=HealthFigures.of(self._producer.health),
             latencies_s=(*before.latencies_s[1 - LATENCIES :], latency_s),
         )
+        if odometry is not None:
+            self._moved.append((item.stamp_s, step.pose_map_base, odometry))
         unused = "" if step.used else f"scans are not used: {step.reason}"
         return Answer(step.pose_map_base, odometry, unused=unused)
 
@@ -329,8 +341,20 @@ class ProducerSession:
             is_path_due=trajectory is None,
             memory_bytes=self._producer.memory_bytes(),
             map_time_s=self._clock() - begun_s,
+            contradictions=self._contradictions(),
         )
         return UndrawnMap(grid, trajectory, before.fed_s, self._producer_generation)
+
+    def _contradictions(self) -> tuple[str, ...]:
+        """Say how the last poses contradict the odometry."""
+        if len(self._moved) < 2:
+            return ()
+        stamps, poses, odometry = zip(*self._moved, strict=True)
+        path, raw = (
+            Trajectory(np.array(stamps), np.array([(p.x, p.y, p.yaw_rad) for p in of]))
+            for of in (poses, odometry)
+        )
+        return tuple(contradictions(raw, path))
 
     def _grid(self, *, is_paused: bool) -> tuple[OccupancyGrid | MapJob, bool]:
         """Return the map, or what it is drawn from, and whether that is known to be as before.

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from slamfusion.compute import ComputeDevice, open_device
-from slamfusion.config import RunConfig
+from slamfusion.config import LaserMounting, RunConfig
 from slamfusion.errors import ScanError
 from slamfusion.io.log import LogScan
 from slamfusion.scan import LaserScan
@@ -23,10 +23,10 @@ pytestmark = pytest.mark.once
 class Bench:
     """A session, its clock, and a drive whose scans are queued by their index."""
 
-    def __init__(self, kind: str, *, wants_odometry: bool = True) -> None:
+    def __init__(self, kind: str, *, wants_odometry: bool = True, scans: int = 24) -> None:
         self.now_s = 100.0
         self.opened = 0
-        self.scans: list[LogScan] = drive(24)[0]
+        self.scans: list[LogScan] = drive(scans)[0]
         self.session = ProducerSession(
             kind,
             RunConfig(),
@@ -84,6 +84,18 @@ def test_the_map_is_that_of_the_producer_and_read_once(kind: str, devices: int) 
     assert snapshot.memory_bytes > 0
     if devices:
         assert session.read_map(is_path_heard=True, is_paused=True) is None, "as before"
+
+
+@pytest.mark.parametrize("mounting", ["as-given", "backward"])
+def test_a_laser_that_contradicts_the_odometry_is_named(mounting: LaserMounting) -> None:
+    bench = Bench("graph", scans=200)
+    for item in bench.scans:
+        scan = item.scan.remounted(mounting)
+        bench.session.feed(bench.queued(bench.scans.index(item), read=lambda scan=scan: scan))
+    assert bench.session.read_map(is_path_heard=False, is_paused=False) is not None
+    found = bench.session.snapshot.contradictions
+    assert len(found) == (mounting == "backward"), found
+    assert all("laser:=backward" in sentence for sentence in found)
 
 
 def test_a_path_that_nobody_heard_is_read_for_the_first_who_listens() -> None:

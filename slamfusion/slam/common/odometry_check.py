@@ -139,7 +139,8 @@ def contradictions(odometry: Trajectory, path: Trajectory) -> Iterator[str]:
     if fit.turn is not None and fit.turn < 0.0:
         yield (
             f"the path turns against the odometry (slope {fit.turn:+.2f}): the laser is mounted "
-            "upside down or turns the other way, and the map is mirrored; use --laser mirrored"
+            "upside down or turns the other way, and the map is mirrored; use "
+            "--laser mirrored (nodes: laser:=mirrored)"
         )
     elif fit.turn is not None and abs(fit.turn - 1.0) > SCALE:
         yield (
@@ -159,7 +160,8 @@ def contradictions(odometry: Trajectory, path: Trajectory) -> Iterator[str]:
     if abs(fit.offset_rad) >= BACKWARD_RAD:
         yield (
             f"the path drives against the odometry ({abs(offset_deg):.0f} degrees): the laser "
-            "looks back, and the map and path are turned by half; use --laser backward"
+            "looks back, and the map and path are turned by half; use "
+            "--laser backward (nodes: laser:=backward)"
         )
     elif abs(fit.offset_rad) > OFFSET_RAD:
         yield (
@@ -167,7 +169,7 @@ def contradictions(odometry: Trajectory, path: Trajectory) -> Iterator[str]:
             f"laser is mounted turned by {-offset_deg:+.0f} degrees against its transform; correct "
             "the transform"
         )
-    if abs(fit.length - 1.0) > SCALE:
+    elif abs(fit.length - 1.0) > SCALE:
         yield (
             f"the path is {fit.length:.2f} times as long as the odometry: check the wheel radius "
             "that the odometry assumes"
