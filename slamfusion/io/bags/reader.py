@@ -183,13 +183,14 @@ def _reader(path: Path, make: Callable[[list[Path]], AnyReader], stack: ExitStac
     files = _storage(path) if path.is_dir() else []
     try:
         reader = stack.enter_context(make(_files(path)))
-        # People edit the index by hand; the messages may be whole.
-        is_empty = next(reader.messages(), None) is None
     except Exception:
+        # People edit the index by hand; the messages may be whole.
         if not files:
             raise
-        is_empty = True
-    return stack.enter_context(make(files)) if is_empty and files else reader
+        return stack.enter_context(make(files))
+    if files and next(reader.messages(), None) is None:
+        return stack.enter_context(make(files))
+    return reader
 
 
 def _not_a_bag(path: Path, error: Exception) -> LogError:
