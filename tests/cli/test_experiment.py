@@ -20,8 +20,6 @@ from tests.support.documents import check_document
 
 pytestmark = pytest.mark.once
 
-NUMPY = ("--device", "numpy")
-
 
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory: pytest.TempPathFactory) -> LogFiles:
@@ -46,7 +44,7 @@ def test_cell_models_prints_and_writes_table_two(tmp_path: Path) -> None:
 
 def test_occupancy_estimator_on_a_log_alone(drive: LogFiles, tmp_path: Path) -> None:
     arguments = (
-        "experiment", "occupancy-estimator", "-o", tmp_path, *NUMPY, "--log", drive.log,
+        "experiment", "occupancy-estimator", "-o", tmp_path, "--log", drive.log,
         "--relations", drive.relations, "--reference", drive.truth,
         "--floors", "0", "--seeds", "2", "--resolutions", "0.1,0.4", "--json",
     )  # fmt: skip
@@ -180,7 +178,7 @@ def test_wrong_usage(tmp_path: Path, arguments: tuple[str, ...], word: str) -> N
 
 def test_a_log_that_is_not_there_is_one_line(tmp_path: Path) -> None:
     done = run(
-        "experiment", "cell-models-trajectories", "-o", tmp_path / "out", *NUMPY,
+        "experiment", "cell-models-trajectories", "-o", tmp_path / "out",
         "--log", "gone.log:gone.relations",
     )  # fmt: skip
     assert_one_line_failure(done, "gone.log")

@@ -207,7 +207,7 @@ def test_results_of_one_case_are_named_as_those_of_several(ask: Ask, tmp_path: P
     for case in ("north", "south"):
         write_carmen(tmp_path / f"{case}.log", recorded(truth))
         write_tum(tmp_path / "own" / f"{case}.tum", truth)
-    words = ("judge", "north.log", "own/north.tum", "--device", "numpy")
+    words = ("judge", "north.log", "own/north.tum")
     assert ask(*words, *one)[0] == 0
     assert ask(*words, "own/south.tum", "--log", "south.log", *several)[0] == 0
     assert named_in(tmp_path / "one.zip") == {("north", "own")}

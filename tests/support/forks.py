@@ -48,6 +48,12 @@ STREAMS = 3
 SPAWNING = {"run", "experiment"}
 # What the package has loaded where it is used, without what is below it: a fork has it loaded.
 LOADED_LATE = [
+    "matplotlib.backends.backend_agg",
+    "matplotlib.figure",
+    "pandas",
+    "rich.console",
+    "rich.progress",
+    "rich.table",
     "scipy.fft",
     "scipy.ndimage",
     "scipy.sparse.csgraph",
