@@ -137,6 +137,9 @@ class Recommendation:
     scans contradict the path; null: the scans could not be asked."""
     check: Sequence[Check] = ()
     """What to look at, at most three places, in the order of time."""
+    laser_fault: str | None = None
+    """How the laser is mounted otherwise than the log says, as the odometry tells; null: it is not,
+    or nothing tells."""
     paths: Sequence[RankedPath] = field(default=(), repr=False)
     """The reasons: the recommended path, the SLAM to take alone, then the others, the best first;
     empty if the scans could not be asked."""
@@ -149,7 +152,7 @@ class Recommendation:
     @property
     def tone(self) -> Tone:
         """How it is coloured: green, amber, red, or not."""
-        return TONES[self.confidence]
+        return TONES[self.confidence] if self.laser_fault is None else "bad"
 
     @property
     def headline(self) -> str:
@@ -157,6 +160,8 @@ class Recommendation:
         what = f"the {self.path} path" if self.use is None else f"the {self.use} map"
         if self.use is not None and self.path is not None:
             what += " and its path" if self.path == self.use else f" and the {self.path} path"
+        if self.laser_fault is not None:
+            return f"Correct the laser before you use {what}: it contradicts the odometry"
         if self.confidence == "low":
             return f"Do not trust {what}: the scans contradict it"
         if self.confidence == "medium":
@@ -168,7 +173,8 @@ class Recommendation:
     def lines(self) -> list[tuple[str, str]]:
         """Return what stands below the headline, each a subject and its text."""
         alone = [("Single SLAM:", self.best_single)] if self.best_single else []
-        return alone + [("Check:", str(place)) for place in self.check]
+        laser = [("Laser:", self.laser_fault)] if self.laser_fault else []
+        return laser + alone + [("Check:", str(place)) for place in self.check]
 
 
 def recommend(
@@ -198,7 +204,7 @@ def recommend(
     )
     rivals = [item.name for item in paths if item.tied and item.name in exclusions.excluded]
     check, confidence = _checks(evidence, path, rivals, exclusions, frame, device)
-    return Recommendation(None, path, alone, confidence, check, paths)
+    return Recommendation(None, path, alone, confidence, check, paths=paths)
 
 
 def choose_path(

@@ -49,6 +49,7 @@ from slamfusion.jobs.partial import Filling, Layers, draw_layers
 from slamfusion.jobs.records import Evaluation
 from slamfusion.jobs.saved_maps import SavedMaps, SavedPath, path_at_scans
 from slamfusion.jobs.trajectory import Measures, Yardsticks
+from slamfusion.slam.common.odometry_check import laser_fault
 from slamfusion.slam.registry import BUILT_IN
 from slamfusion.slam.side_by_side import Outcome, SideBySide
 from slamfusion.trajectory import Trajectory
@@ -302,6 +303,10 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
         recommendation = _recommend(
             paths, evidence, exclusions, fused_path, fusion, device, is_fused=usable is not None
         )
+        if recommendation is not None:
+            every = paths if fused_path is None else {**paths, FUSED: fused_path.trajectory}
+            fault = laser_fault(wheels, every.get(recommendation.path or ""))
+            recommendation = replace(recommendation, laser_fault=fault)
     if recommendation is not None and failure is not None and failure is fusion.failure:
         words = f"{failure}; the fallback map is that of {recommendation.use}"
         failure = AlignmentError(words, fusion.pairs)

@@ -50,6 +50,7 @@ def test_json_has_the_promised_keys(drive: Path) -> None:
         "best_single": "good",
         "confidence": "high",
         "check": [],
+        "laser_fault": None,
     }
     assert "verdict" not in document
     assert [item["name"] for item in document["path_evidence"]] == ["good", "bent"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -187,6 +188,14 @@ def test_the_vote_and_the_answer_never_contradict_each_other(
     undecided = find_exclusions(evidence.of_paths(SLAMS), device).undecided
     assert not undecided
     assert answer.check == ()
+
+
+def test_a_laser_that_contradicts_the_odometry_comes_first() -> None:
+    sure = Recommendation("fused", "fused", "a", "high")
+    wrong = replace(sure, laser_fault="the path turns against the odometry")
+    assert (sure.tone, wrong.tone) == ("good", "bad")
+    assert wrong.headline.startswith("Correct the laser before you use the fused map")
+    assert wrong.lines()[0] == ("Laser:", "the path turns against the odometry")
 
 
 def test_the_answer_is_read_as_it_was_written(device: ComputeDevice):

@@ -8,7 +8,12 @@ import numpy as np
 import pytest
 
 from slamfusion.geometry import Pose2, compose_poses
-from slamfusion.slam.common.odometry_check import contradictions, fit_odometry, frozen_span
+from slamfusion.slam.common.odometry_check import (
+    contradictions,
+    fit_odometry,
+    frozen_span,
+    laser_fault,
+)
 from slamfusion.trajectory import Trajectory
 
 STAMPS_S = np.arange(40, dtype=np.float64)
@@ -93,3 +98,12 @@ def test_too_little_motion_says_nothing() -> None:
     fit = fit_odometry(stands, stands)
     assert fit.turn is None
     assert fit.length is None
+
+
+def test_only_the_mounting_of_the_laser_is_its_fault() -> None:
+    fault = laser_fault(PATH, seen(PATH, is_mirrored=True))
+    assert fault is not None
+    assert "the map is mirrored" in fault
+    assert laser_fault(PATH, PATH) is None
+    assert laser_fault(course(length=0.8), PATH) is None
+    assert laser_fault(None, PATH) is None

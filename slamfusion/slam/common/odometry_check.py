@@ -136,43 +136,61 @@ def contradictions(odometry: Trajectory, path: Trajectory) -> Iterator[str]:
             "map"
         )
         return
-    if fit.turn is not None and fit.turn < 0.0:
-        yield (
-            f"the path turns against the odometry (slope {fit.turn:+.2f}): the laser is mounted "
-            "upside down or turns the other way, and the map is mirrored; use "
-            "--laser mirrored (nodes: laser:=mirrored)"
-        )
-    elif fit.turn is not None and abs(fit.turn - 1.0) > SCALE:
+    if fit.turn is not None and fit.turn > 0.0 and abs(fit.turn - 1.0) > SCALE:
         yield (
             f"the path turns {fit.turn:.2f} times as far as the odometry: check the distance "
             "between the wheels that the odometry assumes"
         )
-    if fit.length is None:
-        return
-    if fit.offset_rad is None or fit.drives_together < TOGETHER:
+    if fit.length is not None and (fit.offset_rad is None or fit.drives_together < TOGETHER):
         yield (
             f"the path drives unlike the odometry ({100 * fit.drives_together:.0f} % of the steps "
             "agree): the odometry is of another robot or drive, or tracking was lost; look at the "
             "map"
         )
         return
+    faults = list(_laser_faults(fit))
+    yield from faults
+    if not faults and fit.length is not None and abs(fit.length - 1.0) > SCALE:
+        yield (
+            f"the path is {fit.length:.2f} times as long as the odometry: check the wheel radius "
+            "that the odometry assumes"
+        )
+
+
+def laser_fault(odometry: Trajectory | None, path: Trajectory | None) -> str | None:
+    """Say how a laser is mounted otherwise than the log says; None: it is not, or nothing tells.
+
+    Args:
+        odometry: raw, of the scans; None: there is none.
+        path: what a producer made of them; None: there is none.
+    """
+    if odometry is None or path is None:
+        return None
+    return "; ".join(_laser_faults(fit_odometry(odometry, path))) or None
+
+
+def _laser_faults(fit: OdometryFit) -> Iterator[str]:
+    """Yield a sentence for each way in which the laser is mounted otherwise than it says."""
+    if fit.turn is not None and fit.turn < 0.0 and fit.turns_together >= TOGETHER:
+        yield (
+            f"the path turns against the odometry (slope {fit.turn:+.2f}): the laser is mounted "
+            "upside down or turns the other way, and the map is mirrored; use --laser mirrored "
+            "(nodes: laser:=mirrored)"
+        )
+    if fit.offset_rad is None or fit.drives_together < TOGETHER:
+        return
     offset_deg = math.degrees(fit.offset_rad)
     if abs(fit.offset_rad) >= BACKWARD_RAD:
         yield (
             f"the path drives against the odometry ({abs(offset_deg):.0f} degrees): the laser "
-            "looks back, and the map and path are turned by half; use "
-            "--laser backward (nodes: laser:=backward)"
+            "looks back, and the map and path are turned by half; use --laser backward (nodes: "
+            "laser:=backward)"
         )
     elif abs(fit.offset_rad) > OFFSET_RAD:
         yield (
             f"the path drives {offset_deg:+.0f} degrees away from where the odometry goes: the "
             f"laser is mounted turned by {-offset_deg:+.0f} degrees against its transform; correct "
             "the transform"
-        )
-    elif abs(fit.length - 1.0) > SCALE:
-        yield (
-            f"the path is {fit.length:.2f} times as long as the odometry: check the wheel radius "
-            "that the odometry assumes"
         )
 
 
