@@ -396,8 +396,8 @@ def test_wrong_settings_end_it_with_one_line(processes: Processes):
         "start.lab names no input; the inputs are a, b, c": {"start__lab": [1.0, 2.0, 0.0]},
         "the start of 'a' alone says nothing": {"start__a": [1.0, 2.0, 0.0]},
     }
-    nodes = {words: start_fusion(processes, **given) for words, given in refused.items()}
-    for words, node in nodes.items():
+    for words, given in refused.items():
+        node = start_fusion(processes, **given)
         assert node.wait(60.0) == 1
         assert words in node.text()
         assert "Traceback" not in node.text()
