@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
+from slamfusion.compute import ComputeDevice, NumpyDevice, open_device
 from tests.support import datasets
 from tests.support.examples import FULL
 from tests.support.searches import CALLERS, RememberedSearches
@@ -116,6 +117,17 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         message = f"LONGEST in tests/conftest.py names files that are not there: {', '.join(gone)}"
         raise pytest.UsageError(message)
     items.sort(key=lambda item: places.get(item.path, len(places)))
+
+
+@pytest.fixture(scope="session")
+def device() -> ComputeDevice:
+    """The device that a user gets: PoCL where there is no other."""
+    return open_device()
+
+
+@pytest.fixture(scope="session")
+def twins() -> ComputeDevice:
+    return NumpyDevice()
 
 
 @pytest.fixture(scope="session")

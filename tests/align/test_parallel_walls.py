@@ -17,16 +17,11 @@ from slamfusion.align.shifts import (
     parallel_yaws,
     wall_directions,
 )
-from slamfusion.compute import ComputeDevice, open_device
+from slamfusion.compute import ComputeDevice
 from slamfusion.config import AlignConfig
 from slamfusion.geometry import Pose2
 from tests.fusion.drawings import features_of
 from tests.support.sites import ManyMaps, many_maps
-
-
-@pytest.fixture(scope="module")
-def device() -> ComputeDevice:
-    return open_device()
 
 
 @pytest.fixture(scope="module")

@@ -1,17 +1,11 @@
-"""The device of these tests, and one drive with its scores."""
+"""One drive with its scores."""
 
 from __future__ import annotations
 
 import pytest
 
-from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.evidence import JudgedScans, judged_scans
 from tests.evidence.rooms import circuit, recorded
-
-
-@pytest.fixture(scope="session")
-def device() -> ComputeDevice:
-    return open_device()
 
 
 @pytest.fixture(scope="session")

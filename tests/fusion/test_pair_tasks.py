@@ -15,7 +15,7 @@ from slamfusion.align.align import align_pair
 from slamfusion.align.features import GridFeatures
 from slamfusion.align.normalize import normalize_grid
 from slamfusion.align.pair import Pair
-from slamfusion.compute import ComputeDevice, open_device
+from slamfusion.compute import ComputeDevice
 from slamfusion.config import AlignConfig, NormalizeConfig
 from slamfusion.fusion import pair_tasks
 from slamfusion.fusion.pair_tasks import AlignmentTasks, PairSettings
@@ -23,11 +23,6 @@ from tests.support.sites import RESOLUTION, many_maps
 
 SETTINGS = PairSettings(AlignConfig(), 21, thorough=False)
 GRIDS = many_maps(7, 0, 200).grids
-
-
-@pytest.fixture(scope="module")
-def device() -> ComputeDevice:
-    return open_device()
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from slamfusion.align.records import FusionResult
-from slamfusion.compute import ComputeDevice, open_device
+from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, RunConfig, VoteConfig
 from slamfusion.errors import AlignmentError, MapFileError, MemoryBudgetError
 from slamfusion.fusion import lattice_vote
@@ -42,11 +42,6 @@ SITE = many_maps(7, 0, 200).grids
 CHANGED = SITE[0].cells.copy()
 CHANGED[:3] = -1
 TWINS = [SITE[0], OccupancyGrid(CHANGED, SITE[0].resolution, Pose2(3.0, 1.0, 0.5), "b")]
-
-
-@pytest.fixture(scope="module")
-def device() -> ComputeDevice:
-    return open_device()
 
 
 def assert_same(stored: FusedMaps, whole: FusionResult) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from slamfusion.compute import ComputeDevice, open_device
+from slamfusion.compute import ComputeDevice
 from slamfusion.config import MatcherConfig
 from slamfusion.evaluation.cells import wall_centres
 from slamfusion.evidence import PathEvidence, find_exclusions, judged_scans, score_paths
@@ -36,11 +36,6 @@ COUNT = 120
 RESOLUTION = 0.05
 VOTE = replace(RUN_DEFAULTS.fusion.vote, mode="consensus")
 CONFIG = replace(RUN_DEFAULTS, fusion=replace(RUN_DEFAULTS.fusion, vote=VOTE))
-
-
-@pytest.fixture(scope="module")
-def device() -> ComputeDevice:
-    return open_device()
 
 
 @cache

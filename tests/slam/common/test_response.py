@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slamfusion.compute import ComputeDevice, open_device
+from slamfusion.compute import ComputeDevice
 from slamfusion.config import GraphConfig
 from slamfusion.geometry import Pose2
 from slamfusion.slam.common.matcher import PoseHypothesis, ScanOnTiles, Spread, search_pose
@@ -32,11 +32,6 @@ from tests.support.examples import examples
 pytestmark = pytest.mark.once
 
 F64 = npt.NDArray[np.float64]
-
-
-@pytest.fixture(scope="module")
-def device() -> ComputeDevice:
-    return open_device()
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
-from slamfusion.compute import ComputeDevice, open_device
+from slamfusion.compute import ComputeDevice
 from slamfusion.config import GmappingConfig
 from slamfusion.geometry import Pose2
 from slamfusion.slam.gmapping.beams import beams_of
@@ -176,11 +176,6 @@ POSE = true_poses(1)[0]
 # One metre straight ahead makes the motion model as wide as this.
 SIGMAS = np.array([0.06, 0.06, 0.04])
 AHEAD = Pose2(1.0, 0.0, 0.0)
-
-
-@pytest.fixture(scope="module")
-def device() -> ComputeDevice:
-    return open_device()
 
 
 def mapped(device: ComputeDevice, count: int, **samples: float) -> Gmapping:

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from slamfusion.compute import ComputeDevice, NumpyDevice, open_device
+from slamfusion.compute import ComputeDevice, NumpyDevice
 from slamfusion.compute.hit_counts import full_field
 from slamfusion.compute.layout import FULL_HITS, FULL_VISITS, MOST_BEAMS
 from slamfusion.config import GmappingConfig
@@ -72,11 +72,6 @@ SETTINGS: dict[str, Any] = {
 # Resampled at every step at which the weights are not quite equal, and they are not evened out.
 OFTEN: dict[str, Any] = {"resampleThreshold": 1.0, "linearUpdate": 0.15, "ogain": 0.2}
 BLIND = "no reading within the usable range"
-
-
-@pytest.fixture(scope="module")
-def device() -> ComputeDevice:
-    return open_device()
 
 
 def config(**settings: Any) -> GmappingConfig:

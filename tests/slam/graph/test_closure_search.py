@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slamfusion.compute import ComputeDevice, open_device
+from slamfusion.compute import ComputeDevice
 from slamfusion.config import GraphConfig
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.slam.common.response import LEAST_SIGMA, MOST_SIGMA
@@ -28,11 +28,6 @@ pytestmark = pytest.mark.once
 F64 = npt.NDArray[np.float64]
 MEAN_SCORE = 0.75
 LOCAL_DRIFT_M, MOST_UNSEEN = GraphConfig().closure.local_drift_m, GraphConfig().closure.most_unseen
-
-
-@pytest.fixture(scope="module")
-def device() -> ComputeDevice:
-    return open_device()
 
 
 @pytest.fixture(scope="module")

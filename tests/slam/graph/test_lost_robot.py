@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slamfusion.compute import ComputeDevice, open_device
+from slamfusion.compute import ComputeDevice
 from slamfusion.config import GraphConfig
 from slamfusion.geometry import Pose2
 from slamfusion.io.log import LogScan
@@ -37,11 +37,6 @@ REACH_M = 6.0
 STEP_M = 0.1
 # After so many scans a loss has been noticed.
 NOTICED_SCANS = 15
-
-
-@pytest.fixture(scope="module")
-def device() -> ComputeDevice:
-    return open_device()
 
 
 @functools.cache

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from slamfusion.compute import ComputeDevice, open_device
+from slamfusion.compute import ComputeDevice
 from slamfusion.compute.layout import MOST_BEAMS
 from slamfusion.config import GraphConfig
 from slamfusion.geometry import Pose2
@@ -51,11 +51,6 @@ pytestmark = pytest.mark.once
 
 F64 = npt.NDArray[np.float64]
 BLIND = "no reading within the usable range"
-
-
-@pytest.fixture(scope="module")
-def device() -> ComputeDevice:
-    return open_device()
 
 
 def bare_scan(ranges: F64, stamp_s: float = 0.0) -> LaserScan:

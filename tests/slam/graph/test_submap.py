@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slamfusion.compute import ComputeDevice, NumpyDevice, open_device
+from slamfusion.compute import ComputeDevice, NumpyDevice
 from slamfusion.compute.cell_means import LikelihoodRule
 from slamfusion.compute.layout import BEAM_ONE
 from slamfusion.geometry import Pose2
@@ -32,11 +32,6 @@ F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 SMEAR_M = 0.1
 LASER = np.zeros(2)
-
-
-@pytest.fixture(scope="module")
-def device() -> ComputeDevice:
-    return open_device()
 
 
 def field_of(submap: Submap) -> tuple[I64, I64]:

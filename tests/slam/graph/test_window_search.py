@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slamfusion.compute import ComputeDevice, NumpyDevice, open_device
+from slamfusion.compute import ComputeDevice, NumpyDevice
 from slamfusion.geometry import wrap_angle
 from slamfusion.slam.graph.submap import Pyramid, Submap
 from slamfusion.slam.graph.window_search import (
@@ -27,11 +27,6 @@ from tests.support.examples import examples
 
 F64 = npt.NDArray[np.float64]
 U8 = npt.NDArray[np.uint8]
-
-
-@pytest.fixture(scope="module")
-def device() -> ComputeDevice:
-    return open_device()
 
 
 @dataclass(frozen=True)

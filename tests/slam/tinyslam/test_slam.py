@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slamfusion.compute import ComputeDevice, open_device
+from slamfusion.compute import ComputeDevice
 from slamfusion.config import TinySlamConfig
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.io.log import LogScan
@@ -21,11 +21,6 @@ from tests.slam.drives import (
 )
 
 pytestmark = pytest.mark.once
-
-
-@pytest.fixture(scope="module")
-def device() -> ComputeDevice:
-    return open_device()
 
 
 def run(device: ComputeDevice, scans: list[LogScan], seed: int = 0, **settings: object) -> TinySlam:
