@@ -41,7 +41,7 @@ NOT_FED = "the SLAM failed"
 
 # Scans whose latency is kept.
 LATENCIES = 300
-# Scans whose motion is held against the odometry.
+# Scans whose motion is compared with the odometry.
 MOTIONS = 3000
 WARM_UP_BEAMS = 360
 NEVER_S = float("-inf")
@@ -233,8 +233,8 @@ class ProducerSession:
         self._producer_generation = 0
         self._job: MapJob | None = None
         self._drawer: tuple[int, MapDrawer] | None = None
-        # Stamp, pose and odometry of the last scans.
-        self._moved: deque[tuple[float, Pose2, Pose2]] = deque(maxlen=MOTIONS)
+        # Rows of the last scans: stamp, then x, y and yaw of the pose and of the odometry.
+        self._moved: deque[tuple[float, ...]] = deque(maxlen=MOTIONS)
         _warm_up(self._make(), self._drawing)
 
     def begin_new_map(self) -> None:
@@ -309,7 +309,9 @@ class ProducerSession:
             latencies_s=(*before.latencies_s[1 - LATENCIES :], latency_s),
         )
         if odometry is not None:
-            self._moved.append((item.stamp_s, step.pose_map_base, odometry))
+            poses = (step.pose_map_base, odometry)
+            own = (value for pose in poses for value in (pose.x, pose.y, pose.yaw_rad))
+            self._moved.append((item.stamp_s, *own))
         unused = "" if step.used else f"scans are not used: {step.reason}"
         return Answer(step.pose_map_base, odometry, unused=unused)
 
@@ -349,12 +351,9 @@ class ProducerSession:
         """Say how the last poses contradict the odometry."""
         if len(self._moved) < 2:
             return ()
-        stamps, poses, odometry = zip(*self._moved, strict=True)
-        path, raw = (
-            Trajectory(np.array(stamps), np.array([(p.x, p.y, p.yaw_rad) for p in of]))
-            for of in (poses, odometry)
-        )
-        return tuple(contradictions(raw, path))
+        rows = np.array(self._moved)
+        path, odometry = (Trajectory(rows[:, 0], rows[:, at : at + 3]) for at in (1, 4))
+        return tuple(contradictions(odometry, path))
 
     def _grid(self, *, is_paused: bool) -> tuple[OccupancyGrid | MapJob, bool]:
         """Return the map, or what it is drawn from, and whether that is known to be as before.

@@ -104,8 +104,8 @@ def _without_lone_beams(cells: I8) -> U8:
     """Return known cells as ``WALL_OCCUPIED`` and ``WALL_FREE``, (H, W), lone beams left out.
 
     Beams that leak through a wall or a window leave streaks of free cells, one or two wide, with an
-    end point that has no wall beside it. They are no place that a map knows: what it knows is three
-    cells wide, gaps of two cells between beams not counted.
+    end point that has no wall next to it. They are no place that a map knows: what it knows is
+    three cells wide, where gaps of two cells between beams are filled.
     """
     walls, free = (cells == 1).view(np.uint8), (cells == 0).view(np.uint8)
     square = np.ones((3, 3), dtype=np.uint8)

@@ -122,6 +122,14 @@ def test_a_sweep_in_parts_is_put_together(tmp_path: Path) -> None:
         assert scan.angle_min_rad == pytest.approx(-math.pi)
 
 
+def test_scans_of_two_lasers_are_not_put_together(tmp_path: Path) -> None:
+    bag = driven().transform(10.0, "base_link", "rear", (-0.1, 0.0, 0.2), topic="/tf_static")
+    for stamp_s, frame, first in ((11.0, "laser", -1.5), (11.1, "rear", 0.0)):
+        bag.scan(stamp_s, frame=frame, angle_min=first, angle_increment=0.5)
+    scans = [item.scan for item in BagLog(bag.write(tmp_path))]
+    assert [(len(scan), scan.mount.x) for scan in scans] == [(3, 0.1), (3, -0.1)]
+
+
 def test_an_index_that_was_edited_by_hand_is_passed_over(tmp_path: Path) -> None:
     path = driven().scan(11.0).write(tmp_path)
     index = path / "metadata.yaml"

@@ -60,15 +60,13 @@ def joined_sweeps(scans: Iterable[tuple[int, LaserScan]]) -> Iterator[tuple[int,
         if sweep is None:
             sweep = number, scan
             continue
-        first, begun = sweep
-        step = begun.angle_increment_rad
-        gap = scan.angle_min_rad - (begun.angle_min_rad + len(begun) * step)
-        turn = abs(step) * (len(begun) + len(scan) - JOIN_BEAMS)
-        if step == scan.angle_increment_rad and (
-            abs(gap) < JOIN_BEAMS * abs(step) and turn < 2.0 * math.pi
-        ):
-            ranges = np.concatenate((begun.ranges, scan.ranges))
-            sweep = first, replace(begun, ranges=ranges)
+        first, part = sweep
+        step = part.angle_increment_rad
+        gap = scan.angle_min_rad - (part.angle_min_rad + len(part) * step)
+        turn = abs(step) * (len(part) + len(scan) - JOIN_BEAMS)
+        is_one_laser = (step, part.mount) == (scan.angle_increment_rad, scan.mount)
+        if is_one_laser and abs(gap) < JOIN_BEAMS * abs(step) and turn < 2.0 * math.pi:
+            sweep = first, replace(part, ranges=np.concatenate((part.ranges, scan.ranges)))
             continue
         yield sweep
         sweep = number, scan
@@ -133,19 +131,19 @@ class BagLog:
         """Yield the scans; stamps strictly increase."""
         self.skips, self.warnings, self.fraction_read = Skips(), Skips(), 0.0
         continuity = Continuity(self.skips, self.warnings, self._config.laser)
-        spoken_for, times_s = 0, []
+        is_any_used, out_s = False, []
         with open_bag(self.path) as bag:
             for number, scan in joined_sweeps(self._scans(bag)):
-                times_s.append(scan.stamp_s)
                 pose = None if self._odometry is None else self._odometry.at(scan.stamp_s)
                 if isinstance(pose, str):
                     self.skips.add(pose, number)
+                    out_s.append(scan.stamp_s)
                 else:
-                    spoken_for += 1
+                    is_any_used = True
                     yield from continuity.passed(LogScan(scan, pose, number))
             yield from continuity.rest()
-        if times_s and not spoken_for and self._odometry is not None:
-            raise LogError(self._other_clock(times_s, self._odometry.stamps_s))
+        if out_s and not is_any_used and self._odometry is not None:
+            raise LogError(self._other_clock(out_s, self._odometry.stamps_s))
         self.fraction_read = 1.0
 
     def _scans(self, bag: OpenBag) -> Iterator[tuple[int, LaserScan]]:
@@ -167,13 +165,13 @@ class BagLog:
             else:
                 yield number, scan
 
-    def _other_clock(self, times_s: Sequence[float], odometry_s: npt.NDArray[np.float64]) -> str:
+    def _other_clock(self, scans_s: Sequence[float], odometry_s: npt.NDArray[np.float64]) -> str:
         """Say that scans and odometry are of two clocks."""
         first_s, last_s = float(odometry_s[0]), float(odometry_s[-1])
         return (
-            f"{self.path}: no scan lies in the time of the odometry: scans from {times_s[0]:.3f} s "
-            f"to {times_s[-1]:.3f} s, odometry from {first_s:.3f} s to {last_s:.3f} s, "
-            f"{first_s - times_s[0]:+.3f} s later: two clocks? record both with one, or read the "
+            f"{self.path}: no scan lies in the time of the odometry: scans from {scans_s[0]:.3f} s "
+            f"to {scans_s[-1]:.3f} s, odometry from {first_s:.3f} s to {last_s:.3f} s, "
+            f"{first_s - scans_s[0]:+.3f} s later: two clocks? record both with one, or read the "
             "scans alone with odom_topic none"
         )
 

@@ -50,7 +50,7 @@ class OpenBag:
         self._reader = reader
 
     def choose_topic(
-        self, types: Sequence[str], wanted: str | None, key: str, beside: str = ""
+        self, types: Sequence[str], wanted: str | None, key: str, sibling: str = ""
     ) -> str:
         """Return the topic that was asked for, or the only one of its type.
 
@@ -58,13 +58,13 @@ class OpenBag:
             types: message types that will do, the one to name in errors first.
             wanted: the topic that was asked for; None: any with messages.
             key: the setting that asks for it.
-            beside: a topic; of several ones those in its namespace are taken.
+            sibling: a topic; of several ones those in its namespace are taken.
 
         Raises:
             LogError: there is none, or there are several and none was asked for.
         """
         topics = sorted({item.topic for item in self._reader.connections if item.msgtype in types})
-        filled = self.topics(types, beside)
+        filled = self.topics(types, sibling)
         kind = types[0].replace("/msg/", "/")
         if wanted is not None:
             for topic in topics:
@@ -93,12 +93,12 @@ class OpenBag:
             raise LogError(message)
         return filled[0]
 
-    def topics(self, types: Sequence[str], beside: str = "") -> list[str]:
+    def topics(self, types: Sequence[str], sibling: str = "") -> list[str]:
         """Return the topics of these types that have messages, in order.
 
         Args:
             types: of messages.
-            beside: a topic; only those in its namespace are returned, if there are any.
+            sibling: a topic; only those in its namespace are returned, if there are any.
         """
         found = sorted(
             {
@@ -107,9 +107,9 @@ class OpenBag:
                 if item.msgtype in types and item.msgcount
             }
         )
-        namespace = beside.rpartition("/")[0]
+        namespace = sibling.rpartition("/")[0]
         own = [topic for topic in found if topic.rpartition("/")[0] == namespace]
-        return own if beside and own else found
+        return own if sibling and own else found
 
     def count(self, topic: str) -> int:
         """Return how many messages a topic has."""

@@ -1,4 +1,4 @@
-"""Hold a producer's path against the raw odometry: a wrong sensor makes the two contradict.
+"""Compare a producer's path with the raw odometry: a wrong sensor makes the two contradict.
 
 A laser that is mounted otherwise than the robot's transforms say gives a map that looks right: the
 producers agree, for they see the same scans. But the robot's own motion tells. Both paths are cut
