@@ -31,6 +31,7 @@ from slamfusion.fusion.consistency import (
 )
 from slamfusion.fusion.many import Candidate, align_many, placed, rank_pairs
 from slamfusion.fusion.pair_tasks import AlignmentTasks, PairSettings
+from slamfusion.geometry import Pose2, wrap_angles
 from slamfusion.io.memory import return_freed_memory
 
 # Told what is being done, how many steps are done, and of how many.
@@ -403,9 +404,10 @@ def _to_reference(
             transform = poses[reference].inverse().compose(poses[name])
             own = _borne_out(name, pair or other, group, pairs)
             if own is not None:
-                partner = own.reference
-                reason = own.reason if partner == reference else f"to {partner}: {own.reason}"
-                out[name] = replace(own, reference=reference, reason=reason, transform=transform)
+                if own.reference != reference:
+                    motion = poses[reference].inverse().compose(poses[own.reference])
+                    own = _in_frame_of(reference, motion, own)
+                out[name] = replace(own, transform=transform)
                 continue
             found = placed(Pair(features[reference], features[name]), transform)
             was_rejected = frozenset((reference, name)) in tried
@@ -433,6 +435,30 @@ def _borne_out(
     ]
     best = max(partners, key=lambda pair: (_rank(pair), pair.score))
     return _from_the_side_of(name, best if _rank(best) > _rank(own) else own)
+
+
+def _in_frame_of(reference: str, motion: Pose2, pair: Alignment) -> Alignment:
+    """Return a pair as another map sees it than the pair's own reference.
+
+    Args:
+        reference: that map.
+        motion: takes the frame of the pair's reference into that of the map.
+        pair: the alignment.
+    """
+    runner_up, profile = pair.runner_up, pair.yaw_profile
+    if runner_up is not None:
+        runner_up = replace(runner_up, transform=motion.compose(runner_up.transform))
+    if profile is not None:
+        profile = np.column_stack((wrap_angles(profile[:, 0] + motion.yaw_rad), profile[:, 1]))
+        profile = profile[np.argsort(profile[:, 0])]
+    return replace(
+        pair,
+        reference=reference,
+        transform=motion.compose(pair.transform),
+        reason=f"to {pair.reference}: {pair.reason}",
+        runner_up=runner_up,
+        yaw_profile=profile,
+    )
 
 
 def _rank(pair: Alignment) -> int:

@@ -18,7 +18,7 @@ from slamfusion.errors import AlignmentError, ConfigError, MemoryBudgetError
 from slamfusion.fusion import fuse_grids
 from slamfusion.fusion.groups import choose_reference
 from slamfusion.fusion.pipeline import vote_again
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.grid import ORIGIN_MOST_M, CellBox, OccupancyGrid
 from slamfusion.io import memory
 from tests.fusion.drawings import (
@@ -162,6 +162,21 @@ def test_good_maps_are_borne_out_by_each_other_where_the_reference_is_bent(
         assert record.alignment is not None
         assert record.alignment.strength == "strong"
         assert record.alignment.reason.startswith(f"to {other}: walls match (strong)")
+    # All that is told of an alignment is in the frame of the reference.
+    (pair,) = (item for item in result.pairs if {item.reference, item.moving} == {"a", "b"})
+    shown = {record.name: record.alignment for record in result.inputs}
+    held, moved = shown[pair.reference], shown[pair.moving]
+    assert held is not None
+    assert moved is not None
+    assert pair.runner_up is not None
+    assert moved.runner_up is not None
+    expected = held.transform.compose(pair.runner_up.transform)
+    apart = expected.inverse().compose(moved.runner_up.transform)
+    assert (apart.x, apart.y, apart.yaw_rad) == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
+    assert pair.yaw_profile is not None
+    assert moved.yaw_profile is not None
+    best = moved.yaw_profile[moved.yaw_profile[:, 1].argmax(), 0]
+    assert wrap_angle(best - moved.transform.yaw_rad) == pytest.approx(0.0, abs=0.05)
 
 
 def test_an_unrelated_map_is_named_and_the_others_fused(device: ComputeDevice) -> None:
