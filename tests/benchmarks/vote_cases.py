@@ -126,7 +126,8 @@ def _pose_in_truth(
     grid: OccupancyGrid, truth: OccupancyGrid, device: ComputeDevice, *, same_heading: bool = False
 ) -> Pose2:
     config = RunConfig()
-    return against_truth(grid, truth, config, device, same_heading=same_heading).transform
+    found = against_truth(grid, truth, config, device, same_heading=same_heading)
+    return Pose2(found.dx_m, found.dy_m, found.yaw_rad)
 
 
 # --- degraded copies -----------------------------------------------------------------------------
