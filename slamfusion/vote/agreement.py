@@ -224,7 +224,7 @@ def local_weights(counts: WallCounts, trust: Trust, resolution: float) -> tuple[
 
     Returns:
         (N, H, W) uint8, weights from 0 to ``VOTE_ONE``; and (N, H, W) uint16, ranks: all different;
-        the map with the highest draws a wall that it has.
+        the map with the highest, which is right and precise, draws a wall that it has.
     """
     count, prior = len(trust.names), PRIOR_M / resolution
     amount = trust.weights.astype(np.float64) / VOTE_ONE
@@ -247,7 +247,8 @@ def local_weights(counts: WallCounts, trust: Trust, resolution: float) -> tuple[
     )
     weights = _levels(relative)
     steady = np.minimum(1.0, 2.0 * weights / VOTE_ONE)
-    ranks = np.rint(RANK_ONE * trust.precision[:, None, None] * steady).astype(np.uint16)
+    right = (trust.precision * trust.agreement)[:, None, None]
+    ranks = np.rint(RANK_ONE * right * steady).astype(np.uint16)
     order = np.arange(count - 1, -1, -1, dtype=np.uint16)
     ranks = (ranks << np.uint16(RANK_SHIFT)) + order[:, None, None]
     return weights.astype(np.uint8), ranks
