@@ -38,11 +38,6 @@ from slamfusion.config.fusion import (
     VoteConfig,
     VoteMode,
 )
-from slamfusion.config.graph import (
-    GraphClosureConfig,
-    GraphRelocalizationConfig,
-    GraphTrackingConfig,
-)
 from slamfusion.config.ros import FusionNodeConfig, PlayerNodeConfig, ProducerNodeConfig
 from slamfusion.config.run import (
     PICTURE_FORMS,
@@ -109,11 +104,8 @@ __all__ = [
     "FusionMode",
     "FusionNodeConfig",
     "GmappingConfig",
-    "GraphClosureConfig",
     "GraphConfig",
     "GraphOptimizerConfig",
-    "GraphRelocalizationConfig",
-    "GraphTrackingConfig",
     "GroundObstacleConfig",
     "LaserMounting",
     "LidarConfig",

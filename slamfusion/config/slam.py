@@ -7,11 +7,6 @@ from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
 from slamfusion.config.core import Checked, option
-from slamfusion.config.graph import (
-    GraphClosureConfig,
-    GraphRelocalizationConfig,
-    GraphTrackingConfig,
-)
 
 CellModel: TypeAlias = Literal["base", "mean"]
 OccupancyEstimator: TypeAlias = Literal["constant", "area"]
@@ -301,9 +296,6 @@ class GraphConfig(Checked):
     """Graph SLAM [O09, K10, H16c]; names are open_karto's where the meaning is the same."""
 
     matcher: MatcherConfig = MatcherConfig(beams=400)
-    tracking: GraphTrackingConfig = GraphTrackingConfig()
-    closure: GraphClosureConfig = GraphClosureConfig()
-    relocalization: GraphRelocalizationConfig = GraphRelocalizationConfig()
     resolution: float = option(0.05, "cell size of the maps", unit="m", low=0.005, high=1.0)
     minimum_travel_distance: float = option(
         0.3, "a scan becomes a node after this way", unit="m", low=0.0, high=100.0

@@ -47,6 +47,21 @@ PEAK_CELLS, PEAK_RAD = 2.0, 0.02
 NEWS_M, NEWS_RAD = 0.2, 0.05
 # Distance around the robot's places in a submap, metres, from where its walls can be seen too.
 AROUND_M = 1.0
+# Drift up to which the matcher's own search finds a closure; beyond, a whole window is searched.
+# Metres.
+LOCAL_DRIFT_M = 0.8
+# Response that a closure needs, as a share of the running mean score, and the share of a scan's
+# hits that may lie where the older submap has seen nothing: old submaps fit a little worse than the
+# growing one, and the robot may be at their border. Where it may be anywhere more is asked for:
+# more places fit, the fewer hits count.
+MEAN_SHARE, MEAN_SHARE_ANYWHERE = 0.75, 0.85
+MOST_UNSEEN, MOST_UNSEEN_ANYWHERE = 0.6, 0.3
+# Another place with this share of a closure's response makes it ambiguous.
+RIVAL_SHARE = 0.93
+# A robot that tracking may have lost is searched this far around where it is expected; where a bad
+# match is best as near as the second pair, the world has changed, not the place. Metres, radians.
+SEARCH_M, SEARCH_RAD = 1.5, 0.8
+EXPECTED_M, EXPECTED_RAD = 0.4, 0.12
 # Deviations of the matcher's search around what a window search has found: metres, two cells, and
 # radians.
 AFTER_WINDOW_M, AFTER_WINDOW_RAD = 0.1, 0.02
@@ -109,13 +124,13 @@ class ClosureSearch:
         Returns:
             Where it lies, or why that is not known, in the words of the health record.
         """
-        config, closure = self._config, self._config.closure
-        least = max(config.loop_match_minimum_response, closure.mean_share * mean_score)
+        config = self._config
+        least = max(config.loop_match_minimum_response, MEAN_SHARE * mean_score)
         turn = min(config.coarse_search_angle_offset, TURN_RAD + TURN_RAD_PER_M * drift_m)
-        if drift_m <= closure.local_drift_m:
+        if drift_m <= LOCAL_DRIFT_M:
             spread = Spread(max(drift_m / 2.0, LEAST_SPREAD_M), turn / 2.0)
             hypothesis = PoseHypothesis(expected, spread)
-            found = self._fine(submap, points, hypothesis, least, closure.most_unseen)
+            found = self._fine(submap, points, hypothesis, least, MOST_UNSEEN)
             if isinstance(found, Found) and _is_news(expected, found.pose):
                 window = _Window(expected, RIVAL_TIMES * drift_m + RIVAL_M, turn)
                 if self._has_rival(submap, points, window, found):
@@ -125,20 +140,16 @@ class ClosureSearch:
         half_m = min(drift_m, most)
         wider = min(RIVAL_TIMES * half_m + RIVAL_M, most)
         windows = (_Window(expected, half_m, turn), _Window(expected, wider, turn))
-        return self._only_place(submap, points, windows, least, closure.most_unseen)
+        return self._only_place(submap, points, windows, least, MOST_UNSEEN)
 
     def anywhere(self, submap: Submap, points: F64, mean_score: float) -> Found | str:
         """Search all of a submap, for a kidnapped robot; see ``near``."""
-        closure = self._config.closure
-        least = max(
-            self._config.loop_match_minimum_response, closure.mean_share_anywhere * mean_score
-        )
+        least = max(self._config.loop_match_minimum_response, MEAN_SHARE_ANYWHERE * mean_score)
         middle = np.array([*(0.5 * (submap.low + submap.high)), 0.0])
         half_m = 0.5 * float((submap.high - submap.low).max()) + AROUND_M
         everything = _Window(middle, half_m, math.pi)
-        return self._only_place(
-            submap, points, (everything, everything), least, closure.most_unseen_anywhere
-        )
+        windows = everything, everything
+        return self._only_place(submap, points, windows, least, MOST_UNSEEN_ANYWHERE)
 
     def around(
         self, submap: Submap, points: F64, expected: F64, mean_score: float, *, by_odometry: bool
@@ -157,16 +168,13 @@ class ClosureSearch:
             average and nowhere else nearly as well; or it fits badly, but best where it is
             expected: then the world has changed, not the place.
         """
-        tracking, closure = self._config.tracking, self._config.closure
-        window = _Window(expected, tracking.search_m, tracking.search_rad)
+        window = _Window(expected, SEARCH_M, SEARCH_RAD)
         best = self._searched(submap, points, window, 0.0)
         if best is None:
             return expected, False
         coarse = best.pose
-        least = closure.mean_share_anywhere * mean_score
-        found = self._fine(
-            submap, points, _around(coarse), least, closure.most_unseen, by_window=True
-        )
+        least = MEAN_SHARE_ANYWHERE * mean_score
+        found = self._fine(submap, points, _around(coarse), least, MOST_UNSEEN, by_window=True)
         if isinstance(found, Found):
             if self._has_rival(submap, points, window, found):
                 return expected, False
@@ -175,7 +183,7 @@ class ClosureSearch:
             return coarse, False
         away = np.hypot(*(coarse - expected)[:2])
         turn = abs(wrap_angle(float(coarse[2] - expected[2])))
-        return expected, bool(away <= tracking.expected_m and turn <= tracking.expected_rad)
+        return expected, bool(away <= EXPECTED_M and turn <= EXPECTED_RAD)
 
     def _only_place(
         self,
@@ -248,7 +256,7 @@ class ClosureSearch:
         own = self._searched(submap, points, peak, 0.0)
         if own is None:
             return True
-        least = self._config.closure.rival_share * own.score
+        least = RIVAL_SHARE * own.score
         return self._searched(submap, points, window, least, found.pose) is not None
 
 

@@ -9,13 +9,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from slamfusion.config import GraphConfig, GraphRelocalizationConfig
 from slamfusion.geometry import Pose2
 from slamfusion.slam.common.state import Stateful
 from slamfusion.slam.graph.pending_closures import PendingClosure, is_same_place
 
 # Hypotheses that are tested at a node, and that are kept: what a node may cost.
 TESTED, MOST_HYPOTHESES = 2, 12
+# A hypothesis is borne out where so many nodes fit over this way, metres: longer than rooms go on
+# alike. It is given up after so many misses in a row: a door or a person may hide a place once or
+# twice.
+BORNE_OUT_NODES, BORNE_OUT_M, MISSES = 14, 4.0, 3
+# One with fewer hits, or a smaller share of the best one's, is no rival.
+RIVAL_HITS, RIVAL_SHARE = 2, 0.4
 
 
 @dataclass(eq=False)
@@ -34,12 +39,13 @@ class RelocalizationHypothesis:
     misses: int = 0
     tested: int = -1
 
-    def is_borne_out(self, config: GraphRelocalizationConfig) -> bool:
-        """Return whether enough scans have fitted over a long enough distance."""
+    @property
+    def is_borne_out(self) -> bool:
+        """Whether enough scans have fitted over a long enough distance."""
         nodes = {hit.constraint.end for hit in self.hits}
         travelled = [hit.travelled_m for hit in self.hits]
         driven_m = max(travelled) - min(travelled)
-        return len(nodes) >= config.borne_out_nodes and driven_m >= config.borne_out_m
+        return len(nodes) >= BORNE_OUT_NODES and driven_m >= BORNE_OUT_M
 
 
 class RelocalizationHypotheses(Stateful):
@@ -51,9 +57,8 @@ class RelocalizationHypotheses(Stateful):
 
     STATE = ("kept",)
 
-    def __init__(self, config: GraphConfig) -> None:
-        """Start with none; ``config`` tells which say the same, and when one is believed."""
-        self._agreement, self._config = config.closure, config.relocalization
+    def __init__(self) -> None:
+        """Start with none."""
         self.kept: list[RelocalizationHypothesis] = []
 
     def to_test(self) -> list[RelocalizationHypothesis]:
@@ -69,7 +74,7 @@ class RelocalizationHypotheses(Stateful):
         """
         place = hit.correction.compose(pose)
         for one in self.kept:
-            if is_same_place(one.correction.compose(pose), place, self._agreement):
+            if is_same_place(one.correction.compose(pose), place):
                 break
         else:
             one = RelocalizationHypothesis(hit.correction)
@@ -83,7 +88,7 @@ class RelocalizationHypotheses(Stateful):
     def miss(self, one: RelocalizationHypothesis) -> None:
         """Count that a scan did not fit where a hypothesis says that it must."""
         one.misses += 1
-        if one.misses >= self._config.misses and one in self.kept:
+        if one.misses >= MISSES and one in self.kept:
             self.kept.remove(one)
 
     def winner(self) -> RelocalizationHypothesis | None:
@@ -91,6 +96,6 @@ class RelocalizationHypotheses(Stateful):
         if not self.kept:
             return None
         best = max(self.kept, key=lambda one: len(one.hits))
-        enough = max(self._config.rival_hits, self._config.rival_share * len(best.hits))
+        enough = max(RIVAL_HITS, RIVAL_SHARE * len(best.hits))
         has_rival = any(len(one.hits) >= enough for one in self.kept if one is not best)
-        return best if best.is_borne_out(self._config) and not has_rival else None
+        return best if best.is_borne_out and not has_rival else None

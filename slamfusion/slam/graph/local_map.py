@@ -22,11 +22,14 @@ from slamfusion.slam.graph.map_graph import BELIEVED_SHARE
 from slamfusion.slam.graph.node_map import Node
 from slamfusion.slam.graph.submap import UNSEEN_WALL, Submap, seen_score
 from slamfusion.slam.graph.surfaces import fill_walls
+from slamfusion.slam.graph.tracking_quality import RESET_SHARE
 
 F64 = npt.NDArray[np.float64]
 
 # Distance between hits that are filled in on a wall, cells: a submap's walls have no gaps.
 WALL_CELLS = 1.0
+# A scan with this share of its hits where the local map has seen nothing is not bad.
+MOST_UNSEEN = 0.8
 
 
 class LocalMap(Stateful):
@@ -49,7 +52,7 @@ class LocalMap(Stateful):
         """Start empty.
 
         Args:
-            config: cell size, how many nodes a submap holds, and what match says little.
+            config: cell size, and how many nodes a submap holds.
             device: where the submaps live.
             health: where submaps and map components are counted.
         """
@@ -125,11 +128,10 @@ class LocalMap(Stateful):
         """
         if mean_score is None:
             return 1.0
-        config = self._config.tracking
-        if match.score >= max(config.bad_share, config.reset_share) * mean_score:
+        if match.score >= RESET_SHARE * mean_score:
             return 1.0
         unseen = self._scan(points).unseen_share(match.pose, UNSEEN_WALL)
-        if unseen >= config.most_unseen:
+        if unseen >= MOST_UNSEEN:
             return 1.0
         return seen_score(match.score, unseen) / mean_score
 

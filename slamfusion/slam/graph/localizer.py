@@ -20,7 +20,7 @@ from slamfusion.slam.graph.closure_search import ClosureSearch
 from slamfusion.slam.graph.health import GraphHealth
 from slamfusion.slam.graph.local_map import LocalMap
 from slamfusion.slam.graph.node_map import Node
-from slamfusion.slam.graph.tracking_quality import TrackingQuality, TrackingStatus
+from slamfusion.slam.graph.tracking_quality import BAD_SHARE, TrackingQuality, TrackingStatus
 
 F64 = npt.NDArray[np.float64]
 
@@ -79,14 +79,13 @@ class Localizer(Stateful):
         """Start without a pose.
 
         Args:
-            config: of the matcher, and from where on tracking is lost.
+            config: of the matcher.
             device: where the maps live.
             rng: of the matcher's draws.
             local_map: that scans are matched on.
             search: of a robot that the matcher may have lost.
             health: where match scores are written.
         """
-        self._config = config.tracking
         self._local_map = local_map
         self._search = search
         self._health = health
@@ -121,7 +120,7 @@ class Localizer(Stateful):
         match = self._tracker.match(submap.walls(), seen.points, hypotheses)
         fit = local_map.fit(seen.points, match, mean_score)
         at, hessian, is_sure = match.pose, match.hessian, True
-        if fit < self._config.bad_share and mean_score is not None:
+        if fit < BAD_SHARE and mean_score is not None:
             hessian = None
             at, is_sure = self._search.around(
                 submap,
@@ -133,11 +132,7 @@ class Localizer(Stateful):
         local = pose_of(at)
         self._tracker.advance(local, seen.odometry, seen.scan.stamp_s)
         status = self._quality.judge(
-            self._health.scans,
-            fit,
-            self._config,
-            is_sure=is_sure,
-            has_jumped=self._tracker.has_jumped,
+            self._health.scans, fit, is_sure=is_sure, has_jumped=self._tracker.has_jumped
         )
         return Estimate(local, match.score, hessian, status)
 

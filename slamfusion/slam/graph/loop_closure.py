@@ -23,12 +23,18 @@ from slamfusion.slam.graph.local_map import LocalMap
 from slamfusion.slam.graph.loop_candidates import LoopCandidate
 from slamfusion.slam.graph.map_graph import BELIEVED_SHARE, MapGraph
 from slamfusion.slam.graph.pending_closures import PendingClosure, PendingClosures
-from slamfusion.slam.graph.relocalization import Relocalization
+from slamfusion.slam.graph.relocalization import DRIFT_SHARE, KIDNAPPED_DRIFT_M, Relocalization
 
 F64 = npt.NDArray[np.float64]
 
 # Why a closure is not accepted yet, in the published words of the health record.
 PENDING = "not confirmed by another"
+
+# Drift since a submap that the robot has just left, metres.
+LEAST_DRIFT_M = 0.3
+# Nodes between two searches of one submap, and submaps that are searched at a node: what a node may
+# cost.
+RETRY_NODES, TRIES_PER_NODE = 2, 2
 
 
 class LoopClosure(Stateful):
@@ -57,13 +63,13 @@ class LoopClosure(Stateful):
             search: of one submap.
             health: where closures are counted.
         """
-        self.relocalization = Relocalization(config)
+        self.relocalization = Relocalization()
         self._config = config
         self._graph = graph
         self._local_map = local_map
         self._search = search
         self._health = health
-        self._pending = PendingClosures(config)
+        self._pending = PendingClosures()
         # By submap: the node that was last searched in it, and the distance travelled when it was
         # last tied to the robot by a closure.
         self._last_searched: dict[int, int] = {}
@@ -113,24 +119,22 @@ class LoopClosure(Stateful):
         config, local_map, travelled_m = self._config, self._local_map, self._graph.travelled_m
         away_m = local_map.distances_m(pose, self._graph.poses)
         reach_m = config.loop_search_maximum_distance
-        least_m, share = config.closure.least_drift_m, config.closure.drift_share
-        kidnapped_m, retry = config.relocalization.kidnapped_drift_m, config.closure.retry_nodes
-        farthest_m = reach_m + least_m + share * travelled_m + kidnapped_m
+        farthest_m = reach_m + LEAST_DRIFT_M + DRIFT_SHARE * travelled_m + KIDNAPPED_DRIFT_M
         found = []
         for index in np.flatnonzero(away_m < farthest_m).tolist():
             submap = local_map.submaps[index]
             if submap.scans < config.loop_match_minimum_chain_size:
                 continue
-            if number - self._last_searched.get(index, -retry) < retry:
+            if number - self._last_searched.get(index, -RETRY_NODES) < RETRY_NODES:
                 continue
             if local_map.components[index] != local_map.active_component:
                 continue
-            drift_m = least_m + share * (travelled_m - self._tied_m(index))
+            drift_m = LEAST_DRIFT_M + DRIFT_SHARE * (travelled_m - self._tied_m(index))
             if self._failure_node is not None and submap.anchor < self._failure_node:
-                drift_m += kidnapped_m
+                drift_m += KIDNAPPED_DRIFT_M
             if away_m[index] < reach_m + drift_m:
                 found.append((float(away_m[index]), index, drift_m))
-        nearest = sorted(found)[: config.closure.tries_per_node]
+        nearest = sorted(found)[:TRIES_PER_NODE]
         return [LoopCandidate(index, pose, drift_m) for _, index, drift_m in nearest]
 
     def _tied_m(self, index: int) -> float:

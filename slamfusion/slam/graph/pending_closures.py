@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from slamfusion.config import GraphClosureConfig, GraphConfig
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.slam.common.state import Stateful
 from slamfusion.slam.graph.constraints import Constraint
@@ -14,6 +13,16 @@ from slamfusion.slam.graph.constraints import Constraint
 # How a place was searched: where the graph has the robot; where odometry has a kidnapped one; all
 # over.
 How = Literal["known", "odometry", "anywhere"]
+
+# A closure that moves the robot by no more is believed alone, metres and radians.
+SMALL_STEP_M, SMALL_STEP_RAD = 0.4, 0.1
+# Closures that put the robot nearer to each other than this say the same, metres and radians.
+AGREEMENT_M, AGREEMENT_RAD = 0.3, 0.05
+# So many nodes must have closures that say the same before one that moves the robot far is
+# believed; it waits for them for so many nodes.
+AGREEING_NODES, WAIT_NODES = 2, 12
+# Of a kidnapped robot that odometry has there: so many nodes, over this way, metres.
+ODOMETRY_NODES, ODOMETRY_M = 3, 0.8
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,9 +51,8 @@ class PendingClosures(Stateful):
 
     STATE = ("closures",)
 
-    def __init__(self, config: GraphConfig) -> None:
-        """Start with none; ``config`` tells what is believed alone, and what says the same."""
-        self._config, self._lost = config.closure, config.relocalization
+    def __init__(self) -> None:
+        """Start with none."""
         self.closures: list[PendingClosure] = []
 
     def confirmed(self, closure: PendingClosure, pose: Pose2) -> list[PendingClosure]:
@@ -54,17 +62,17 @@ class PendingClosures(Stateful):
             closure: a new one, not found ``anywhere``.
             pose: of its node in the map frame, before any correction.
         """
-        config, number = self._config, closure.constraint.end
+        number = closure.constraint.end
         moved = closure.correction.compose(pose)
-        self.closures = [c for c in self.closures if number - c.constraint.end <= config.wait_nodes]
-        if closure.how == "known" and _is_small(pose, moved, config):
+        self.closures = [c for c in self.closures if number - c.constraint.end <= WAIT_NODES]
+        if closure.how == "known" and _is_small(pose, moved):
             return [closure]
         earlier = [c for c in self.closures if c.constraint.end != number]
-        agreeing = [c for c in earlier if is_same_place(c.correction.compose(pose), moved, config)]
+        agreeing = [c for c in earlier if is_same_place(c.correction.compose(pose), moved)]
         self.closures.append(closure)
-        least_nodes, least_m = config.agreeing_nodes, 0.0
+        least_nodes, least_m = AGREEING_NODES, 0.0
         if closure.how != "known":  # see ``Relocalization`` for those that are found anywhere
-            least_nodes, least_m = self._lost.odometry_nodes, self._lost.odometry_m
+            least_nodes, least_m = ODOMETRY_NODES, ODOMETRY_M
         nodes = {c.constraint.end for c in agreeing}
         driven_m = closure.travelled_m - min((c.travelled_m for c in agreeing), default=math.inf)
         if len(nodes) + 1 < least_nodes or driven_m < least_m:
@@ -75,15 +83,15 @@ class PendingClosures(Stateful):
         return [closure, *agreeing]
 
 
-def is_same_place(one: Pose2, other: Pose2, config: GraphClosureConfig) -> bool:
+def is_same_place(one: Pose2, other: Pose2) -> bool:
     """Return whether two corrected poses of the robot are one place."""
     away = math.hypot(one.x - other.x, one.y - other.y)
     turn = abs(wrap_angle(one.yaw_rad - other.yaw_rad))
-    return away < config.agreement_m and turn < config.agreement_rad
+    return away < AGREEMENT_M and turn < AGREEMENT_RAD
 
 
-def _is_small(pose: Pose2, moved: Pose2, config: GraphClosureConfig) -> bool:
+def _is_small(pose: Pose2, moved: Pose2) -> bool:
     """Return whether a closure leaves the robot about where it was believed to be."""
     away = math.hypot(moved.x - pose.x, moved.y - pose.y)
     turn = abs(wrap_angle(moved.yaw_rad - pose.yaw_rad))
-    return away <= config.small_step_m and turn <= config.small_step_rad
+    return away <= SMALL_STEP_M and turn <= SMALL_STEP_RAD

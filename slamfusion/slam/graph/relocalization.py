@@ -7,7 +7,6 @@ and every old submap has been searched.
 
 from __future__ import annotations
 
-from slamfusion.config import GraphConfig
 from slamfusion.geometry import Pose2
 from slamfusion.slam.common.state import Stateful
 from slamfusion.slam.graph.hypotheses import RelocalizationHypotheses
@@ -18,6 +17,13 @@ from slamfusion.slam.graph.pending_closures import PendingClosure
 
 # Submaps that are searched all over at a node; and once each has been, nodes until the next round.
 SEARCHED_AT_NODE, ROUND_NODES = 3, 4
+# How far off the robot may be, metres: where odometry has a kidnapped one, more for each metre that
+# it travels from there; and where a hypothesis has it.
+KIDNAPPED_DRIFT_M, DRIFT_SHARE, HYPOTHESIS_DRIFT_M = 1.2, 0.02, 0.6
+# Searches in vain where odometry has it, one for each node, after which it may be anywhere.
+LOCAL_SEARCHES = 12
+# A hypothesis is tested on an old submap where the robot was this near to where it is now, metres.
+INSIDE_M = 0.5
 
 
 class Relocalization(Stateful):
@@ -29,10 +35,9 @@ class Relocalization(Stateful):
 
     STATE = ("hypotheses", "_searched", "_failed_searches", "_kidnapped_m")
 
-    def __init__(self, config: GraphConfig) -> None:
-        """Start with nothing searched; ``config`` tells how far and how often it is."""
-        self._config = config
-        self.hypotheses = RelocalizationHypotheses(config)
+    def __init__(self) -> None:
+        """Start with nothing searched."""
+        self.hypotheses = RelocalizationHypotheses()
         # How often submaps of other components were searched all over.
         self._searched: dict[int, int] = {}
         # Searches where odometry has it, and the distance travelled when it was kidnapped.
@@ -48,7 +53,7 @@ class Relocalization(Stateful):
     def forget(self) -> None:
         """Forget what was searched, and every hypothesis: the robot is somewhere else now."""
         self._searched = {}
-        self.hypotheses = RelocalizationHypotheses(self._config)
+        self.hypotheses = RelocalizationHypotheses()
 
     def candidates(self, graph: MapGraph, local_map: LocalMap, pose: Pose2) -> list[LoopCandidate]:
         """Return the submaps that a kidnapped robot is searched in at a node.
@@ -63,12 +68,11 @@ class Relocalization(Stateful):
         others = local_map.in_other_components()
         away_m = local_map.distances_m(pose, graph.poses)
         # First near where odometry has it.
-        config, drift_share = self._config.relocalization, self._config.closure.drift_share
-        drift_m = config.kidnapped_drift_m + drift_share * (graph.travelled_m - self._kidnapped_m)
+        drift_m = KIDNAPPED_DRIFT_M + DRIFT_SHARE * (graph.travelled_m - self._kidnapped_m)
         nearest = others[int(away_m[others].argmin())]
         candidates = [LoopCandidate(nearest, pose, drift_m, "odometry")]
         self._failed_searches += 1
-        if self._failed_searches <= config.local_searches:
+        if self._failed_searches <= LOCAL_SEARCHES:
             return candidates
         # Then where hypotheses have it.
         for hypothesis in self.hypotheses.to_test():
@@ -76,10 +80,10 @@ class Relocalization(Stateful):
             expected = hypothesis.correction.compose(pose)
             outside_m = local_map.distances_m(expected, graph.poses)[others]
             place = int(outside_m.argmin())
-            if outside_m[place] < config.inside_m:
+            if outside_m[place] < INSIDE_M:
                 candidates.append(
                     LoopCandidate(
-                        others[place], expected, config.hypothesis_drift_m, "anywhere", hypothesis
+                        others[place], expected, HYPOTHESIS_DRIFT_M, "anywhere", hypothesis
                     )
                 )
         # Then anywhere: submaps that have not been searched yet first, and of these the near ones.

@@ -5,9 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-from slamfusion.config import GraphTrackingConfig
-
 TrackingStatus = Literal["tracked", "unsure", "failed", "kidnapped"]
+
+# A match worth less than this share of the usual one is bad. Right after a reset of the odometry
+# one that is worth less than the second share is enough: the robot was perhaps switched off and
+# moved.
+BAD_SHARE, RESET_SHARE = 0.6, 0.8
+# So many scans in a row, no place of which is sure: the robot is kidnapped. One bad scan or two are
+# a door or a crowd.
+LOST_SCANS = 4
+# So many bad scans among so many of the last ones: tracking has failed.
+FAILED_BAD, FAILED_SCANS = 3, 10
 
 
 @dataclass
@@ -16,27 +24,18 @@ class TrackingQuality:
 
     Attributes:
         unsure_row: scans in a row whose place was not sure.
-        bad: numbers of the bad scans among the last ``failed_scans``.
+        bad: numbers of the bad scans among the last ``FAILED_SCANS``.
     """
 
     unsure_row: int = 0
     bad: list[int] = field(default_factory=list)
 
-    def judge(
-        self,
-        number: int,
-        fit: float,
-        config: GraphTrackingConfig,
-        *,
-        is_sure: bool,
-        has_jumped: bool,
-    ) -> TrackingStatus:
+    def judge(self, number: int, fit: float, *, is_sure: bool, has_jumped: bool) -> TrackingStatus:
         """Take how a scan fitted, and return what that says of the robot.
 
         Args:
             number: of the scan.
             fit: what its match is worth, in the running mean score.
-            config: from where on a fit is bad, and how many bad ones are too many.
             is_sure: whether its place may be trusted.
             has_jumped: whether odometry has just been reset.
 
@@ -46,14 +45,14 @@ class TrackingQuality:
             reckoning places.
         """
         self.unsure_row = 0 if is_sure else self.unsure_row + 1
-        if self.unsure_row >= config.lost_scans or (has_jumped and fit < config.reset_share):
+        if self.unsure_row >= LOST_SCANS or (has_jumped and fit < RESET_SHARE):
             return "kidnapped"
-        self.bad = [bad for bad in self.bad if number - bad < config.failed_scans]
-        if fit < config.bad_share:
+        self.bad = [bad for bad in self.bad if number - bad < FAILED_SCANS]
+        if fit < BAD_SHARE:
             self.bad.append(number)
         if not is_sure:
             return "unsure"
-        return "failed" if len(self.bad) >= config.failed_bad else "tracked"
+        return "failed" if len(self.bad) >= FAILED_BAD else "tracked"
 
     def reset(self) -> None:
         """Forget what was: a new local map begins."""

@@ -15,6 +15,7 @@ from slamfusion.config import GraphConfig
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.slam.common.response import LEAST_SIGMA, MOST_SIGMA
 from slamfusion.slam.graph.closure_search import (
+    LOCAL_DRIFT_M,
     ClosureSearch,
     Found,
 )
@@ -27,7 +28,6 @@ pytestmark = pytest.mark.once
 
 F64 = npt.NDArray[np.float64]
 MEAN_SCORE = 0.75
-LOCAL_DRIFT_M, MOST_UNSEEN = GraphConfig().closure.local_drift_m, GraphConfig().closure.most_unseen
 
 
 @pytest.fixture(scope="module")

@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slamfusion.config import GraphConfig
 from slamfusion.geometry import Pose2
 from slamfusion.slam.graph.constraints import Constraint
 from slamfusion.slam.graph.hypotheses import (
+    BORNE_OUT_M,
+    BORNE_OUT_NODES,
+    MISSES,
     MOST_HYPOTHESES,
     RelocalizationHypotheses,
 )
@@ -16,9 +18,6 @@ from slamfusion.slam.graph.pending_closures import PendingClosure
 
 pytestmark = pytest.mark.once
 
-CONFIG = GraphConfig()
-BORNE_OUT_NODES = CONFIG.relocalization.borne_out_nodes
-BORNE_OUT_M, MISSES = CONFIG.relocalization.borne_out_m, CONFIG.relocalization.misses
 HERE = Pose2(3.0, -2.0, 0.5)
 TRUE, TWIN = Pose2(4.0, 1.0, 1.0), Pose2(-6.0, 2.0, -2.0)
 
@@ -37,7 +36,7 @@ def told(
 
 
 def test_a_hypothesis_is_believed_after_enough_hits_over_a_distance():
-    hypotheses = RelocalizationHypotheses(CONFIG)
+    hypotheses = RelocalizationHypotheses()
     for node in range(BORNE_OUT_NODES - 1):
         hypotheses.add(hit(node, TRUE), HERE)
         assert hypotheses.winner() is None
@@ -51,7 +50,7 @@ def test_a_hypothesis_is_believed_after_enough_hits_over_a_distance():
 
 
 def test_a_robot_that_hardly_drives_is_not_found():
-    hypotheses = RelocalizationHypotheses(CONFIG)
+    hypotheses = RelocalizationHypotheses()
     told(
         hypotheses,
         TRUE,
@@ -62,7 +61,7 @@ def test_a_robot_that_hardly_drives_is_not_found():
 
 
 def test_of_two_places_that_look_alike_none_is_believed_until_one_fails():
-    hypotheses = RelocalizationHypotheses(CONFIG)
+    hypotheses = RelocalizationHypotheses()
     for node in range(4 * BORNE_OUT_NODES):
         hypotheses.add(hit(node, TRUE), HERE)
         twin = hypotheses.add(hit(node, TWIN), HERE)
@@ -79,7 +78,7 @@ def test_of_two_places_that_look_alike_none_is_believed_until_one_fails():
 @pytest.mark.parametrize(("away", "count"), [((0.1, 0.1, 0.02), 1), ((0.5, 0.0, 0.0), 2)])
 def test_hits_that_say_the_same_are_one_hypothesis(away: tuple[float, float, float], count: int):
     """The same at the robot; what a correction does at the frame's origin is no matter."""
-    hypotheses = RelocalizationHypotheses(CONFIG)
+    hypotheses = RelocalizationHypotheses()
     place = TRUE.compose(HERE)
     other = Pose2(place.x + away[0], place.y + away[1], place.yaw_rad + away[2])
     hypotheses.add(hit(0, TRUE), HERE)
@@ -88,7 +87,7 @@ def test_hits_that_say_the_same_are_one_hypothesis(away: tuple[float, float, flo
 
 
 def test_the_least_supported_hypothesis_makes_room():
-    hypotheses = RelocalizationHypotheses(CONFIG)
+    hypotheses = RelocalizationHypotheses()
     told(hypotheses, TRUE, range(3))
     for number in range(2 * MOST_HYPOTHESES):
         hypotheses.add(hit(0, Pose2(30.0 + 3.0 * number, 0.0)), HERE)

@@ -9,10 +9,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slamfusion.config import GraphConfig
 from slamfusion.geometry import Pose2
 from slamfusion.slam.graph.constraints import Constraint
 from slamfusion.slam.graph.pending_closures import (
+    AGREEING_NODES,
+    AGREEMENT_M,
+    ODOMETRY_M,
+    ODOMETRY_NODES,
+    SMALL_STEP_M,
+    SMALL_STEP_RAD,
+    WAIT_NODES,
     How,
     PendingClosure,
     PendingClosures,
@@ -21,14 +27,10 @@ from tests.support.examples import examples
 
 pytestmark = pytest.mark.once
 
-CONFIG = GraphConfig()
-CLOSURE, LOST_ROBOT = CONFIG.closure, CONFIG.relocalization
-AGREEMENT_M = CLOSURE.agreement_m
-SMALL_STEP_M, SMALL_STEP_RAD = CLOSURE.small_step_m, CLOSURE.small_step_rad
 # By how it was searched: nodes that must agree, the way between them, nodes for which they wait.
 TRUST = {
-    "known": (CLOSURE.agreeing_nodes, 0.0, CLOSURE.wait_nodes),
-    "odometry": (LOST_ROBOT.odometry_nodes, LOST_ROBOT.odometry_m, CLOSURE.wait_nodes),
+    "known": (AGREEING_NODES, 0.0, WAIT_NODES),
+    "odometry": (ODOMETRY_NODES, ODOMETRY_M, WAIT_NODES),
 }
 
 
@@ -69,13 +71,13 @@ def moving(x: float, y: float, yaw_rad: float) -> Pose2:
     ],
 )
 def test_a_small_step_is_believed_at_once(step: tuple[float, float, float], is_small: bool):
-    pending, closure = PendingClosures(CONFIG), closure_of(7, moving(*step))
+    pending, closure = PendingClosures(), closure_of(7, moving(*step))
     assert pending.confirmed(closure, HERE) == ([closure] if is_small else [])
     assert pending.closures == ([] if is_small else [closure])
 
 
 def test_a_big_step_waits_for_one_that_says_the_same():
-    pending = PendingClosures(CONFIG)
+    pending = PendingClosures()
     first, second = closure_of(7, BIG), closure_of(9, BIG)
     assert pending.confirmed(first, HERE) == []
     assert pending.confirmed(second, HERE) == [second, first]
@@ -98,7 +100,7 @@ def test_a_big_step_waits_for_one_that_says_the_same():
 def test_what_would_move_the_robot_elsewhere_confirms_nothing(
     other: tuple[float, float, float], agrees: bool
 ):
-    pending = PendingClosures(CONFIG)
+    pending = PendingClosures()
     pending.confirmed(closure_of(7, moving(2.0, 1.0, 0.5)), HERE)
     assert len(pending.confirmed(closure_of(8, moving(*other)), HERE)) == (2 if agrees else 0)
 
@@ -106,7 +108,7 @@ def test_what_would_move_the_robot_elsewhere_confirms_nothing(
 @pytest.mark.parametrize("confirms", [True, False])
 def test_old_ones_expire(*, confirms: bool):
     later = TRUST["known"][2] + (0 if confirms else 1)
-    pending, second = PendingClosures(CONFIG), closure_of(7 + later, BIG)
+    pending, second = PendingClosures(), closure_of(7 + later, BIG)
     pending.confirmed(closure_of(7, BIG), HERE)
     assert len(pending.confirmed(second, HERE)) == (2 if confirms else 0)
     assert pending.closures == ([] if confirms else [second])
@@ -117,7 +119,7 @@ LOST: tuple[How, ...] = ("odometry",)
 
 def told(how: How, ones: list[tuple[int, Pose2]], every_m: float = 1.0) -> list[int]:
     """Return how many closures of a lost robot were believed, after each of them."""
-    pending = PendingClosures(CONFIG)
+    pending = PendingClosures()
     return [
         len(
             pending.confirmed(
@@ -178,7 +180,7 @@ def test_what_is_believed_does_not_depend_on_the_map_frame(
 ):
     """And every closure is believed once at most, after it was told, within its time."""
     turn = Pose2(*frame)
-    here, there = PendingClosures(CONFIG), PendingClosures(CONFIG)
+    here, there = PendingClosures(), PendingClosures()
     pose, number, believed = HERE, 0, []
     for further, step, how in ones:
         number += further

@@ -6,13 +6,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slamfusion.config import GraphTrackingConfig
-from slamfusion.errors import ConfigError
-from slamfusion.slam.graph.tracking_quality import TrackingQuality, TrackingStatus
+from slamfusion.slam.graph.tracking_quality import (
+    BAD_SHARE,
+    FAILED_BAD,
+    FAILED_SCANS,
+    LOST_SCANS,
+    RESET_SHARE,
+    TrackingQuality,
+    TrackingStatus,
+)
 
-CONFIG = GraphTrackingConfig()
-BAD_SHARE, RESET_SHARE = CONFIG.bad_share, CONFIG.reset_share
-LOST_SCANS, FAILED_BAD, FAILED_SCANS = CONFIG.lost_scans, CONFIG.failed_bad, CONFIG.failed_scans
 GOOD, BAD = BAD_SHARE, BAD_SHARE - 1e-9
 
 
@@ -20,7 +23,7 @@ def judged(fits: list[float], *, is_sure: bool = True) -> list[TrackingStatus]:
     """Return what is said of scans in a row, numbered from 1, all sure or none."""
     quality = TrackingQuality()
     return [
-        quality.judge(number, fit, CONFIG, is_sure=is_sure, has_jumped=False)
+        quality.judge(number, fit, is_sure=is_sure, has_jumped=False)
         for number, fit in enumerate(fits, 1)
     ]
 
@@ -43,7 +46,7 @@ def test_a_robot_is_kidnapped_after_as_many_unsure_scans_in_a_row():
 def test_after_a_reset_of_the_odometry_one_scan_that_fits_worse_is_enough(
     fit: float, *, has_jumped: bool, status: TrackingStatus
 ):
-    assert TrackingQuality().judge(1, fit, CONFIG, is_sure=True, has_jumped=has_jumped) == status
+    assert TrackingQuality().judge(1, fit, is_sure=True, has_jumped=has_jumped) == status
 
 
 @pytest.mark.parametrize(
@@ -60,9 +63,9 @@ def test_tracking_fails_with_as_many_bad_scans_among_the_last(later: int, last: 
 def test_a_new_local_map_forgets_what_was():
     quality = TrackingQuality()
     for number in range(LOST_SCANS - 1):
-        quality.judge(number, BAD, CONFIG, is_sure=False, has_jumped=False)
+        quality.judge(number, BAD, is_sure=False, has_jumped=False)
     quality.reset()
-    assert quality.judge(LOST_SCANS, BAD, CONFIG, is_sure=True, has_jumped=False) == "tracked"
+    assert quality.judge(LOST_SCANS, BAD, is_sure=True, has_jumped=False) == "tracked"
     assert quality == TrackingQuality(0, [LOST_SCANS])
 
 
@@ -77,8 +80,3 @@ def test_scans_that_fit_worse_never_make_it_better(fits: list[float], worse: lis
     better = judged(fits)
     lower = judged([fit * share for fit, share in zip(fits, worse, strict=False)])
     assert all(ORDER[low] >= ORDER[high] for low, high in zip(lower, better, strict=True))
-
-
-def test_a_failure_that_needs_more_bad_scans_than_are_looked_at_is_refused():
-    with pytest.raises(ConfigError, match=r"failed_bad \(11\) must not be above failed_scans"):
-        GraphTrackingConfig(failed_bad=11)
