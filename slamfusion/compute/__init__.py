@@ -1,7 +1,7 @@
 """Everything that runs once per cell, per point or per candidate pose, on a compute device.
 
 Each family of operations (``fields``, ``search``, ``votes``, ``rays``, ``tiles``, ``scan_match``,
-``cell_means``, ``hit_counts``, ``chunk_marks``, ``doubled_walls``, ``wall_pieces``) is one module:
+``cell_means``, ``hit_counts``, ``chunk_marks``, ``wall_pieces``) is one module:
 an operation is a method that launches kernels on an OpenCL device and otherwise computes the same
 with NumPy. ``ComputeDevice`` has all of them, and ``open_device`` chooses the device.
 pyopencl is imported here only, and only when an OpenCL device is asked for.

@@ -7,7 +7,6 @@ import numpy.typing as npt
 from slamfusion.compute.arrays import DeviceArray, Scalar, host
 from slamfusion.compute.cell_means import CellMeanDevice
 from slamfusion.compute.chunk_marks import ChunkMarkDevice
-from slamfusion.compute.doubled_walls import DoubledWallDevice
 from slamfusion.compute.fields import FieldDevice
 from slamfusion.compute.hit_counts import HitCountDevice
 from slamfusion.compute.rays import RayDevice
@@ -28,7 +27,6 @@ class ComputeDevice(
     CellMeanDevice,
     HitCountDevice,
     ChunkMarkDevice,
-    DoubledWallDevice,
     WallPieceDevice,
 ):
     """A device with all operations.

@@ -30,7 +30,6 @@ chunk mark            one bit for each of up to 32 chunks of a drive, uint32
 
 from __future__ import annotations
 
-import math
 from typing import Final
 
 import numpy as np
@@ -218,32 +217,6 @@ FACING_PARTS: Final = 128
 # Walls whose free sides lie so many parts apart, or more, were seen from opposite sides: 112.5
 # degrees. At a corner, and where a wall is ragged, faces of one wall differ by up to a right angle.
 OPPOSED_PARTS: Final = 40
-
-# -- doubled walls ---------------------------------------------------------------------------------
-
-# A group of fewer connected cells is a speck, not a wall.
-LEAST_GROUP: Final = 5
-# Cells on either side of one to which the two Gaussian filters give a weight, of a sum of 2^12.
-BLUR_RADIUS: Final = 4
-WINDOW_RADIUS: Final = 9
-WEIGHT_SHIFT: Final = 12
-# What products of gradients, and sums of these, lose so that the next sum fits into 32 bits.
-PRODUCT_SHIFT: Final = 11
-TENSOR_SHIFT: Final = 6
-# A part of a unit normal counts in 1/2^14; on a ray with a sample each half cell, in 1/2^15 cell.
-NORMAL_SHIFT: Final = 14
-RAY_SHIFT: Final = NORMAL_SHIFT + 1
-# Squares on a side of which the normals are computed together, of which a part of a map has a whole
-# number, and a ring of one around it.
-NORMAL_BLOCK: Final = 16
-# Least coherence of a wall, squared: 4/25.
-COHERENCE_PART: Final = 4
-COHERENCE_WHOLE: Final = 25
-# Between the centres of two diagonal neighbours the interpolated wall falls to 0.5; a ray that
-# samples every half cell still meets 0.4 there, so that it cannot slip through a diagonal wall.
-WALL_LEVEL: Final = round(0.4 * 4**RAY_SHIFT)
-# Least product of two unit normals of walls that are parallel: the cosine of 20 degrees.
-PARALLEL: Final = round(math.cos(math.radians(20.0)) * 4**NORMAL_SHIFT)
 
 # -- what the kernels get --------------------------------------------------------------------------
 

@@ -8,41 +8,47 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 
 import cv2
 import numpy as np
 import numpy.typing as npt
+from scipy import ndimage
 
-from slamfusion.compute import ComputeDevice, NumpyDevice
-from slamfusion.compute.doubled_walls import DOUBLED, RaySteps
 from slamfusion.config import NormalizeConfig
-from slamfusion.cores import usable_cores
 from slamfusion.grid import CellBox, OccupancyGrid, trinary_cells
 
 # Rows and columns of a part of an array.
 Window = tuple[slice, slice]
-IsWall = Callable[[npt.NDArray[np.int8]], npt.NDArray[np.bool_]]
+Bools = npt.NDArray[np.bool_]
+IsWall = Callable[[npt.NDArray[np.int8]], Bools]
+F32 = npt.NDArray[np.float32]
 
 _DEFAULT_NORMALIZE = NormalizeConfig()
-# Cells around a part of a map that decide what is doubled in it: rays of twice 8 cells, and windows
-# of the filters at their ends.
-REACH_CELLS, FILTERS_CELLS = 48, 32
-# A map with longer sides than the first is looked at in tiles: its filters would not fit into
-# memory, and NumPy's are several times as large as a device's. Tiles in which some cells are asked
-# about are smaller: those without any cost nothing.
-WHOLE_CELLS, DEVICE_TILE_CELLS, TILE_CELLS, ASKED_CELLS = 2048, 2048, 1024, 384
+# A map is looked at in tiles of this many cells: those without walls cost nothing.
+TILE_CELLS = 1024
+# Cells beyond the end of a ray that decide what is found there: windows of the filters.
+FILTERS_CELLS = 32
 # Distances of doubled walls, cells.
 NEAR, FAR = 2.0, 8.0
+# A group of fewer connected cells is a speck, not a wall.
+LEAST_GROUP = 5
+# Deviations of the filters that smooth walls, and gather the structure tensor, cells.
+SMOOTH_CELLS, WINDOW_CELLS = 1.0, 2.5
+# Least coherence of a wall: the difference of the tensor's eigenvalues over their sum.
+LEAST_COHERENCE = 0.4
+# Between the centres of two diagonal neighbours the interpolated wall falls to 0.5; a ray that is
+# sampled every half cell still meets 0.4 there, so that it cannot slip through a diagonal wall.
+WALL_LEVEL, STEPS_PER_CELL = 0.4, 2
+# Walls within this angle are parallel, degrees.
+PARALLEL_DEG = 20.0
 
 
 def doubled_wall_share(
-    grid: OccupancyGrid | npt.NDArray[np.bool_],
+    grid: OccupancyGrid | Bools,
     near: float = NEAR,
     far: float = FAR,
     *,
     normalize: NormalizeConfig = _DEFAULT_NORMALIZE,
-    device: ComputeDevice | None = None,
 ) -> float:
     """Return the share of wall cells that have a parallel wall ``near`` to ``far`` cells away.
 
@@ -52,16 +58,15 @@ def doubled_wall_share(
             2, which leaves one cell between them.
         far: most cells likewise.
         normalize: the thresholds of a grid.
-        device: computes, the same on every one; None: NumPy.
 
     Returns:
         0..1; 0 for a map without walls.
     """
-    considered, doubled = _count(_walls(grid, normalize), near, far, device)
+    considered, doubled = _count(_walls(grid, normalize), near, far)
     return int(np.count_nonzero(doubled)) / considered if considered else 0.0
 
 
-def _is_occupied(cells: npt.NDArray[np.int8]) -> npt.NDArray[np.bool_]:
+def _is_occupied(cells: npt.NDArray[np.int8]) -> Bools:
     return np.equal(cells, 1)
 
 
@@ -69,7 +74,6 @@ def fused_doubled_shares(
     fused: npt.NDArray[np.int8],
     inputs: Iterable[tuple[npt.NDArray[np.int8], CellBox]],
     *,
-    device: ComputeDevice | None = None,
     is_wall: IsWall = _is_occupied,
 ) -> tuple[float, float]:
     """Return the shares of fused wall cells that are doubled, and doubled in no input.
@@ -84,27 +88,24 @@ def fused_doubled_shares(
         fused: (H, W) int8, above 0 at a wall.
         inputs: the aligned inputs, (h, w) int8 in {-1, 0, 1}, each with the box of cells of the
             fused lattice that it covers.
-        device: computes, the same on every one; None: NumPy.
         is_wall: tells the walls among the cells of a part of an input, where these are others.
 
     Returns:
         0..1 each; 0 for a map without walls.
     """
-    considered, doubled = _count(fused > 0, NEAR, FAR, device)
+    considered, doubled = _count(fused > 0, NEAR, FAR)
     if not considered:
         return 0.0, 0.0
     share = int(np.count_nonzero(doubled)) / considered
-    device = device or NumpyDevice()
     for cells, box in inputs:
-        _take_doubled(doubled, cells, box, device, is_wall)
+        _take_doubled(doubled, cells, box, is_wall)
     return share, int(np.count_nonzero(doubled)) / considered
 
 
 def _take_doubled(
-    doubled: npt.NDArray[np.bool_],
+    doubled: Bools,
     cells: npt.NDArray[np.int8],
     box: CellBox,
-    device: ComputeDevice,
     is_wall: IsWall,
 ) -> None:
     """Clear the doubled cells near which an input has doubled walls, in place.
@@ -113,10 +114,9 @@ def _take_doubled(
         doubled: (H, W) bool.
         cells: (h, w) int8, the input.
         box: where in the array it lies.
-        device: computes.
         is_wall: tells the walls among its cells.
     """
-    for tile, wide, inner in _tiles(doubled.shape, ASKED_CELLS, REACH_CELLS):
+    for tile, wide, inner in _tiles(doubled.shape, FAR):
         if not doubled[tile].any():
             continue
         height, width = doubled[wide].shape
@@ -127,13 +127,12 @@ def _take_doubled(
         if not part.any():
             continue
         top, left = max(-row, 0), max(-col, 0)
-        walls = np.zeros((height, width), dtype=np.uint8)
+        walls = np.zeros((height, width), dtype=np.bool_)
         walls[top : top + part.shape[0], left : left + part.shape[1]] = part
-        marks = device.mark_doubled(walls, _grown(asked).view(np.uint8), RaySteps.of(NEAR, FAR))
-        doubled[tile] &= ~_grown(marks == DOUBLED)[inner]
+        doubled[tile] &= ~_grown(_doubled(walls, _grown(asked), NEAR, FAR)[1])[inner]
 
 
-def _grown(cells: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+def _grown(cells: Bools) -> Bools:
     """Return cells, and those within two steps along rows and columns of one."""
     cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
     grown = cv2.dilate(np.ascontiguousarray(cells).view(np.uint8), cross, iterations=2)
@@ -141,13 +140,12 @@ def _grown(cells: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
 
 
 def doubled_wall_cells(
-    grid: OccupancyGrid | npt.NDArray[np.bool_],
+    grid: OccupancyGrid | Bools,
     near: float = NEAR,
     far: float = FAR,
     *,
     normalize: NormalizeConfig = _DEFAULT_NORMALIZE,
-    device: ComputeDevice | None = None,
-) -> npt.NDArray[np.bool_]:
+) -> Bools:
     """Mark the wall cells that have a parallel wall ``near`` to ``far`` cells away.
 
     From each wall cell a ray goes along the wall's normal to either side. It first crosses its own
@@ -165,7 +163,6 @@ def doubled_wall_cells(
             2, which leaves one cell between them.
         far: most cells likewise.
         normalize: the thresholds of a grid.
-        device: computes, the same on every one; None: NumPy.
 
     Returns:
         (H, W) bool.
@@ -175,59 +172,136 @@ def doubled_wall_cells(
     Source: structure tensor and coherence as in Bigun and Granlund, "Optimal orientation detection
         of linear symmetry", ICCV 1987.
     """
-    return _count(_walls(grid, normalize), near, far, device)[1]
+    return _count(_walls(grid, normalize), near, far)[1]
 
 
-def _count(
-    walls: npt.NDArray[np.bool_],
-    near: float,
-    far: float,
-    device: ComputeDevice | None,
-) -> tuple[int, npt.NDArray[np.bool_]]:
+def _count(walls: Bools, near: float, far: float) -> tuple[int, Bools]:
     """Return how many cells are walls and no specks, and the doubled ones."""
     if not 2.0 <= near <= far:
         message = f"near and far must satisfy 2 <= near <= far cells, found {near:g} and {far:g}"
         raise ValueError(message)
-    device = device or NumpyDevice()
-    steps = RaySteps.of(near, far)
-    doubled = np.zeros(walls.shape, dtype=np.bool_)
-
-    def look(part: tuple[Window, Window, Window]) -> int:
-        """Look at one tile; tiles are written by nobody else.
-
-        Groups that the part's edge cuts are no specks that reach what is asked about.
-        """
-        tile, wide, inner = part
-        if not walls[tile].any():
-            return 0
-        asked = np.zeros(walls[wide].shape, dtype=np.uint8)
-        asked[inner] = walls[tile]
-        marks = device.mark_doubled(walls[wide].view(np.uint8), asked, steps)[inner]
-        doubled[tile] = marks == DOUBLED
-        return int(np.count_nonzero(marks))
-
-    side = DEVICE_TILE_CELLS if device.opencl else TILE_CELLS
-    parts = list(_tiles(walls.shape, side, 2 * math.ceil(far) + FILTERS_CELLS))
-    if len(parts) == 1 or device.opencl:
-        return sum(map(look, parts)), doubled
-    with ThreadPoolExecutor(usable_cores()) as threads:
-        return sum(threads.map(look, parts)), doubled
+    considered, doubled = 0, np.zeros(walls.shape, dtype=np.bool_)
+    for tile, wide, inner in _tiles(walls.shape, far):
+        if walls[tile].any():
+            asked = np.zeros(walls[wide].shape, dtype=np.bool_)
+            asked[inner] = True
+            # Groups that the part's edge cuts are no specks that reach what is asked about.
+            kept, marks = _doubled(walls[wide], asked, near, far)
+            considered += int(np.count_nonzero(kept))
+            doubled[tile] = marks[inner]
+    return considered, doubled
 
 
-def _tiles(
-    shape: tuple[int, ...], side: int, reach: int
-) -> Iterator[tuple[Window, Window, Window]]:
+def _doubled(walls: Bools, asked: Bools, near: float, far: float) -> tuple[Bools, Bools]:
+    """Return which of the cells asked about are walls, and which of these are doubled.
+
+    Args:
+        walls, asked: (H, W).
+        near, far: see ``doubled_wall_cells``.
+    """
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(walls.astype(np.uint8), connectivity=8)
+    is_large = np.asarray(stats)[:, cv2.CC_STAT_AREA] >= LEAST_GROUP
+    is_large[0] = False
+    walls = is_large[labels]
+    kept = walls & asked
+    doubled = np.zeros_like(kept)
+    rows, cols = np.nonzero(kept)
+    drawn = walls.astype(np.float32)
+    angles = _Normals(drawn)
+    angle = angles.at(rows, cols)
+    for side in (0.0, math.pi):
+        ways = np.stack([np.sin(angle + side), np.cos(angle + side)])
+        # Half a cell further the ray is inside the other wall.
+        steps = _next_wall(drawn, np.stack([rows, cols]), ways, near, far)
+        rays = np.flatnonzero(steps)
+        hits = np.stack([rows, cols])[:, rays] + (steps[rays] + 1) / STEPS_PER_CELL * ways[:, rays]
+        hit_rows, hit_cols = np.floor(hits + 0.5).astype(np.intp)
+        turn = angles.at(hit_rows, hit_cols) - angle[rays]
+        is_parallel = np.abs(np.cos(turn)) >= math.cos(math.radians(PARALLEL_DEG))
+        doubled[rows[rays[is_parallel]], cols[rays[is_parallel]]] = True
+    return kept, doubled
+
+
+class _Normals:
+    """Directions across walls, by the structure tensor of smoothed walls.
+
+    Args:
+        drawn: (H, W) float32, 1 at a wall.
+    """
+
+    def __init__(self, drawn: F32) -> None:
+        smooth = _smoothed(drawn, SMOOTH_CELLS)
+        gx, gy = (
+            cv2.Sobel(smooth, cv2.CV_32F, *way, borderType=cv2.BORDER_CONSTANT)
+            for way in ((1, 0), (0, 1))
+        )
+        products = np.stack([gx * gx, gy * gy, gx * gy])
+        self._tensor = [_smoothed(product, WINDOW_CELLS) for product in products]
+
+    def at(self, rows: npt.NDArray[np.intp], cols: npt.NDArray[np.intp]) -> F32:
+        """Return angles from the x axis at cells, radians; NaN where no direction prevails."""
+        height, width = self._tensor[0].shape
+        inside = np.clip(rows, 0, height - 1), np.clip(cols, 0, width - 1)
+        jxx, jyy, jxy = (part[inside] for part in self._tensor)
+        cosine, sine, energy = jxx - jyy, 2.0 * jxy, jxx + jyy
+        is_clear = (energy > 0.0) & (np.hypot(cosine, sine) >= LEAST_COHERENCE * energy)
+        return np.where(is_clear, 0.5 * np.arctan2(sine, cosine), np.float32(np.nan))
+
+
+def _smoothed(values: F32, sigma: float) -> F32:
+    size = 2 * math.ceil(3.5 * sigma) + 1
+    blurred = cv2.GaussianBlur(values, (size, size), sigma, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(blurred, dtype=np.float32)
+
+
+def _next_wall(
+    drawn: F32, cells: npt.NDArray[np.intp], ways: F32, near: float, far: float
+) -> npt.NDArray[np.int64]:
+    """Walk along rays to the beginning of the next wall.
+
+    Args:
+        drawn: (H, W), 1 at a wall.
+        cells: (2, N) rows and columns where rays begin, on a wall.
+        ways: (2, N) unit vectors; NaN goes nowhere.
+        near, far: see ``doubled_wall_cells``.
+
+    Returns:
+        (N,) the number of the step of half a cell; 0 where there is none.
+    """
+    # From the last sample on the own wall: to one that is on it too, to the first of another, and
+    # as long as the ray goes on. One cell less, since walls reach half a cell beyond centres.
+    most_own = math.ceil((near - 1.0) * STEPS_PER_CELL) - 1
+    most_other = math.floor((far - 1.0) * STEPS_PER_CELL)
+    found, own_end = np.zeros((2, cells.shape[1]), dtype=np.int64)
+    goes_on = np.isfinite(ways[0])
+    for step in range(1, int(2 * far * STEPS_PER_CELL) + 1):
+        rays = np.flatnonzero(goes_on)
+        if rays.size == 0:
+            break
+        places = cells[:, rays] + step / STEPS_PER_CELL * ways[:, rays]
+        level = ndimage.map_coordinates(drawn, places, order=1, mode="constant", prefilter=False)
+        width = step - own_end[rays]
+        is_own = (level >= WALL_LEVEL) & (width <= most_own)
+        is_other = (level >= WALL_LEVEL) & ~is_own & (width <= most_other)
+        own_end[rays[is_own]] = step
+        found[rays[is_other]] = step
+        width = step - own_end[rays]
+        is_thick = own_end[rays] > far * STEPS_PER_CELL
+        goes_on[rays] = ~is_other & ~is_thick & (width < (far - 1.0) * STEPS_PER_CELL)
+    return found
+
+
+def _tiles(shape: tuple[int, ...], far: float) -> Iterator[tuple[Window, Window, Window]]:
     """Yield tiles that together are all of an array of a shape.
 
     Args:
         shape: rows and columns.
-        side: rows and columns of a tile, where the array is not looked at as a whole.
-        reach: cells around a tile that decide what is found in it.
+        far: half the length of rays, cells.
 
     Yields:
         The tile, the same with the cells around it, and where in these the tile lies.
     """
-    side = side if max(shape) > WHOLE_CELLS else WHOLE_CELLS
+    side, reach = TILE_CELLS, 2 * math.ceil(far) + FILTERS_CELLS
     for row in range(0, shape[0], side):
         for col in range(0, shape[1], side):
             tile = slice(row, min(row + side, shape[0])), slice(col, min(col + side, shape[1]))
@@ -239,9 +313,7 @@ def _tiles(
             yield tile, wide, (rows, cols)
 
 
-def _walls(
-    grid: OccupancyGrid | npt.NDArray[np.bool_], normalize: NormalizeConfig
-) -> npt.NDArray[np.bool_]:
+def _walls(grid: OccupancyGrid | Bools, normalize: NormalizeConfig) -> Bools:
     """Return the occupied cells as (H, W) bool."""
     if isinstance(grid, OccupancyGrid):
         classes = trinary_cells(grid.cells, normalize)

@@ -238,7 +238,7 @@ def fuse_maps(
         evaluations = evaluate_maps(measured, true_grid, config, device, progress=progress)
     # The last evaluation is of the fused map.
     known = {found.name: found.doubled_wall_share for found in evaluations[:-1]}
-    doubled = DoubledWalls.of(result, config, device, known)
+    doubled = DoubledWalls.of(result, config, known)
     return FusedMaps(config, result, doubled, evaluations, given)
 
 

@@ -321,7 +321,7 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
 
     # Measure everything by what is known.
     with stages.timed("errors"):
-        doubled = None if fusion.result is None else DoubledWalls.of(fusion.result, config, device)
+        doubled = None if fusion.result is None else DoubledWalls.of(fusion.result, config)
         fused = None if fusion.result is None else fusion.result.fused.with_name(FUSED)
         evaluations: tuple[Evaluation, ...] = ()
         if true_map is not None and grids:

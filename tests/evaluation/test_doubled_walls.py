@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from slamfusion.compute import open_device
 from slamfusion.evaluation import (
     doubled_wall_cells,
     doubled_wall_share,
@@ -125,12 +124,11 @@ def test_a_large_map_is_looked_at_in_tiles(monkeypatch: pytest.MonkeyPatch) -> N
     wanted = doubled_wall_cells(walls)
     assert wanted.sum() > 100
     for side in (33, 64, 100):
-        monkeypatch.setattr(doubled_walls, "WHOLE_CELLS", 1)
         monkeypatch.setattr(doubled_walls, "TILE_CELLS", side)
         assert np.array_equal(doubled_wall_cells(walls), wanted)
 
 
-def test_tiles_and_devices_tell_the_same_of_inputs(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_tiles_tell_the_same_of_inputs(monkeypatch: pytest.MonkeyPatch) -> None:
     """Inputs that know a part of the place each, some of it doubled in them, too."""
     fused = np.zeros((150, 190), dtype=np.int8)
     fused[5:145:23, 4:180] = fused[10:150:23, 4:90] = 1
@@ -143,9 +141,7 @@ def test_tiles_and_devices_tell_the_same_of_inputs(monkeypatch: pytest.MonkeyPat
     codes = [(np.where(cells == 1, 5, cells).astype(np.int8), box) for cells, box in inputs]
     wanted = fused_doubled_shares(fused, inputs)
     assert wanted[0] > 2 * wanted[1] > 0.1
-    monkeypatch.setattr(doubled_walls, "WHOLE_CELLS", 1)
     for side in (40, 77):
-        for name in ("DEVICE_TILE_CELLS", "TILE_CELLS", "ASKED_CELLS"):
-            monkeypatch.setattr(doubled_walls, name, side)
-        assert fused_doubled_shares(fused, inputs, device=open_device()) == wanted
+        monkeypatch.setattr(doubled_walls, "TILE_CELLS", side)
+        assert fused_doubled_shares(fused, inputs) == wanted
         assert fused_doubled_shares(fused, codes, is_wall=lambda cells: cells == 5) == wanted

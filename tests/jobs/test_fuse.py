@@ -49,7 +49,7 @@ def test_maps_are_fused_measured_and_written(
             truth=truth,
             progress=lambda *words: told.append(words[0]),
         )
-    assert fused.doubled == DoubledWalls.of(fused.result, CONFIG, device())
+    assert fused.doubled == DoubledWalls.of(fused.result, CONFIG)
     assert len(fused.result.accepted) == 3
     assert [item.name for item in fused.evaluations][-1] == "fused"
     assert "evaluate" in told

@@ -5,12 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
 from slamfusion.compute.compute_device import ComputeDevice
-from slamfusion.compute.doubled_walls import RaySteps
 from slamfusion.compute.lattice import fixed_poses
 from slamfusion.compute.layout import (
     DISTANCE2_MAX,
@@ -253,21 +251,6 @@ def _cast_rays(device: ComputeDevice, sample: Sample) -> Arrays:
     ]
 
 
-def _mark_doubled(device: ComputeDevice, sample: Sample) -> Arrays:
-    # Pairs of lines of all directions and thicknesses: noise alone has no normals.
-    rng = sample.rng
-    walls = (rng.random(sample.shape) < 0.02 * sample.known_share).astype(np.uint8)
-    size = np.array(sample.shape[::-1])
-    for thickness in (1, 1, 1, 1, 2, 4):
-        ends = (rng.uniform(-0.2, 1.2, (2, 2)) * size).astype(int)
-        for line in (ends, ends + rng.integers(3, 7, 2)):
-            start, end = line.tolist()
-            cv2.line(walls, start, end, int(sample.known_share > 0.0), thickness)
-    asked = rng.choice(2, sample.shape, p=(0.2, 0.8)).astype(np.uint8)
-    limits = ((2.0, 8.0), (3.3, 5.2), (2.0, 21.0))
-    return [device.mark_doubled(walls, asked, RaySteps.of(*limit)) for limit in limits]
-
-
 GRID_CHECKS: dict[str, Check] = {
     "solid_walls": _solid_walls,
     "surface_walls": _surface_walls,
@@ -290,5 +273,4 @@ GRID_CHECKS: dict[str, Check] = {
     "vote_majority": _vote_majority,
     "vote_walls": _vote_walls,
     "cast_rays": _cast_rays,
-    "mark_doubled": _mark_doubled,
 }
