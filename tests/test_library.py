@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import subprocess
 import sys
 from pathlib import Path
@@ -46,19 +45,6 @@ def test_every_public_name_is_there(name: str) -> None:
     assert name in dir(slamfusion)
     if callable(value):
         assert value.__doc__
-
-
-def test_what_the_type_checker_sees_is_what_is_loaded() -> None:
-    tree = ast.parse(Path(slamfusion.__file__).read_text(encoding="utf-8"))
-    (checked,) = (node for node in tree.body if isinstance(node, ast.If))
-    seen = {
-        alias.name: node.module
-        for node in checked.body
-        if isinstance(node, ast.ImportFrom)
-        for alias in node.names
-    }
-    assert seen == {name: f"slamfusion.{home}" for name, home in slamfusion._HOMES.items()}
-    assert set(seen) == set(PUBLIC)
 
 
 def test_a_name_that_is_not_there_is_no_attribute() -> None:

@@ -40,7 +40,8 @@ def test_the_wheel_carries_every_kernel(tmp_path: Path):
     sources = {f"slamfusion/kernels/{path.name}" for path in (ROOT / "kernels").iterdir()}
     assert sources
     assert sources <= inside
-    assert {"slamfusion/py.typed", "slamfusion/jobs/schema.json"} <= inside
+    data = ("py.typed", "__init__.pyi", "jobs/schema.json")
+    assert {f"slamfusion/{name}" for name in data} <= inside
     assert {"slamfusion/viewer/static/stage.js", "slamfusion/page/static/index.html"} <= inside
     assert not any(name.startswith("tests/") for name in inside)
 

@@ -26,7 +26,7 @@ setup(
     packages=[*find_packages(include=[NAME, f"{NAME}.*"]), *KERNELS],
     package_dir=dict.fromkeys(KERNELS, "kernels"),
     package_data={
-        NAME: ["py.typed"],
+        NAME: ["py.typed", "__init__.pyi"],
         f"{NAME}.jobs": ["schema.json"],
         f"{NAME}.page": ["static/*"],
         f"{NAME}.report": ["templates/*"],
@@ -44,7 +44,7 @@ setup(
     entry_points={
         "console_scripts": [
             "slamfusion = slamfusion.cli.main:main",
-            *(f"{name}_node = slamfusion.cli.executables:node" for name in NODES),
+            *(f"{name}_node = slamfusion.cli.main:node" for name in NODES),
         ]
     },
 )

@@ -1,4 +1,4 @@
-"""Entry point of the ``slamfusion`` command.
+"""Entry points: of the ``slamfusion`` command, and of the programs that ``ros2 run`` starts.
 
 Exit codes: 0 done; 1 expected failure, with one line on stderr; 2 wrong usage; 130 interrupted;
 141 the reader of our output went away.
@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -23,3 +24,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
             print("slamfusion: interrupted", file=sys.stderr)
         code = 130
     sys.exit(code)
+
+
+def node() -> None:
+    """Run the node that this program is named after (``NAME_node``); never returns."""
+    name = Path(sys.argv[0]).name.removesuffix("_node")
+    given = sys.argv[1:]
+    if given in (["-h"], ["--help"]):
+        main(["node", "--help"])
+    main(["node", name, *given])
