@@ -10,18 +10,16 @@ import contextlib
 import logging
 import multiprocessing
 import threading
-import time
 import warnings
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import CancelledError, Executor, Future, InvalidStateError
+from concurrent.futures import CancelledError, Executor, Future
 from typing import Any, TypeVar
-from weakref import WeakSet
 
 from slamfusion.compute import shared_device
 from slamfusion.cores import usable_cores
 from slamfusion.errors import FleetError
-from slamfusion.fleet.children import interrupts_held, threads_limited
+from slamfusion.fleet import interrupts_held, threads_limited
 from slamfusion.version import __version__
 
 try:
@@ -36,11 +34,8 @@ _LOG = logging.getLogger(__name__)
 
 Result = TypeVar("Result")
 
-# Patience, seconds: with a scheduler that does not answer, with one that has no worker yet, and
-# with one that has lost all of them.
-ANSWER_S, WORKERS_S, NO_WORKERS_S = 5.0, 5.0, 60.0
-# How often the workers are counted, seconds.
-LOOK_S = 2.0
+# Patience with a scheduler that does not answer, and with one that has no worker yet, seconds.
+ANSWER_S, WORKERS_S = 5.0, 5.0
 
 
 @contextlib.contextmanager
@@ -79,7 +74,7 @@ def _gone(where: str) -> str:
 
 
 class _Workers(ClientExecutor):  # type: ignore[misc]  # Dask has no types
-    """Executor of a Dask client; while it is open it looks after scheduler and workers.
+    """Executor of a Dask client.
 
     Attributes:
         slots: the workers that there are: each does one task at a time.
@@ -87,18 +82,16 @@ class _Workers(ClientExecutor):  # type: ignore[misc]  # Dask has no types
 
     def __init__(self, client: Any, where: str) -> None:
         super().__init__(client)
-        self._where, self._given = where, WeakSet[Future[Any]]()
-        self._ended = threading.Event()
-        until = time.monotonic() + WORKERS_S
-        while not self._count():
-            if time.monotonic() > until:
-                message = (
-                    f"the scheduler at {where} has no workers; start some with "
-                    f"`dask worker {where} --nthreads 1`"
-                )
-                raise FleetError(message)
-            time.sleep(0.1)
-        threading.Thread(target=self._look, daemon=True).start()
+        self._where = where
+        try:
+            client.wait_for_workers(1, WORKERS_S)
+        except distributed.TimeoutError:
+            message = (
+                f"the scheduler at {where} has no workers; start some with "
+                f"`dask worker {where} --nthreads 1`"
+            )
+            raise FleetError(message) from None
+        self.slots = len(client.scheduler_info(n_workers=-1)["workers"])
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
         if self._client.status != "running":
@@ -106,35 +99,12 @@ class _Workers(ClientExecutor):  # type: ignore[misc]  # Dask has no types
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of arguments of megabytes, which are meant
             future: Future[Any] = super().submit(_do_alone, function, *arguments)
-        self._given.add(future)
-        return future
+            return future
 
     def end(self) -> None:
         """Give up what is not done."""
-        self._ended.set()
         with contextlib.suppress(Exception):  # of what is over anyway
             self._client.cancel(list(self._futures), force=True)
-
-    def _count(self) -> int:
-        self.slots = len(self._client.scheduler_info(n_workers=-1)["workers"])
-        return self.slots
-
-    def _look(self) -> None:
-        """Count the workers now and then; end all tasks if no worker is left."""
-        seen_s = time.monotonic()
-        message = f"the scheduler at {self._where} has lost all its workers; start some"
-        while time.monotonic() - seen_s < NO_WORKERS_S:
-            if self._ended.wait(LOOK_S):
-                return
-            try:
-                if self._count():
-                    seen_s = time.monotonic()
-            except Exception:  # noqa: BLE001 - whatever it says, there is no answer
-                message = _gone(self._where)
-                break
-        for future in list(self._given):
-            with contextlib.suppress(InvalidStateError):  # it is done
-                future.set_exception(FleetError(message))
 
 
 @contextlib.contextmanager

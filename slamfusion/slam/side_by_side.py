@@ -23,7 +23,7 @@ from typing import Any
 from slamfusion.config import RunConfig
 from slamfusion.cores import usable_cores
 from slamfusion.errors import ConfigError, SlamFusionError
-from slamfusion.fleet.children import interrupts_held, threads_limited
+from slamfusion.fleet import interrupts_held, threads_limited
 from slamfusion.io.logs import open_log
 from slamfusion.slam.common.runner import ProducerRun, run_producer
 from slamfusion.slam.registry import (

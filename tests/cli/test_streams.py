@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from slamfusion.cli.program import COMMANDS as ALL
-from slamfusion.fleet.children import interrupts_held
+from slamfusion.fleet import interrupts_held
 from slamfusion.io import write_carmen, write_tum
 from slamfusion.trajectory import Trajectory
 from tests.cli.command import INSTALLED, MAPS, ROOT, TRUTH, server, without_progress
@@ -112,7 +112,7 @@ def test_the_first_process_begins_without_hearing_one_too() -> None:
     code = """if True:
         import signal
         from multiprocessing import resource_tracker
-        from slamfusion.fleet.children import interrupts_held
+        from slamfusion.fleet import interrupts_held
         with interrupts_held():
             resource_tracker.ensure_running()
             print(signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, []))
