@@ -1,3 +1,25 @@
-"""The version of the package, for every module below the package's own."""
+"""The version of the package, and of those that its results depend on."""
+
+from __future__ import annotations
+
+import platform
 
 __version__ = "0.1.0"
+
+DISTRIBUTIONS = ("numpy", "scipy", "opencv-python-headless", "pyopencl", "PyYAML", "click", "rich")
+
+
+def versions() -> dict[str, str | None]:
+    """Return the versions that decide a result; None where a package is absent."""
+    found: dict[str, str | None] = {"python": platform.python_version()}
+    return found | {name: version_of(name) for name in ("slamfusion", *DISTRIBUTIONS)}
+
+
+def version_of(distribution: str) -> str | None:
+    """Return the version of an installed distribution; None where it is absent."""
+    import importlib.metadata  # noqa: PLC0415  (loads slowly)
+
+    try:
+        return importlib.metadata.version(distribution)
+    except importlib.metadata.PackageNotFoundError:
+        return None

@@ -8,16 +8,17 @@ from typing import TYPE_CHECKING
 
 import click
 
-from slamfusion.cli.options import common_options, map_resolution_option, with_config
-from slamfusion.cli.output import notice, print_json, print_table
-from slamfusion.cli.paths import MAP
-from slamfusion.cli.starts import (
+from slamfusion.cli.options import (
     GivenStarts,
-    JoinedStart,
+    common_options,
+    map_resolution_option,
     start_errors,
     start_option,
+    with_config,
     with_starts,
 )
+from slamfusion.cli.output import notice, print_json, print_table
+from slamfusion.cli.paths import MAP
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError
 from slamfusion.geometry import Pose2
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     from slamfusion.align.records import Alignment
 
 
-@click.command("align", cls=JoinedStart)
+@click.command("align")
 @click.argument("reference", type=MAP)
 @click.argument("moving", type=MAP)
 @start_option(

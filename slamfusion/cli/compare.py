@@ -9,11 +9,9 @@ from typing import TYPE_CHECKING
 import click
 
 from slamfusion.cli.options import check_picture, common_options, output_option
-from slamfusion.cli.output import notice, print_json, print_table
+from slamfusion.cli.output import NOTHING, notice, print_json, print_table
 from slamfusion.cli.paths import FILE
-from slamfusion.cli.results import print_by_case
-from slamfusion.cli.table_files import table_option
-from slamfusion.cli.tables import NOTHING
+from slamfusion.cli.results import print_by_case, table_option
 from slamfusion.jobs.documents import number, p_text
 
 if TYPE_CHECKING:

@@ -28,15 +28,15 @@ from slamfusion.cli.results import (
     print_repetitions,
     results_option,
     save_results,
+    table_option,
 )
-from slamfusion.cli.table_files import table_option
 from slamfusion.config import RunConfig
 from slamfusion.jobs.cases import CaseFile, Placed, case_names, place_files
 from slamfusion.jobs.documents import number
 from slamfusion.jobs.inputs import device_for, distinct_names, load_maps, map_file
 
 if TYPE_CHECKING:
-    from slamfusion.evaluation import DistanceComparison
+    from slamfusion.evaluation import DistanceComparison, Figure
     from slamfusion.grid import OccupancyGrid
     from slamfusion.jobs.records import CasesEvaluationDocument, EvaluateDocument, Evaluation
 
@@ -229,24 +229,21 @@ def _write_cases(
     from slamfusion.io import AtomicFiles  # noqa: PLC0415
     from slamfusion.jobs.evaluate import write_evaluation  # noqa: PLC0415
 
-    cases = list(dict.fromkeys(item.case for item in placed))
-    report, image = request.report_dir, request.image_path
+    several = len(request.truths) > 1
     with AtomicFiles() as files:
-        for case in cases:
-            own = [
-                found for item, found in zip(placed, evaluations, strict=True) if item.case == case
-            ]
-            if len(request.truths) > 1:
-                report = None if request.report_dir is None else request.report_dir / case
-                if request.image_path is not None:
-                    image = request.image_path.with_stem(f"{request.image_path.stem}_{case}")
+        for case in dict.fromkeys(item.case for item in placed):
+            report, image = request.report_dir, request.image_path
+            if several:
+                report = report and report / case
+                image = image and image.with_stem(f"{image.stem}_{case}")
+            pairs = zip(placed, evaluations, strict=True)
             write_evaluation(
-                own,
+                [found for item, found in pairs if item.case == case],
                 config,
                 device=device,
                 report=report,
                 image=image,
-                name_each=len(request.truths) > 1,
+                name_each=several,
                 files=files,
             )
 
@@ -303,74 +300,36 @@ def _inputs(request: _Request, truths: Mapping[str, Path]) -> list[tuple[str, st
 
 
 def print_evaluations(evaluations: Sequence[Evaluation]) -> None:
-    """Print one row of measures for each map."""
-    rows = []
-    for evaluation in evaluations:
-        outward, back = evaluation.map_to_truth_m, evaluation.truth_to_map_m
-        rows.append(
-            [
-                evaluation.name,
-                "yes" if evaluation.aligned else "NO",
-                number(evaluation.error, 2),
-                number(evaluation.wall_precision),
-                number(evaluation.wall_recall),
-                number(evaluation.wall_f1),
-                number(evaluation.iou_occupied),
-                number(evaluation.iou_free),
-                number(None if outward is None else outward.mean),
-                number(None if back is None else back.mean),
-                number(evaluation.ssim),
-                number(evaluation.coverage),
-            ]
-        )
-    columns = (
-        "map ",
-        "aligned ",
-        "error",
-        "wall precision",
-        "recall",
-        "F1",
-        "IoU wall",
-        "IoU free",
-        "to truth m",
-        "from truth m",
-        "SSIM",
-        "coverage",
+    """Print the errors of each map, then the figures that reward no thickness."""
+    from slamfusion.evaluation import face_figures, shown_figures  # noqa: PLC0415  (loads slowly)
+
+    first = evaluations[0]
+    _print_figures(
+        ("map ", "aligned "),
+        [(item.name, "yes" if item.aligned else "NO") for item in evaluations],
+        list(map(shown_figures, evaluations)),
+        f"Error against {first.truth} (walls within {first.tolerance_m:g} m)",
     )
-    tolerance = evaluations[0].tolerance_m
-    title = f"Error against {evaluations[0].truth} (walls within {tolerance:g} m)"
-    print_table(columns, rows, title=title)
-    _print_faces(evaluations)
+    _print_figures(
+        ("map ",),
+        [(item.name,) for item in evaluations],
+        list(map(face_figures, evaluations)),
+        "Faces of walls (wall cells beside free ones), which reward no thickness",
+    )
 
 
-def _print_faces(evaluations: Sequence[Evaluation]) -> None:
-    """Print the measures that reward no thickness, one row for each map."""
-    rows = []
-    for evaluation in evaluations:
-        faces, thickness = evaluation.faces, evaluation.wall_thickness_m
-        outward, back = faces.map_to_truth_m, faces.truth_to_map_m
-        rows.append(
-            [
-                evaluation.name,
-                *(number(agreement.f1) for agreement in faces.agreements),
-                number(None if outward is None else outward.mean),
-                number(None if back is None else back.mean),
-                number(None if thickness is None else thickness.mean),
-                number(evaluation.doubled_wall_share),
-                number(evaluation.outside_m2, 1),
-            ]
-        )
-    tolerances = [item.tolerance_m for item in evaluations[0].faces.agreements]
-    columns = (
-        "map ",
-        *(f"faces F1 {tolerance_m:g} m" for tolerance_m in tolerances),
-        "to truth m",
-        "from truth m",
-        "thickness m",
-        "doubled",
-        "outside m2",
-    )
-    title = "Faces of walls (wall cells beside free ones), which reward no thickness"
+def _print_figures(
+    heads: Sequence[str],
+    names: Sequence[Sequence[str]],
+    figures: Sequence[Sequence[tuple[Figure, float | None]]],
+    title: str,
+) -> None:
+    """Print a row of figures for each map."""
+    columns = (*heads, *(figure.label for figure, _ in figures[0]))
+    rows = [
+        [*name, *(number(value, figure.digits) for figure, value in own)]
+        for name, own in zip(names, figures, strict=True)
+    ]
     print_table(columns, rows, title=title)
 
 

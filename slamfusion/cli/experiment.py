@@ -10,12 +10,16 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from slamfusion.cli.fleet import scheduler_option
-from slamfusion.cli.options import case_option, common_options, output_option, with_config
+from slamfusion.cli.options import (
+    case_option,
+    common_options,
+    output_option,
+    scheduler_option,
+    with_config,
+)
 from slamfusion.cli.output import notice, print_json, print_table, progress_bar
 from slamfusion.cli.paths import CASE_MAP, FILE, InputPath
-from slamfusion.cli.results import results_option, save_results
-from slamfusion.cli.table_files import table_option
+from slamfusion.cli.results import results_option, save_results, table_option
 from slamfusion.config import PICTURE_FORMS, RunConfig
 from slamfusion.errors import ConfigError, SlamFusionError
 from slamfusion.jobs.cases import CaseFile

@@ -10,26 +10,30 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from slamfusion.cli.evaluate import print_evaluations
-from slamfusion.cli.fleet import asked_executor, processes_option, scheduler_option
 from slamfusion.cli.fused import print_alignments, print_frames, print_pairs, tell_left_out
 from slamfusion.cli.options import (
+    GivenStarts,
+    asked_executor,
     check_report,
     common_options,
     file_option,
     map_resolution_option,
     output_option,
+    processes_option,
     report_option,
+    scheduler_option,
+    start_errors,
+    start_option,
     with_config,
+    with_starts,
 )
 from slamfusion.cli.output import notice, print_json, print_next_steps, progress_bar
 from slamfusion.cli.paths import MAP
-from slamfusion.cli.starts import GivenStarts, start_errors, start_option, with_starts
-from slamfusion.cli.table_files import table_option
+from slamfusion.cli.results import table_option
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError
 from slamfusion.grid import OccupancyGrid
-from slamfusion.jobs.defaults import LIKE_PAPER
-from slamfusion.jobs.inputs import GivenMaps, device_for, load_maps
+from slamfusion.jobs.inputs import LIKE_PAPER, GivenMaps, device_for, load_maps
 from slamfusion.jobs.outputs import (
     AGREEMENT_END,
     FAILED,

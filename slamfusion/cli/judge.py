@@ -27,8 +27,8 @@ from slamfusion.cli.results import (
     print_repetitions,
     results_option,
     save_results,
+    table_option,
 )
-from slamfusion.cli.table_files import table_option
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.jobs.cases import CaseFile, Placed, case_names, files_by_case, place_files

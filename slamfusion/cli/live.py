@@ -11,12 +11,11 @@ import click
 
 from slamfusion.cli.node import import_rclpy
 from slamfusion.cli.options import common_options
-from slamfusion.cli.output import print_json, print_table
-from slamfusion.cli.tables import one_line
+from slamfusion.cli.output import one_line, print_json, print_table
 from slamfusion.errors import SlamFusionError
 
 if TYPE_CHECKING:
-    from slamfusion.jobs.tool_records import (
+    from slamfusion.jobs.records import (
         LiveAnswerDocument,
         LiveLineJson,
         LiveStatusDocument,

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import click
 
-from slamfusion.cli.tables import one_line
+from slamfusion.cli.output import one_line
 from slamfusion.errors import SlamFusionError
 
 # The nodes that are no producer's, and their modules, which have ``make_node(kind) -> NodeBase``.

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import typing
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
@@ -25,14 +27,20 @@ from slamfusion.cli.paths import (
 from slamfusion.config import (
     PICTURE_FORMS,
     PUBLISHED,
+    START_M,
+    START_RAD,
     FieldInfo,
     Profiled,
     RunConfig,
+    checked_start,
     field_infos,
     split_list,
 )
-from slamfusion.errors import ConfigError
+from slamfusion.errors import ConfigError, StartError
 from slamfusion.jobs.outputs import possible_report
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -271,34 +279,29 @@ def drive_files(judged: str, *, of_cases: bool = False) -> Callable[[F], F]:
         judged: what the errors by the relations are of, as help says it.
         of_cases: each may be given for several logs.
     """
-    of_kind = case_option if of_cases else file_option
-    options = (
-        of_kind(
-            "--relations",
-            "relations",
-            "FILE",
-            f"Known motions between pairs of times [K09]: errors of the {judged}.",
-        ),
-        of_kind(
-            "--odometry",
-            "odometry",
-            "FILE",
-            "Raw odometry of the whole run, to carry poses on to the times of the relations.",
-        ),
-        of_kind(
-            "--scan-odometry",
-            "scan_odometry",
-            "FILE",
-            "CSV with the odometry of each scan of a CARMEN log (index, odom_x, odom_y, "
-            "odom_theta), taken instead of the poses in LOG: those of a corrected log are the "
-            "answer of a SLAM.",
-        ),
+    option = case_option if of_cases else file_option
+    relations = option(
+        "--relations",
+        "relations",
+        "FILE",
+        f"Known motions between pairs of times [K09]: errors of the {judged}.",
+    )
+    odometry = option(
+        "--odometry",
+        "odometry",
+        "FILE",
+        "Raw odometry of the whole run, to carry poses on to the times of the relations.",
+    )
+    scan_odometry = option(
+        "--scan-odometry",
+        "scan_odometry",
+        "FILE",
+        "CSV with the odometry of each scan of a CARMEN log (index, odom_x, odom_y, odom_theta), "
+        "taken instead of the poses in LOG: those of a corrected log are the answer of a SLAM.",
     )
 
     def decorate(function: F) -> F:
-        for option in reversed(options):
-            function = option(function)
-        return function
+        return relations(odometry(scan_odometry(function)))
 
     return decorate
 
@@ -476,3 +479,135 @@ def _replace(config: Any, changed: dict[str, Any]) -> Any:
 def _below(section: Any, name: str) -> Any:
     """Return a part of a configuration: a field, or one of the named sections."""
     return section[name] if isinstance(section, Mapping) else getattr(section, name)
+
+
+# --- --scheduler and --processes ------------------------------------------------------------------
+
+
+def scheduler_option(tasks: str) -> Callable[[F], F]:
+    """Return the option ``--scheduler`` of a command.
+
+    Args:
+        tasks: what is done there, as help says it.
+    """
+    return click.option(
+        "--scheduler",
+        "scheduler",
+        metavar="WHERE",
+        callback=_checked,
+        help=f"Let the workers of a Dask cluster do {tasks}: local or local:N (N processes of this "
+        "machine), tcp://HOST:PORT or tls://HOST:PORT (a scheduler that runs).",
+    )
+
+
+def processes_option(tasks: str) -> Callable[[F], F]:
+    """Return the option ``--processes`` of a command whose settings have none."""
+    return click.option(
+        "--processes",
+        "processes",
+        type=click.IntRange(1, 64),
+        metavar="N",
+        help=f"Let so many processes of this machine do {tasks}.",
+    )
+
+
+def asked_executor(
+    where: str | None, config: RunConfig, processes: int | None
+) -> AbstractContextManager[Executor | None]:
+    """Open what the options ask for; see ``executor_for``."""
+    if where is not None and processes is not None:
+        message = "--scheduler and --processes: give one of them; --scheduler local:N has processes"
+        raise click.UsageError(message)
+    from slamfusion.fleet import executor_for  # noqa: PLC0415
+
+    return executor_for(where, processes, config.device.device)
+
+
+def _checked(_: click.Context, __: click.Parameter, where: str | None) -> str | None:
+    """Refuse what is no address before any work."""
+    from slamfusion.fleet import check_address  # noqa: PLC0415
+
+    if where is not None:
+        try:
+            check_address(where)
+        except ConfigError as error:
+            raise click.BadParameter(str(error)) from None
+    return where
+
+
+# --- --start --------------------------------------------------------------------------------------
+
+
+# What ``--start`` gave: names with 3 or 5 numbers each.
+GivenStarts = tuple[tuple[str, tuple[float, ...]], ...]
+
+OPTION = "--start"
+
+
+def start_option(text: str, *, bare_name: bool = False) -> Callable[[F], F]:
+    """Give a command ``--start`` as its argument ``starts``.
+
+    Args:
+        text: of help: in which frame starts are told.
+        bare_name: a start may have no name, and is the empty one's then.
+    """
+    form = "NAME=X,Y,YAW[,M,RAD]"
+    return click.option(
+        OPTION,
+        "starts",
+        multiple=True,
+        type=_Start(bare_name=bare_name),
+        callback=_refuse_twice,
+        metavar=f"[NAME=]{form.removeprefix('NAME=')}" if bare_name else form,
+        help=f"{text}, in m and rad, or degrees as in 46.4deg; searched only within M metres and "
+        f"RAD radians of it. [default: {START_M:g} m, {START_RAD:g} rad]",
+    )
+
+
+class _Start(click.ParamType):  # type: ignore[type-arg]  # generic from click 8.3 on
+    """A name, and 3 or 5 numbers."""
+
+    name = "start"
+
+    def __init__(self, *, bare_name: bool) -> None:
+        self._bare_name = bare_name
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[str, tuple[float, ...]]:
+        """Return the name, empty where it is left out, and the numbers."""
+        if not isinstance(value, str):
+            return typing.cast("tuple[str, tuple[float, ...]]", value)
+        name, equals, numbers = value.rpartition("=")
+        if not name and (equals or not self._bare_name):
+            self.fail(f"wanted NAME=x,y,yaw or NAME=x,y,yaw,metres,radians, found {value!r}")
+        try:
+            return name, checked_start(numbers, name or "start")
+        except StartError as error:
+            self.fail(str(error), param, ctx)
+
+
+def _refuse_twice(context: click.Context, option: click.Parameter, given: GivenStarts) -> Any:
+    """Refuse a name that has several starts."""
+    names = [name for name, _ in given]
+    for name in names:
+        if names.count(name) > 1:
+            message = f"{name or 'the start'} is given twice; keep one"
+            raise click.BadParameter(message, context, option)
+    return given
+
+
+def with_starts(config: RunConfig, given: GivenStarts) -> RunConfig:
+    """Return the settings with the starts of the command line in place of the file's."""
+    return replace(config, start={**config.start, **dict(given)})
+
+
+@contextlib.contextmanager
+def start_errors(given: GivenStarts) -> Iterator[None]:
+    """Take a start that is refused beside the inputs for wrong usage, where the option gave it."""
+    try:
+        yield
+    except StartError as error:
+        if not given:
+            raise
+        raise click.BadParameter(str(error), param_hint=f"'{OPTION}'") from None

@@ -19,7 +19,6 @@ from slamfusion import __version__
 from slamfusion.cli import (
     align,
     compare,
-    devices,
     doctor,
     evaluate,
     experiment,
@@ -34,8 +33,7 @@ from slamfusion.cli import (
     slam,
     trajectory,
 )
-from slamfusion.cli.output import Settings, print_json
-from slamfusion.cli.tables import one_line
+from slamfusion.cli.output import Settings, one_line, print_json
 from slamfusion.errors import SlamFusionError
 
 # Every subcommand; a new one is a module with a ``command`` and a line here.
@@ -52,7 +50,7 @@ COMMANDS: tuple[click.Command, ...] = (
     compare.command,
     show.command,
     graph.command,
-    devices.command,
+    doctor.devices_command,
     doctor.command,
     node.command,
     live.command,

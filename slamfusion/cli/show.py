@@ -16,7 +16,7 @@ from slamfusion.config import FusionNodeConfig
 from slamfusion.errors import SlamFusionError
 
 if TYPE_CHECKING:
-    from slamfusion.jobs.tool_records import ShowDocument
+    from slamfusion.jobs.records import ShowDocument
 
 DEFAULTS = FusionNodeConfig()
 

@@ -15,7 +15,7 @@ from slamfusion.config import RunConfig
 from slamfusion.jobs.documents import number
 
 if TYPE_CHECKING:
-    from slamfusion.jobs.tool_records import SimulateDocument
+    from slamfusion.jobs.records import SimulateDocument
     from slamfusion.sim import Course
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,9 +19,8 @@ from slamfusion.cli.options import (
     report_option,
     with_config,
 )
-from slamfusion.cli.output import notice, print_json, print_table, progress_bar
+from slamfusion.cli.output import notice, one_line, print_json, print_table, progress_bar
 from slamfusion.cli.paths import FILE, MAP
-from slamfusion.cli.tables import one_line
 from slamfusion.cli.trajectory import print_measures
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
@@ -79,38 +78,29 @@ def _files(out: Path, given: Mapping[str, Any]) -> list[Path]:
     return output_files(_stem(out), probabilities=given["probabilities"])
 
 
-def _state_options(*, is_resumable: bool) -> Callable[[Any], Any]:
+def _state_options(function: Any) -> Any:
     """Give the command of a producer that can go on from a file what that takes."""
-
-    def decorate(function: Any) -> Any:
-        if not is_resumable:
-            return function
-        for option in (
-            click.option(
-                "--stop-after",
-                "stop_after",
-                type=click.IntRange(min=1),
-                metavar="N",
-                help="Stop after N scans fed in this run.",
-            ),
-            file_option(
-                "--resume",
-                "resume",
-                "FILE",
-                "Go on from a saved state, with the settings that it was made with; scans of LOG "
-                "up to its last one are passed over.",
-            ),
-            output_option(
-                "--save-state",
-                "state",
-                metavar="FILE",
-                help="Write at the end everything that a later run needs to go on with --resume.",
-            ),
-        ):
-            function = option(function)
-        return function
-
-    return decorate
+    stop_after = click.option(
+        "--stop-after",
+        "stop_after",
+        type=click.IntRange(min=1),
+        metavar="N",
+        help="Stop after N scans fed in this run.",
+    )
+    resume = file_option(
+        "--resume",
+        "resume",
+        "FILE",
+        "Go on from a saved state, with the settings that it was made with; scans of LOG up to its "
+        "last one are passed over.",
+    )
+    save_state = output_option(
+        "--save-state",
+        "state",
+        metavar="FILE",
+        help="Write at the end everything that a later run needs to go on with --resume.",
+    )
+    return save_state(resume(stop_after(function)))
 
 
 def _make_command(name: str) -> click.Command:
@@ -135,7 +125,7 @@ def _make_command(name: str) -> click.Command:
     @file_option("--truth", "truth", "FILE", "The true trajectory: errors of the path.")
     @file_option("--truth-map", "truth_map", "MAP", "The true map: errors of the map.", MAP)
     @report_option("report")
-    @_state_options(is_resumable=record.load is not None)
+    @(_state_options if record.load is not None else lambda function: function)
     @with_config(
         f"producers.{name}",
         "log",

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,17 +20,21 @@ from slamfusion.cli.options import (
 )
 from slamfusion.cli.output import notice, print_json, print_table
 from slamfusion.cli.paths import CASE_FILE, MAP
-from slamfusion.cli.results import print_items, results_option, save_results
-from slamfusion.cli.table_files import table_option
+from slamfusion.cli.results import print_items, results_option, save_results, table_option
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.jobs.cases import CaseFile, Placed, files_by_case, place_files, shared_case_names
 from slamfusion.jobs.documents import number
+from slamfusion.jobs.inputs import load_maps
 
 if TYPE_CHECKING:
-    from slamfusion.evaluation import DensePoses, ErrorStatistics
+    from slamfusion.evaluation import DensePoses
+    from slamfusion.jobs.records import TrajectoriesDocument, TrajectoryDocument
     from slamfusion.jobs.trajectory import CaseFiles, Measures
     from slamfusion.trajectory import Trajectory
+
+# The statistics of an error that are shown.
+FIGURES = ("mean", "std", "rmse", "median", "min", "max")
 
 
 @dataclass(frozen=True)
@@ -145,38 +149,11 @@ def command(config: RunConfig, **asked: Any) -> int:
     """
     request = _Request(**asked)
     request.check()
-    return _measure_one(request, config) if request.is_one else _measure_several(request, config)
+    return _measure(request, config)
 
 
-def _measure_one(request: _Request, config: RunConfig) -> int:
-    """Measure one path."""
-    from slamfusion.jobs.trajectory import (  # noqa: PLC0415
-        measure_trajectory_file,
-        write_trajectory,
-    )
-
-    (placed,), held = request.placed()
-    found = measure_trajectory_file(
-        held.of(placed.case, placed.path), config, grid=request.map_path, warn=notice
-    )
-    if request.report_dir is not None:
-        write_trajectory(found, request.report_dir)
-    document = found.to_json()
-    save_results(
-        request.results_path,
-        document,
-        found.rows(placed),
-        lambda: held.inputs([placed]),
-    )
-    if request.as_json:
-        print_json(document)
-    else:
-        print_measures(found.estimate, found.measures)
-    return 0
-
-
-def _measure_several(request: _Request, config: RunConfig) -> int:
-    """Measure several paths, each by what there is of its case."""
+def _measure(request: _Request, config: RunConfig) -> int:
+    """Measure the paths, each by what there is of its case."""
     from slamfusion.io import AtomicFiles  # noqa: PLC0415
     from slamfusion.jobs.trajectory import (  # noqa: PLC0415
         measure_trajectories,
@@ -186,16 +163,24 @@ def _measure_several(request: _Request, config: RunConfig) -> int:
 
     placed, held = request.placed()
     found, not_measured = measure_trajectories(placed, held, config)
-    if request.report_dir is not None:
+    first, folder, grid = found[0][1], request.report_dir, None
+    if request.map_path is not None:
+        (grid,) = load_maps([request.map_path], None, config.map_files, notice)
+    if folder is not None:
         with AtomicFiles() as files:
             for item, own in found:
-                write_trajectory(own, _report_folder(request.report_dir, item), files)
-    document = trajectories_document(found, not_measured, config)
+                target = folder if request.is_one else _report_folder(folder, item)
+                write_trajectory(replace(own, grid=grid), target, files)
     rows = [row for item, own in found for row in own.rows(item)]
+    document: TrajectoryDocument | TrajectoriesDocument = first.to_json()
+    if not request.is_one:
+        document = trajectories_document(found, not_measured, config)
     inputs = [item for item, _ in found]
     save_results(request.results_path, document, rows, lambda: held.inputs(inputs))
     if request.as_json:
         print_json(document)
+    elif request.is_one:
+        print_measures(first.estimate, first.measures)
     else:
         print_items(rows, "path", ("ate_rmse_m", "relations_mean_m"))
     if not_measured:
@@ -205,11 +190,14 @@ def _measure_several(request: _Request, config: RunConfig) -> int:
 
 def print_measures(estimate: Trajectory, measures: Measures) -> None:
     """Print one row for each kind of error, then how it was counted."""
-    from slamfusion.evaluation import mean_interval  # noqa: PLC0415
+    from slamfusion.evaluation import error_kinds, mean_interval  # noqa: PLC0415
 
-    kinds = _kinds(measures, "")
-    if measures.online is not None:
-        kinds += _kinds(measures.online, ", as first reported")
+    rows = [
+        [f"{kind}{which}", *(number(getattr(errors, name, None), digits) for name in FIGURES)]
+        for own, which in ((measures, ""), (measures.online, ", as first reported"))
+        if own is not None
+        for kind, errors, digits in error_kinds(own.truth, own.relations, own.at_scans)
+    ]
     notes = []
     if measures.relations is not None:
         errors = measures.relations
@@ -234,59 +222,9 @@ def print_measures(estimate: Trajectory, measures: Measures) -> None:
             f"{len(found.relative_translation_m)} pairs"
         )
     title = f"{estimate.name}: {len(estimate)} poses, {estimate.path_length_m():.1f} m"
-    print_errors(title, kinds, notes)
-
-
-def print_errors(
-    title: str, kinds: Sequence[tuple[str, ErrorStatistics | None, int]], notes: Sequence[str]
-) -> None:
-    """Print a row of figures for each kind of error (name with its unit, figures, digits)."""
-    rows = [[name, *_figures(statistics, digits)] for name, statistics, digits in kinds]
-    columns = ("error ", "mean", "std", "rmse", "median", "min", "max")
-    print_table(columns, rows, title=title)
+    print_table(("error ", *FIGURES), rows, title=title)
     for note in notes:
         print(note)
-
-
-def _kinds(measures: Measures, which: str) -> list[tuple[str, ErrorStatistics | None, int]]:
-    """Return name, figures and digits of each kind of error.
-
-    Args:
-        measures: of one path.
-        which: one, added to the names.
-    """
-    kinds: list[tuple[str, ErrorStatistics | None, int]] = []
-    for errors, where in ((measures.relations, ""), (measures.at_scans, " at scans")):
-        if errors is not None:
-            kinds += [
-                (f"relations{where}, translation m{which}", errors.translation, 4),
-                (f"relations{where}, rotation deg{which}", errors.rotation_deg, 3),
-            ]
-    if measures.truth is not None:
-        found = measures.truth
-        pair = f"{found.rpe_delta:g} {found.rpe_unit}"
-        kinds += [
-            (f"ATE, translation m{which}", found.ate, 4),
-            (f"ATE, rotation deg{which}", found.ate_rotation_deg, 3),
-            (f"RPE over {pair}, translation m{which}", found.rpe, 4),
-            (f"RPE over {pair}, rotation deg{which}", found.rpe_rotation_deg, 3),
-        ]
-    return kinds
-
-
-def _figures(statistics: ErrorStatistics | None, digits: int) -> list[str]:
-    """Return the figures as cells; dashes where there are none."""
-    if statistics is None:
-        return ["-"] * 6
-    values = (
-        statistics.mean,
-        statistics.std,
-        statistics.rmse,
-        statistics.median,
-        statistics.min,
-        statistics.max,
-    )
-    return [number(value, digits) for value in values]
 
 
 def _how(dense: DensePoses | None, tolerance_s: float) -> str:

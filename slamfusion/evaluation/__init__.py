@@ -13,7 +13,6 @@ from slamfusion.evaluation.distances import (
     load_distances,
 )
 from slamfusion.evaluation.doubled_walls import (
-    doubled_wall_cells,
     doubled_wall_share,
     fused_doubled_shares,
 )
@@ -32,12 +31,15 @@ from slamfusion.evaluation.map_error import (
 from slamfusion.evaluation.measured import (
     Figure,
     Row,
+    error_kinds,
     error_series,
+    face_figures,
     figure_of,
     map_figures,
     path_figures,
     path_series,
     result_rows,
+    shown_figures,
 )
 from slamfusion.evaluation.odometry import (
     DensePoses,
@@ -45,7 +47,6 @@ from slamfusion.evaluation.odometry import (
     match_odometry,
     poses_by_odometry,
     read_odometry,
-    subsample_to_scans,
 )
 from slamfusion.evaluation.relations import (
     AT_SCAN_S,
@@ -112,11 +113,12 @@ __all__ = [
     "compare_to_truth",
     "correct_by_holm",
     "difference_test",
-    "doubled_wall_cells",
     "doubled_wall_share",
+    "error_kinds",
     "error_series",
     "errors_at_scans",
     "face_cells",
+    "face_figures",
     "figure_of",
     "fused_doubled_shares",
     "load_distances",
@@ -132,7 +134,7 @@ __all__ = [
     "read_relations",
     "relation_errors",
     "result_rows",
-    "subsample_to_scans",
+    "shown_figures",
     "trajectory_errors",
     "wall_thickness",
 ]

@@ -6,7 +6,6 @@ plans through the gap. The share of doubled walls needs no truth.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Iterator
 
 import cv2
@@ -24,11 +23,14 @@ IsWall = Callable[[npt.NDArray[np.int8]], Bools]
 F32 = npt.NDArray[np.float32]
 
 _DEFAULT_NORMALIZE = NormalizeConfig()
-# A map is looked at in tiles of this many cells: those without walls cost nothing.
-TILE_CELLS = 1024
-# Cells beyond the end of a ray that decide what is found there: windows of the filters.
-FILTERS_CELLS = 32
-# Distances of doubled walls, cells.
+# Cells around a part of a map that decide what is doubled in it: rays of twice 8 cells, and windows
+# of the filters at their ends.
+REACH_CELLS = 48
+# A map with longer sides than the first is looked at in tiles: its filters would not fit into
+# memory, and NumPy's are several times as large as a device's. Tiles in which some cells are asked
+# about are smaller: those without any cost nothing.
+WHOLE_CELLS, DEVICE_TILE_CELLS, TILE_CELLS, ASKED_CELLS = 2048, 2048, 1024, 384
+# Distances of doubled walls, cells: from the last cell of the own wall to the first of the other.
 NEAR, FAR = 2.0, 8.0
 # A group of fewer connected cells is a speck, not a wall.
 LEAST_GROUP = 5
@@ -44,25 +46,32 @@ PARALLEL_DEG = 20.0
 
 
 def doubled_wall_share(
-    grid: OccupancyGrid | Bools,
-    near: float = NEAR,
-    far: float = FAR,
+    grid: OccupancyGrid | npt.NDArray[np.bool_],
     *,
     normalize: NormalizeConfig = _DEFAULT_NORMALIZE,
 ) -> float:
-    """Return the share of wall cells that have a parallel wall ``near`` to ``far`` cells away.
+    """Return the share of wall cells that have a parallel wall ``NEAR`` to ``FAR`` cells away.
+
+    From each wall cell a ray goes along the wall's normal to either side. It first crosses its own
+    wall, however thick up to ``FAR`` cells, holes narrower than ``NEAR`` included; so neither a
+    thick nor a ragged wall is doubled. When the next wall begins within ``FAR`` cells and runs
+    parallel within 20 degrees, the cell is doubled. Groups of fewer than five connected cells are
+    specks, not walls, and left out.
+
+    The normal is the main direction of the structure tensor, which several parallel walls in the
+    window strengthen where a fit of a line to the wall cells would turn away from all of them.
 
     Args:
         grid: a grid, or (H, W) bool with True for a wall.
-        near: least cells from the last cell of the own wall to the first of the other, at least
-            2, which leaves one cell between them.
-        far: most cells likewise.
         normalize: the thresholds of a grid.
 
     Returns:
         0..1; 0 for a map without walls.
+
+    Source: structure tensor and coherence as in Bigun and Granlund, "Optimal orientation detection
+        of linear symmetry", ICCV 1987.
     """
-    considered, doubled = _count(_walls(grid, normalize), near, far)
+    considered, doubled = _count(_walls(grid, normalize), device)
     return int(np.count_nonzero(doubled)) / considered if considered else 0.0
 
 
@@ -93,7 +102,7 @@ def fused_doubled_shares(
     Returns:
         0..1 each; 0 for a map without walls.
     """
-    considered, doubled = _count(fused > 0, NEAR, FAR)
+    considered, doubled = _count(fused > 0, device)
     if not considered:
         return 0.0, 0.0
     share = int(np.count_nonzero(doubled)) / considered
@@ -139,57 +148,34 @@ def _grown(cells: Bools) -> Bools:
     return np.asarray(grown).view(np.bool_)
 
 
-def doubled_wall_cells(
-    grid: OccupancyGrid | Bools,
-    near: float = NEAR,
-    far: float = FAR,
-    *,
-    normalize: NormalizeConfig = _DEFAULT_NORMALIZE,
-) -> Bools:
-    """Mark the wall cells that have a parallel wall ``near`` to ``far`` cells away.
-
-    From each wall cell a ray goes along the wall's normal to either side. It first crosses its own
-    wall, however thick up to ``far`` cells, holes narrower than ``near`` included; so neither a
-    thick nor a ragged wall is doubled. When the next wall begins within ``far`` cells and runs
-    parallel within 20 degrees, the cell is doubled. Groups of fewer than five connected cells are
-    specks, not walls, and left out.
-
-    The normal is the main direction of the structure tensor, which several parallel walls in the
-    window strengthen where a fit of a line to the wall cells would turn away from all of them.
-
-    Args:
-        grid: a grid, or (H, W) bool with True for a wall.
-        near: least cells from the last cell of the own wall to the first of the other, at least
-            2, which leaves one cell between them.
-        far: most cells likewise.
-        normalize: the thresholds of a grid.
-
-    Returns:
-        (H, W) bool.
-
-    Raises:
-        ValueError: ``near`` is below 2, or ``far`` below ``near``.
-    Source: structure tensor and coherence as in Bigun and Granlund, "Optimal orientation detection
-        of linear symmetry", ICCV 1987.
-    """
-    return _count(_walls(grid, normalize), near, far)[1]
-
-
-def _count(walls: Bools, near: float, far: float) -> tuple[int, Bools]:
+def _count(
+    walls: npt.NDArray[np.bool_], device: ComputeDevice | None
+) -> tuple[int, npt.NDArray[np.bool_]]:
     """Return how many cells are walls and no specks, and the doubled ones."""
-    if not 2.0 <= near <= far:
-        message = f"near and far must satisfy 2 <= near <= far cells, found {near:g} and {far:g}"
-        raise ValueError(message)
-    considered, doubled = 0, np.zeros(walls.shape, dtype=np.bool_)
-    for tile, wide, inner in _tiles(walls.shape, far):
-        if walls[tile].any():
-            asked = np.zeros(walls[wide].shape, dtype=np.bool_)
-            asked[inner] = True
-            # Groups that the part's edge cuts are no specks that reach what is asked about.
-            kept, marks = _doubled(walls[wide], asked, near, far)
-            considered += int(np.count_nonzero(kept))
-            doubled[tile] = marks[inner]
-    return considered, doubled
+    device = device or NumpyDevice()
+    steps = RaySteps.of(NEAR, FAR)
+    doubled = np.zeros(walls.shape, dtype=np.bool_)
+
+    def look(part: tuple[Window, Window, Window]) -> int:
+        """Look at one tile; tiles are written by nobody else.
+
+        Groups that the part's edge cuts are no specks that reach what is asked about.
+        """
+        tile, wide, inner = part
+        if not walls[tile].any():
+            return 0
+        asked = np.zeros(walls[wide].shape, dtype=np.uint8)
+        asked[inner] = walls[tile]
+        marks = device.mark_doubled(walls[wide].view(np.uint8), asked, steps)[inner]
+        doubled[tile] = marks == DOUBLED
+        return int(np.count_nonzero(marks))
+
+    side = DEVICE_TILE_CELLS if device.opencl else TILE_CELLS
+    parts = list(_tiles(walls.shape, side, REACH_CELLS))
+    if len(parts) == 1 or device.opencl:
+        return sum(map(look, parts)), doubled
+    with ThreadPoolExecutor(usable_cores()) as threads:
+        return sum(threads.map(look, parts)), doubled
 
 
 def _doubled(walls: Bools, asked: Bools, near: float, far: float) -> tuple[Bools, Bools]:

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.evaluation.map_error import MapError
-from slamfusion.evaluation.relations import RelationErrors
+from slamfusion.evaluation.relations import RelationErrors, RelationErrorsAtScans
 from slamfusion.evaluation.statistics import ErrorStatistics
 from slamfusion.evaluation.trajectory_error import TrajectoryErrors
 
@@ -78,6 +78,11 @@ _FIGURES = {
     "time_per_scan_ms": Figure("ms a scan", 2),
     "value": Figure("value of the cell", larger_is_better=None),
 }
+# Those of a table of errors.
+_SHOWN = (
+    *("error", "wall_precision", "wall_recall", "wall_f1", "iou_occupied", "iou_free"),
+    *("map_to_truth_mean_m", "truth_to_map_mean_m", "ssim", "coverage"),
+)
 # Faces this near to true ones are right, metres: the middle one of the tolerances.
 _FACES_M = 0.1
 
@@ -131,6 +136,58 @@ def map_figures(error: MapError) -> dict[str, float | None]:
         "ssim": error.ssim,
         "coverage": error.coverage,
     }
+
+
+def shown_figures(error: MapError) -> list[tuple[Figure, float | None]]:
+    """Return the figures of a map that a table of errors shows, in order."""
+    known = map_figures(error)
+    return [(figure_of(name), known[name]) for name in _SHOWN]
+
+
+def face_figures(error: MapError) -> list[tuple[Figure, float | None]]:
+    """Return the figures of a map that reward no thickness of walls, in order."""
+    faces, known = error.faces, map_figures(error)
+    found: list[tuple[Figure, float | None]] = [
+        (Figure(f"faces F1 {own.tolerance_m:g} m", larger_is_better=True), own.f1)
+        for own in faces.agreements
+    ]
+    for name, distance in (
+        ("map_to_truth_mean_m", faces.map_to_truth_m),
+        ("truth_to_map_mean_m", faces.truth_to_map_m),
+    ):
+        found.append((figure_of(name), None if distance is None else distance.mean))
+    names = ("wall_thickness_mean_m", "doubled_wall_share", "outside_m2")
+    return found + [(figure_of(name), known[name]) for name in names]
+
+
+def error_kinds(
+    truth: TrajectoryErrors | None,
+    relations: RelationErrors | None,
+    at_scans: RelationErrorsAtScans | None = None,
+) -> list[tuple[str, ErrorStatistics | None, int]]:
+    """Return name with unit, statistics and digits of each kind of error of a path.
+
+    Args:
+        truth: its errors against the true path; None: there is none.
+        relations: its errors on known relations; None: there are none.
+        at_scans: those on relations between its own poses, likewise.
+    """
+    kinds: list[tuple[str, ErrorStatistics | None, int]] = []
+    for errors, where in ((relations, ""), (at_scans, " at scans")):
+        if errors is not None:
+            kinds += [
+                (f"relations{where}, translation m", errors.translation, 4),
+                (f"relations{where}, rotation deg", errors.rotation_deg, 3),
+            ]
+    if truth is not None:
+        pair = f"RPE over {truth.rpe_delta:g} {truth.rpe_unit}"
+        kinds += [
+            ("ATE, translation m", truth.ate, 4),
+            ("ATE, rotation deg", truth.ate_rotation_deg, 3),
+            (f"{pair}, translation m", truth.rpe, 4),
+            (f"{pair}, rotation deg", truth.rpe_rotation_deg, 3),
+        ]
+    return kinds
 
 
 def path_figures(

@@ -246,39 +246,6 @@ def poses_by_odometry(
     )
 
 
-def subsample_to_scans(
-    best: Trajectory,
-    scan_odometry: Trajectory,
-    odometry: Trajectory,
-    *,
-    tolerance_s: float,
-    tolerance_m: float,
-) -> Trajectory:
-    """Return the best known trajectory of a run at the scans of a log: the floor of its errors.
-
-    Scored as an estimate is, it tells what error even good poses at these scans would have, from
-    the odometry between them.
-
-    Args:
-        best: poses at (nearly) every row of the odometry, by exact stamps.
-        scan_odometry: raw odometry of the log's scans.
-        odometry: every row of the raw odometry of the run.
-        tolerance_s: a pose belongs to a row of that time within this.
-        tolerance_m: see ``match_odometry``.
-
-    Raises:
-        TrajectoryError: no scan has a row with a pose.
-    """
-    match = match_odometry(scan_odometry, odometry, tolerance_m)
-    stamps_s = odometry.stamps_s[match.rows]
-    nearest, is_matched = best.matches(stamps_s, tolerance_s)
-    known = (match.rows >= 0) & is_matched
-    if not known.any():
-        message = f"{best.name}: has no pose at a scan of {scan_odometry.name}; is it of that run?"
-        raise TrajectoryError(message)
-    return Trajectory(scan_odometry.stamps_s[known], best.poses[nearest[known]], best.name)
-
-
 def _rows_by_stamp(
     estimate: Trajectory, odometry: Trajectory, tolerance_s: float
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:

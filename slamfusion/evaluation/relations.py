@@ -80,17 +80,17 @@ class RelationErrors:
     """
 
     translation: ErrorStatistics = field(init=False)
-    """Remaining translations, metres."""
+    """Remaining translations on the known relations, metres."""
     rotation_deg: ErrorStatistics = field(init=False)
-    """Remaining rotations, degrees."""
+    """Remaining rotations on the known relations, degrees."""
     relations_used: int = field(init=False)
     """Relations whose two times met a pose."""
     relations_total: int
     """All relations of the file."""
     tolerance_s: float
-    """A pose further in time from a relation's end than this was not used, seconds."""
+    """Poses further apart in time than this do not meet, seconds."""
     poses: int
-    """Poses of the trajectory."""
+    """Poses of the path."""
     name: str = field(repr=False)
     """The trajectory."""
     relations: str = field(repr=False)

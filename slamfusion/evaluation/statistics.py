@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -51,10 +51,6 @@ class ErrorStatistics:
             min=float(values.min()),
             max=float(values.max()),
         )
-
-    def scaled(self, factor: float) -> ErrorStatistics:
-        """Return the same figures in another unit (radians to degrees)."""
-        return ErrorStatistics(**{name: factor * value for name, value in asdict(self).items()})
 
 
 class DifferenceTest(NamedTuple):

@@ -51,9 +51,9 @@ class TrajectoryErrors:
     """Errors of a trajectory against the true one."""
 
     ate: ErrorStatistics
-    """Absolute errors of place, metres."""
+    """Absolute errors of place against the truth, metres."""
     ate_rotation_deg: ErrorStatistics
-    """Absolute errors of heading, degrees."""
+    """Absolute errors of heading against the truth, degrees."""
     rpe: ErrorStatistics | None
     """Relative errors of place, metres a pair; null where the path is too short for a pair."""
     rpe_rotation_deg: ErrorStatistics | None
@@ -65,11 +65,11 @@ class TrajectoryErrors:
     rpe_unit: str
     """Unit of what a pair spans: the setting trajectory.rpe_unit."""
     alignment: TrajectoryAlignment
-    """What laid the estimate on the truth."""
+    """What aligned the path with the truth."""
     poses: int
-    """Poses of the estimate."""
+    """Poses of the path."""
     poses_matched: int
-    """Of these, the ones that met a true pose in time."""
+    """Poses of the path that met a true one in time."""
     tolerance_s: float
     """Poses further apart in time than this do not meet, seconds."""
     name: str = field(repr=False)

@@ -108,8 +108,6 @@ def compare_faces(
     transform: Pose2,
     true_classes: npt.NDArray[np.int8],
     truth: OccupancyGrid,
-    *,
-    tolerances_m: Sequence[float] = FACE_TOLERANCES_M,
 ) -> WallFaces:
     """Compare the faces of a map's walls with the true ones.
 
@@ -122,14 +120,13 @@ def compare_faces(
         transform: maps a point of the map's frame into the truth's, metres.
         true_classes: likewise of the truth.
         truth: gives resolution and origin of ``true_classes``.
-        tolerances_m: at each of them precision, recall and F1 are counted; at least 0.
     """
     found = _centres(face_cells(classes), grid, transform)
     expected = _centres(face_cells(true_classes), truth, IDENTITY)
     map_to_truth = nearest_distances(found, expected)
     truth_to_map = nearest_distances(expected, found)
     agreements = []
-    for tolerance_m in tolerances_m:
+    for tolerance_m in FACE_TOLERANCES_M:
         precision = share_within(map_to_truth, tolerance_m)
         recall = share_within(truth_to_map, tolerance_m)
         agreements.append(

@@ -9,16 +9,16 @@ from pathlib import Path
 import numpy as np
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.config import RunConfig, TrajectoryConfig
+from slamfusion.config import RunConfig
 from slamfusion.errors import LogError
-from slamfusion.evaluation import Relations, Row, result_rows
+from slamfusion.evaluation import Row, path_figures, result_rows
 from slamfusion.experiments.runs import RunResult, Setup, run_all
 from slamfusion.io import LogScan, open_log
 from slamfusion.io.lines import strip_gz
 from slamfusion.jobs.inputs import Progress
 from slamfusion.jobs.map_log import LogFiles
 from slamfusion.jobs.results import input_records
-from slamfusion.jobs.trajectory import Yardsticks, measure_trajectory
+from slamfusion.jobs.trajectory import Yardsticks
 from slamfusion.sim import named_course, simulate
 from slamfusion.slam.common.mapper import Mapper
 from slamfusion.slam.common.runner import run_producer
@@ -46,37 +46,23 @@ class Drive:
     Attributes:
         name: in tables.
         scans: in the order of time.
-        relations: known motions between pairs of times; None: none.
-        odometry: raw odometry of the whole run; None: poses are taken as they are.
-        reference: the truth or the best known trajectory; None: none.
+        held: what paths of it are compared with.
     """
 
     name: str
     scans: tuple[LogScan, ...]
-    relations: Relations | None = None
-    odometry: Trajectory | None = None
-    reference: Trajectory | None = None
+    held: Yardsticks
 
-    def errors(self, trajectory: Trajectory, config: TrajectoryConfig) -> dict[str, float]:
-        """Return the errors of a trajectory, by name: what there is something to measure with.
+    def errors(self, path: Trajectory, config: RunConfig) -> dict[str, float]:
+        """Return the errors of a path, by name: what there is something to measure with.
 
         Raises:
-            TrajectoryError: it does not meet the relations or the reference in time.
+            TrajectoryError: it does not meet the relations or the truth in time.
         """
-        measures = measure_trajectory(
-            trajectory,
-            config,
-            relations=self.relations,
-            odometry=self.odometry,
-            scans=None if self.odometry is None else self.scan_odometry(),
-            truth=self.reference,
-        )
-        found = {}
-        if measures.relations is not None:
-            found[RELATIONS] = measures.relations.translation.mean
-        if measures.truth is not None:
-            found[ATE] = measures.truth.ate.rmse
-        return found
+        scans = None if self.held.odometry is None else self.scan_odometry()
+        measures = self.held.measure(path, config, scans)
+        found = path_figures(measures.truth, measures.relations)
+        return {name: found[name] for name in (RELATIONS, ATE) if name in found}
 
     def scan_odometry(self) -> Trajectory:
         """Return the raw odometry of the scans that have some."""
@@ -94,7 +80,7 @@ def read_drive(files: LogFiles, config: RunConfig) -> Drive:
 
     Raises:
         LogError: the log cannot be read, has no usable scan, or there is nothing to measure by.
-        TrajectoryError: relations, odometry or reference cannot be read.
+        TrajectoryError: relations, odometry or truth cannot be read.
         OSError: a file cannot be opened.
     """
     if files.relations is None and files.truth is None:
@@ -106,11 +92,8 @@ def read_drive(files: LogFiles, config: RunConfig) -> Drive:
         reasons = "; ".join(log.skips.sentences())
         message = f"{files.log}: no scan of it can be used: {reasons}"
         raise LogError(message)
-    held = Yardsticks.read(
-        config, relations=files.relations, odometry=files.odometry, truth=files.truth
-    )
-    name = Path(strip_gz(files.log.name)).stem
-    return Drive(name, scans, held.relations, held.odometry, held.truth)
+    held = Yardsticks.read(config, files.relations, files.odometry, files.truth)
+    return Drive(Path(strip_gz(files.log.name)).stem, scans, held)
 
 
 def simulated_office(seed: int, device: ComputeDevice, progress: Progress | None = None) -> Drive:
@@ -121,10 +104,9 @@ def simulated_office(seed: int, device: ComputeDevice, progress: Progress | None
         device: casts the rays.
         progress: called with the scans that are done.
     """
-    name = f"office-{seed}"
-    course = replace(named_course("office", seed), name=name)
+    course = replace(named_course("office", seed), name=f"office-{seed}")
     recording = simulate(course, device, progress)
-    return Drive(name, recording.scans, reference=recording.truth)
+    return Drive(course.name, recording.scans, Yardsticks(truth=recording.truth))
 
 
 @dataclass(frozen=True)
@@ -184,8 +166,9 @@ def run_on_drives(
     by_name = {drive.name: drive for drive in drives}
 
     def work(run: DriveRun, _: RunConfig) -> RunResult:
-        made = run_producer(make(run), by_name[run.drive].scans)
-        errors = by_name[run.drive].errors(made.trajectory, config.trajectory)
+        drive = by_name[run.drive]
+        made = run_producer(make(run), drive.scans)
+        errors = drive.errors(made.trajectory, config)
         figures = {**errors, TIME: made.time_per_scan_ms()["mean"]}
         return RunResult(result_rows(run.case, str(run.seed), run.method, figures))
 

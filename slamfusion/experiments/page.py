@@ -55,7 +55,8 @@ class SummaryJson(TypedDict):
     """High end of it."""
 
 
-class AgainstBestJson(TypedDict):
+@dataclass(frozen=True)
+class AgainstBest:
     """A fusion compared with the best input of a case, by the [F16] error."""
 
     case: str
@@ -74,7 +75,8 @@ class AgainstBestJson(TypedDict):
     """P-value of the paired t-test after Holm; null for a single run."""
 
 
-class OverallJson(TypedDict):
+@dataclass(frozen=True)
+class Overall:
     """Errors of a fusion over those of the best inputs, over all cases."""
 
     ratio: float
@@ -85,7 +87,8 @@ class OverallJson(TypedDict):
     """Ratio of the sums of the mean errors, in which large places count more."""
 
 
-class NoteJson(TypedDict):
+@dataclass(frozen=True)
+class Note:
     """What went wrong in runs of a case."""
 
     case: str
@@ -107,11 +110,11 @@ class ExperimentDocument(CircumstancesJson):
     """Every figure of every method in every case."""
     comparisons: Sequence[ComparisonJson]
     """The methods that are compared."""
-    against_best_input: Sequence[AgainstBestJson]
+    against_best_input: Sequence[AgainstBest]
     """The fusions compared with the best input of each case; empty without fusions."""
-    overall: Mapping[str, OverallJson]
+    overall: Mapping[str, Overall]
     """The same over all cases, by fusion."""
-    notes: Sequence[NoteJson]
+    notes: Sequence[Note]
     """What went wrong."""
     sentences: Sequence[str]
     """The results in words."""
@@ -197,7 +200,7 @@ class Experiment:
         return str(inputs.idxmin()), float(inputs.min())
 
     @cached_property
-    def against_best(self) -> list[AgainstBestJson]:
+    def against_best(self) -> list[AgainstBest]:
         """Each fusion compared with the best input of each case.
 
         The interval takes the best input's mean as known.
@@ -206,7 +209,7 @@ class Experiment:
             return []
         tests = self.comparisons[self.comparisons["figure"] == "error"]
         tests = tests.set_index(["case", "first", "second"])[["low", "high", "p_t"]]
-        found: list[AgainstBestJson] = []
+        found: list[AgainstBest] = []
         for case in self.table["case"].unique():
             best, base = self.best_input(case)
             for fusion in self.fusions:
@@ -215,31 +218,18 @@ class Experiment:
                     high, low, p_t = tests.loc[case, best, fusion]
                     low, high = 1.0 - low / base, 1.0 - high / base
                 ratio = self.summaries.loc[(case, "error", fusion), "mean"] / base
-                found.append(
-                    {
-                        "case": case,
-                        "fusion": fusion,
-                        "best_input": best,
-                        "ratio": float(ratio),
-                        "low": low,
-                        "high": high,
-                        "p_t": p_t,
-                    }
-                )
+                found.append(AgainstBest(case, fusion, best, float(ratio), low, high, p_t))
         return found
 
-    def overall(self) -> dict[str, OverallJson]:
+    def overall(self) -> dict[str, Overall]:
         """Return for each fusion its error over the best inputs', over all cases."""
-        found: dict[str, OverallJson] = {}
+        found: dict[str, Overall] = {}
         for fusion in self.fusions:
-            own = [item for item in self.against_best if item["fusion"] == fusion]
-            ratios = np.array([item["ratio"] for item in own])
-            base = np.array([self.best_input(item["case"])[1] for item in own])
-            found[fusion] = {
-                "ratio": float(ratios.mean()),
-                "worst": float(ratios.max()),
-                "of_sums": float((ratios * base).sum() / base.sum()),
-            }
+            own = [item for item in self.against_best if item.fusion == fusion]
+            ratios = np.array([item.ratio for item in own])
+            base = np.array([self.best_input(item.case)[1] for item in own])
+            of_sums = float((ratios * base).sum() / base.sum())
+            found[fusion] = Overall(float(ratios.mean()), float(ratios.max()), of_sums)
         return found
 
     # --- shown ----------------------------------------------------------------------------------
@@ -249,19 +239,19 @@ class Experiment:
         lines = []
         for item in self.against_best:
             line = (
-                f"{item['case']}: {item['fusion']} {percent(item['ratio'])} against "
-                f"{item['best_input']}, the best input"
+                f"{item.case}: {item.fusion} {percent(item.ratio)} against {item.best_input}, "
+                "the best input"
             )
-            if item["p_t"] is not None and np.isfinite(item["p_t"]):
-                chance = "" if item["p_t"] < SIGNIFICANT else "; may be chance"
-                line += f" (95 % interval {percent(item['low'])} to {percent(item['high'])}, "
-                line += f"p {p_text(item['p_t'])} after Holm{chance})"
+            if item.p_t is not None and np.isfinite(item.p_t):
+                chance = "" if item.p_t < SIGNIFICANT else "; may be chance"
+                line += f" (95 % interval {percent(item.low)} to {percent(item.high)}, "
+                line += f"p {p_text(item.p_t)} after Holm{chance})"
             lines.append(f"{line}.")
         for fusion, values in self.overall().items():
             lines.append(
-                f"all cases: {fusion} {percent(values['ratio'])} against the best inputs on the "
-                f"mean of cases ({percent(values['of_sums'])} of the sums), "
-                f"{percent(values['worst'])} in the worst case."
+                f"all cases: {fusion} {percent(values.ratio)} against the best inputs on the "
+                f"mean of cases ({percent(values.of_sums)} of the sums), "
+                f"{percent(values.worst)} in the worst case."
             )
         return [*lines, *self.remarks]
 
@@ -293,7 +283,7 @@ class Experiment:
             found.append(("Tests of every two methods", heads, rows))
         notes = self.noted()
         if notes:
-            rows = [[own["case"], own["what"], str(own["runs"]), own["reason"]] for own in notes]
+            rows = [[own.case, own.what, str(own.runs), own.reason] for own in notes]
             found.append(("What was left out", ("case", "what", "runs", "first reason"), rows))
         return found
 
@@ -301,47 +291,32 @@ class Experiment:
         """Return mean ± deviation of a figure: a row a case, a column a method."""
         digits = figure_of(figure).digits
         own = self.summaries.xs(figure, level="figure")
-        methods = own.index.unique("method")
-        rows = []
-        for case in own.index.unique("case"):
-            count, cells = 0, []
-            for method in methods:
-                known = (case, method) in own.index
-                mean, std = own.loc[(case, method), ["mean", "std"]] if known else (np.nan, np.nan)
-                count = max(count, own.loc[(case, method), "count"] if known else 0)
-                spread = f" ± {std:.{digits}f}" if np.isfinite(std) else ""
-                cells.append(number(mean, digits) + spread)
-            rows.append([case, str(count), *cells])
+        spread = own["std"].map(lambda std: f" ± {std:.{digits}f}" if np.isfinite(std) else "")
+        wide = (own["mean"].map(lambda mean: number(mean, digits)) + spread).unstack("method")  # noqa: PD010
+        wide = wide.reindex(own.index.unique("case"))[own.index.unique("method")].fillna("-")
+        counts = own.groupby("case")["count"].max()
+        rows = [[case, str(counts[case]), *cells] for case, *cells in wide.itertuples(name=None)]
         what = ", mean ± deviation" if own["count"].max() > 1 else ""
-        return f"{figure_of(figure).label}{what}", ("case", "runs", *methods), rows
+        return f"{figure_of(figure).label}{what}", ("case", "runs", *wide.columns), rows
 
     def _single_tables(self, figures: Sequence[str]) -> list[TextTable]:
         """Return the figures of single runs: a table a case, a row a method."""
         wide = self.summaries["mean"].unstack("figure").reindex(columns=figures)  # noqa: PD010
+        texts = wide.apply(lambda own: own.map(lambda v: number(v, figure_of(own.name).digits)))
         order = self.table[["case", "method"]].drop_duplicates()
         heads = ("map", *(figure_of(name).label for name in figures))
-        found: list[TextTable] = []
-        for case, methods in order.groupby("case", sort=False)["method"]:
-            rows = [
-                [
-                    method,
-                    *(number(wide.loc[(case, method), f], figure_of(f).digits) for f in figures),
-                ]
-                for method in methods
-            ]
-            found.append((str(case), heads, rows))
-        return found
+        return [
+            (str(case), heads, [[method, *texts.loc[(case, method)]] for method in methods])
+            for case, methods in order.groupby("case", sort=False)["method"]
+        ]
 
-    def noted(self) -> list[NoteJson]:
+    def noted(self) -> list[Note]:
         """Return what went wrong, with the number of runs and the first reason."""
         seen: dict[tuple[str, str], list[str]] = {}
         for case, notes in self.notes:
             for what, reason in notes.items():
                 seen.setdefault((case, what), []).append(reason)
-        return [
-            {"case": case, "what": what, "runs": len(reasons), "reason": reasons[0]}
-            for (case, what), reasons in seen.items()
-        ]
+        return [Note(*key, len(reasons), reasons[0]) for key, reasons in seen.items()]
 
     def document(self, files: Sequence[Path], config: RunConfig, device: str) -> ExperimentDocument:
         """Return what ``slamfusion experiment NAME`` prints as JSON."""
@@ -367,7 +342,7 @@ class Experiment:
         Raises:
             SlamFusionError: matplotlib is missing, or a file cannot be written.
         """
-        from slamfusion.report.experiment_plot import experiment_plot  # noqa: PLC0415  (an extra)
+        from slamfusion.report.result_plots import experiment_plot  # noqa: PLC0415  (an extra)
 
         lines = [f"# {self.title}\n"]
         for title, heads, rows in self.text_tables(details=True):

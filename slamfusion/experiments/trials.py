@@ -17,6 +17,8 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,7 +27,6 @@ from slamfusion.config import FailuresConfig, GroundObstacleConfig, PlaceName, R
 from slamfusion.cores import usable_cores
 from slamfusion.errors import ConfigError, SlamFusionError
 from slamfusion.evaluation import Row, result_rows
-from slamfusion.experiments.faults import FAULTS
 from slamfusion.experiments.fusions import (
     CHOICE,
     FUSED_PATH,
@@ -39,8 +40,9 @@ from slamfusion.experiments.fusions import (
 )
 from slamfusion.experiments.page import Experiment, percent
 from slamfusion.experiments.runs import RunResult, Setup, packed_maps, run_all
+from slamfusion.geometry import Pose2
 from slamfusion.io import LogScan
-from slamfusion.jobs.defaults import RUN_VOTE
+from slamfusion.jobs.inputs import RUN_VOTE
 from slamfusion.jobs.outputs import DRAWN
 from slamfusion.sim import Course, named_course
 from slamfusion.sim.lidar import LIDARS
@@ -94,15 +96,8 @@ class Trial:
         return f"w{self.world}-s{self.seed}"
 
 
-@dataclass(frozen=True)
-class Failure:
-    """A way to fail.
-
-    Attributes:
-        course: of ``slamfusion.sim.COURSES``.
-        fault: of ``slamfusion.experiments.faults.FAULTS``; empty: what the course does suffices.
-        harmed: the producer that it befalls; empty: all.
-    """
+class Failure(NamedTuple):
+    """A way to fail: a course of ``COURSES``; fault and harmed as those of a ``Trial``."""
 
     course: str
     fault: str = ""
@@ -126,14 +121,21 @@ def obstacle_trials(config: RunConfig) -> list[Trial]:
     Args:
         config: drives and worlds in ``experiment.ground_obstacle``; the first seed.
     """
-    trials = []
-    for condition, obstacles in {"no obstacle": False, "obstacle": True}.items():
+    settings = config.experiment.ground_obstacle
+    return [
+        trial
+        for condition, over in {"no obstacle": False, "obstacle": True}.items()
+        for trial in _repeated(
+            condition,
+            config,
+            settings,
+            partial(_atrium, over),
+        )
+    ]
 
-        def course(seed: int, *, over: bool = obstacles) -> Course:
-            return replace(named_course("f16", seed), obstacles=over)
 
-        trials += _repeated(condition, config, config.experiment.ground_obstacle, course)
-    return trials
+def _atrium(has_obstacle: bool, seed: int) -> Course:  # noqa: FBT001  (for partial)
+    return replace(named_course("f16", seed), obstacles=has_obstacle)
 
 
 def failure_trials(config: RunConfig) -> list[Trial]:
@@ -151,18 +153,16 @@ def failure_trials(config: RunConfig) -> list[Trial]:
         if name not in FAILURES:
             message = f"no course {name!r}; wanted some of {', '.join(FAILURES)}, with commas"
             raise ConfigError(message)
-    trials = []
+    trials: list[Trial] = []
     for name, lidar in itertools.product(names, dict.fromkeys(settings.lidars)):
-        failure = FAILURES[name]
 
         def course(seed: int, name: str = name, lidar: str = lidar) -> Course:
             own = named_course(FAILURES[name].course, seed)
             return _seen_by(lidar, own, is_loop=name == "corridor loop")
 
-        trials += [
-            replace(trial, fault=failure.fault, harmed=failure.harmed)
-            for trial in _repeated(f"{name}, {lidar}", config, settings, course)
-        ]
+        _, fault, harmed = FAILURES[name]
+        own = _repeated(f"{name}, {lidar}", config, settings, course)
+        trials += [replace(trial, fault=fault, harmed=harmed) for trial in own]
     return trials
 
 
@@ -370,3 +370,88 @@ def _true_path(recording: Recording, scans: Sequence[LogScan]) -> Trajectory:
     stamps_s = np.array([item.scan.stamp_s for item in scans])
     kept = [rows[item.line] for item in scans]
     return Trajectory(stamps_s, recording.truth.poses[kept], "truth")
+
+
+# --- faults ---------------------------------------------------------------------------------------
+
+
+# The robot is kidnapped over this part of its drive.
+KIDNAPPED_FROM, KIDNAPPED_TO = 0.45, 0.55
+# From here on the wheels' encoder reads distances too long and turns too small.
+BROKEN_FROM, BROKEN_DISTANCE, BROKEN_TURN = 1.0 / 3.0, 1.4, 0.4
+LOST_FROM = 0.5
+
+Scans = Sequence[LogScan]
+
+
+def kidnap(scans: Scans) -> tuple[LogScan, ...]:
+    """Return the scans of a robot that was lifted and set down elsewhere: a kidnapping.
+
+    It is blind on its way, and its wheels stand still: the part of the drive is cut out, and time
+    and odometry go on as if nothing had been.
+    """
+    first, last = int(KIDNAPPED_FROM * len(scans)), int(KIDNAPPED_TO * len(scans))
+    if not 0 < first < last < len(scans):
+        return tuple(scans)
+    before, after = scans[first - 1], scans[last]
+    step_s = scans[first].scan.stamp_s - before.scan.stamp_s
+    sooner_s = after.scan.stamp_s - before.scan.stamp_s - step_s
+    moved = [
+        replace(item, scan=replace(item.scan, stamp_s=item.scan.stamp_s - sooner_s))
+        for item in scans[last:]
+    ]
+    if before.odometry is not None and after.odometry is not None:
+        back = before.odometry.compose(after.odometry.inverse())
+        moved = [_at(item, back.compose) for item in moved]
+    return (*scans[:first], *moved)
+
+
+def break_odometry(scans: Scans) -> tuple[LogScan, ...]:
+    """Return the scans with odometry of distances too long and turns too small, from a third on.
+
+    Errors that are in proportion to the motion, much larger than a motion model expects.
+    """
+    first = int(BROKEN_FROM * len(scans))
+    fed, read, before = list(scans[:first]), None, None
+    for item in scans[first:]:
+        if item.odometry is None or before is None or read is None:
+            read = item.odometry
+        else:
+            step = before.inverse().compose(item.odometry)
+            read = read.compose(
+                Pose2(
+                    BROKEN_DISTANCE * step.x, BROKEN_DISTANCE * step.y, BROKEN_TURN * step.yaw_rad
+                )
+            )
+        before = item.odometry
+        fed.append(item if read is None else replace(item, odometry=read))
+    return tuple(fed)
+
+
+def lose(scans: Scans) -> tuple[LogScan, ...]:
+    """Return the scans of a producer that is lost for good from half of the drive on.
+
+    Its laser was knocked off its mount and hangs upside down: left and right change places, and
+    nothing that it sees fits what it has drawn. A mere jump of odometry is found back from.
+    """
+    first = int(LOST_FROM * len(scans))
+    return (*scans[:first], *(_upside_down(item) for item in scans[first:]))
+
+
+def _upside_down(item: LogScan) -> LogScan:
+    """Return a scan with left and right in each other's place."""
+    scan = item.scan
+    first, step = -scan.angle_min_rad, -scan.angle_increment_rad
+    return replace(item, scan=replace(scan, angle_min_rad=first, angle_increment_rad=step))
+
+
+def _at(item: LogScan, move: Callable[[Pose2], Pose2]) -> LogScan:
+    """Return a scan with its odometry moved."""
+    return item if item.odometry is None else replace(item, odometry=move(item.odometry))
+
+
+FAULTS: dict[str, Callable[[Scans], tuple[LogScan, ...]]] = {
+    "kidnap": kidnap,
+    "break_odometry": break_odometry,
+    "lose": lose,
+}

@@ -13,9 +13,9 @@ import numpy as np
 from slamfusion.errors import SlamFusionError
 from slamfusion.evaluation import correct_by_holm, difference_test, figure_of
 from slamfusion.io import write_atomic
-from slamfusion.jobs.documents import versions
 from slamfusion.jobs.inputs import distinct_names
 from slamfusion.jobs.results import KEYS, SavedResults, figures_of, means_of, read_results
+from slamfusion.version import versions
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -33,19 +33,6 @@ SIGNIFICANT = 0.05
 NAMED_ROWS = 6
 # Roles of the inputs that figures are measured by: other files make other figures.
 _YARDSTICKS = {"truth", "truth image", "relations", "odometry", "scan odometry", "log", "distances"}
-
-
-class ComparedResultsJson(TypedDict):
-    """A file of saved results, or one method of it."""
-
-    name: str
-    """Its name below: that of its file without the ending, or the method."""
-    file: str
-    """Its file."""
-    command: str
-    """The command that saved it."""
-    version: str
-    """Version of the program that saved it."""
 
 
 class ComparisonJson(TypedDict):
@@ -93,7 +80,7 @@ class ComparisonJson(TypedDict):
 class CompareDocument(TypedDict):
     """``slamfusion compare``."""
 
-    results: Sequence[ComparedResultsJson]
+    results: Sequence[SavedResults]
     """The compared results, in the order given."""
     pairings: Sequence[str]
     """For every two results, which of their rows are pairs."""
@@ -179,15 +166,7 @@ def compare_results(files: Sequence[str | Path]) -> ComparedResults:
         raise SlamFusionError(message)
     _correct(figures)
     document: CompareDocument = {
-        "results": [
-            {
-                "name": own.name,
-                "file": str(own.file),
-                "command": own.command,
-                "version": own.version,
-            }
-            for own in results
-        ],
+        "results": results,
         "pairings": pairings,
         "figures": figures,
         "series": series,
@@ -391,7 +370,7 @@ def write_comparison_plot(found: ComparedResults, path: str | Path) -> None:
     Raises:
         SlamFusionError: matplotlib is missing, or the file cannot be written.
     """
-    from slamfusion.report.comparison_plot import comparison_plot  # noqa: PLC0415  (an extra)
+    from slamfusion.report.result_plots import comparison_plot  # noqa: PLC0415  (an extra)
 
     tables = {item.name: item.table for item in found.results}
     write_atomic(path, comparison_plot(tables, Path(path).suffix.lower().removeprefix(".")))

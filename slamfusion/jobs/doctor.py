@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import os
 
 from slamfusion.compute import list_devices, open_device, pocl_state
 from slamfusion.config import RunConfig
 from slamfusion.errors import DeviceError
-from slamfusion.jobs.documents import versions
-from slamfusion.jobs.tool_records import DevicesDocument, DoctorDocument
+from slamfusion.jobs.records import DevicesDocument, DoctorDocument
+from slamfusion.version import version_of, versions
 
 # One line for each maker of devices; names of Ubuntu and Debian packages unless said otherwise.
 INSTALL = {
@@ -71,13 +70,8 @@ def check_installation(config: RunConfig) -> DoctorDocument:
 
 def has_two_rclpy() -> bool:
     """Whether a sourced ROS and the rclpy of the Python package index are both there."""
-    if not os.environ.get("ROS_DISTRO"):
-        return False
-    try:
-        importlib.metadata.version("ros-jazzy-rclpy")
-    except importlib.metadata.PackageNotFoundError:
-        return False
-    return True
+    in_ros = bool(os.environ.get("ROS_DISTRO"))
+    return in_ros and version_of("ros-jazzy-rclpy") is not None
 
 
 def _self_test(wanted: str) -> tuple[str | None, list[tuple[str, bool, str]]]:

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import json
 import math
-import platform
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from slamfusion.config import RunConfig, to_mapping
 from slamfusion.json_values import plain
+from slamfusion.version import versions
 
 if TYPE_CHECKING:
     from slamfusion.jobs.records import CircumstancesJson, SettingsJson
-
-DISTRIBUTIONS = ("numpy", "scipy", "opencv-python-headless", "pyopencl", "PyYAML", "click", "rich")
 
 
 def record_bytes(document: Mapping[str, Any]) -> bytes:
@@ -41,12 +38,6 @@ def p_text(p_value: float | None) -> str:
     return "<0.001" if p_value is not None and p_value < 0.001 else number(p_value)
 
 
-def versions() -> dict[str, str | None]:
-    """Return the versions that decide a result; None where a package is absent."""
-    found: dict[str, str | None] = {"python": platform.python_version()}
-    return found | {name: _version(name) for name in ("slamfusion", *DISTRIBUTIONS)}
-
-
 def settings_used(config: RunConfig) -> SettingsJson:
     """Return the settings and the versions that a result rests on, for a JSON document."""
     return {"config": to_mapping(config), "versions": versions()}
@@ -65,10 +56,3 @@ def circumstances(config: RunConfig, device: str) -> CircumstancesJson:
         "config": to_mapping(config),
         "versions": versions(),
     }
-
-
-def _version(distribution: str) -> str | None:
-    try:
-        return importlib.metadata.version(distribution)
-    except importlib.metadata.PackageNotFoundError:
-        return None

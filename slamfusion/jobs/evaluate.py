@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -96,14 +97,12 @@ def compare_maps(
     maps: Sequence[MapInput],
     config: RunConfig | None = None,
     device: ComputeDevice | None = None,
-    *,
-    resolution: float | None = None,
     progress: Progress | None = None,
 ) -> FusionResult:
     """Compare maps of one place with each other: without a truth, those that agree are right.
 
     Args:
-        maps, config, device, resolution, progress: see ``evaluate_maps``.
+        maps, config, device, progress: see ``evaluate_maps``.
 
     Returns:
         Their fusion by ``consensus``; ``wall_agreement`` and ``bent`` are what is asked for.
@@ -113,7 +112,7 @@ def compare_maps(
         MapFileError, DeviceError: as there.
     """
     config = config or RunConfig()
-    grids = as_grids(maps, config, resolution=resolution)
+    grids = as_grids(maps, config)
     fusion = replace(config.fusion, vote=replace(config.fusion.vote, mode="consensus"))
     return fuse_grids(grids, fusion, device_for(config, device), progress)
 
@@ -262,34 +261,30 @@ def write_evaluation(
     Raises:
         SlamFusionError: matplotlib is missing, or a file cannot be written.
     """
-    if files is None:
-        with AtomicFiles() as own:
-            write_evaluation(
-                evaluations,
-                config,
-                device=device,
-                report=report,
-                image=image,
-                name_each=name_each,
-                files=own,
-            )
+    if report is None and image is None:
         return
-    if report is not None:
-        from slamfusion.report import write_evaluation_report  # noqa: PLC0415  (an extra)
+    from slamfusion.report import (  # noqa: PLC0415  (an extra)
+        write_difference_image,
+        write_evaluation_report,
+    )
 
-        alignments = [evaluation.alignment for evaluation in evaluations]
-        write_evaluation_report(
-            evaluations, report, config=config, alignments=alignments, device=device, files=files
-        )
-    if image is not None:
-        from slamfusion.report import write_difference_image  # noqa: PLC0415  (an extra)
-
-        names = [evaluation.name for evaluation in evaluations]
-        paths = (
-            [image] if len(evaluations) == 1 and not name_each else difference_images(image, names)
-        )
-        for evaluation, path in zip(evaluations, paths, strict=True):
-            write_difference_image(evaluation, path, files)
+    with AtomicFiles() if files is None else nullcontext(files) as together:
+        if report is not None:
+            alignments = [evaluation.alignment for evaluation in evaluations]
+            write_evaluation_report(
+                evaluations,
+                report,
+                config=config,
+                alignments=alignments,
+                device=device,
+                files=together,
+            )
+        if image is not None:
+            is_one = len(evaluations) == 1 and not name_each
+            names = [evaluation.name for evaluation in evaluations]
+            paths = [image] if is_one else difference_images(image, names)
+            for evaluation, path in zip(evaluations, paths, strict=True):
+                write_difference_image(evaluation, path, together)
 
 
 def difference_images(image: Path, names: Sequence[str]) -> list[Path]:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import cast
 
 from slamfusion.align.records import (
     Alignment,
@@ -16,76 +15,23 @@ from slamfusion.align.records import (
 )
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError
-from slamfusion.evaluation import doubled_wall_share, fused_doubled_shares
 from slamfusion.grid import OccupancyGrid
 from slamfusion.jobs.documents import circumstances, path_text
 from slamfusion.jobs.inputs import NO_FILES, GivenMaps
 from slamfusion.jobs.outputs import AGREEMENT_END
-from slamfusion.vote.tiles import occupied_codes
+from slamfusion.jobs.records import (
+    DoubledWalls,
+    FailedFuseDocument,
+    FusedGroupJson,
+    FusedInputJson,
+    FusionJson,
+    InputVoteJson,
+    NoAlignmentJson,
+    UnalignedInputJson,
+)
 
-if TYPE_CHECKING:
-    from slamfusion.jobs.records import (
-        FailedFuseDocument,
-        FusedGroupJson,
-        FusedInputJson,
-        FusionJson,
-        InputVoteJson,
-        NoAlignmentJson,
-        UnalignedInputJson,
-    )
-
-NO_ALIGNMENT: NoAlignmentJson = {
-    "dx_m": None,
-    "dy_m": None,
-    "yaw_rad": None,
-    "score": None,
-    "overlap": None,
-    "error": None,
-    "runner_up": None,
-    "time_s": None,
-    "strength": None,
-}
+NO_ALIGNMENT = cast("NoAlignmentJson", dict.fromkeys(NoAlignmentJson.__annotations__))
 NO_VOTE: InputVoteJson = {"agreement": None, "weight": 0.0, "bent": None}
-
-
-@dataclass(frozen=True)
-class DoubledWalls:
-    """Shares of the wall cells that have a parallel wall close by, the trace of a slip."""
-
-    inputs: dict[str, float]
-    """Of each input as it was given, by name; 0 to 1."""
-    fused: float
-    """Of the fused map, 0 to 1."""
-    added_by_fusion: float
-    """Of the fused map's wall cells, doubled there and in no input; 0 to 1."""
-
-    @classmethod
-    def of(
-        cls,
-        result: FusionResult,
-        config: RunConfig,
-        known: Mapping[str, float] | None = None,
-    ) -> DoubledWalls:
-        """Measure a fusion.
-
-        Args:
-            result: the fusion.
-            config: its thresholds say what is a wall.
-            known: shares of inputs that were measured before, by name; default: none.
-        """
-        known, normalize = known or {}, config.fusion.normalize
-        shares = {
-            record.name: known[record.name]
-            if record.name in known
-            else doubled_wall_share(record.grid, normalize=normalize)
-            for record in result.inputs
-        }
-        layers = (record.layer for record in result.accepted if record.layer is not None)
-        aligned = ((layer.codes, layer.box) for layer in layers)
-        return cls(
-            shares,
-            *fused_doubled_shares(result.fused.cells, aligned, is_wall=occupied_codes),
-        )
 
 
 def agreement_stem(stem: Path) -> Path:

@@ -31,8 +31,7 @@ from slamfusion.evidence.path_frames import fit_onto
 from slamfusion.fusion.path_check import moved_path
 from slamfusion.grid import OccupancyGrid
 from slamfusion.jobs.outputs import DRAWN, FUSED
-from slamfusion.jobs.records import FusedPathJson
-from slamfusion.jobs.run_records import DrawnMapJson
+from slamfusion.jobs.records import DrawnMapJson, FusedPathJson
 from slamfusion.jobs.trajectory import Measures
 from slamfusion.slam.registry import loop_closers
 from slamfusion.trajectory import Trajectory
@@ -69,7 +68,17 @@ class DrivePath:
             paths: by producer, each in its map's frame.
             fusion: of their maps.
         """
-        laid = _in_fused_frame(self.trajectory, paths, fusion)
+        placed = [
+            paths[record.name]
+            if record.alignment is None
+            else moved_path(paths[record.name], record.alignment.transform)
+            for record in fusion.accepted
+            if record.name in paths
+        ]
+        motion = fit_onto(self.trajectory, placed)
+        if motion is None:
+            return self
+        laid = moved_path(self.trajectory, motion)
         return replace(self, fused=replace(self.fused, trajectory=laid))
 
     def to_json(self, file: Path) -> FusedPathJson:
@@ -155,18 +164,3 @@ def drawn_document(grid: OccupancyGrid, file: Path, config: RunConfig) -> DrawnM
         "doubled_wall_share": doubled_wall_share(grid, normalize=normalize),
         "wall_thickness_m": thickness,
     }
-
-
-def _in_fused_frame(
-    path: Trajectory, paths: Mapping[str, Trajectory], fusion: FusionResult
-) -> Trajectory:
-    """Lay a path onto those of the producers that voted, as their maps lie in the fused one."""
-    placed = [
-        paths[record.name]
-        if record.alignment is None
-        else moved_path(paths[record.name], record.alignment.transform)
-        for record in fusion.accepted
-        if record.name in paths
-    ]
-    motion = fit_onto(path, placed)
-    return path if motion is None else moved_path(path, motion)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from slamfusion.config import RunConfig
 from slamfusion.io import AtomicFiles, write_tum
 from slamfusion.jobs.documents import path_text, settings_used
 from slamfusion.jobs.inputs import as_path
-from slamfusion.jobs.tool_records import GraphOptimizeDocument
+from slamfusion.jobs.records import GraphOptimizeDocument
 from slamfusion.pose_graph import (
     GraphFile,
     Optimized,
@@ -94,15 +95,14 @@ def save_optimized_graph(
     Raises:
         MapFileError: a file cannot be written.
     """
-    if files is None:
-        with AtomicFiles() as own:
-            return save_optimized_graph(graph, output, tum=tum, files=own)
     file, found = graph.file, graph.found
     out_path, tum_path = as_path(output), as_path(tum)
-    if out_path is not None:
-        write_g2o(out_path, file.graph.with_poses(found.poses), file.ids, file.fixed, files=files)
-    if tum_path is not None:
-        write_tum(tum_path, graph.trajectory(), files=files)
+    with AtomicFiles() if files is None else nullcontext(files) as together:
+        if out_path is not None:
+            moved = file.graph.with_poses(found.poses)
+            write_g2o(out_path, moved, file.ids, file.fixed, files=together)
+        if tum_path is not None:
+            write_tum(tum_path, graph.trajectory(), files=together)
     return {
         "file": str(graph.path),
         "nodes": len(file.graph),

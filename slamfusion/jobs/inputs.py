@@ -6,11 +6,11 @@ import logging
 import os
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from slamfusion.config import MapFileConfig, RunConfig
+from slamfusion.config import SMALLEST, FusionConfig, MapFileConfig, RunConfig, VoteConfig, VoteMode
 from slamfusion.errors import MapFileError
 from slamfusion.grid import OccupancyGrid
 from slamfusion.jobs.outputs import FUSED
@@ -193,3 +193,21 @@ def _stem(path: Path) -> str:
         if name.lower().endswith(suffix) and len(name) > len(suffix):
             name = name[: -len(suffix)]
     return name or str(path)
+
+
+# --- defaults -------------------------------------------------------------------------------------
+
+
+# How the maps of a drive vote where no map can be drawn of it; see docs/concepts/voting.md.
+RUN_VOTE: VoteMode = "consensus"
+# Of ``run_log``. The map that all scans draw at the fused path is nearer to the truth than any vote
+# on maps, and than the best producer's own drawn alike; see docs/concepts/paths.md.
+RUN_DEFAULTS = replace(
+    RunConfig(), fusion=replace(FusionConfig(), vote=replace(VoteConfig(), mode="drawn"))
+)
+# How [F16] fuses: a majority in which unknown is a value, in the frame and box of the smallest map.
+LIKE_PAPER = RunConfig(
+    fusion=FusionConfig(
+        vote=VoteConfig(mode="majority", unknown="value", extent="reference"), reference=SMALLEST
+    )
+)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -18,8 +19,7 @@ from slamfusion.jobs.documents import circumstances, number, path_text, record_b
 from slamfusion.jobs.evaluate import evaluate_maps
 from slamfusion.jobs.inputs import Progress, Warn, as_path, load_maps
 from slamfusion.jobs.outputs import PROBABILITY, output_files
-from slamfusion.jobs.records import Evaluation
-from slamfusion.jobs.run_records import LogFilesJson, ProducerJson, SlamDocument
+from slamfusion.jobs.records import Evaluation, LogFilesJson, ProducerJson, SlamDocument
 from slamfusion.jobs.trajectory import Measures, Yardsticks
 from slamfusion.slam.common.mapper import Mapper
 from slamfusion.slam.common.runner import (
@@ -96,57 +96,31 @@ class ProducerResult:
 
     def figures(self) -> list[tuple[str, str]]:
         """Return the run's numbers with their names."""
-        run = self.run
-        time_ms, health = run.time_per_scan_ms(), run.health
-        stamps_s = run.trajectory.stamps_s
-        fed = len(run.feed_s)
-        return [
-            ("scans", f"{run.scans}, {run.scans_used} of them used"),
-            *([("scans fed in this run", f"{fed}")] if fed != run.scans else []),
-            ("duration of the drive", f"{number(float(stamps_s[-1] - stamps_s[0]), 1)} s"),
-            ("path length", f"{number(run.trajectory.path_length_m(), 1)} m"),
-            (
-                "path length by odometry",
-                "no odometry"
-                if run.odometry is None
-                else f"{number(run.odometry.path_length_m(), 1)} m",
-            ),
-            (
-                "time per scan",
-                (
-                    f"mean {number(time_ms['mean'], 2)} ms, median {number(time_ms['p50'], 2)} ms, "
-                    f"95 % within {number(time_ms['p95'], 2)} ms, "
-                    f"99.9 % within {number(time_ms['p999'], 2)} ms, "
-                    f"longest {number(time_ms['max'], 2)} ms"
-                ),
-            ),
-            ("time in all", f"{number(run.time_s, 1)} s, reading included"),
-            (
-                "peak memory",
-                (
-                    f"{number(run.peak_memory_bytes / 1e6, 1)} MB map and filter, "
-                    f"{number(run.process_peak_memory_bytes / 1e6, 0)} MB whole process"
-                ),
-            ),
-            (
-                "match score",
-                (
-                    f"mean {number(health.mean_match_score)}, last {number(health.match_score)}, "
-                    f"{health.low_scores} below half of the mean, {run.low_in_a_row} of them "
-                    "in a row"
-                ),
-            ),
-            *(
-                [("effective particles", number(health.n_eff, 1))]
-                if health.n_eff is not None
-                else []
-            ),
-            (
-                "map",
-                f"{run.grid.width} x {run.grid.height} cells of {run.grid.resolution:g} m",
-            ),
-            ("device", self.device),
-        ]
+        run, health, stamps_s = self.run, self.run.health, self.run.trajectory.stamps_s
+        ms = run.time_per_scan_ms()
+        fed, wheels = len(run.feed_s), "no odometry"
+        if run.odometry is not None:
+            wheels = f"{number(run.odometry.path_length_m(), 1)} m"
+        found = {
+            "scans": f"{run.scans}, {run.scans_used} of them used",
+            "scans fed in this run": "" if fed == run.scans else str(fed),
+            "duration of the drive": f"{number(float(stamps_s[-1] - stamps_s[0]), 1)} s",
+            "path length": f"{number(run.trajectory.path_length_m(), 1)} m",
+            "path length by odometry": wheels,
+            "time per scan": f"mean {number(ms['mean'], 2)} ms, median {number(ms['p50'], 2)} ms, "
+            f"95 % within {number(ms['p95'], 2)} ms, 99.9 % within {number(ms['p999'], 2)} ms, "
+            f"longest {number(ms['max'], 2)} ms",
+            "time in all": f"{number(run.time_s, 1)} s, reading included",
+            "peak memory": f"{number(run.peak_memory_bytes / 1e6, 1)} MB map and filter, "
+            f"{number(run.process_peak_memory_bytes / 1e6, 0)} MB whole process",
+            "match score": f"mean {number(health.mean_match_score)}, last "
+            f"{number(health.match_score)}, {health.low_scores} below half of the mean, "
+            f"{run.low_in_a_row} of them in a row",
+            "effective particles": "" if health.n_eff is None else number(health.n_eff, 1),
+            "map": f"{run.grid.width} x {run.grid.height} cells of {run.grid.resolution:g} m",
+            "device": self.device,
+        }
+        return [(name, value) for name, value in found.items() if value]
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,11 +195,7 @@ def map_log(
         producer: its name in the registry.
         config: settings of the producer and of everything here; default: the defaults.
         device: where it computes; default: the one that the settings name.
-        relations: known motions between pairs of times: errors of the path.
-        odometry: raw odometry of the whole run, to carry poses on to the relations' times.
-        truth: the true trajectory: errors of the path.
-        truth_map: the true map: errors of the map.
-        scan_odometry: what gives the scans their odometry instead of the log.
+        relations, odometry, truth, truth_map, scan_odometry: see ``LogFiles``.
         resume: a saved state to go on from, made with the same settings.
         limit: scans after which it stops, at least 1; default: none.
         progress: told the producer, and how much of the log it has read.
@@ -248,9 +218,7 @@ def map_log(
     files = LogFiles(
         Path(log), *map(as_path, (relations, odometry, truth, truth_map, scan_odometry))
     )
-    held = Yardsticks.read(
-        config, relations=files.relations, odometry=files.odometry, truth=files.truth
-    )
+    held = Yardsticks.read(config, files.relations, files.odometry, files.truth)
     true_map = None
     if files.truth_map is not None:
         (true_map,) = load_maps([files.truth_map], None, config.map_files, warn)
@@ -426,7 +394,6 @@ def _add_state(files: AtomicFiles, target: Path, mapper: Mapper) -> None:
 def _add_report(files: AtomicFiles, mapped: MappedLog, directory: Path) -> None:
     """Stage the report: map, path, errors, health."""
     from slamfusion.report import Fact, Table, write_slam_report  # noqa: PLC0415  (an extra)
-    from slamfusion.report.page import Cell  # noqa: PLC0415
 
     result, run = mapped.result, mapped.result.run
     time_ms = run.time_per_scan_ms()
@@ -437,11 +404,11 @@ def _add_report(files: AtomicFiles, mapped: MappedLog, directory: Path) -> None:
     ]
     if run.health.mean_match_score is not None:
         facts.append(Fact(f"{run.health.mean_match_score:.3f}", "mean match score"))
-    rows = [[Cell(name), Cell(value)] for name, value in result.figures()]
-    remarks = [[Cell(where), Cell(sentence)] for where, sentence in run_remarks(run)]
-    tables = [Table("The run", ("what", "value"), rows)]
-    if remarks:
-        tables.append(Table("Said of the log and its scans", ("where", "what"), remarks))
+    first, second = itemgetter(0), itemgetter(1)
+    tables = [Table.of("The run", result.figures(), {"what": first, "value": second})]
+    if remarks := run_remarks(run):
+        title = "Said of the log and its scans"
+        tables.append(Table.of(title, remarks, {"where": first, "what": second}))
     # A resumed run's log may only go on: then its odometry cannot be laid on the start of the path.
     is_later = (
         mapped.resumed_from is not None

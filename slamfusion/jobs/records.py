@@ -18,12 +18,27 @@ from dataclasses import dataclass
 from importlib import resources
 from typing import Any, TypedDict
 
-from slamfusion.align.records import Alignment, AlignmentJson, Bent
-from slamfusion.evaluation import DensePoses, DistanceComparison, ErrorStatistics, MapError
+from slamfusion.align.records import Alignment, AlignmentJson, Bent, FusionResult
+from slamfusion.compute import ComputeDevice
+from slamfusion.compute.records import DeviceInfo, PoclState
+from slamfusion.config import FusionMode, RunConfig
+from slamfusion.evaluation import (
+    DensePoses,
+    DistanceComparison,
+    MapError,
+    WallThickness,
+    doubled_wall_share,
+    fused_doubled_shares,
+)
 from slamfusion.evaluation.relations import RelationErrorsAtScans
-from slamfusion.evaluation.trajectory_error import TrajectoryAlignment
 from slamfusion.evidence import RankedPath, Recommendation, RefinedPath
-from slamfusion.jobs.fuse_documents import DoubledWalls
+from slamfusion.fusion.path_check import PathGap
+from slamfusion.jobs.partial import PartialVote
+from slamfusion.jobs.run_many import RunOfLog
+from slamfusion.slam.records import (
+    ProducerRunJson,
+)
+from slamfusion.vote.tiles import occupied_codes
 
 # --- what many documents share ----------------------------------------------------------------
 
@@ -116,23 +131,14 @@ class NoAlignmentJson(TypedDict):
     """The numbers of an alignment that was not made."""
 
     dx_m: None
-    """Null: it was not aligned."""
     dy_m: None
-    """Null: it was not aligned."""
     yaw_rad: None
-    """Null: it was not aligned."""
     score: None
-    """Null: it was not aligned."""
     overlap: None
-    """Null: it was not aligned."""
     error: None
-    """Null: it was not aligned."""
     runner_up: None
-    """Null: it was not aligned."""
     time_s: None
-    """Null: it was not aligned."""
     strength: None
-    """Null: it was not aligned."""
 
 
 class InputVoteJson(TypedDict):
@@ -161,6 +167,50 @@ class UnalignedInputJson(NoAlignmentJson, InputVoteJson):
     """Whether it voted."""
     reason: str
     """Why not."""
+
+
+@dataclass(frozen=True)
+class DoubledWalls:
+    """Shares of the wall cells that have a parallel wall close by, the trace of a slip."""
+
+    inputs: dict[str, float]
+    """Of each input as it was given, by name; 0 to 1."""
+    fused: float
+    """Of the fused map, 0 to 1."""
+    added_by_fusion: float
+    """Of the fused map's wall cells, doubled there and in no input; 0 to 1."""
+
+    @classmethod
+    def of(
+        cls,
+        result: FusionResult,
+        config: RunConfig,
+        device: ComputeDevice,
+        known: Mapping[str, float] | None = None,
+    ) -> DoubledWalls:
+        """Measure a fusion.
+
+        Args:
+            result: the fusion.
+            config: its thresholds say what is a wall.
+            device: computes.
+            known: shares of inputs that were measured before, by name; default: none.
+        """
+        known, normalize = known or {}, config.fusion.normalize
+        shares = {
+            record.name: known[record.name]
+            if record.name in known
+            else doubled_wall_share(record.grid, normalize=normalize, device=device)
+            for record in result.inputs
+        }
+        layers = (record.layer for record in result.accepted if record.layer is not None)
+        aligned = ((layer.codes, layer.box) for layer in layers)
+        return cls(
+            shares,
+            *fused_doubled_shares(
+                result.fused.cells, aligned, device=device, is_wall=occupied_codes
+            ),
+        )
 
 
 class FusionJson(TypedDict):
@@ -288,61 +338,24 @@ class CasesEvaluationDocument(SummariesJson, CircumstancesJson):
 # --- trajectory, slam, run --------------------------------------------------------------------
 
 
-class _PathErrorsJson(TypedDict, total=False):
-    ate: ErrorStatistics
-    """Absolute errors of place against the truth, metres."""
-    ate_rotation_deg: ErrorStatistics
-    """Absolute errors of heading against the truth, degrees."""
-    rpe: ErrorStatistics | None
-    """Relative errors of place, metres a pair; null where the path is too short for a pair."""
-    rpe_rotation_deg: ErrorStatistics | None
-    """Relative errors of heading, degrees a pair; null where there is no pair."""
-    rpe_pairs: int
-    """Pairs that the relative errors rest on."""
-    rpe_delta: float
-    """What a pair spans."""
-    rpe_unit: str
-    """Unit of what a pair spans: the setting trajectory.rpe_unit."""
-    alignment: TrajectoryAlignment
-    """What laid the path on the truth."""
-    poses_matched: int
-    """Poses of the path that met a true one in time."""
-    translation: ErrorStatistics
-    """Remaining translations on the known relations, metres."""
-    rotation_deg: ErrorStatistics
-    """Remaining rotations on the known relations, degrees."""
-    relations_used: int
-    """Relations whose two times met a pose."""
-    relations_total: int
-    """All relations of the file."""
+class PathErrorsJson(TypedDict, total=False):
+    """Errors of a path: against the truth, on known relations, both or none."""
+
+    # And the keys of TrajectoryErrors and RelationErrors; see tests/support/make_schema.py.
     odometry: DensePoses | None
     """How poses at the relations' times were composed with odometry; null: they were not."""
     at_scans: RelationErrorsAtScans | None
     """Errors on the relations whose both ends are poses of the path; null: the same or none."""
-    tolerance_s: float
-    """Poses further apart in time than this do not meet, seconds."""
 
 
-class PathErrorsJson(_PathErrorsJson, total=False):
-    """Errors of a path: against the truth, on known relations, both or none."""
+class MeasuresJson(PathErrorsJson, total=False):
+    """Errors of a path, and of the same path as it was first reported."""
 
-    poses: int
-    """Poses of the path."""
-
-
-class _MeasuresJson(_PathErrorsJson, total=False):
     as_first_reported: PathErrorsJson
     """The same of the path as it was first reported, of a producer that corrects it later."""
 
 
-class MeasuresJson(_MeasuresJson, total=False):
-    """Errors of a path, and of the same path as it was first reported."""
-
-    poses: int
-    """Poses of the path."""
-
-
-class TrajectoryRecordJson(_MeasuresJson):
+class TrajectoryRecordJson(MeasuresJson):
     """A trajectory with its errors, and the files that they rest on."""
 
     name: str
@@ -382,7 +395,7 @@ class TrajectoriesDocument(SummariesJson, SettingsJson):
     """What could not be measured, a sentence each."""
 
 
-class JudgedPathJson(_MeasuresJson):
+class JudgedPathJson(MeasuresJson):
     """A path that was judged, with the errors that could be measured."""
 
     name: str
@@ -401,6 +414,8 @@ class FusedPathJson(MeasuresJson):
     file: str
     """Its file, a TUM trajectory, of ``run`` in the frame of the fused map, of ``judge`` in that of
     one of the paths."""
+    poses: int
+    """Its poses."""
     trust: Mapping[str, float]
     """How much each path was believed by what the scans say of it, 0 to 1."""
     excluded_share: Mapping[str, float]
@@ -484,3 +499,339 @@ def load_schema(what: str | None = None) -> dict[str, Any]:
         **{key: value for key, value in schema.items() if key != "anyOf"},
         "$ref": f"#/$defs/{name}",
     }
+
+
+# --- slam, run ------------------------------------------------------------------------------------
+
+
+class ProducerJson(ProducerRunJson, MeasuresJson):
+    """What one producer made of a log, what it took, and the errors that could be measured."""
+
+    map_error: Evaluation | None
+    """Errors of its map; null without a true map."""
+    files: Sequence[str]
+    """The files that it was written to: map, picture, path, record."""
+
+
+class SlamProducerJson(ProducerJson):
+    """The producer of ``slamfusion slam``."""
+
+    resumed_from: str | None
+    """The state that it was resumed from; null: it began afresh."""
+    state_file: str | None
+    """The file that its state was saved to."""
+
+
+class LogFilesJson(TypedDict):
+    """A log, and the files that what was made of it is held against."""
+
+    log: str
+    """The log that was mapped."""
+    relations: str | None
+    """The file of known relations."""
+    odometry_file: str | None
+    """The file of raw odometry."""
+    scan_odometry: str | None
+    """The file that gave the scans their odometry."""
+    truth: str | None
+    """The file of the true trajectory."""
+    truth_map: str | None
+    """The true map's file."""
+
+
+class SlamDocument(LogFilesJson, CircumstancesJson):
+    """``slamfusion slam``; also the record OUT.json."""
+
+    producers: Sequence[SlamProducerJson]
+    """The one producer."""
+
+
+class RunProducerJson(ProducerJson):
+    """A producer of ``slamfusion run`` that made a map."""
+
+    failed: None
+    process_time_s: float
+    """Wall time of its process, seconds."""
+    process_cpu_s: float | None
+    """Processor time of its process, seconds; null where unknown."""
+
+
+class FailedProducerJson(TypedDict):
+    """A producer of ``slamfusion run`` that made no map."""
+
+    name: str
+    """The producer."""
+    scans: None
+    scans_used: None
+    time_s: None
+    time_per_scan_ms: None
+    peak_memory_mb: None
+    health: None
+    map_error: None
+    files: Sequence[str]
+    """Empty: nothing was written."""
+    failed: str
+    """Why it made no map."""
+    process_time_s: float
+    """Wall time of its process, seconds."""
+    process_cpu_s: float | None
+    """Processor time of its process, seconds; null where unknown."""
+
+
+class DrawnMapJson(TypedDict):
+    """The map that is drawn from all scans at the fused path."""
+
+    file: str
+    """Its YAML file."""
+    doubled_wall_share: float
+    """Share of its wall cells that have a parallel wall close by, 0 to 1."""
+    wall_thickness_m: WallThickness | None
+    """How thick its walls are; null when no wall is beside a free cell."""
+
+
+class RunFilesJson(LogFilesJson):
+    """The files that ``slamfusion run`` was given."""
+
+    saved_maps: Sequence[str]
+    """Saved maps that voted too."""
+
+
+class RunRecordDocument(RunFilesJson, CircumstancesJson):
+    """The record NAME.json that ``slamfusion run`` writes beside a producer's map."""
+
+    producers: Sequence[RunProducerJson]
+    """The one producer."""
+
+
+class RunDocument(FusionJson, RunFilesJson, CircumstancesJson):
+    """``slamfusion run``; exit code 1 where there is an ``error`` or something ``not_measured``."""
+
+    producers: Sequence[RunProducerJson | FailedProducerJson]
+    """What became of each producer."""
+    fused: str | None
+    """YAML file of the fused map; null where nothing was fused."""
+    fused_mode: FusionMode | None
+    """How the fused map came to be: by which vote, or drawn; null where nothing was fused."""
+    why_voted: str | None
+    """Why the maps voted although --mode drawn was asked for; null: it was drawn, or not asked."""
+    agreement: str | None
+    """YAML file of the agreement map; null where nothing was fused."""
+    best_founded: str | None
+    """Where nothing was fused, the map of ``recommendation``; else null."""
+    partial_votes: Sequence[PartialVote]
+    """Producers that have no vote for the time in which they left the others."""
+    path_gaps: Sequence[PathGap]
+    """Between every two producers' paths in the fused frame."""
+    path_evidence: Sequence[RankedPath]
+    """What the scans say of each path, the recommended one first; empty where they could not be
+    asked."""
+    recommendation: Recommendation | None
+    """What to use, and what to check first; null if no map was made."""
+    no_verdict: str | None
+    """Why the scans could not be asked; null where they were."""
+    fused_path: FusedPathJson | None
+    """The fused path; null where nothing was fused, or fewer than two producers have a path."""
+    drawn_map: DrawnMapJson | None
+    """The map drawn at the fused path; null where it was not asked for, or there is no path."""
+    saved_paths: Sequence[JudgedPathJson]
+    """The paths that were given with saved maps, and their errors."""
+    evaluations: Sequence[Evaluation]
+    """Errors of the inputs and of the fused map, with --truth."""
+    error: str | None
+    """Why nothing was fused; null where it was."""
+    not_measured: Sequence[str]
+    """What could not be measured, a sentence each."""
+    report: str
+    """The page of the report."""
+    stages_s: Mapping[str, float]
+    """Wall time of each stage, seconds."""
+    time_s: float
+    """Wall time of all, seconds."""
+
+
+class RunsDocument(SettingsJson):
+    """``slamfusion run`` of several logs; exit code 1 for an ``error`` or ``not_measured``."""
+
+    runs: Sequence[RunOfLog]
+    """The logs, in the order given."""
+
+
+# --- the commands beside the main work ------------------------------------------------------------
+
+
+class GraphOptimizeDocument(SettingsJson):
+    """``slamfusion graph optimize``."""
+
+    file: str
+    """The pose graph."""
+    nodes: int
+    """Its vertices."""
+    edges: int
+    """Its edges."""
+    closures: int
+    """Of the edges, the ones that close a loop."""
+    fixed: Sequence[int]
+    """Ids of the vertices that were held."""
+    has_poses: bool
+    """Whether the file gave the vertices poses; else they were laid along the odometry."""
+    skipped_lines: Mapping[str, int]
+    """Lines that were not understood, by kind."""
+    chi2_start: float
+    """Chi-square before, of all edges."""
+    chi2: float
+    """Chi-square after, of the edges that are no outliers."""
+    chi2_all: float
+    """Chi-square after, of all edges."""
+    iterations: int
+    """Steps of the solver."""
+    converged: bool
+    """Whether the last step changed next to nothing."""
+    doubted: Sequence[tuple[int, int]]
+    """Ids of both ends of the outliers: closures taken to be false."""
+    time_s: float
+    """Wall time of the optimisation, seconds."""
+    output: str | None
+    """The file that the graph was written to."""
+    tum: str | None
+    """The file that the poses were written to."""
+
+
+class OdometryEndErrorJson(TypedDict):
+    """How far odometry alone is off at the end of a drive."""
+
+    translation_m: float
+    """Distance, metres."""
+    rotation_deg: float
+    """Size of the turn, degrees."""
+
+
+class SimulatedWorldJson(TypedDict):
+    """A drawn place."""
+
+    name: str
+    """What kind of place."""
+    width_m: float
+    """Metres in x."""
+    height_m: float
+    """Metres in y."""
+    resolution: float
+    """Metres per cell."""
+    people: int
+    """People who walk in it."""
+    obstacles: int
+    """Obstacles that are in no map."""
+    glass_cells: int
+    """Cells of glass, which the laser often passes."""
+
+
+class SimulatedDriveJson(TypedDict):
+    """A simulated drive in numbers."""
+
+    name: str
+    """The course."""
+    scans: int
+    """Scans of the log."""
+    beams: int
+    """Readings of a scan."""
+    duration_s: float
+    """Length of the drive, seconds."""
+    path_m: float
+    """Its true path, metres."""
+    waypoints_left_out: int
+    """Planned waypoints that the robot cannot drive to."""
+    no_return_share: float
+    """Share of the readings without an echo, 0 to 1."""
+    odometry_end_error: OdometryEndErrorJson
+    """How far odometry alone is off at the end."""
+    world: SimulatedWorldJson
+    """The place."""
+
+
+class SimulateDocument(SimulatedDriveJson, CircumstancesJson):
+    """``slamfusion simulate``."""
+
+    files: Sequence[str]
+    """What was written."""
+    time_s: float
+    """Wall time, seconds."""
+
+
+class ShowDocument(TypedDict):
+    """What ``slamfusion show`` prints when it has begun."""
+
+    url: str
+    """Address of the page."""
+    maps: list[str]
+    """Names of the maps that it shows."""
+
+
+class LiveLineJson(TypedDict):
+    """What a running node says of itself or of an input; a line of its diagnostics."""
+
+    name: str
+    """Of the input, or fusion."""
+    level: str
+    """ok, warn, error or stale."""
+    message: str
+    """Why, for people."""
+    figures: Mapping[str, str]
+    """Figures by name, with their units, as the node writes them."""
+
+
+class LiveStatusDocument(TypedDict):
+    """``slamfusion live status``."""
+
+    node: str
+    """The node that answered, with its namespace."""
+    fusion: LiveLineJson
+    """What it says of the fusion."""
+    inputs: Sequence[LiveLineJson]
+    """What it says of each input."""
+
+
+class LiveAnswerDocument(TypedDict):
+    """``slamfusion live save``, ``reset``, ``set``, ``add`` and ``remove``."""
+
+    success: bool
+    """Whether it was done."""
+    message: str
+    """What was done, or why not; of ``save`` the file."""
+
+
+class DevicesDocument(TypedDict):
+    """``slamfusion devices``."""
+
+    devices: Sequence[DeviceInfo]
+    """The OpenCL devices; may be empty."""
+
+
+class SelfTestJson(TypedDict):
+    """A test of the kernels."""
+
+    name: str
+    """What was tested."""
+    passed: bool
+    """Whether it computes as it should."""
+    detail: str
+    """What was found."""
+
+
+class DoctorDocument(TypedDict):
+    """``slamfusion doctor``; exit code 1 where it is not ``ok``."""
+
+    ok: bool
+    """Whether nothing is wrong."""
+    problems: Sequence[str]
+    """What is wrong and what to do, a sentence each."""
+    versions: Mapping[str, str | None]
+    """Versions of Python, of this package and of those it stands on; null: not installed."""
+    devices: Sequence[DeviceInfo]
+    """The OpenCL devices; may be empty."""
+    pocl: PoclState | None
+    """What became of the PoCL that came with the package; null where no OpenCL was looked at."""
+    device: str | None
+    """The one that was tested, in words; null where it cannot be opened."""
+    self_test: Sequence[SelfTestJson]
+    """The tests of the kernels."""
+    install: Mapping[str, str]
+    """What to install, by maker of the device."""

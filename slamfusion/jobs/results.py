@@ -15,7 +15,7 @@ import struct
 import zipfile
 import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -26,10 +26,10 @@ from slamfusion.evaluation import Row
 from slamfusion.io import write_atomic
 from slamfusion.io.map_yaml import existing, read_map_yaml
 from slamfusion.io.regular import open_regular
-from slamfusion.jobs.documents import record_bytes, versions
+from slamfusion.jobs.documents import record_bytes
 from slamfusion.jobs.inputs import map_file
 from slamfusion.jobs.records import SummariesJson
-from slamfusion.version import __version__
+from slamfusion.version import __version__, versions
 
 try:
     import pandas as pd
@@ -139,23 +139,20 @@ def _is_number(cell: str) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class SavedResults:
-    """The contents of a file of results, as far as comparisons need them.
-
-    Attributes:
-        name: how tables name it.
-        file: its path.
-        command: the words of the command that saved it.
-        version: of the program that saved it.
-        table: the results; see ``results_table``.
-        yardsticks: (role, case) and SHA-256 of each truth, relations file and log.
-    """
+    """A file of saved results, or one method of it."""
 
     name: str
+    """Its name below: that of its file without the ending, or the method."""
     file: Path
+    """Its file."""
     command: str
+    """The command that saved it."""
     version: str
-    table: pd.DataFrame
-    yardsticks: Mapping[tuple[str, str], str]
+    """Version of the program that saved it."""
+    table: pd.DataFrame = field(repr=False)
+    """The results; see ``results_table``."""
+    yardsticks: Mapping[tuple[str, str], str] = field(repr=False)
+    """(Role, case) and SHA-256 of each truth, relations file and log."""
 
 
 def map_inputs(role: str, case: str, paths: Sequence[Path]) -> list[tuple[str, str, Path]]:

@@ -36,17 +36,24 @@ from slamfusion.fusion.groups import LEAST_FUSED
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import open_log
 from slamfusion.jobs.cases import CaseFile
-from slamfusion.jobs.defaults import RUN_DEFAULTS, RUN_VOTE
 from slamfusion.jobs.evaluate import evaluate_maps
 from slamfusion.jobs.fuse import AllRequiredError
-from slamfusion.jobs.fuse_documents import DoubledWalls, left_out_sentences
+from slamfusion.jobs.fuse_documents import left_out_sentences
 from slamfusion.jobs.fuse_drive import DriveFusion, fuse_layers
 from slamfusion.jobs.fused_path import DrivePath, draw_like, fuse_weighed_paths
-from slamfusion.jobs.inputs import Progress, Warn, as_path, device_for, load_maps
+from slamfusion.jobs.inputs import (
+    RUN_DEFAULTS,
+    RUN_VOTE,
+    Progress,
+    Warn,
+    as_path,
+    device_for,
+    load_maps,
+)
 from slamfusion.jobs.map_log import PROGRESS_STEPS, LogFiles, ProducerResult, measure_run
 from slamfusion.jobs.outputs import DRAWN, FUSED
 from slamfusion.jobs.partial import Filling, Layers, draw_layers
-from slamfusion.jobs.records import Evaluation
+from slamfusion.jobs.records import DoubledWalls, Evaluation
 from slamfusion.jobs.saved_maps import SavedMaps, SavedPath, path_at_scans
 from slamfusion.jobs.trajectory import Measures, Yardsticks
 from slamfusion.slam.common.odometry_check import laser_fault
@@ -192,11 +199,7 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
             clock of the log, may be sparse: what the scans say of them counts as for the
             producers' own. Whose path each one is, its name tells; see ``slamfusion.jobs.cases``.
         resolution: metres per cell of bare images.
-        relations: known motions between pairs of times: errors of the paths.
-        odometry: raw odometry of the whole run, to carry poses on to the relations' times.
-        truth: the true trajectory: errors of the paths.
-        truth_map: the true map: errors of every map and of the fused one.
-        scan_odometry: what gives the scans their odometry instead of the log.
+        relations, odometry, truth, truth_map, scan_odometry: see ``LogFiles``.
         progress: told the stage, or the producer, and how much of it is done.
         warn: told in a sentence what is doubtful about a map.
         prepare: called while the producers are at work; what it raises ends the run at once.
@@ -237,9 +240,7 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
         true_map = None
         if files.truth_map is not None:
             (true_map,) = load_maps([files.truth_map], resolution, config.map_files, warn)
-        held = Yardsticks.read(
-            config, relations=files.relations, odometry=files.odometry, truth=files.truth
-        )
+        held = Yardsticks.read(config, files.relations, files.odometry, files.truth)
         others, their_paths = saved.load(config, resolution, warn)
         device = device_for(config)
         outcomes = work.wait(_share_teller(progress))

@@ -6,6 +6,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 from slamfusion.io import AtomicFiles, save_map, write_tum
 from slamfusion.jobs.documents import circumstances, record_bytes
@@ -28,14 +29,14 @@ from slamfusion.jobs.outputs import (
     remove_empty,
     report_files,
 )
-from slamfusion.jobs.run import LogRun
-from slamfusion.jobs.run_records import (
+from slamfusion.jobs.records import (
     FailedProducerJson,
     RunDocument,
     RunFilesJson,
     RunProducerJson,
     RunRecordDocument,
 )
+from slamfusion.jobs.run import LogRun
 from slamfusion.slam.side_by_side import Outcome
 
 
@@ -203,15 +204,10 @@ def _record(
     """Return a producer's record; of one that made no map, why."""
     if outcome.name in run.results:
         return _made(run, outcome.name, files)
+    unknown = cast("FailedProducerJson", dict.fromkeys(FailedProducerJson.__annotations__))
     return {
+        **unknown,
         "name": outcome.name,
-        "scans": None,
-        "scans_used": None,
-        "time_s": None,
-        "time_per_scan_ms": None,
-        "peak_memory_mb": None,
-        "health": None,
-        "map_error": None,
         "files": [],
         "failed": outcome.reason,
         "process_time_s": outcome.time_s,

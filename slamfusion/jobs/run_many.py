@@ -18,9 +18,9 @@ from slamfusion.jobs.inputs import Progress, distinct_names
 from slamfusion.jobs.outputs import FUSED, REPORT, RUN_RECORD
 
 if TYPE_CHECKING:
+    from slamfusion.jobs.records import RunsDocument
     from slamfusion.jobs.run import LogRun
     from slamfusion.jobs.run_files import SavedRun
-    from slamfusion.jobs.run_records import RunsDocument
 
 
 @dataclass(frozen=True)

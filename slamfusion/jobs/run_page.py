@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from slamfusion.evaluation import ErrorStatistics
+from slamfusion.evaluation import error_kinds
 from slamfusion.fusion.path_check import PathGap, moved_path
 from slamfusion.geometry import Pose2
 from slamfusion.io.atomic import AtomicFiles
@@ -42,7 +44,6 @@ from slamfusion.report.page import (
     Picture,
     Section,
     Table,
-    circumstances,
     number,
     write_page,
 )
@@ -88,14 +89,7 @@ def write_run_page(run: LogRun, directory: str | Path, files: AtomicFiles | None
 
     Args:
         run: what was made.
-        directory: for ``report.html`` and the PNG files; made when missing.
-        files: the set of files to join; default: one of its own.
-
-    Returns:
-        The path of ``report.html``.
-
-    Raises:
-        SlamFusionError: the directory cannot be written.
+        directory, files: see ``write_page``, also for what is returned and raised.
     """
     config, result, normalize = run.config, run.fusion.result, run.config.fusion.normalize
     sections = [_maps_section(run)]
@@ -124,9 +118,8 @@ def write_run_page(run: LogRun, directory: str | Path, files: AtomicFiles | None
     elif run.grids:
         tables = [statistics_table(run.grids, normalize)]
         sections.append(Section("The maps in numbers", "numbers", tables=tables))
-    sections.append(circumstances(config, run.device))
-    page = Page("SLAMfusion run", _banner(run), _facts(run), sections)
-    return write_page(page, directory, files, forms=config.report.pictures)
+    page = Page("SLAMfusion run", _banner(run), _facts(run), sections, config, run.device)
+    return write_page(page, directory, files)
 
 
 def _banner(run: LogRun) -> Banner:
@@ -234,39 +227,28 @@ def _health_section(run: LogRun) -> Section:
             start_s = float(item.run.trajectory.stamps_s[0])
             png = series_picture(shown, colour=colours[item.run.name], start_s=start_s)
             pictures.append(Picture(f"over-time-{item.run.name}", png, item.run.name))
-    rows = [
-        [
-            Cell(item.run.name),
-            Cell(str(item.run.scans), is_number=True),
-            Cell(str(item.run.scans_used), is_number=True),
-            number(item.run.health.mean_match_score),
-            Cell(str(item.run.health.low_scores), is_number=True),
-            Cell(str(item.run.low_in_a_row), is_number=True),
-            Cell(
-                "; ".join(item.run.warnings()) or "nothing",
-                "bad" if item.run.warnings() else "good",
+    health = Table.of(
+        "Health",
+        [item.run for item in run.results.values()],
+        {
+            "producer": lambda own: own.name,
+            "scans": lambda own: own.scans,
+            "used": lambda own: own.scans_used,
+            "mean match score": lambda own: number(own.health.mean_match_score),
+            "low scores": lambda own: own.health.low_scores,
+            "in a row": lambda own: own.low_in_a_row,
+            "what speaks against its map": lambda own: Cell(
+                "; ".join(own.warnings()) or "nothing", "bad" if own.warnings() else "good"
             ),
-        ]
-        for item in run.results.values()
-    ]
-    rows += [
+        },
+        "Match score: share of a scan's hits that fall on known walls. Low: below half of the "
+        "mean, the dotted line; a robot that gets lost has many in a row.",
+    )
+    failed = [
         [Cell(item.name), *[Cell("-", is_number=True)] * 5, Cell(f"no map: {item.reason}", "bad")]
         for item in run.failed
     ]
-    columns = (
-        "producer",
-        "scans",
-        "used",
-        "mean match score",
-        "low scores",
-        "in a row",
-        "what speaks against its map",
-    )
-    note = (
-        "Match score: share of a scan's hits that fall on known walls. Low: below half of the "
-        "mean, the dotted line; a robot that gets lost has many in a row."
-    )
-    tables = [Table("Health", columns, rows, note)]
+    tables = [replace(health, rows=[*health.rows, *failed])]
     return Section("Health over time", "health", pictures=pictures, tables=tables)
 
 
@@ -284,42 +266,32 @@ def _over_time(run: ProducerRun) -> list[Series]:
 
 def _timings_section(run: LogRun) -> Section:
     """Return what the producers and the stages took."""
-    rows = []
-    for item in run.outcomes:
-        if item.run is None:
-            continue
-        time_ms = item.run.time_per_scan_ms()
-        rows.append(
-            [
-                Cell(item.name),
-                *(number(time_ms[key], 2) for key in ("mean", "p50", "p95", "p999", "max")),
-                number(item.run.time_s, 1),
-                number(item.time_s, 1),
-                number(item.cpu_s, 1),
-                number(item.run.peak_memory_bytes / BYTES_PER_MB, 1),
-                number(item.run.process_peak_memory_bytes / BYTES_PER_MB, 0),
-            ]
-        )
-    columns = (
-        "producer",
-        "ms a scan",
-        "median",
-        "95 %",
-        "99.9 %",
-        "longest",
-        "log to map s",
-        "process s",
-        "processor s",
-        "map and filter MB",
-        "process MB",
-    )
-    note = (
+    producers = Table.of(
+        "Producers",
+        [(item, item.run, item.run.time_per_scan_ms()) for item in run.outcomes if item.run],
+        {
+            "producer": lambda own: own[0].name,
+            "ms a scan": lambda own: number(own[2]["mean"], 2),
+            "median": lambda own: number(own[2]["p50"], 2),
+            "95 %": lambda own: number(own[2]["p95"], 2),
+            "99.9 %": lambda own: number(own[2]["p999"], 2),
+            "longest": lambda own: number(own[2]["max"], 2),
+            "log to map s": lambda own: number(own[1].time_s, 1),
+            "process s": lambda own: number(own[0].time_s, 1),
+            "processor s": lambda own: number(own[0].cpu_s, 1),
+            "map and filter MB": lambda own: number(own[1].peak_memory_bytes / BYTES_PER_MB, 1),
+            "process MB": lambda own: number(own[1].process_peak_memory_bytes / BYTES_PER_MB, 0),
+        },
         "The producers run side by side, so their times overlap. Process: imports, the device and "
-        "the kernels included."
+        "the kernels included.",
     )
-    tables = [Table("Producers", columns, rows, note)] if rows else []
-    stages = [[Cell(name), number(seconds, 2)] for name, seconds in run.stages.items()]
-    tables.append(Table("Stages", ("stage", "s"), stages, "The drawing of this page comes on top."))
+    stages = Table.of(
+        "Stages",
+        run.stages.items(),
+        {"stage": lambda own: own[0], "s": lambda own: number(own[1], 2)},
+        "The drawing of this page comes on top.",
+    )
+    tables = [producers, stages] if producers.rows else [stages]
     text = f"The log: {run.files.log}"
     return Section("Timings and memory", "timings", text, tables=tables)
 
@@ -381,17 +353,7 @@ def _paths_section(run: LogRun) -> Section:
                 "line is broken where one has no pose.",
             )
         )
-        rows = [_gap_row(gap, limit_m) for gap in gaps]
-        note = (
-            "Laid into the fused map. A producer whose path is, while both vote, more than "
-            f"{limit_m:g} m (median) from those of the others is left out of the vote, however "
-            "well its walls fit."
-        )
-        columns = (
-            *("paths", "at the start m", "median m", "at most m", "median yaw °"),
-            *("median m, both vote", "at most m, both vote"),
-        )
-        tables.append(Table("The paths against each other", columns, rows, note))
+        tables.append(_gaps_table(gaps, limit_m))
     return Section("Paths", "paths", "", pictures, tables)
 
 
@@ -404,66 +366,71 @@ def _without_vote(gap: PathGap) -> list[tuple[float, float]]:
     ]
 
 
-def _gap_row(gap: PathGap, limit_m: float) -> list[Cell]:
-    """Return the figures of a gap, over the drive and while both paths have a vote."""
-    median_m, max_m = None, None
-    if gap.voting is not None:
-        median_m, max_m = gap.voting.median_m, gap.voting.max_m
-    return [
-        Cell(f"{gap.a} to {gap.b}"),
-        number(float(gap.gaps_m[0])),
-        number(gap.median_m),
-        number(gap.max_m),
-        number(float(np.rad2deg(gap.median_yaw_rad)), 2),
-        number(median_m, tone="bad" if median_m is not None and median_m > limit_m else "plain"),
-        number(max_m),
-    ]
+def _gaps_table(gaps: Sequence[PathGap], limit_m: float) -> Table:
+    """Return how far every two paths are apart, over the drive and while both have a vote."""
+
+    def while_voting(gap: PathGap) -> Cell:
+        median_m = None if gap.voting is None else gap.voting.median_m
+        tone = "bad" if median_m is not None and median_m > limit_m else "plain"
+        return number(median_m, tone=tone)
+
+    return Table.of(
+        "The paths against each other",
+        gaps,
+        {
+            "paths": lambda gap: f"{gap.a} to {gap.b}",
+            "at the start m": lambda gap: number(float(gap.gaps_m[0])),
+            "median m": lambda gap: number(gap.median_m),
+            "at most m": lambda gap: number(gap.max_m),
+            "median yaw °": lambda gap: number(math.degrees(gap.median_yaw_rad), 2),
+            "median m, both vote": while_voting,
+            "at most m, both vote": lambda gap: number(gap.voting.max_m if gap.voting else None),
+        },
+        "Laid into the fused map. A producer whose path is, while both vote, more than "
+        f"{limit_m:g} m (median) from those of the others is left out of the vote, however well "
+        "its walls fit.",
+    )
 
 
 def _together(
     run: LogRun, together: Sequence[ProducerResult], placed: Mapping[str, Pose2]
 ) -> Picture:
     """Return the paths whose maps were fused, with truth and odometry, in the fused map."""
-    shown = [moved_path(item.run.trajectory, placed[item.run.name]) for item in together]
-    others = [item.path for name, item in run.saved_paths.items() if name in placed]
-    shown += [moved_path(path, placed[path.name]) for path in others]
-    first, start = together[0], placed[together[0].run.name]
-    truth, errors = None, first.measures.truth
-    if run.truth is not None and errors is not None:
-        truth = moved_path(run.truth, start.compose(errors.pose_truth_estimate.inverse()))
-    odometry = first.run.odometry
-    if odometry is not None:
-        odometry = paths.laid_on_start(odometry, shown[0])
-    names = [*(item.run.name for item in together), *(path.name for path in others)]
-    colours = {name: rgb for name, rgb in _colours(run).items() if name in names}
-    sentences = []
-    if truth is not None:
+    first, colours, result = together[0], _colours(run), run.fusion.result
+    found = {item.run.name: item.run.trajectory for item in together}
+    found |= {name: item.path for name, item in run.saved_paths.items() if name in placed}
+    shown = {name: moved_path(path, placed[name]) for name, path in found.items()}
+    # The first lies on top; the lower ones are wider, so that each is seen where all are one line.
+    step = 1.2 / max(1, len(shown) - 1)
+    lines = [
+        paths.Line(path, name, colours[name], 1.0 + step * index)
+        for index, (name, path) in reversed(list(enumerate(shown.items())))
+    ]
+    top, sentences = shown[first.run.name], []
+    if run.fused_path is not None:
+        lines.append(
+            paths.Line(run.fused_path.trajectory, FUSED_PATH, colours[FUSED_PATH], width=0.8)
+        )
+    if run.truth is not None and (errors := first.measures.truth) is not None:
+        motion = placed[first.run.name].compose(errors.pose_truth_estimate.inverse())
+        lines.append(paths.truth_line(moved_path(run.truth, motion)))
         sentences.append("The truth is laid on the first path as a whole.")
-    if odometry is not None:
+    if first.run.odometry is not None:
+        lines.insert(0, paths.odometry_line(paths.laid_on_start(first.run.odometry, top)))
         sentences.append(
             "Raw odometry is laid on its start; drift far beyond the picture is cut off."
         )
-    result = run.fusion.result
-    fused = None if run.fused_path is None else run.fused_path.trajectory
     return Picture(
         "paths",
-        paths.run_paths_picture(
-            shown,
-            list(colours.values()),
-            fused=fused,
-            truth=truth,
-            odometry=odometry,
+        paths.paths_picture(
+            lines,
+            top,
             grid=None if result is None else result.fused,
             normalize=run.config.fusion.normalize,
         ),
         "The paths over the fused map",
         " ".join(sentences),
-        legend=paths.run_paths_legend(
-            colours,
-            fused=fused is not None,
-            truth=truth is not None,
-            odometry=odometry is not None,
-        ),
+        legend=paths.paths_legend(lines),
     )
 
 
@@ -471,33 +438,24 @@ def _path_errors_section(run: LogRun) -> list[Section]:
     """Return the errors of all paths in one table, and of each relation over time."""
     rows, pictures, colours = [], [], _colours(run)
     for name, item in _measured_paths(run):
+        for kind, statistics, digits in error_kinds(item.truth, item.relations, item.at_scans):
+            rows.append([Cell(name), Cell(kind), *figure_cells(statistics, digits)])
         if item.relations is not None:
-            errors = item.relations
-            used = f"{errors.relations_used} of {errors.relations_total}"
-            rows += [
-                _figures(name, f"relations ({used}), translation m", errors.translation, 4),
-                _figures(name, f"relations ({used}), rotation °", errors.rotation_deg, 3),
-            ]
+            used = f"{item.relations.relations_used} of {item.relations.relations_total} relations."
             pictures.append(
                 Picture(
                     f"relations-{name}",
-                    paths.relations_picture(errors),
+                    paths.relations_picture(item.relations),
                     f"{name}: error of each relation",
+                    used,
                     legend=paths.revisit_legend(),
                 )
             )
         if item.truth is not None:
-            found = item.truth
-            pair = f"{found.rpe_delta:g} {found.rpe_unit}"
-            rows += [
-                _figures(name, "ATE, place m", found.ate, 4),
-                _figures(name, "ATE, heading °", found.ate_rotation_deg, 3),
-                _figures(name, f"RPE over {pair}, place m", found.rpe, 4),
-            ]
             pictures.append(
                 Picture(
                     f"error-{name}",
-                    paths.error_picture(found, colours[name]),
+                    paths.error_picture(item.truth, colours[name]),
                     f"{name}: error along the path",
                 )
             )
@@ -511,8 +469,3 @@ def _path_errors_section(run: LogRun) -> list[Section]:
     columns = ("path", "error", *FIGURES)
     table = Table("Errors of the paths", columns, rows)
     return [Section("Errors of the paths", "path-errors", text, pictures, [table])]
-
-
-def _figures(name: str, what: str, statistics: ErrorStatistics | None, digits: int) -> list[Cell]:
-    """Return a row of figures; dashes where there are none."""
-    return [Cell(name), Cell(what), *figure_cells(statistics, digits)]

@@ -11,7 +11,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.jobs.documents import settings_used
 from slamfusion.jobs.inputs import Progress, device_for
-from slamfusion.jobs.tool_records import SimulatedDriveJson, SimulateDocument
+from slamfusion.jobs.records import SimulatedDriveJson, SimulateDocument
 from slamfusion.sim import (
     Course,
     Recording,

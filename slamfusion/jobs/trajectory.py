@@ -95,7 +95,6 @@ class Yardsticks:
     def read(
         cls,
         config: RunConfig,
-        *,
         relations: str | Path | None = None,
         odometry: str | Path | None = None,
         truth: str | Path | None = None,
@@ -105,8 +104,7 @@ class Yardsticks:
         Args:
             config: ``log`` says how poses are read.
             relations: lines of 't1 t2 x y z roll pitch yaw' [K09].
-            odometry: a log, or poses.
-            truth: poses.
+            odometry, truth: a log, or poses.
 
         Raises:
             TrajectoryError: a file is damaged.
@@ -157,10 +155,8 @@ def measure_trajectory(
     Args:
         estimate: the poses.
         config: tolerances, and what the relative error spans; default: the defaults.
-        relations: known motions between pairs of times.
-        odometry: raw odometry of the whole run, to carry poses on to the relations' times.
+        relations, odometry, truth: see ``Yardsticks``.
         scans: raw odometry of the scans of the estimate's log.
-        truth: the true poses.
 
     Raises:
         TrajectoryError: the estimate does not meet the relations, the odometry or the truth.
@@ -195,10 +191,8 @@ class TrajectoryFiles:
 
     Attributes:
         estimate: the poses.
-        relations: known motions between pairs of times.
-        odometry: raw odometry of the whole run.
+        relations, odometry, truth: see ``Yardsticks``.
         log: what the estimate was made from.
-        truth: the true poses.
     """
 
     estimate: Path
@@ -213,10 +207,8 @@ class CaseFiles:
     """What paths of several cases are held against: of each kind the file of a case, by its name.
 
     Attributes:
-        relations: known motions between pairs of times.
-        odometry: raw odometry of the whole run.
+        relations, odometry, truths: see ``Yardsticks``.
         logs: what the paths were made from.
-        truths: the true poses.
         scan_odometry: what gives the scans of a log their odometry.
     """
 
@@ -323,9 +315,7 @@ def measure_trajectory_file(
     config = config or RunConfig()
     estimate = read_trajectory(files.estimate, config.log)
     scans = None if files.log is None else read_trajectory(files.log, config.log)
-    held = Yardsticks.read(
-        config, relations=files.relations, odometry=files.odometry, truth=files.truth
-    )
+    held = Yardsticks.read(config, files.relations, files.odometry, files.truth)
     drawn = None if grid is None else as_grids([grid], config, warn=warn)[0]
     measures = held.measure(estimate, config, scans)
     return MeasuredTrajectory(files, config, estimate, measures, held.truth, scans, drawn)
@@ -345,7 +335,7 @@ def measure_trajectories(
         The paths that could be measured, in the order given, and a sentence for each other one.
 
     Raises:
-        TrajectoryError: a file of a case is damaged.
+        TrajectoryError: a file of a case is damaged, or the only path cannot be measured.
         LogError: a log cannot be read.
         OSError: a file cannot be opened.
         SlamFusionError: none of the paths could be measured.
@@ -356,7 +346,7 @@ def measure_trajectories(
         log, files = held.logs.get(case), (held.relations, held.odometry, held.truths)
         relations, odometry, truth = (own.get(case) for own in files)
         yardsticks[case] = (
-            Yardsticks.read(config, relations=relations, odometry=odometry, truth=truth),
+            Yardsticks.read(config, relations, odometry, truth),
             None if log is None else read_trajectory(log, config.log),
         )
     found, not_measured = [], []
@@ -371,6 +361,8 @@ def measure_trajectories(
             estimate = read_trajectory(item.path, config.log)
             measures = known.measure(estimate, config, scans)
         except (SlamFusionError, OSError) as error:
+            if len(placed) == 1:
+                raise
             why = (error.strerror if isinstance(error, OSError) else None) or str(error)
             not_measured.append(f"{item.path}: {why.removeprefix(f'{item.path}: ')}")
             continue
@@ -404,15 +396,7 @@ def trajectories_document(
 def write_trajectory(
     found: MeasuredTrajectory, directory: str | Path, files: AtomicFiles | None = None
 ) -> Path:
-    """Write the report of a trajectory's errors.
-
-    Args:
-        found: what was measured.
-        directory: for ``report.html`` and its pictures.
-        files: the set of files to join; default: one of its own.
-
-    Returns:
-        The path of ``report.html``.
+    """Write the report of a trajectory's errors; see ``slamfusion.report.page.write_page``.
 
     Raises:
         SlamFusionError: matplotlib is missing, or the directory cannot be written.

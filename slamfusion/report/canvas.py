@@ -57,9 +57,9 @@ def crop_box(shown: npt.NDArray[np.bool_]) -> CellBox:
     )
 
 
-def cut_cells(cells: Classes, box: CellBox, outside: int = -1) -> Classes:
-    """Return the cells of a box that may reach beyond the array."""
-    cut = np.full((box.height, box.width), outside, dtype=np.int8)
+def cut_cells(cells: Classes, box: CellBox) -> Classes:
+    """Return the cells of a box; those beyond the array are -1."""
+    cut = np.full((box.height, box.width), -1, dtype=np.int8)
     row0, col0 = max(box.row0, 0), max(box.col0, 0)
     row1, col1 = min(box.row1, cells.shape[0]), min(box.col1, cells.shape[1])
     cut[row0 - box.row0 : row1 - box.row0, col0 - box.col0 : col1 - box.col0] = cells[

@@ -15,7 +15,7 @@ from slamfusion.report import plots
 from slamfusion.report.canvas import in_form
 from slamfusion.report.layers import error_layers
 from slamfusion.report.maps import alignment_table, error_section, yaw_pictures
-from slamfusion.report.page import Banner, Fact, Page, Section, circumstances, write_page
+from slamfusion.report.page import Banner, Fact, Page, Section, write_page
 
 
 def write_evaluation_report(
@@ -31,18 +31,13 @@ def write_evaluation_report(
 
     Args:
         evaluations: at least one map, all against one truth.
-        directory: for ``report.html`` and the PNG files; made when missing.
-        config: the effective configuration, written out in full.
+        directory, files: see ``write_page``, also for what is returned and raised.
+        config: the settings in effect.
         alignments: the alignment with the truth that each evaluation rests on, in the same order,
             None where the map was taken as it lies; a rejected one is said at the top.
         device: the device that computed, in words.
-        files: the set of files to join; default: one of its own.
-
-    Returns:
-        The path of ``report.html``.
 
     Raises:
-        SlamFusionError: the directory cannot be written.
         ValueError: there is no evaluation.
     """
     if not evaluations:
@@ -54,11 +49,9 @@ def write_evaluation_report(
     if searched:
         tables = alignment_table("Alignment to the truth", searched)
         sections.append(Section("Alignment", "alignment", "", yaw_pictures(searched), tables))
-    sections.append(circumstances(config, device))
-    page = Page(
-        "SLAMfusion evaluation", _banner(evaluations, searched), _facts(evaluations), sections
-    )
-    return write_page(page, directory, files, forms=config.report.pictures)
+    banner = _banner(evaluations, searched)
+    page = Page("SLAMfusion evaluation", banner, _facts(evaluations), sections, config, device)
+    return write_page(page, directory, files)
 
 
 def write_difference_image(

@@ -42,19 +42,32 @@ def evidence_section(
         "aligned with it where they agree most. Tinted: a path has left the recommended one.",
         legend=tuple(LegendEntry(name, colour) for name, colour in colours.items()),
     )
-    columns = (
-        *("path", "log-likelihood of a hit", "behind the recommended path", "95 %", "p"),
-        *("hits judged", "seen again %", "own poses %", "from the fused path m"),
-        "where it left the recommended path",
-    )
-    rows = [_row(path) for path in answer.paths]
     note = (
         "Each hit is looked up in the map that all other parts of the drive draw by the path that "
         "is scored; what they have not seen has a fixed price. All paths are scored on the same "
         "hits, and compared by drawing parts of the drive anew. No truth is used: a fault that "
         "all paths share, or a bend that is never seen twice, does not show."
     )
-    table = Table("The scores", columns, rows, note, folded=True)
+    table = Table.of(
+        "The scores",
+        answer.paths,
+        {
+            "path": lambda own: Cell(own.name, "best" if own.behind_95 is None else "plain"),
+            "log-likelihood of a hit": lambda own: number(own.consistency, 4),
+            "behind the recommended path": lambda own: number(own.behind_95 and own.behind, 4),
+            "95 %": lambda own: Cell(
+                "{:.4f} to {:.4f}".format(*own.behind_95) if own.behind_95 else "-", is_number=True
+            ),
+            "p": lambda own: number(own.p_value),
+            "hits judged": lambda own: own.beams_judged,
+            "seen again %": lambda own: number(100.0 * own.seen_share, 0),
+            "own poses %": lambda own: number(100.0 * own.own_poses_share, 0),
+            "from the fused path m": lambda own: number(own.from_fused_m, 3),
+            "where it left the recommended path": _partings,
+        },
+        note,
+        folded=True,
+    )
     return Section("Why this path", "evidence", answer.headline + ".", [picture], [table])
 
 
@@ -118,23 +131,11 @@ def _colours(
     return {name: NAMED["fused"] if name == fused else colours[name] for name in evidence.scores}
 
 
-def _row(path: RankedPath) -> list[Cell]:
-    """Return the figures of a path."""
+def _partings(path: RankedPath) -> str:
+    """Return where a path has left the recommended one, and how far."""
     where = "; ".join(
         f"{span.from_s:.0f} to {span.to_s:.0f} s by {span.gap_m:.2f} m"
         for span in path.spans
         if not span.agrees
     )
-    interval = "-" if path.behind_95 is None else "{:.4f} to {:.4f}".format(*path.behind_95)
-    return [
-        Cell(path.name, "best" if path.behind_95 is None else "plain"),
-        number(path.consistency, 4),
-        number(None if path.behind_95 is None else path.behind, 4),
-        Cell(interval, is_number=True),
-        number(path.p_value),
-        Cell(str(path.beams_judged), is_number=True),
-        number(100.0 * path.seen_share, 0),
-        number(100.0 * path.own_poses_share, 0),
-        number(path.from_fused_m, 3),
-        Cell(where or "nowhere"),
-    ]
+    return where or "nowhere"

@@ -36,7 +36,6 @@ from slamfusion.report.page import (
     Picture,
     Section,
     Table,
-    circumstances,
     number,
     write_page,
 )
@@ -59,17 +58,10 @@ def write_fusion_report(
 
     Args:
         result: what was fused; rejected inputs are shown with their reasons.
-        directory: for ``report.html`` and the PNG files; made when missing.
-        config: the effective configuration, written out in full.
+        directory, files: see ``write_page``, also for what is returned and raised.
+        config: the settings in effect.
         evaluations: errors against a truth, of the inputs, the fused map, or both.
         failure: why the result must not be used all the same, e.g. ``--require-all``.
-        files: the set of files to join; default: one of its own.
-
-    Returns:
-        The path of ``report.html``.
-
-    Raises:
-        SlamFusionError: the directory cannot be written.
     """
     box = shown_box(result)
     sections = [fused_section(result, box), *group_sections(result)]
@@ -80,11 +72,9 @@ def write_fusion_report(
         sections.append(error_section(evaluations))
     sections.append(alignment_section(result))
     sections.append(statistics_section(result, config))
-    sections.append(circumstances(config, result.device))
-    page = Page(
-        "SLAMfusion report", fusion_banner(result, failure), _facts(result, evaluations), sections
-    )
-    return write_page(page, directory, files, forms=config.report.pictures)
+    banner, facts = _banner(result, failure), _facts(result, evaluations)
+    page = Page("SLAMfusion report", banner, facts, sections, config, result.device)
+    return write_page(page, directory, files)
 
 
 def write_failure_report(
@@ -95,7 +85,6 @@ def write_failure_report(
     *,
     config: RunConfig,
     device: str = "",
-    files: AtomicFiles | None = None,
 ) -> Path:
     """Write the report of maps that could not be fused: each map, each pair, and why.
 
@@ -103,16 +92,9 @@ def write_failure_report(
         grids: the inputs, as given.
         pairs: every pair that was aligned; may be empty.
         reason: why nothing was fused.
-        directory: for ``report.html`` and the PNG files; made when missing.
-        config: the effective configuration, written out in full.
+        directory: see ``write_page``, also for what is returned and raised.
+        config: the settings in effect.
         device: the device that computed, in words.
-        files: the set of files to join; default: one of its own.
-
-    Returns:
-        The path of ``report.html``.
-
-    Raises:
-        SlamFusionError: the directory cannot be written.
     """
     normalize = config.fusion.normalize
     sections = [
@@ -129,14 +111,13 @@ def write_failure_report(
         curves = yaw_pictures(pairs)
         if curves:
             sections.append(Section("Score over yaw", "yaw", _YAW_TEXT, curves))
-    sections.append(circumstances(config, device))
     banner = Banner("bad", "Nothing was fused", [("", reason)])
     facts = [
         Fact(f"0 of {len(grids)}", "maps fused", "bad"),
         Fact(str(sum(pair.accepted for pair in pairs)), f"of {len(pairs)} pairs accepted"),
     ]
-    page = Page("SLAMfusion report", banner, facts, sections)
-    return write_page(page, directory, files, forms=config.report.pictures)
+    page = Page("SLAMfusion report", banner, facts, sections, config, device)
+    return write_page(page, directory)
 
 
 _YAW_TEXT = (
@@ -146,7 +127,7 @@ _YAW_TEXT = (
 )
 
 
-def fusion_banner(result: FusionResult, failure: str | None) -> Banner:
+def _banner(result: FusionResult, failure: str | None) -> Banner:
     """Say first which maps vote, and loudest which do not."""
     accepted = ", ".join(record.name for record in result.accepted)
     lines = doubtful_lines(result)
@@ -409,18 +390,18 @@ def statistics_section(
             they are known already.
     """
     roles = {True: Cell("fused", "good"), False: Cell("rejected", "bad")}
-    rows = [
-        [
-            Cell(record.name),
-            roles[record.accepted] if record.copy_of is None else Cell("copy"),
-            number(result.weights.get(record.name)),
-            number(result.wall_agreement.get(record.name)),
-            Cell(_outvoted(record) if record.accepted else "-"),
-            Cell(record.reason),
-        ]
-        for record in result.inputs
-    ]
-    votes = Table("Votes", ("map", "", "weight", "walls that agree", "outvoted in", "reason"), rows)
+    votes = Table.of(
+        "Votes",
+        result.inputs,
+        {
+            "map": lambda own: own.name,
+            "": lambda own: roles[own.accepted] if own.copy_of is None else "copy",
+            "weight": lambda own: number(result.weights.get(own.name)),
+            "walls that agree": lambda own: number(result.wall_agreement.get(own.name)),
+            "outvoted in": lambda own: _outvoted(own) if own.accepted else "-",
+            "reason": lambda own: own.reason,
+        },
+    )
     grids = [record.grid for record in result.inputs]
     shown = [*grids, result.fused.with_name("fused map")]
     table = statistics_table(shown, config.fusion.normalize, doubled)

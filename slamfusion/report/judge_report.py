@@ -17,7 +17,6 @@ from slamfusion.report.page import (
     Page,
     Section,
     Table,
-    circumstances,
     number,
     write_page,
 )
@@ -40,28 +39,21 @@ def write_judge_report(
     Args:
         answer: which path to use.
         evidence: what the scans say of all.
-        directory: for ``report.html`` and the PNG files; made when missing.
+        directory, files: see ``write_page``, also for what is returned and raised.
         log: that the scans are of.
-        config: the effective configuration, written out in full.
+        config: the settings in effect.
         errors_m: by what they are (ATE, relations), the errors of the paths by name, metres; a path
             that could not be measured is missing.
         not_measured: what could not be measured, a sentence each.
         device: the device that scored, in words.
-        files: the set of files to join; default: one of its own.
-
-    Returns:
-        The path of ``report.html``.
-
-    Raises:
-        SlamFusionError: the directory cannot be written.
     """
     sections = [evidence_section(answer, evidence)]
     known = {name: errors for name, errors in (errors_m or {}).items() if errors}
     if known:
         sections.append(_errors_section(answer, known))
-    sections.append(circumstances(config, device))
-    page = Page("SLAMfusion judge", _banner(answer, log, not_measured), _facts(answer), sections)
-    return write_page(page, directory, files, forms=config.report.pictures)
+    banner = _banner(answer, log, not_measured)
+    page = Page("SLAMfusion judge", banner, _facts(answer), sections, config, device)
+    return write_page(page, directory, files)
 
 
 def _banner(answer: Recommendation, log: str, not_measured: Sequence[str]) -> Banner:

@@ -12,6 +12,7 @@ from matplotlib.ticker import MaxNLocator  # noqa: TID251
 from matplotlib.transforms import Affine2D  # noqa: TID251
 
 from slamfusion.config import NormalizeConfig
+from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid, box_origin, trinary_cells
 from slamfusion.palette import END_RGB, FREE_RGB, START_RGB, UNKNOWN_RGB, WALL_RGB
 from slamfusion.report.canvas import (
@@ -57,9 +58,17 @@ def mark_legend() -> tuple[LegendEntry, ...]:
     return LegendEntry("start (circle)", START_RGB), LegendEntry("end (square)", END_RGB)
 
 
-def map_axes(extent: Extent, *, bar: bool = False) -> tuple[Figure, Axes]:
-    """Return axes of the shape of a place, in metres, with room for a colour bar beside them."""
-    margin = 0.03 * float(extent.size.max()) + 0.2
+def map_axes(
+    extent: Extent, *, bar: bool = False, margin_m: float | None = None
+) -> tuple[Figure, Axes]:
+    """Return axes of the shape of a place, in metres.
+
+    Args:
+        extent: of the place.
+        bar: leave room for a colour bar beside them.
+        margin_m: around the place; default: a little.
+    """
+    margin = 0.03 * float(extent.size.max()) + 0.2 if margin_m is None else margin_m
     low, high = extent.low - margin, extent.high + margin
     wide, tall = (float(side) for side in high - low)
     left, right, bottom, top = 0.5, (0.72 if bar else 0.08), 0.4, 0.08
@@ -92,15 +101,26 @@ def draw_grid(axes: Axes, grid: OccupancyGrid, normalize: NormalizeConfig) -> No
     palette = np.array((UNKNOWN_RGB, FREE_RGB, WALL_RGB), dtype=np.uint8)
     # Unknown cells have no colour here: around the map there is nothing either.
     rgba = np.dstack((palette[pooled + 1], np.where(pooled == -1, 0, 255).astype(np.uint8)))
-    corner = box_origin(grid.origin, grid.resolution, box)
-    side = factor * grid.resolution
+    draw_cells(axes, rgba, factor * grid.resolution, box_origin(grid.origin, grid.resolution, box))
+
+
+def draw_cells(axes: Axes, colours: npt.NDArray[np.uint8], side_m: float, corner: Pose2) -> None:
+    """Draw an image of cells in the map frame, row 0 at the bottom; beyond it nothing is known.
+
+    Args:
+        axes: keep their limits.
+        colours: (h, w, 3) or (h, w, 4) uint8.
+        side_m: of a pixel, metres.
+        corner: pose of the lower-left corner of pixel [0, 0] in the map frame.
+    """
+    height, width = colours.shape[:2]
     turned = Affine2D().rotate(corner.yaw_rad).translate(corner.x, corner.y)
     limits = axes.get_xlim(), axes.get_ylim()
     axes.imshow(
-        rgba,
+        colours,
         origin="lower",
         interpolation="nearest",
-        extent=(0.0, pooled.shape[1] * side, 0.0, pooled.shape[0] * side),
+        extent=(0.0, width * side_m, 0.0, height * side_m),
         transform=turned + axes.transData,
         aspect="auto",
     )
@@ -138,6 +158,11 @@ def grid_extent(grid: OccupancyGrid, normalize: NormalizeConfig) -> Extent:
     """Return the box of what the map knows."""
     box = crop_box(trinary_cells(grid.cells, normalize) != -1)
     corner = box_origin(grid.origin, grid.resolution, box)
-    wide, tall = box.width * grid.resolution, box.height * grid.resolution
+    return cells_extent((box.height, box.width), grid.resolution, corner)
+
+
+def cells_extent(shape: tuple[int, ...], side_m: float, corner: Pose2) -> Extent:
+    """Return the box of an image of cells; see ``draw_cells``."""
+    tall, wide = side_m * shape[0], side_m * shape[1]
     corners = corner.transform([(0, 0), (wide, 0), (0, tall), (wide, tall)])
     return Extent(corners.min(axis=0), corners.max(axis=0))

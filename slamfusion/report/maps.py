@@ -10,7 +10,13 @@ import numpy.typing as npt
 
 from slamfusion.align.records import Alignment
 from slamfusion.config import NormalizeConfig
-from slamfusion.evaluation import MapError, doubled_wall_share
+from slamfusion.evaluation import (
+    Figure,
+    MapError,
+    doubled_wall_share,
+    face_figures,
+    shown_figures,
+)
 from slamfusion.evaluation.cells import sample_on_lattice
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, OccupancyGrid, known_box, trinary_cells
@@ -147,58 +153,45 @@ def alignment_table(
     """Return the transforms with their measures, and the decision's own numbers, folded."""
     if not alignments:
         return []
-    columns = (
-        "moving",
-        "reference",
-        "",
-        "dx m",
-        "dy m",
-        "yaw °",
-        "score",
-        "overlap",
-        "error [F16]",
-        "runner-up ratio",
-        "time s",
-        "reason",
-    )
-    rows = []
-    for alignment in alignments:
-        transform, rival = alignment.transform, alignment.runner_up
-        rows.append(
-            [
-                Cell(alignment.moving),
-                Cell(alignment.reference),
-                accepted_cell(alignment),
-                number(transform.x),
-                number(transform.y),
-                number(math.degrees(math.remainder(transform.yaw_rad, 2 * math.pi)), 2),
-                number(alignment.score),
-                number(alignment.overlap),
-                number(alignment.error, 1),
-                number(rival.ratio if rival else None, 2),
-                number(alignment.time_s, 2),
-                Cell(alignment.reason),
-            ]
-        )
     note = (
         "A transform maps a point of the moving map's frame into the reference's. Runner-up: score "
         "of the best distinct rival over the answer's; near 1, the place looks alike under both."
     )
-    tables = [Table(title, columns, rows, note, folded=folded)]
+    tables = [
+        Table.of(
+            title,
+            alignments,
+            {
+                "moving": lambda own: own.moving,
+                "reference": lambda own: own.reference,
+                "": accepted_cell,
+                "dx m": lambda own: number(own.transform.x),
+                "dy m": lambda own: number(own.transform.y),
+                "yaw °": lambda own: number(
+                    math.degrees(math.remainder(own.transform.yaw_rad, 2 * math.pi)), 2
+                ),
+                "score": lambda own: number(own.score),
+                "overlap": lambda own: number(own.overlap),
+                "error [F16]": lambda own: number(own.error, 1),
+                "runner-up ratio": lambda own: number(
+                    own.runner_up.ratio if own.runner_up else None, 2
+                ),
+                "time s": lambda own: number(own.time_s, 2),
+                "reason": lambda own: own.reason,
+            },
+            note,
+            folded=folded,
+        )
+    ]
     with_numbers = [item for item in alignments if item.statistics]
     if with_numbers:
         keys = sorted({key for item in with_numbers for key in item.statistics})
-        tables.append(
-            Table(
-                f"{title}: the numbers of the decision",
-                ("number", *(f"{item.moving} on {item.reference}" for item in with_numbers)),
-                [
-                    [Cell(key), *(_statistic(item.statistics.get(key)) for item in with_numbers)]
-                    for key in keys
-                ],
-                folded=True,
-            )
-        )
+        heads = ("number", *(f"{item.moving} on {item.reference}" for item in with_numbers))
+        rows = [
+            [Cell(key), *(_statistic(item.statistics.get(key)) for item in with_numbers)]
+            for key in keys
+        ]
+        tables.append(Table(f"{title}: the numbers of the decision", heads, rows, folded=True))
     return tables
 
 
@@ -224,25 +217,27 @@ def statistics_table(
         doubled: the shares by name, where they are known already; others are found.
     """
     shares = doubled or {}
-    rows = []
-    for grid in grids:
-        classes = trinary_cells(grid.cells, normalize)
-        known = int(np.count_nonzero(classes != -1))
-        share = shares[grid.name] if grid.name in shares else doubled_wall_share(classes == 1)
-        rows.append(
-            [
-                Cell(grid.name),
-                Cell(f"{grid.width} x {grid.height}", is_number=True),
-                number(grid.resolution),
-                number(known * grid.resolution**2, 1),
-                Cell(f"{int(np.count_nonzero(classes == 1)):d}", is_number=True),
-                number(100 * share, 1),
-            ]
-        )
-    return Table(
+
+    def area_m2(grid: OccupancyGrid) -> float:
+        known = np.count_nonzero(trinary_cells(grid.cells, normalize) != -1)
+        return int(known) * grid.resolution**2
+
+    def doubled_percent(grid: OccupancyGrid) -> float:
+        known = shares.get(grid.name)
+        found = doubled_wall_share(grid, normalize=normalize) if known is None else known
+        return 100.0 * found
+
+    return Table.of(
         "The maps in numbers",
-        ("map", "cells", "cell m", "known m²", "wall cells", "doubled walls %"),
-        rows,
+        grids,
+        {
+            "map": lambda grid: grid.name,
+            "cells": lambda grid: Cell(f"{grid.width} x {grid.height}", is_number=True),
+            "cell m": lambda grid: number(grid.resolution),
+            "known m²": lambda grid: number(area_m2(grid), 1),
+            "wall cells": lambda grid: int((trinary_cells(grid.cells, normalize) == 1).sum()),
+            "doubled walls %": lambda grid: number(doubled_percent(grid), 1),
+        },
         "Doubled walls: wall cells with a parallel wall 2 to 8 cells away, the trace of a map laid "
         "over itself with a slip; thin furniture and double partitions count too, so compare maps "
         "of one place.",
@@ -294,42 +289,16 @@ def error_section(
     )
 
 
-# Heading, digits, whether larger is better, and the value of each map.
-_Measure = tuple[str, int, bool, list[float | None]]
-
-
 def _error_table(evaluations: Sequence[MapError], alignments: Sequence[Alignment | None]) -> Table:
     """Return all measures with the best of each column marked."""
-    measures: list[_Measure] = [
-        ("error [F16]", 2, False, [item.error for item in evaluations]),
-        ("wall precision", 3, True, [item.wall_precision for item in evaluations]),
-        ("wall recall", 3, True, [item.wall_recall for item in evaluations]),
-        ("wall F1", 3, True, [item.wall_f1 for item in evaluations]),
-        ("IoU walls", 3, True, [item.iou_occupied for item in evaluations]),
-        ("IoU free", 3, True, [item.iou_free for item in evaluations]),
-        (
-            "map wall to true m",
-            3,
-            False,
-            [item.map_to_truth_m.mean if item.map_to_truth_m else None for item in evaluations],
-        ),
-        (
-            "true wall to map m",
-            3,
-            False,
-            [item.truth_to_map_m.mean if item.truth_to_map_m else None for item in evaluations],
-        ),
-        ("SSIM", 3, True, [item.ssim for item in evaluations]),
-        ("coverage", 3, True, [item.coverage for item in evaluations]),
-    ]
-    rows = _measure_rows(evaluations, measures)
+    heads, rows = _figures(evaluations, list(map(shown_figures, evaluations)))
     for row, alignment in zip(rows, alignments, strict=True):
         if alignment is not None and not alignment.accepted:
             row[0] = Cell(f"{row[0].text} (not aligned)", "bad")
     tolerance = evaluations[0].tolerance_m if evaluations else 0.0
     return Table(
         "Errors",
-        ("map", *(heading for heading, *_ in measures)),
+        heads,
         rows,
         f"Walls count as right or found within {tolerance:g} m. Distances are means from each wall "
         "cell to the nearest one of the other map. The best of each column is green.",
@@ -338,49 +307,31 @@ def _error_table(evaluations: Sequence[MapError], alignments: Sequence[Alignment
 
 def _face_table(evaluations: Sequence[MapError]) -> Table:
     """Return the measures that reward no thickness with the best of each column marked."""
-    agreements = evaluations[0].faces.agreements if evaluations else ()
-    measures: list[_Measure] = [
-        (
-            f"faces F1 {agreement.tolerance_m:g} m",
-            3,
-            True,
-            [item.faces.agreements[index].f1 for item in evaluations],
-        )
-        for index, agreement in enumerate(agreements)
-    ]
-    outward = [item.faces.map_to_truth_m for item in evaluations]
-    back = [item.faces.truth_to_map_m for item in evaluations]
-    measures += [
-        ("face to true m", 3, False, [item.mean if item else None for item in outward]),
-        ("true face to map m", 3, False, [item.mean if item else None for item in back]),
-        ("doubled walls", 3, False, [item.doubled_wall_share for item in evaluations]),
-        ("outside m\N{SUPERSCRIPT TWO}", 1, False, [item.outside_m2 for item in evaluations]),
-    ]
-    rows = _measure_rows(evaluations, measures)
-    # No thickness is the best one: it is told, and none is marked.
-    for row, item in zip(rows, evaluations, strict=True):
-        row.append(number(item.wall_thickness_m.mean if item.wall_thickness_m else None, 3))
     return Table(
         "Faces of walls",
-        ("map", *(heading for heading, *_ in measures), "wall thickness m"),
-        rows,
+        *_figures(evaluations, list(map(face_figures, evaluations))),
         "Faces are the wall cells that share a side with a free cell, so what is filled behind a "
         "wall counts for nothing. Outside is the area that the map knows beyond the truth's "
         "outline. The best of each column is green.",
     )
 
 
-def _measure_rows(
-    evaluations: Sequence[MapError], measures: Sequence[_Measure]
-) -> list[list[Cell]]:
-    """Return a row of measures for each map, with the best of each column marked."""
-    rows = [[Cell(item.name)] for item in evaluations]
-    for _, digits, larger_is_better, values in measures:
+def _figures(
+    evaluations: Sequence[MapError], figures: Sequence[Sequence[tuple[Figure, float | None]]]
+) -> tuple[list[str], list[list[Cell]]]:
+    """Return the headings and a row of figures for each map, the best of each column marked."""
+    heads, rows = ["map"], [[Cell(item.name)] for item in evaluations]
+    for column in zip(*figures, strict=True):
+        figure, values = column[0][0], [value for _, value in column]
         defined = [value for value in values if value is not None]
-        best = (max if larger_is_better else min)(defined) if len(defined) > 1 else None
+        best = None
+        if len(defined) > 1 and figure.larger_is_better is not None:
+            best = (max if figure.larger_is_better else min)(defined)
+        heads.append(figure.label)
         for row, value in zip(rows, values, strict=True):
-            row.append(number(value, digits, "best" if value == best is not None else "plain"))
-    return rows
+            tone = "best" if value == best is not None else "plain"
+            row.append(number(value, figure.digits, tone))
+    return heads, rows
 
 
 def _common_box(

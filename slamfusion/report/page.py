@@ -6,17 +6,16 @@ import base64
 import contextlib
 import datetime as dt
 import hashlib
-import importlib.metadata
 import importlib.resources
 import platform
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from operator import itemgetter
 from pathlib import Path
+from typing import TypeVar
 
-import cv2
 import jinja2
-import numpy as np
 import yaml
 from markupsafe import Markup
 
@@ -25,8 +24,10 @@ from slamfusion.io.atomic import AtomicFiles
 from slamfusion.palette import Rgb
 from slamfusion.report.canvas import in_form
 from slamfusion.report.layers import Layers
-from slamfusion.version import __version__
+from slamfusion.version import __version__, version_of, versions
 from slamfusion.viewer.front import bundled, front_end
+
+T = TypeVar("T")
 
 _STEM_CHARACTERS = re.compile(r"[^A-Za-z0-9_-]+")
 _STEM_LENGTH = 40
@@ -106,6 +107,26 @@ class Table:
             for text, cell in zip(self.columns, first, strict=True)
         ]
 
+    @classmethod
+    def of(
+        cls,
+        title: str,
+        items: Iterable[T],
+        columns: Mapping[str, Callable[[T], Cell | str | int]],
+        note: str = "",
+        *,
+        folded: bool = False,
+    ) -> Table:
+        """Return a table with a row for each item.
+
+        Args:
+            title, note, folded: of the table.
+            items: of the rows.
+            columns: by heading, what returns the cell of an item: a text, a count, or a ``Cell``.
+        """
+        rows = [[_cell(value(item)) for value in columns.values()] for item in items]
+        return cls(title, tuple(columns), rows, note, folded)
+
 
 @dataclass(frozen=True)
 class Fact:
@@ -143,12 +164,14 @@ class Banner:
 
 @dataclass(frozen=True)
 class Page:
-    """A whole report."""
+    """A whole report, which ends with the settings in effect and the device, in words."""
 
     title: str
     banner: Banner
     facts: Sequence[Fact]
     sections: Sequence[Section]
+    config: RunConfig
+    device: str
 
 
 def number(value: float | None, digits: int = 3, tone: str = "plain") -> Cell:
@@ -158,46 +181,44 @@ def number(value: float | None, digits: int = 3, tone: str = "plain") -> Cell:
     return Cell(f"{value:.{digits}f}", tone, is_number=True)
 
 
-def circumstances(config: RunConfig, device: str) -> Section:
+def _cell(value: Cell | str | int) -> Cell:
+    """Return a text or a count as a cell."""
+    return value if isinstance(value, Cell) else Cell(str(value), is_number=isinstance(value, int))
+
+
+def _circumstances(config: RunConfig, device: str) -> Section:
     """Return the effective configuration and the versions that a result came from."""
-    versions = [
-        ("slamfusion", __version__),
-        ("Python", platform.python_version()),
-        ("NumPy", np.__version__),
-        ("SciPy", _version("scipy")),
-        ("OpenCV", cv2.__version__),
-        ("PyOpenCL", _version("pyopencl")),
-        ("matplotlib", _version("matplotlib")),
-        ("platform", f"{platform.system()} {platform.machine()}"),
-        ("device", device or "not named"),
-    ]
+    found = {
+        **versions(),
+        "matplotlib": version_of("matplotlib"),
+        "platform": f"{platform.system()} {platform.machine()}",
+        "device": device or "not named",
+    }
     return Section(
         "How it was made",
         "circumstances",
         "The effective configuration: with it and the same inputs, the same result comes out.",
         tables=[
-            Table("Versions", ("what", "version"), [[Cell(name), Cell(v)] for name, v in versions])
+            Table.of(
+                "Versions",
+                found.items(),
+                {"what": itemgetter(0), "version": lambda item: item[1] or "not installed"},
+            )
         ],
         code=yaml.safe_dump(to_mapping(config), sort_keys=False, allow_unicode=True),
     )
 
 
-def write_page(
-    page: Page,
-    directory: str | Path,
-    files: AtomicFiles | None = None,
-    *,
-    forms: Sequence[str] = (),
-) -> Path:
+def write_page(page: Page, directory: str | Path, files: AtomicFiles | None = None) -> Path:
     """Write ``report.html`` and the pictures beside it, all or none.
 
     Pictures of an earlier report there that this one does not replace go.
 
     Args:
-        page: its pictures go into the page and, numbered, beside it.
+        page: its pictures go into the page and, numbered, beside it, there also as the settings
+            say: ``svg``, ``pdf``.
         directory: made when it is missing; older files of the same names are replaced.
         files: the set of files to join; default: one of its own.
-        forms: what the pictures beside the page are written as, too: ``svg``, ``pdf``.
 
     Returns:
         The path of the page.
@@ -206,15 +227,17 @@ def write_page(
         SlamFusionError: the directory cannot be written; one line with the reason.
     """
     directory = Path(directory)
-    pictures = [picture for section in page.sections for picture in section.pictures]
+    sections = [*page.sections, _circumstances(page.config, page.device)]
+    pictures = [picture for section in sections for picture in section.pictures]
     numbers = {id(picture): index for index, picture in enumerate(pictures, start=1)}
     names = {
         id(picture): f"{numbers[id(picture)]:02d}-{_safe_stem(picture.stem)}.png"
         for picture in pictures
     }
-    has_layers = any(section.layers and section.layers.recorded for section in page.sections)
+    has_layers = any(section.layers and section.layers.recorded for section in sections)
     html = _template().render(
         page=page,
+        sections=sections,
         script=_script() if has_layers else "",
         names=names,
         numbers=numbers,
@@ -227,7 +250,7 @@ def write_page(
     beside = {
         (directory / names[id(picture)]).with_suffix(f".{form}"): in_form(picture.png, form)
         for picture in pictures
-        for form in ("png", *forms)
+        for form in ("png", *page.config.report.pictures)
     }
     with contextlib.nullcontext(files) if files is not None else AtomicFiles() as whole:
         for picture_path, data in beside.items():
@@ -280,11 +303,3 @@ def _own_file(name: str) -> str:
 def _safe_stem(stem: str) -> str:
     """Return a name that is a file name everywhere and no path anywhere."""
     return _STEM_CHARACTERS.sub("-", stem).strip("-")[:_STEM_LENGTH] or "picture"
-
-
-def _version(distribution: str) -> str:
-    """Return the installed version, or say that there is none."""
-    try:
-        return importlib.metadata.version(distribution)
-    except importlib.metadata.PackageNotFoundError:
-        return "not installed"

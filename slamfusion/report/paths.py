@@ -5,7 +5,8 @@ See ``canvas`` for the look.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +20,7 @@ from matplotlib.ticker import FuncFormatter  # noqa: TID251
 from slamfusion.config import NormalizeConfig
 from slamfusion.evaluation import REVISIT_S, RelationErrors, TrajectoryErrors
 from slamfusion.fusion.path_check import moved_path
+from slamfusion.geometry import compose_poses
 from slamfusion.grid import OccupancyGrid
 from slamfusion.palette import DISAGREEMENT_RGB, INK_RGB, NAMED, Rgb, colours_of
 from slamfusion.report.canvas import (
@@ -38,7 +40,9 @@ from slamfusion.report.map_axes import (
     mark_legend,
     path_extent,
 )
-from slamfusion.report.page import LegendEntry
+from slamfusion.report.page import LegendEntry, Picture
+from slamfusion.report.series import thinned
+from slamfusion.slam.common.mapper import Closure
 from slamfusion.trajectory import Trajectory
 
 _NORMALIZE = NormalizeConfig()
@@ -50,7 +54,6 @@ _TIME_SPAN = (0.15, 0.82)
 _ERROR_SPAN = (0.30, 1.0)
 # What odometry may add to the picture on each side: drift over the edge is cut off.
 _DRIFT_SHARE = 0.25
-_POINTS = 4000
 # The other paths are drawn faintly; those that lie on each other add up.
 _OTHERS_OPACITY = 0.35
 _OTHERS_POINTS = 400_000
@@ -70,7 +73,6 @@ def path_picture(
     grid: OccupancyGrid | None = None,
     normalize: NormalizeConfig = _NORMALIZE,
     values: npt.NDArray[np.float64] | None = None,
-    label: str = "error in m",
 ) -> bytes:
     """Draw a path over the map that it belongs to, coloured by time or by an error.
 
@@ -78,8 +80,7 @@ def path_picture(
         trajectory: the path, in the frame of the map; at least one pose.
         grid: the map; default: none.
         normalize: what counts as wall and as free in it.
-        values: (N,) float64, one for each pose, at least 0; default: the time since the first.
-        label: what the values are, with their unit.
+        values: (N,) float64, an error for each pose, metres; default: the time since the first.
     """
     poses = trajectory.poses
     extent = path_extent(poses)
@@ -90,7 +91,7 @@ def path_picture(
         shown = trajectory.stamps_s - trajectory.stamps_s[0]
         colours = _part(colormaps["plasma"], _TIME_SPAN)
     else:
-        shown = np.asarray(values, dtype=np.float64)
+        label, shown = "error in m", np.asarray(values, dtype=np.float64)
         colours = _part(colormaps["YlOrRd"], _ERROR_SPAN)
     figure, axes = map_axes(extent, bar=True)
     if grid is not None:
@@ -116,108 +117,93 @@ def path_picture(
     return to_png(figure)
 
 
+@dataclass(frozen=True, eq=False)
+class Line:
+    """A path as a picture of several shows it.
+
+    Attributes:
+        path: in the frame of the picture; at least one pose.
+        text: what it is, in the legend.
+        rgb: its colour.
+        width: of the line.
+        is_dashed: as the truth is.
+        is_cut: what is far beyond the other lines is cut off, as the drift of odometry is.
+    """
+
+    path: Trajectory
+    text: str
+    rgb: Rgb
+    width: float = 1.3
+    is_dashed: bool = False
+    is_cut: bool = False
+
+
+def truth_line(path: Trajectory) -> Line:
+    """Return the true path as a line."""
+    return Line(path, "truth, dashed", NAMED["truth"], 1.0, is_dashed=True)
+
+
+def odometry_line(path: Trajectory) -> Line:
+    """Return where the wheels alone would have gone as a line."""
+    return Line(path, "raw odometry", NAMED["odometry"], 0.9, is_cut=True)
+
+
+def estimate_line(path: Trajectory) -> Line:
+    """Return the path that a report is about as a line."""
+    return Line(path, "estimate", colours_of([path.name])[path.name])
+
+
 def paths_picture(
-    trajectory: Trajectory,
+    lines: Sequence[Line],
+    marked: Trajectory,
     *,
-    truth: Trajectory | None = None,
-    odometry: Trajectory | None = None,
     others: Sequence[Trajectory] = (),
     grid: OccupancyGrid | None = None,
     normalize: NormalizeConfig = _NORMALIZE,
 ) -> bytes:
-    """Draw several paths of one run, in their colours; the truth dashed.
+    """Draw several paths of one drive over each other.
 
     Args:
-        trajectory: the estimate; like all others in one frame.
-        truth: the true path.
-        odometry: where the wheels alone would have gone; drift far beyond the rest is cut off.
-        others: what else the path may have been, drawn faintly under the estimate; cut off alike.
+        lines: at least one, the lowest first; all in one frame.
+        marked: the path whose first and last pose are marked.
+        others: what else this path may have been, drawn faintly under the lines; cut off as drift.
         grid: a map to draw under them.
         normalize: what counts as wall and as free in it.
     """
-    extent = path_extent(trajectory.poses)
+    shown = [other for other in others if len(other)]
+    extent = path_extent(marked.poses)
     if grid is not None:
         extent = extent.grown(grid_extent(grid, normalize))
-    if truth is not None:
-        extent = extent.grown(path_extent(truth.poses))
-    if odometry is not None:
-        extent = extent.grown(path_extent(odometry.poses), _DRIFT_SHARE)
-    beliefs = [other for other in others if len(other)]
-    for belief in beliefs:
-        extent = extent.grown(path_extent(belief.poses), _DRIFT_SHARE)
+    for line in sorted(lines, key=lambda line: line.is_cut):
+        extent = extent.grown(path_extent(line.path.poses), _DRIFT_SHARE if line.is_cut else None)
+    for other in shown:
+        extent = extent.grown(path_extent(other.poses), _DRIFT_SHARE)
     figure, axes = map_axes(extent)
     if grid is not None:
         draw_grid(axes, grid, normalize)
-    own, faint = colours_of((trajectory.name, _OTHERS)).values()
-    _draw_others(axes, beliefs, faint)
-    layers = (
-        (odometry, NAMED["odometry"], 0.9, "-"),
-        (trajectory, own, 1.3, "-"),
-        (truth, NAMED["truth"], 1.0, (0, (3.0, 2.0))),
-    )
-    for path, colour, width, style in layers:
-        if path is not None:
-            x, y = path.poses[:, 0], path.poses[:, 1]
-            axes.plot(x, y, color=unit_rgb(colour), lw=width, ls=style, scalex=False, scaley=False)
-    draw_marks(axes, trajectory.poses)
-    return to_png(figure)
-
-
-def run_paths_picture(
-    paths: Sequence[Trajectory],
-    colours: Sequence[Rgb],
-    *,
-    fused: Trajectory | None = None,
-    truth: Trajectory | None = None,
-    odometry: Trajectory | None = None,
-    grid: OccupancyGrid | None = None,
-    normalize: NormalizeConfig = _NORMALIZE,
-) -> bytes:
-    """Draw the paths that several producers found on one drive, each in its colour.
-
-    Args:
-        paths: at least one, all in the frame of ``grid``; the first lies on top.
-        colours: of each of them.
-        fused: the path made of them, over them all.
-        truth: the true path, dashed.
-        odometry: where the wheels alone would have gone; drift far beyond the rest is cut off.
-        grid: a map to draw under them.
-        normalize: what counts as wall and as free in it.
-    """
-    extent = path_extent(paths[0].poses)
-    if grid is not None:
-        extent = extent.grown(grid_extent(grid, normalize))
-    for path in (*paths[1:], fused, truth):
-        if path is not None:
-            extent = extent.grown(path_extent(path.poses))
-    if odometry is not None:
-        extent = extent.grown(path_extent(odometry.poses), _DRIFT_SHARE)
-    figure, axes = map_axes(extent)
-    if grid is not None:
-        draw_grid(axes, grid, normalize)
-    layers = [] if odometry is None else [(odometry, NAMED["odometry"], 0.8, "-")]
-    last = len(paths) - 1
-    for index, path in reversed(list(enumerate(paths))):
-        # The lower ones are wider, so that each is seen where all lie on each other.
-        layers.append((path, colours[index], 1.0 + 1.2 * index / max(1, last), "-"))
-    if fused is not None:
-        layers.append((fused, NAMED["fused"], 0.8, "-"))
-    for path, colour, width, style in layers:
-        x, y = path.poses[:, 0], path.poses[:, 1]
-        axes.plot(x, y, color=unit_rgb(colour), lw=width, ls=style, scalex=False, scaley=False)
-    if truth is not None:
-        x, y = truth.poses[:, 0], truth.poses[:, 1]
+    _draw_others(axes, shown, _others_rgb(marked.name))
+    for line in lines:
         axes.plot(
-            x,
-            y,
-            color=unit_rgb(NAMED["truth"]),
-            lw=0.8,
-            ls=(0, (3.0, 2.0)),
+            *line.path.poses[:, :2].T,
+            color=unit_rgb(line.rgb),
+            lw=line.width,
+            ls=(0, (3.0, 2.0)) if line.is_dashed else "-",
             scalex=False,
             scaley=False,
         )
-    draw_marks(axes, paths[0].poses)
+    draw_marks(axes, marked.poses)
     return to_png(figure)
+
+
+def paths_legend(
+    lines: Sequence[Line], others: Sequence[Trajectory] = ()
+) -> tuple[LegendEntry, ...]:
+    """Return what the colours of ``paths_picture`` mean, the uppermost line first."""
+    entries = [LegendEntry(line.text, line.rgb) for line in reversed(lines)]
+    if others:
+        text = f"{len(others)} other path{'s' if len(others) > 1 else ''}, faint"
+        entries.append(LegendEntry(text, _others_rgb(lines[-1].path.name)))
+    return (*entries, *mark_legend())
 
 
 def error_picture(errors: TrajectoryErrors, colour: Rgb) -> bytes:
@@ -233,7 +219,7 @@ def error_picture(errors: TrajectoryErrors, colour: Rgb) -> bytes:
         (upper, errors.translation_m, "error in m"),
         (lower, np.rad2deg(errors.rotation_rad), "error in degrees"),
     ):
-        x, y = _thinned(travelled, values)
+        x, y = thinned(travelled, values)
         axes.fill_between(x, y, color=unit_rgb(colour), alpha=0.16, lw=0)
         axes.plot(x, y, color=unit_rgb(colour), lw=1.0)
         rmse = float(np.sqrt(np.mean(values**2)))
@@ -284,41 +270,6 @@ def relations_picture(errors: RelationErrors) -> bytes:
     return to_png(figure)
 
 
-def paths_legend(name: str, *, truth: bool, odometry: bool) -> tuple[LegendEntry, ...]:
-    """Return what the colours of ``paths_picture`` mean; the path has a name."""
-    entries = [LegendEntry("estimate", colours_of([name])[name])]
-    if truth:
-        entries.append(LegendEntry("truth, dashed", NAMED["truth"]))
-    if odometry:
-        entries.append(LegendEntry("raw odometry", NAMED["odometry"]))
-    return (*entries, *mark_legend())
-
-
-def run_paths_legend(
-    colours: Mapping[str, Rgb], *, fused: bool, truth: bool, odometry: bool
-) -> tuple[LegendEntry, ...]:
-    """Return what the colours of ``run_paths_picture`` mean: those of the paths by their names."""
-    entries = [LegendEntry(name, colour) for name, colour in colours.items()]
-    if fused:
-        entries.append(LegendEntry("fused path", NAMED["fused"]))
-    if truth:
-        entries.append(LegendEntry("truth, dashed", NAMED["truth"]))
-    if odometry:
-        entries.append(LegendEntry("raw odometry", NAMED["odometry"]))
-    return (*entries, *mark_legend())
-
-
-def others_legend(name: str, count: int) -> tuple[LegendEntry, ...]:
-    """Return what the colours of ``paths_picture`` mean: of a path by its name, and of others."""
-    others = "other path" if count == 1 else "other paths"
-    own, faint = colours_of((name, _OTHERS)).values()
-    return (
-        LegendEntry("estimate", own),
-        LegendEntry(f"{count} {others}, faint", faint),
-        *mark_legend(),
-    )
-
-
 def revisit_legend() -> tuple[LegendEntry, ...]:
     """Return what the colours of ``relations_picture`` mean."""
     return (
@@ -337,6 +288,11 @@ def _stacked() -> tuple[Figure, Sequence[Axes]]:
     lower = figure.add_axes((0.155, 0.125, 0.825, 0.37), sharex=upper)
     upper.tick_params(labelbottom=False)
     return figure, (upper, lower)
+
+
+def _others_rgb(name: str) -> Rgb:
+    """Return the colour of what else a path of a name may have been."""
+    return colours_of((name, _OTHERS))[_OTHERS]
 
 
 def _draw_others(axes: Axes, others: Sequence[Trajectory], rgb: Rgb) -> None:
@@ -358,17 +314,105 @@ def _segments(places: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     return np.stack((places[:-1], places[1:]), axis=1)
 
 
-def _thinned(
-    x: npt.NDArray[np.float64], y: npt.NDArray[np.float64]
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Return at most ``_POINTS`` points; of each run of them the largest."""
-    step = -(-len(x) // _POINTS)
-    if step == 1:
-        return x, y
-    starts = np.arange(0, len(x), step)
-    return x[starts], np.maximum.reduceat(y, starts)
-
-
 def _part(colours: Colormap, span: tuple[float, float]) -> Colormap:
     """Return a part of a colour scale as a whole one."""
     return LinearSegmentedColormap.from_list("part", colours(np.linspace(*span, 256)))
+
+
+# --- the pose graph -------------------------------------------------------------------------------
+
+
+BELIEVED_FROM = 0.5
+
+
+def closures_picture(
+    path: Trajectory,
+    closures: Sequence[Closure],
+    *,
+    grid: OccupancyGrid,
+    normalize: NormalizeConfig,
+    colours: Sequence[Rgb],
+) -> bytes:
+    """Draw a path, a dot where a closure was found, a line to where that has the robot.
+
+    Args:
+        path: in the frame of the map; at least one pose.
+        closures: of the graph; times beyond the path's count as its ends.
+        grid: the map under them.
+        normalize: what counts as wall and as free in it.
+        colours: of the path, of closures that hold, and of those that do not.
+    """
+    figure, axes = map_axes(path_extent(path.poses).grown(grid_extent(grid, normalize)))
+    draw_grid(axes, grid, normalize)
+    x, y = path.poses[:, 0], path.poses[:, 1]
+    own, believed, outlier = colours
+    axes.plot(x, y, color=unit_rgb(own), lw=0.8, scalex=False, scaley=False)
+    for colour, is_shown in ((believed, True), (outlier, False)):
+        chosen = [one for one in closures if (one.weight >= BELIEVED_FROM) == is_shown]
+        if not chosen:
+            continue
+        stamps = np.array([(one.start_s, one.end_s) for one in chosen])
+        starts, ends = np.clip(np.searchsorted(path.stamps_s, stamps), 0, len(path) - 1).T
+        motions = np.array([(m.x, m.y, m.yaw_rad) for m in (one.motion for one in chosen)])
+        told = compose_poses(path.poses[starts], motions)[:, :2]
+        here = path.poses[ends, :2]
+        lines = LineCollection(
+            list(np.stack((here, told), axis=1)),
+            colors=[unit_rgb(colour)],
+            linewidths=0.8,
+            zorder=3.0,  # above the path
+        )
+        axes.add_collection(lines, autolim=False)
+        axes.plot(
+            *here.T,
+            color=unit_rgb(colour),
+            marker=".",
+            ms=2.0,
+            ls="none",
+            scalex=False,
+            scaley=False,
+        )
+    draw_marks(axes, path.poses)
+    return to_png(figure)
+
+
+def closure_pictures(
+    final: Trajectory,
+    first_reported: Trajectory | None,
+    closures: Sequence[Closure],
+    *,
+    grid: OccupancyGrid,
+    normalize: NormalizeConfig,
+) -> list[Picture]:
+    """Return the graph before and after its closures; nothing where it has none."""
+    if not closures:
+        return []
+    outliers = sum(one.weight < BELIEVED_FROM for one in closures)
+    texts = ("path", f"{len(closures) - outliers} closures", f"outliers, not used: {outliers}")
+    colours = (*colours_of((final.name, "closures")).values(), DISAGREEMENT_RGB)
+    legend = (*map(LegendEntry, texts, colours), *mark_legend())
+    shown = [
+        (
+            "graph-before",
+            first_reported,
+            "The graph before its closures",
+            "The path as first reported. A line leads to where a recognised place has the robot.",
+        ),
+        (
+            "graph-after",
+            final,
+            "The graph after its closures",
+            "The path of today. A long blue line would be a closure that does not hold.",
+        ),
+    ]
+    return [
+        Picture(
+            name,
+            closures_picture(path, closures, grid=grid, normalize=normalize, colours=colours),
+            title,
+            text,
+            legend=legend,
+        )
+        for name, path, title, text in shown
+        if path is not None and len(path)
+    ]

@@ -9,8 +9,6 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib import colormaps  # noqa: TID251
 from matplotlib.figure import Figure  # noqa: TID251
-from matplotlib.ticker import MaxNLocator  # noqa: TID251
-from matplotlib.transforms import Affine2D  # noqa: TID251
 
 from slamfusion.align.records import Alignment
 from slamfusion.evaluation import (
@@ -48,6 +46,7 @@ from slamfusion.report.canvas import (
     to_png,
     unit_rgb,
 )
+from slamfusion.report.map_axes import cells_extent, draw_cells, map_axes
 
 # In the order of visibility when cells are pooled: the last wins.
 DIFFERENCE_COLOURS: dict[int, tuple[str, Rgb]] = {
@@ -75,10 +74,7 @@ def map_picture(
         origin: pose of the lower-left corner of cell [0, 0]; its yaw turns the picture.
         box: cells to show; default: what is known, with a small margin.
     """
-    box = box or crop_box(cells != -1)
-    pooled, factor = pool_cells(cut_cells(cells, box), origin)
-    palette = np.array((UNKNOWN_RGB, FREE_RGB, WALL_RGB), dtype=np.uint8)
-    return _map_png(palette[pooled + 1], factor * resolution, box_origin(origin, resolution, box))
+    return _codes_png(cells, (UNKNOWN_RGB, FREE_RGB, WALL_RGB), resolution, origin, box)
 
 
 def overlay_picture(
@@ -93,9 +89,7 @@ def overlay_picture(
     Args:
         layers: (H, W) int8 each, in {-1, 0, 1}, one lattice.
         colours: of each layer's walls.
-        resolution: metres per cell.
-        origin: pose of the lower-left corner of cell [0, 0].
-        box: cells to show; default: what is known, with a small margin.
+        resolution, origin, box: see ``map_picture``.
     """
     stack = [np.asarray(layer) for layer in layers]
     box = box or crop_box(np.any([layer != -1 for layer in stack], axis=0))
@@ -131,22 +125,12 @@ def agreement_picture(
 
     Args:
         agreement: (H, W) int8, 0..100 percent, -1 without votes.
-        resolution: metres per cell.
-        origin: pose of the lower-left corner of cell [0, 0].
-        box: cells to show; default: what is known, with a small margin.
+        resolution, origin, box: see ``map_picture``.
     """
-    box = box or crop_box(agreement != -1)
-    cut = cut_cells(agreement, box)
-    # Pooled by the worst cell: disagreement must not vanish in a small picture.
-    disagreement = np.where(cut < 0, -1, 100 - cut.astype(np.int16)).astype(np.int8)
-    pooled, factor = pool_cells(disagreement, origin)
+    # The worst cell of a block counts: disagreement must not vanish in a small picture.
+    disagreement = np.where(agreement < 0, -1, 100 - agreement.astype(np.int16)).astype(np.int8)
     colours = [UNKNOWN_RGB, *(agreement_colour(100 - step) for step in range(101))]
-    palette = np.array(colours, dtype=np.uint8)
-    return _map_png(
-        palette[pooled.astype(np.int16) + 1],
-        factor * resolution,
-        box_origin(origin, resolution, box),
-    )
+    return _codes_png(disagreement, colours, resolution, origin, box)
 
 
 def dissent_picture(
@@ -162,16 +146,11 @@ def dissent_picture(
     Args:
         fused: (H, W) int8 in {-1, 0, 1}.
         dissent: (H, W) bool.
-        resolution: metres per cell.
-        origin: pose of the lower-left corner of cell [0, 0].
-        box: cells to show; default: what is known, with a small margin.
+        resolution, origin, box: see ``map_picture``.
     """
-    box = box or crop_box((fused != -1) | dissent)
-    codes = cut_cells(fused, box).copy()
-    codes[cut_cells(dissent.astype(np.int8), box, outside=0) == 1] = 2
-    pooled, factor = pool_cells(codes, origin)
-    palette = np.array((UNKNOWN_RGB, FREE_RGB, AGREED_WALL_RGB, DISAGREEMENT_RGB), dtype=np.uint8)
-    return _map_png(palette[pooled + 1], factor * resolution, box_origin(origin, resolution, box))
+    codes = np.where(dissent, np.int8(2), fused)
+    colours = (UNKNOWN_RGB, FREE_RGB, AGREED_WALL_RGB, DISAGREEMENT_RGB)
+    return _codes_png(codes, colours, resolution, origin, box)
 
 
 def difference_picture(difference: Classes, resolution: float, origin: Pose2) -> bytes:
@@ -179,15 +158,14 @@ def difference_picture(difference: Classes, resolution: float, origin: Pose2) ->
 
     Args:
         difference: (H, W) int8 codes of ``slamfusion.evaluation``.
-        resolution: metres per cell.
-        origin: pose of the lower-left corner of cell [0, 0].
+        resolution, origin: see ``map_picture``.
     """
     order = list(DIFFERENCE_COLOURS)
     rank = np.zeros(len(order), dtype=np.int8)
     rank[order] = np.arange(len(order), dtype=np.int8)
-    pooled, factor = pool_cells(rank[difference], origin)
-    palette = np.array([DIFFERENCE_COLOURS[code][1] for code in order], dtype=np.uint8)
-    return _map_png(palette[pooled], factor * resolution, origin)
+    colours = [colour for _, colour in DIFFERENCE_COLOURS.values()]
+    whole = CellBox(0, 0, *difference.shape)
+    return _codes_png(rank[difference] - np.int8(1), colours, resolution, origin, whole)
 
 
 def yaw_picture(alignment: Alignment) -> bytes:
@@ -251,50 +229,22 @@ def agreement_colour(percent: int) -> Rgb:
     return round(255 * r), round(255 * g), round(255 * b)
 
 
+def _codes_png(
+    codes: Classes,
+    colours: Sequence[Rgb],
+    resolution: float,
+    origin: Pose2,
+    box: CellBox | None,
+) -> bytes:
+    """Draw cells by their codes, from -1 on; of a block of cells the largest code shows."""
+    box = box or crop_box(codes != -1)
+    pooled, factor = pool_cells(cut_cells(codes, box), origin)
+    rgb = np.array(colours, dtype=np.uint8)[pooled.astype(np.int16) + 1]
+    return _map_png(rgb, factor * resolution, box_origin(origin, resolution, box))
+
+
 def _map_png(rgb: npt.NDArray[np.uint8], resolution: float, corner: Pose2) -> bytes:
-    """Draw an image of cells in map-frame metres, row 0 at the bottom.
-
-    Args:
-        rgb: (h, w, 3) uint8.
-        resolution: metres per pixel of ``rgb``.
-        corner: pose of the lower-left corner of pixel [0, 0] in the map frame.
-    """
-    height_m, width_m = rgb.shape[0] * resolution, rgb.shape[1] * resolution
-    corners = corner.transform([(0, 0), (width_m, 0), (0, height_m), (width_m, height_m)])
-    low, high = corners.min(axis=0), corners.max(axis=0)
-    wide, tall = (float(side) for side in high - low)
-
-    # The axes take the shape of the map; margins are fixed in inches for the lettering.
-    left, right, bottom, top = 0.5, 0.08, 0.4, 0.08
-    plot_width = WIDTH_IN - left - right
-    plot_height = plot_width * tall / wide
-    longest = 1.25 * WIDTH_IN
-    if plot_height > longest:
-        plot_height = longest
-        plot_width = max(plot_height * wide / tall, 0.6)
-        plot_height = min(longest, plot_width * tall / wide)
-    plot_height = max(plot_height, 0.35)
-    size = (plot_width + left + right, plot_height + bottom + top)
-    figure = Figure(figsize=size, dpi=DPI)
-    axes = figure.add_axes(
-        (left / size[0], bottom / size[1], plot_width / size[0], plot_height / size[1])
-    )
-    turned = Affine2D().rotate(corner.yaw_rad).translate(corner.x, corner.y)
-    axes.imshow(
-        rgb,
-        origin="lower",
-        interpolation="nearest",
-        extent=(0.0, width_m, 0.0, height_m),
-        transform=turned + axes.transData,
-        aspect="auto",
-    )
-    axes.set_xlim(float(low[0]), float(high[0]))
-    axes.set_ylim(float(low[1]), float(high[1]))
-    axes.set_aspect("equal", adjustable="box")
-    for axis, inches in ((axes.xaxis, plot_width), (axes.yaxis, plot_height)):
-        axis.set_major_locator(MaxNLocator(nbins=max(2, round(1.8 * inches)), steps=[1, 2, 5, 10]))
-    axes.set_xlabel("x in m", color=INK, fontsize=7.5, labelpad=2)
-    axes.set_ylabel("y in m", color=INK, fontsize=7.5, labelpad=2)
-    style_axes(axes)
-    axes.set_facecolor(unit_rgb(UNKNOWN_RGB))
+    """Return the picture of an image of cells; see ``draw_cells``."""
+    figure, axes = map_axes(cells_extent(rgb.shape, resolution, corner), margin_m=0.0)
+    draw_cells(axes, rgb, resolution, corner)
     return to_png(figure)

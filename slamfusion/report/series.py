@@ -88,7 +88,7 @@ def series_picture(
         box = (0.155, bottom_in / tall_in, 0.825, _AXES_IN / tall_in)
         axes = figure.add_axes(box, sharex=first)
         first = first or axes
-        since, values = _thinned(item.stamps_s - begin, item.values)
+        since, values = thinned(item.stamps_s - begin, item.values)
         marker = "o" if len(values) <= _FEW else ""  # one value alone makes no line
         axes.plot(since, values, color=drawn, lw=0.9, marker=marker, ms=2.0)
         for one_s, other_s in (shaded or {}).get(item.name, ()):
@@ -117,7 +117,7 @@ def _span(item: Series) -> tuple[float, float]:
     return low - (room if low < 0.0 else 0.0), high + room
 
 
-def _thinned(
+def thinned(
     x: npt.NDArray[np.float64], y: npt.NDArray[np.float64]
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """Return few enough points for the picture; of each run of them the least and the greatest.

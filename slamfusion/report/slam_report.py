@@ -10,7 +10,6 @@ from slamfusion.evaluation import RelationErrors, trajectory_errors
 from slamfusion.io.atomic import AtomicFiles
 from slamfusion.palette import colours_of
 from slamfusion.report import paths
-from slamfusion.report.closures import closure_pictures
 from slamfusion.report.layers import map_layers
 from slamfusion.report.maps import input_picture, statistics_table
 from slamfusion.report.page import (
@@ -20,9 +19,9 @@ from slamfusion.report.page import (
     Picture,
     Section,
     Table,
-    circumstances,
     write_page,
 )
+from slamfusion.report.paths import closure_pictures
 from slamfusion.report.series import drawable, series_picture
 from slamfusion.report.trajectory_report import (
     error_facts,
@@ -49,23 +48,18 @@ def write_slam_report(
     """Write the report of a producer's run as one self-contained page with its pictures beside it.
 
     Args:
-        directory: for ``report.html`` and the PNG files; made when missing.
+        directory, files: see ``write_page``, also for what is returned and raised.
         run: what was made; its path has at least one pose. The first of the other paths of a
             producer with closures is the path as it was first reported.
-        config: the effective configuration, written out in full.
+        config: the settings in effect.
         facts: health and timing, for the headline, in this order.
         tables: more of health and timing.
         truth: the true path; its errors are computed as ``config.trajectory`` says.
         relations: the trajectory's errors on known relations.
         device: the device that computed, in words.
-        files: the set of files to join; default: one of its own.
-
-    Returns:
-        The path of ``report.html``.
 
     Raises:
         TrajectoryError: the truth does not meet the trajectory in time.
-        SlamFusionError: the directory cannot be written.
     """
     normalize, warnings = config.fusion.normalize, run.warnings()
     grid, trajectory, errors = run.grid, run.trajectory, None
@@ -96,34 +90,30 @@ def write_slam_report(
     if tables or over_time:
         health = Section("Health and time", "health", pictures=over_time, tables=tables)
         sections.append(health)
-    sections.append(circumstances(config, device))
     judged = "its map may be wrong" if warnings else "nothing in the run speaks against its map"
     size = f"{len(trajectory)} poses, {trajectory.path_length_m():.1f} m"
     # That nothing was noticed is no proof: the truth alone would be.
     lines = [(f"{run.name}:", sentence) for sentence in warnings]
     banner = Banner("warn" if warnings else "plain", f"{run.name}: {judged} ({size})", lines)
     shown = [*facts, *error_facts(relations, errors)]
-    page = Page("SLAMfusion run", banner, shown, sections)
-    return write_page(page, directory, files, forms=config.report.pictures)
+    page = Page("SLAMfusion run", banner, shown, sections, config, device)
+    return write_page(page, directory, files)
 
 
 def _other_paths_pictures(run: ProducerRun, config: RunConfig) -> list[Picture]:
     """Return the path over what else it may have been; nothing where there is nothing else."""
     if not run.other_paths:
         return []
-    png = paths.paths_picture(
-        run.trajectory,
-        others=run.other_paths,
-        grid=run.grid,
-        normalize=config.fusion.normalize,
-    )
+    path, others, lines = run.trajectory, run.other_paths, [paths.estimate_line(run.trajectory)]
     return [
         Picture(
             "other-paths",
-            png,
+            paths.paths_picture(
+                lines, path, others=others, grid=run.grid, normalize=config.fusion.normalize
+            ),
             "The path and what else it may have been",
             "Where the faint paths leave the estimate, the producer is not of one mind.",
-            legend=paths.others_legend(run.trajectory.name, len(run.other_paths)),
+            legend=paths.paths_legend(lines, others),
         )
     ]
 

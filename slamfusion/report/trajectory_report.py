@@ -6,7 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from slamfusion.config import RunConfig
-from slamfusion.evaluation import ErrorStatistics, RelationErrors, TrajectoryErrors
+from slamfusion.evaluation import (
+    ErrorStatistics,
+    RelationErrors,
+    TrajectoryErrors,
+    error_kinds,
+)
 from slamfusion.fusion.path_check import moved_path
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.atomic import AtomicFiles
@@ -21,7 +26,6 @@ from slamfusion.report.page import (
     Picture,
     Section,
     Table,
-    circumstances,
     number,
     write_page,
 )
@@ -45,21 +49,14 @@ def write_trajectory_report(
     """Write the errors of a trajectory as one self-contained page with its pictures beside it.
 
     Args:
-        directory: for ``report.html`` and the PNG files; made when missing.
+        directory, files: see ``write_page``, also for what is returned and raised.
         trajectory: the estimate, at least one pose.
-        config: the effective configuration, written out in full.
+        config: the settings in effect.
         relations: its errors on known relations.
         errors: its errors against ``truth``.
         truth: the true path, drawn dashed where ``errors`` says how it lies to the estimate.
         odometry: where the wheels alone would have gone, laid on the estimate's start.
         grid: a map in the frame of the estimate, drawn under it.
-        files: the set of files to join; default: one of its own.
-
-    Returns:
-        The path of ``report.html``.
-
-    Raises:
-        SlamFusionError: the directory cannot be written.
     """
     shown = path_pictures(
         trajectory, config=config, grid=grid, errors=errors, truth=truth, odometry=odometry
@@ -69,7 +66,6 @@ def write_trajectory_report(
         sections.append(truth_section(errors, config=config, grid=grid))
     if relations is not None:
         sections.append(relations_section(relations))
-    sections.append(circumstances(config, "none needed"))
     facts = [
         *error_facts(relations, errors),
         Fact(f"{len(trajectory)}", "poses"),
@@ -77,8 +73,8 @@ def write_trajectory_report(
     ]
     headline = f"{trajectory.name}: {_judged(relations, errors)}"
     banner = Banner("plain", headline, _how_counted(relations, errors))
-    page = Page("SLAMfusion trajectory", banner, facts, sections)
-    return write_page(page, directory, files, forms=config.report.pictures)
+    page = Page("SLAMfusion trajectory", banner, facts, sections, config, "none needed")
+    return write_page(page, directory, files)
 
 
 def path_pictures(
@@ -110,26 +106,20 @@ def path_pictures(
             legend=mark_legend(),
         )
     ]
-    true = None
-    if truth is not None and errors is not None:
-        true = moved_path(truth, errors.pose_truth_estimate.inverse())
-    wheels = None
+    lines = [paths.estimate_line(trajectory)]
     if odometry is not None and len(odometry):
-        wheels = paths.laid_on_start(odometry, trajectory)
-    if true is not None or wheels is not None:
-        png = paths.paths_picture(
-            trajectory, truth=true, odometry=wheels, grid=grid, normalize=normalize
-        )
+        lines.insert(0, paths.odometry_line(paths.laid_on_start(odometry, trajectory)))
+    if truth is not None and errors is not None:
+        lines.append(paths.truth_line(moved_path(truth, errors.pose_truth_estimate.inverse())))
+    if len(lines) > 1:
         pictures.append(
             Picture(
                 "paths",
-                png,
+                paths.paths_picture(lines, trajectory, grid=grid, normalize=normalize),
                 "The path beside the others",
                 "The truth is laid on the estimate as a whole, raw odometry on its start; drift "
                 "far beyond the picture is cut off.",
-                legend=paths.paths_legend(
-                    trajectory.name, truth=true is not None, odometry=wheels is not None
-                ),
+                legend=paths.paths_legend(lines),
             )
         )
     return pictures
@@ -162,20 +152,13 @@ def truth_section(
             legend=mark_legend(),
         ),
     ]
-    pair = f"{errors.rpe_delta:g} {errors.rpe_unit}"
-    rows = [
-        ("ATE, place, m", errors.ate, 4),
-        ("ATE, heading, deg", errors.ate_rotation_deg, 3),
-        (f"RPE over {pair}, place, m", errors.rpe, 4),
-        (f"RPE over {pair}, heading, deg", errors.rpe_rotation_deg, 3),
-    ]
     return Section(
         "Error against the truth",
         "truth",
         "ATE: of each pose alone, after the best rigid motion of the whole (where asked for). "
         "RPE: of the motion between two poses, whatever came before.",
         pictures,
-        [_table(f"Against {errors.truth}", rows)],
+        [_table(f"Against {errors.truth}", error_kinds(errors, None))],
     )
 
 
@@ -191,21 +174,17 @@ def relations_section(errors: RelationErrors) -> Section:
         "nowhere else.",
         legend=paths.revisit_legend(),
     )
-    rows: list[tuple[str, ErrorStatistics | None, int]] = [
-        ("translation, m", errors.translation, 4),
-        ("rotation, deg", errors.rotation_deg, 3),
-    ]
+    kinds = error_kinds(None, errors)
     if revisits.any():
-        rows.append(
-            ("translation of revisits, m", ErrorStatistics.of(errors.translation_m[revisits]), 4)
-        )
+        own = ErrorStatistics.of(errors.translation_m[revisits])
+        kinds.append(("revisits, translation m", own, 4))
     return Section(
         "Error on known relations",
         "relations",
         "The motion between two times, as it should be, taken off the motion that the trajectory "
         "made between them [K09]. No common frame is needed.",
         [picture],
-        [_table(f"On {errors.relations}", rows)],
+        [_table(f"On {errors.relations}", kinds)],
     )
 
 

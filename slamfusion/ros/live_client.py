@@ -20,7 +20,7 @@ from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import Trigger
 
 from slamfusion.errors import SlamFusionError
-from slamfusion.jobs.tool_records import LiveAnswerDocument, LiveLineJson, LiveStatusDocument
+from slamfusion.jobs.records import LiveAnswerDocument, LiveLineJson, LiveStatusDocument
 from slamfusion.ros import qos
 from slamfusion.ros.base import DIAGNOSTICS_TOPIC, Level
 from slamfusion.ros.fusion_inputs import ENTRY, FUSION, PREFIX, entry_for

@@ -30,7 +30,7 @@ from slamfusion.experiments.fusions import (
     fuse_in_every_way,
 )
 from slamfusion.io import load_map
-from slamfusion.jobs.defaults import RUN_VOTE
+from slamfusion.jobs.inputs import RUN_VOTE
 from slamfusion.jobs.outputs import DRAWN
 from slamfusion.slam.registry import BUILT_IN
 from tests.benchmarks.record import add_record_option, console_for

@@ -57,7 +57,7 @@ def recorded(bench: Bench, name: str) -> Drive:
 
 def relations_m(bench: Bench, drive: Drive, run: ProducerRun) -> float:
     """Return the mean translation error over all relations, metres."""
-    return drive.errors(run.trajectory, bench.config.trajectory)[RELATIONS]
+    return drive.errors(run.trajectory, bench.config)[RELATIONS]
 
 
 def _rows(bench: Bench, table: Table, cases: Sequence[tuple[str, Run]]) -> None:

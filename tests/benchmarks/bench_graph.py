@@ -281,7 +281,7 @@ def recordings(bench: Bench, only: Sequence[str] = ()) -> None:
 
 
 def _relations_m(bench: Bench, drive: RecordedDrive, path: Trajectory) -> float:
-    return drive.errors(path, bench.config.trajectory)[RELATIONS]
+    return drive.errors(path, bench.config)[RELATIONS]
 
 
 def _online(run: ProducerRun) -> Trajectory:
@@ -300,9 +300,9 @@ def _at_scans(drive: RecordedDrive, paths: list[Trajectory]) -> tuple[int, list[
         drive: with relations.
         paths: one a seed; a relation's error is the mean over them.
     """
-    if drive.relations is None:
+    if drive.held.relations is None:
         return 0, ["-", "-", "-"]
-    found = [errors_at_scans(path, drive.relations) for path in paths]
+    found = [errors_at_scans(path, drive.held.relations) for path in paths]
     each = np.array([errors.translation_m for errors in found if errors is not None])
     if not each.size:
         return 0, ["-", "-", "-"]

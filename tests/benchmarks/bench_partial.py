@@ -48,9 +48,9 @@ from slamfusion.fusion.path_check import moved_path
 from slamfusion.geometry import compose_poses
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import load_map
-from slamfusion.jobs.defaults import RUN_DEFAULTS
 from slamfusion.jobs.evaluate import evaluate_maps
 from slamfusion.jobs.fused_path import draw_like, fuse_weighed_paths
+from slamfusion.jobs.inputs import RUN_DEFAULTS
 from slamfusion.jobs.partial import Filling, Layers, draw_layers, fuse_layers
 from slamfusion.slam.registry import BUILT_IN
 from slamfusion.trajectory import Trajectory

@@ -21,10 +21,11 @@ from rich.table import Table
 
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import RunConfig
-from slamfusion.evaluation import Relations, subsample_to_scans
+from slamfusion.evaluation import Relations, match_odometry
 from slamfusion.experiments.drives import ATE, RELATIONS, Drive, read_drive
 from slamfusion.io import open_log, read_trajectory, save_map
 from slamfusion.jobs.map_log import LogFiles
+from slamfusion.jobs.trajectory import Yardsticks
 from slamfusion.sim.courses import named_course, with_overrides
 from slamfusion.sim.simulate import simulate
 from slamfusion.slam.common.runner import run_producer
@@ -68,13 +69,13 @@ def drives(config: RunConfig, device: ComputeDevice) -> Iterator[Drive]:
     for name in UNMEASURED:
         if (DATASETS / name).exists():
             scans = tuple(open_log(DATASETS / name, config.log))
-            yield Drive(Path(name).name.split(".")[0], scans)
+            yield Drive(Path(name).name.split(".")[0], scans, Yardsticks())
     for world, lidar in SIMULATED + SIMULATED_KINECT:
         course = named_course(world, config.seed)
         if world != "f16":
             course = with_overrides(course, replace(config.simulate, lidar=lidar))
         recording = simulate(course, device)
-        yield Drive(f"{world}, {lidar}", recording.scans, reference=recording.truth)
+        yield Drive(f"{world}, {lidar}", recording.scans, Yardsticks(truth=recording.truth))
 
 
 def within_floor(drive: Drive, config: RunConfig) -> Drive | None:
@@ -83,12 +84,13 @@ def within_floor(drive: Drive, config: RunConfig) -> Drive | None:
     That of Intel ends before the run does, and where it ends scans lie farther apart: a fair floor
     and a fair error are those on the same relations.
     """
-    if drive.name not in BEST or drive.relations is None:
+    if drive.name not in BEST or drive.held.relations is None:
         return None
     best = read_trajectory(BEST[drive.name], config.log)
-    known = drive.relations
+    known = drive.held.relations
     inside = known.stamps_s.max(axis=1) <= best.stamps_s[-1]
-    return replace(drive, relations=Relations(known.stamps_s[inside], known.motions[inside]))
+    part = Relations(known.stamps_s[inside], known.motions[inside])
+    return replace(drive, held=replace(drive.held, relations=part))
 
 
 def floor(drive: Drive, config: RunConfig) -> float | None:
@@ -97,15 +99,13 @@ def floor(drive: Drive, config: RunConfig) -> float | None:
     if part is None:
         return None
     best = read_trajectory(BEST[drive.name], config.log)
-    if drive.odometry is not None:
-        own = config.trajectory
-        best = subsample_to_scans(
-            best,
-            drive.scan_odometry(),
-            drive.odometry,
-            tolerance_s=own.tolerance_s,
-            tolerance_m=own.odometry_tolerance_m,
-        )
+    if drive.held.odometry is not None:
+        own, scans = config.trajectory, drive.scan_odometry()
+        match = match_odometry(scans, drive.held.odometry, own.odometry_tolerance_m)
+        stamps_s = drive.held.odometry.stamps_s[match.rows]
+        nearest, is_matched = best.matches(stamps_s, own.tolerance_s)
+        known = (match.rows >= 0) & is_matched
+        best = Trajectory(scans.stamps_s[known], best.poses[nearest[known]], best.name)
     return error(part, best, config)
 
 
@@ -113,7 +113,7 @@ def error(drive: Drive, trajectory: Trajectory | None, config: RunConfig) -> flo
     """Return the drive's own measure of a trajectory."""
     if trajectory is None or len(trajectory) == 0:
         return None
-    found = drive.errors(trajectory, config.trajectory)
+    found = drive.errors(trajectory, config)
     return found.get(RELATIONS, found.get(ATE))
 
 

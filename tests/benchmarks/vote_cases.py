@@ -24,8 +24,8 @@ import scipy
 
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import ExperimentConfig, FailuresConfig, NormalizeConfig, RunConfig
-from slamfusion.experiments.faults import FAULTS as DRIVE_FAULTS
 from slamfusion.experiments.fusions import against_truth, produce_maps
+from slamfusion.experiments.trials import FAULTS as DRIVE_FAULTS
 from slamfusion.experiments.trials import Trial, failure_trials
 from slamfusion.geometry import Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, trinary_cells

@@ -15,10 +15,9 @@ from slamfusion.cli import slam
 from slamfusion.cli.experiment import _drive_files
 from slamfusion.cli.fuse import command as fuse_command
 from slamfusion.cli.options import config_fields, option_name
-from slamfusion.cli.output import progress_bar
+from slamfusion.cli.output import one_line, progress_bar
 from slamfusion.cli.paths import FILE
 from slamfusion.cli.program import COMMANDS, run_program
-from slamfusion.cli.tables import one_line
 from slamfusion.config import GMAPPING_PROFILES, MapFileConfig
 from slamfusion.errors import MapFileError
 from slamfusion.jobs.inputs import check_writable, distinct_names, load_maps

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from slamfusion.cli import table_files
-from slamfusion.cli.tables import Table
+from slamfusion.cli import results
+from slamfusion.cli.output import Table
 from tests.cli.command import MAPS, TRUTH, run
 
 pytestmark = pytest.mark.once
@@ -22,7 +22,7 @@ TABLE = Table(
 
 
 def written(path: Path, *tables: Table) -> list[str]:
-    table_files._write(path, list(tables))
+    results._write(path, list(tables))
     return path.read_text(encoding="utf-8").splitlines()
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from rich.cells import cell_len
 
-from slamfusion.cli.tables import Table
+from slamfusion.cli.output import Table
 
 pytestmark = pytest.mark.once
 

@@ -21,7 +21,6 @@ from slamfusion.evaluation import (
     read_odometry,
     read_relations,
     relation_errors,
-    subsample_to_scans,
 )
 from slamfusion.evaluation.odometry import _rows_by_stamp
 from slamfusion.geometry import compose_poses, invert_poses
@@ -213,20 +212,6 @@ def test_rows_by_stamp_are_the_best_in_order(
     assert (apart <= tolerance_s + 1e-9).all()
     cost = float(apart.sum()) + tolerance_s * (len(poses_s) - len(used))
     assert cost == pytest.approx(least_cost(poses_s, rows_s, tolerance_s), abs=1e-6)
-
-
-def test_the_floor_is_the_best_path_at_the_scans() -> None:
-    truth, odometry = run()
-    rows = np.arange(2, 400, 9)
-    scans = part(odometry, rows, 0.05)
-    floor = subsample_to_scans(
-        truth, scans, odometry, tolerance_s=TOLERANCE_S, tolerance_m=TOLERANCE_M
-    )
-    assert floor.stamps_s.tolist() == scans.stamps_s.tolist()
-    np.testing.assert_allclose(floor.poses, truth.poses[rows], atol=1e-12)
-    late = Trajectory(truth.stamps_s + 900.0, truth.poses, "late")
-    with pytest.raises(TrajectoryError, match="late: has no pose at a scan"):
-        subsample_to_scans(late, scans, odometry, tolerance_s=0.01, tolerance_m=TOLERANCE_M)
 
 
 # --- files ---------------------------------------------------------------------------------------

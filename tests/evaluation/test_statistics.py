@@ -41,13 +41,6 @@ def test_mean_and_deviation_make_the_root_mean_square(errors: list[float]) -> No
     assert found.min <= found.median <= found.max
 
 
-def test_scaled_changes_the_unit_of_every_figure() -> None:
-    errors = np.array([0.1, 0.2, 0.4])
-    degrees = asdict(ErrorStatistics.of(np.rad2deg(errors)))
-    scaled = ErrorStatistics.of(errors).scaled(np.rad2deg(1.0))
-    assert asdict(scaled) == pytest.approx(degrees)
-
-
 @pytest.mark.parametrize("values", [[], [np.nan], [1.0, np.inf]])
 def test_what_has_no_statistics_is_refused(values: list[float]) -> None:
     with pytest.raises(ValueError, match="at least one value, all finite"):

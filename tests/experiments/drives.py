@@ -11,6 +11,7 @@ from slamfusion.experiments.drives import Drive
 from slamfusion.geometry import Pose2
 from slamfusion.io import LogScan, write_carmen, write_tum
 from slamfusion.jobs.map_log import LogFiles
+from slamfusion.jobs.trajectory import Yardsticks
 from slamfusion.trajectory import Trajectory
 from tests.support.producers import room_drive
 
@@ -29,22 +30,23 @@ def room(name: str = "room", *, drift: float = 0.0, relations: bool = True) -> D
         LogScan(item.scan, Pose2(pose.x * (1.0 + drift), pose.y, pose.yaw_rad), item.line)
         for item, pose in zip(items, poses, strict=True)
     ]
-    return Drive(name, tuple(items), known if relations else None, None, truth)
+    return Drive(name, tuple(items), Yardsticks(known if relations else None, truth=truth))
 
 
 def room_files(folder: Path, name: str = "room", *, relations: bool = True) -> LogFiles:
     """Write the room with drifting odometry, its relations and its truth."""
     made = room(name, drift=0.3)
-    assert made.relations is not None
-    assert made.reference is not None
+    known, truth = made.held.relations, made.held.truth
+    assert known is not None
+    assert truth is not None
     files = LogFiles(
         folder / f"{name}.log",
         folder / f"{name}.relations" if relations else None,
         truth=folder / f"{name}.tum",
     )
     write_carmen(files.log, made.scans)
-    write_tum(folder / f"{name}.tum", made.reference)
-    ((first, second),), ((x, y, yaw),) = made.relations.stamps_s, made.relations.motions
+    write_tum(folder / f"{name}.tum", truth)
+    ((first, second),), ((x, y, yaw),) = known.stamps_s, known.motions
     line = f"{first} {second} {x} {y} 0 0 0 {yaw}\n"
     (folder / f"{name}.relations").write_text(line, encoding="utf-8")
     return files

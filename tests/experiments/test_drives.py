@@ -20,17 +20,18 @@ from slamfusion.experiments.drives import (
 )
 from slamfusion.io import read_trajectory, write_carmen, write_tum
 from slamfusion.jobs.map_log import LogFiles
+from slamfusion.jobs.trajectory import Yardsticks
 from slamfusion.trajectory import Trajectory
 from tests.experiments.drives import room
 from tests.support.datasets import ABSENT, DATASETS
 
-CONFIG = TrajectoryConfig(alignment="none")
+CONFIG = RunConfig(trajectory=TrajectoryConfig(alignment="none"))
 CSAIL = DATASETS / "mit-csail"
 
 
 def shifted(drive_name: str = "room") -> Trajectory:
     """The truth of the room with its last pose 0.3 m off."""
-    truth = room(drive_name).reference
+    truth = room(drive_name).held.truth
     assert truth is not None
     poses = truth.poses.copy()
     poses[-1, 0] += 0.3
@@ -48,25 +49,27 @@ def test_errors_by_hand() -> None:
 def test_only_what_is_known_is_measured() -> None:
     drive = room(relations=False)
     assert set(drive.errors(shifted(), CONFIG)) == {ATE}
-    assert set(replace(room(), reference=None).errors(shifted(), CONFIG)) == {RELATIONS}
+    known = Yardsticks(room().held.relations)
+    assert set(replace(room(), held=known).errors(shifted(), CONFIG)) == {RELATIONS}
 
 
 def test_odometry_carries_poses_to_relations_between_the_scans() -> None:
-    drive = room()
-    whole = drive.scan_odometry()
-    every_third = replace(drive, scans=drive.scans[::3], odometry=whole)
-    stamps = whole.stamps_s[::3]
-    estimate = Trajectory(stamps, whole.poses[::3])
+    # The odometry of the room is the truth.
+    drive, whole = room(), room().held.truth
+    assert whole is not None
+    estimate = Trajectory(whole.stamps_s[::3], whole.poses[::3])
+    held = replace(drive.held, odometry=whole)
+    every_third = replace(drive, scans=drive.scans[::3], held=held)
     # The relation ends at the last scan of the whole drive, which the estimate does not have.
-    assert whole.stamps_s[-1] not in stamps
+    assert whole.stamps_s[-1] not in estimate.stamps_s
     assert every_third.errors(estimate, CONFIG)[RELATIONS] == pytest.approx(0.0, abs=1e-9)
 
 
 def test_a_drive_is_read_from_its_files(tmp_path: Path) -> None:
     drive = room()
-    assert drive.reference is not None
+    assert drive.held.truth is not None
     write_carmen(tmp_path / "room.log.gz", drive.scans)
-    write_tum(tmp_path / "truth.tum", drive.reference)
+    write_tum(tmp_path / "truth.tum", drive.held.truth)
     (tmp_path / "room.relations").write_text("0.0 1.1 0.5 0 0 0 0 0.2\n", encoding="utf-8")
     found = read_drive(
         LogFiles(
@@ -79,12 +82,12 @@ def test_a_drive_is_read_from_its_files(tmp_path: Path) -> None:
     )
     assert found.name == "room"
     assert len(found.scans) == 12
-    assert found.relations is not None
-    assert len(found.relations) == 1
-    assert found.reference is not None
-    np.testing.assert_allclose(found.reference.poses, drive.reference.poses, atol=1e-8)
-    assert found.odometry is not None
-    assert len(found.odometry) == 12
+    assert found.held.relations is not None
+    assert len(found.held.relations) == 1
+    assert found.held.truth is not None
+    np.testing.assert_allclose(found.held.truth.poses, drive.held.truth.poses, atol=1e-8)
+    assert found.held.odometry is not None
+    assert len(found.held.odometry) == 12
 
 
 def test_a_drive_that_nothing_measures_is_refused(tmp_path: Path) -> None:
@@ -96,12 +99,12 @@ def test_a_drive_that_nothing_measures_is_refused(tmp_path: Path) -> None:
 def test_an_office_is_the_same_for_one_seed_and_another_for_the_next() -> None:
     first, again, other = (simulated_office(seed, NumpyDevice()) for seed in (1, 1, 2))
     assert first.name == "office-1"
-    assert first.reference is not None
-    assert again.reference is not None
-    assert other.reference is not None
-    np.testing.assert_array_equal(first.reference.poses, again.reference.poses)
-    assert len(first.reference) != len(other.reference)
-    assert len(first.scans) == len(first.reference)
+    assert first.held.truth is not None
+    assert again.held.truth is not None
+    assert other.held.truth is not None
+    np.testing.assert_array_equal(first.held.truth.poses, again.held.truth.poses)
+    assert len(first.held.truth) != len(other.held.truth)
+    assert len(first.scans) == len(first.held.truth)
 
 
 @pytest.mark.datasets
@@ -113,7 +116,7 @@ def test_odometry_and_reference_of_a_recorded_drive_have_their_known_errors() ->
         truth=CSAIL / "mit-csail-reference-graph.log.gz",
     )
     drive = read_drive(files, RunConfig())
-    errors = drive.errors(drive.scan_odometry(), TrajectoryConfig())
+    errors = drive.errors(drive.scan_odometry(), RunConfig())
     assert errors[RELATIONS] == pytest.approx(1.6815, abs=5e-5)
     reference = read_trajectory(files.truth or Path())
     relations = read_relations(files.relations or Path())

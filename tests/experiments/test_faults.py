@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slamfusion.experiments.faults import FAULTS, break_odometry, kidnap, lose
+from slamfusion.experiments.trials import FAULTS, break_odometry, kidnap, lose
 from slamfusion.geometry import Pose2
 from slamfusion.io import LogScan
 from slamfusion.scan import LaserScan

@@ -23,7 +23,7 @@ from slamfusion.experiments.fusions import (
 from slamfusion.experiments.page import Experiment
 from slamfusion.experiments.runs import RunResult
 from slamfusion.experiments.trials import fusion_experiment
-from slamfusion.jobs.defaults import RUN_VOTE
+from slamfusion.jobs.inputs import RUN_VOTE
 from slamfusion.jobs.outputs import DRAWN
 from slamfusion.json_values import plain
 from slamfusion.slam.registry import BUILT_IN
@@ -75,12 +75,12 @@ def test_a_clear_gain_is_found_by_pairs_and_not_without() -> None:
     assert test["p_pooled"] > 0.2
     assert stats.ttest_rel(a, b).pvalue <= test["p_t"] < 1e-3
     against = experiment.against_best[FUSIONS.index("majority")]
-    assert (against["best_input"], against["fusion"]) == ("graph", "majority")
+    assert (against.best_input, against.fusion) == ("graph", "majority")
     gains = b - a
     margin = stats.t.ppf(0.975, 11) * gains.std() / np.sqrt(12)
     ends = 1.0 + np.array([gains.mean() - margin, gains.mean() + margin]) / a.mean()
-    assert (against["low"], against["high"]) == pytest.approx(tuple(ends))
-    assert against["ratio"] == pytest.approx(b.mean() / a.mean())
+    assert (against.low, against.high) == pytest.approx(tuple(ends))
+    assert against.ratio == pytest.approx(b.mean() / a.mean())
     sentence = experiment.sentences()[FUSIONS.index("majority")]
     assert "against graph, the best input (95 % interval -" in sentence
     assert "chance" not in sentence
@@ -104,9 +104,9 @@ def test_overall_counts_each_case_once_and_tells_the_worst() -> None:
         ],
     )
     overall = experiment.overall()["majority"]
-    assert overall["ratio"] == pytest.approx(0.5 * (1.2 + 0.5))
-    assert overall["of_sums"] == pytest.approx(105.0 / 140.0)
-    assert overall["worst"] == pytest.approx(1.2)
+    assert overall.ratio == pytest.approx(0.5 * (1.2 + 0.5))
+    assert overall.of_sums == pytest.approx(105.0 / 140.0)
+    assert overall.worst == pytest.approx(1.2)
     assert experiment.sentences()[-1] == (
         "all cases: majority -15.0 % against the best inputs on the mean of cases (-25.0 % of the "
         "sums), +20.0 % in the worst case."

@@ -36,7 +36,7 @@ CONFIG = RunConfig()
 
 
 def truth() -> Trajectory:
-    reference = room().reference
+    reference = room().held.truth
     assert reference is not None
     return reference
 
@@ -129,6 +129,6 @@ def test_another_slam_takes_part_with_its_path(
 def test_on_intel_the_fused_map_is_near_the_best_and_doubles_fewer_walls(tmp_path: Path) -> None:
     found = compare_on_logs(DATASETS, ["intel"], Setup(CONFIG, open_device("auto"), tmp_path))
     assert found.notes == [("intel", {})]
-    assert found.overall()["majority"]["ratio"] < 1.15
+    assert found.overall()["majority"].ratio < 1.15
     doubled = found.summaries["mean"].loc["intel", "doubled_wall_share"]
     assert doubled["consensus"] < min(doubled[name] for name in BUILT_IN)

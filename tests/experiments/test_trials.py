@@ -18,7 +18,6 @@ from slamfusion.config import (
     from_mapping,
 )
 from slamfusion.errors import ConfigError, SlamFusionError
-from slamfusion.experiments.faults import FAULTS
 from slamfusion.experiments.fusions import (
     CHOICE,
     FUSED_PATH,
@@ -32,6 +31,7 @@ from slamfusion.experiments.fusions import (
 from slamfusion.experiments.runs import RunResult, Setup, kept_maps
 from slamfusion.experiments.trials import (
     FAILURES,
+    FAULTS,
     Trial,
     failure_trials,
     measure_trial,

@@ -19,9 +19,9 @@ from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid, trinary_cells
 from slamfusion.io import load_map, open_log, read_trajectory, save_map, write_carmen, write_tum
 from slamfusion.jobs.cases import CaseFile
-from slamfusion.jobs.defaults import RUN_DEFAULTS
 from slamfusion.jobs.fuse_drive import DriveFusion
 from slamfusion.jobs.fused_path import DrivePath
+from slamfusion.jobs.inputs import RUN_DEFAULTS
 from slamfusion.jobs.run import LogRun, draw_run, run_log, score_all_paths
 from slamfusion.jobs.run_files import SavedRun, save_run
 from slamfusion.jobs.run_many import RunOfLog
@@ -241,7 +241,7 @@ def test_a_saved_map_brings_its_path(place: Path, tmp_path: Path) -> None:
     assert own.own_poses_share == pytest.approx(1.0 / 3.0, abs=0.05)
     assert own.covered_share > 0.9
     page = (tmp_path / "out" / "report" / "report.html").read_text(encoding="utf-8")
-    assert '<td class="plain">map</td><td class="plain">ATE, place m</td>' in page
+    assert '<td class="plain">map</td><td class="plain">ATE, translation m</td>' in page
 
 
 def test_a_path_that_cannot_be_used_is_told_and_the_map_votes(tmp_path: Path) -> None:

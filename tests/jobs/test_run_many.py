@@ -14,7 +14,7 @@ from slamfusion.cli.program import run_program
 from slamfusion.evidence import Recommendation
 from slamfusion.io import write_carmen
 from slamfusion.jobs import run_many
-from slamfusion.jobs.defaults import RUN_DEFAULTS
+from slamfusion.jobs.inputs import RUN_DEFAULTS
 from slamfusion.jobs.run_many import RunOfLog, log_tasks, run_logs
 from tests.slam.drives import drive
 from tests.support.documents import check_document

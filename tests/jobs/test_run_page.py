@@ -16,12 +16,11 @@ from slamfusion.evaluation import Relations, compare_to_truth, relation_errors, 
 from slamfusion.evidence import FusedPath
 from slamfusion.fusion.path_check import moved_path, path_gaps
 from slamfusion.geometry import Pose2
-from slamfusion.jobs.fuse_documents import DoubledWalls
 from slamfusion.jobs.fuse_drive import DriveFusion
 from slamfusion.jobs.fused_path import DrivePath
 from slamfusion.jobs.map_log import LogFiles, ProducerResult
 from slamfusion.jobs.partial import Layers
-from slamfusion.jobs.records import Evaluation
+from slamfusion.jobs.records import DoubledWalls, Evaluation
 from slamfusion.jobs.run import LogRun
 from slamfusion.jobs.run_page import write_run_page
 from slamfusion.jobs.trajectory import Measures
@@ -138,7 +137,7 @@ def test_every_part_is_on_the_one_page(page: Path) -> None:
         "Health over time",
         "Where each input was outvoted",
         "Alignment to room 0",
-        "ATE, place m",
+        "ATE, translation m",
         "Errors of the paths",
         "Error against the truth",
         "Timings and memory",
@@ -178,7 +177,8 @@ def test_the_fused_path_is_drawn_and_measured_beside_those_it_was_made_of(page: 
     moved_m = float(np.hypot(*np.diff(produced(NAMES[0]).trajectory.poses[:2, :2], axis=0)[0]))
     html = page.read_text(encoding="utf-8")
     assert f"<b>{moved_m:.4f} m</b><span>fused path: error of relations</span>" in html
-    assert "relations (1 of 1), translation m" in text
+    assert "relations, translation m" in text
+    assert "1 of 1 relations." in text
     assert "fused path: error along the path" in text
     assert "fused path: error of each relation" in text
 

@@ -10,7 +10,7 @@ from slamfusion.config import NormalizeConfig
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.palette import DISAGREEMENT_RGB, NAMED, OTHERS, Rgb
-from slamfusion.report.closures import closure_pictures, closures_picture
+from slamfusion.report.paths import closure_pictures, closures_picture
 from slamfusion.slam.common.mapper import Closure
 from slamfusion.trajectory import Trajectory
 

@@ -104,7 +104,7 @@ def test_up_is_up_and_both_ends_are_marked() -> None:
 
 
 def test_the_path_lies_on_the_map() -> None:
-    image = pixels(paths.paths_picture(in_room(), grid=own_map()))
+    image = pixels(paths.paths_picture([paths.estimate_line(in_room())], in_room(), grid=own_map()))
     free = near(image, (255, 255, 255), 2)
     line = near(image, ESTIMATE, 40)
     # Everything of the path is inside the walls of the room.
@@ -119,14 +119,16 @@ def test_the_path_lies_on_the_map() -> None:
 def test_every_path_has_its_colour() -> None:
     truth = Trajectory(corner().stamps_s, compose_poses((0.0, 2.0, 0.0), corner().poses))
     wheels = Trajectory(corner().stamps_s, compose_poses((0.0, -2.0, 0.0), corner().poses))
-    image = pixels(paths.paths_picture(corner(), truth=truth, odometry=wheels))
+    own = paths.estimate_line(corner())
+    lines = [paths.odometry_line(wheels), own, paths.truth_line(truth)]
+    image = pixels(paths.paths_picture(lines, corner()))
     image = image[25:-100, 125:-25]  # without the lettering, whose grey is much like odometry's
     heights = [centre(image, colour)[1] for colour in (NAMED["truth"], ESTIMATE, NAMED["odometry"])]
     assert heights == sorted(heights)
     # Dashed: of the same path less is drawn.
     assert near(image, NAMED["truth"]).sum() < 0.75 * near(image, ESTIMATE).sum()
-    legend = [entry.text for entry in paths.paths_legend("path", truth=True, odometry=True)]
-    assert legend[:3] == ["estimate", "truth, dashed", "raw odometry"]
+    legend = [entry.text for entry in paths.paths_legend(lines)]
+    assert legend[:3] == ["truth, dashed", "estimate", "raw odometry"]
 
 
 def beside(path: Trajectory, up_m: float) -> Trajectory:
@@ -140,11 +142,12 @@ def purple(image: npt.NDArray[np.uint8]) -> npt.NDArray[np.bool_]:
 
 
 def test_other_paths_are_faint_and_under_the_estimate() -> None:
-    alone = pixels(paths.paths_picture(corner()))
+    lines = [paths.estimate_line(corner())]
+    alone = pixels(paths.paths_picture(lines, corner()))
     assert not purple(alone).any()
-    same = pixels(paths.paths_picture(corner(), others=[corner(), corner()]))
+    same = pixels(paths.paths_picture(lines, corner(), others=[corner(), corner()]))
     assert near(same, ESTIMATE).sum() == near(alone, ESTIMATE).sum()
-    apart = pixels(paths.paths_picture(corner(), others=[beside(corner(), -2.0)]))
+    apart = pixels(paths.paths_picture(lines, corner(), others=[beside(corner(), -2.0)]))
     assert purple(apart).sum() > 300
     assert not near(apart, OTHER).any()
     # Below the estimate in the picture, where it is below in the world.
@@ -166,7 +169,7 @@ def test_odd_paths_can_be_drawn(places: list[tuple[float, float]]) -> None:
     for png in (
         paths.path_picture(path_of(places)),
         paths.path_picture(path_of(places), values=np.zeros(len(places))),
-        paths.paths_picture(path_of(places), truth=path_of(places)),
+        paths.paths_picture([paths.truth_line(path_of(places))], path_of(places)),
     ):
         assert max(pixels(png).shape) < 2000
 
@@ -293,5 +296,5 @@ def test_the_report_of_a_trajectory_says_what_its_numbers_rest_on(tmp_path: Path
     ).read_text(encoding="utf-8")
     assert "60 of 60 poses met one of round within 0.01 s; not aligned." in page
     assert "2 of 99 of b, poses within 0.01 s of both times." in page
-    assert "translation of revisits, m" in page
+    assert "revisits, translation m" in page
     assert "raw odometry" not in page.split("How it was made")[0].replace("raw odometry on its", "")

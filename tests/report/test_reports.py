@@ -148,7 +148,7 @@ def test_every_part_of_the_fusion_is_shown(report: Path) -> None:
         "weight",
         "doubled walls",
         "occupied_percent: 65.0",
-        "PyOpenCL",
+        "pyopencl",
         "numpy",
     ):
         assert part in page.text, part

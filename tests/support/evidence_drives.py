@@ -15,9 +15,8 @@ import numpy as np
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FailuresConfig, RunConfig
-from slamfusion.experiments.faults import FAULTS
 from slamfusion.experiments.fusions import produce_maps
-from slamfusion.experiments.trials import FAILURES, Trial, failure_trials
+from slamfusion.experiments.trials import FAILURES, FAULTS, Trial, failure_trials
 from slamfusion.geometry import Pose2
 from slamfusion.io import LogScan, read_trajectory
 from slamfusion.io.map_server import save_map

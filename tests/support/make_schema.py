@@ -32,8 +32,6 @@ from slamfusion.evaluation import RelationErrors, TrajectoryErrors
 from slamfusion.experiments.page import ExperimentDocument
 from slamfusion.jobs import compare as comparisons
 from slamfusion.jobs import records as jobs
-from slamfusion.jobs import run_records as runs
-from slamfusion.jobs import tool_records as tools
 from slamfusion.slam.records import HealthJson
 
 __all__ = ["DOCUMENTS", "PATH", "make_schema", "to_text"]
@@ -43,35 +41,35 @@ DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
 # What each command may print; after a failure, any of them prints a ``FailureDocument`` alone.
 DOCUMENTS: dict[str, tuple[type, ...]] = {
-    "run": (runs.RunDocument, runs.RunsDocument),
+    "run": (jobs.RunDocument, jobs.RunsDocument),
     "fuse": (jobs.FuseDocument, jobs.FailedFuseDocument),
     "align": (jobs.AlignDocument,),
     "evaluate": (jobs.EvaluateDocument, jobs.CasesEvaluationDocument),
-    "simulate": (tools.SimulateDocument,),
+    "simulate": (jobs.SimulateDocument,),
     "experiment cell-models": (ExperimentDocument,),
     "experiment occupancy-estimator": (ExperimentDocument,),
     "experiment cell-models-trajectories": (ExperimentDocument,),
     "experiment ground-obstacle": (ExperimentDocument,),
     "experiment failures": (ExperimentDocument,),
     "experiment real-logs": (ExperimentDocument,),
-    "slam": (runs.SlamDocument,),
+    "slam": (jobs.SlamDocument,),
     "trajectory": (jobs.TrajectoryDocument, jobs.TrajectoriesDocument),
     "judge": (jobs.JudgeDocument, jobs.JudgementsDocument),
     "compare": (comparisons.CompareDocument,),
-    "graph optimize": (tools.GraphOptimizeDocument,),
-    "devices": (tools.DevicesDocument,),
-    "show": (tools.ShowDocument,),
-    "live status": (tools.LiveStatusDocument,),
-    "live watch": (tools.LiveLineJson,),
-    "live save": (tools.LiveAnswerDocument,),
-    "live reset": (tools.LiveAnswerDocument,),
-    "live set": (tools.LiveAnswerDocument,),
-    "live add": (tools.LiveAnswerDocument,),
-    "live remove": (tools.LiveAnswerDocument,),
-    "doctor": (tools.DoctorDocument,),
+    "graph optimize": (jobs.GraphOptimizeDocument,),
+    "devices": (jobs.DevicesDocument,),
+    "show": (jobs.ShowDocument,),
+    "live status": (jobs.LiveStatusDocument,),
+    "live watch": (jobs.LiveLineJson,),
+    "live save": (jobs.LiveAnswerDocument,),
+    "live reset": (jobs.LiveAnswerDocument,),
+    "live set": (jobs.LiveAnswerDocument,),
+    "live add": (jobs.LiveAnswerDocument,),
+    "live remove": (jobs.LiveAnswerDocument,),
+    "doctor": (jobs.DoctorDocument,),
 }
 # Written to files alone.
-WRITTEN = (runs.RunRecordDocument,)
+WRITTEN = (jobs.RunRecordDocument,)
 # A producer of another package may say more of itself.
 OPEN = (HealthJson,)
 _FORMS: tuple[Any, ...] = (
@@ -79,6 +77,8 @@ _FORMS: tuple[Any, ...] = (
     typing_extensions.NotRequired,
     typing_extensions.TypedDict,
 )
+# Records whose keys are among those of a TypedDict; none of them is required.
+JOINED: dict[type, tuple[type, ...]] = {jobs.PathErrorsJson: (TrajectoryErrors, RelationErrors)}
 # Of these keys a measured path has all or none.
 TOGETHER = (
     frozenset(field.name for field in fields(TrajectoryErrors) if field.repr),
@@ -177,20 +177,17 @@ def _described(kind: type) -> Any:
     Raises:
         ValueError: a key has no text.
     """
-    texts = _texts(kind)
-    hints = typing.get_type_hints(kind)
     required = getattr(kind, "__required_keys__", ())
     if is_dataclass(kind):
         required = [field.name for field in fields(kind) if field.repr]
-        hints = {key: hints[key] for key in required}
     # Types that are made as the program runs are no types to a checker.
     annotated, not_required, typed_dict = _FORMS
     keys = {}
-    for key, hint in hints.items():
-        if not texts.get(key):
+    for key, (hint, text) in _keys(kind).items():
+        if not text:
             message = f"{kind.__name__}.{key} has no text below it"
             raise ValueError(message)
-        field = annotated[_copied(hint), Field(description=texts[key])]
+        field = annotated[_copied(hint), Field(description=text)]
         keys[key] = field if key in required else not_required[field]
     copy = typed_dict(_name(kind), keys)
     copy.__doc__ = (inspect.getdoc(kind) or "").replace("``", "`")
@@ -216,22 +213,27 @@ def _keys_of(hint: Any) -> Any:
     return hint if found is None else typing.get_type_hints(found)["return"]
 
 
-def _texts(kind: type) -> dict[str, str]:
-    """Return the text below each key of a record, those of its bases too."""
+def _keys(kind: type) -> dict[str, tuple[Any, str]]:
+    """Return type and text of each key of a record, those of its bases too."""
     module = sys.modules[kind.__module__]
     (node,) = ast.parse(inspect.getsource(kind)).body
     assert isinstance(node, ast.ClassDef)
-    texts: dict[str, str] = {}
-    for base in node.bases:
-        other = getattr(module, base.id) if isinstance(base, ast.Name) else None
-        if isinstance(other, type):  # TypedDict itself is a function
-            texts |= _texts(other)
+    bases = [getattr(module, base.id) for base in node.bases if isinstance(base, ast.Name)]
+    found: dict[str, tuple[Any, str]] = {}
+    # TypedDict itself is a function.
+    for other in (*(base for base in bases if isinstance(base, type)), *JOINED.get(kind, ())):
+        found |= _keys(other)
+    printed = {field.name for field in fields(kind) if field.repr} if is_dataclass(kind) else None
+    texts = {}
     for key, text in zip(node.body, node.body[1:], strict=False):
         if isinstance(key, ast.AnnAssign) and isinstance(text, ast.Expr):
             assert isinstance(key.target, ast.Name)
             assert isinstance(text.value, ast.Constant)
             texts[key.target.id] = " ".join(str(text.value.value).split())
-    return texts
+    for key_name, hint in typing.get_type_hints(kind).items():
+        if key_name in texts or key_name not in found:
+            found[key_name] = (hint, texts.get(key_name, "Null." if hint is type(None) else ""))
+    return {key: item for key, item in found.items() if printed is None or key in printed}
 
 
 if __name__ == "__main__":
