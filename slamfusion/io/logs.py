@@ -8,6 +8,7 @@ from pathlib import Path
 from slamfusion.config import LogConfig
 from slamfusion.errors import LogError
 from slamfusion.io.bags import BagLog
+from slamfusion.io.bags.reader import METADATA, STORAGE_FILES
 from slamfusion.io.carmen import CARMEN_WORDS, CarmenLog
 from slamfusion.io.lines import read_head, strip_gz
 from slamfusion.io.log import ScanLog
@@ -18,6 +19,8 @@ _DEFAULT_CONFIG = LogConfig()
 
 Reader = Callable[[Path, LogConfig], ScanLog]
 
+# Of a bag that was not closed, and of packed ones, too.
+BAG_SUFFIXES = (".bag", ".db3", ".mcap", ".active", ".zstd", ".zst")
 # By the end of the name, without .gz. The content decides where it speaks clearly.
 _READERS: dict[str, Reader] = {
     ".clf": CarmenLog,
@@ -26,15 +29,13 @@ _READERS: dict[str, Reader] = {
     ".carmen": CarmenLog,
     ".txt": CarmenLog,
     ".dat": TinySlamDat,
-    ".bag": BagLog,
-    ".db3": BagLog,
-    ".mcap": BagLog,
+    **dict.fromkeys(BAG_SUFFIXES, BagLog),
 }
 _TEXT_READERS: tuple[Reader, ...] = (CarmenLog, TinySlamDat)
-_BAG_MAGICS = (b"#ROSBAG V", b"SQLite format 3\0", b"\x89MCAP0\r\n")
+_BAG_MAGICS = (b"#ROSBAG V", b"SQLite format 3\0", b"\x89MCAP0\r\n", b"\x28\xb5\x2f\xfd")
 # Logs of a folder that a message names.
 _NAMED = 5
-_BAG_FILES = ("metadata.yaml", "*.db3", "*.mcap", "*.db3.zstd", "*.mcap.zstd")
+_BAG_FILES = (METADATA, *STORAGE_FILES)
 # Text has none of the control characters, but for tab, line feed, form feed and carriage return.
 _NO_TEXT = bytes(set(range(32)) - set(b"\t\n\f\r"))
 
@@ -48,8 +49,8 @@ def open_log(
 
     Args:
         path: CARMEN (.clf, .log, .gfs, .carmen, .txt) or tinySLAM (.dat), each also as .gz; a
-            ROS 1 bag (.bag); a ROS 2 bag's folder, its metadata.yaml, .db3 or .mcap; a folder with
-            a single log in it.
+            ROS 1 bag (.bag, .bag.active); a ROS 2 bag's folder, its metadata.yaml, .db3 or .mcap
+            (also packed, .zstd); a folder with a single log in it.
         config: topics and frames of bags, the no-return value, the period for broken stamps.
         scan_odometry: a CSV file with the odometry of each laser line of a CARMEN log, taken
             instead of the poses in it (see ``read_scan_odometry``); default: the log's own.

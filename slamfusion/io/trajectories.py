@@ -15,7 +15,7 @@ from slamfusion.config import LogConfig
 from slamfusion.errors import TrajectoryError
 from slamfusion.io.carmen import CARMEN_WORDS
 from slamfusion.io.lines import ROW_BYTES, TextLines, read_head, strip_gz
-from slamfusion.io.logs import open_log
+from slamfusion.io.logs import BAG_SUFFIXES, open_log
 from slamfusion.io.tinyslam_dat import FIELDS
 from slamfusion.io.tum import quaternion_yaw_rad
 from slamfusion.trajectory import Trajectory
@@ -30,7 +30,6 @@ _LOGGER = logging.getLogger(__name__)
 _NANOSECONDS_FROM = 1e14
 # Quaternions of few digits are this far from length 1.
 _QUATERNION_SLACK = 0.05
-_BAG_SUFFIXES = (".bag", ".db3", ".mcap")
 # Columns of ``t x y theta``, and of a TUM file.
 _PLANAR, _TUM = 4, 8
 # A robot on a floor tilts by less, and climbs less: metres, and as a share of where it went.
@@ -74,7 +73,7 @@ def read_trajectory(path: str | Path, config: LogConfig = _DEFAULT_CONFIG) -> Tr
     """
     where = Path(path)
     name = Path(strip_gz(where.name)).stem or where.name
-    if where.is_dir() or strip_gz(where.name).endswith(_BAG_SUFFIXES):
+    if where.is_dir() or strip_gz(where.name).endswith(BAG_SUFFIXES):
         return _log_odometry(where, config, name)
     first, columns = _first_fields(where)
     if first and (first[0] in CARMEN_WORDS or len(first) == FIELDS):

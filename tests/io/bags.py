@@ -22,6 +22,9 @@ SCAN, ODOMETRY, TF = (
     "nav_msgs/msg/Odometry",
     "tf2_msgs/msg/TFMessage",
 )
+POSE = "geometry_msgs/msg/PoseStamped"
+LOCALIZED = "geometry_msgs/msg/PoseWithCovarianceStamped"
+TEXT = "std_msgs/msg/String"
 KINDS = ("ros1", "ros1-bz2", "ros1-lz4", "sqlite3", "mcap")
 Quaternion = tuple[float, float, float, float]
 LEVEL: Quaternion = (0.0, 0.0, 0.0, 1.0)
@@ -129,6 +132,46 @@ def _scan(
     return types[SCAN](header=header, **values)
 
 
+def _pose(types: Any, pose: tuple[float, float, float]) -> Any:
+    geometry = "geometry_msgs/msg"
+    x, y, z, w = yaw_quaternion(pose[2])
+    return types[f"{geometry}/Pose"](
+        position=types[f"{geometry}/Point"](x=pose[0], y=pose[1], z=0.0),
+        orientation=types[f"{geometry}/Quaternion"](x=x, y=y, z=z, w=w),
+    )
+
+
+def _pose_stamped(
+    types: Any,
+    *,
+    stamp_s: float,
+    pose: tuple[float, float, float],
+    is_ros1: bool,
+    number: int,
+) -> Any:
+    header = _header(types, stamp_s, "map", is_ros1=is_ros1, number=number)
+    return types[POSE](header=header, pose=_pose(types, pose))
+
+
+def _pose_with_covariance(
+    types: Any,
+    *,
+    stamp_s: float,
+    pose: tuple[float, float, float],
+    is_ros1: bool,
+    number: int,
+) -> Any:
+    kind = types["geometry_msgs/msg/PoseWithCovariance"]
+    place = kind(pose=_pose(types, pose), covariance=np.zeros(36))
+    header = _header(types, stamp_s, "map", is_ros1=is_ros1, number=number)
+    return types[LOCALIZED](header=header, pose=place)
+
+
+def _text(types: Any, *, data: str, is_ros1: bool, number: int) -> Any:
+    del is_ros1, number
+    return types[TEXT](data=data)
+
+
 def _odometry(
     types: Any,
     *,
@@ -140,11 +183,7 @@ def _odometry(
 ) -> Any:
     geometry = "geometry_msgs/msg"
     vector, covariance = types[f"{geometry}/Vector3"](x=0.0, y=0.0, z=0.0), np.zeros(36)
-    x, y, z, w = yaw_quaternion(pose[2])
-    place = types[f"{geometry}/Pose"](
-        position=types[f"{geometry}/Point"](x=pose[0], y=pose[1], z=0.0),
-        orientation=types[f"{geometry}/Quaternion"](x=x, y=y, z=z, w=w),
-    )
+    place = _pose(types, pose)
     twist = types[f"{geometry}/Twist"](linear=vector, angular=vector)
     return types[ODOMETRY](
         header=_header(types, stamp_s, "odom", is_ros1=is_ros1, number=number),
@@ -178,4 +217,11 @@ def _transform(
     return types[TF](transforms=[stamped])
 
 
-_MAKERS: dict[str, Any] = {SCAN: _scan, ODOMETRY: _odometry, TF: _transform}
+_MAKERS: dict[str, Any] = {
+    SCAN: _scan,
+    ODOMETRY: _odometry,
+    TF: _transform,
+    POSE: _pose_stamped,
+    LOCALIZED: _pose_with_covariance,
+    TEXT: _text,
+}

@@ -280,7 +280,7 @@ def test_without_rosbags_the_extra_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = driven().scan(10.5).write(tmp_path)
-    monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
+    monkeypatch.setitem(sys.modules, "rosbags.typesys", None)
     with pytest.raises(LogError, match=r"pip install 'slamfusion\[bags\]'"):
         open_log(path)
 

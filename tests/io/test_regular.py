@@ -97,7 +97,7 @@ def test_rows_that_would_not_fit_into_memory_are_refused(
 
 def test_a_bomb_in_a_bag_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     bags = pytest.importorskip("tests.io.bags")
-    monkeypatch.setattr("slamfusion.io.bags.unpack.PIECE_BYTES", 1 << 16)
+    monkeypatch.setattr("slamfusion.io.bags.storage.PIECE_BYTES", 1 << 16)
     bag = bags.Bag()
     for number in range(20):
         bag.scan(1.0 + 0.1 * number, [1.0] * 20_000)
@@ -111,8 +111,8 @@ def test_a_bomb_in_a_bag_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPa
             list(open_log(path))
 
 
-def packed_bag(folder: Path, bag: Any, mode: str) -> Path:
-    """Write a bag's messages to an .mcap folder that is packed with zstd."""
+def packed_bag(folder: Path, bag: Any, mode: str, plugin: str = "MCAP") -> Path:
+    """Write a bag's messages to a folder that is packed with zstd."""
     from rosbags.rosbag2 import (  # noqa: PLC0415
         CompressionFormat,
         CompressionMode,
@@ -125,7 +125,7 @@ def packed_bag(folder: Path, bag: Any, mode: str) -> Path:
 
     store = get_typestore(Stores.ROS2_JAZZY)
     path = folder / f"packed-{mode}"
-    writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
+    writer = Writer(path, version=9, storage_plugin=StoragePlugin[plugin])
     writer.set_compression(CompressionMode[mode], CompressionFormat.ZSTD)
     with writer:
         connection = writer.add_connection("/scan", bags.SCAN, typestore=store)

@@ -106,7 +106,7 @@ class BagLog:
         self.fraction_read = 0.0
         self._config = config
         self._mounts: dict[str, Mount] = {}
-        with open_bag(self.path) as bag:
+        with open_bag(self.path, self.notes) as bag:
             self._scan_topic = bag.choose_topic(_SCAN_TYPES, config.scan_topic, "scan_topic")
             first = self._first_messages(bag)
             survey = OdometrySurvey(
@@ -132,7 +132,7 @@ class BagLog:
         self.skips, self.warnings, self.fraction_read = Skips(), Skips(), 0.0
         continuity = Continuity(self.skips, self.warnings, self._config.laser)
         is_any_used, out_s = False, []
-        with open_bag(self.path) as bag:
+        with open_bag(self.path, self.notes) as bag:
             for number, scan in joined_sweeps(self._scans(bag)):
                 pose = None if self._odometry is None else self._odometry.at(scan.stamp_s)
                 if isinstance(pose, str):
@@ -184,7 +184,11 @@ class BagLog:
         readable = (message for _, _, message in bag.messages(self._scan_topic) if message)
         first = list(islice(readable, FIRST_MESSAGES))
         if not first:
-            text = f"{self.path}: no readable scan on {self._scan_topic}; record the laser again"
+            text = (
+                f"{self.path}: none of the {bag.count(self._scan_topic)} messages on "
+                f"{self._scan_topic} can be read as a scan; check that its message type is the "
+                "standard one"
+            )
             raise LogError(text)
         ranges = np.concatenate([first_echoes(message) for message in first])
         ranges = ranges[np.isfinite(ranges) & (ranges > 0.0)]

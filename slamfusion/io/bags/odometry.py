@@ -13,7 +13,7 @@ import numpy.typing as npt
 from slamfusion.config import LogConfig
 from slamfusion.errors import LogError
 from slamfusion.geometry import Pose2, compose_poses, wrap_angle
-from slamfusion.io.bags.reader import OpenBag, stamp_s
+from slamfusion.io.bags.reader import TRANSFORM_TYPES, OpenBag, stamp_s
 from slamfusion.io.log import FARTHEST_M
 from slamfusion.io.transform_edge import HOLD_S, REACH_S
 from slamfusion.io.transforms import TransformTree, plan_poses
@@ -22,7 +22,6 @@ from slamfusion.io.tum import quaternion_yaw_rad
 Floats = npt.NDArray[np.float64]
 
 _ODOMETRY_TYPES = ("nav_msgs/msg/Odometry",)
-_TRANSFORM_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 _BASE_FRAMES = ("base_footprint", "base_link")
 
 BEFORE_ODOMETRY = "laser before odometry"
@@ -140,7 +139,7 @@ class OdometrySurvey:
     def _transform_topics(self, bag: OpenBag) -> list[str]:
         """Return the topics of the robot's transforms."""
         wanted = self.config.tf_topic
-        found = bag.topics(_TRANSFORM_TYPES, self.scan_topic if wanted is None else "")
+        found = bag.topics(TRANSFORM_TYPES, self.scan_topic if wanted is None else "")
         if wanted is None:
             return found
         names = {wanted.strip("/"), f"{wanted.strip('/')}_static"}

@@ -6,26 +6,29 @@ Bags are read through ``rosbags``, which needs no ROS; it comes with the extra `
 from __future__ import annotations
 
 import errno
+import heapq
+import re
 import tempfile
 import textwrap
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from functools import partial
-from pathlib import Path
+from operator import itemgetter
+from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from slamfusion.errors import LogError, MemoryBudgetError, SlamFusionError
-from slamfusion.io.bags.unpack import limit_unpacking
-from slamfusion.io.regular import open_regular
 from slamfusion.io.yaml_file import read_yaml
 
 if TYPE_CHECKING:
-    from rosbags.highlevel import AnyReader
     from rosbags.interfaces import Connection
+
+    from slamfusion.io.bags.storage import Storage
 
 METADATA = "metadata.yaml"
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
-_PARTS = (METADATA, "*.db3", "*.mcap", "*.zstd")
+# Patterns of a bag's storage files in a folder; those of one kind are a bag.
+STORAGE_FILES = ("*.mcap", "*.db3", "*.mcap.zstd", "*.db3.zstd")
+TRANSFORM_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
 
 class BagMessage(NamedTuple):
@@ -43,11 +46,33 @@ class BagMessage(NamedTuple):
 
 
 class OpenBag:
-    """A bag that is open; ``open_bag`` makes it."""
+    """A bag that is open; ``open_bag`` makes it.
 
-    def __init__(self, path: Path, reader: AnyReader) -> None:
+    Args:
+        path: of the bag, for errors.
+        storages: its files.
+        decode: returns a message of a type from its bytes.
+        notes: sentences for the user are added: what was not read.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        storages: Sequence[Storage],
+        decode: Callable[[str, str, bytes], Any],
+        notes: list[str],
+    ) -> None:
         self._path = path
-        self._reader = reader
+        self._storages = storages
+        self._decode = decode
+        self._notes = notes
+        for storage in storages:
+            if storage.is_cut_off:
+                self._note(storage, "it has no end or no index (cut off, or still recorded)")
+
+    @property
+    def _connections(self) -> Iterator[Connection]:
+        return (item for storage in self._storages for item in storage.connections)
 
     def choose_topic(
         self, types: Sequence[str], wanted: str | None, key: str, sibling: str = ""
@@ -57,13 +82,13 @@ class OpenBag:
         Args:
             types: message types that will do, the one to name in errors first.
             wanted: the topic that was asked for; None: any with messages.
-            key: the setting that asks for it.
+            key: the setting that asks for it, such as ``scan_topic``.
             sibling: a topic; of several ones those in its namespace are taken.
 
         Raises:
             LogError: there is none, or there are several and none was asked for.
         """
-        topics = sorted({item.topic for item in self._reader.connections if item.msgtype in types})
+        topics = sorted({item.topic for item in self._connections if _kind(item) in types})
         filled = self.topics(types, sibling)
         kind = types[0].replace("/msg/", "/")
         if wanted is not None:
@@ -77,13 +102,19 @@ class OpenBag:
             )
             raise LogError(message)
         if not filled:
-            others = ", ".join(sorted({item.topic for item in self._reader.connections}))
+            others = ", ".join(
+                sorted(
+                    item.topic if _kind(item) else f"{item.topic} (in {_encoding(item)})"
+                    for item in self._connections
+                )
+            )
             advice = "give a bag that recorded one"
             if self.topics([POINT_CLOUD]):
                 advice = "make one of the point cloud with the ROS package pointcloud_to_laserscan"
             found = f"{', '.join(topics)} without a message" if topics else others or "nothing"
+            what = "laser" if key == "scan_topic" else "pose"
             message = (
-                f"{self._path}: no laser in it: wanted a {kind} topic, found {found}; {advice}"
+                f"{self._path}: no {what} in it: wanted a {kind} topic, found {found}; {advice}"
             )
             raise LogError(message)
         if len(filled) > 1:
@@ -101,11 +132,7 @@ class OpenBag:
             sibling: a topic; only those in its namespace are returned, if there are any.
         """
         found = sorted(
-            {
-                item.topic
-                for item in self._reader.connections
-                if item.msgtype in types and item.msgcount
-            }
+            {item.topic for item in self._connections if _kind(item) in types and item.msgcount}
         )
         namespace = sibling.rpartition("/")[0]
         own = [topic for topic in found if topic.rpartition("/")[0] == namespace]
@@ -113,48 +140,65 @@ class OpenBag:
 
     def count(self, topic: str) -> int:
         """Return how many messages a topic has."""
-        return sum(item.msgcount for item in self._connections([topic]))
+        return sum(item.msgcount for item in self._connections if item.topic == topic)
 
     def messages(self, *topics: str) -> Iterator[BagMessage]:
         """Yield the messages of topics, in the order of recording."""
-        connections = self._connections(topics)
-        # The reader takes an empty list for all topics.
-        for connection, recorded_ns, raw in (
-            self._reader.messages(connections) if connections else ()
-        ):
-            yield BagMessage(connection.topic, recorded_ns, self._content(connection, raw))
-
-    def _connections(self, topics: Sequence[str]) -> list[Connection]:
-        return [item for item in self._reader.connections if item.topic in topics]
+        parts = (self._stored(storage, topics) for storage in self._storages)
+        for connection, recorded_ns, raw in heapq.merge(*parts, key=itemgetter(1)):
+            yield BagMessage(connection.topic, recorded_ns, self._content(connection, bytes(raw)))
 
     def _content(self, connection: Connection, raw: bytes) -> Any:
         """Return the message, or None when its bytes are none."""
         try:
-            return self._reader.deserialize(raw, connection.msgtype)
+            return self._decode(_encoding(connection), _kind(connection), raw)
         except Exception:  # noqa: BLE001  (damaged bytes fail in many ways; the caller counts them)
             return None
 
+    def _stored(
+        self, storage: Storage, topics: Sequence[str]
+    ) -> Iterator[tuple[Connection, int, bytes]]:
+        """Yield the messages of a file, as far as it can be read."""
+        wanted = [item for item in storage.connections if item.topic in topics and _kind(item)]
+        is_any_read = False
+        try:
+            for found in storage.messages(wanted) if wanted else ():
+                is_any_read = True
+                yield found
+        except Exception as error:
+            if not is_any_read or isinstance(error, MemoryError):
+                raise
+            self._note(storage, f"it is damaged ({_reason(error)})")
+
+    def _note(self, storage: Storage, why: str) -> None:
+        _add_note(self._notes, f"{storage.path.name} is read as far as it goes: {why}")
+
 
 @contextmanager
-def open_bag(path: Path) -> Iterator[OpenBag]:
+def open_bag(path: Path, notes: list[str]) -> Iterator[OpenBag]:
     """Open a bag; whatever the library stumbles over is damage of the bag.
+
+    Args:
+        path: a .bag, .db3 or .mcap file, as it is or packed, or a ROS 2 bag's folder.
+        notes: sentences for the user are added: what was not read.
 
     Raises:
         LogError: not a readable bag, or ``rosbags`` is not installed.
     """
     try:
-        from rosbags.highlevel import AnyReader  # noqa: PLC0415  (an extra, and slow to load)
-        from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
+        import rosbags.typesys  # noqa: F401, PLC0415  (an extra, and slow to load)
+
+        from slamfusion.io.bags.storage import decode, open_storage  # noqa: PLC0415
     except ImportError as error:
         message = f"{path}: reading bags needs rosbags; pip install 'slamfusion[bags]'"
         raise LogError(message) from error
     try:
-        # Old ROS 2 bags do not carry their message definitions.
-        store = get_typestore(Stores.LATEST)
-        _check_files(path)
-        limit_unpacking()
         with ExitStack() as stack:
-            yield OpenBag(path, _reader(path, partial(AnyReader, default_typestore=store), stack))
+            storages = [open_storage(file, stack) for file in _files(path, notes)]
+            is_cut_off = any(storage.is_cut_off for storage in storages)
+            if is_cut_off and not any(storage.connections for storage in storages):
+                raise ValueError("no message in it is whole")  # noqa: EM101, TRY301
+            yield OpenBag(path, storages, decode, notes)
     except (SlamFusionError, PermissionError):
         raise
     except FileNotFoundError:
@@ -178,53 +222,59 @@ def open_bag(path: Path) -> Iterator[OpenBag]:
         raise _not_a_bag(path, error) from error
 
 
-def _reader(path: Path, make: Callable[[list[Path]], AnyReader], stack: ExitStack) -> AnyReader:
-    """Return the open reader of a bag; where its index leads to nothing, of its storage files."""
-    files = _storage(path) if path.is_dir() else []
-    try:
-        reader = stack.enter_context(make(_files(path)))
-    except Exception:
-        # People edit the index by hand; the messages may be whole.
-        if not files:
-            raise
-        return stack.enter_context(make(files))
-    if files and next(reader.messages(), None) is None:
-        return stack.enter_context(make(files))
-    return reader
-
-
 def _not_a_bag(path: Path, error: Exception) -> LogError:
     """Say in one line what the library stumbled over."""
-    reason = textwrap.shorten(str(error), 120) or type(error).__name__
     message = (
-        f"{path}: cannot be read as a bag ({reason}); check that it was recorded and copied to "
-        "its end"
+        f"{path}: cannot be read as a bag ({_reason(error)}); check that it was recorded and "
+        "copied to its end"
     )
     return LogError(message)
 
 
-def _files(path: Path) -> list[Path]:
-    """Return what to open: the path itself, or the storage files of a folder without index."""
-    is_indexed = not path.is_dir() or (path / METADATA).exists()
-    return [path] if is_indexed else _storage(path) or [path]
+def _reason(error: Exception) -> str:
+    return textwrap.shorten(str(error), 120) or type(error).__name__
 
 
-def _storage(path: Path) -> list[Path]:
-    """Return the storage files of a bag's folder, of one kind."""
-    kinds = (sorted(path.glob(pattern)) for pattern in ("*.mcap", "*.db3"))
-    return next((files for files in kinds if files), [])
-
-
-def _check_files(path: Path) -> None:
-    """Refuse pipes and devices among a bag's files, and metadata that are no small YAML."""
+def _files(path: Path, notes: list[str]) -> list[Path]:
+    """Return the storage files of a bag: those that its index names, else all of one kind."""
     if not path.is_dir():
-        open_regular(path, LogError).close()
-        return
-    for pattern in _PARTS:
-        for file in path.glob(pattern):
-            open_regular(file, LogError).close()
-    if (path / METADATA).exists():
-        read_yaml(path / METADATA, LogError, "a bag's metadata", as_text=True)
+        return [path]
+    kinds = (sorted(path.glob(pattern), key=_in_number_order) for pattern in STORAGE_FILES)
+    there = next((files for files in kinds if files), [])
+    try:
+        index = read_yaml(path / METADATA, LogError, "a bag's metadata", as_text=True)
+        names = index["rosbag2_bagfile_information"]["relative_file_paths"]
+        named = [path / PurePosixPath(name).name for name in names]
+    except (OSError, SlamFusionError, LookupError, TypeError):
+        # People edit the index by hand; it is not needed.
+        return there
+    found = [file for file in named if file.exists()]
+    missing = [file.name for file in named if not file.exists()]
+    if found and missing:
+        _add_note(notes, f"{', '.join(missing)} is missing in the bag; the rest is read")
+    return found or there
+
+
+def _add_note(notes: list[str], note: str) -> None:
+    """Add a sentence once: a bag is opened for each pass."""
+    if note not in notes:
+        notes.append(note)
+
+
+def _in_number_order(file: Path) -> list[str | int]:
+    """Return a key that sorts part 10 behind part 2."""
+    return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", file.name)]
+
+
+def _encoding(connection: Connection) -> str:
+    """Return how messages are encoded; cdr and ros1 can be read."""
+    return str(getattr(connection.ext, "serialization_format", "ros1"))
+
+
+def _kind(connection: Connection) -> str:
+    """Return the type of messages, as ROS 2 spells it; empty where they cannot be read."""
+    package, _, name = connection.msgtype.replace("/msg/", "/").partition("/")
+    return f"{package}/msg/{name}" if _encoding(connection) in {"cdr", "ros1"} else ""
 
 
 def stamp_s(message: Any) -> float:
