@@ -151,7 +151,7 @@ def _evaluate(request: _Request, config: RunConfig) -> int:
     cases = case_names(request.truths)
     files = {case: item.path for case, item in zip(cases, request.truths, strict=True)}
     placed = place_files(cases, request.maps) if cases else []
-    grids = load_maps(request.paths, request.resolution, config.map_files, notice)
+    grids = load_maps(request.paths, request.resolution, config.map_files, notice, measured=True)
     evaluations, device = _compare_with_truths(request, config, grids, placed, files)
     distances: Sequence[DistanceComparison] = ()
     if request.distances_path is not None:
@@ -201,7 +201,7 @@ def _compare_with_truths(
     if not files:
         return [], None
     truths = {
-        case: load_maps([path], request.resolution, config.map_files, notice)[0]
+        case: load_maps([path], request.resolution, config.map_files, notice, measured=True)[0]
         for case, path in files.items()
     }
     if len(truths) > 1:

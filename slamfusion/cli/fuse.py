@@ -143,7 +143,7 @@ def command(
     grids = load_maps(maps, resolution, config.map_files, notice)
     truth = None
     if truth_path is not None:
-        (truth,) = load_maps([truth_path], resolution, config.map_files, notice)
+        (truth,) = load_maps([truth_path], resolution, config.map_files, notice, measured=True)
     given, device = GivenMaps.of(maps, resolution), device_for(config)
     try:
         with (

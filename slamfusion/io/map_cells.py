@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -105,6 +106,44 @@ def cells_from_image(
             cells[height - bottom : height - top] = own
     cells.flags.writeable = False
     return cells, count
+
+
+def with_settled_edges(cells: Cells, pixels: Pixels, rules: Rules) -> Cells:
+    """Return cells in which the grey ones on the edge of a wall are a wall or free.
+
+    In an anti-aliased drawing, and in a map of probabilities, one or two grey cells lie between a
+    wall and free ground. They are decided at half, so that the face of the wall is found. The grey
+    of unknown cells, and grey cells elsewhere, stay unknown.
+
+    Args:
+        cells: (H, W) int8, as ``cells_from_image`` returns them.
+        pixels: the picture that they come from.
+        rules: of its YAML.
+    """
+    percent = cells
+    if rules.mode == "trinary":
+        whole = replace(rules, mode="scale", free_thresh=0.0, occupied_thresh=1.0)
+        percent = cells_from_image(pixels, whole)[0]
+    classes = trinary_cells(cells, NormalizeConfig())
+    between = (classes == UNKNOWN) & (percent != UNKNOWN)
+    if rules.mode == "trinary":
+        between &= percent != round(100.0 * (1.0 - UNKNOWN_GREY / 255.0))
+    if not between.any():
+        return cells
+    cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+
+    def reached(kind: int) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+        """Return the grey cells one step from a class, and those at most two from it."""
+        near = [np.asarray(classes == kind)]
+        for _ in range(2):
+            near.append(between & (cv2.dilate(near[-1].view(np.uint8), cross) > 0))
+        return near[1], near[1] | near[2]
+
+    (wall, walls), (free, frees) = reached(1), reached(0)
+    is_edge = (wall & frees) | (walls & free)
+    settled = np.where(is_edge, np.where(percent >= 50, OCCUPIED, FREE), cells).astype(np.int8)
+    settled.flags.writeable = False
+    return settled
 
 
 def _colour_cells(band: npt.NDArray[Any], maxval: int, rules: Rules) -> Cells:

@@ -21,13 +21,20 @@ from contextlib import nullcontext, suppress
 from functools import partial
 from pathlib import Path
 
+import numpy as np
+
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import MapFileError
 from slamfusion.geometry import Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid, implausible
 from slamfusion.io.atomic import AtomicFiles
 from slamfusion.io.images import encode_image, looks_like_image, pixel_digest, read_image
-from slamfusion.io.map_cells import cells_from_image, classes_of_greys, pixels_from_cells
+from slamfusion.io.map_cells import (
+    cells_from_image,
+    classes_of_greys,
+    pixels_from_cells,
+    with_settled_edges,
+)
 from slamfusion.io.map_yaml import (
     DIGEST,
     FREE_THRESH,
@@ -61,6 +68,7 @@ def load_map(
     resolution: float | None = None,
     name: str | None = None,
     legacy_unknown: bool = False,
+    settle_edges: bool = False,
     warn: Callable[[str], None] = _LOG.warning,
 ) -> OccupancyGrid:
     """Load an occupancy grid from a map server's YAML, or from a bare picture.
@@ -84,13 +92,15 @@ def load_map(
         resolution: metres per cell of a bare picture; must be left out for a YAML.
         name: the grid's name; default: the file's name without its endings.
         legacy_unknown: read such cells as unknown.
+        settle_edges: read grey cells between a wall and free ground as one of both, so that walls
+            of drawings have their faces (``with_settled_edges``); nav2 reads them as unknown.
         warn: told in a sentence what is doubtful about the map.
 
     Raises:
         MapFileError: a file is missing, damaged or breaks the format's rules.
         MemoryBudgetError: the map would not fit into memory.
     """
-    load = partial(_load, Path(path), resolution, name, legacy_unknown, warn)
+    load = partial(_load, Path(path), resolution, name, legacy_unknown, settle_edges, warn)
     for _ in range(READ_TIMES - 1):
         with suppress(_OtherPictureError):
             return load()
@@ -103,6 +113,7 @@ def _load(
     resolution: float | None,
     name: str | None,
     legacy_unknown: bool,  # noqa: FBT001
+    settle_edges: bool,  # noqa: FBT001
     warn: Callable[[str], None],
 ) -> OccupancyGrid:
     """Return the map as its files are now."""
@@ -125,6 +136,14 @@ def _load(
         )
         raise _OtherPictureError(message)
     cells, count = cells_from_image(pixels, entry.rules, legacy_unknown=legacy_unknown)
+    if settle_edges:
+        plain, cells = cells, with_settled_edges(cells, pixels, entry.rules)
+        settled = np.count_nonzero(plain != cells)
+        if settled:
+            warn(
+                f"{path}: {settled} grey cells between walls and free ground, as drawings have, "
+                "are measured as wall or free, whichever is nearer"
+            )
     if entry.named is not None:
         warn(
             f"{path}: its picture {entry.named!r} is not there; read instead: {entry.image.name} "

@@ -39,6 +39,30 @@ _KEYS = (
     "mode",
     DIGEST,
 )
+_SAVER = "ros2 run nav2_map_server map_saver_cli -f map"
+# By the end of the name: what is no map of a map server, and how to get one of it.
+_NO_MAPS = {
+    **dict.fromkeys(
+        (".posegraph", ".data"),
+        f"a pose graph of slam_toolbox; load it there, and save its map with {_SAVER}",
+    ),
+    ".pbstream": "a state of Cartographer; export its map with ros2 run cartographer_ros "
+    "cartographer_pbstream_to_ros_map -pbstream_filename FILE -map_filestem map",
+    ".json": "JSON, as of a robot vacuum; export its map as PNG, and give its cell size with "
+    "--resolution",
+    **dict.fromkeys(
+        (".dxf", ".dwg", ".svg", ".pdf"),
+        "a drawing; export it as PNG, walls black on white, and give metres per pixel with "
+        "--resolution",
+    ),
+    **dict.fromkeys(
+        (".bt", ".ot", ".pcd", ".ply", ".las", ".laz"),
+        f"a 3D map; load it in octomap_server, and save its map with {_SAVER} -t projected_map",
+    ),
+    **dict.fromkeys(
+        (".bag", ".db3", ".mcap", ".clf", ".log"), "a log; make its map with slamfusion run"
+    ),
+}
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 _TRUTH = {
     **dict.fromkeys(("1", "true", "yes", "on", "y"), True),
@@ -77,7 +101,15 @@ class MapFile:
 
 
 def read_map_yaml(path: Path) -> MapFile:
-    """Read and check a map's YAML."""
+    """Read and check a map's YAML.
+
+    Raises:
+        MapFileError: it is none, which names what it is, or breaks the format's rules.
+    """
+    kind = _NO_MAPS.get(path.suffix.lower())
+    if kind is not None:
+        message = f"{path}: wanted a map's YAML or picture, found {kind}"
+        raise MapFileError(message)
     values = _parse_yaml(path)
     _refuse_misspelt_keys(path, values)
     image = _required(path, values, "image")

@@ -70,8 +70,8 @@ def evaluate_maps(
         DeviceError: the device cannot be opened.
     """
     config = config or RunConfig()
-    grids = as_grids(maps, config, resolution=resolution)
-    (true_grid,) = as_grids([truth], config, resolution=resolution)
+    grids = as_grids(maps, config, resolution=resolution, measured=True)
+    (true_grid,) = as_grids([truth], config, resolution=resolution, measured=True)
     device = device_for(config, device)
     search = replace(config.fusion, align=replace(config.fusion.align, step=None))
     evaluations = []

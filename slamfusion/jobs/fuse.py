@@ -224,7 +224,7 @@ def fuse_maps(
     starts = place_starts(config.start, names, config.fusion.reference)
     true_grid = None
     if truth is not None:
-        (true_grid,) = as_grids([truth], config, resolution=resolution, warn=warn)
+        (true_grid,) = as_grids([truth], config, resolution=resolution, warn=warn, measured=True)
     device = device_for(config, device)
     if store is not None:
         return _fuse_into(Path(store), grids, config, device, starts, given, executor, progress)

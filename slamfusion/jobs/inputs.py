@@ -64,6 +64,8 @@ def load_maps(
     resolution: float | None,
     config: MapFileConfig,
     warn: Warn = _LOG.warning,
+    *,
+    measured: bool = False,
 ) -> list[OccupancyGrid]:
     """Load maps in order, named apart even where their files have one name.
 
@@ -72,6 +74,7 @@ def load_maps(
         resolution: metres per cell of the bare images.
         config: how they are read.
         warn: told in a sentence what is doubtful about a map.
+        measured: they are compared with a truth, or are one: drawings have edges of grey cells.
 
     Raises:
         MapFileError: a file is missing, damaged or breaks the format's rules.
@@ -86,6 +89,7 @@ def load_maps(
             resolution=None if _is_yaml(path) else resolution,
             name=name,
             legacy_unknown=config.legacy_unknown,
+            settle_edges=measured,
             warn=warn,
         )
         for path, name in zip(files, distinct_names(files), strict=True)
@@ -115,10 +119,11 @@ def as_grids(
     *,
     resolution: float | None = None,
     warn: Warn = _LOG.warning,
+    measured: bool = False,
 ) -> list[OccupancyGrid]:
     """Return maps in order: those in memory as they are, files loaded; see ``load_maps``."""
     paths = [Path(item) for item in maps if not isinstance(item, OccupancyGrid)]
-    loaded = iter(load_maps(paths, resolution, config.map_files, warn))
+    loaded = iter(load_maps(paths, resolution, config.map_files, warn, measured=measured))
     return [item if isinstance(item, OccupancyGrid) else next(loaded) for item in maps]
 
 

@@ -221,7 +221,7 @@ def map_log(
     held = Yardsticks.read(config, files.relations, files.odometry, files.truth)
     true_map = None
     if files.truth_map is not None:
-        (true_map,) = load_maps([files.truth_map], None, config.map_files, warn)
+        (true_map,) = load_maps([files.truth_map], None, config.map_files, warn, measured=True)
     device = open_producer_device(producer, config) if device is None else device
     state = as_path(resume)
     mapper = (

@@ -239,8 +239,12 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
             prepare()
         true_map = None
         if files.truth_map is not None:
-            (true_map,) = load_maps([files.truth_map], resolution, config.map_files, warn)
-        held = Yardsticks.read(config, files.relations, files.odometry, files.truth)
+            (true_map,) = load_maps(
+                [files.truth_map], resolution, config.map_files, warn, measured=True
+            )
+        held = Yardsticks.read(
+            config, relations=files.relations, odometry=files.odometry, truth=files.truth
+        )
         others, their_paths = saved.load(config, resolution, warn)
         device = device_for(config)
         outcomes = work.wait(_share_teller(progress))
