@@ -11,7 +11,7 @@ import numpy.typing as npt
 from slamfusion.errors import TrajectoryError
 from slamfusion.geometry import Pose2
 
-__all__ = ["SAME_STAMP_S", "Trajectory", "flag_runs", "nearest_stamps"]
+__all__ = ["SAME_STAMP_S", "Trajectory", "clock_advice", "flag_runs", "nearest_stamps"]
 
 # Times that differ by no more are one, seconds: files round them to milliseconds.
 SAME_STAMP_S = 1e-3
@@ -33,6 +33,22 @@ def nearest_stamps(
     after = np.minimum(after, last)
     later_is_nearer = stamps_s[after] - wanted < wanted - stamps_s[before]
     return np.asarray(np.where(later_is_nearer, after, before), dtype=np.int64)
+
+
+def clock_advice(own_s: npt.NDArray[np.float64], other_s: npt.NDArray[np.float64]) -> str:
+    """Return what to do about two ranges of time that do not meet; empty where they do.
+
+    Args:
+        own_s: (N,) seconds, never decreasing, N at least 1; of what is put on the other clock.
+        other_s: (M,) likewise.
+    """
+    if own_s[0] <= other_s[-1] and other_s[0] <= own_s[-1]:
+        return ""
+    apart_s = other_s[0] - own_s[0]
+    return (
+        f"two clocks, {abs(apart_s):.3f} s apart? use --time-offset {apart_s:.3f}, or "
+        "--time-offset auto; else "
+    )
 
 
 def flag_runs(flags: npt.NDArray[np.bool_]) -> Iterator[slice]:
@@ -81,6 +97,10 @@ class Trajectory:
     def __len__(self) -> int:
         """Poses."""
         return len(self.stamps_s)
+
+    def later(self, seconds: float) -> Trajectory:
+        """Return the same path at times that are so much later."""
+        return Trajectory(self.stamps_s + seconds, self.poses, self.name)
 
     def pose(self, index: int) -> Pose2:
         """Return one pose."""

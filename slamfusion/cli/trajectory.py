@@ -221,6 +221,8 @@ def print_measures(estimate: Trajectory, measures: Measures) -> None:
             f"{found.tolerance_s:g} s, {aligned}; "
             f"{len(found.relative_translation_m)} pairs"
         )
+        if found.time_offset_s:
+            notes.append(f"{found.time_offset_s:.4f} s added to the times of {found.truth}")
     title = f"{estimate.name}: {len(estimate)} poses, {estimate.path_length_m():.1f} m"
     print_table(("error ", *FIGURES), rows, title=title)
     for note in notes:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -12,6 +13,7 @@ from slamfusion.config.fusion import EvaluateConfig, FusionConfig, LiveConfig
 from slamfusion.config.sim import SimulateConfig
 from slamfusion.config.slam import GraphOptimizerConfig
 from slamfusion.config.start import checked_starts
+from slamfusion.errors import ConfigError, shown
 
 # What pictures can be written as.
 PICTURE_FORMS = ("png", "svg", "pdf")
@@ -78,6 +80,11 @@ class TrajectoryConfig(Checked):
     """Measures of a trajectory against the truth."""
 
     tolerance_s: float = option(0.01, "poses this near in time belong together", unit="s", low=0.0)
+    time_offset: str = option(
+        "0",
+        "seconds to add to the times of the truth, and of paths given for a log, whose clock is "
+        "another; auto finds it by the motion",
+    )
     alignment: Literal["se2", "none"] = option(
         "se2",
         "bring the estimate onto the truth by a rigid motion first, or take both frames for one",
@@ -97,6 +104,17 @@ class TrajectoryConfig(Checked):
         high=0.5,
         level="expert",
     )
+
+    def __post_init__(self) -> None:
+        """Refuse an offset that is no number."""
+        super().__post_init__()
+        try:
+            is_known = self.time_offset == "auto" or math.isfinite(float(self.time_offset))
+        except ValueError:
+            is_known = False
+        if not is_known:
+            message = f"time_offset: wanted seconds or auto, found {shown(self.time_offset)}"
+            raise ConfigError(message)
 
 
 @dataclass(frozen=True)

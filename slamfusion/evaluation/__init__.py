@@ -5,6 +5,7 @@ Everything here is a pure function on value types; nothing is drawn, printed or 
 
 from __future__ import annotations
 
+from slamfusion.evaluation.clocks import clock_offset_s, on_clock
 from slamfusion.evaluation.distances import (
     DistanceComparison,
     DistanceRow,
@@ -108,6 +109,7 @@ __all__ = [
     "WallFaces",
     "WallThickness",
     "associate",
+    "clock_offset_s",
     "compare_distances",
     "compare_faces",
     "compare_to_truth",
@@ -126,6 +128,7 @@ __all__ = [
     "maps_of_differences",
     "match_odometry",
     "mean_interval",
+    "on_clock",
     "outside_area",
     "path_figures",
     "path_series",

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from slamfusion.config import TrajectoryConfig
 from slamfusion.errors import TrajectoryError
+from slamfusion.evaluation.clocks import on_clock
 from slamfusion.evaluation.statistics import ErrorStatistics
 from slamfusion.geometry import (
     Pose2,
@@ -24,7 +25,7 @@ from slamfusion.geometry import (
     wrap_angles,
 )
 from slamfusion.grid import IDENTITY
-from slamfusion.trajectory import Trajectory
+from slamfusion.trajectory import Trajectory, clock_advice
 
 _DEFAULT_CONFIG = TrajectoryConfig()
 
@@ -72,6 +73,8 @@ class TrajectoryErrors:
     """Poses of the path that met a true one in time."""
     tolerance_s: float
     """Poses further apart in time than this do not meet, seconds."""
+    time_offset_s: float = field(repr=False)
+    """Added to the times of the truth, seconds: the setting trajectory.time_offset."""
     name: str = field(repr=False)
     """The estimate."""
     truth: str = field(repr=False)
@@ -111,6 +114,8 @@ def trajectory_errors(
     Raises:
         TrajectoryError: fewer than two poses meet in time; both ranges of time are named.
     """
+    began_s = truth.stamps_s[0]
+    truth = on_clock(truth, estimate, config.time_offset)
     own, true = associate(estimate, truth, config.tolerance_s)
     if len(own) < 2:
         raise TrajectoryError(_no_match(estimate, truth, len(own), config.tolerance_s))
@@ -149,6 +154,7 @@ def trajectory_errors(
         poses=len(estimate),
         poses_matched=len(own),
         tolerance_s=config.tolerance_s,
+        time_offset_s=float(truth.stamps_s[0] - began_s),
         name=estimate.name,
         truth=truth.name,
         aligned=aligned,
@@ -209,5 +215,6 @@ def _no_match(estimate: Trajectory, truth: Trajectory, met: int, tolerance_s: fl
     ]
     return (
         f"wanted at least two poses within {tolerance_s:g} s of a true one, found {met}; "
-        f"{ranges[0]}, {ranges[1]}; give trajectories of one run, or a larger --tolerance-s"
+        f"{ranges[0]}, {ranges[1]}; {clock_advice(truth.stamps_s, estimate.stamps_s)}"
+        "give trajectories of one run, or a larger --tolerance-s"
     )

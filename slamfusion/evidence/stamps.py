@@ -15,7 +15,7 @@ import numpy.typing as npt
 from slamfusion.errors import TrajectoryError
 from slamfusion.evidence.beams import JudgedScans
 from slamfusion.geometry import blend_poses, compose_poses, invert_poses, travelled, wrap_angles
-from slamfusion.trajectory import Trajectory
+from slamfusion.trajectory import Trajectory, clock_advice
 
 F64 = npt.NDArray[np.float64]
 B8 = npt.NDArray[np.bool_]
@@ -100,7 +100,8 @@ def no_common_time(name: str, path: Trajectory, stamps_s: F64) -> TrajectoryErro
     """
     return TrajectoryError(
         f"{name}: its poses are of {path.stamps_s[0]:.3f} to {path.stamps_s[-1]:.3f} s, the scans "
-        f"of {stamps_s[0]:.3f} to {stamps_s[-1]:.3f} s; give a path of this log"
+        f"of {stamps_s[0]:.3f} to {stamps_s[-1]:.3f} s; "
+        f"{clock_advice(path.stamps_s, stamps_s)}give a path of this log"
     )
 
 

@@ -13,6 +13,7 @@ from slamfusion.errors import SlamFusionError, TrajectoryError
 from slamfusion.evaluation import (
     Row,
     error_series,
+    on_clock,
     path_figures,
     path_series,
     result_rows,
@@ -43,6 +44,7 @@ from slamfusion.jobs.records import (
 )
 from slamfusion.jobs.saved_maps import path_at_scans
 from slamfusion.jobs.trajectory import Measures, Yardsticks
+from slamfusion.slam.common.odometry_check import contradictions, laser_fault
 from slamfusion.trajectory import Trajectory
 
 _LOG = logging.getLogger(__name__)
@@ -248,6 +250,9 @@ def judge_paths(
     scans = judged_scans(source)
     for sentence in (*source.skips.sentences(), *source.warnings.sentences(), *source.notes):
         warn(f"{files.log}: {sentence}")
+    wheels = scans.odometry_path()
+    offset = config.trajectory.time_offset
+    read = {name: on_clock(path, wheels, offset) for name, path in read.items()}
     evidence = score_paths(scans, read, device)
     made, fused = None, None
     exclusions = find_exclusions(evidence, device)
@@ -256,9 +261,10 @@ def judge_paths(
         if made.refined is not None:
             evidence = made.refined.evidence
     found = recommend(evidence, tuple(read), exclusions, device, fused=fused)
-    wheels = evidence.scans.odometry_path()
+    every = read if made is None else {**read, FUSED: made.trajectory}
+    found = _with_sensor_faults(found, wheels, every.get(found.path or ""), warn)
     measures, not_measured = {}, []
-    for name, path in (read if made is None else {**read, FUSED: made.trajectory}).items():
+    for name, path in every.items():
         try:
             measures[name] = held.measure(path, config, wheels)
         except SlamFusionError as error:
@@ -332,6 +338,17 @@ def write_judgement(
         device=found.device,
         files=files,
     )
+
+
+def _with_sensor_faults(
+    found: Recommendation, wheels: Trajectory | None, path: Trajectory | None, warn: Warn
+) -> Recommendation:
+    """Add a laser that contradicts the odometry; tell of odometry that contradicts the path."""
+    fault = laser_fault(wheels, path)
+    for sentence in () if wheels is None or path is None else contradictions(wheels, path):
+        if sentence not in (fault or ""):
+            warn(f"{found.path}: {sentence}")
+    return replace(found, laser_fault=fault)
 
 
 def _check_fused(files: JudgeFiles) -> None:

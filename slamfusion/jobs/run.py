@@ -19,6 +19,7 @@ from slamfusion.align.starts import place_starts
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionMode, RunConfig
 from slamfusion.errors import AlignmentError, SlamFusionError, TrajectoryError
+from slamfusion.evaluation import on_clock
 from slamfusion.evidence import (
     Exclusions,
     JudgedScans,
@@ -253,6 +254,10 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
     paths = {name: run.trajectory for name, run in runs.items() if len(run.trajectory)}
     scans = cache(lambda: drawn_scans(open_log(files.log, config.log, files.scan_odometry)))
     wheels = next((run.odometry for run in runs.values()), None)
+    their_paths = {
+        name: on_clock(path, wheels, config.trajectory.time_offset)
+        for name, path in their_paths.items()
+    }
 
     # Score the paths on the scans; those of saved maps join the producers'.
     with stages.timed("evidence"):

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from slamfusion.config import RunConfig
+from slamfusion.config import RunConfig, TrajectoryConfig
 from slamfusion.errors import LogError, TrajectoryError
 from slamfusion.io import read_trajectory, write_tum
 from slamfusion.io.carmen import write_carmen
@@ -160,3 +162,27 @@ def test_two_files_of_one_name_are_told_apart(drive: Path, tmp_path: Path) -> No
     assert len(set(found.paths)) == 2
     assert found.recommendation.path == f"{tmp_path.name}/bent"
     assert np.array_equal(found.paths[found.recommendation.path].stamps_s, TRUTH.stamps_s)
+
+
+def test_a_path_on_another_clock_is_named_and_put_on_the_logs(drive: Path, tmp_path: Path) -> None:
+    write_tum(tmp_path / "relative.tum", TRUTH.later(-1e6))
+    files = [tmp_path / "relative.tum"]
+    with pytest.raises(TrajectoryError, match=r"use --time-offset 1000000\.000, or"):
+        judge_paths(drive / "drive.log", files)
+    config = RunConfig(trajectory=TrajectoryConfig(time_offset="auto"))
+    found = judge_paths(drive / "drive.log", files, config)
+    (path,) = found.recommendation.paths
+    assert path.own_poses_share > 0.95
+
+
+def test_a_mirrored_laser_is_said(tmp_path: Path) -> None:
+    poses = TRUTH.poses + [[0.0, 0.0, math.sin(2.0 * stamp_s)] for stamp_s in TRUTH.stamps_s]
+    scans = [
+        replace(item, scan=replace(item.scan, ranges=item.scan.ranges[::-1]))
+        for item in recorded(Trajectory(TRUTH.stamps_s, poses))
+    ]
+    write_carmen(tmp_path / "drive.log", scans)
+    write_tum(tmp_path / "image.tum", Trajectory(TRUTH.stamps_s, poses * [1.0, -1.0, -1.0]))
+    found = judge_paths(tmp_path / "drive.log", [tmp_path / "image.tum"])
+    assert "use --laser mirrored" in (found.recommendation.laser_fault or "")
+    assert found.recommendation.tone == "bad"
