@@ -80,6 +80,11 @@ class TrajectoryConfig(Checked):
     """Measures of a trajectory against the truth."""
 
     tolerance_s: float = option(0.01, "poses this near in time belong together", unit="s", low=0.0)
+    pose_topic: str | None = option(
+        None,
+        "of a bag given as the truth, a topic of PoseStamped, PoseWithCovarianceStamped or "
+        "Odometry, or tf; default: the odometry of its scans, or its only such topic",
+    )
     time_offset: str = option(
         "0",
         "seconds to add to the times of the truth, and of paths given for a log, whose clock is "

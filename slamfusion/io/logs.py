@@ -75,6 +75,16 @@ def open_log(
     return CarmenLog(where, config, read_scan_odometry(scan_odometry))
 
 
+def bag_at(path: Path) -> Path | None:
+    """Return the bag that ``open_log`` reads at a path; None where it is another log.
+
+    Raises:
+        LogError, OSError: see ``open_log``.
+    """
+    where = _place(path)
+    return where if _reader(where) is BagLog else None
+
+
 def log_sources(path: Path) -> list[Path]:
     """Return the files that ``open_log`` reads: of a bag's folder, those that are the bag."""
     where = _place(path)

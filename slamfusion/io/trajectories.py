@@ -6,6 +6,7 @@ import logging
 import math
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +14,10 @@ import numpy.typing as npt
 
 from slamfusion.config import LogConfig
 from slamfusion.errors import TrajectoryError
+from slamfusion.io.bags.odometry import read_poses
 from slamfusion.io.carmen import CARMEN_WORDS
 from slamfusion.io.lines import ROW_BYTES, TextLines, read_head, strip_gz
-from slamfusion.io.logs import BAG_SUFFIXES, open_log
+from slamfusion.io.logs import BAG_SUFFIXES, bag_at, open_log
 from slamfusion.io.tinyslam_dat import FIELDS
 from slamfusion.io.tum import quaternion_yaw_rad
 from slamfusion.trajectory import Trajectory
@@ -42,7 +44,9 @@ _WANTED = (
 Row = tuple[float, float, float, float]
 
 
-def read_trajectory(path: str | Path, config: LogConfig = _DEFAULT_CONFIG) -> Trajectory:
+def read_trajectory(
+    path: str | Path, config: LogConfig = _DEFAULT_CONFIG, pose_topic: str | None = None
+) -> Trajectory:
     """Read stamped poses.
 
     The content decides what the file is:
@@ -61,6 +65,8 @@ def read_trajectory(path: str | Path, config: LogConfig = _DEFAULT_CONFIG) -> Tr
     Args:
         path: the file, plain or gzip, or a ROS 2 bag's folder.
         config: how logs and bags are read.
+        pose_topic: of a bag, a topic of poses or ``tf``; default: the odometry of its scans, and of
+            a bag without scans its only topic of poses, else its transforms.
 
     Returns:
         The poses in the order of time, named after the file.
@@ -74,7 +80,7 @@ def read_trajectory(path: str | Path, config: LogConfig = _DEFAULT_CONFIG) -> Tr
     where = Path(path)
     name = Path(strip_gz(where.name)).stem or where.name
     if where.is_dir() or strip_gz(where.name).endswith(BAG_SUFFIXES):
-        return _log_odometry(where, config, name)
+        return _bag_path(where, config, name, pose_topic)
     first, columns = _first_fields(where)
     if first and (first[0] in CARMEN_WORDS or len(first) == FIELDS):
         graph = _read_graph(where, name)
@@ -351,6 +357,19 @@ def _vertex_row(vertex: list[float], tail: list[bytes]) -> Row:
     is_rounded = all(float(f"{scan:.3g}") == own for scan, own in zip(robot, vertex, strict=True))
     x, y, yaw_rad = robot if is_rounded else vertex
     return (stamp_s, x, y, yaw_rad)
+
+
+def _bag_path(where: Path, config: LogConfig, name: str, topic: str | None) -> Trajectory:
+    """Return the poses of a topic of a bag, or the odometry of its scans."""
+    notes: list[str] = []
+    bag = bag_at(where)
+    table = None if bag is None else read_poses(bag, config, topic, notes)
+    for note in notes:
+        _LOGGER.warning("%s: %s", where, note)
+    if table is None:
+        return _log_odometry(where, config, name)
+    poses = _in_plane(where, table, replace(config, quaternion="xyzw"))
+    return Trajectory(poses[:, 0], poses[:, 1:], name)
 
 
 def _log_odometry(where: Path, config: LogConfig, name: str) -> Trajectory:

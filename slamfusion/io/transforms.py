@@ -106,6 +106,15 @@ class TransformTree:
         """Every frame that has been named."""
         return {frame for pair in self._edges for frame in pair}
 
+    def root(self, frame: str) -> str:
+        """Return the outermost frame that holds a frame, which may be itself."""
+        parents = {child: parent for parent, child in self._edges}
+        seen = {frame}
+        while (parent := parents.get(frame)) is not None and parent not in seen:
+            frame = parent
+            seen.add(frame)
+        return frame
+
     def add(
         self,
         parent: str,

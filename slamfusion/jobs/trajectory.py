@@ -115,7 +115,9 @@ class Yardsticks:
         return cls(
             None if at_relations is None else read_relations(at_relations),
             None if rows is None else read_odometry(rows, config.log),
-            None if poses is None else read_trajectory(poses, config.log),
+            None
+            if poses is None
+            else read_trajectory(poses, config.log, config.trajectory.pose_topic),
         )
 
     def measure(

@@ -9,9 +9,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from slamfusion.config import LogConfig
-from slamfusion.errors import TrajectoryError
+from slamfusion.errors import LogError, TrajectoryError
 from slamfusion.geometry import compose_poses, invert_poses
 from slamfusion.io import read_trajectory
+from tests.io.bags import LOCALIZED, ODOMETRY, POSE, TEXT, Bag, yaw_quaternion
 
 STAMPS_S = 1.7e9 + np.arange(30.0)
 YAWS = np.linspace(0.3, 2.9, 30)
@@ -105,3 +106,67 @@ def test_nanoseconds_in_a_tum_file(tmp_path: Path) -> None:
     table = rows()
     table[:, 0] *= 1e9
     assert np.allclose(read_trajectory(written(tmp_path, table)).stamps_s, STAMPS_S)
+
+
+# --- bags ----------------------------------------------------------------------------------------
+
+
+def with_poses(bag: Bag, topic: str, kind: str) -> Bag:
+    for stamp_s, pose in zip(STAMPS_S.tolist(), POSES.tolist(), strict=True):
+        more = {"child": "base_link"} if kind == ODOMETRY else {}
+        bag.add(stamp_s, topic, kind, stamp_s=stamp_s, pose=tuple(pose), **more)
+    return bag
+
+
+def with_scans(bag: Bag) -> Bag:
+    """Scans, and odometry that is not the path."""
+    for stamp_s in STAMPS_S.tolist():
+        bag.odometry(stamp_s, (0.1 * (stamp_s - STAMPS_S[0]), 0.0, 0.0)).scan(stamp_s)
+    return bag
+
+
+@pytest.mark.parametrize("kind", [POSE, LOCALIZED, ODOMETRY])
+def test_the_only_pose_topic_of_a_bag_is_its_path(tmp_path: Path, kind: str) -> None:
+    path = with_poses(Bag(), "/truth", kind).write(tmp_path)
+    for place in (path, next(path.glob("*.mcap"))):
+        found = read_trajectory(place)
+        assert np.allclose(found.poses, POSES, atol=1e-6)
+        assert np.allclose(found.stamps_s, STAMPS_S)
+
+
+@pytest.mark.parametrize("kind", [POSE, LOCALIZED, ODOMETRY])
+def test_a_pose_topic_beside_scans_is_chosen(
+    tmp_path: Path, kind: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = with_poses(with_scans(Bag()), "/truth", kind).write(tmp_path)
+    assert np.allclose(read_trajectory(path, pose_topic="/truth").poses, POSES, atol=1e-6)
+    if kind == ODOMETRY:
+        return
+    odometry = read_trajectory(path)
+    assert odometry.poses[-1] == pytest.approx([2.9, 0.0, 0.0])
+    assert "--pose-topic: /truth" in caplog.text
+
+
+@pytest.mark.parametrize("topic", [None, "tf"])
+def test_transforms_are_a_path(tmp_path: Path, topic: str | None) -> None:
+    bag = Bag() if topic is None else with_scans(Bag())
+    for stamp_s, (x, y, yaw) in zip(STAMPS_S.tolist(), POSES.tolist(), strict=True):
+        bag.transform(stamp_s, "world", "odom", (1.0, 0.0, 0.0))
+        bag.transform(stamp_s, "odom", "base_link", (x, y, 0.0), yaw_quaternion(yaw))
+    found = read_trajectory(bag.write(tmp_path), pose_topic=topic)
+    assert np.allclose(found.poses, POSES + np.array([1.0, 0.0, 0.0]), atol=1e-6)
+
+
+def test_several_pose_topics_need_a_choice(tmp_path: Path) -> None:
+    bag = with_poses(with_poses(Bag(), "/a", POSE), "/b", LOCALIZED)
+    path = bag.write(tmp_path)
+    with pytest.raises(LogError, match=r"several .* /a, /b; choose one with pose_topic"):
+        read_trajectory(path)
+    with pytest.raises(LogError, match=r"'/c' in it; found /a, /b; change pose_topic"):
+        read_trajectory(path, pose_topic="/c")
+
+
+def test_a_bag_without_any_path_says_so(tmp_path: Path) -> None:
+    path = Bag().add(1.0, "/note", TEXT, data="hello").write(tmp_path)
+    with pytest.raises(LogError, match="or a topic with pose_topic"):
+        read_trajectory(path)

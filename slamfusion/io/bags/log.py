@@ -15,14 +15,13 @@ import numpy.typing as npt
 from slamfusion.config import LogConfig
 from slamfusion.errors import LogError, ScanError
 from slamfusion.io.bags.odometry import OdometrySurvey
-from slamfusion.io.bags.reader import OpenBag, open_bag, stamp_s
+from slamfusion.io.bags.reader import SCAN_TYPES, OpenBag, open_bag, stamp_s
 from slamfusion.io.log import Continuity, LogScan, Skips
 from slamfusion.io.transforms import TILT_MAX_RAD, Mount
 from slamfusion.scan import LaserScan
 
 _DEFAULT_CONFIG = LogConfig()
 
-_SCAN_TYPES = ("sensor_msgs/msg/LaserScan", "sensor_msgs/msg/MultiEchoLaserScan")
 # A laser tilted by more is worth a word.
 _TILT_NOTED_RAD = math.radians(5.0)
 
@@ -107,7 +106,7 @@ class BagLog:
         self._config = config
         self._mounts: dict[str, Mount] = {}
         with open_bag(self.path, self.notes) as bag:
-            self._scan_topic = bag.choose_topic(_SCAN_TYPES, config.scan_topic, "scan_topic")
+            self._scan_topic = bag.choose_topic(SCAN_TYPES, config.scan_topic, "scan_topic")
             first = self._first_messages(bag)
             survey = OdometrySurvey(
                 self.path, config, self._scan_topic, first[0].header.frame_id.lstrip("/"),

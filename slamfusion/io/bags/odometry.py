@@ -13,7 +13,7 @@ import numpy.typing as npt
 from slamfusion.config import LogConfig
 from slamfusion.errors import LogError
 from slamfusion.geometry import Pose2, compose_poses, wrap_angle
-from slamfusion.io.bags.reader import TRANSFORM_TYPES, OpenBag, stamp_s
+from slamfusion.io.bags.reader import SCAN_TYPES, TRANSFORM_TYPES, OpenBag, open_bag, stamp_s
 from slamfusion.io.log import FARTHEST_M
 from slamfusion.io.transform_edge import HOLD_S, REACH_S
 from slamfusion.io.transforms import TransformTree, plan_poses
@@ -22,6 +22,11 @@ from slamfusion.io.tum import quaternion_yaw_rad
 Floats = npt.NDArray[np.float64]
 
 _ODOMETRY_TYPES = ("nav_msgs/msg/Odometry",)
+_POSE_TYPES = (
+    "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+    *_ODOMETRY_TYPES,
+)
 _BASE_FRAMES = ("base_footprint", "base_link")
 
 BEFORE_ODOMETRY = "laser before odometry"
@@ -173,30 +178,13 @@ class OdometrySurvey:
 
     def _odometry_by_messages(self, bag: OpenBag, topic: str) -> BagOdometry | None:
         """Return the poses of an odometry topic, in the order of time."""
-        stamps: list[float] = []
-        poses, base_frame, unusable = [], "", 0
-        for _, _, message in bag.messages(topic):
-            if message is None:
-                unusable += 1
-                continue
-            place, turn = message.pose.pose.position, message.pose.pose.orientation
-            row = (place.x, place.y, quaternion_yaw_rad(turn.x, turn.y, turn.z, turn.w))
-            # NaN is no less than any number.
-            if not (
-                abs(row[0]) <= FARTHEST_M and abs(row[1]) <= FARTHEST_M and math.isfinite(row[2])
-            ):
-                unusable += 1
-                continue
-            if not stamps:
-                base_frame = self._moving_frame(topic, message)
-            stamps.append(stamp_s(message))
-            poses.append(row)
-        if unusable:
-            self.notes.append(f"{unusable} messages on {topic} are no finite pose; left out")
-        if not stamps:
+        table, first = _topic_poses(bag, topic, self.notes)
+        if first is None:
             return None
-        times, first = np.unique(np.array(stamps), return_index=True)
-        rows = np.array(poses)[first]
+        base_frame = self._moving_frame(topic, first)
+        times = table[:, 0]
+        yaws = [quaternion_yaw_rad(*turn) for turn in table[:, 4:].tolist()]
+        rows = np.column_stack((table[:, 1:3], yaws))
         wanted = self.config.base_frame
         if wanted is None or wanted.lstrip("/") == base_frame:
             return BagOdometry(times, rows, base_frame)
@@ -253,6 +241,33 @@ class OdometrySurvey:
         poses = plan_poses(self.tree.sample(self.config.odom_frame, frame, stamps_s))
         return BagOdometry(stamps_s, poses, frame)
 
+    def base_poses(self, bag: OpenBag) -> Floats:
+        """Return the poses of the robot's base in the outermost frame of the transforms.
+
+        Returns:
+            (N, 8) t x y z qx qy qz qw, at the times that transforms were sent.
+
+        Raises:
+            LogError: no transforms move the robot.
+        """
+        from scipy.spatial.transform import Rotation  # noqa: PLC0415  (who reads maps needs none)
+
+        self._read_transforms(bag)
+        base = self._find_base_frame()
+        world = self.tree.root(base)
+        stamps_s = self.tree.change_stamps_s(world, base)
+        if not stamps_s.size:
+            known = ", ".join(sorted(self.tree.frames)) or "none"
+            message = (
+                f"{self.path}: no transforms move the robot's frame {base!r}; frames in it: "
+                f"{known}; name the robot's with base_frame, or a topic with pose_topic"
+            )
+            raise LogError(message)
+        matrices = self.tree.sample(world, base, stamps_s)
+        turns = Rotation.from_matrix(matrices[:, :3, :3]).as_quat()
+        self.notes.append(f"taken as its path: {base!r} in {world!r}, by transforms")
+        return np.column_stack((stamps_s, matrices[:, :3, 3], turns))
+
     def _find_base_frame(self) -> str:
         """Return the frame whose pose the odometry is; empty where nothing says it."""
         if self.odometry is not None and self.odometry.base_frame:
@@ -261,3 +276,70 @@ class OdometrySurvey:
             return self.config.base_frame.lstrip("/")
         known = self.tree.frames
         return next((frame for frame in _BASE_FRAMES if frame in known), "")
+
+
+def read_poses(
+    path: Path, config: LogConfig, wanted: str | None, notes: list[str]
+) -> Floats | None:
+    """Return a path that a bag holds beside or without scans.
+
+    Args:
+        path: of the bag.
+        config: ``base_frame`` is used for transforms.
+        wanted: a topic of poses, or ``tf`` for the robot's base frame in the outermost frame of the
+            transforms; None: the only such topic, else tf.
+        notes: sentences for the user are added.
+
+    Returns:
+        (N, 8) t x y z qx qy qz qw in the order of time; None: of a bag with scans no topic was
+        asked for, and the odometry of its scans is its path.
+
+    Raises:
+        LogError: not such a bag, or nothing in it that was asked for.
+    """
+    with open_bag(path, notes) as bag:
+        others = bag.topics(_POSE_TYPES)
+        if wanted is None and bag.topics(SCAN_TYPES):
+            poses = [topic for topic in others if topic not in bag.topics(_ODOMETRY_TYPES)]
+            if poses:
+                notes.append(
+                    "taken as its path: the odometry of its scans; choose another topic with "
+                    f"--pose-topic: {', '.join(poses)}"
+                )
+            return None
+        survey = OdometrySurvey(path, config, "", "", notes=notes)
+        if wanted == "tf" or (wanted is None and not others):
+            return survey.base_poses(bag)
+        topic = bag.choose_topic(_POSE_TYPES, wanted, "pose_topic")
+        table, first = _topic_poses(bag, topic, notes)
+    if first is None:
+        message = f"{path}: no usable pose on {topic}; choose another topic with pose_topic"
+        raise LogError(message)
+    return table
+
+
+def _topic_poses(bag: OpenBag, topic: str, notes: list[str]) -> tuple[Floats, Any]:
+    """Return the poses of a topic, and its first usable message; None where there is none.
+
+    Returns:
+        (N, 8) t x y z qx qy qz qw, at increasing times.
+    """
+    rows, first, unusable = [], None, 0
+    for _, _, message in bag.messages(topic):
+        row: list[float] = []
+        if message is not None:
+            pose = getattr(message.pose, "pose", message.pose)
+            place, turn = pose.position, pose.orientation
+            row = [place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w]
+        # NaN is no less than any number.
+        if not (row and abs(row[0]) <= FARTHEST_M and abs(row[1]) <= FARTHEST_M) or math.isnan(
+            quaternion_yaw_rad(*row[3:])
+        ):
+            unusable += 1
+            continue
+        first = message if first is None else first
+        rows.append([stamp_s(message), *row])
+    if unusable:
+        notes.append(f"{unusable} messages on {topic} are no finite pose; left out")
+    table = np.array(rows).reshape(-1, 8)
+    return table[np.unique(table[:, 0], return_index=True)[1]], first

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from slamfusion.io.bags.storage import Storage
 
 METADATA = "metadata.yaml"
+SCAN_TYPES = ("sensor_msgs/msg/LaserScan", "sensor_msgs/msg/MultiEchoLaserScan")
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 # Patterns of a bag's storage files in a folder; those of one kind are a bag.
 STORAGE_FILES = ("*.mcap", "*.db3", "*.mcap.zstd", "*.db3.zstd")
