@@ -157,9 +157,7 @@ def _evaluate(request: _Request, config: RunConfig) -> int:
     if request.distances_path is not None:
         distances = measure_distances(grids, request.distances_path, config)
     _write_cases(request, placed, evaluations, config, device or "")
-    for evaluation in evaluations:
-        if evaluation.alignment is not None and not evaluation.aligned:
-            notice(f"not aligned: {evaluation.name}: {evaluation.alignment.reason}")
+    tell_unaligned(evaluations)
     rows = evaluation_rows(placed, evaluations)
     document: EvaluateDocument | CasesEvaluationDocument
     if len(cases) > 1:
@@ -297,6 +295,13 @@ def _inputs(request: _Request, truths: Mapping[str, Path]) -> list[tuple[str, st
     if request.distances_path is not None:
         found.append(("distances", "", request.distances_path))
     return found
+
+
+def tell_unaligned(evaluations: Sequence[Evaluation]) -> None:
+    """Tell why maps could not be aligned with the truth: they may be mirrored, for example."""
+    for evaluation in evaluations:
+        if evaluation.alignment is not None and not evaluation.aligned:
+            notice(f"not aligned: {evaluation.name}: {evaluation.alignment.reason}")
 
 
 def print_evaluations(evaluations: Sequence[Evaluation]) -> None:

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slamfusion.cli.evaluate import print_evaluations
+from slamfusion.cli.evaluate import print_evaluations, tell_unaligned
+from slamfusion.cli.fleet import asked_executor, processes_option, scheduler_option
 from slamfusion.cli.fused import print_alignments, print_frames, print_pairs, tell_left_out
 from slamfusion.cli.options import (
     GivenStarts,
@@ -185,6 +186,7 @@ def _print_result(fused: FusedMaps, stem: Path, report_dir: Path | None) -> None
         return
     if fused.evaluations:
         print()
+        tell_unaligned(fused.evaluations)
         print_evaluations(fused.evaluations)
     print(f"fused map: {stem}.yaml")
     print(f"agreement: {stem}{AGREEMENT_END}.yaml")

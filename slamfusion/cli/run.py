@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slamfusion.cli.evaluate import print_evaluations
+from slamfusion.cli.evaluate import print_evaluations, tell_unaligned
+from slamfusion.cli.fleet import scheduler_option
 from slamfusion.cli.fused import print_alignments, print_pairs
 from slamfusion.cli.judge import print_reasons, print_recommendation
 from slamfusion.cli.options import (
@@ -256,6 +257,7 @@ def _print(run: LogRun, saved: SavedRun) -> None:
     _print_producers(run)
     _print_alignments(run)
     if run.evaluations:
+        tell_unaligned(run.evaluations)
         print_evaluations(run.evaluations)
     if run.recommendation is not None:
         print_reasons(run.recommendation)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slamfusion.cli.evaluate import print_evaluations
+from slamfusion.cli.evaluate import print_evaluations, tell_unaligned
 from slamfusion.cli.options import (
     check_odometry,
     check_report,
@@ -218,4 +218,5 @@ def _print(result: ProducerResult, log: Path) -> None:
     if result.measures.relations is not None or result.measures.truth is not None:
         print_measures(run.trajectory, result.measures)
     if result.evaluation is not None:
+        tell_unaligned([result.evaluation])
         print_evaluations([result.evaluation])

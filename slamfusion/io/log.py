@@ -24,6 +24,9 @@ JUMP_M = 50.0
 # of order by less.
 AHEAD_S = 10.0
 
+# Scans of two lasers that have one stamp are taken this far apart, seconds.
+LASERS_APART_S = 1e-6
+
 STRAY = "a time stamp far ahead of those before and after it"
 
 
@@ -93,8 +96,10 @@ class Continuity:
     """Lets scans through whose time is later than the last one's; counts the others.
 
     A scan after a pause of 10 s waits until two more bear its time out (see ``StampGate``): one
-    stray stamp far ahead would keep all others out. After a gap of an hour, or an odometry that has
-    jumped by 50 m, scans are let through: the log may be right. It is counted as a warning.
+    stray stamp far ahead would keep all others out. Of scans of one stamp, those of another laser
+    are let through a microsecond later, so that stamps increase. After a gap of an hour, or an
+    odometry that has jumped by 50 m, scans are let through: the log may be right. It is counted as
+    a warning.
 
     Args:
         skips: where refused scans are counted.
@@ -110,9 +115,13 @@ class Continuity:
         self._gate: StampGate[LogScan] = StampGate(math.inf, ahead_s=AHEAD_S)
         self._stamp_s: float | None = None
         self._odometry: Pose2 | None = None
+        # Of the last stamp that was given, the lasers that had it.
+        self._given_s: float | None = None
+        self._mounts: list[Pose2] = []
 
     def passed(self, item: LogScan) -> Iterator[LogScan]:
         """Take the next scan, count what is wrong or odd about it, and yield those to be used."""
+        item = self._later_by_laser(item)
         stamp_s, newest_s = item.scan.stamp_s, self._gate.newest_s
         if newest_s is not None and stamp_s <= newest_s:
             self._refuse(newest_s, item)
@@ -125,6 +134,17 @@ class Continuity:
     def rest(self) -> Iterator[LogScan]:
         """Yield the scans that still wait at the end of the log, where nothing contradicts them."""
         yield from self._noted(self._gate.confirm().items)
+
+    def _later_by_laser(self, item: LogScan) -> LogScan:
+        """Return a scan whose stamp no other laser has: a microsecond later for each before it."""
+        stamp_s, mount = item.scan.stamp_s, item.scan.mount
+        if stamp_s != self._given_s:
+            self._given_s, self._mounts = stamp_s, []
+        elif mount not in self._mounts:
+            later_s = stamp_s + LASERS_APART_S * len(self._mounts)
+            item = replace(item, scan=replace(item.scan, stamp_s=later_s))
+        self._mounts.append(mount)
+        return item
 
     def _refuse(self, newest_s: float, item: LogScan) -> None:
         is_equal = item.scan.stamp_s == newest_s

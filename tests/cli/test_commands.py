@@ -14,7 +14,7 @@ import pytest
 import yaml
 
 from slamfusion.geometry import Pose2, wrap_angle
-from slamfusion.grid import OCCUPIED, UNKNOWN, CellBox
+from slamfusion.grid import OCCUPIED, UNKNOWN, CellBox, OccupancyGrid
 from slamfusion.io import load_map, save_map
 from tests.cli.command import MAPS, SAMPLE, TRUTH, json_of, run, tree
 
@@ -285,3 +285,12 @@ def test_doctor_tells_of_a_device_that_is_not_there() -> None:
     assert (document["ok"], document["device"]) == (False, None)
     assert [test["name"] for test in document["self_test"]] == ["open the device"]
     assert any("abacus" in problem for problem in document["problems"])
+
+
+def test_maps_that_are_mirrored_against_the_truth_are_named(tmp_path: Path) -> None:
+    truth = load_map(TRUTH)
+    image = OccupancyGrid(truth.cells[:, ::-1], truth.resolution, truth.origin, "image")
+    save_map(image, tmp_path / "image")
+    done = run("fuse", *MAPS, "-o", tmp_path / "fused", "--truth", tmp_path / "image.yaml")
+    assert done.returncode == 0
+    assert "not aligned: fused: fits its mirror image" in done.stderr

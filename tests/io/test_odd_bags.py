@@ -136,6 +136,17 @@ def test_scans_of_two_lasers_are_not_put_together(tmp_path: Path) -> None:
     assert [(len(scan), scan.mount.x) for scan in scans] == [(3, 0.1), (3, -0.1)]
 
 
+def test_scans_of_two_lasers_with_one_stamp_are_both_used(tmp_path: Path) -> None:
+    bag = driven().transform(10.0, "base_link", "rear", (-0.1, 0.0, 0.2), topic="/tf_static")
+    for stamp_s in (11.0, 11.1, 11.1):
+        bag.scan(stamp_s).scan(stamp_s, frame="rear")
+    log = BagLog(bag.write(tmp_path))
+    scans = [item.scan for item in log]
+    assert [scan.mount.x for scan in scans] == [0.1, -0.1, 0.1, -0.1]
+    assert [scan.stamp_s for scan in scans] == pytest.approx([11.0, 11.0, 11.1, 11.1], abs=1e-5)
+    assert log.skips.total == 2
+
+
 def test_an_index_that_was_edited_by_hand_is_passed_over(tmp_path: Path) -> None:
     path = driven().scan(11.0).write(tmp_path)
     index = path / "metadata.yaml"
