@@ -47,7 +47,7 @@ from slamfusion.evaluation.odometry import (
     OdometryMatch,
     match_odometry,
     poses_by_odometry,
-    read_odometry,
+    subsample_to_scans,
 )
 from slamfusion.evaluation.relations import (
     AT_SCAN_S,
@@ -133,7 +133,6 @@ __all__ = [
     "path_figures",
     "path_series",
     "poses_by_odometry",
-    "read_odometry",
     "read_relations",
     "relation_errors",
     "result_rows",

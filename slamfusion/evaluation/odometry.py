@@ -6,27 +6,19 @@ wheels know the motion well, so that the estimate can be asked at every row of t
 
 from __future__ import annotations
 
-import logging
 import math
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 import scipy
 
-from slamfusion.config import LogConfig
 from slamfusion.errors import TrajectoryError
 from slamfusion.evaluation.trajectory_error import associate
 from slamfusion.geometry import Pose2, compose_poses, fit_motion, invert_poses
 from slamfusion.grid import IDENTITY
-from slamfusion.io.lines import ROW_BYTES, TextLines, read_head, strip_gz
-from slamfusion.io.trajectories import read_trajectory
 from slamfusion.trajectory import Trajectory
-
-_LOGGER = logging.getLogger(__name__)
-_DEFAULT_CONFIG = LogConfig()
 
 # Scans that are tried with every row of their time, and scans that judge each trial. A trial turns
 # the far end of a path by the rounding of one heading, so that judges look further.
@@ -41,8 +33,6 @@ _FITS = 10
 _FIT_WITHIN = 4.0
 # What decides between rows of one stamp: less than any clock tells, more than rounding.
 _TIE_S = 1e-9
-_COLUMNS = "time x y theta"
-_NANOSECONDS_FROM = 1e14
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,69 +70,6 @@ class DensePoses:
     trajectory: Trajectory = field(repr=False)
     """The poses, at the stamps of the odometry; at a scan whose own stamp agrees with its row's, at
     the scan's, which is the finer one."""
-
-
-def read_odometry(path: str | Path, config: LogConfig = _DEFAULT_CONFIG) -> Trajectory:
-    """Read raw odometry: rows of ``time x y theta``, or anything that holds a trajectory.
-
-    Unlike a trajectory, such a table may go back in time now and then: recorders write what comes
-    late where it comes. The rows are sorted by time, equal times in their own order; how many
-    went back is logged.
-
-    Args:
-        path: plain or gzip.
-        config: how logs and bags are read.
-
-    Raises:
-        TrajectoryError: a damaged line (its number is given), or no pose.
-        LogError: it is a log that cannot be read.
-        OSError: the file cannot be opened.
-    """
-    where = Path(path)
-    if where.is_dir() or not _is_table(where):
-        return read_trajectory(where, config)
-    rows = []
-    lines = TextLines(where, kept_bytes=ROW_BYTES, if_cut_off=TrajectoryError)
-    for number, line in lines:
-        fields = line.split()
-        if fields and not fields[0].startswith(b"#"):
-            rows.append(_row(fields, f"{where}: line {number}"))
-    table = np.array(rows)
-    back = int(np.count_nonzero(np.diff(table[:, 0]) < 0.0))
-    if back:
-        _LOGGER.info("%s: %d of %d rows go back in time; sorted", where, back, len(table))
-    table = table[np.argsort(table[:, 0], kind="stable")]
-    return Trajectory(table[:, 0], table[:, 1:], Path(strip_gz(where.name)).stem)
-
-
-def _is_table(where: Path) -> bool:
-    """Return whether the first line that says something has the four columns of a table."""
-    for line in read_head(where).splitlines():
-        fields = line.split()
-        if fields and not fields[0].startswith(b"#"):
-            return len(fields) == 4 and _numbers(fields) is not None
-    return False
-
-
-def _numbers(fields: list[bytes]) -> list[float] | None:
-    """Return finite numbers, or None."""
-    try:
-        row = [float(field) for field in fields]
-    except ValueError:
-        return None
-    return row if np.isfinite(row).all() else None
-
-
-def _row(fields: list[bytes], where: str) -> list[float]:
-    """Return time in seconds, x, y and yaw."""
-    row = _numbers(fields) if len(fields) == 4 else None
-    if row is None:
-        shown = b" ".join(fields)[:60].decode("ascii", "replace")
-        message = f"{where}: wanted '{_COLUMNS}', found {shown!r}; mend or remove the line"
-        raise TrajectoryError(message)
-    if abs(row[0]) >= _NANOSECONDS_FROM:
-        row[0] *= 1e-9
-    return row
 
 
 def match_odometry(

@@ -55,7 +55,7 @@ def read_trajectory(
       A path that does not lie in the plane is refused, with the likely cause: quaternions written
       w first, or the axes of a camera, which the config can say.
     - 4 columns ``t x y theta``. Recorded odometry need not be in order: it is sorted by time (equal
-      times keep their order), and a warning is logged.
+      times keep their order), and their number is logged.
     - the same in other columns, between blanks or commas, under a heading that names them, as of
       EuRoC. t is in nanoseconds where it is 1e14 or more, else in seconds.
     - a reference graph: each ``VERTEX2`` with the stamp of the ``ROBOTLASER1`` after it, sorted
@@ -94,7 +94,8 @@ def read_trajectory(
         table = _in_plane(where, table, config)
     backward = int((np.diff(table[:, 0]) < 0.0).sum())
     if backward:
-        _warn(where, backward, "rows are earlier than the one before; sorted by time")
+        what = "rows are earlier than the one before; sorted by time"
+        _LOGGER.info("%s: %d %s", where, backward, what)
         table = table[np.argsort(table[:, 0], kind="stable")]
     return Trajectory(table[:, 0], table[:, 1:], name)
 

@@ -20,7 +20,6 @@ from slamfusion.evaluation import (
     path_figures,
     path_series,
     poses_by_odometry,
-    read_odometry,
     read_relations,
     relation_errors,
     result_rows,
@@ -114,7 +113,7 @@ class Yardsticks:
         at_relations, rows, poses = as_path(relations), as_path(odometry), as_path(truth)
         return cls(
             None if at_relations is None else read_relations(at_relations),
-            None if rows is None else read_odometry(rows, config.log),
+            None if rows is None else read_trajectory(rows, config.log),
             None
             if poses is None
             else read_trajectory(poses, config.log, config.trajectory.pose_topic),

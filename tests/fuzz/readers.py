@@ -16,7 +16,6 @@ from slamfusion.compute import NumpyDevice
 from slamfusion.config import GmappingConfig, GraphConfig
 from slamfusion.evaluation import error_series, result_rows
 from slamfusion.evaluation.distances import load_distances
-from slamfusion.evaluation.odometry import read_odometry
 from slamfusion.evaluation.relations import read_relations
 from slamfusion.fusion.live.state import LiveState
 from slamfusion.geometry import Pose2
@@ -264,7 +263,6 @@ def seeds(folder: Path) -> list[Seed]:
         Seed("trajectory", "path.txt", PLANAR, read_trajectory),
         Seed("trajectory", "drive.log", carmen(), read_trajectory),
         Seed("relations", "pairs.relations", RELATIONS, read_relations),
-        Seed("odometry", "odometry.txt", PLANAR, read_odometry),
         Seed("scan odometry", "odometry.csv", SCAN_ODOMETRY, read_scan_odometry),
         Seed("graph", "a.g2o", G2O, read_g2o),
         Seed("graph", "a.graph", TORO, read_g2o),

@@ -12,7 +12,6 @@ import pytest
 
 from slamfusion.errors import LogError, MemoryBudgetError, SlamFusionError
 from slamfusion.evaluation.distances import load_distances
-from slamfusion.evaluation.odometry import read_odometry
 from slamfusion.evaluation.relations import read_relations
 from slamfusion.io import lines, load_map, open_log, read_trajectory
 from slamfusion.io.regular import open_regular
@@ -33,7 +32,6 @@ READERS: dict[str, tuple[Callable[[Path], object], str]] = {
     "bag": (open_log, ".mcap"),
     "trajectory": (read_trajectory, ".tum"),
     "relations": (read_relations, ".txt"),
-    "odometry": (read_odometry, ".txt"),
     "scan odometry": (read_scan_odometry, ".csv"),
     "graph": (read_g2o, ".g2o"),
 }
@@ -55,7 +53,7 @@ def test_no_reader_waits_for_what_is_no_file(tmp_path: Path, name: str, kind: st
             made.bind(str(path))
     with pytest.raises(SlamFusionError) as caught:
         read(path)
-    if kind == "folder" and name in {"log", "recording", "bag", "trajectory", "odometry"}:
+    if kind == "folder" and name in {"log", "recording", "bag", "trajectory"}:
         assert "ROS 2 bag" in str(caught.value)
     else:
         assert f"wanted a file, found a {kind}" in str(caught.value)
