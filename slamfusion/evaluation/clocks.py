@@ -58,8 +58,9 @@ def clock_offset_s(path: Trajectory, reference: Trajectory) -> float:
         raise _unlike(path, reference, "one of them is too short")
     ones = [np.ones(len(item)) for item in (own, other)]
     shared = scipy.signal.correlate(ones[1], ones[0], method="fft")
-    match = sum(
-        scipy.signal.correlate(other[:, kind], own[:, kind], method="fft") for kind in (0, 1)
+    match = np.sum(
+        [scipy.signal.correlate(other[:, kind], own[:, kind], method="fft") for kind in (0, 1)],
+        axis=0,
     )
     # A correlation over a longer time is more significant, by the root of its length.
     shared = np.maximum(np.rint(shared), 1.0)

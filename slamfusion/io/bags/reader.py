@@ -22,7 +22,7 @@ from slamfusion.io.yaml_file import read_yaml
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
 
-    from slamfusion.io.bags.storage import Storage
+    from slamfusion.io.bags.storage import Storage, Stored
 
 METADATA = "metadata.yaml"
 SCAN_TYPES = ("sensor_msgs/msg/LaserScan", "sensor_msgs/msg/MultiEchoLaserScan")
@@ -156,14 +156,12 @@ class OpenBag:
         except Exception:  # noqa: BLE001  (damaged bytes fail in many ways; the caller counts them)
             return None
 
-    def _stored(
-        self, storage: Storage, topics: Sequence[str]
-    ) -> Iterator[tuple[Connection, int, bytes]]:
+    def _stored(self, storage: Storage, topics: Sequence[str]) -> Iterator[Stored]:
         """Yield the messages of a file, as far as it can be read."""
         wanted = [item for item in storage.connections if item.topic in topics and _kind(item)]
         is_any_read = False
         try:
-            for found in storage.messages(wanted) if wanted else ():
+            for found in storage.stored(wanted) if wanted else ():
                 is_any_read = True
                 yield found
         except Exception as error:
@@ -172,7 +170,7 @@ class OpenBag:
             self._note(storage, f"it is damaged ({_reason(error)})")
 
     def _note(self, storage: Storage, why: str) -> None:
-        _add_note(self._notes, f"{storage.path.name} is read as far as it goes: {why}")
+        _add_note(self._notes, f"{Path(str(storage.path)).name} is read as far as it goes: {why}")
 
 
 @contextmanager

@@ -28,6 +28,7 @@ from rosbags.interfaces import (
     MessageDefinitionFormat,
 )
 from rosbags.rosbag1 import reader as rosbag1
+from rosbags.rosbag2 import ReaderError
 from rosbags.rosbag2 import storage_mcap as mcap
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -39,19 +40,21 @@ from slamfusion.io.regular import open_regular
 # A chunk or a message unpacks to no more; those of recorders are a thousand times smaller.
 PIECE_BYTES = 2**30
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+# The topic of a message, when it was recorded in nanoseconds, and its bytes.
+Stored = tuple[Connection, int, bytes]
 _NO_DEFINITION = MessageDefinition(MessageDefinitionFormat.NONE, "")
 _MCAP_MAGIC, _MCAP_FOOTER = b"\x89MCAP0\r\n", b"\x02"
 zstd: Any = vars(mcap)["zstd"]
 
 
-class Mcap(mcap.McapReader):  # type: ignore[misc]
+class Mcap(mcap.McapReader):
     """An MCAP file; without a usable end it is read up to its last whole record."""
 
     is_cut_off = False
 
-    def messages(self, connections: Any, *_: Any) -> Iterator[tuple[Connection, int, bytes]]:
+    def stored(self, connections: Sequence[Connection]) -> Iterator[Stored]:
         """Yield the messages of connections; without an index, in the order of the file."""
-        read = super().messages if self.chunks else self.messages_scan
+        read = self.messages if self.chunks else self.messages_scan
         for connection, recorded_ns, raw in read(connections):
             yield connection, recorded_ns, _plain(raw)
 
@@ -68,7 +71,7 @@ class Mcap(mcap.McapReader):  # type: ignore[misc]
         file.seek(0)
         if file.read(len(_MCAP_MAGIC)) != _MCAP_MAGIC:
             message = "File magic is invalid."
-            raise mcap.ReaderError(message)
+            raise ReaderError(message)
         self.data_start = file.tell()
         ends = [self.data_start]
         while len(head := file.read(9)) == 9 and not head.startswith(_MCAP_FOOTER):
@@ -90,13 +93,13 @@ class Mcap(mcap.McapReader):  # type: ignore[misc]
         for found in (self.schemas, self.channels, self.chunks, self.connections):
             found.clear()
         self.meta_scan()
-        counts = self.statistics.channel_message_counts
+        counts = self.statistics.channel_message_counts if self.statistics else {}
         self.connections = [
             item._replace(msgcount=counts.get(item.id, 0)) for item in self.connections
         ]
 
 
-class Bag1(rosbag1.Reader):  # type: ignore[misc]
+class Bag1(rosbag1.Reader):
     """A ROS 1 bag; without an index, as while it is recorded, it is read from its beginning."""
 
     is_cut_off = False
@@ -110,11 +113,11 @@ class Bag1(rosbag1.Reader):  # type: ignore[misc]
         except Exception:  # noqa: BLE001  (damaged bytes fail in many ways)
             self._scan()
 
-    def messages(self, connections: Any, *_: Any) -> Iterator[tuple[Connection, int, bytes]]:
+    def stored(self, connections: Sequence[Connection]) -> Iterator[Stored]:
         """Yield the messages of connections, in the order of recording."""
         # A chunk that could not be read is left closed.
         self.current_chunk = (-1, BytesIO())
-        yield from super().messages(connections)
+        yield from self.messages(connections)
 
     def _scan(self) -> None:
         """Find the messages without the index at the end."""
@@ -192,9 +195,7 @@ class Sqlite:
                     Connection(number, topic, kind, _NO_DEFINITION, "", count, ext, self)
                 )
 
-    def messages(
-        self, connections: Sequence[Connection]
-    ) -> Iterator[tuple[Connection, int, bytes]]:
+    def stored(self, connections: Sequence[Connection]) -> Iterator[Stored]:
         """Yield the messages of connections, in the order of recording."""
         by_number = {item.id: item for item in connections}
         marks = ", ".join("?" * len(by_number))
