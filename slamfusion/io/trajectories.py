@@ -251,13 +251,15 @@ def _in_plane(where: Path, rows: F64, config: LogConfig) -> F64:
     """
     poses = _robot_poses(rows, config.quaternion, config.axes)
     problem = _out_of_plane(poses)
+    # Of several files the options are meant for those that need them.
+    if problem is not None and _out_of_plane(rows[:, 1:]) is None:
+        poses, problem = rows[:, 1:], None
     if problem is not None:
         advice = "wanted the path of a robot on one floor, with z up"
         for quaternion, axes, words in (
             ("wxyz", config.axes, "are its quaternions written w first? use --quaternion wxyz"),
             (config.quaternion, "camera", "are its axes those of a camera? use --axes camera"),
             ("wxyz", "camera", "use --quaternion wxyz and --axes camera"),
-            ("xyzw", "robot", "use --quaternion xyzw and --axes robot"),
         ):
             if _out_of_plane(_robot_poses(rows, quaternion, axes)) is None:
                 advice = words

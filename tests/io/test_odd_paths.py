@@ -57,9 +57,13 @@ def test_the_axes_of_a_camera(tmp_path: Path, world: Rotation | None) -> None:
     assert np.allclose(got, wanted, atol=1e-6)
 
 
-def test_options_that_do_not_fit_are_named(tmp_path: Path) -> None:
-    with pytest.raises(TrajectoryError, match="use --quaternion xyzw"):
-        read_trajectory(written(tmp_path, rows()), LogConfig(quaternion="wxyz"))
+@pytest.mark.parametrize(
+    "config", [LogConfig(quaternion="wxyz"), LogConfig(axes="camera")], ids=["wxyz", "camera"]
+)
+def test_options_leave_files_alone_that_need_none(tmp_path: Path, config: LogConfig) -> None:
+    """A path in camera axes may be compared with a truth in those of a robot."""
+    found = read_trajectory(written(tmp_path, rows()), config)
+    assert np.allclose(found.poses, POSES, atol=1e-6)
 
 
 def test_a_path_on_no_floor_is_refused(tmp_path: Path) -> None:

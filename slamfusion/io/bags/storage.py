@@ -43,6 +43,8 @@ _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 # The topic of a message, when it was recorded in nanoseconds, and its bytes.
 Stored = tuple[Connection, int, bytes]
 _NO_DEFINITION = MessageDefinition(MessageDefinitionFormat.NONE, "")
+# What damaged records of ROS 1 bags raise.
+_DAMAGE = (rosbag1.ReaderError, ValueError, LookupError, RuntimeError, OSError, AssertionError)
 _MCAP_MAGIC, _MCAP_FOOTER = b"\x89MCAP0\r\n", b"\x02"
 zstd: Any = vars(mcap)["zstd"]
 
@@ -111,7 +113,12 @@ class Bag1(rosbag1.Reader):
         except PermissionError:
             raise
         except Exception:  # noqa: BLE001  (damaged bytes fail in many ways)
-            self._scan()
+            self.bio = self.path.open("rb")
+            try:
+                self._scan(self.bio)
+            except BaseException:
+                self.close()
+                raise
 
     def stored(self, connections: Sequence[Connection]) -> Iterator[Stored]:
         """Yield the messages of connections, in the order of recording."""
@@ -119,9 +126,8 @@ class Bag1(rosbag1.Reader):
         self.current_chunk = (-1, BytesIO())
         yield from self.messages(connections)
 
-    def _scan(self) -> None:
+    def _scan(self, file: Any) -> None:
         """Find the messages without the index at the end."""
-        file = self.bio = self.path.open("rb")
         size = file.seek(0, os.SEEK_END)
         file.seek(0)
         magic, header = file.readline(), rosbag1.Header.read(file, rosbag1.RecordType.BAGHEADER)
@@ -132,7 +138,7 @@ class Bag1(rosbag1.Reader):
         self.is_cut_off = True
         indexes: dict[int, list[Any]] = defaultdict(list)
         found: dict[int, Connection] = {}
-        with suppress(rosbag1.ReaderError, ValueError, KeyError, RuntimeError, OSError):
+        with suppress(*_DAMAGE):
             while (place := file.tell()) < size:
                 header = rosbag1.Header.read(file)
                 length, start = rosbag1.read_uint32(file), file.tell()
@@ -182,18 +188,21 @@ class Sqlite:
 
     def open(self) -> None:
         """Open the file, and find its topics."""
-        self._base = sqlite3.connect(f"{self.path.absolute().as_uri()}?immutable=1", uri=True)
-        with closing(
-            self._base.execute(
-                "SELECT topics.id, name, type, serialization_format, count(messages.id) FROM topics"
-                " LEFT JOIN messages ON topics.id = messages.topic_id GROUP BY topics.id"
-            )
-        ) as rows:
-            for number, topic, kind, encoding, count in rows:
+        uri = f"{self.path.absolute().as_uri()}?immutable=1"
+        self._base = sqlite3.connect(uri, uri=True, check_same_thread=False)
+        query = (
+            "SELECT topics.id, name, type, serialization_format, count(messages.id) FROM topics "
+            "LEFT JOIN messages ON topics.id = messages.topic_id GROUP BY topics.id"
+        )
+        try:
+            for number, topic, kind, encoding, count in self._base.execute(query):
                 ext = ConnectionExtRosbag2(encoding, [])
                 self.connections.append(
                     Connection(number, topic, kind, _NO_DEFINITION, "", count, ext, self)
                 )
+        except sqlite3.Error:
+            self.close()
+            raise
 
     def stored(self, connections: Sequence[Connection]) -> Iterator[Stored]:
         """Yield the messages of connections, in the order of recording."""
