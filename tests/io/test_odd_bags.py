@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rosbags.rosbag1 import Reader
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
@@ -16,7 +17,7 @@ from slamfusion.config import LogConfig
 from slamfusion.errors import LogError
 from slamfusion.io import open_log
 from slamfusion.io.bags import BagLog
-from slamfusion.io.bags.storage import rosbag1, zstd
+from slamfusion.io.bags.storage import zstd
 from tests.io.bags import _MAKERS, SCAN, TEXT, Bag
 from tests.io.test_regular import packed_bag
 
@@ -273,7 +274,7 @@ def test_a_damaged_chunk_ends_the_reading_and_is_said(tmp_path: Path) -> None:
 @pytest.mark.parametrize("is_active", [True, False])
 def test_a_ros1_bag_without_an_index_is_read(tmp_path: Path, kind: str, *, is_active: bool) -> None:
     path = long_drive(tmp_path, kind)
-    with rosbag1.Reader(path) as reader:
+    with Reader(path) as reader:
         last = reader.chunks[max(reader.chunks)]
         count = len(reader.chunks)
     data = bytearray(path.read_bytes()[: last.datapos + last.datasize * 2 // 3])
