@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -45,7 +45,10 @@ Row = tuple[float, float, float, float]
 
 
 def read_trajectory(
-    path: str | Path, config: LogConfig = _DEFAULT_CONFIG, pose_topic: str | None = None
+    path: str | Path,
+    config: LogConfig = _DEFAULT_CONFIG,
+    pose_topic: str | None = None,
+    warn: Callable[[str], None] = _LOGGER.warning,
 ) -> Trajectory:
     """Read stamped poses.
 
@@ -67,6 +70,7 @@ def read_trajectory(
         config: how logs and bags are read.
         pose_topic: of a bag, a topic of poses or ``tf``; default: the odometry of its scans, and of
             a bag without scans its only topic of poses, else its transforms.
+        warn: told in a sentence which of the poses in a bag are taken.
 
     Returns:
         The poses in the order of time, named after the file.
@@ -80,7 +84,7 @@ def read_trajectory(
     where = Path(path)
     name = Path(strip_gz(where.name)).stem or where.name
     if where.is_dir() or strip_gz(where.name).endswith(BAG_SUFFIXES):
-        return _bag_path(where, config, name, pose_topic)
+        return _bag_path(where, config, name, pose_topic, warn)
     first, columns = _first_fields(where)
     if first and (first[0] in CARMEN_WORDS or len(first) == FIELDS):
         graph = _read_graph(where, name)
@@ -362,13 +366,15 @@ def _vertex_row(vertex: list[float], tail: list[bytes]) -> Row:
     return (stamp_s, x, y, yaw_rad)
 
 
-def _bag_path(where: Path, config: LogConfig, name: str, topic: str | None) -> Trajectory:
+def _bag_path(
+    where: Path, config: LogConfig, name: str, topic: str | None, warn: Callable[[str], None]
+) -> Trajectory:
     """Return the poses of a topic of a bag, or the odometry of its scans."""
     notes: list[str] = []
     bag = bag_at(where)
     table = None if bag is None else read_poses(bag, config, topic, notes)
     for note in notes:
-        _LOGGER.warning("%s: %s", where, note)
+        warn(f"{where}: {note}")
     if table is None:
         return _log_odometry(where, config, name)
     poses = _in_plane(where, table, replace(config, quaternion="xyzw"))

@@ -243,7 +243,7 @@ def judge_paths(
         _check_fused(files)
     read = {name: read_trajectory(path, config.log) for name, path in files.paths.items()}
     held = Yardsticks.read(
-        config, relations=files.relations, odometry=files.odometry, truth=files.truth
+        config, relations=files.relations, odometry=files.odometry, truth=files.truth, warn=warn
     )
     device = device_for(config) if device is None else device
     source = open_log(files.log, config.log, files.scan_odometry)

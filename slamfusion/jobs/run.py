@@ -244,7 +244,7 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
                 [files.truth_map], resolution, config.map_files, warn, measured=True
             )
         held = Yardsticks.read(
-            config, relations=files.relations, odometry=files.odometry, truth=files.truth
+            config, relations=files.relations, odometry=files.odometry, truth=files.truth, warn=warn
         )
         others, their_paths = saved.load(config, resolution, warn)
         device = device_for(config)

@@ -97,13 +97,16 @@ class Yardsticks:
         relations: str | Path | None = None,
         odometry: str | Path | None = None,
         truth: str | Path | None = None,
+        warn: Warn = _LOG.warning,
     ) -> Yardsticks:
         """Read files; those not named are None.
 
         Args:
             config: ``log`` says how poses are read.
             relations: lines of 't1 t2 x y z roll pitch yaw' [K09].
-            odometry, truth: a log, or poses.
+            odometry: a log, or poses.
+            truth: poses.
+            warn: told in a sentence what is doubtful about the truth.
 
         Raises:
             TrajectoryError: a file is damaged.
@@ -116,7 +119,7 @@ class Yardsticks:
             None if rows is None else read_trajectory(rows, config.log),
             None
             if poses is None
-            else read_trajectory(poses, config.log, config.trajectory.pose_topic),
+            else read_trajectory(poses, config.log, config.trajectory.pose_topic, warn),
         )
 
     def measure(
@@ -304,7 +307,7 @@ def measure_trajectory_file(
         files: what is read.
         config: ``trajectory``, ``log`` and ``map_files`` are used; default: the defaults.
         grid: a map in the frame of the estimate, to be drawn in a report.
-        warn: told in a sentence what is doubtful about the map.
+        warn: told in a sentence what is doubtful about the map or the truth.
 
     Raises:
         TrajectoryError: a file is damaged, or the estimate does not meet the relations, the
@@ -316,7 +319,9 @@ def measure_trajectory_file(
     config = config or RunConfig()
     estimate = read_trajectory(files.estimate, config.log)
     scans = None if files.log is None else read_trajectory(files.log, config.log)
-    held = Yardsticks.read(config, files.relations, files.odometry, files.truth)
+    held = Yardsticks.read(
+        config, relations=files.relations, odometry=files.odometry, truth=files.truth, warn=warn
+    )
     drawn = None if grid is None else as_grids([grid], config, warn=warn)[0]
     measures = held.measure(estimate, config, scans)
     return MeasuredTrajectory(files, config, estimate, measures, held.truth, scans, drawn)
