@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from slamfusion.config import LaserMounting
 from slamfusion.errors import ScanError
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import Pose2, transform_points
 from slamfusion.grid import IDENTITY
 
 __all__ = ["LaserScan"]
@@ -33,6 +33,9 @@ class LaserScan:
         range_min_m: readings below are too close to be measured.
         range_max_m: readings at or above saw nothing.
         mount: pose of the laser in the robot's base frame; metres, radians.
+        time_increment_s: time from one beam to the next, as the log says it; 0: unknown, or none.
+        motion: (N, 3) float64, pose of the base at the time of each beam, as seen from the base at
+            the stamp; metres, radians. None: it stood still. See ``slamfusion.deskew``.
 
     Raises:
         ScanError: wrong shape, no beam, or a geometry that is not finite.
@@ -45,6 +48,8 @@ class LaserScan:
     range_min_m: float
     range_max_m: float
     mount: Pose2 = IDENTITY
+    time_increment_s: float = 0.0
+    motion: npt.NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         """Check once, then freeze the readings."""
@@ -110,19 +115,25 @@ class LaserScan:
             return replace(self, mount=self.mount.compose(Pose2(0.0, 0.0, math.pi)))
         return self
 
-    def points(self, beams: npt.NDArray[np.bool_] | None = None) -> npt.NDArray[np.float64]:
-        """Return the ends of beams in the robot's base frame.
+    def points(
+        self,
+        beams: npt.NDArray[np.bool_] | None = None,
+        ranges_m: npt.NDArray[np.floating] | None = None,
+    ) -> npt.NDArray[np.float64]:
+        """Return the ends of beams in the robot's base frame at the stamp.
 
         Args:
             beams: (N,) which ones; default: every hit.
+            ranges_m: (N,) how far they go, metres; default: up to what they hit.
 
         Returns:
             (M, 2) x and y, metres.
         """
         chosen = self.is_hit() if beams is None else beams
         angles = self.angles()[chosen] + self.mount.yaw_rad
-        ranges = self.ranges[chosen].astype(np.float64)
-        return np.stack(
+        ranges = (self.ranges if ranges_m is None else ranges_m)[chosen].astype(np.float64)
+        ends = np.stack(
             (self.mount.x + ranges * np.cos(angles), self.mount.y + ranges * np.sin(angles)),
             axis=-1,
         )
+        return ends if self.motion is None else transform_points(self.motion[chosen], ends)

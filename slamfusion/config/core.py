@@ -297,6 +297,8 @@ def _coerced(value: Any, form: _Form | FieldInfo, where: str) -> Any:
         return float(value)
     if form.kind is not float and type(value) is form.kind and is_usable:
         return value
+    if value is False and "no" in form.choices:  # YAML 1.1 reads a bare no as false
+        return "no"
     one = " or ".join(form.choices) or form.kind.__name__
     words = f"a list of {one}" if form.is_list else one
     message = f"{where}: wanted {words}{' or None' * form.is_optional}, found {shown(value)}"

@@ -63,6 +63,19 @@ class LogConfig(Checked):
         "how the laser sits, where log and transforms say otherwise: mirrored (upside down, or it "
         "turns the other way) or backward",
     )
+    deskew: Literal["auto", "no"] = option(
+        "auto",
+        "move the beams of a sweep to its stamp by the robot's motion, where that matters, or leave "
+        "them",
+    )
+    sweep_s: float | None = option(
+        None,
+        "time from the first to the last beam of a sweep, which deskewing assumes; default: by the "
+        "time_increment of the scans",
+        unit="s",
+        low=-10.0,
+        high=10.0,
+    )
     axes: Literal["robot", "camera"] = option(
         "robot",
         "axes of a TUM file: of a robot (x ahead, z up) or of a camera (z ahead, y down)",

@@ -8,13 +8,20 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol, TypedDict
 
-from slamfusion.config import LaserMounting
-from slamfusion.geometry import Pose2
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.config import LogConfig
+from slamfusion.deskew import Deskewer, Deskewing, Track
+from slamfusion.geometry import Pose2, blend_poses
 from slamfusion.io.stamps import StampGate
+from slamfusion.io.transform_edge import REACH_S
 from slamfusion.scan import LaserScan
 
 # No robot is farther from the origin of its frame; beyond, sums of poses lose their centimetres.
 FARTHEST_M = 1e9
+
+_DEFAULT_CONFIG = LogConfig()
 
 LINES_KEPT = 5
 # Between two neighbouring scans, more than this is worth a word to the user.
@@ -101,14 +108,32 @@ class Continuity:
     odometry that has jumped by 50 m, scans are let through: the log may be right. It is counted as
     a warning.
 
+    The laser is mounted as the settings say (``LaserScan.remounted``), and the scans are deskewed.
+
     Args:
         skips: where refused scans are counted.
         warnings: where gaps and jumps are counted.
-        mounting: of the laser, see ``LaserScan.remounted``.
+        config: how the log is read.
+        track: gives the odometry within a sweep; default: it is that of two scans, and between.
+
+    Attributes:
+        deskewer: counts the scans that were deskewed.
     """
 
-    def __init__(self, skips: Skips, warnings: Skips, mounting: LaserMounting = "as-given") -> None:
-        self._mounting = mounting
+    def __init__(
+        self,
+        skips: Skips,
+        warnings: Skips,
+        config: LogConfig = _DEFAULT_CONFIG,
+        track: Track | None = None,
+    ) -> None:
+        self.deskewer = Deskewer(is_on=config.deskew == "auto", sweep_s=config.sweep_s)
+        self._track = track
+        # The last two scans; ``_is_held``: the newest has yet to be deskewed.
+        self._last: LogScan | None = None
+        self._before: LogScan | None = None
+        self._is_held = False
+        self._mounting = config.laser
         self._skips = skips
         self._warnings = warnings
         # Scans that are older never come to it.
@@ -134,6 +159,7 @@ class Continuity:
     def rest(self) -> Iterator[LogScan]:
         """Yield the scans that still wait at the end of the log, where nothing contradicts them."""
         yield from self._noted(self._gate.confirm().items)
+        yield from self._deskewed(self._before, self._last)
 
     def _later_by_laser(self, item: LogScan) -> LogScan:
         """Return a scan whose stamp no other laser has: a microsecond later for each before it."""
@@ -166,7 +192,35 @@ class Continuity:
                     self._warnings.add(f"odometry jumps by {JUMP_M:g} m or more", line)
                 self._odometry = odometry
             self._stamp_s = stamp_s
-            yield replace(item, scan=item.scan.remounted(self._mounting))
+            item = replace(item, scan=item.scan.remounted(self._mounting))  # noqa: PLW2901
+            self.deskewer.note(item.scan.stamp_s)
+            yield from self._deskewed(self._last, item)
+            self._before, self._last = self._last, item
+            self._is_held = self.deskewer.is_skewed(item.scan)
+            if not self._is_held:
+                yield item
+
+    def _deskewed(self, first: LogScan | None, second: LogScan | None) -> Iterator[LogScan]:
+        """Yield the scan that is held, deskewed by the motion between two scans."""
+        if not self._is_held or self._last is None:
+            return
+        self._is_held = False
+        times = self.deskewer.times(self._last.scan)
+        poses = _between(first, second, times) if self._track is None else self._track(times)
+        yield replace(self._last, scan=self.deskewer.moved(self._last.scan, poses))
+
+
+def _between(
+    first: LogScan | None, second: LogScan | None, times: npt.NDArray[np.float64]
+) -> npt.NDArray[np.float64] | None:
+    """Return poses (K, 3) at times by the odometry of two scans; None where that is not known."""
+    if first is None or second is None or first.odometry is None or second.odometry is None:
+        return None
+    span_s = second.scan.stamp_s - first.scan.stamp_s
+    if span_s > 2.0 * REACH_S:
+        return None
+    poses = (np.tile((p.x, p.y, p.yaw_rad), (len(times), 1)) for p in (first.odometry, second.odometry))
+    return blend_poses(*poses, (times - first.scan.stamp_s) / span_s)
 
 
 class ScanLog(Protocol):
@@ -179,6 +233,7 @@ class ScanLog(Protocol):
         notes: sentences for the user: e.g. that stamps are broken and index time is used.
         has_stamps: whether times are the log's own; else they are made from the scans' index.
         fraction_read: how far the current iteration is, 0 to 1.
+        deskewing: how many scans the last iteration has deskewed so far.
     """
 
     path: Path
@@ -187,6 +242,7 @@ class ScanLog(Protocol):
     notes: list[str]
     has_stamps: bool
     fraction_read: float
+    deskewing: Deskewing
 
     def __iter__(self) -> Iterator[LogScan]:
         """Yield the scans; stamps strictly increase.
@@ -210,8 +266,8 @@ class LogRecord:
     """Sentences for the user."""
     has_stamps: bool
     """Whether times are the log's own; else they are made from the scans' index."""
-
     @classmethod
     def of(cls, log: ScanLog) -> LogRecord:
         """Return the record of a log's last iteration."""
-        return cls(log.path, log.skips, log.warnings, tuple(log.notes), log.has_stamps)
+        notes = (*log.notes, *log.deskewing.sentences())
+        return cls(log.path, log.skips, log.warnings, notes, log.has_stamps)

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.config import LogConfig
+from slamfusion.deskew import Deskewing
 from slamfusion.errors import LogError
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.io.lines import TextLines
@@ -58,7 +59,7 @@ class TinySlamDat:
         config: ``no_return_m`` replaces the laser's rated 4 m.
 
     Attributes:
-        path, skips, warnings, notes, has_stamps, fraction_read: see ``ScanLog``.
+        path, skips, warnings, notes, has_stamps, fraction_read, deskewing: see ``ScanLog``.
 
     Raises:
         LogError: no line of the file is such a scan.
@@ -73,7 +74,8 @@ class TinySlamDat:
         ]
         self.has_stamps = True
         self.fraction_read = 0.0
-        self._laser = config.laser
+        self.deskewing = Deskewing()
+        self._config = config
         self._range_max_m = config.no_return_m or _RANGE_MAX_M
         if next(iter(self), None) is None:
             reasons = "; ".join(self.skips.sentences()) or "the file is empty"
@@ -87,7 +89,8 @@ class TinySlamDat:
     def __iter__(self) -> Iterator[LogScan]:
         """Yield the scans; stamps strictly increase."""
         self.skips, self.warnings = Skips(), Skips()
-        continuity = Continuity(self.skips, self.warnings, self._laser)
+        continuity = Continuity(self.skips, self.warnings, self._config)
+        self.deskewing = continuity.deskewer.done
         lines = TextLines(self.path)
         clock_us = _Unwrapped(_CLOCK_TURNS)
         left, right = _Unwrapped(_TICK_TURNS), _Unwrapped(_TICK_TURNS)

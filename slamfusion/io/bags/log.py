@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.config import LogConfig
+from slamfusion.deskew import Deskewing
 from slamfusion.errors import LogError, ScanError
 from slamfusion.io.bags.odometry import OdometrySurvey
 from slamfusion.io.bags.reader import SCAN_TYPES, OpenBag, open_bag, stamp_s
@@ -89,7 +90,7 @@ class BagLog:
         config: topics, frames, and ``no_return_m`` as an upper limit of the scans' own.
 
     Attributes:
-        path, skips, warnings, notes, has_stamps, fraction_read: see ``ScanLog``.
+        path, skips, warnings, notes, has_stamps, fraction_read, deskewing: see ``ScanLog``.
 
     Raises:
         LogError: not a readable bag, no laser in it, several topics to choose from, a topic or
@@ -103,6 +104,7 @@ class BagLog:
         self.notes: list[str] = []
         self.has_stamps = True
         self.fraction_read = 0.0
+        self.deskewing = Deskewing()
         self._config = config
         self._mounts: dict[str, Mount] = {}
         with open_bag(self.path, self.notes) as bag:
@@ -129,7 +131,9 @@ class BagLog:
     def __iter__(self) -> Iterator[LogScan]:
         """Yield the scans; stamps strictly increase."""
         self.skips, self.warnings, self.fraction_read = Skips(), Skips(), 0.0
-        continuity = Continuity(self.skips, self.warnings, self._config.laser)
+        track = None if self._odometry is None else self._odometry.track
+        continuity = Continuity(self.skips, self.warnings, self._config, track)
+        self.deskewing = continuity.deskewer.done
         is_any_used, out_s = False, []
         with open_bag(self.path, self.notes) as bag:
             for number, scan in joined_sweeps(self._scans(bag)):
@@ -216,6 +220,7 @@ class BagLog:
             range_min_m=max(float(message.range_min), 0.0),
             range_max_m=limit_m,
             mount=mount.pose,
+            time_increment_s=float(message.time_increment),
         )
 
     def _mount(self, frame: str, time_s: float) -> Mount:

@@ -63,6 +63,12 @@ class BagOdometry:
             wrap_angle(first[2] + share * wrap_angle(second[2] - first[2])),
         )
 
+    def track(self, stamps_s: Floats) -> Floats | None:
+        """Return the poses (N, 3) at times (N,); None where one of them is not known."""
+        poses = [self.at(stamp_s) for stamp_s in stamps_s.tolist()]
+        rows = [(pose.x, pose.y, pose.yaw_rad) for pose in poses if isinstance(pose, Pose2)]
+        return np.array(rows) if len(rows) == len(poses) else None
+
 
 @dataclass
 class OdometrySurvey:

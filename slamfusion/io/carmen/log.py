@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from slamfusion.config import LogConfig
+from slamfusion.deskew import Deskewing
 from slamfusion.errors import ScanError
 from slamfusion.geometry import Pose2
 from slamfusion.io.carmen.messages import NO_SCAN, Message, read_messages
@@ -40,7 +41,7 @@ class CarmenLog:
             log whose own poses are the answer of a SLAM. Default: the log's own.
 
     Attributes:
-        path, skips, warnings, notes, has_stamps, fraction_read: see ``ScanLog``.
+        path, skips, warnings, notes, has_stamps, fraction_read, deskewing: see ``ScanLog``.
 
     Raises:
         LogError: there is no readable laser scan in the file, or the odometry is of another one.
@@ -56,6 +57,7 @@ class CarmenLog:
         self.skips = Skips()
         self.warnings = Skips()
         self.fraction_read = 0.0
+        self.deskewing = Deskewing()
         self._config = config
         self._odometry = odometry
         self._survey = take_survey(self.path)
@@ -79,7 +81,8 @@ class CarmenLog:
             LogError: the odometry was made for other scans.
         """
         self.skips, self.warnings = Skips(), Skips()
-        continuity = Continuity(self.skips, self.warnings, self._config.laser)
+        continuity = Continuity(self.skips, self.warnings, self._config)
+        self.deskewing = continuity.deskewer.done
         lines = TextLines(self.path)
         kinds = self._survey.kinds()
         index = 0
@@ -117,6 +120,7 @@ class CarmenLog:
             range_min_m=0.0,
             range_max_m=limit_m,
             mount=self._mount,
+            time_increment_s=self._survey.time_increment_s,
         )
 
     def _range_max_m(self, message: Message) -> float:

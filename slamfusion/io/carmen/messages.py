@@ -28,8 +28,9 @@ FORWARD_STEPS_RAD = {
     360: math.pi / 360.0,
     361: math.pi / 360.0,
 }
-# Our writer says in the log which readings saw nothing; other programs ignore unknown settings.
-NO_RETURN_PARAM = "slamfusion_no_return_m"
+# Our writer says in the log which readings saw nothing, and the time from beam to beam; other
+# programs ignore unknown settings.
+NO_RETURN_PARAM, TIME_INCREMENT_PARAM = "slamfusion_no_return_m", "slamfusion_time_increment_s"
 OFFSET_PARAM = "robot_frontlaser_offset"
 # Lines of further lasers: known, and left out.
 OTHER_LASERS = {

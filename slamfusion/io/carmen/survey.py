@@ -27,6 +27,7 @@ from slamfusion.io.carmen.messages import (
     NO_RETURN_PARAM,
     OFFSET_PARAM,
     OTHER_LASERS,
+    TIME_INCREMENT_PARAM,
     Message,
     PoseRow,
     forward_angles,
@@ -181,7 +182,7 @@ class Survey:
         if word == b"PARAM":
             name, value = (*line.split()[1:3], b"", b"")[:2]
             key = name.decode("ascii", "replace")
-            if key in {NO_RETURN_PARAM, OFFSET_PARAM}:
+            if key in {NO_RETURN_PARAM, OFFSET_PARAM, TIME_INCREMENT_PARAM}:
                 with suppress(ValueError):
                     self.settings[key] = float(value)
         if not word.startswith(b"#"):
@@ -211,6 +212,12 @@ class Survey:
         """The no-return value in the log's own settings, if any."""
         value = self.settings.get(NO_RETURN_PARAM, math.nan)
         return value if value > 0.0 else None
+
+    @property
+    def time_increment_s(self) -> float:
+        """The time from beam to beam in the log's own settings, seconds; 0: it says none."""
+        value = self.settings.get(TIME_INCREMENT_PARAM, 0.0)
+        return value if math.isfinite(value) else 0.0
 
     def offset_m(self) -> float:
         """Return how far ahead the laser sits by the log's settings."""

@@ -12,7 +12,12 @@ from slamfusion.errors import LogError
 from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY
 from slamfusion.io.atomic import AtomicFiles, write_atomic
-from slamfusion.io.carmen.messages import FORWARD_STEPS_RAD, NO_RETURN_PARAM, forward_angles
+from slamfusion.io.carmen.messages import (
+    FORWARD_STEPS_RAD,
+    NO_RETURN_PARAM,
+    TIME_INCREMENT_PARAM,
+    forward_angles,
+)
 from slamfusion.io.lines import packed_by_name
 from slamfusion.io.log import LogScan
 from slamfusion.scan import LaserScan
@@ -36,7 +41,8 @@ def write_carmen(
     A scan becomes a ``FLASER`` line when that says everything: 180, 181, 360 or 361 beams over
     180 degrees forward, a laser on the robot's origin, the range limit of the first scan. Any
     other becomes ``ROBOTLASER1``. +inf and over-range readings are written as the range limit
-    (named in a ``PARAM`` line), NaN and -inf as 0. ``range_min_m`` has no place in the format.
+    (named in a ``PARAM`` line), NaN and -inf as 0. Another ``PARAM`` line has the time from beam to
+    beam, where there is one. ``range_min_m`` has no place in the format.
 
     Args:
         path: the file; packed when its name ends in ``.gz``.
@@ -76,7 +82,11 @@ def write_carmen(
 
 
 def _head(first: LaserScan) -> str:
-    return f"{_HEADER}PARAM {NO_RETURN_PARAM} {first.range_max_m!r} nohost 0\n"
+    settings = {NO_RETURN_PARAM: first.range_max_m}
+    if first.time_increment_s:
+        settings[TIME_INCREMENT_PARAM] = first.time_increment_s
+    lines = (f"PARAM {name} {value!r} nohost 0\n" for name, value in settings.items())
+    return _HEADER + "".join(lines)
 
 
 def _lines_of(logged: LogScan, last: LogScan | None, first: LaserScan) -> str:

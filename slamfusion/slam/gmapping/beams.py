@@ -52,9 +52,6 @@ def beams_of(scan: LaserScan, config: Any) -> Beams:
     if most > scan.range_max_m:  # [G07]'s way to say that no return means free space
         free |= scan.is_clear()
     chosen = hit | free
-    ranges = np.where(hit, scan.ranges, usable)[chosen].astype(np.float64)
-    angles = scan.angles()[chosen] + scan.mount.yaw_rad
+    ends = scan.points(chosen, np.where(hit, scan.ranges, usable))
     laser = np.array([scan.mount.x, scan.mount.y])
-    ends = np.stack((ranges * np.cos(angles), ranges * np.sin(angles)), axis=-1)
-    ends += laser
     return Beams(ends, hit[chosen].astype(np.uint8), laser)
