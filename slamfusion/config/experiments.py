@@ -68,7 +68,7 @@ class FailuresConfig(Checked):
     worlds: int = option(1, "worlds that each course is driven in", low=1, high=1000)
     first_world: int = option(1, "seed of the first world; the others follow", low=0)
     courses: tuple[str, ...] = option(("all",), "courses of the table, with commas, or all")
-    lidars: tuple[Literal["kinect", "hokuyo", "rplidar"], ...] = option(
+    lidars: tuple[Literal["kinect", "hokuyo", "rplidar", "lds01"], ...] = option(
         ("kinect", "hokuyo", "rplidar"), "lasers that drive each course, with commas"
     )
     draw: bool = option(False, "also draw maps from the scans: at each path, and at the fused one")

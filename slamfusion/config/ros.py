@@ -44,6 +44,18 @@ class ProducerNodeConfig(Checked):
         "how the laser sits, where the transforms say otherwise: mirrored (upside down, or it "
         "turns the other way) or backward",
     )
+    deskew: Literal["auto", "no"] = option(
+        "auto",
+        "move the beams of a sweep to its stamp by the robot's motion, where that matters, or no",
+    )
+    sweep_s: float | None = option(
+        None,
+        "time from the first to the last beam of a sweep, which deskewing assumes; default: by the "
+        "time_increment of the scans",
+        unit="s",
+        low=-10.0,
+        high=10.0,
+    )
     scan_queue: int = option(
         20, "scans that may wait; when one more comes the oldest is dropped", low=1, high=10_000
     )

@@ -65,8 +65,7 @@ class LogConfig(Checked):
     )
     deskew: Literal["auto", "no"] = option(
         "auto",
-        "move the beams of a sweep to its stamp by the robot's motion, where that matters, or leave "
-        "them",
+        "move the beams of a sweep to its stamp by the robot's motion, where that matters, or no",
     )
     sweep_s: float | None = option(
         None,

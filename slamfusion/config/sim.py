@@ -48,13 +48,20 @@ class WorldConfig(Checked):
 class LidarConfig(Checked):
     """A planar laser: what it can see, how it errs, and where it sits."""
 
-    model: Literal["kinect", "hokuyo", "rplidar"] = option("hokuyo", "its kind")
+    model: Literal["kinect", "hokuyo", "rplidar", "lds01"] = option("hokuyo", "its kind")
     beams: int = option(541, "beams in a sweep", low=1, high=100_000)
     view_rad: float = option(
         math.radians(270.0), "angle from first to last beam", unit="rad", low=0.0, high=math.tau
     )
     clockwise: bool = option(False, "the first beam is the leftmost one")
     rate_hz: float = option(10.0, "sweeps a second", unit="Hz", low=0.1, high=100.0)
+    turn_s: float = option(
+        0.0,
+        "time of a whole turn, each beam at its own time; 0: all beams of a sweep at one",
+        unit="s",
+        low=0.0,
+        high=10.0,
+    )
     range_min_m: float = option(0.1, "nearer things are too close", unit="m", low=0.0, high=10.0)
     range_max_m: float = option(30.0, "farther things are not seen", unit="m", low=0.1, high=1000.0)
     noise_m: float = option(
@@ -228,7 +235,9 @@ class SimulateConfig(Checked):
     resolution: float | None = option(
         None, "cell size of the drawn truth", unit="m", low=0.01, high=0.25
     )
-    lidar: Literal["kinect", "hokuyo", "rplidar"] | None = option(None, "laser on the robot")
+    lidar: Literal["kinect", "hokuyo", "rplidar", "lds01"] | None = option(
+        None, "laser on the robot"
+    )
     drive: Literal["differential", "bicycle", "tracks"] | None = option(
         None,
         "how the robot moves",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol, TypedDict
@@ -127,7 +127,7 @@ class Continuity:
         config: LogConfig = _DEFAULT_CONFIG,
         track: Track | None = None,
     ) -> None:
-        self.deskewer = Deskewer(is_on=config.deskew == "auto", sweep_s=config.sweep_s)
+        self.deskewer = Deskewer(config)
         self._track = track
         # The last two scans; ``_is_held``: the newest has yet to be deskewed.
         self._last: LogScan | None = None
@@ -219,8 +219,18 @@ def _between(
     span_s = second.scan.stamp_s - first.scan.stamp_s
     if span_s > 2.0 * REACH_S:
         return None
-    poses = (np.tile((p.x, p.y, p.yaw_rad), (len(times), 1)) for p in (first.odometry, second.odometry))
+    poses = (
+        np.tile((p.x, p.y, p.yaw_rad), (len(times), 1)) for p in (first.odometry, second.odometry)
+    )
     return blend_poses(*poses, (times - first.scan.stamp_s) / span_s)
+
+
+def deskewed_scans(scans: Iterable[LogScan]) -> Iterator[LogScan]:
+    """Yield scans that are in memory as a log gives them: deskewed."""
+    continuity = Continuity(Skips(), Skips())
+    for item in scans:
+        yield from continuity.passed(item)
+    yield from continuity.rest()
 
 
 class ScanLog(Protocol):
@@ -266,6 +276,7 @@ class LogRecord:
     """Sentences for the user."""
     has_stamps: bool
     """Whether times are the log's own; else they are made from the scans' index."""
+
     @classmethod
     def of(cls, log: ScanLog) -> LogRecord:
         """Return the record of a log's last iteration."""

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 
 from slamfusion.config import LogConfig
+from slamfusion.deskew import Deskewer
 from slamfusion.errors import LogError
 from slamfusion.io.bags import BagLog
 from slamfusion.io.bags.reader import METADATA, STORAGE_FILES
@@ -32,7 +36,9 @@ _READERS: dict[str, Reader] = {
     **dict.fromkeys(BAG_SUFFIXES, BagLog),
 }
 _TEXT_READERS: tuple[Reader, ...] = (CarmenLog, TinySlamDat)
-_BAG_MAGICS = (b"#ROSBAG V", b"SQLite format 3\0", b"\x89MCAP0\r\n", b"\x28\xb5\x2f\xfd")
+_BAG_MAGICS = (b"#ROSBAG V", b"SQLite format 3\0", b"\x89MCAP0\r\n")
+# These are enough to tell whether a sweep takes long.
+FIRST_SCANS = 500
 # Logs of a folder that a message names.
 _NAMED = 5
 _BAG_FILES = (METADATA, *STORAGE_FILES)
@@ -66,13 +72,34 @@ def open_log(
     where = _place(Path(path))
     reader = _reader(where)
     if scan_odometry is None:
-        return reader(where, config)
+        return _timed(lambda how: reader(where, how), config)
     if reader is not CarmenLog:
         message = (
             f"{where}: only a CARMEN log takes its odometry from {scan_odometry}; leave it out"
         )
         raise LogError(message)
-    return CarmenLog(where, config, read_scan_odometry(scan_odometry))
+    poses = read_scan_odometry(scan_odometry)
+    return _timed(lambda how: CarmenLog(where, how, poses), config)
+
+
+def _timed(opened: Callable[[LogConfig], ScanLog], config: LogConfig) -> ScanLog:
+    """Return a log; of scans that do not say how long a sweep takes, its first ones tell."""
+    log, deskewer = opened(config), Deskewer(config)
+    if config.deskew == "no":
+        return log
+    with suppress(LogError):  # which reading it raises again
+        for item in islice(log, FIRST_SCANS):
+            deskewer.note(item.scan.stamp_s)
+            if item.odometry is None or deskewer.learn(item.scan, item.odometry):
+                break
+    if deskewer.learned_s is None:
+        return log
+    log = opened(replace(config, sweep_s=deskewer.learned_s))
+    log.notes.append(
+        f"the scans do not say how long a sweep takes; taken: {deskewer.learned_s:.3f} s, with "
+        "which those of turns fit the others; set --sweep-s, or --deskew no, where that is wrong"
+    )
+    return log
 
 
 def bag_at(path: Path) -> Path | None:

@@ -131,6 +131,11 @@ class LogRun:
         """The producers that made no map."""
         return tuple(outcome for outcome in self.outcomes if outcome.run is None)
 
+    def log_notes(self) -> list[str]:
+        """Return what the log says of itself, and how its scans were deskewed."""
+        logs = (item.run.log for item in self.results.values())
+        return list(dict.fromkeys(note for log in logs if log is not None for note in log.notes))
+
     @property
     def usable(self) -> FusionResult | None:
         """The fusion where it may be used."""

@@ -304,6 +304,7 @@ def scan_from_message(
             range_min_m=low,
             range_max_m=high,
             mount=mount,
+            time_increment_s=float(message.time_increment),
         )
     except ScanError as error:
         text = f"scan at {stamp_s(message):.3f} s in {message.header.frame_id!r}: {error}"
@@ -317,6 +318,7 @@ def scan_to_message(scan: scans.LaserScan, frame_id: str) -> LaserScan:
     message.angle_min = float(scan.angle_min_rad)
     message.angle_increment = float(scan.angle_increment_rad)
     message.angle_max = float(scan.angle_min_rad + scan.angle_increment_rad * (len(scan) - 1))
+    message.time_increment = float(scan.time_increment_s)
     message.range_min = float(scan.range_min_m)
     message.range_max = float(min(scan.range_max_m, float(np.finfo(np.float32).max)))
     ranges = array("f")

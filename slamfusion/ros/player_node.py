@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import itertools
 import math
 import tempfile
 import threading
@@ -19,6 +21,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import LaserScan
 
 from slamfusion.config import LogConfig, PlayerNodeConfig
+from slamfusion.deskew import Deskewer
 from slamfusion.errors import ConfigError, LogError, SlamFusionError
 from slamfusion.geometry import Pose2
 from slamfusion.io.log import LogScan, ScanLog
@@ -100,8 +103,14 @@ class ScanSender:
         """Return the parents of frames that another node sends too, by child; see ``frames``."""
         return self._transforms.rivals()
 
-    def send(self, item: LogScan) -> None:
-        """Send a scan with its time, transforms and odometry, the scan last."""
+    def send(self, item: LogScan, following: LogScan | None = None) -> None:
+        """Send a scan with its time, transforms and odometry, the scan last.
+
+        Args:
+            item: the scan.
+            following: the one after it, whose odometry goes out too: the robot's motion during the
+                sweep of this one; None: not needed.
+        """
         settings, scan = self._settings, item.scan
         stamp = messages.to_stamp(scan.stamp_s)
         self.stamp_s = scan.stamp_s
@@ -110,11 +119,15 @@ class ScanSender:
             self._mount = scan.mount
             frames = settings.base_frame, settings.laser_frame
             self._transforms.send_static(scan.mount, *frames, stamp)
-        pose, frames = item.odometry, (settings.odom_frame, settings.base_frame)
-        if pose is not None and settings.odometry in {"tf", "both"}:
-            self._transforms.send(pose, *frames, stamp)
-        if pose is not None and settings.odometry in {"topic", "both"}:
-            self._odometry.publish(messages.odometry_to_message(pose, *frames, stamp))
+        frames = settings.odom_frame, settings.base_frame
+        for one in (item, following):
+            if one is None or one.odometry is None:
+                continue
+            stamp = messages.to_stamp(one.scan.stamp_s)
+            if settings.odometry in {"tf", "both"}:
+                self._transforms.send(one.odometry, *frames, stamp)
+            if settings.odometry in {"topic", "both"}:
+                self._odometry.publish(messages.odometry_to_message(one.odometry, *frames, stamp))
         self._scans.publish(messages.scan_to_message(scan, settings.laser_frame))
         self.sent += 1
 
@@ -223,7 +236,9 @@ class PlayerNode(NodeBase):
         self._stamps_s: dict[str, float] = {}
         if self.settings.save is not None:
             self._open_maps(map_topics, Path(self.settings.save), Path(self.settings.file))
-        self._log: ScanLog = open_log(self.settings.file, reading)
+        # The scans go out as they are: who hears them deskews them.
+        self._deskewer = Deskewer(reading)
+        self._log: ScanLog = open_log(self.settings.file, dataclasses.replace(reading, deskew="no"))
         self._sender = ScanSender(self, self.settings)
         for name in self.wait_for:
             self.subscribe(PoseStamped, f"{name}/pose", partial(self._on_pose, name), qos.STREAM)
@@ -299,13 +314,14 @@ class PlayerNode(NodeBase):
         while not self._interrupt.is_set:
             self._rounds += 1
             sent = self._sender.sent
-            for item, wait_s in self._timed():
+            for item, following, wait_s in self._timed():
                 if self._interrupt.is_set:
                     return
                 if not self.settings.lockstep:
                     self._run_clock(item.scan.stamp_s, wait_s)
                 before_s = self._sender.stamp_s
-                self._sender.send(item)
+                is_skewed = self._deskewer.is_skewed(item.scan)
+                self._sender.send(item, following if is_skewed else None)
                 self._progress.tell(self._log.fraction_read, f"{self._sender.sent} scans")
                 if self.settings.lockstep:
                     self._wait_for_answers(item, before_s)
@@ -320,12 +336,15 @@ class PlayerNode(NodeBase):
             if not self.settings.loop:
                 return
 
-    def _timed(self) -> Iterator[tuple[LogScan, float]]:
-        """Yield scans with the recorded time since the one before, seconds."""
+    def _timed(self) -> Iterator[tuple[LogScan, LogScan | None, float]]:
+        """Yield scans, the one after each, and the recorded time since the one before, seconds."""
         before_s: float | None = None
-        for item in self._log:
+        ahead, scans = itertools.tee(self._log)
+        next(ahead, None)
+        for item, following in itertools.zip_longest(scans, ahead):
             stamp_s = item.scan.stamp_s
-            yield item, 0.0 if before_s is None else min(stamp_s - before_s, LONGEST_PAUSE_S)
+            wait_s = 0.0 if before_s is None else min(stamp_s - before_s, LONGEST_PAUSE_S)
+            yield item, following, wait_s
             before_s = stamp_s
         self._due_s = None
 

@@ -8,6 +8,7 @@ SLAM lets its map be drawn aside (``DrawsAside``) that worker draws it, and no s
 from __future__ import annotations
 
 import dataclasses
+import math
 import time
 from dataclasses import dataclass
 from typing import Any
@@ -17,7 +18,7 @@ from nav_msgs.msg import MapMetaData, OccupancyGrid, Path
 from sensor_msgs.msg import LaserScan
 
 from slamfusion.compute import open_device
-from slamfusion.config import DeviceConfig, ProducerNodeConfig, RunConfig
+from slamfusion.config import DeviceConfig, LogConfig, ProducerNodeConfig, RunConfig
 from slamfusion.ros import messages, qos
 from slamfusion.ros.base import SHOWN_S, Level, NodeBase, Status, Worker, open_node_device
 from slamfusion.ros.frames import TransformOutput
@@ -104,7 +105,11 @@ class ProducerNode(NodeBase):
         section = declare(node, settings_of(RunConfig(), kind), kind)
         device = declare(node, DeviceConfig())
         self._config = dataclasses.replace(
-            RunConfig(), producers={kind: section}, device=device, seed=self.settings.seed
+            RunConfig(),
+            producers={kind: section},
+            device=device,
+            seed=self.settings.seed,
+            log=LogConfig(deskew=self.settings.deskew, sweep_s=self.settings.sweep_s),
         )
         self._own_interval_s = producer(kind).map_interval_s(section)
         own_frame = f"{node.get_namespace()}/{self.name}_map".strip("/")
@@ -166,7 +171,7 @@ class ProducerNode(NodeBase):
             scan.arrived_s,
             session.generation,
             lambda: inputs.read(scan),
-            lambda: inputs.odometry_at(scan, is_first=session.is_before_odometry),
+            lambda times: inputs.odometry_at(scan, times, is_first=session.is_before_odometry),
             scan.message.header.stamp,
         )
 
@@ -340,6 +345,10 @@ class ProducerNode(NodeBase):
             "scans used": health.scans_used,
             "scans held for their stamps": scans.held,
             "scans without odometry": snapshot.without_odometry,
+            "scans deskewed": snapshot.deskewing.scans,
+            "scans not deskewed": snapshot.deskewing.without_motion,
+            "sweep [ms]": 1e3 * snapshot.deskewing.sweep_s,
+            "largest turn in a sweep [deg]": math.degrees(snapshot.deskewing.largest_turn_rad),
             "maps published": drawn.maps,
             "maps begun anew": scans.jumps_back,
             "match score": health.match_score,

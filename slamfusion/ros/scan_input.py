@@ -6,6 +6,8 @@ import time
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 from nav_msgs.msg import Odometry
 
 from slamfusion.config import ProducerNodeConfig
@@ -20,6 +22,8 @@ from slamfusion.ros.base import SHOWN_S, Level, NodeBase
 from slamfusion.ros.frames import TransformInput, TransformStore
 from slamfusion.scan import LaserScan
 from slamfusion.slam.session import LeftOutError
+
+F64 = npt.NDArray[np.float64]
 
 # Odometry that has not been heard for longer has no say, seconds.
 ODOMETRY_ALIVE_S = 1.0
@@ -163,21 +167,30 @@ class ScanInput:
         self._base.diagnostics.clear("laser")
         return mount
 
-    def odometry_at(self, scan: ArrivedScan, *, is_first: bool) -> Pose2 | None:
-        """Return the odometry at a scan's time, or None, named, where it has none.
+    def odometry_at(self, scan: ArrivedScan, times: F64, *, is_first: bool) -> F64 | None:
+        """Return the odometry within a sweep, or None, named, where its stamp has none.
 
         Args:
             scan: waits for it up to ``odometry_wait_s``.
+            times: (K,) seconds, from the scan's stamp on.
             is_first: scans without it are left out, for the map has not begun.
+
+        Returns:
+            (K, 3) poses, or those before the first that is not known.
         """
         store, settings = self.odometry, self._settings
         if store is None:
             return None
+        poses: list[Pose2] = []
         try:
-            pose = store.lookup(
-                settings.odom_frame, settings.base_frame, scan.stamp_s, self._wait_s(scan, store)
-            )
+            for time_s in times.tolist():
+                frames = settings.odom_frame, settings.base_frame
+                poses.append(store.lookup(*frames, time_s, self._wait_s(scan, store)))
         except TransformError as error:
+            if poses:
+                text = f"scans are not deskewed, for their odometry ends within the sweep: {error}"
+                self._base.diagnostics.add("sweep", Level.WARN, text, SHOWN_S)
+                return _rows(poses)
             does = "are left out" if is_first else "are matched without it"
             text = (
                 f"no odometry for the scans, which {does}: {error}; check {self._odometry_words()}"
@@ -186,7 +199,7 @@ class ScanInput:
             self._base.diagnostics.add("odometry", Level.WARN, text)
             return None
         self._base.diagnostics.clear("odometry")
-        return pose
+        return _rows(poses)
 
     def _odometry_words(self) -> str:
         settings = self._settings
@@ -277,6 +290,10 @@ class ScanInput:
         elif after_s > before_s + FORWARD_JUMP_S:
             text = f"scans jumped {_way(before_s, after_s)}"
             self._base.diagnostics.add("forward", Level.WARN, text, SHOWN_S)
+
+
+def _rows(poses: list[Pose2]) -> F64:
+    return np.array([(pose.x, pose.y, pose.yaw_rad) for pose in poses])
 
 
 def _way(before_s: float, after_s: float) -> str:

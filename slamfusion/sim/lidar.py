@@ -1,7 +1,4 @@
-"""Lasers: what a sweep reads at a true pose, with everything that goes wrong in one.
-
-All beams of a sweep are read at one moment: the robot's motion during a sweep is left out.
-"""
+"""Lasers: what a sweep reads on the true way, with everything that goes wrong in one."""
 
 from __future__ import annotations
 
@@ -23,8 +20,9 @@ F64 = npt.NDArray[np.float64]
 # Kinect's noise is the axial one of Nguyen, Izadi and Lovell (3DIMPVT 2012), 0.0012 m and
 # 0.0019 (r - 0.4 m)^2 / m, rounded to the terms in 1 and r^2; a laser scan is made of every second
 # column of its picture.
-# Hokuyo and RPLIDAR are of the size that their data sheets (UTM-30LX, A1) state; the A1 turns
-# clockwise, and [B16] found its far returns noisy and often missing.
+# Hokuyo, RPLIDAR and LDS-01 are of the size that their data sheets (UTM-30LX, A1, LDS-01) state. The
+# A1, here at its fastest, turns clockwise, and [B16] found its far returns noisy and often missing.
+# These two turn so slowly that the robot moves within a sweep; the UTM-30LX takes 0.02 s.
 LIDARS: dict[str, LidarConfig] = {
     "kinect": LidarConfig(
         model="kinect",
@@ -47,7 +45,8 @@ LIDARS: dict[str, LidarConfig] = {
         beams=360,
         view_rad=math.radians(359.0),
         clockwise=True,
-        rate_hz=5.5,
+        rate_hz=10.0,
+        turn_s=0.1,
         range_min_m=0.15,
         range_max_m=6.0,
         noise_m=0.005,
@@ -58,6 +57,22 @@ LIDARS: dict[str, LidarConfig] = {
         outlier_share=0.005,
         mixed_share=0.4,
         mount_x_m=0.0,
+    ),
+    "lds01": LidarConfig(
+        model="lds01",
+        beams=360,
+        view_rad=math.radians(359.0),
+        rate_hz=5.0,
+        turn_s=0.2,
+        range_min_m=0.12,
+        range_max_m=3.5,
+        noise_m=0.01,
+        noise_per_m=0.01,
+        dropout_share=0.02,
+        dropout_far_share=0.3,
+        outlier_share=0.005,
+        mixed_share=0.4,
+        mount_x_m=-0.03,
     ),
 }
 
@@ -80,6 +95,11 @@ def beam_angles(lidar: LidarConfig) -> tuple[float, float]:
     return -turn * lidar.view_rad / 2.0, turn * lidar.view_rad / (lidar.beams - 1)
 
 
+def time_increment_s(lidar: LidarConfig) -> float:
+    """Return the time from one beam to the next, seconds."""
+    return lidar.turn_s * abs(beam_angles(lidar)[1]) / math.tau
+
+
 def sweep_ranges(
     world: World,
     lidar: LidarConfig,
@@ -88,12 +108,13 @@ def sweep_ranges(
     device: ComputeDevice,
     rng: np.random.Generator,
 ) -> Iterator[F32]:
-    """Read one sweep at each pose.
+    """Read one sweep from each pose on.
 
     Args:
         world: walls, glass and ground obstacles; its people are given by ``people``.
         lidar: the laser.
-        poses: (N, 3) true x, y, yaw of the robot's base in the map frame.
+        poses: (N, B, 3) true x, y, yaw of the robot's base in the map frame at each beam, or
+            (N, 1, 3) where all beams of a sweep are of one time.
         people: (N, D, 2) centres and (D,) radii of discs, from ``people.walk``.
         device: casts the rays.
         rng: source of every error; the draws do not depend on the device.
@@ -124,28 +145,28 @@ class _Sight:
         """Return the true ranges (N, B), metres; infinite where nothing is in reach.
 
         Args:
-            poses: (N, 3) of the base.
+            poses: (N, B, 3) or (N, 1, 3) of the base.
             centres: (N, D, 2) of people.
             radii: (D,) of people.
             rng: decides which beams glass sends back.
         """
         mount = mount_of(self.lidar)
         laser = compose_poses(poses, (mount.x, mount.y, mount.yaw_rad))
-        directions = laser[:, 2, None] + self.angles
+        directions = laser[..., 2] + self.angles
         cos, sin = np.cos(directions), np.sin(directions)
         flat = self._walls(laser, cos, sin, rng)
         for disc, radius_m in enumerate(radii):
             flat = np.minimum(flat, _to_disc(laser, centres[:, disc], float(radius_m), cos, sin))
-        return self._tilted(flat, tilt_of(self.world, poses))
+        return self._tilted(flat, tilt_of(self.world, poses[:, 0]))
 
     def _walls(self, laser: F64, cos: F64, sin: F64, rng: np.random.Generator) -> F64:
         """Return distances in the plane to the first wall, or to glass that sends a beam back."""
         grid, lidar = self.world.grid, self.lidar
         origin = grid.origin
-        own = origin.inverse().transform(laser[:, :2]) / grid.resolution
+        own = origin.inverse().transform(laser[..., :2]) / grid.resolution
         turn_cos, turn_sin = math.cos(origin.yaw_rad), math.sin(origin.yaw_rad)
         rays = np.empty((*cos.shape, 4), dtype=np.float32)
-        rays[..., :2] = own[:, None, :]
+        rays[..., :2] = own
         rays[..., 2] = turn_cos * cos + turn_sin * sin
         rays[..., 3] = turn_cos * sin - turn_sin * cos
         reach = (lidar.range_max_m + 1.0) / grid.resolution
@@ -183,10 +204,10 @@ class _Sight:
 
 def _to_disc(laser: F64, centres: F64, radius_m: float, cos: F64, sin: F64) -> F64:
     """Return the distance (N, B) to a disc, infinite beside and behind it, and from inside it."""
-    x, y = (centres - laser[:, :2]).T
-    along = x[:, None] * cos + y[:, None] * sin
-    inside = radius_m**2 - (x**2 + y**2)[:, None] + along**2
-    hit = (inside > 0.0) & (along > 0.0) & (np.hypot(x, y) > radius_m)[:, None]
+    x, y = np.moveaxis(centres[:, None] - laser[..., :2], -1, 0)
+    along = x * cos + y * sin
+    inside = radius_m**2 - (x**2 + y**2) + along**2
+    hit = (inside > 0.0) & (along > 0.0) & (np.hypot(x, y) > radius_m)
     return np.asarray(np.where(hit, along - np.sqrt(np.maximum(inside, 0.0)), np.inf))
 
 

@@ -17,13 +17,13 @@ from slamfusion.errors import SimulationError
 from slamfusion.geometry import Pose2
 from slamfusion.io.atomic import AtomicFiles
 from slamfusion.io.carmen import write_carmen
-from slamfusion.io.log import LogScan
+from slamfusion.io.log import LogScan, deskewed_scans
 from slamfusion.io.map_server import save_map
 from slamfusion.io.tum import write_tum
 from slamfusion.scan import LaserScan
 from slamfusion.sim.courses import Course, course_to_mapping
 from slamfusion.sim.drive import Motion, StuckError, follow_ways, read_odometry, run_script
-from slamfusion.sim.lidar import beam_angles, mount_of, sweep_ranges
+from slamfusion.sim.lidar import beam_angles, mount_of, sweep_ranges, time_increment_s
 from slamfusion.sim.people import PERSON_RADIUS_M, Walks, draw_people, walk
 from slamfusion.sim.route import MARGIN_M, FreeSpace
 from slamfusion.sim.world import World, thin_walls
@@ -50,7 +50,7 @@ class Recording:
     Attributes:
         course: with every choice made: running it gives the same recording.
         world: the truth, and who walked in it.
-        scans: in the order of time, with the odometry of each.
+        scans: in the order of time, with the odometry of each, by which they are deskewed.
         truth: the true pose of the robot's base at each scan; the first is the first odometry.
         people: (N, P, 2) float64, where the middle of each of the world's P people was at each of
             the N scans, metres; no file holds it, the course gives it again.
@@ -268,7 +268,11 @@ def _record(
     odometry = read_odometry(motion, course.drive, _chance(course, ODOMETRY_STREAM))[::every]
     stamps_s = np.arange(len(poses)) / lidar.rate_hz
     discs = (walks.discs, walks.radii_m)
-    ranges = sweep_ranges(world, lidar, poses, discs, device, _chance(course, LASER_STREAM))
+    increment_s = time_increment_s(lidar)
+    sweeps = poses[:, None]
+    if increment_s:
+        sweeps = _poses_at(motion, stamps_s[:, None] + increment_s * np.arange(lidar.beams))
+    ranges = sweep_ranges(world, lidar, sweeps, discs, device, _chance(course, LASER_STREAM))
     angle_min_rad, step_rad = beam_angles(lidar)
     mount = mount_of(lidar)
     scans = []
@@ -281,10 +285,19 @@ def _record(
             lidar.range_min_m,
             lidar.range_max_m,
             mount,
+            increment_s,
         )
         scans.append(LogScan(scan, Pose2(*pose), index + 1))
         if progress is not None and index % 256 == 0:
             progress("scans", index, len(poses))
     if progress is not None:
         progress("scans", len(poses), len(poses))
-    return tuple(scans), Trajectory(stamps_s, poses, "truth")
+    return tuple(deskewed_scans(scans)), Trajectory(stamps_s, poses, "truth")
+
+
+def _poses_at(motion: Motion, times_s: F64) -> F64:
+    """Return the true poses (N, B, 3) at times (N, B); after the end the robot stands."""
+    steps_s = motion.step_s * np.arange(len(motion.poses))
+    x, y, yaw = motion.poses.T
+    rows = [np.interp(times_s, steps_s, column) for column in (x, y, np.unwrap(yaw))]
+    return np.stack(rows, axis=-1)

@@ -12,9 +12,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
+from slamfusion.deskew import Deskewer, Deskewing
 from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY, OccupancyGrid
@@ -23,6 +25,8 @@ from slamfusion.slam.common.mapper import DrawsAside, Health, MapDrawer, MapJob,
 from slamfusion.slam.common.odometry_check import contradictions
 from slamfusion.slam.registry import make_producer
 from slamfusion.trajectory import Trajectory
+
+F64 = npt.NDArray[np.float64]
 
 __all__ = [
     "Answer",
@@ -60,14 +64,15 @@ class QueuedScan:
         arrived_s: when it came, on the clock of the session.
         generation: of the map that it belongs to; see ``ProducerSession.begin_new_map``.
         read: gives the scan; asked when its turn has come; raises ``LeftOutError``.
-        odometry: gives the odometry of its time; None where there is none.
+        odometry: gives the odometry at times (K,), seconds, the first of which is its own: poses
+            (K, 3), or those before the first that is not known; None where its own is not.
     """
 
     stamp_s: float
     arrived_s: float
     generation: int
     read: Callable[[], LaserScan]
-    odometry: Callable[[], Pose2 | None]
+    odometry: Callable[[F64], F64 | None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,6 +136,7 @@ class Snapshot:
         is_path_due: whether that one went without a path, since nobody listened.
         memory_bytes: of the producer.
         latencies_s: from a scan's coming to its answer, of the last 300.
+        deskewing: what was done about the robot's motion within a sweep.
         contradictions: how the poses contradict the odometry, a sentence each, when a map was last
             read.
     """
@@ -150,6 +156,7 @@ class Snapshot:
     is_path_due: bool = False
     memory_bytes: int = 0
     latencies_s: tuple[float, ...] = ()
+    deskewing: Deskewing = field(default_factory=Deskewing)
     contradictions: tuple[str, ...] = ()
 
     def latencies_ms(self) -> tuple[float, float]:
@@ -224,6 +231,7 @@ class ProducerSession:
         self._make: Callable[[], Mapper] = lambda: make_producer(kind, config, device)
         self._config = config
         self._wants_odometry = wants_odometry
+        self._deskewer = Deskewer(config.log)
         self._clock = clock
         self._producer = self._make()
         self._drawing: ComputeDevice | None = None
@@ -288,13 +296,18 @@ class ProducerSession:
             self.leave_out(NOT_NEWER)
             # Sent again: who waits for the answer gets it again.
             return Answer(self.snapshot.pose, is_new=False)
-        scan, odometry = item.read(), item.odometry()
+        scan = item.read()
+        self._deskewer.note(scan.stamp_s)
+        poses = item.odometry(self._deskewer.times(scan))
+        odometry = None if poses is None else Pose2(*poses[0].tolist())
+        if odometry is not None:
+            self._deskewer.learn(scan, odometry)
         if odometry is None and self._wants_odometry:
             self._change(without_odometry=self.snapshot.without_odometry + 1)
             if fed_s is None:
                 raise LeftOutError(NO_ODOMETRY_YET)
         try:
-            step = self._producer.feed(scan, odometry)
+            step = self._producer.feed(self._deskewer.moved(scan, poses), odometry)
         except SlamFusionError as error:
             self._change(problem=f"{NOT_FED}: {error}")
             raise LeftOutError(NOT_FED) from error
@@ -306,6 +319,7 @@ class ProducerSession:
             pose=step.pose_map_base,
             unmapped=before.unmapped + 1,
             health=HealthFigures.of(self._producer.health),
+            deskewing=replace(self._deskewer.done),
             latencies_s=(*before.latencies_s[1 - LATENCIES :], latency_s),
         )
         if odometry is not None:

@@ -40,7 +40,7 @@ def ranges_at(
     table = np.array(poses)
     discs = (np.empty((len(table), 0, 2)), np.empty(0)) if people is None else people
     rng = np.random.default_rng(seed)
-    return np.stack(list(sweep_ranges(world, lidar, table, discs, NumpyDevice(), rng)))
+    return np.stack(list(sweep_ranges(world, lidar, table[:, None], discs, NumpyDevice(), rng)))
 
 
 def many(pose: tuple[float, float, float], count: int = 200) -> list[tuple[float, float, float]]:

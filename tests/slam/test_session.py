@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
+from dataclasses import astuple, replace
 from typing import Any
 
 import numpy as np
@@ -47,9 +47,9 @@ class Bench:
             self.now_s - 0.5,
             self.session.generation,
             lambda: item.scan,
-            lambda: item.odometry,
+            lambda _: None if (pose := item.odometry) is None else np.array([astuple(pose)]),
         )
-        return dataclasses.replace(queued, **changed)
+        return replace(queued, **changed)
 
     def feed(self, *indices: int) -> None:
         for index in indices:
@@ -128,17 +128,17 @@ def test_scans_before_the_first_odometry_are_left_out_and_later_ones_are_not() -
     bench = Bench("tinyslam")
     session = bench.session
     assert session.is_before_odometry
-    assert session.feed(bench.queued(0, odometry=lambda: None)) is None
+    assert session.feed(bench.queued(0, odometry=lambda _: None)) is None
     assert session.snapshot.left_out == {"laser before odometry": 1}
     bench.feed(1)
     assert not session.is_before_odometry
-    answer = session.feed(bench.queued(2, odometry=lambda: None))
+    answer = session.feed(bench.queued(2, odometry=lambda _: None))
     assert answer is not None
     assert answer.odometry is None
     assert session.snapshot.without_odometry == 2
     free = Bench("tinyslam", wants_odometry=False)
     assert not free.session.is_before_odometry
-    assert free.session.feed(free.queued(0, odometry=lambda: None)) is not None
+    assert free.session.feed(free.queued(0, odometry=lambda _: None)) is not None
     assert free.session.snapshot.without_odometry == 0
 
 

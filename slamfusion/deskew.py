@@ -1,0 +1,379 @@
+"""Deskewing: move the beams of a sweep to the scan's stamp by the robot's motion.
+
+The stamp of a scan is the time of its first beam; a lidar of five turns a second takes 0.2 s to the
+last one, in which a robot that turns at 1.5 rad/s turns by 17 degrees. ``Deskewer`` gives each beam
+the pose that the robot had at the beam's time, as seen from its pose at the stamp.
+
+How long a sweep takes follows from ``time_increment`` of the scans. It cannot be longer than the
+time from scan to scan; where it is, the value is in ms, us or ns. Where it is 0, or fits no unit,
+the scans themselves tell (``SkewTest``). How the robot moves follows from its odometry, and without
+any from matching each sweep with the one before (``LaserMotion``).
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from slamfusion.config import LogConfig
+from slamfusion.geometry import Pose2, compose_poses, invert_poses, transform_points
+from slamfusion.scan import LaserScan
+
+F64 = npt.NDArray[np.float64]
+
+# Returns poses (K, 3) of the base in a fixed frame at times (K,); None where one is not known.
+Track = Callable[[F64], F64 | None]
+
+# The robot's pose is asked for this often within a sweep, seconds.
+SAMPLE_S = 0.02
+# Motion that moves no hit by more, metres, is below the noise of a lidar.
+MATTERS_M = 0.005
+# Stamps tremble: a sweep may seem longer than the time from scan to scan by this share. One that
+# takes a smaller share of it than the least is no sweep of a mirror, but a wrong unit.
+LONGEST_SHARE, LEAST_SHARE = 1.1, 0.01
+# Units of ``time_increment`` that drivers send, seconds.
+UNITS_S = (1.0, 1e-3, 1e-6, 1e-9)
+# Two hits this near, metres, are of one surface. Noise of a hit, metres.
+SURFACE_M, NOISE_M = 0.3, 0.02
+# Rounds of matching: a hit belongs to a surface of the other sweep within this reach, metres.
+REACHES_M = (1.0, 1.0, 0.7, 0.5, 0.35, 0.25, 0.2, 0.2)
+# Weights of the guess: how much the way from stamp to stamp differs from the last one, and the
+# motion during a sweep from that way; metres, metres, radians.
+STIFF = 1.0 / np.square((0.3, 0.3, 0.5, 0.05, 0.05, 0.1))
+# A sweep that lasts a smaller share of the time since the last one is matched with none.
+LEAST_PACE = 0.3
+# Cases that decide whether scans are skewed, and those of them that must say so: by chance as many
+# do once in 800 logs. A case is a scan and one of the last scans whose turns differ by this much.
+CASES, AGREEING, TURN_RAD, LOOK_BACK = 20, 17, 0.05, 10
+# Scans whose stamps tell the period.
+PERIODS = 50
+
+
+@dataclass
+class Deskewing:
+    """What was done about the robot's motion within a sweep.
+
+    Attributes:
+        scans: whose beams were moved.
+        without_motion: scans left as they are, for nothing tells how the robot moved during them.
+        sweep_s: time from the first to the last beam, seconds; 0: all are of one time.
+        source: what that follows from.
+        largest_turn_rad: of the robot within a sweep.
+    """
+
+    scans: int = 0
+    without_motion: int = 0
+    sweep_s: float = 0.0
+    source: str = ""
+    largest_turn_rad: float = 0.0
+
+    def sentences(self) -> list[str]:
+        """Say what was done, a sentence, or nothing."""
+        if not self.scans and not self.without_motion:
+            return []
+        text = (
+            f"{self.scans} scans are deskewed: a sweep takes {self.sweep_s:.3f} s ({self.source}), "
+            f"and the robot turns by up to {math.degrees(self.largest_turn_rad):.1f} degrees in it"
+        )
+        if self.without_motion:
+            text += f"; {self.without_motion} are not, for their motion is not known"
+        return [text]
+
+
+class Deskewer:
+    """Deskews the scans of one laser.
+
+    Args:
+        config: ``deskew`` and ``sweep_s`` are used.
+
+    Attributes:
+        done: what was done so far.
+        learned_s: how long a sweep takes, found out by ``learn``; None: it was not.
+    """
+
+    def __init__(self, config: LogConfig) -> None:
+        self.done = Deskewing()
+        self.learned_s: float | None = None
+        self._is_on, self._sweep_s = config.deskew == "auto", config.sweep_s
+        self._stamp_s: float | None = None
+        self._periods_s: deque[float] = deque(maxlen=PERIODS)
+        self._laser_motion, self._test = LaserMotion(), SkewTest()
+
+    def note(self, stamp_s: float) -> None:
+        """Take in the stamp of the next scan: the period is told by stamps."""
+        if self._stamp_s is not None and stamp_s > self._stamp_s:
+            self._periods_s.append(stamp_s - self._stamp_s)
+        self._stamp_s = stamp_s
+
+    def is_skewed(self, scan: LaserScan) -> bool:
+        """Whether the beams of a scan are of different times."""
+        return self._is_on and (self._sweep_s is not None or scan.time_increment_s != 0.0)
+
+    def learn(self, scan: LaserScan, odometry: Pose2) -> bool:
+        """Find out how long a sweep takes that does not say it; see ``SkewTest``.
+
+        Args:
+            scan: the next one.
+            odometry: at its stamp.
+
+        Returns:
+            Whether it is known now.
+        """
+        if self._is_on and self._sweep(scan) == 0.0 and self._test.sweep_s is None:
+            self._test.add(scan, odometry)
+            if self._test.sweep_s:
+                self._sweep_s = self.learned_s = self._test.sweep_s
+                self.done.source = "as the scans fit each other"
+        return not self._is_on or self._test.sweep_s is not None or self._sweep(scan) != 0.0
+
+    def times(self, scan: LaserScan) -> F64:
+        """Return the times at which ``moved`` wants the robot's pose, (K,) seconds.
+
+        The first one is the scan's stamp. The only one: all beams are of that time.
+        """
+        sweep_s = self._sweep(scan)
+        count = 1 + math.ceil(abs(sweep_s) / SAMPLE_S)
+        return np.asarray(scan.stamp_s + np.linspace(0.0, sweep_s, count))
+
+    def moved(self, scan: LaserScan, poses: F64 | None) -> LaserScan:
+        """Return the scan with the robot's motion at each beam; as it is where that is too little.
+
+        Args:
+            scan: the sweep.
+            poses: (K, 3) of the base in any fixed frame at ``times``; fewer: they end before the
+                sweep; None: there is no odometry.
+        """
+        sweep_s = self._sweep(scan)
+        if sweep_s == 0.0:
+            return scan
+        self.done.sweep_s = abs(sweep_s)
+        if poses is None:
+            motion = self._laser_motion.of(scan, sweep_s)
+        elif len(poses) == len(self.times(scan)):
+            motion = compose_poses(invert_poses(poses[0]), poses)
+        else:
+            motion = None
+        if motion is None:
+            self.done.without_motion += 1
+            return scan
+        motion[:, 2] = np.unwrap(motion[:, 2])
+        turn_rad = float(np.abs(motion[:, 2]).max())
+        farthest_m = float(np.max(scan.ranges, where=scan.is_hit(), initial=0.0))
+        if np.hypot(*motion[:, :2].T).max() + turn_rad * farthest_m < MATTERS_M:
+            return scan
+        self.done.scans += 1
+        self.done.largest_turn_rad = max(self.done.largest_turn_rad, turn_rad)
+        return replace(scan, motion=_at_beams(motion, len(scan)))
+
+    def _sweep(self, scan: LaserScan) -> float:
+        """Return the time from the first to the last beam, seconds; 0: all are of one time."""
+        if not self.is_skewed(scan) or len(scan) < 2:
+            return 0.0
+        if self._sweep_s is not None:
+            self.done.source = self.done.source or "as set"
+            return self._sweep_s
+        said_s = scan.time_increment_s * (len(scan) - 1)
+        if said_s == 0.0 or not self._periods_s or not math.isfinite(said_s):
+            return 0.0
+        period_s = float(np.median(self._periods_s))
+        for unit_s in UNITS_S:
+            if LEAST_SHARE <= abs(said_s) * unit_s / period_s <= LONGEST_SHARE:
+                self.done.source = "time_increment"
+                if unit_s < 1.0:
+                    self.done.source += f" in units of {unit_s:g} s"
+                return said_s * unit_s
+        return 0.0
+
+
+class LaserMotion:
+    """Follows a robot without odometry: matches each sweep with the one before it.
+
+    How far the robot got from stamp to stamp, and how its motion during the sweep differs from
+    that, are found at once. That tells how it moved during the sweep before, too, so both are
+    matched a second time.
+    """
+
+    def __init__(self) -> None:
+        self._before: tuple[F64, F64] | None = None
+        self._stamp_s = 0.0
+        # From stamp to stamp, and its difference from the motion during the sweep.
+        self._found: F64 = np.zeros(6)
+
+    def of(self, scan: LaserScan, sweep_s: float) -> F64 | None:
+        """Return the motion from the first to the last beam, (2, 3) with zeros first.
+
+        Args:
+            scan: the next one.
+            sweep_s: from its first to its last beam.
+
+        Returns:
+            None where there is no sweep before it.
+        """
+        share = sweep_s / max(scan.stamp_s - self._stamp_s, 1e-9)
+        before, self._stamp_s = self._before, scan.stamp_s
+        hits = scan.is_hit()
+        ends, shares = scan.points(hits), np.linspace(0.0, 1.0, len(scan))[hits]
+        self._before = ends, shares
+        if before is None or abs(share) < LEAST_PACE:
+            self._found = np.zeros(6)
+            return None
+        for reaches_m in (REACHES_M, REACHES_M[-3:]):
+            motion = before[1][:, None] * share * self._found[:3]
+            surfaces = _Surfaces.of(transform_points(motion, before[0]))
+            if surfaces is None:
+                return None
+            self._found = _fit(surfaces, ends, shares, self._found, STIFF, share, reaches_m)[0]
+        return np.stack((np.zeros(3), share * self._found[:3] + self._found[3:]))
+
+
+class SkewTest:
+    """Finds whether the beams of scans are of different times, though the scans do not say it.
+
+    A scan taken while the robot turns is matched with one that was taken while it turned otherwise:
+    as they are, and both deskewed as if a whole turn of the lidar took the time from scan to scan.
+    Skew bends a room, so it shows whatever the odometry's error.
+
+    Attributes:
+        cases: pairs compared so far.
+        agreeing: of them, those that fit better when deskewed.
+        sweep_s: from the first to the last beam; 0: the scans are not skewed; None: not yet known.
+    """
+
+    def __init__(self) -> None:
+        self.cases = self.agreeing = 0
+        self.sweep_s: float | None = None
+        self._scans: deque[tuple[LaserScan, F64]] = deque(maxlen=LOOK_BACK + 2)
+
+    def add(self, scan: LaserScan, odometry: Pose2) -> None:
+        """Take in the next scan, and the odometry at its stamp."""
+        self._scans.append((scan, np.array((odometry.x, odometry.y, odometry.yaw_rad))))
+        if self.sweep_s is not None or len(self._scans) <= 2 or len(scan) < 2:
+            return
+        stamps = np.array([one.stamp_s for one, _ in self._scans])
+        poses = np.array([pose for _, pose in self._scans])
+        period_s = float(np.median(np.diff(stamps)))
+        sweep_s = period_s * abs(scan.angle_increment_rad) * (len(scan) - 1) / math.tau
+        steps = compose_poses(invert_poses(poses[:-1]), poses[1:])
+        motions = steps * (sweep_s / np.diff(stamps))[:, None]
+        turns = np.abs(motions[:, 2] - motions[-1, 2])
+        other = int(turns.argmax())
+        if turns[other] < TURN_RAD:
+            return
+        start = compose_poses(invert_poses(poses[other]), poses[-2])
+        self.cases += 1
+        self.agreeing += self._error(other, start, motions) < self._error(
+            other, start, np.zeros_like(motions)
+        )
+        if self.agreeing >= AGREEING:
+            self.sweep_s = sweep_s
+        elif self.cases - self.agreeing > CASES - AGREEING:
+            self.sweep_s = 0.0
+
+    def _error(self, other: int, start: F64, motions: F64) -> float:
+        """Return how badly the last scan but one fits another one, both with their motions."""
+        placed = []
+        for scan, motion in (
+            (self._scans[other][0], motions[other]),
+            (self._scans[-2][0], motions[-1]),
+        ):
+            hits = scan.is_hit()
+            shares = np.linspace(0.0, 1.0, len(scan))[hits]
+            placed.append(transform_points(shares[:, None] * motion, scan.points(hits)))
+        fixed = np.array((0.0, 0.0, 0.0, np.inf, np.inf, np.inf))
+        guess = np.concatenate((start, np.zeros(3)))
+        surfaces = _Surfaces.of(placed[0])
+        if surfaces is None or len(placed[1]) == 0:
+            return 0.0
+        return _fit(surfaces, placed[1], np.zeros(len(placed[1])), guess, fixed)[1]
+
+
+class _Surfaces(NamedTuple):
+    """What a sweep saw: points (P, 2) with the normals (P, 2) of their surface, and their index."""
+
+    points: F64
+    normals: F64
+    index: scipy.spatial.KDTree
+
+    @classmethod
+    def of(cls, ends: F64) -> _Surfaces | None:
+        """Return the surfaces of hits (M, 2) in the order of the beams; None: there is none."""
+        along = ends[2:] - ends[:-2]
+        length = np.hypot(*along.T)
+        is_one = (length > 0.0) & (np.hypot(*np.diff(ends, axis=0).T) < SURFACE_M)[1:]
+        is_one &= (np.hypot(*np.diff(ends, axis=0).T) < SURFACE_M)[:-1]
+        if not is_one.any():
+            return None
+        along, points = along[is_one] / length[is_one, None], ends[1:-1][is_one]
+        normals = np.stack((-along[:, 1], along[:, 0]), axis=1)
+        return cls(points, normals, scipy.spatial.KDTree(points))
+
+
+def _fit(
+    surfaces: _Surfaces,
+    ends: F64,
+    shares: F64,
+    guess: F64,
+    stiff: F64,
+    pace: float = 0.0,
+    reaches_m: Sequence[float] = REACHES_M,
+) -> tuple[F64, float]:
+    """Lay the hits of a sweep onto surfaces: where it starts, and how the robot moves during it.
+
+    Gauss-Newton on the distances along the surfaces' normals, robust by Geman and McClure.
+
+    Args:
+        surfaces: of another sweep, in the frame of that one.
+        ends: (M, 2) hits in the robot's frame at their own time, metres.
+        shares: (M,) of the sweep, at their time.
+        guess: (6,) start pose, and how the motion during the sweep differs from ``pace`` times
+            that; x and y in metres, yaw in radians.
+        stiff: (6,) weight of leaving the guess; infinite: it stays.
+        pace: see there.
+        reaches_m: of each round.
+
+    Returns:
+        The same six, and the mean distance, metres, at most the last reach.
+    """
+    is_free = np.isfinite(stiff)
+    found, error_m = guess.copy(), reaches_m[0]
+    for reach_m in reaches_m:
+        moved = shares[:, None] * (found[3:] + pace * found[:3])
+        inner = transform_points(moved, ends)
+        placed = transform_points(np.tile(found[:3], (len(inner), 1)), inner)
+        away, nearest = surfaces.index.query(placed, distance_upper_bound=reach_m)
+        near = np.isfinite(away)
+        error_m = reach_m
+        if not near.any():
+            break
+        normals, at = surfaces.normals[nearest[near]], placed[near]
+        apart = ((at - surfaces.points[nearest[near]]) * normals).sum(axis=1)
+        error_m = float((np.abs(apart).sum() + reach_m * np.count_nonzero(~near)) / len(near))
+        weights = 1.0 / (NOISE_M * (1.0 + np.square(3.0 * apart / reach_m))) ** 2
+        cos, sin = np.cos(found[2]), np.sin(found[2])
+        own = np.stack(
+            (cos * normals[:, 0] + sin * normals[:, 1], cos * normals[:, 1] - sin * normals[:, 0]),
+            axis=1,
+        )
+        arm, inner_arm = at - found[:2], inner[near] - moved[near, :2]
+        start = np.column_stack((normals, arm[:, 0] * normals[:, 1] - arm[:, 1] * normals[:, 0]))
+        during = np.column_stack((own, inner_arm[:, 0] * own[:, 1] - inner_arm[:, 1] * own[:, 0]))
+        during *= shares[near, None]
+        rows = np.column_stack((start + pace * during, during))[:, is_free]
+        pull = np.diag(stiff[is_free])
+        slope = rows.T @ (weights * apart) + pull @ (found - guess)[is_free]
+        bend = rows.T @ (weights[:, None] * rows) + pull
+        found[is_free] -= np.linalg.lstsq(bend, slope, rcond=None)[0]
+    return found, error_m
+
+
+def _at_beams(motion: F64, beams: int) -> F64:
+    """Return the motion at each beam of a sweep, (beams, 3), from (K, 3) at even times in it."""
+    shares, known = np.linspace(0.0, 1.0, beams), np.linspace(0.0, 1.0, len(motion))
+    return np.stack([np.interp(shares, known, column) for column in motion.T], axis=1)

@@ -1,0 +1,58 @@
+"""Maps and paths of a turning lidar, deskewed and not, on simulated drives.
+
+    python -m tests.benchmarks.bench_deskew --record
+
+Each drive is recorded by a lidar whose beams are measured one after the other, and mapped by ``run``
+with and without deskewing. The figures do not depend on the machine's load.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from rich.progress import track
+from rich.table import Table
+
+from tests.benchmarks.bench_modes import PRODUCERS, slamfusion
+from tests.benchmarks.record import add_record_option, console_for
+
+
+def figures(log: Path, truth: Path, out: Path, deskew: str) -> list[str]:
+    """Return each path's error, metres, then the doubled walls of the maps, per cent."""
+    made = slamfusion("run", log, "--truth", truth, "--deskew", deskew, "-o", out)
+    runs = {item["name"]: item for item in made["producers"]}
+    ates = [f"{runs[name]['truth']['ate']['rmse']:.3f}" for name in PRODUCERS]
+    maps = [out / f"{name}.yaml" for name in PRODUCERS]
+    doubled = slamfusion("evaluate", *maps, "--truth", truth.with_name("truth.yaml"))["maps"]
+    return [*ates, *(f"{100.0 * item['doubled_wall_share']:.1f}" for item in doubled)]
+
+
+def main() -> None:
+    """Read the options and run."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--courses", nargs="+", default=["office", "hall"])
+    parser.add_argument("--lidars", nargs="+", default=["rplidar", "lds01"])
+    parser.add_argument("--seed", type=int, default=3)
+    add_record_option(parser)
+    options = parser.parse_args()
+    names = ("tinySLAM", "gmapping", "graph")
+    ates, doubled = (f"{name} ATE m" for name in names), (f"{name} doubled %" for name in names)
+    table = Table("course, lidar", "deskewed", *ates, *doubled)
+    drives = [(course, lidar) for course in options.courses for lidar in options.lidars]
+    for course, lidar in track(drives, disable=not sys.stderr.isatty()):
+        with TemporaryDirectory() as name:
+            drive = Path(name) / "drive"
+            words = ("--lidar", lidar, "--seed", str(options.seed), "-o", drive)
+            slamfusion("simulate", course, *words)
+            log, truth = drive / f"{course}.log.gz", drive / "truth.tum"
+            for deskew, shown in (("no", "no"), ("auto", "yes")):
+                cells = figures(log, truth, Path(name) / deskew, deskew)
+                table.add_row(f"{course}, {lidar}", shown, *cells)
+    console_for("deskewing", options.record, width=120).print(table)
+
+
+if __name__ == "__main__":
+    main()
