@@ -44,6 +44,8 @@ UNITS_S = (1.0, 1e-3, 1e-6, 1e-9)
 SURFACE_M, NOISE_M = 0.3, 0.02
 # Rounds of matching: a hit belongs to a surface of the other sweep within this reach, metres.
 REACHES_M = (1.0, 1.0, 0.7, 0.5, 0.35, 0.25, 0.2, 0.2)
+# Hits of a sweep that are matched at most.
+MOST_HITS = 200
 # Weights of the guess: how much the way from stamp to stamp differs from the last one, and the
 # motion during a sweep from that way; metres, metres, radians.
 STIFF = 1.0 / np.square((0.3, 0.3, 0.5, 0.05, 0.05, 0.1))
@@ -155,7 +157,9 @@ class Deskewer:
             return scan
         self.done.sweep_s = abs(sweep_s)
         if poses is None:
-            motion = self._laser_motion.of(scan, sweep_s)
+            self._laser_motion.follow(scan, sweep_s)
+            during = self._laser_motion.during
+            motion = None if during is None else np.stack((np.zeros(3), during))
         elif len(poses) == len(self.times(scan)):
             motion = compose_poses(invert_poses(poses[0]), poses)
         else:
@@ -171,6 +175,17 @@ class Deskewer:
         self.done.scans += 1
         self.done.largest_turn_rad = max(self.done.largest_turn_rad, turn_rad)
         return replace(scan, motion=_at_beams(motion, len(scan)))
+
+    def matched(self, first: LaserScan, second: LaserScan) -> F64 | None:
+        """Return the motion between the stamps of two scans, (3,), found by matching them.
+
+        Args:
+            first, second: one after the other, those of the last call or the next ones.
+        """
+        for scan in (first, second):
+            if scan.stamp_s > self._laser_motion.stamp_s:
+                self._laser_motion.follow(scan, self._sweep(scan))
+        return None if self._laser_motion.during is None else self._laser_motion.step
 
     def _sweep(self, scan: LaserScan) -> float:
         """Return the time from the first to the last beam, seconds; 0: all are of one time."""
@@ -198,39 +213,49 @@ class LaserMotion:
     How far the robot got from stamp to stamp, and how its motion during the sweep differs from
     that, are found at once. That tells how it moved during the sweep before, too, so both are
     matched a second time.
+
+    Attributes:
+        stamp_s: of the last sweep, seconds.
+        step: (3,) motion from the stamp of the sweep before to the last one's; metres, radians.
+        during: (3,) motion from the first to the last beam of the last sweep; None: there was no
+            sweep shortly before it.
     """
 
     def __init__(self) -> None:
+        self.stamp_s = -math.inf
+        self.during: F64 | None = None
         self._before: tuple[F64, F64] | None = None
-        self._stamp_s = 0.0
-        # From stamp to stamp, and its difference from the motion during the sweep.
+        # The step, and how the motion during the sweep differs from its share of that.
         self._found: F64 = np.zeros(6)
 
-    def of(self, scan: LaserScan, sweep_s: float) -> F64 | None:
-        """Return the motion from the first to the last beam, (2, 3) with zeros first.
+    @property
+    def step(self) -> F64:
+        """See the class."""
+        return self._found[:3]
 
-        Args:
-            scan: the next one.
-            sweep_s: from its first to its last beam.
-
-        Returns:
-            None where there is no sweep before it.
-        """
-        share = sweep_s / max(scan.stamp_s - self._stamp_s, 1e-9)
-        before, self._stamp_s = self._before, scan.stamp_s
+    def follow(self, scan: LaserScan, sweep_s: float) -> None:
+        """Take in the next sweep, from the first to the last beam of which is ``sweep_s``."""
+        self.during = None
+        if scan.stamp_s <= self.stamp_s:
+            return
+        share = sweep_s / (scan.stamp_s - self.stamp_s)
+        before, self.stamp_s = self._before, scan.stamp_s
         hits = scan.is_hit()
         ends, shares = scan.points(hits), np.linspace(0.0, 1.0, len(scan))[hits]
+        some = slice(None, None, -(-len(ends) // MOST_HITS) or 1)
         self._before = ends, shares
         if before is None or abs(share) < LEAST_PACE:
             self._found = np.zeros(6)
-            return None
+            return
         for reaches_m in (REACHES_M, REACHES_M[-3:]):
             motion = before[1][:, None] * share * self._found[:3]
             surfaces = _Surfaces.of(transform_points(motion, before[0]))
             if surfaces is None:
-                return None
-            self._found = _fit(surfaces, ends, shares, self._found, STIFF, share, reaches_m)[0]
-        return np.stack((np.zeros(3), share * self._found[:3] + self._found[3:]))
+                return
+            self._found = _fit(
+                surfaces, ends[some], shares[some], self._found, STIFF, share, reaches_m
+            )[0]
+        self.during = share * self._found[:3] + self._found[3:]
 
 
 class SkewTest:

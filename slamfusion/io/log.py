@@ -13,10 +13,12 @@ import numpy.typing as npt
 
 from slamfusion.config import LogConfig
 from slamfusion.deskew import Deskewer, Deskewing, Track
-from slamfusion.geometry import Pose2, blend_poses
+from slamfusion.geometry import Pose2
 from slamfusion.io.stamps import StampGate
 from slamfusion.io.transform_edge import REACH_S
 from slamfusion.scan import LaserScan
+
+F64 = npt.NDArray[np.float64]
 
 # No robot is farther from the origin of its frame; beyond, sums of poses lose their centimetres.
 FARTHEST_M = 1e9
@@ -206,23 +208,25 @@ class Continuity:
             return
         self._is_held = False
         times = self.deskewer.times(self._last.scan)
-        poses = _between(first, second, times) if self._track is None else self._track(times)
+        if self._track is None or self._last.odometry is None:
+            poses = self._between(first, second, times)
+        else:
+            poses = self._track(times)
         yield replace(self._last, scan=self.deskewer.moved(self._last.scan, poses))
 
-
-def _between(
-    first: LogScan | None, second: LogScan | None, times: npt.NDArray[np.float64]
-) -> npt.NDArray[np.float64] | None:
-    """Return poses (K, 3) at times by the odometry of two scans; None where that is not known."""
-    if first is None or second is None or first.odometry is None or second.odometry is None:
-        return None
-    span_s = second.scan.stamp_s - first.scan.stamp_s
-    if span_s > 2.0 * REACH_S:
-        return None
-    poses = (
-        np.tile((p.x, p.y, p.yaw_rad), (len(times), 1)) for p in (first.odometry, second.odometry)
-    )
-    return blend_poses(*poses, (times - first.scan.stamp_s) / span_s)
+    def _between(self, first: LogScan | None, second: LogScan | None, times: F64) -> F64 | None:
+        """Return poses (K, 3) at times by the odometry of two scans, or else by matching these."""
+        if first is None or second is None:
+            return None
+        span_s = second.scan.stamp_s - first.scan.stamp_s
+        if span_s > 2.0 * REACH_S or len(times) == 1:
+            return None
+        if first.odometry is None or second.odometry is None:
+            end = self.deskewer.matched(first.scan, second.scan)
+        else:
+            motion = first.odometry.inverse().compose(second.odometry)
+            end = np.array((motion.x, motion.y, motion.yaw_rad))
+        return None if end is None else np.outer((times - first.scan.stamp_s) / span_s, end)
 
 
 def deskewed_scans(scans: Iterable[LogScan]) -> Iterator[LogScan]:

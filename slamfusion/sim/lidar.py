@@ -20,9 +20,9 @@ F64 = npt.NDArray[np.float64]
 # Kinect's noise is the axial one of Nguyen, Izadi and Lovell (3DIMPVT 2012), 0.0012 m and
 # 0.0019 (r - 0.4 m)^2 / m, rounded to the terms in 1 and r^2; a laser scan is made of every second
 # column of its picture.
-# Hokuyo, RPLIDAR and LDS-01 are of the size that their data sheets (UTM-30LX, A1, LDS-01) state. The
-# A1, here at its fastest, turns clockwise, and [B16] found its far returns noisy and often missing.
-# These two turn so slowly that the robot moves within a sweep; the UTM-30LX takes 0.02 s.
+# Hokuyo, RPLIDAR and LDS-01 are of the size that their data sheets (UTM-30LX, A1, LDS-01) state.
+# The A1, here at its fastest, turns clockwise, and [B16] found its far returns noisy and often
+# missing. These two turn so slowly that the robot moves within a sweep; the UTM-30LX takes 0.02 s.
 LIDARS: dict[str, LidarConfig] = {
     "kinect": LidarConfig(
         model="kinect",

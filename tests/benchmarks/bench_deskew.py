@@ -2,8 +2,8 @@
 
     python -m tests.benchmarks.bench_deskew --record
 
-Each drive is recorded by a lidar whose beams are measured one after the other, and mapped by ``run``
-with and without deskewing. The figures do not depend on the machine's load.
+Each drive is recorded by a lidar whose beams are measured one after the other, and mapped by
+``run`` with and without deskewing. The figures do not depend on the machine's load.
 """
 
 from __future__ import annotations
