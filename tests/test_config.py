@@ -156,7 +156,7 @@ def test_what_is_no_list_of_names_is_refused_with_what_was_wanted(given: Any) ->
 def test_fields_tell_their_kind_their_words_and_whether_they_may_be_open() -> None:
     infos = {info.name: info for info in field_infos(SimulateConfig)}
     assert (infos["lidar"].kind, infos["lidar"].is_optional) == (str, True)
-    assert infos["lidar"].choices == ("kinect", "hokuyo", "rplidar")
+    assert infos["lidar"].choices == ("kinect", "hokuyo", "rplidar", "lds01")
     assert (infos["people"].kind, infos["people"].choices) == (int, ())
     lists = {info.name: info for info in field_infos(FailuresConfig)}
     assert (lists["lidars"].is_list, lists["lidars"].choices) == (True, infos["lidar"].choices)
