@@ -97,7 +97,8 @@ class Deskewer:
 
     Attributes:
         done: what was done so far.
-        learned_s: how long a sweep takes, found out by ``learn``; None: it was not.
+        learned_s: how long a sweep takes, found out by ``learn`` against what the scans say,
+            seconds; 0: all beams are of one time; None: nothing was.
     """
 
     def __init__(self, config: LogConfig) -> None:
@@ -119,7 +120,7 @@ class Deskewer:
         return self._is_on and (self._sweep_s is not None or scan.time_increment_s != 0.0)
 
     def learn(self, scan: LaserScan, odometry: Pose2) -> bool:
-        """Find out how long a sweep takes that does not say it; see ``SkewTest``.
+        """Find out how long a sweep takes, or whether it is what the scan says; see ``SkewTest``.
 
         Args:
             scan: the next one.
@@ -128,12 +129,15 @@ class Deskewer:
         Returns:
             Whether it is known now.
         """
-        if self._is_on and self._sweep(scan) == 0.0 and self._test.sweep_s is None:
-            self._test.add(scan, odometry)
-            if self._test.sweep_s:
-                self._sweep_s = self.learned_s = self._test.sweep_s
-                self.done.source = "as the scans fit each other"
-        return not self._is_on or self._test.sweep_s is not None or self._sweep(scan) != 0.0
+        if not self._is_on or self._sweep_s is not None or self._test.sweep_s is not None:
+            return True
+        told_s = self._sweep(scan)
+        self._test.add(replace(scan, motion=None), odometry, told_s)
+        found_s = self._test.sweep_s
+        if found_s is not None and found_s != told_s:
+            self._sweep_s = self.learned_s = found_s
+            self.done.source = "as the scans fit each other"
+        return found_s is not None
 
     def times(self, scan: LaserScan) -> F64:
         """Return the times at which ``moved`` wants the robot's pose, (K,) seconds.
@@ -259,11 +263,12 @@ class LaserMotion:
 
 
 class SkewTest:
-    """Finds whether the beams of scans are of different times, though the scans do not say it.
+    """Finds whether the beams of scans are of different times, as the scans say or not.
 
     A scan taken while the robot turns is matched with one that was taken while it turned otherwise:
-    as they are, and both deskewed as if a whole turn of the lidar took the time from scan to scan.
-    Skew bends a room, so it shows whatever the odometry's error.
+    as they are, and both deskewed: by the duration of a sweep that they say, or else as if a whole
+    turn of the lidar took the time from scan to scan. Skew bends a room, so it shows whatever the
+    odometry's error.
 
     Attributes:
         cases: pairs compared so far.
@@ -276,15 +281,18 @@ class SkewTest:
         self.sweep_s: float | None = None
         self._scans: deque[tuple[LaserScan, F64]] = deque(maxlen=LOOK_BACK + 2)
 
-    def add(self, scan: LaserScan, odometry: Pose2) -> None:
-        """Take in the next scan, and the odometry at its stamp."""
+    def add(self, scan: LaserScan, odometry: Pose2, told_s: float) -> None:
+        """Take in the next scan, the odometry at its stamp, and how long it says a sweep takes."""
+        if self._scans and scan.stamp_s <= self._scans[-1][0].stamp_s:
+            self._scans.clear()
         self._scans.append((scan, np.array((odometry.x, odometry.y, odometry.yaw_rad))))
         if self.sweep_s is not None or len(self._scans) <= 2 or len(scan) < 2:
             return
         stamps = np.array([one.stamp_s for one, _ in self._scans])
         poses = np.array([pose for _, pose in self._scans])
         period_s = float(np.median(np.diff(stamps)))
-        sweep_s = period_s * abs(scan.angle_increment_rad) * (len(scan) - 1) / math.tau
+        view_share = abs(scan.angle_increment_rad) * (len(scan) - 1) / math.tau
+        sweep_s = told_s or period_s * view_share
         steps = compose_poses(invert_poses(poses[:-1]), poses[1:])
         motions = steps * (sweep_s / np.diff(stamps))[:, None]
         turns = np.abs(motions[:, 2] - motions[-1, 2])
@@ -296,9 +304,11 @@ class SkewTest:
         self.agreeing += self._error(other, start, motions) < self._error(
             other, start, np.zeros_like(motions)
         )
-        if self.agreeing >= AGREEING:
+        # What the scans say holds until most of them contradict it.
+        few = CASES - AGREEING + 1
+        if self.agreeing >= (few if told_s else AGREEING):
             self.sweep_s = sweep_s
-        elif self.cases - self.agreeing > CASES - AGREEING:
+        elif self.cases - self.agreeing >= (AGREEING if told_s else few):
             self.sweep_s = 0.0
 
     def _error(self, other: int, start: F64, motions: F64) -> float:

@@ -195,20 +195,20 @@ def test_a_bag_is_deskewed_by_its_odometry_between_the_scans(
 
 def test_scans_that_say_no_increment_tell_by_their_turns(tmp_path: Path) -> None:
     log = open_log(written(tmp_path, 0.0))
-    assert any("do not say how long a sweep takes; taken: 0.199 s" in note for note in log.notes)
+    assert any("taken: a sweep lasts 0.199 s" in note for note in log.notes)
     scans = [replace(item.scan, stamp_s=item.scan.stamp_s - 1.0) for item in log]
     assert max(off_walls(scan) for scan in scans[5:]) < 0.004
 
 
-def test_a_laser_of_one_moment_is_not_deskewed_though_it_says_no_increment() -> None:
-    scans = sweeps(60, sweep_s=0.0)
+@pytest.mark.parametrize("told_s", [0.0, PERIOD_S / BEAMS])
+def test_scans_of_one_moment_are_not_deskewed_whatever_they_say(told_s: float) -> None:
     deskewer = Deskewer(AUTO)
-    for item in scans:
+    for item in sweeps(60, sweep_s=0.0):
         deskewer.note(item.scan.stamp_s)
         assert item.odometry is not None
-        deskewer.learn(item.scan, item.odometry)
-    assert deskewer.learned_s is None
-    assert all(item.scan.motion is None for item in deskewed_scans(scans))
+        deskewer.learn(replace(item.scan, time_increment_s=told_s), item.odometry)
+    assert deskewer.learned_s == (0.0 if told_s else None)
+    assert deskewer.times(replace(swept(9.0), time_increment_s=told_s)) == pytest.approx([9.0])
 
 
 def test_without_odometry_the_sweeps_are_matched() -> None:

@@ -50,8 +50,8 @@ class ProducerNodeConfig(Checked):
     )
     sweep_s: float | None = option(
         None,
-        "time from the first to the last beam of a sweep, which deskewing assumes; default: by the "
-        "time_increment of the scans",
+        "time from the first to the last beam of a sweep; default: by the time_increment of the "
+        "scans, where that can be",
         unit="s",
         low=-10.0,
         high=10.0,

@@ -83,7 +83,7 @@ def open_log(
 
 
 def _timed(opened: Callable[[LogConfig], ScanLog], config: LogConfig) -> ScanLog:
-    """Return a log; of scans that do not say how long a sweep takes, its first ones tell."""
+    """Return a log; its first scans tell how long a sweep takes, against what they say."""
     log, deskewer = opened(config), Deskewer(config)
     if config.deskew == "no":
         return log
@@ -96,8 +96,8 @@ def _timed(opened: Callable[[LogConfig], ScanLog], config: LogConfig) -> ScanLog
         return log
     log = opened(replace(config, sweep_s=deskewer.learned_s))
     log.notes.append(
-        f"the scans do not say how long a sweep takes; taken: {deskewer.learned_s:.3f} s, with "
-        "which those of turns fit the others; set --sweep-s, or --deskew no, where that is wrong"
+        f"taken: a sweep lasts {deskewer.learned_s:.3f} s (0: all beams are of one time), unlike "
+        "its time_increment; so the scans of turns fit the others; set --sweep-s where it is wrong"
     )
     return log
 
