@@ -49,8 +49,8 @@ MOST_HITS = 200
 # Weights of the guess: how much the way from stamp to stamp differs from the last one, and the
 # motion during a sweep from that way; metres, metres, radians.
 STIFF = 1.0 / np.square((0.3, 0.3, 0.5, 0.05, 0.05, 0.1))
-# A sweep that lasts a smaller share of the time since the last one is matched with none.
-LEAST_PACE = 0.3
+# A sweep is matched with one that is no older, seconds.
+LATEST_S = 1.0
 # Cases that decide whether scans are skewed, and those of them that must say so: by chance as many
 # do once in 800 logs. A case is a scan and one of the last scans whose turns differ by this much.
 CASES, AGREEING, TURN_RAD, LOOK_BACK = 20, 17, 0.05, 10
@@ -242,13 +242,14 @@ class LaserMotion:
         self.during = None
         if scan.stamp_s <= self.stamp_s:
             return
-        share = sweep_s / (scan.stamp_s - self.stamp_s)
+        since_s = scan.stamp_s - self.stamp_s
+        share = sweep_s / since_s
         before, self.stamp_s = self._before, scan.stamp_s
         hits = scan.is_hit()
         ends, shares = scan.points(hits), np.linspace(0.0, 1.0, len(scan))[hits]
         some = slice(None, None, -(-len(ends) // MOST_HITS) or 1)
         self._before = ends, shares
-        if before is None or abs(share) < LEAST_PACE:
+        if before is None or since_s > LATEST_S:
             self._found = np.zeros(6)
             return
         for reaches_m in (REACHES_M, REACHES_M[-3:]):

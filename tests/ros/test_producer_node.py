@@ -22,11 +22,13 @@ from sensor_msgs.msg import LaserScan
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid as Grid
 from slamfusion.io import LogScan, open_log
+from slamfusion.io.carmen import write_carmen
 from slamfusion.ros import messages, qos
 from slamfusion.ros.frames import TransformStore
 from tests.ros import tf2
 from tests.ros.drives import FIRST_S, as_sent, offline, offline_log, scans, write_log
 from tests.ros.live import Observer, Processes, values
+from tests.test_deskew import sweeps
 
 pytestmark = pytest.mark.ros
 
@@ -420,6 +422,29 @@ def test_silence_is_named_and_ends(processes: Processes, observer: Observer):
     assert "odometry" not in status.message
     assert values(status)["scans fed"] == str(COUNT)
     assert values(status)["scans without odometry"] == "10"
+
+
+def test_scans_of_a_turning_lidar_are_deskewed_and_counted(
+    processes: Processes, observer: Observer, tmp_path: FilePath
+):
+    log = tmp_path / "turning.log"
+    write_carmen(log, sweeps(COUNT))
+    processes.node("tinyslam")
+    observer.wait(lambda: observer.node.count_publishers("tinyslam/pose"), what="the producer")
+    player = processes.node("player", file=str(log), lockstep=True, wait_for=["tinyslam"])
+    assert player.wait() == 0
+    figures = observer.wait(
+        lambda: (
+            (status := observer.statuses().get("tinyslam: slam"))
+            and values(status)["scans fed"] == str(COUNT)
+            and values(status)
+        ),
+        what="the figures of all scans",
+    )
+    # Nothing says how the robot moves after the last scan.
+    assert int(figures["scans deskewed"]) >= COUNT - 5
+    assert int(figures["scans not deskewed"]) <= 1
+    assert float(figures["sweep [ms]"]) == pytest.approx(199.4, abs=0.5)
 
 
 def test_scans_before_any_odometry_are_left_out_and_named(processes: Processes, observer: Observer):
