@@ -362,5 +362,5 @@ def _print_producers(run: LogRun) -> None:
         rows.append([name, *["-"] * (len(columns) - 1 - len(errors)), *errors])
         notes.append("saved map with its path")
     print_table(columns, rows, notes=notes, title=f"Producers on {run.files.log}")
-    for sentence in run.log_notes():
-        print(f"the log: {sentence}")
+    notes = run.log_notes()
+    print("".join(f"the log: {sentence}\n" for sentence in notes) + "\n" * bool(notes), end="")
