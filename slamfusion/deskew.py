@@ -331,11 +331,11 @@ class SkewTest:
 
 
 class _Surfaces(NamedTuple):
-    """What a sweep saw: points (P, 2) with the normals (P, 2) of their surface, and their index."""
+    """What a sweep saw: points (P, 2) with the normals (P, 2) of their surface, and their tree."""
 
     points: F64
     normals: F64
-    index: scipy.spatial.KDTree
+    tree: scipy.spatial.KDTree
 
     @classmethod
     def of(cls, ends: F64) -> _Surfaces | None:
@@ -383,8 +383,8 @@ def _fit(
         moved = shares[:, None] * (found[3:] + pace * found[:3])
         inner = transform_points(moved, ends)
         placed = transform_points(np.tile(found[:3], (len(inner), 1)), inner)
-        away, nearest = surfaces.index.query(placed, distance_upper_bound=reach_m)
-        near = np.isfinite(away)
+        away, nearest = surfaces.tree.query(placed, distance_upper_bound=reach_m)
+        nearest, near = np.asarray(nearest), np.isfinite(away)
         error_m = reach_m
         if not near.any():
             break

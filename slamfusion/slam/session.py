@@ -298,8 +298,8 @@ class ProducerSession:
             return Answer(self.snapshot.pose, is_new=False)
         scan = item.read()
         self._deskewer.note(scan.stamp_s)
-        poses = item.odometry(self._deskewer.times(scan))
-        odometry = None if poses is None else Pose2(*poses[0].tolist())
+        within = item.odometry(self._deskewer.times(scan))
+        odometry = None if within is None else Pose2(*within[0].tolist())
         if odometry is not None:
             self._deskewer.learn(scan, odometry)
         if odometry is None and self._wants_odometry:
@@ -307,7 +307,7 @@ class ProducerSession:
             if fed_s is None:
                 raise LeftOutError(NO_ODOMETRY_YET)
         try:
-            step = self._producer.feed(self._deskewer.moved(scan, poses), odometry)
+            step = self._producer.feed(self._deskewer.moved(scan, within), odometry)
         except SlamFusionError as error:
             self._change(problem=f"{NOT_FED}: {error}")
             raise LeftOutError(NOT_FED) from error
