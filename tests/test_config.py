@@ -16,6 +16,7 @@ from slamfusion.config import (
     FailuresConfig,
     FusionConfig,
     GraphConfig,
+    LogConfig,
     MatcherConfig,
     NormalizeConfig,
     RunConfig,
@@ -160,3 +161,9 @@ def test_fields_tell_their_kind_their_words_and_whether_they_may_be_open() -> No
     assert (infos["people"].kind, infos["people"].choices) == (int, ())
     lists = {info.name: info for info in field_infos(FailuresConfig)}
     assert (lists["lidars"].is_list, lists["lidars"].choices) == (True, infos["lidar"].choices)
+
+
+def test_a_bare_no_in_yaml_is_the_choice_no() -> None:
+    assert from_mapping(LogConfig, yaml.safe_load("deskew: no")).deskew == "no"
+    with pytest.raises(ConfigError, match="laser: wanted as-given or mirrored or backward"):
+        from_mapping(LogConfig, yaml.safe_load("laser: no"))

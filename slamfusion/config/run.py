@@ -65,7 +65,8 @@ class LogConfig(Checked):
     )
     deskew: Literal["auto", "no"] = option(
         "auto",
-        "move the beams of a sweep to its stamp by the robot's motion, where that matters, or no",
+        "move the beams of a sweep to its stamp by the robot's motion: auto (where that matters) "
+        "or no",
     )
     sweep_s: float | None = option(
         None,

@@ -33,7 +33,7 @@ def figures(log: Path, truth: Path, out: Path, deskew: str) -> list[str]:
 def main() -> None:
     """Read the options and run."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--courses", nargs="+", default=["office", "hall"])
+    parser.add_argument("--courses", nargs="+", default=["f16", "atrium"])
     parser.add_argument("--lidars", nargs="+", default=["rplidar", "lds01"])
     parser.add_argument("--seed", type=int, default=3)
     add_record_option(parser)
