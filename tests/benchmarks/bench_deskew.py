@@ -22,9 +22,9 @@ from tests.benchmarks.record import add_record_option, console_for
 
 def figures(log: Path, truth: Path, out: Path, deskew: str) -> list[str]:
     """Return each path's error, metres, then the doubled walls of the maps, per cent."""
-    made = slamfusion("run", log, "--truth", truth, "--deskew", deskew, "-o", out)
+    made = slamfusion("run", log, "--truth-trajectory", truth, "--deskew", deskew, "-o", out)
     runs = {item["name"]: item for item in made["producers"]}
-    ates = [f"{runs[name]['truth']['ate']['rmse']:.3f}" for name in PRODUCERS]
+    ates = [f"{runs[name]['ate']['rmse']:.3f}" for name in PRODUCERS]
     maps = [out / f"{name}.yaml" for name in PRODUCERS]
     doubled = slamfusion("evaluate", *maps, "--truth", truth.with_name("truth.yaml"))["maps"]
     return [*ates, *(f"{100.0 * item['doubled_wall_share']:.1f}" for item in doubled)]
