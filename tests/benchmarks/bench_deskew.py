@@ -3,7 +3,7 @@
     python -m tests.benchmarks.bench_deskew --record
 
 Each drive is recorded by a lidar whose beams are measured one after the other, and mapped by
-``run`` with and without deskewing. The figures do not depend on the machine's load.
+``slam`` with and without deskewing. The figures do not depend on the machine's load.
 """
 
 from __future__ import annotations
@@ -22,12 +22,15 @@ from tests.benchmarks.record import add_record_option, console_for
 
 def figures(log: Path, truth: Path, out: Path, deskew: str) -> list[str]:
     """Return each path's error, metres, then the doubled walls of the maps, per cent."""
-    made = slamfusion("run", log, "--truth-trajectory", truth, "--deskew", deskew, "-o", out)
-    runs = {item["name"]: item for item in made["producers"]}
-    ates = [f"{runs[name]['ate']['rmse']:.3f}" for name in PRODUCERS]
-    maps = [out / f"{name}.yaml" for name in PRODUCERS]
-    doubled = slamfusion("evaluate", *maps, "--truth", truth.with_name("truth.yaml"))["maps"]
-    return [*ates, *(f"{100.0 * item['doubled_wall_share']:.1f}" for item in doubled)]
+    held = ("--truth", truth / "truth.tum", "--truth-map", truth / "truth.yaml")
+    made = [
+        slamfusion("slam", name, log, *held, "--deskew", deskew, "-o", out / name)["producers"][0]
+        for name in PRODUCERS
+    ]
+    return [
+        *(f"{item['ate']['rmse']:.3f}" for item in made),
+        *(f"{100.0 * item['map_error']['doubled_wall_share']:.1f}" for item in made),
+    ]
 
 
 def main() -> None:
@@ -47,9 +50,9 @@ def main() -> None:
             drive = Path(name) / "drive"
             words = ("--lidar", lidar, "--seed", str(options.seed), "-o", drive)
             slamfusion("simulate", course, *words)
-            log, truth = drive / f"{course}.log.gz", drive / "truth.tum"
+            log = drive / f"{course}.log.gz"
             for deskew, shown in (("no", "no"), ("auto", "yes")):
-                cells = figures(log, truth, Path(name) / deskew, deskew)
+                cells = figures(log, drive, Path(name) / deskew, deskew)
                 table.add_row(f"{course}, {lidar}", shown, *cells)
     console_for("deskewing", options.record, width=120).print(table)
 
