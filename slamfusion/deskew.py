@@ -16,11 +16,10 @@ import math
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-import scipy
 
 from slamfusion.config import LogConfig
 from slamfusion.geometry import Pose2, compose_poses, invert_poses, transform_points
@@ -335,7 +334,7 @@ class _Surfaces(NamedTuple):
 
     points: F64
     normals: F64
-    tree: scipy.spatial.KDTree
+    tree: Any
 
     @classmethod
     def of(cls, ends: F64) -> _Surfaces | None:
@@ -346,6 +345,8 @@ class _Surfaces(NamedTuple):
         is_one &= (np.hypot(*np.diff(ends, axis=0).T) < SURFACE_M)[:-1]
         if not is_one.any():
             return None
+        import scipy  # noqa: PLC0415  (reading files is to start light)
+
         along, points = along[is_one] / length[is_one, None], ends[1:-1][is_one]
         normals = np.stack((-along[:, 1], along[:, 0]), axis=1)
         return cls(points, normals, scipy.spatial.KDTree(points))
