@@ -141,37 +141,10 @@ def test_unknown_that_reads_as_free_is_told_and_mended(tmp_path: Path) -> None:
     assert json_of(mended)["maps"][0]["error"] == 0.0
 
 
-def test_maps_without_overlap_are_both_named(tmp_path: Path) -> None:
-    """A strip of corridor and a lone square have nothing in common."""
-    for name, filled in (("strip", range(18, 22)), ("square", range(5, 35))):
-        pixels = bytearray(PIXELS)
-        for row in filled:
-            for col in range(5, 35):
-                edge = row in {filled[0], filled[-1]} or (name == "square" and col in {5, 34})
-                pixels[row * SIZE + col] = 0 if edge else 254
-        text = YAML.replace("map.pgm", f"{name}.pgm")
-        (tmp_path / f"{name}.yaml").write_text(text, encoding="utf-8")
-        (tmp_path / f"{name}.pgm").write_bytes(b"P5\n40 40\n255\n" + bytes(pixels))
-    before = tree(tmp_path)
-    maps = (tmp_path / "strip.yaml", tmp_path / "square.yaml")
-    done = run("fuse", *maps, "-o", tmp_path / "out", "--json")
-    assert_one_line_failure(done, "strip", "square")
-    document = json_of(done)
-    assert document["fused"] is None
-    assert [item["accepted"] for item in document["inputs"]] == [False, False]
-    assert tree(tmp_path) == before
-
-
 @pytest.mark.parametrize("place", ["/proc", "/dev/null"])
 def test_impossible_place_is_refused(place: str) -> None:
     done = run("fuse", *MAPS[:2], "-o", f"{place}/fused")
     assert_one_line_failure(done, place, "cannot write")
-
-
-def test_debug_shows_the_traceback(tmp_path: Path) -> None:
-    done = run("align", MAPS[0], tmp_path / "absent.yaml", "--debug")
-    assert done.returncode == 1
-    assert "Traceback" in done.stderr
 
 
 def test_control_characters_in_a_name_stay_on_one_line(tmp_path: Path) -> None:

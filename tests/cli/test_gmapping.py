@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from slamfusion.io import write_carmen
-from tests.cli.command import assert_one_line_failure, json_of, run, tree
+from tests.cli.command import json_of, run, tree
 from tests.support.producers import room_drive
 
 pytestmark = pytest.mark.once
@@ -95,23 +95,6 @@ def test_parts_give_the_bytes_of_one_run(parts: Path, state: Path, log: str, kno
     # Raw odometry is drawn where its start is known.
     page = (state / "rep" / "report.html").read_text(encoding="utf-8")
     assert ("The path beside the others" in page) == bool(known)
-
-
-def test_a_log_that_the_state_knows_is_one_line(state: Path) -> None:
-    before = tree(state)
-    done = gmapping(state, "-o", "on", "--resume", "half.state", log="half.log")
-    assert_one_line_failure(
-        done, "half.log", f"every one of the {HALF} scans", "goes on from there"
-    )
-    assert tree(state) == before
-
-
-@pytest.mark.parametrize("other", [("--seed", "5"), ("--particles", "4"), ("--str", "0.3")])
-def test_other_settings_cannot_go_on(state: Path, other: tuple[str, str]) -> None:
-    done = gmapping(state, "-o", "on", "--resume", "half.state", *other)
-    assert_one_line_failure(
-        done, "half.state", f"{other[0].removeprefix('--')} = ", f"found {other[1]}"
-    )
 
 
 @pytest.mark.parametrize(

@@ -133,20 +133,6 @@ def test_odometry_of_scans_replaces_the_poses_of_the_log(tmp_path: Path) -> None
     assert tree(tmp_path) == before
 
 
-def test_the_table_says_what_was_left_out(tmp_path: Path) -> None:
-    scans = room_drive(12)
-    scans[4] = unseeing(scans[4])
-    log = write_log(tmp_path / "room.log", scans)
-    lines = log.read_bytes().splitlines(keepends=True)
-    log.write_bytes(b"".join([*lines, b"ROBOTLASER1 0 -1.57 3.14\n"]))
-    done = run("slam", "tinyslam", log, "-o", tmp_path / "map")
-    assert done.returncode == 0, done.stderr
-    assert "12, 11 of them used" in done.stdout
-    assert "left out by tinyslam: 1 x no reading within the usable range (scan 5)" in done.stdout
-    assert f"(line {len(lines) + 1})" in done.stdout
-    assert str(tmp_path / "map.yaml") in done.stdout
-
-
 def test_a_doubtful_run_is_said_everywhere(tmp_path: Path) -> None:
     scans = room_drive(12)
     scans[6:] = [unseeing(item) for item in scans[6:]]
@@ -169,16 +155,6 @@ def test_scans_that_see_nothing_make_no_map_and_no_file(tmp_path: Path) -> None:
     done = run("slam", "tinyslam", log, "-o", tmp_path / "map")
     assert_one_line_failure(done, "blind.log", "none of 3 scans", "3 x no reading")
     assert set(tree(tmp_path)) == {"blind.log"}
-
-
-def test_a_failed_run_leaves_old_files_as_they_were(tmp_path: Path) -> None:
-    log = write_log(tmp_path / "blind.log", [unseeing(item) for item in room_drive(3)])
-    for suffix in SUFFIXES:
-        (tmp_path / f"map{suffix}").write_text("old", encoding="utf-8")
-    before = tree(tmp_path)
-    done = run("slam", "tinyslam", log, "-o", tmp_path / "map")
-    assert_one_line_failure(done, "none of 3 scans")
-    assert tree(tmp_path) == before
 
 
 def test_files_that_cannot_all_be_written_are_not_written(tmp_path: Path) -> None:

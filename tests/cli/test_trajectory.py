@@ -4,19 +4,14 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.cli.command import assert_one_line_failure, json_of, run
-from tests.support.datasets import ABSENT, DATASETS
 
 pytestmark = pytest.mark.once
 
-CSAIL = DATASETS / "mit-csail"
-INTEL = DATASETS / "intel"
-PUBLIC = DATASETS / "maps" / "multi-slam" / "mit-csail"
 
 # Four poses along a bend, a second apart; the estimate's last place is 0.2 m off to its left.
 TRUTH = [(0.0, 0.0, 0.0, 0.0), (1.0, 1.0, 0.0, 0.0), (2.0, 2.0, 0.0, 0.0), (3.0, 3.0, 0.0, 0.0)]
@@ -72,23 +67,6 @@ def test_relations_give_the_promised_keys(files: dict[str, Path]) -> None:
     assert document["config"]["trajectory"]["tolerance_s"] == 0.01
     assert document["versions"]["numpy"] == np.__version__
     assert document["path_length_m"] == pytest.approx(2.0 + math.hypot(1.0, 0.2))
-
-
-def test_relations_whose_ends_are_poses_are_reported_apart(files: dict[str, Path]) -> None:
-    asked = options(files, "relations", "odometry")
-    document = json_of(run("trajectory", files["estimate"], *asked, "--json"))
-    assert document["relations_used"] == 3
-    own = document["at_scans"]
-    assert (own["relations_used"], own["relations_total"]) == (2, 3)
-    assert own["translation"]["mean"] == pytest.approx(0.1)
-    # Two errors, 0 and 0.2 m: drawn anew, a quarter of the means is 0 and a quarter 0.2 m.
-    assert own["translation_mean_95"] == pytest.approx([0.0, 0.2])
-    assert "as_first_reported" not in document
-    done = run("trajectory", files["estimate"], *asked)
-    assert "relations at scans, translation m" in done.stdout
-    text = " ".join(done.stdout.split())
-    assert "both ends are poses of the trajectory in 2 of 3 relations; the mean of" in text
-    assert "0.0000 to 0.2000 m with 95 %" in text
 
 
 @pytest.mark.parametrize(("names", "by"), [(("log",), "odometry"), ((), "stamp")])
@@ -171,63 +149,3 @@ def test_bad_input_is_one_line(
     done = run("trajectory", files["estimate"], *asked, "--report", tmp_path / "report")
     assert_one_line_failure(done, *words)
     assert not (tmp_path / "report").exists()
-
-
-# --- recordings ----------------------------------------------------------------------------------
-
-
-def measured(estimate: Path, relations: Path, *more: str | Path) -> dict[str, Any]:
-    done = run("trajectory", estimate, "--relations", relations, *more, "--json")
-    assert done.returncode == 0, done.stderr
-    return json_of(done)
-
-
-@pytest.mark.datasets
-@pytest.mark.skipif(not CSAIL.is_dir(), reason=ABSENT)
-@pytest.mark.parametrize(
-    ("file", "translation", "rotation"),
-    [
-        ("mit-csail.clf.gz", (1.6815, 5.2922), (5.07, 8.24)),
-        ("mit-csail-reference-graph.log.gz", (0.0045, 0.0093), (0.046, 0.087)),
-    ],
-)
-def test_csail_has_its_known_errors(
-    file: str, translation: tuple[float, float], rotation: tuple[float, float]
-) -> None:
-    document = measured(CSAIL / file, CSAIL / "mit-csail.relations")
-    assert (document["relations_used"], document["relations_total"]) == (1172, 1172)
-    place, turn = document["translation"], document["rotation_deg"]
-    assert (place["mean"], place["std"]) == pytest.approx(translation, abs=5.1e-5)
-    assert (turn["mean"], turn["std"]) == pytest.approx(rotation, abs=5.1e-3)
-
-
-@pytest.mark.datasets
-@pytest.mark.skipif(not PUBLIC.is_dir(), reason=ABSENT)
-@pytest.mark.parametrize(
-    ("name", "mean", "slack"), [("karto", 0.038, 0.001), ("tinyslam-lost", 3.6, 0.15)]
-)
-def test_public_programs_have_their_known_errors(name: str, mean: float, slack: float) -> None:
-    log = CSAIL / "mit-csail.clf.gz"
-    document = measured(
-        PUBLIC / f"{name}.tum", CSAIL / "mit-csail.relations", "--odometry", log, "--log", log
-    )
-    assert document["relations_used"] == 1172
-    assert document["translation"]["mean"] == pytest.approx(mean, abs=slack)
-
-
-@pytest.mark.datasets
-@pytest.mark.skipif(not INTEL.is_dir(), reason=ABSENT)
-def test_all_relations_of_intel_count() -> None:
-    document = measured(
-        INTEL / "intel-910-corrected.poses.csv.gz",
-        INTEL / "intel.relations",
-        "--odometry",
-        INTEL / "intel-odometry-13631.txt.gz",
-        "--log",
-        INTEL / "intel-910-raw.log.gz",
-    )
-    assert (document["relations_used"], document["relations_total"]) == (2984, 2984)
-    found = document["translation"]
-    assert (found["mean"], found["std"]) == pytest.approx((0.0507, 0.047), abs=5e-4)
-    assert document["odometry"]["rows_found_by"] == "odometry"
-    assert document["odometry"]["poses_without_row"] == 0

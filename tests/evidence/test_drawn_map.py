@@ -13,14 +13,10 @@ from slamfusion.errors import TrajectoryError
 from slamfusion.evidence.drawn_map import (
     DrawnScan,
     SensorModel,
-    _pages_crossed,
     draw_map,
-    drawn_scans,
 )
 from slamfusion.geometry import Pose2, compose_poses
 from slamfusion.grid import FREE, OCCUPIED, OccupancyGrid
-from slamfusion.io import LogScan
-from slamfusion.scan import LaserScan
 from slamfusion.trajectory import Trajectory
 
 BEAMS = 180
@@ -166,17 +162,6 @@ def test_what_is_seen_through_a_pane_of_glass_is_not_drawn_behind_it() -> None:
     assert everything.cell_centres(*np.nonzero(everything.cells >= 0))[:, 1].max() > HALF_Y + 2.0
 
 
-def test_what_few_beams_have_crossed_stays_unknown() -> None:
-    scan = DrawnScan(0.0, np.zeros(2), np.array([[5.0, 0.0], [5.0, 0.01]]))
-    poses = np.zeros((1, 3))
-    wide = draw([scan, replace(scan, stamp_s=0.1)], np.zeros((2, 3)))
-    assert at(wide, 2.0, 0.0) == FREE
-    thin = draw([scan], poses)
-    assert at(thin, 2.0, 0.0) == -1
-    model = SensorModel(least_visits=2)
-    assert at(draw([scan], poses, model=model), 2.0, 0.0) == FREE
-
-
 def test_what_lies_apart_and_is_small_is_left_out() -> None:
     # Single beams of four scans went through the wall and meet far behind it.
     scans = seen(driven())
@@ -213,25 +198,3 @@ def test_the_kernels_draw_what_numpy_draws() -> None:
     made = draw(scans, driven())
     twin = draw_map(scans, path(driven()), NumpyDevice(), resolution=0.05)
     assert (made.origin, made.cells.tobytes()) == (twin.origin, twin.cells.tobytes())
-
-
-def test_scans_of_a_log_are_drawn_by_their_hits() -> None:
-    ranges = np.array([1.0, np.inf, np.nan, 2.0], dtype=np.float32)
-    scan = LaserScan(3.0, ranges, 0.0, np.pi / 2, 0.1, 30.0, Pose2(0.2, 0.1, 0.0))
-    blind = LaserScan(4.0, np.full(4, np.inf, dtype=np.float32), 0.0, np.pi / 2, 0.1, 30.0)
-    (drawn,) = drawn_scans([LogScan(scan, None, 1), LogScan(blind, None, 2)])
-    assert drawn.stamp_s == 3.0
-    assert drawn.laser.tolist() == [0.2, 0.1]
-    assert np.abs(drawn.ends - [[1.2, 0.1], [0.2, -1.9]]).max() < 1e-6
-
-
-def test_every_page_that_a_beam_crosses_is_there() -> None:
-    rng = np.random.default_rng(0)
-    lasers = rng.uniform(100, 500, (30, 2))
-    ends = rng.uniform(40, 600, (900, 2))
-    firsts = np.arange(0, 901, 30)
-    crossed = _pages_crossed(lasers, ends, firsts, (20, 20))
-    for share in np.linspace(0.0, 1.0, 400):
-        at_cells = np.repeat(lasers, 30, axis=0) * (1 - share) + ends * share
-        col, row = (at_cells // 32).astype(int).T
-        assert crossed[row, col].all()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -23,10 +22,6 @@ from slamfusion.evidence import (
     judged_scans,
     score_paths,
 )
-from slamfusion.evidence.exclusion import (
-    NEAR_SHARE,
-)
-from slamfusion.evidence.parting import PART_M
 from slamfusion.evidence.predictive import without_scans
 from slamfusion.trajectory import Trajectory
 from tests.evidence.rooms import bent, circuit, moved, recorded
@@ -74,10 +69,6 @@ def told(
     return PathEvidence(scans, everywhere, scores)
 
 
-def with_odometry(evidence: PathEvidence, poses: F64) -> PathEvidence:
-    return replace(evidence, scans=replace(evidence.scans, odometry=poses))
-
-
 def spans(found: Exclusions, name: str) -> list[tuple[float, float]]:
     return [(span.from_s, span.to_s) for span in found.spans[name]]
 
@@ -104,15 +95,6 @@ def test_who_leaves_the_others_has_no_vote_from_there_on() -> None:
     assert found.votes_at("a", np.array([0.0, 99.0])).all()
 
 
-@pytest.mark.parametrize(("share", "stays"), sides(NEAR_SHARE))
-def test_it_is_out_from_where_it_was_near_to_where_it_is_near_again(
-    share: float, stays: bool
-) -> None:
-    poses = aside(aside(way(), share * PART_M, 192, 248), 2.0, 200, 240)
-    found = find_exclusions(told({"a": way(), "b": way(), "c": poses}))
-    assert spans(found, "c") == ([(48.0, 62.0)] if stays else [(50.0, 60.0)])
-
-
 @given(
     x=st.floats(-1e3, 1e3),
     yaw_rad=st.floats(-math.pi, math.pi),
@@ -130,12 +112,6 @@ def test_each_path_may_have_a_frame_of_its_own(x: float, yaw_rad: float, turn_ra
     assert found.names == ("c",)
     assert spans(found, "c")[0][0] >= 75.0
     assert found.excluded_share("c") > 0.2
-
-
-def test_of_two_equal_halves_the_second_one_is_out_and_else_the_smaller_part() -> None:
-    for cut, wanted in ((200, [(50.0, 99.75)]), (120, [(0.0, 30.0)])):
-        paths = {"a": way(1, 0.02), "b": way(2, 0.02), "c": aside(way(3, 0.02), 2.0, cut)}
-        assert spans(find_exclusions(told(paths)), "c") == wanted
 
 
 def test_good_paths_that_differ_by_a_little_all_vote() -> None:
@@ -188,37 +164,6 @@ def test_of_three_that_all_part_those_are_out_that_the_scans_contradict() -> Non
     assert found.names == ("b", "c")
     assert not find_exclusions(told(paths)).names
     assert len(find_exclusions(told(paths)).undecided) == 1
-
-
-@pytest.mark.parametrize(("share", "counts"), [(0.48, False), (0.52, True)])
-@pytest.mark.parametrize("others", ["a", "ac"])
-def test_what_scans_say_for_a_path_that_stands_still_does_not_count(
-    share: float, counts: bool, others: str
-) -> None:
-    slow = way()
-    slow[200:, :2] = slow[200, :2] + share * (slow[200:, :2] - slow[200, :2])
-    higher = np.zeros(COUNT)
-    higher[200:] = 0.3
-    paths = {**dict.fromkeys(others, way()), "b": slow}
-    found = find_exclusions(with_odometry(told(paths, {"b": higher}), way()))
-    assert found.names == (tuple(others) if counts else ("b",) if len(others) > 1 else ())
-
-
-@pytest.mark.parametrize(
-    ("likelihood", "out"), [(-0.02, ("b",)), (0.02, ("c",)), (0.05, ("a", "c"))]
-)
-def test_of_a_group_those_lose_whom_the_scans_speak_against(
-    likelihood: float, out: tuple[str, ...]
-) -> None:
-    # One of the two others is much worse, so that it is better than the two together.
-    said = {name: np.zeros(COUNT) for name in "bc"}
-    paths = {"a": way(), "b": aside(way(), 2.0, 200, 300), "c": way()}
-    said["b"][200:300], said["c"][200:300] = likelihood, -0.3
-    found = find_exclusions(told(paths, said))
-    assert found.names == out
-    # Who is right of the two that then vote, and have parted, nobody can tell.
-    both_vote = {"a", "b"}.isdisjoint(out)
-    assert [(span.from_s, span.to_s) for span in found.undecided] == [(50.0, 75.0)] * both_vote
 
 
 def test_scans_of_a_room_outvote_a_bent_path(device: ComputeDevice, scans: JudgedScans) -> None:

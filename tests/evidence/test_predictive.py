@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,10 +12,10 @@ from hypothesis import strategies as st
 from slamfusion.compute import ComputeDevice, NumpyDevice
 from slamfusion.errors import LogError, TrajectoryError
 from slamfusion.evidence import JudgedScans, judged_scans, score_paths, with_path
-from slamfusion.evidence.beams import CHUNKS, SPACING_M, surface_facings
-from slamfusion.evidence.predictive import HitModel, log_likelihoods, without_scans
+from slamfusion.evidence.beams import CHUNKS, surface_facings
+from slamfusion.evidence.predictive import without_scans
 from slamfusion.trajectory import Trajectory
-from tests.evidence.rooms import BEAMS, bent, circuit, moved, recorded
+from tests.evidence.rooms import bent, circuit, moved, recorded
 from tests.support.examples import examples
 
 TRUTH = circuit()
@@ -119,35 +118,6 @@ def test_scans_that_are_left_out_neither_draw_nor_are_judged(
         without_scans(evidence, ("truth",), np.ones(len(scans), dtype=np.bool_), device)
 
 
-def test_score_over_time_shows_where_a_path_is_wrong(device: ComputeDevice, scans: JudgedScans):
-    paths = {"truth": TRUTH, "late": WRONG["shifted at the end"]}
-    evidence = score_paths(scans, paths, device)
-    times_s, late, beams = evidence.over_time("late")
-    _, true, _ = evidence.over_time("truth")
-    assert len(times_s) == len(late) == CHUNKS
-    assert (np.diff(times_s) > 0.0).all()
-    assert beams.sum() == evidence.scores["late"].beams_judged
-    assert int(np.argmax(true - late)) >= CHUNKS - 2
-
-
-def test_hits_beside_each_other_count_once():
-    scan = recorded(TRUTH)[0]
-    for range_m, is_wide in ((8.0, True), (0.5, False)):
-        ranges = np.full(BEAMS, range_m, dtype=np.float32)
-        seen = replace(scan.scan, ranges=ranges)
-        judged = judged_scans([replace(scan, scan=seen)] * CHUNKS)
-        own = judged.hits[judged.hit_scans == 0]
-        beside_m = np.hypot(*np.diff(seen.points(), axis=0)[0])
-        assert (beside_m > SPACING_M) == is_wide
-        if is_wide:
-            assert np.array_equal(own, seen.points())
-            continue
-        apart_m = np.hypot(*np.diff(own, axis=0).T)
-        assert np.abs(apart_m[:-1] - SPACING_M).max() < 2.0 * beside_m
-        assert 0.4 * SPACING_M < apart_m[-1] < SPACING_M + beside_m
-        assert len(own) == pytest.approx(beside_m * (BEAMS - 1) / SPACING_M, abs=1.0)
-
-
 def test_surfaces_face_the_laser():
     wall = np.array([(2.0, y) for y in np.linspace(-1.0, 1.0, 21)])
     assert (
@@ -155,16 +125,6 @@ def test_surfaces_face_the_laser():
         or (np.abs(np.abs(surface_facings(wall, (0.0, 0.0))) - math.pi) < 1e-6).all()
     )
     assert surface_facings(wall, (4.0, 0.0)) == pytest.approx(np.zeros(21), abs=1e-6)
-
-
-def test_likelihood_is_at_its_ends_what_the_model_says():
-    model = HitModel()
-    on_wall, out_of_reach, unknown, near_wall = [[0, 1], [-1, 1], [-1, 0], [1024**2, 0]]
-    found = np.array([on_wall, out_of_reach, unknown, near_wall], dtype=np.int32)
-    likely, is_seen = log_likelihoods(found, model)
-    one_cell = math.log(0.97 * math.exp(-0.5) + 0.03)
-    assert likely == pytest.approx([0.0, math.log(0.03), math.log(0.35), one_cell])
-    assert is_seen.tolist() == [True, True, False, True]
 
 
 def test_too_few_scans_are_refused():

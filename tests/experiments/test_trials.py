@@ -28,7 +28,7 @@ from slamfusion.experiments.fusions import (
     drawn_at,
     vote_every_way,
 )
-from slamfusion.experiments.runs import RunResult, Setup, kept_maps
+from slamfusion.experiments.runs import RunResult, Setup
 from slamfusion.experiments.trials import (
     FAILURES,
     FAULTS,
@@ -106,33 +106,6 @@ def test_every_method_has_an_error(done: tuple[list[Trial], list[RunResult]]) ->
     assert ate_m[FUSED_PATH] < 1.5 * max(ate_m[name] for name in BUILT_IN) < 0.3
     ate_m = figures(harmed, "ate_rmse_m")
     assert ate_m[CHOICE] < ate_m["gmapping"]
-
-
-def test_a_trial_is_the_same_in_another_process_and_keeps_its_maps(
-    done: tuple[list[Trial], list[RunResult]], tmp_path: Path
-) -> None:
-    trials, (plain, _) = done
-    settings = GroundObstacleConfig(processes=2, draw=True)
-    found = run_trials("t", "t", trials[:1], settings, setup(tmp_path))
-    assert [row[:5] for row in found.rows] == [row[:5] for row in plain.rows]
-    truth, maps = kept_maps(tmp_path, trials[0].key)
-    errors = figures(plain, "error")
-    assert [grid.name for grid in maps] == list(errors)
-    assert truth.resolution == trials[0].course.world.resolution
-    for grid in maps:
-        wrong = np.count_nonzero((grid.cells >= 0) & (grid.cells != truth.cells))
-        assert math.sqrt(wrong) <= errors[grid.name]
-
-
-@pytest.mark.full
-def test_the_workers_of_a_cluster_give_the_same_results_too(
-    done: tuple[list[Trial], list[RunResult]], tmp_path: Path
-) -> None:
-    pytest.importorskip("distributed", reason="Dask comes with the fleet extra")
-    trials, results = done
-    where = replace(setup(tmp_path), scheduler="local:2")
-    found = run_trials("t", "t", trials, GroundObstacleConfig(), where)
-    assert [row[:5] for row in found.rows] == [row[:5] for own in results for row in own.rows]
 
 
 def test_a_trial_that_fails_is_named(tmp_path: Path) -> None:

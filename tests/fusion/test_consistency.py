@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import replace
 
 import pytest
 from hypothesis import example, given
@@ -12,12 +11,9 @@ from hypothesis import strategies as st
 
 from slamfusion.align.records import Alignment
 from slamfusion.fusion.consistency import (
-    PATH_GAP,
     Implied,
     ImpliedPairs,
-    closure_error,
     largest_group,
-    path_transform,
 )
 from slamfusion.geometry import Pose2
 
@@ -58,24 +54,8 @@ def all_pairs(names: str) -> list[Alignment]:
     return [pair(b, a) for a, b in itertools.combinations(names, 2)]
 
 
-def test_closure_is_measured_where_the_map_is() -> None:
-    """A turn of a degree about the map's centre moves it nowhere, though the frame's zero moves."""
-    turn = Pose2(500.0, 300.0, math.radians(1.0)).compose(Pose2(-500.0, -300.0))
-    shift, yaw = closure_error(turn, Pose2(), Pose2(), (500.0, 300.0))
-    assert shift == pytest.approx(0.0, abs=1e-9)
-    assert yaw == pytest.approx(math.radians(1.0))
-
-
 def test_a_triangle_that_closes_is_one_group() -> None:
     assert members("abc", all_pairs("abc")) == "abc"
-
-
-def test_paths_close_a_triangle_that_bent_maps_leave_open() -> None:
-    pairs = [pair("b", "a"), pair("c", "b"), pair("c", "a", error=ASIDE)]
-    assert len(members("abc", pairs)) == 2
-    borne_out = [replace(item, statistics={PATH_GAP: 0.4}) for item in pairs]
-    assert members("abc", borne_out) == "abc"
-    assert len(members("abc", [*borne_out[:2], pairs[2]])) == 2
 
 
 def test_directions_of_the_pairs_do_not_matter() -> None:
@@ -158,38 +138,6 @@ def test_a_group_falls_apart_over_a_rejected_pair_that_does_not_stand() -> None:
     assert group(answer=True) == "abcd"
     # The two of the pair are in no group together; with b goes what hangs on c.
     assert group(answer=False) == "bcd"
-
-
-def test_a_path_follows_the_fewest_pairs() -> None:
-    pairs = [pair("b", "a"), pair("c", "b"), pair("c", "a", error=Pose2(0.1, 0.0))]
-    direct = path_transform("c", "a", "abc", pairs)
-    assert direct == pairs[2].transform
-    around = path_transform("c", "a", "abc", pairs[:2])
-    right = pair("c", "a").transform
-    assert around is not None
-    assert (around.x, around.y, around.yaw_rad) == pytest.approx((right.x, right.y, right.yaw_rad))
-
-
-def test_a_path_takes_accepted_pairs_of_the_group_only() -> None:
-    pairs = [pair("b", "a"), pair("c", "b")]
-    assert path_transform("c", "a", "ac", pairs) is None
-    assert path_transform("c", "a", "abc", [pairs[0], replace(pairs[1], accepted=False)]) is None
-    assert path_transform("a", "a", "a", []) == Pose2()
-
-
-def around(error: Pose2, resolution: float) -> str:
-    """Return who stays of three maps in one frame, one pair of which is off by ``error``."""
-    still = Pose2()
-    pairs = [
-        Alignment(b, a, pose, True, "drawn by hand", score, 1.0, 0.0, None, 0.0)
-        for a, b, pose, score in (
-            ("a", "b", still, 0.5),
-            ("b", "c", still, 0.6),
-            ("a", "c", error, 0.4),
-        )
-    ]
-    centres = dict.fromkeys("abc", (0.0, 0.0))
-    return "".join(largest_group(list("abc"), pairs, centres, resolution).members)
 
 
 @example(scores=[0.0, 1e-5, 0.5, 0.5, 1e-5, 0.25], chosen=["a", "b", "c", "d"])

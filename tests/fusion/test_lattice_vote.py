@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -11,16 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from slamfusion.align.normalize import NormalizedGrid, normalize_grid, voting_grid
+from slamfusion.align.normalize import NormalizedGrid, normalize_grid
 from slamfusion.align.records import Alignment
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, NormalizeConfig, VoteConfig
 from slamfusion.errors import GridError
 from slamfusion.fusion import FusionResult, lattice_vote
 from slamfusion.fusion.groups import Members
-from slamfusion.fusion.lattice_vote import vote_in_memory, warp_onto, warp_pose
+from slamfusion.fusion.lattice_vote import vote_in_memory
 from slamfusion.geometry import Pose2
-from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid
+from slamfusion.grid import UNKNOWN, OccupancyGrid
 from tests.fusion.drawings import random_cells
 
 SIZE = 0.1
@@ -119,50 +117,3 @@ def test_more_maps_vote_than_in_one_place(device: ComputeDevice) -> None:
     # One over the other they are too many.
     with pytest.raises(GridError, match="a vote takes 1 to 32"):
         voted([(OccupancyGrid(room, SIZE), Pose2()) for _ in range(33)], device, mode="majority")
-
-
-@pytest.mark.parametrize(("extent", "others"), [("reference", 1), ("union", 2)])
-def test_a_large_reference_is_laid_out_once(
-    device: ComputeDevice, extent: str, others: int
-) -> None:
-    ready = placed(scattered(3), device, mode="consensus", extent=extent)
-    asked: list[str] = []
-
-    def lattices(name: str) -> NormalizedGrid:
-        asked.append(name)
-        return ready.normalized[name]
-
-    vote_in_memory(ready.grids, [ready.members], lattices, {}, ready.config, device)
-    assert Counter(asked) == {"map 0": 1, "map 1": others, "map 2": others}
-
-
-def test_boxes_of_layers_hold_all_that_an_input_knows(device: ComputeDevice) -> None:
-    """Dissent and cells of a layer in its box are those of the whole lattice."""
-    result = voted(scattered(5), device, mode="consensus")
-    for record in result.inputs:
-        assert record.layer is not None
-        assert record.aligned is not None
-        assert record.dissent is not None
-        rows, cols = np.nonzero(record.aligned != UNKNOWN)
-        box = record.layer.box
-        assert box.row0 <= rows.min()
-        assert rows.max() < box.row1
-        assert box.col0 <= cols.min()
-        assert cols.max() < box.col1
-        assert not (record.dissent & (record.aligned == UNKNOWN)).any()
-    pairs = itertools.combinations(result.inputs, 2)
-    assert all(a.layer is not b.layer for a, b in pairs)
-
-
-@pytest.mark.parametrize("shift", [(0.0, 0.0), (0.31, -0.2), (-1.04, 0.449), (50.0, 0.0)])
-def test_an_unturned_grid_is_laid_as_a_warp_lays_it(
-    device: ComputeDevice, shift: tuple[float, float]
-) -> None:
-    cells = random_cells(3, 9, 14)
-    grid = voting_grid(OccupancyGrid(cells, SIZE), SIZE, NormalizeConfig(), device)
-    lattice, transform = grid.extent.lattice, Pose2(*shift, 0.0)
-    for box in (CellBox(0, 0, 9, 14), CellBox(-3, 2, 5, 30)):
-        pose = warp_pose(lattice, transform, lattice, box)
-        wanted = device.warp(device.upload(grid.cells), pose, (box.height, box.width), UNKNOWN)
-        laid = warp_onto(grid, grid.cells, transform, lattice, box, device)
-        assert np.array_equal(laid, device.download(wanted)[0])

@@ -17,7 +17,6 @@ from slamfusion.align.normalize import normalize_grid
 from slamfusion.align.pair import Pair
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import AlignConfig, NormalizeConfig
-from slamfusion.fusion import pair_tasks
 from slamfusion.fusion.pair_tasks import AlignmentTasks, PairSettings
 from tests.support.sites import RESOLUTION, many_maps
 
@@ -64,40 +63,3 @@ def test_an_alignment_of_a_task_is_that_of_this_process(
     assert found.yaw_profile is not None
     assert wanted.yaw_profile is not None
     assert np.array_equal(found.yaw_profile, wanted.yaw_profile)
-
-
-def test_pairs_begin_ahead_as_many_as_slots_take(
-    features: list[GridFeatures], device: ComputeDevice
-) -> None:
-    executor = Noting(2, works=False)
-    tasks = AlignmentTasks(executor, SETTINGS, device)
-    assert tasks.ahead == 4
-    for moving in features[1:]:
-        tasks.begin(Pair(features[0], moving), None)
-        tasks.begin(Pair(features[0], moving), None)
-    assert len(executor.packed) == 4
-    assert len({moving for _, moving in executor.packed}) == 4
-
-
-@pytest.mark.parametrize("kept", [True, False])
-def test_a_worker_keeps_the_fields_of_the_last_maps_that_are_small(
-    features: list[GridFeatures],
-    device: ComputeDevice,
-    monkeypatch: pytest.MonkeyPatch,
-    *,
-    kept: bool,
-) -> None:
-    if not kept:
-        monkeypatch.setattr(pair_tasks, "KEPT_CELLS", 1)
-    monkeypatch.setattr(pair_tasks, "align_pair", lambda pair, *_, **__: tuple(pair))
-    executor = Noting(1)
-    tasks = AlignmentTasks(executor, SETTINGS, device)
-    found: Any = tasks.result(Pair(features[0], features[1]), None)
-    again: Any = tasks.result(Pair(features[2], features[0]), None)
-    assert (again[1] is found[0]) == kept
-    for given, arrived in zip(features[:2], found, strict=True):
-        one, other = given.given, arrived.given
-        assert np.array_equal(one.grid.cells, other.grid.cells)
-        for array, back in ((one.cells, other.cells), (one.solid, other.solid)):
-            assert np.array_equal(array, back)
-            assert not back.flags.writeable

@@ -11,12 +11,10 @@ import numpy as np
 import pytest
 
 from slamfusion.align import normalize
-from slamfusion.align.features import GridFeatures
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import SMALLEST, VoteConfig
 from slamfusion.errors import AlignmentError, ConfigError, MemoryBudgetError
 from slamfusion.fusion import fuse_grids
-from slamfusion.fusion.groups import choose_reference
 from slamfusion.fusion.pipeline import vote_again
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.grid import ORIGIN_MOST_M, CellBox, OccupancyGrid
@@ -26,7 +24,6 @@ from tests.fusion.drawings import (
     building,
     degraded,
     draw,
-    features_of,
     fusion_config,
     padded,
     with_origin,
@@ -345,27 +342,6 @@ def test_every_mode_fuses(device: ComputeDevice, mode: str, unknown: str, extent
         assert result.phantom_cells == 0
     assert max(result.weights.values()) == 1.0
     assert min(result.weights.values()) > 0.0
-
-
-def table_of(shapes: dict[str, tuple[int, int]], device: ComputeDevice) -> dict[str, GridFeatures]:
-    """Features of blank rooms, rows x columns of known cells, by name."""
-    return {
-        name: features_of(draw("\n".join(["#" * cols] * rows), name=name), device)
-        for name, (rows, cols) in shapes.items()
-    }
-
-
-def test_the_smallest_is_the_smallest_box_of_those_half_as_large_as_usual(
-    device: ComputeDevice,
-) -> None:
-    features = table_of({"a": (40, 40), "b": (30, 40), "c": (35, 35), "new": (10, 10)}, device)
-    names = list(features)
-    assert choose_reference(names, features, SMALLEST, names) == "b"
-    # The median of the three known areas is 1225 cells; half of it is 612.
-    half = table_of({"a": (40, 40), "c": (35, 35), "d": (20, 31)}, device)
-    assert choose_reference(list(half), half, SMALLEST, list(half)) == "d"
-    less = table_of({"a": (40, 40), "c": (35, 35), "d": (20, 30)}, device)
-    assert choose_reference(list(less), less, SMALLEST, list(less)) == "c"
 
 
 def test_a_name_or_an_index_chooses_the_reference(device: ComputeDevice) -> None:

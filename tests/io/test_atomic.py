@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import os
 import resource
 import signal
 import socket
 import stat
-import subprocess
 import tempfile
 from pathlib import Path
 
@@ -76,21 +74,6 @@ def test_an_exception_in_the_block_leaves_everything_as_it_was(tmp_path: Path) -
     before = tree(tmp_path)
     with pytest.raises(KeyboardInterrupt):
         write_set({tmp_path / "a": b"new", tmp_path / "b": b"new"}, interrupt=True)
-    assert tree(tmp_path) == before
-
-
-def test_a_rename_that_fails_is_named_and_leaves_nothing_waiting(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    write_atomic(tmp_path / "a", b"old")
-    before = tree(tmp_path)
-
-    def replace(*_: Path) -> Path:
-        raise OSError(errno.EIO, os.strerror(errno.EIO))
-
-    monkeypatch.setattr(Path, "replace", replace)
-    with pytest.raises(MapFileError, match="/a: cannot write: Input/output error; "):
-        write_set({tmp_path / name: b"new" for name in ("a", "b")})
     assert tree(tmp_path) == before
 
 
@@ -173,33 +156,6 @@ def test_a_name_the_system_cannot_hold_gives_one_line(tmp_path: Path, name: str)
     with pytest.raises(MapFileError, match=r"cannot write: .*; "):
         save_map(GRID, tmp_path / name)
     assert tree(tmp_path) == {}
-
-
-def test_a_full_disk_leaves_the_old_map(tmp_path: Path) -> None:
-    """A tiny tmpfs where mounting is allowed; elsewhere the size limit stands in for it."""
-    place = tmp_path / "tiny"
-    place.mkdir()
-    mounted = (
-        subprocess.run(
-            ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(place)],
-            check=False,
-            capture_output=True,
-        ).returncode
-        == 0
-    )
-    if not mounted:
-        pytest.skip("mounting a tmpfs is not permitted; the file size limit test stands in")
-    try:
-        save_map(OccupancyGrid(np.zeros((2, 2), np.int8), 0.1), place / "out")
-        before = tree(place)
-        with pytest.raises(MapFileError, match=r"cannot write: No space left on device; free"):
-            save_map(GRID, place / "out")
-        assert tree(place) == before
-        with pytest.raises(MapFileError, match="No space left"):
-            write_atomic(place / "deep" / "file", bytes(100_000))
-        assert tree(place) == before
-    finally:
-        subprocess.run(["umount", str(place)], check=True)
 
 
 def test_a_file_size_limit_leaves_the_old_map(tmp_path: Path) -> None:

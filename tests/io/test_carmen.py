@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gzip
 import math
-import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -67,16 +66,6 @@ def test_robotlaser_says_its_own_geometry(tmp_path: Path) -> None:
     assert found.scan.stamp_s == 7.5
     assert found.odometry == Pose2(1.0, 2.0, 0.5)
     np.testing.assert_array_equal(found.scan.ranges, np.float32([1.0, 2.0, np.inf, np.nan]))
-
-
-def test_a_step_of_0_is_made_from_the_field_of_view(tmp_path: Path) -> None:
-    (found,) = log_of(tmp_path, robotlaser(1, angles=(-0.5, 1.0, 0.0)))
-    assert found.scan.angle_increment_rad == 0.5
-
-
-def test_remissions_do_not_shift_the_poses(tmp_path: Path) -> None:
-    line = robotlaser(1, robot=(1.0, 2.0, 0.5), remissions=(9.0, 9.0))
-    assert next(iter(log_of(tmp_path, line))).odometry == Pose2(1.0, 2.0, 0.5)
 
 
 def laser_at(robot: tuple[float, float, float], mount: Pose2) -> tuple[float, float, float]:
@@ -190,10 +179,6 @@ def test_a_largest_reading_that_occurs_once_is_a_hit(tmp_path: Path) -> None:
     assert any("all count as hits" in note for note in log.notes)
 
 
-def test_a_room_of_equal_readings_is_a_room(tmp_path: Path) -> None:
-    assert next(iter(log_of(tmp_path, flaser(1, [5.0] * 180)))).scan.is_hit().all()
-
-
 def test_the_user_says_what_saw_nothing(tmp_path: Path) -> None:
     log = log_of(tmp_path, flaser(1, [1.0, 7.0, 9.0]), no_return_m=7.0)
     scan = next(iter(log)).scan
@@ -298,13 +283,6 @@ def test_a_damaged_line_is_a_counted_skip(tmp_path: Path, bad: str, reason: str)
     assert sentence.endswith("(line 2)")
 
 
-def test_a_second_reading_counts_anew(tmp_path: Path) -> None:
-    log = log_of(tmp_path, flaser(1), "FLASER 3", flaser(2), flaser(2))
-    first, second = read(log), read(log)
-    assert [s.line for s in first[0]] == [s.line for s in second[0]] == [1, 3]
-    assert first[1].total == second[1].total == 2
-
-
 def test_a_cut_off_packed_file_gives_what_is_whole_and_says_so(tmp_path: Path) -> None:
     lines = "\n".join(flaser(k, varied(180, 20.0, k)) for k in range(1, 200))
     packed = gzip.compress(lines.encode())
@@ -314,23 +292,6 @@ def test_a_cut_off_packed_file_gives_what_is_whole_and_says_so(tmp_path: Path) -
     scans, skips = read(log)
     assert 50 < len(scans) < 150
     assert any("ends early" in reason for reason in skips.counts)
-
-
-@pytest.mark.once
-def test_memory_does_not_grow_with_the_log(tmp_path: Path) -> None:
-    def peak(scans: int) -> int:
-        path = write_lines(
-            tmp_path / f"{scans}.log", *(flaser(k, [1.0, 2.0] * 90) for k in range(1, scans))
-        )
-        tracemalloc.start()
-        count = sum(1 for _ in CarmenLog(path))
-        _, most = tracemalloc.get_traced_memory()
-        tracemalloc.stop()
-        assert count == scans - 1
-        return most
-
-    peak(10)
-    assert peak(2000) < 1.2 * peak(200)
 
 
 # --- writing -------------------------------------------------------------------------------------
@@ -417,35 +378,6 @@ def one_scan(stamp: float = 1.0, **changes: object) -> LogScan:
         **changes,
     }
     return LogScan(LaserScan(stamp_s=stamp, **geometry), Pose2(*ORIGIN), 1)
-
-
-@pytest.mark.parametrize(
-    ("changes", "word"),
-    [
-        ({}, "FLASER"),
-        ({"mount": Pose2(0.1, 0.0, 0.0)}, "ROBOTLASER1"),
-        ({"angle_increment_rad": math.pi / 360.0}, "ROBOTLASER1"),
-        ({"angle_increment_rad": -math.pi / 180.0}, "ROBOTLASER1"),
-        ({"angle_min_rad": -1.0}, "ROBOTLASER1"),
-        ({"ranges": np.ones(90, np.float32)}, "ROBOTLASER1"),
-    ],
-)
-def test_a_plain_forward_laser_is_flaser_and_any_other_robotlaser(
-    tmp_path: Path, changes: dict[str, object], word: str
-) -> None:
-    path = tmp_path / "a.log"
-    write_carmen(path, [one_scan(**changes)])
-    words = [line.split()[0] for line in path.read_text().splitlines() if line[0] != "#"]
-    assert words == ["PARAM", "ODOM", word]
-
-
-def test_infinity_is_written_as_the_longest_range_and_nan_as_0(tmp_path: Path) -> None:
-    path = tmp_path / "a.log"
-    ranges = np.full(181, 2.5, np.float32)
-    ranges[:4] = [np.inf, np.nan, -np.inf, 12.0]
-    write_carmen(path, [one_scan(ranges=ranges)])
-    line = next(line for line in path.read_text().splitlines() if line.startswith("FLASER"))
-    assert line.split()[2:7] == ["10.0000", "0.0000", "0.0000", "10.0000", "2.5000"]
 
 
 def test_the_same_scans_give_the_same_bytes(tmp_path: Path) -> None:

@@ -161,26 +161,6 @@ def test_unknown_that_reads_as_free_is_counted_and_can_be_mended(
     assert len(told) == 1
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {},
-        {"free_thresh": "0.25", "mode": "scale"},
-        {"free_thresh": "0.25", "mode": "raw"},
-        {"free_thresh": "0.25", "negate": "1"},
-    ],
-)
-def test_where_205_is_not_taken_for_free_nothing_is_said(
-    tmp_path: Path, changes: dict[str, str]
-) -> None:
-    path = write_map(tmp_path, pgm(GREY_ROWS), **changes)
-    told: list[str] = []
-    plain = load_map(path, warn=told.append)
-    mended = load_map(path, warn=told.append, legacy_unknown=True)
-    assert np.array_equal(plain.cells, mended.cells)
-    assert told == []
-
-
 def test_scale_is_linear_between_the_thresholds(tmp_path: Path) -> None:
     greys = list(range(256))
     path = write_map(tmp_path, pgm([greys]), mode="scale", free_thresh="0.2", occupied_thresh="0.7")
@@ -418,21 +398,6 @@ def test_a_picture_beyond_memory_is_refused_with_numbers(
         load_map(path, resolution=0.05)
 
 
-def test_a_large_map_loads_or_is_refused_by_the_memory_there_is(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = tmp_path / "large.pgm"
-    with path.open("wb") as file:
-        file.write(b"P5 12000 10000 255\n")  # more pixels than Pillow would decode
-        file.truncate(19 + 120_000_000)  # sparse zeros: all occupied
-    assert load_map(path, resolution=0.05).cells.shape == (10_000, 12_000)
-    monkeypatch.setattr(memory, "available_memory", lambda: 100_000_000)
-    with pytest.raises(
-        MemoryBudgetError, match=r"12000 x 10000 picture needs 407.3 MiB.*only 95.4"
-    ):
-        load_map(path, resolution=0.05)
-
-
 def test_a_picture_of_another_map_is_refused(tmp_path: Path) -> None:
     """Before, the cells of one map were read with the cell size and origin of another."""
     path, picture = save_map(grid_of(CELLS), tmp_path / "out")
@@ -469,21 +434,6 @@ def test_a_missing_file_a_folder_and_a_device_are_told_apart(tmp_path: Path) -> 
     assert_refused(tmp_path / "pipe.yaml", "a pipe")
     with pytest.raises(MapFileError, match="/dev/null: wanted a file, found a device"):
         load_map("/dev/null")
-
-
-def test_a_file_without_read_permission_is_refused() -> None:
-    # Root may read everything, so the test becomes nobody for a moment.
-    with tempfile.TemporaryDirectory() as folder:
-        Path(folder).chmod(0o755)
-        path = write_map(Path(folder), TINY)
-        path.chmod(0)
-        was = os.geteuid()
-        if was == 0:
-            os.seteuid(65534)
-        try:
-            assert_refused(path, "map.yaml: cannot read: Permission denied")
-        finally:
-            os.seteuid(was)
 
 
 def test_names_the_system_cannot_hold_are_refused(tmp_path: Path) -> None:
@@ -538,17 +488,6 @@ def test_the_classes_that_vote_are_saved(tmp_path: Path, thresholds: NormalizeCo
     votes = trinary_cells(grid.cells, thresholds)
     for reader in (thresholds, NormalizeConfig()):
         assert np.array_equal(trinary_cells(load_map(tmp_path / "out.yaml").cells, reader), votes)
-
-
-def test_no_reader_takes_a_saved_unknown_for_free(tmp_path: Path) -> None:
-    yaml_path, image_path = save_map(grid_of(PERCENTS), tmp_path / "out")
-    values = yaml.safe_load(yaml_path.read_text())
-    pixels = np.frombuffer(image_path.read_bytes()[-len(PERCENTS[0]) :], np.uint8)
-    assert pixels.tolist() == [254, 254, 254, 254, 205, 205, 0, 0, 205]
-    # nav2's rule, both comparisons strict.
-    occupancy = (255 - pixels.astype(float)) / 255.0
-    assert (occupancy < values["free_thresh"]).tolist() == [True] * 4 + [False] * 5
-    assert (occupancy > values["occupied_thresh"]).tolist() == [False] * 6 + [True] * 2 + [False]
 
 
 def test_scale_writes_the_greys_of_nav2(tmp_path: Path) -> None:

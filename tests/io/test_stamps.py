@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
@@ -104,28 +103,6 @@ def test_two_clocks_in_turn_are_no_jump():
     assert heard.jumps == []
     assert heard.used_s == [100.0 + 0.1 * index for index in range(50)]
     assert len(heard.strays_s) == 49
-
-
-@pytest.mark.parametrize("after_s", [5.0, 5000.0])
-def test_a_jump_waits_for_what_has_to_agree(after_s: float):
-    asked: list[tuple[float, float]] = []
-    heard = Heard(StampGate(1.0))
-    heard.offer(100.0)
-
-    def refuses(before_s: float, newest_s: float) -> bool:
-        asked.append((before_s, newest_s))
-        return False
-
-    for index in range(30):
-        heard.offer(after_s + index, agrees=refuses)
-    assert asked[0] == (100.0, after_s + 2.0)
-    assert heard.used_s == [100.0]
-    # Not all are kept meanwhile.
-    assert heard.strays_s == [after_s + index for index in range(10)]
-    assert heard.gate.held == 20
-    heard.offer(after_s + 30.0, agrees=lambda *_: True)
-    assert heard.used_s[-20:] == [after_s + index for index in range(11, 31)]
-    assert heard.jumps == [Jump(100.0, after_s + 11.0)]
 
 
 def test_what_is_held_can_be_confirmed_from_outside_or_forgotten():

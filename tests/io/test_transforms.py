@@ -48,11 +48,6 @@ def test_frames_that_nothing_connects() -> None:
         tree.sample("a", "d", 0.0)
 
 
-def test_a_circle_of_frames_ends() -> None:
-    tree = tree_of(*((a, b, 0.0, level(1, 0, 0)) for a, b in ("ab", "bc", "ca")))
-    assert not tree.is_connected("a", "z")
-
-
 @pytest.mark.parametrize(
     "row",
     [
@@ -85,23 +80,6 @@ def test_rotations_between_two_are_scipys(
 
 places = st.lists(st.floats(-50, 50), min_size=3, max_size=3)
 rows = st.builds(lambda place, turn: (*place, *turn), places, turns)
-
-
-@given(first=turns, second=turns)
-def test_between_two_transforms_the_speed_is_constant(
-    first: list[float], second: list[float]
-) -> None:
-    ends = Rotation.from_quat([first, second])
-    angle_rad = float((ends[0].inv() * ends[1]).magnitude())
-    if angle_rad > math.pi - 1e-3:
-        return  # half a turn has no short way
-    tree = tree_of(("a", "b", 1.0, (0, 0, 0, *first)), ("a", "b", 3.0, (8, -4, 2, *second)))
-    poses = tree.sample("a", "b", np.linspace(1.0, 3.0, 6))
-    turns = Rotation.from_matrix(poses[:, :3, :3])
-    steps_rad = (turns[:-1].inv() * turns[1:]).magnitude()
-    np.testing.assert_allclose(steps_rad, angle_rad / 5.0, atol=1e-6)
-    steps_m = np.diff(poses[:, :3, 3], axis=0)
-    np.testing.assert_allclose(steps_m, np.broadcast_to([1.6, -0.8, 0.4], (5, 3)), atol=1e-12)
 
 
 def matrix(row: Row) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:

@@ -11,13 +11,12 @@ from slamfusion.config import VoteConfig
 from slamfusion.errors import (
     AlignmentError,
     ConfigError,
-    MapFileError,
     SlamFusionError,
     StartError,
 )
 from slamfusion.grid import OccupancyGrid
-from slamfusion.io import AtomicFiles, load_map, save_map
-from slamfusion.jobs import records
+from slamfusion.io import load_map
+from slamfusion.jobs import fuse_documents
 from slamfusion.jobs.fuse import (
     AllRequiredError,
     fuse_maps,
@@ -28,7 +27,7 @@ from slamfusion.jobs.fuse_documents import failed_fuse_document
 from slamfusion.jobs.records import DoubledWalls
 from slamfusion.json_values import plain
 from tests.fusion.drawings import building, degraded
-from tests.jobs.maps import CONFIG, device, files, moved
+from tests.jobs.maps import CONFIG, device, moved
 from tests.support.documents import check_document
 
 pytestmark = pytest.mark.once
@@ -64,21 +63,6 @@ def test_maps_are_fused_measured_and_written(
     # The report of a fusion that failed before goes with its folder.
     assert not (tmp_path / "report" / "failed").exists()
     assert (tmp_path / "report" / "report.html").exists()
-
-
-def test_files_of_a_caller_are_joined_and_stay_out_where_it_fails(tmp_path: Path) -> None:
-    truth, grid, _ = moved()
-    fused = fuse_maps([truth, grid], CONFIG, device())
-    (tmp_path / "taken.pgm").mkdir()
-
-    def save_both() -> None:
-        with AtomicFiles() as together:
-            save_fused_maps(fused, tmp_path / "fused", files=together)
-            save_map(truth, tmp_path / "taken", files=together)
-
-    with pytest.raises(MapFileError, match="taken"):
-        save_both()
-    assert not files(tmp_path)
 
 
 def test_maps_that_do_not_fit_are_refused_with_what_was_tried(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import pytest
 from slamfusion.align.records import FusionResult
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, RunConfig, VoteConfig
-from slamfusion.errors import AlignmentError, MapFileError, MemoryBudgetError
+from slamfusion.errors import AlignmentError, MapFileError
 from slamfusion.fusion import lattice_vote
 from slamfusion.fusion.lattice_vote import vote_in_memory
 from slamfusion.fusion.pipeline import AlignedInputs
@@ -24,7 +24,6 @@ from slamfusion.jobs.documents import record_bytes
 from slamfusion.jobs.fuse import (
     AllRequiredError,
     FusedMaps,
-    check_stores,
     fuse_maps,
 )
 from slamfusion.json_values import plain
@@ -99,21 +98,6 @@ def test_a_map_too_large_for_a_map_server_is_in_the_store_alone(
         fuse_maps(TWINS, CONFIG, device, store=tmp_path / "out.zarr")
 
 
-def test_the_store_of_another_group_is_found_before_any_work(
-    tmp_path: Path, device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Where this fusion has no such group it would look like one."""
-    monkeypatch.setattr(fuse, "align_inputs", pytest.fail)
-    for number, maps in ((2, SITE[:4]), (3, SITE)):
-        other = tmp_path / f"out-{number}.zarr"
-        other.mkdir()
-        with pytest.raises(MapFileError, match=rf"out-{number}\.zarr exists"):
-            fuse_maps(maps, CONFIG, device, store=tmp_path / "out.zarr")
-        other.rmdir()
-    (tmp_path / "out-3.zarr").mkdir()
-    check_stores(tmp_path / "out.zarr", 5)  # no more than two groups
-
-
 def test_nothing_is_written_of_what_does_not_fit(tmp_path: Path, device: ComputeDevice) -> None:
     empty = OccupancyGrid(np.full((20, 20), -1, dtype=np.int8), 0.05, name="empty")
     with pytest.raises(AlignmentError, match="no two of the inputs"):
@@ -122,14 +106,6 @@ def test_nothing_is_written_of_what_does_not_fit(tmp_path: Path, device: Compute
     with pytest.raises(AllRequiredError, match="--require-all, but rejected: empty"):
         fuse_maps([*TWINS, empty], strict, device, store=tmp_path / "out.zarr")
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_union_that_exceeds_memory_is_told_with_numbers_and_the_way_out(
-    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("slamfusion.fusion.lattice_vote.VOTED_BYTES", 1 << 40)
-    with pytest.raises(MemoryBudgetError, match=r"needs .* TiB .* is available; .*-o OUT\.zarr"):
-        fuse_maps(TWINS, CONFIG, device)
 
 
 def test_groups_that_contradict_each_other_have_a_store_each(

@@ -21,7 +21,6 @@ from slamfusion.jobs.documents import circumstances
 from slamfusion.jobs.records import load_schema
 from slamfusion.jobs.trajectory import measure_trajectory
 from slamfusion.json_values import plain
-from slamfusion.slam.common.mapper import Health
 from slamfusion.slam.registry import BUILT_IN
 from slamfusion.trajectory import Trajectory
 from tests.support import make_schema
@@ -158,18 +157,6 @@ def test_errors_of_a_path_come_all_or_none() -> None:
         part = {other: value for other, value in measured.items() if other != key}
         with pytest.raises(AssertionError, match="is a dependency of"):
             check_document(part, "PathErrors")
-
-
-def test_a_producer_may_say_more_of_its_health() -> None:
-    health = plain(Health().to_json())
-    check_document({**health, "wheels": {"slips": 3}}, "Health")
-    with pytest.raises(AssertionError):
-        check_document({**health, "graph": {"slips": 3}}, "Health")
-
-
-def test_an_unknown_document_is_no_key() -> None:
-    with pytest.raises(KeyError, match="paint"):
-        load_schema("paint")
 
 
 LIVE = ("status", "watch", "save", "reset")

@@ -26,7 +26,6 @@ from slamfusion.jobs.results import (
     map_inputs,
     read_results,
     results_table,
-    summaries,
     write_results_file,
 )
 from slamfusion.jobs.trajectory import CaseFiles
@@ -187,32 +186,6 @@ def test_older_and_newer_formats_say_what_to_do(saved: Path) -> None:
         read_results(with_manifest(saved, format_version=2))
 
 
-@pytest.mark.parametrize(
-    ("entry", "change", "words"),
-    [
-        ("results.csv", lambda data: data.replace(b"2.0", b"small"), "'small'"),
-        ("results.csv", lambda data: data.replace(b"2.0", b"inf"), "an infinite number"),
-        ("results.csv", lambda data: data.replace(b"2.0", b"9" * 400), "an infinite number"),
-        ("results.csv", lambda data: data.replace(b"method", b"maker"), "'method'"),
-        ("results.csv", lambda data: data + data.splitlines()[1], "two rows of one case"),
-        ("results.csv", lambda data: data + b"intel,,graph,ate_m,0.1,x,\n", "'x'"),
-        ("results.csv", lambda _: b"", "damaged"),
-        ("results.csv", lambda _: b"\xff\xfe\x00", "damaged"),
-        ("results.csv", lambda _: None, "damaged"),
-        *(
-            ("manifest.json", lambda _, text=text: text, "damaged|wanted")
-            for text in (b"{", b"[" * 100_000, b"\xff\xfe\x00", b"[]", b"3")
-        ),
-    ],
-)
-def test_a_damaged_entry_is_one_line(
-    saved: Path, entry: str, change: Callable[[bytes], bytes | None], words: str
-) -> None:
-    with pytest.raises(ResultsFileError, match=words) as found:
-        read_results(changed(saved, entry, change))
-    assert len(str(found.value).splitlines()) == 1
-
-
 def test_a_bomb_is_refused_before_it_is_unpacked(
     saved: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -291,25 +264,6 @@ def test_methods_of_one_file_are_compared_with_each_other(tmp_path: Path) -> Non
     assert [result.name for result in two.results] == ["graph", "gmapping", "drawn", "other"]
     with pytest.raises(SlamFusionError, match=r"one with several methods of a case, found .*other"):
         compare_results([other])
-
-
-def test_means_and_deviations_over_seeds_by_hand() -> None:
-    found = summaries(
-        [*repeated("graph"), *item("hall", "odd", ssim=1.0), *item("mit", "odd", ssim=np.nan)]
-    )
-    assert found["repetitions"][0] == {
-        "case": "intel",
-        "method": "graph",
-        "seeds": 3,
-        "figures": {"ate_rmse_m": pytest.approx(1.01)},
-        "std": {"ate_rmse_m": pytest.approx(0.01)},
-    }
-    assert len(found["repetitions"]) == 3
-    # A figure that is missing in one of the cases has no mean.
-    assert found["means"] == [
-        {"method": "graph", "cases": 3, "figures": {"ate_rmse_m": pytest.approx(2.01)}},
-        {"method": "odd", "cases": 2, "figures": {}},
-    ]
 
 
 # --- comparing ----------------------------------------------------------------------------------
@@ -401,19 +355,6 @@ def test_some_figures_are_better_when_they_are_larger(
     assert found["better"] == better
 
 
-def test_figures_that_one_side_lacks_are_left_out(tmp_path: Path) -> None:
-    first = [*item("a", "x", error=1.0, ssim=0.1), *item("b", "x", error=2.0)]
-    second = [*item("a", "x", error=1.5), *item("b", "x", error=2.5, ssim=0.2)]
-    assert [own["figure"] for own in compared(tmp_path, first, second)["figures"]] == ["error"]
-    maps = save(tmp_path / "maps.zip", item("a", "x", wall_f1=1.0), command="evaluate")
-    with pytest.raises(
-        SlamFusionError, match=r"^a \(trajectory\) and maps \(evaluate\) have no figure"
-    ):
-        compare_results([tmp_path / "a.zip", maps])
-    with pytest.raises(OSError, match=r"absent\.zip"):
-        compare_results([maps, tmp_path / "absent.zip"])
-
-
 def paths_compared(folder: Path, first: Series, second: Series) -> CompareDocument:
     sets = (result_rows("a", "", "x", {"error": 1.0}, {"ate_m": own}) for own in (first, second))
     return compared(folder, *sets)
@@ -475,14 +416,6 @@ def test_the_plot_is_drawn_alike_each_time_and_names_as_they_are_written(tmp_pat
             assert data == plots[1].read_bytes()
     text = (tmp_path / "a.svg").read_text(encoding="utf-8")
     assert all(f">{words}<" in text for words in ("$one", "_two$", "a$b_{c}$", "ATE m"))
-
-
-def test_figures_are_drawn_for_several_maps(tmp_path: Path) -> None:
-    maps = joined(item(case, "x", wall_f1=0.5 + 0.1 * n) for n, case in enumerate(CASES))
-    files = [save(tmp_path / f"{name}.zip", maps) for name in ("old", "_new")]
-    write_comparison_plot(compare_results(files), tmp_path / "plot.svg")
-    text = (tmp_path / "plot.svg").read_text(encoding="utf-8")
-    assert all(f">{words}<" in text for words in ("F1", "larger is better", "old", "_new"))
 
 
 @pytest.mark.parametrize(("worst", "is_log"), [(0.2, False), (40.0, True), (-40.0, False)])

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
-import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -66,11 +64,6 @@ def test_device_that_is_not_available_is_passed_over(machine: Machine):
     assert choose_device()[0].name == "cpu"
 
 
-def test_device_of_another_type_is_taken_alone(machine: Machine):
-    machine(fake("board", cl.device_type.ACCELERATOR))
-    assert choose_device()[1] == "the only device"
-
-
 def test_simulator_is_never_chosen_unasked(machine: Machine):
     machine(SIMULATED)
     with pytest.raises(DeviceError, match="no OpenCL device found"):
@@ -113,19 +106,6 @@ def test_environment_names_a_device(monkeypatch: pytest.MonkeyPatch, name: str):
     device, reason = choose_device()
     assert name in device.platform.name.lower()
     assert reason == "PYOPENCL_CTX"
-
-
-def test_option_comes_before_the_environment(machine: Machine, monkeypatch: pytest.MonkeyPatch):
-    machine(fake("cpu", CPU), fake("gpu", GPU))
-    monkeypatch.setenv("PYOPENCL_CTX", "no such platform")
-    assert choose_device("cpu")[0].name == "cpu"
-
-
-@needs_wheels
-def test_environment_that_fits_nothing_is_said(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setenv("PYOPENCL_CTX", "no such platform")
-    with pytest.raises(DeviceError, match="PYOPENCL_CTX"):
-        choose_device()
 
 
 @needs_wheels
@@ -176,14 +156,6 @@ def test_without_pyopencl_the_twins_remain():
     assert "--device numpy" in done.stdout
 
 
-def test_numpy_device_does_not_import_pyopencl():
-    code = (
-        "import sys; from slamfusion.compute import open_device; open_device('numpy')\n"
-        "print('pyopencl' in sys.modules)"
-    )
-    assert run(code).stdout.strip() == "False"
-
-
 @pytest.fixture
 def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An installed package without kernels."""
@@ -199,41 +171,6 @@ def test_kernels_are_found_in_the_wheel_and_beside_a_checkout(package: Path, pla
     folder.mkdir()
     (folder / "common.h").touch()
     assert program.kernel_folder() == folder
-
-
-def test_missing_kernels_are_named(package: Path):
-    with pytest.raises(DeviceError, match="reinstall slamfusion") as caught:
-        program.kernel_folder()
-    assert str(package / "kernels") in str(caught.value)
-
-
-def test_what_is_built_is_the_same_wherever_the_package_lies(tmp_path: Path):
-    """So that PoCL's cache has it after the package was installed anew."""
-    folder = program.kernel_folder()
-    shutil.copytree(folder, tmp_path / "kernels")
-    source = program.kernel_source(tmp_path / "kernels")
-    assert source == program.kernel_source(folder)
-    assert "#include" not in source
-    assert str(folder) not in source
-
-
-def test_no_family_changes_the_next_one():
-    """They are one program: a macro has one meaning, and contraction of floats is as written."""
-    folder = program.kernel_folder()
-    macros = [
-        (name, family)
-        for family in FAMILIES
-        for name in set(
-            re.findall(r"^ *#define (\w+)", (folder / f"{family}.cl").read_text(), re.MULTILINE)
-        )
-    ]
-    assert len({name for name, _ in macros}) == len(macros) > 10
-    begins = re.findall(
-        r"^#pragma OPENCL FP_CONTRACT ON\n#line 1 \"(\w+)\.cl\"$",
-        program.kernel_source(folder),
-        re.MULTILINE,
-    )
-    assert begins == FAMILIES
 
 
 @needs_wheels

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from slamfusion.compute import ComputeDevice, NumpyDevice
 from slamfusion.compute.hit_counts import BeamScan, FieldRule, full_field
-from slamfusion.compute.layout import FULL_HITS, FULL_VISITS, MOST_BEAMS, MOST_REACH, TILE
+from slamfusion.compute.layout import MOST_BEAMS, MOST_REACH, TILE
 from slamfusion.errors import DeviceError
 from tests.support.examples import examples
 
@@ -120,64 +120,6 @@ def test_one_beam_by_hand(device: ComputeDevice):
     assert sums[2, 15, 38 - TILE] == sums.sum() == 8 << 16 | 8
 
 
-def test_beam_without_length_hits_and_visits_one_cell(device: ComputeDevice):
-    scan = scan_of((0.25, 0.75), laser=(0.25, 0.75), poses=[(20.0, 20.0, 0.0)])
-    (counts, sums), _ = count_into(device, own_pages(1, 1, 1), scan, scan, scan)
-    assert counts[1, 20, 20] == counts.sum() == 3 << 16 | 3
-    assert sums[1, 20, 20] == sums.sum() == 3 * 4 << 16 | 3 * 12
-
-
-def test_what_leaves_the_window_stays_on_its_border(device: ComputeDevice):
-    ends = [(1e30, 0.0), (-5.0, 0.0), (0.0, math.nan)]
-    for end, (row, col, sum_of_x) in zip(ends, [(20, 31, 15), (20, 0, 0), (0, 0, 0)], strict=True):
-        (counts, sums), _ = count_into(
-            device, own_pages(1, 1, 1), scan_of(end, poses=[(4.5, 20.5, 0.0)])
-        )
-        assert counts[1, row, col] >> 16 == 1
-        assert (counts >> 16).sum() == 1
-        assert sums[1, row, col] == sums.sum()
-        assert sums[1, row, col] >> 16 == sum_of_x
-        assert not counts[0].any()
-
-
-def test_pages_without_a_tile_are_left_out(device: ComputeDevice):
-    pages = np.array([[[1, 0, 2]]], dtype=np.int32)
-    scan = scan_of((80.0, 0.0), (50.0, 0.0), poses=[(4.5, 4.5, 0.0)])
-    (counts, sums), _ = count_into(device, pages, scan)
-    visits = joined(counts, pages[0])[4] & 0xFFFF
-    assert visits.tolist() == [0] * 4 + [2] * 28 + [0] * 32 + [1] * 21 + [0] * 11
-    assert not counts[0].any()
-    assert np.count_nonzero(sums) == 1
-
-
-def test_a_cell_with_too_many_visits_is_told(device: ComputeDevice):
-    pages = own_pages(1, 1, 1)
-    table = device.upload(pages)
-    scan = scan_of((3.0, 0.0), (0.0, 3.0), poses=[(4.5, 4.5, 0.0)])
-    for before, is_full in ((FULL_VISITS - 3, False), (FULL_VISITS - 2, True)):
-        counts = np.zeros((2, TILE, TILE), dtype=np.uint32)
-        counts[1, 4, 4] = 7 << 16 | before  # both beams pass here
-        counts[1, 20, 20] = FULL_VISITS - 1  # and none here
-        pools = [device.upload(pool) for pool in (counts, 0 * counts)]
-        assert device.count_beams(pools[0], pools[1], table, scan) is is_full
-        assert device.download(pools[0])[1, 4, 4] == 7 << 16 | before + 2
-
-
-def test_a_cell_with_too_many_hits_is_told(device: ComputeDevice):
-    table = device.upload(own_pages(1, 1, 1))
-    scan = scan_of((3.0, 0.0), (3.0, 0.0), poses=[(4.5, 4.5, 0.0)])
-    for before, is_full in ((FULL_HITS - 3, False), (FULL_HITS - 2, True)):
-        counts = np.zeros((2, TILE, TILE), dtype=np.uint32)
-        counts[1, 4, 7] = before << 16 | before + 5  # both beams end here
-        counts[1, 4, 5] = 3 << 16 | 9  # pass here
-        counts[1, 20, 20] = FULL_HITS - 1 << 16  # and do not come here
-        pools = [device.upload(pool) for pool in (counts, 0 * counts)]
-        assert device.count_beams(pools[0], pools[1], table, scan) is is_full
-        counts[1, 4, 7] += 2 << 16 | 2
-        counts[1, 4, 4:7] += 2
-        np.testing.assert_array_equal(device.download(pools[0]), counts)
-
-
 def test_nothing_flows_over_where_all_beams_of_two_scans_end(device: ComputeDevice):
     """A cell that is nearly full gets the largest scan, with the greatest offsets there are."""
     table = device.upload(own_pages(1, 1, 1))
@@ -205,22 +147,6 @@ def test_too_many_beams_are_refused(device: ComputeDevice):
     assert not device.download(pools[0]).any()
 
 
-@pytest.mark.parametrize("corner", [(3, 4), (31, 31)])
-def test_mean_hit_is_unbiased(device: ComputeDevice, corner: tuple[int, int]):
-    """Hits all over a cell in even steps: their mean is its centre, to 1/256."""
-    steps = (np.arange(32) + 0.5) / 32.0
-    x, y = (axis.ravel() for axis in np.meshgrid(corner[0] + steps, corner[1] + steps))
-    ends = list(zip(x.tolist(), y.tolist(), strict=True))
-    scan = scan_of(*ends, laser=(corner[0] + 0.5, corner[1] + 0.5))
-    table = device.upload(own_pages(1, 1, 1))
-    pools = pools_of(device, 2)
-    device.count_beams(pools[0], pools[1], table, scan)
-    # Only the table's first entry is 255: for no distance.
-    rule = FieldRule(FALLING, shift=0, reach=0, occupied=0, least_hits=1)
-    device.settle_field(*pools, table, scan, rule)
-    assert device.download(pools[2])[1, corner[1], corner[0]] == 255
-
-
 @given(seed=SEEDS, reach=st.integers(0, 16))
 @settings(max_examples=examples(25), deadline=None)
 def test_touched_pages_are_those_of_the_counted_cells_and_their_surroundings(
@@ -236,21 +162,6 @@ def test_touched_pages_are_those_of_the_counted_cells_and_their_surroundings(
             rows = slice(max(0, row - reach) // TILE, (row + reach) // TILE + 1)
             out[rows, max(0, col - reach) // TILE : (col + reach) // TILE + 1] = 1
     np.testing.assert_array_equal(pocl.touch_pages(pocl.upload(pages), scan, reach), wanted)
-
-
-def test_copied_tiles_equal_their_sources_and_all_others_stay(device: ComputeDevice):
-    rng = np.random.default_rng(4)
-    before = [rng.integers(1, 200, (7, TILE, TILE)).astype(kind) for kind in KINDS]
-    for pool in before:
-        pool[0] = 0
-    pools = tuple(device.upload(pool) for pool in before)
-    device.copy_tiles(pools, np.array([[2, 5], [0, 3], [2, 6]], dtype=np.int32))
-    for pool, was in zip(pools, before, strict=True):
-        now = device.download(pool)
-        assert now.dtype == was.dtype
-        np.testing.assert_array_equal(now[[0, 1, 2, 4]], was[[0, 1, 2, 4]])
-        np.testing.assert_array_equal(now[[5, 6]], was[[2, 2]])
-        assert not now[3].any()
 
 
 def settled(device: ComputeDevice, rule: FieldRule, *scans: BeamScan) -> npt.NDArray[Any]:
@@ -277,16 +188,6 @@ def test_field_of_one_hit_by_hand(device: ComputeDevice):
     np.testing.assert_array_equal(settled(device, rule, *scans), wanted)
     # One hit is too few.
     assert not settled(device, rule, scans[0]).any()
-
-
-def test_field_of_a_cell_that_was_seen_through_is_gone(device: ComputeDevice):
-    rule = FieldRule(FALLING, shift=12, reach=2, occupied=16384, least_hits=1)
-    pose = [(20.5, 9.5, 0.0)]
-    hit, past = scan_of((12.0, 0.0), poses=pose), scan_of((16.0, 0.0), poses=pose, is_hit=False)
-    assert np.count_nonzero(settled(device, rule, hit, past, past)) == 25  # 1 hit in 3 visits
-    assert not settled(
-        device, rule, hit, past, past, past
-    ).any()  # 1 in 4 is no more than a quarter
 
 
 @given(
@@ -318,16 +219,3 @@ def test_field_is_that_of_the_counts_everywhere(
     for pages in tiles.pages:
         counts, sums, field = (joined(pool, pages) for pool in pools)
         np.testing.assert_array_equal(field, full_field(counts, sums, rule))
-
-
-def test_rules_that_no_kernel_can_follow_are_refused(device: ComputeDevice):
-    pools, table = pools_of(device, 2), device.upload(own_pages(1, 1, 1))
-    scan = scan_of((3.0, 0.0), poses=[(4.5, 4.5, 0.0)])
-    rule = FieldRule(FALLING, 12, 1, 16384, 1)
-    for wrong, words in (
-        (rule._replace(reach=MOST_REACH + 1), "reaches 0 to 3 cells, asked for 4"),
-        (rule._replace(table=FALLING[::-1]), "256 entries that never rise"),
-        (rule._replace(table=FALLING[:9]), "256 entries that never rise"),
-    ):
-        with pytest.raises(DeviceError, match=words):
-            device.settle_field(pools[0], pools[1], pools[2], table, scan, wrong)

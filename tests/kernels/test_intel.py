@@ -44,21 +44,6 @@ def test_the_loader_sees_what_it_saw_and_intel(
     assert not folder.exists()
 
 
-@pytest.mark.usefixtures("library")
-def test_who_says_what_to_show_is_left_alone(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setenv(VENDORS, "/mine")
-    with intel.intel_shown():
-        assert os.environ[VENDORS] == "/mine"
-    assert os.environ[VENDORS] == "/mine"
-
-
-def test_nothing_changes_without_the_extra(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(intel, "intel_library", lambda: None)
-    monkeypatch.delenv(VENDORS, raising=False)
-    with intel.intel_shown():
-        assert VENDORS not in os.environ
-
-
 def run(code: str) -> list[str]:
     """Run code in a fresh interpreter, without a variable that helps; return its lines."""
     environment = {

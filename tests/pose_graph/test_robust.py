@@ -2,33 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slamfusion.geometry import compose_poses, invert_poses
 from slamfusion.pose_graph import PoseGraph, Robust, optimize, read_g2o
 from slamfusion.pose_graph.graph import chained_poses
-from slamfusion.pose_graph.measurements import Measurements
-from slamfusion.pose_graph.normal_equations import NormalEquations
 from slamfusion.pose_graph.robust import truncated_weights
-from slamfusion.pose_graph.uncertainty import Uncertainty
 from tests.pose_graph.graphs import (
     ABSENT,
     POSE_GRAPHS,
     apart,
-    between,
     drawn,
     laps,
     ring,
     with_false_closures,
 )
 
-Array = npt.NDArray[np.float64]
 ROBUST: tuple[Robust, ...] = ("consensus", "gnc", "dcs")
 
 
@@ -168,74 +160,6 @@ def test_one_closure_alone_is_believed_as_far_as_odometry_allows() -> None:
         found = optimize(false, robust=robust)
         assert found.is_outlier.nonzero()[0].tolist() == [59]
         assert found.chi2 < 1e-9
-
-
-def astray(seed: int = 0) -> PoseGraph:
-    """Four laps, tied to each other, then a long way off with nothing but bad odometry."""
-    poses, edges = laps(rounds=4, every=2)
-    rng = np.random.default_rng(seed)
-    yaw = np.cumsum(rng.normal(0.0, 0.15, 120))
-    way = np.cumsum(np.stack((np.cos(yaw), np.sin(yaw)), axis=1), axis=0)
-    off = np.column_stack((poses[-1, :2] + way, yaw))
-    steps = np.arange(len(poses) - 1, len(poses) + len(off) - 1)
-    edges = np.concatenate((edges, np.stack((steps, steps + 1), axis=1)))
-    graph = drawn(np.concatenate((poses, off)), edges, noise=1.0, seed=seed)
-    information = graph.information.copy()
-    information[-len(steps) :] *= 0.1
-    graph = replace(graph, information=information)
-    return graph.with_poses(optimize(graph).poses)
-
-
-def deviating(graph: PoseGraph, pairs: list[tuple[int, int]], deviations: float) -> PoseGraph:
-    """The graph and closures that are off, by so many deviations of what it knows of the first."""
-    ends = np.array(pairs)
-    measured = Measurements(graph.edges, graph.motions, graph.information)
-    equations = NormalEquations(measured, len(graph), (0,))
-    covariance = Uncertainty(equations, graph.poses).relative(ends[:1])[0]
-    error = np.linalg.cholesky(covariance) @ np.full(3, deviations)
-    moved = graph.poses.copy()
-    last = graph.poses[ends[:, 1]]
-    rigid = compose_poses(compose_poses(last[0], error), invert_poses(last[0]))
-    moved[ends[:, 1]] = compose_poses(rigid, last)
-    return with_closures(graph, ends, between(moved, ends))
-
-
-def with_closures(graph: PoseGraph, ends: npt.NDArray[np.int64], motions: Array) -> PoseGraph:
-    """The graph with more closures, (K, 2) and (K, 3)."""
-    return PoseGraph(
-        graph.poses,
-        np.concatenate((graph.edges, ends)),
-        np.concatenate((graph.motions, motions)),
-        np.concatenate((graph.information, graph.information[: len(ends)])),
-        np.append(graph.is_closure, np.ones(len(ends), np.bool_)),
-    )
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_consensus_knows_that_some_of_many_false_closures_agree_by_chance(seed: int) -> None:
-    """Where only odometry leads, one that agrees tells little when many others do not."""
-    graph = astray(seed)
-    alone = deviating(graph, [(50, 279)], 0.6)
-    true = len(graph.edges)
-    believed = optimize(alone, robust="consensus")
-    assert not believed.is_outlier.any()  # nothing speaks against it
-    assert apart(graph.poses, believed.poses) > 0.03
-    false_too = with_false_closures(alone, 0.5, seed, "random")
-    found = optimize(false_too, robust="consensus")
-    assert found.is_outlier[true]
-    assert not found.is_outlier[:true].any()
-    assert apart(graph.poses, found.poses) < 0.01
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_consensus_believes_two_that_bear_each_other_out_among_many_false_ones(seed: int) -> None:
-    """The same closure as above, and one next to it that says the same."""
-    pair = deviating(astray(seed), [(50, 279), (51, 278)], 0.6)
-    true = len(pair.edges)
-    false_too = with_false_closures(pair, 0.5, seed, "random")
-    found = optimize(false_too, robust="consensus")
-    assert not found.is_outlier[:true].any()
-    assert apart(optimize(pair).poses, found.poses) < 0.01
 
 
 @given(st.floats(1e-9, 1e3), st.floats(1.0, 100.0))

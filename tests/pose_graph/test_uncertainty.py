@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -111,35 +109,6 @@ def test_gate_is_by_how_much_chi2_rises_with_the_edge() -> None:
         )
         assert optimize(more, tolerance=1e-9).chi2 - before == pytest.approx(gate, rel=0.02)
     assert len(gates(uncertainty, graph.poses, candidates.chosen(np.zeros(3, bool))).errors) == 0
-
-
-@pytest.mark.once
-@pytest.mark.parametrize("deviation_m", [1.0, 5.0, 500.0])
-def test_chance_is_how_many_motions_between_places_agree_as_well(deviation_m: float) -> None:
-    """Asked of motions between places drawn anew, each turned any way."""
-    rng = np.random.default_rng(1)
-    count, extent = 2000, np.array([60.0, 40.0])
-    poses = np.column_stack((rng.uniform(0.0, extent, (count, 2)), np.zeros(count)))
-    poses[1] = poses[0] + (1.0, 0.5, 0.1)
-    steps = np.stack((np.arange(count - 1), np.arange(1, count)), axis=1)
-    known = np.diag([deviation_m**-2.0, deviation_m**-2.0, 4.0])
-    information = np.tile(known, (count - 1, 1, 1))
-    measured = Measurements(steps, between(poses, steps), information)
-    uncertainty = Uncertainty(NormalEquations(measured, count, (0,)), poses)
-    ways = np.diff(rng.uniform(0.0, extent, (4000, 2, 2)), axis=1)[:, 0]
-    motions = np.column_stack((ways, rng.uniform(-math.pi, math.pi, len(ways))))
-    same = np.tile([0, 1], (len(ways), 1))
-    asked = gates(
-        uncertainty, poses, Measurements(same, motions, np.tile(1e4 * np.eye(3), (len(ways), 1, 1)))
-    )
-    order = np.argsort(asked.errors)
-    share = (np.arange(len(order)) + 1.0) / len(order)
-    expected = asked.chances[order]
-    some = (share > 0.005) & (share < 0.2)
-    assert (expected[some] / share[some]).min() > 0.4
-    assert (expected[some] / share[some]).max() < 2.5
-    assert (np.diff(expected) >= 0.0).all()
-    assert expected[-1] <= 1.0
 
 
 @pytest.mark.skipif(not has_gtsam(), reason="GTSAM, a test oracle, is not installed")

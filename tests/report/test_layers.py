@@ -11,18 +11,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from slamfusion.align.records import InputRecord
 from slamfusion.config import NormalizeConfig, RunConfig
 from slamfusion.evaluation import compare_to_truth
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.palette import colours_of
-from slamfusion.report import write_fusion_report, write_slam_report
+from slamfusion.report import write_fusion_report
 from slamfusion.report.fusion_report import fused_section, shown_box
-from slamfusion.report.layers import MOST_CELLS, error_layers, fusion_layers, map_layers
+from slamfusion.report.layers import MOST_CELLS, error_layers, fusion_layers
 from slamfusion.trajectory import Trajectory
-from tests.report.drawn import NASTY, alignment, fusion, room, run_of
-from tests.report.test_reports import check_scripts, read
+from tests.report.drawn import NASTY, fusion, room
+from tests.report.test_reports import read
 from tests.viewer.maps import painted, tiles
 
 pytestmark = pytest.mark.once
@@ -73,20 +72,6 @@ def test_layers_hold_every_map_where_it_was_laid() -> None:
     }
 
 
-def test_an_input_may_be_called_fused_and_one_without_a_place_is_left_out() -> None:
-    found = alignment("room 0", "fused", accepted=True)
-    inputs = (
-        InputRecord(room("fused", 3), found, True, "fits"),
-        InputRecord(room("nowhere", 4), None, False, "all unknown"),
-    )
-    messages, _ = told(fusion_layers(replace(fusion(), inputs=inputs)).recorded)
-    assert [layer["name"] for layer in messages["layer"]] == [
-        "fused",
-        "agreement",
-        "fused (input)",
-    ]
-
-
 def test_larger_maps_are_pictures_alone_and_the_page_says_so(tmp_path: Path) -> None:
     result = fusion()
     side = int(np.sqrt(MOST_CELLS / 2)) + 1
@@ -121,20 +106,3 @@ def test_maps_against_the_truth_are_told_by_their_differences() -> None:
     assert np.all((cells["truth"] == known) | (cells["truth"] == -1))
     is_right = other.cells[4:-4, 4:-4] == cells["truth (map)"]
     assert np.all(is_right | (known == 100))
-
-
-def test_a_map_is_shown_with_the_path_in_its_frame(tmp_path: Path) -> None:
-    grid = room("graph", 1)
-    path = Trajectory(np.arange(2.0), np.array([[0, 500, 0], [1, 501, 0.0]]), "graph")
-    messages, data = told(map_layers(grid, path).recorded)
-    (layer,), (trail,) = messages["layer"], messages["trail"]
-    assert layer["name"] == trail["name"] == "graph"
-    assert trail["points"] == [[0, 500], [1, 501]]
-    cells = painted(tiles(data, "graph"), grid.height, grid.width, (0, 0))
-    assert np.array_equal(cells, grid.cells)
-    page = write_slam_report(tmp_path, run_of("graph", grid, path), config=RunConfig())
-    check_scripts(read(page))
-
-
-def test_the_same_fusion_gives_the_same_layers() -> None:
-    assert fusion_layers(fusion()) == fusion_layers(fusion())

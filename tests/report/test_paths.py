@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +11,10 @@ import numpy.typing as npt
 import pytest
 
 from slamfusion.config import RunConfig, TrajectoryConfig
-from slamfusion.evaluation import RelationErrors, TrajectoryErrors, trajectory_errors
+from slamfusion.evaluation import RelationErrors, trajectory_errors
 from slamfusion.geometry import compose_poses
 from slamfusion.grid import OccupancyGrid
-from slamfusion.palette import DISAGREEMENT_RGB, END_RGB, NAMED, OTHERS, START_RGB, Rgb
+from slamfusion.palette import END_RGB, NAMED, OTHERS, START_RGB, Rgb
 from slamfusion.report import Fact, paths, write_slam_report, write_trajectory_report
 from slamfusion.report.page import Cell, Table
 from slamfusion.slam.common.mapper import Series
@@ -90,10 +89,6 @@ def relation_values(translation_m: Any, stamps_s: Any) -> RelationErrors:
     )
 
 
-def truth_errors() -> TrajectoryErrors:
-    return trajectory_errors(in_room(wrong=0.1), in_room())
-
-
 def test_up_is_up_and_both_ends_are_marked() -> None:
     image = pixels(paths.path_picture(corner()))
     start, end = centre(image, START_RGB), centre(image, END_RGB)
@@ -101,19 +96,6 @@ def test_up_is_up_and_both_ends_are_marked() -> None:
     assert end[0] > 0.6
     assert end[1] < 0.3
     assert start[1] > 0.6
-
-
-def test_the_path_lies_on_the_map() -> None:
-    image = pixels(paths.paths_picture([paths.estimate_line(in_room())], in_room(), grid=own_map()))
-    free = near(image, (255, 255, 255), 2)
-    line = near(image, ESTIMATE, 40)
-    # Everything of the path is inside the walls of the room.
-    rows, cols = np.nonzero(near(image, (18, 22, 28), 2))
-    inside = np.zeros_like(line)
-    inside[rows.min() : rows.max(), cols.min() : cols.max()] = True
-    assert line.sum() > 500
-    assert line[inside].sum() == line.sum()
-    assert free[inside].mean() > 0.5
 
 
 def test_every_path_has_its_colour() -> None:
@@ -135,26 +117,6 @@ def beside(path: Trajectory, up_m: float) -> Trajectory:
     return Trajectory(path.stamps_s, compose_poses((0.0, up_m, 0.0), path.poses), "beside")
 
 
-def purple(image: npt.NDArray[np.uint8]) -> npt.NDArray[np.bool_]:
-    """Where a faint other path is drawn on white, one or several over each other."""
-    red, green, blue = np.moveaxis(image.astype(int), 2, 0)
-    return np.asarray((blue > red + 15) & (red > green + 5))
-
-
-def test_other_paths_are_faint_and_under_the_estimate() -> None:
-    lines = [paths.estimate_line(corner())]
-    alone = pixels(paths.paths_picture(lines, corner()))
-    assert not purple(alone).any()
-    same = pixels(paths.paths_picture(lines, corner(), others=[corner(), corner()]))
-    assert near(same, ESTIMATE).sum() == near(alone, ESTIMATE).sum()
-    apart = pixels(paths.paths_picture(lines, corner(), others=[beside(corner(), -2.0)]))
-    assert purple(apart).sum() > 300
-    assert not near(apart, OTHER).any()
-    # Below the estimate in the picture, where it is below in the world.
-    rows, _ = np.nonzero(purple(apart)[:, : apart.shape[1] // 2])
-    assert rows.mean() / apart.shape[0] > centre(apart, START_RGB)[1]
-
-
 @pytest.mark.parametrize(
     "places",
     [
@@ -172,31 +134,6 @@ def test_odd_paths_can_be_drawn(places: list[tuple[float, float]]) -> None:
         paths.paths_picture([paths.truth_line(path_of(places))], path_of(places)),
     ):
         assert max(pixels(png).shape) < 2000
-
-
-def test_a_long_path_keeps_its_worst_error_in_the_picture() -> None:
-    errors = truth_errors()
-    count = 50_000
-    values = np.full(count, 0.01)
-    values[31_337] = 5.0
-    long = replace(
-        errors,
-        travelled_m=np.linspace(0.0, 900.0, count),
-        translation_m=values,
-        rotation_rad=values,
-    )
-    image = pixels(paths.error_picture(long, ESTIMATE))
-    column = near(image, ESTIMATE)[: image.shape[0] // 2].sum(axis=0)
-    tall = np.flatnonzero(column > 0.5 * column.max())
-    assert 0 < len(tall) < 20
-
-
-def test_revisits_are_marked() -> None:
-    quick = relation_values([0.01, 0.02, 0.03], [[0.0, 1.0], [5.0, 6.0], [9.0, 10.0]])
-    assert not near(pixels(paths.relations_picture(quick)), DISAGREEMENT_RGB, 75).any()
-    slow = relation_values([0.01, 0.02, 0.03], [[0.0, 1.0], [5.0, 90.0], [9.0, 10.0]])
-    assert near(pixels(paths.relations_picture(slow)), DISAGREEMENT_RGB, 75).any()
-    assert "30 s" in paths.revisit_legend()[1].text
 
 
 # --- pages ---------------------------------------------------------------------------------------

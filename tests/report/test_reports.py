@@ -5,8 +5,6 @@ from __future__ import annotations
 import base64
 import hashlib
 import re
-import subprocess
-import sys
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -16,7 +14,7 @@ import numpy as np
 import pytest
 
 from slamfusion.config import PICTURE_FORMS, NormalizeConfig, ReportConfig, RunConfig
-from slamfusion.errors import MapFileError, SlamFusionError
+from slamfusion.errors import SlamFusionError
 from slamfusion.evaluation import MapError, compare_to_truth
 from slamfusion.report import (
     write_difference_image,
@@ -252,18 +250,6 @@ def test_a_place_that_cannot_be_written_is_one_clear_line(tmp_path: Path) -> Non
     assert list(tmp_path.iterdir()) == [blocked]
 
 
-def test_the_difference_image_is_a_png_with_all_its_colours(tmp_path: Path) -> None:
-    path = tmp_path / "out" / "difference.png"
-    write_difference_image(evaluations()[0], path)
-    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
-    assert image is not None
-    assert {(28, 110, 225), (226, 45, 45), (18, 22, 28)} <= colours_of(image)
-    with pytest.raises(
-        MapFileError, match=r"difference\.jpg: wanted a name that ends in \.png, \.svg, \.pdf"
-    ):
-        write_difference_image(evaluations()[0], tmp_path / "difference.jpg")
-
-
 def test_pictures_are_also_had_as_svg_and_pdf_the_same_bytes_each_time(tmp_path: Path) -> None:
     config = replace(CONFIG, report=ReportConfig(("svg", "pdf")))
     write_evaluation_report(evaluations()[:1], tmp_path, config=config)
@@ -281,9 +267,3 @@ def test_pictures_are_also_had_as_svg_and_pdf_the_same_bytes_each_time(tmp_path:
     assert b"x in m" in (tmp_path / "difference.svg").read_bytes()
     with pytest.raises(TypeError, match="wanted a picture that was drawn here"):
         in_form(b"", "svg")
-
-
-def test_the_report_leaves_pyplot_and_its_global_state_alone() -> None:
-    code = "import sys, slamfusion.report; print('matplotlib.pyplot' in sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "False"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from typing import Any
 
@@ -14,7 +13,7 @@ from slamfusion.compute import open_device
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid as Grid
 from slamfusion.ros import messages, qos
-from tests.fusion.live.maps import live_fusion, three, touched
+from tests.fusion.live.maps import live_fusion, three
 from tests.ros.live import Observer, Processes, values
 
 INPUTS = ["a/map", "b/map", "c/map"]
@@ -52,20 +51,6 @@ class Makers:
         for name, grid in (grids or three()).items():
             if name in self.topics:
                 self.send(grid)
-
-    def send_until(self, name: str, *words: str, of: str = NAMES, timeout_s: float = 60.0) -> None:
-        """Publish new maps of some inputs until the diagnostics of a name hold all the words.
-
-        An input is stale when others have news and it has none, so those that are well must go on.
-        """
-        statuses = self.observer.statuses()
-        until_s = time.monotonic() + timeout_s
-        while name not in statuses or any(word not in statuses[name].message for word in words):
-            said = {key: item.message for key, item in statuses.items()}
-            assert time.monotonic() < until_s, f"{name!r} never said {words}; last {said}"
-            for well in of:
-                self.send(touched(three()[well], int(self.stamp_s)))
-            self.observer.listen(0.5)
 
     def stop(self, name: str) -> None:
         """End a publisher, as when its process has died."""

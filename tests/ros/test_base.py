@@ -1,8 +1,6 @@
 from __future__ import annotations
 
-import importlib.util
 import logging
-import os
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,7 +17,6 @@ from rclpy.executors import SingleThreadedExecutor
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 
-from slamfusion.compute import pocl_cache
 from slamfusion.errors import ConfigError
 from slamfusion.ros import qos
 from slamfusion.ros.base import (
@@ -29,13 +26,11 @@ from slamfusion.ros.base import (
     NodeBase,
     Status,
     Worker,
-    is_first_to_say,
-    open_node_device,
     run_node,
 )
 from slamfusion.ros.messages import to_stamp
 from tests.cli.command import run
-from tests.ros.live import Observer, Processes, values
+from tests.ros.live import Observer, values
 
 pytestmark = pytest.mark.ros
 
@@ -65,14 +60,6 @@ def test_a_log_of_ros_takes_troubles_of_every_level():
     for number, level in enumerate((Level.WARN, Level.ERROR, Level.STALE, Level.ERROR)):
         diagnostics.add(f"trouble {number}", level, f"it is {level.name}")
     assert diagnostics.worst()[0] == Level.STALE
-
-
-def test_a_trouble_may_end_by_itself():
-    diagnostics = Diagnostics(logging.getLogger("drawn"))
-    diagnostics.add("a", Level.WARN, "a is low", for_s=0.0)
-    assert not diagnostics.is_on("a")
-    diagnostics.add("a", Level.WARN, "a is low", for_s=1000.0)
-    assert diagnostics.is_on("a")
 
 
 class Drawn(NodeBase):
@@ -230,15 +217,6 @@ def test_a_bad_name_of_a_topic_is_one_line(words: tuple[str, ...], said: str):
     assert "\n" not in str(raised.value)
 
 
-@pytest.mark.usefixtures("domain")
-def test_a_bad_topic_ends_the_command_with_one_line():
-    done = run("node", "fusion", "--ros-args", "-p", "inputs:=[a//b/map]")
-    assert done.returncode == 1
-    lines = [line for line in done.stderr.splitlines() if "tf2_msgs" not in line]
-    assert lines[-1].startswith("slamfusion: error: inputs: '/a//b/map' is no topic name: ")
-    assert "Traceback" not in done.stderr + done.stdout
-
-
 def test_the_command_names_every_node_and_refuses_others():
     shown = run("node", "--help")
     assert shown.returncode == 0
@@ -248,12 +226,6 @@ def test_the_command_names_every_node_and_refuses_others():
     wrong = run("node", "tinyslam", "rate:=2")
     assert wrong.returncode == 2
     assert "a node's options stand after --ros-args" in wrong.stderr
-
-
-def test_every_node_has_its_module():
-    from slamfusion.cli.node import NODES, PRODUCER_NODE  # noqa: PLC0415
-
-    assert all(importlib.util.find_spec(module) for module in (*NODES.values(), PRODUCER_NODE))
 
 
 # -- what nodes that were started together say -----------------------------------------------------
@@ -281,62 +253,6 @@ def test_of_the_nodes_of_a_session_one_says_what_holds_for_all(
     assert [log.said for log in logs] == [["no GPU", "no scans"], ["no scans"]]
     # Each goes on to have it in its diagnostics.
     assert second.worst() == (Level.WARN, "no GPU; no scans")
-
-
-@pytest.mark.parametrize("folder", [None, "gone", "file"])
-def test_a_node_alone_and_one_whose_session_cannot_be_written_speak(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folder: str | None
-) -> None:
-    (tmp_path / "file").touch()  # no folder
-    monkeypatch.delenv(SESSION_VARIABLE, raising=False)
-    if folder is not None:
-        monkeypatch.setenv(SESSION_VARIABLE, str(tmp_path / folder))
-    assert [is_first_to_say("no GPU") for _ in range(2)] == [True, True]
-
-
-# -- the device ------------------------------------------------------------------------------------
-
-
-def test_without_any_room_for_kernels_the_node_says_that_numpy_computes(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    for name in (pocl_cache.FOLDER, pocl_cache.CACHES):
-        monkeypatch.setenv(name, os.devnull)
-    monkeypatch.setattr(pocl_cache, "_why_not", lambda _: os.strerror(28))
-    monkeypatch.setattr("slamfusion.compute.device.find_devices", list)
-    log = Log()
-    diagnostics = Diagnostics(log)
-    pocl_cache.find_cache.cache_clear()
-    try:
-        assert open_node_device("auto", diagnostics).name.startswith("NumPy")
-    finally:
-        pocl_cache.find_cache.cache_clear()
-    level, text = diagnostics.worst()
-    assert level == Level.WARN
-    assert f"PoCL's cache {os.devnull} cannot be written" in text
-    assert "NumPy computes instead" in text
-    assert log.said == [text]
-
-
-def test_a_device_that_is_fine_is_no_warning() -> None:
-    diagnostics = Diagnostics(Log())
-    open_node_device("numpy", diagnostics)
-    assert diagnostics.worst() == (Level.OK, "ok")
-
-
-@pytest.mark.full
-def test_a_node_without_pocls_cache_says_so_and_works(
-    processes: Processes, observer: Observer, tmp_path: Path
-) -> None:
-    cache = tmp_path / "file"
-    cache.write_bytes(b"")
-    node = processes.node("tinyslam", env={pocl_cache.FOLDER: str(cache)})
-    words = f"PoCL's cache {cache} cannot be written", "built for this process only"
-    status = observer.wait_status("tinyslam: slam", *words)
-    assert status.level == bytes([Level.WARN])
-    assert node.interrupt() == 0
-    (line,) = [line for line in node.text().splitlines() if "[WARN]" in line and words[0] in line]
-    assert words[1] in line
 
 
 # -- the worker ------------------------------------------------------------------------------------
@@ -393,17 +309,4 @@ def test_an_item_that_fails_is_reported_and_the_next_is_taken():
     assert worker.wait_idle(20.0)
     assert gate.errors == [("bad", "no good")]
     assert gate.seen == ["first", "good"]
-    assert worker.close()
-
-
-def test_what_waits_can_be_taken_away():
-    gate = Gate()
-    worker = held(gate, 5)
-    worker.put("second")
-    worker.put("third")
-    assert worker.clear() == ["second", "third"]
-    assert not worker.is_idle
-    gate.go.set()
-    assert worker.wait_idle(20.0)
-    assert gate.seen == ["first"]
     assert worker.close()

@@ -21,16 +21,14 @@ from rosgraph_msgs.msg import Clock
 from scipy import ndimage
 from std_srvs.srv import Trigger
 
-from slamfusion.compute import open_device
 from slamfusion.config import MapFileConfig
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox
-from slamfusion.grid import OccupancyGrid as Grid
 from slamfusion.io.map_server import load_map, save_map
 from slamfusion.ros import messages, qos
 from slamfusion.ros.frames import TransformInput
 from slamfusion.ros.fusion_inputs import load_saved
-from tests.fusion.live.maps import assert_same_lattice, live_fusion, share_standing, three, touched
+from tests.fusion.live.maps import assert_same_lattice, share_standing, three, touched
 from tests.ros import tf2
 from tests.ros.fused import (
     Makers,
@@ -39,7 +37,6 @@ from tests.ros.fused import (
     share_equal,
     start_fusion,
     told_transforms,
-    unlike,
 )
 from tests.ros.live import Observer, Processes, values
 
@@ -148,71 +145,6 @@ def test_before_two_agree_nothing_is_published_and_the_services_say_so(
     observer.wait(lambda: maps, what="the fused map")
 
 
-BAD = {
-    "resolution": (math.nan, "resolution"),
-    "width": (7, "cells sent"),
-    "empty": (None, "empty"),
-    "tiny": (None, "too few walls"),
-    "upside down": (None, "mirrored or transposed"),
-    "negative": (-0.1, "resolution"),
-    "hung from the ceiling": (None, "origin"),
-}
-
-
-def test_a_bad_map_is_named_and_the_others_go_on(
-    processes: Processes, observer: Observer, makers: Makers
-):
-    maps = observer.collect(OccupancyGrid, "fused/map", qos.MAP)
-    start_fusion(processes, max_publish_rate_hz=50.0)
-    makers.send_all()
-    wait_for_all(observer)
-    observer.wait(lambda: maps, what="the fused map")
-    good = three()["b"]
-    wanted = fused_without_ros({name: three()[name] for name in "ac"})
-    for number, (fault, (value, words)) in enumerate(BAD.items()):
-        count = len(maps)
-        if fault in {"resolution", "width"}:
-            makers.send(good, **{fault: value})
-        elif fault == "negative":
-            makers.send(good, resolution=value)
-        elif fault == "hung from the ceiling":
-            message = messages.grid_to_message(good, "b_map", messages.to_stamp(1.0))
-            turn = message.info.origin.orientation
-            turn.x, turn.w, turn.z = 1.0, 0.0, 0.0
-            makers.topics["b"].publish(message)
-        elif fault == "empty":
-            message = messages.grid_to_message(good, "b_map", messages.to_stamp(1.0))
-            message.info.width = message.info.height = 0
-            message.data = []
-            makers.topics["b"].publish(message)
-        elif fault == "tiny":
-            makers.send(Grid(np.array([[100]], dtype=np.int8), 0.05, name="b"))
-        else:
-            makers.send(unlike(good))
-        observer.wait_status("fusion: input b", words)
-        observer.wait_status(FUSION, "2 of 3 inputs vote; not: b")
-        observer.wait(lambda count=count: len(maps) > count, what=f"a map without b ({fault})")
-        assert share_equal(maps[-1], wanted) > 0.9, fault
-        # The others go on.
-        count = len(maps)
-        makers.send(touched(three()["c"], number))
-        observer.wait(lambda count=count: len(maps) > count, what=f"a map with a new c ({fault})")
-        makers.send(good)
-        wait_for_all(observer)
-    # Another frame's name is said, and its transform follows.
-    makers.send(good, frame="elsewhere")
-    observer.wait_status(FUSION, "'elsewhere' now")
-    wait_for_all(observer)
-    origin = maps[0].info.origin
-    grids = [messages.grid_from_message(item, "fused") for item in maps]
-    first = messages.pose2_from_message(origin)
-    for grid in grids:
-        own = first.inverse().compose(grid.origin)
-        assert abs(own.x / 0.1 - round(own.x / 0.1)) < 1e-3
-        assert abs(own.y / 0.1 - round(own.y / 0.1)) < 1e-3
-        assert abs(own.yaw_rad) < 1e-6
-
-
 def test_one_that_starts_ten_minutes_late_and_grows_by_its_origin(
     processes: Processes, observer: Observer, makers: Makers
 ):
@@ -246,43 +178,6 @@ def test_one_that_starts_ten_minutes_late_and_grows_by_its_origin(
         assert_same_lattice(first, fused)
         assert share_standing(first, fused) > 0.9
     assert messages.stamp_s(maps[-1]) == makers.stamp_s > 700.0
-
-
-def test_a_producer_that_dies_or_freezes_is_named_and_taken_back(
-    processes: Processes, observer: Observer, makers: Makers
-):
-    maps = observer.collect(OccupancyGrid, "fused/map", qos.MAP)
-    start_fusion(processes, live__stale_after_s=3.0, lost_after_s=1.0)
-    makers.send_until(FUSION, "all 3 inputs vote")
-    makers.stop("b")
-    makers.send_until("fusion: input b", "lost: nobody publishes '/b/map'", of="ac")
-    makers.send_until(FUSION, "2 of 3 inputs vote; not: b", of="ac")
-    makers.start("b")
-    makers.send_until(FUSION, "all 3 inputs vote")
-
-    # It freezes: the topic is there, but only the others have news.
-    makers.send_until("fusion: input c", "no map for", of="ab")
-    makers.send_until(FUSION, "2 of 3 inputs vote; not: c", of="ab")
-    count = len(maps)
-    makers.send_until(FUSION, "all 3 inputs vote")
-    observer.wait(lambda: len(maps) > count, what="the maps that follow")
-
-
-def test_the_fusion_is_restarted_and_hears_kept_maps_at_once(
-    processes: Processes, observer: Observer, makers: Makers
-):
-    makers.send_all()
-    first = start_fusion(processes)
-    wait_for_all(observer)
-    first.kill()
-    observer.statuses().clear()
-    late = observer.collect(OccupancyGrid, "fused/map", qos.MAP)
-    start_fusion(processes)
-    # The first of its maps may be of the two that were heard first.
-    wanted = fused_without_ros()
-    observer.wait(
-        lambda: late and share_equal(late[-1], wanted) > 0.9, 40.0, "the map of the second"
-    )
 
 
 def test_writers_that_keep_nothing_and_saved_maps_take_part(
@@ -355,38 +250,6 @@ def test_a_place_that_cannot_be_written_is_the_answer(
     assert node.is_running
 
 
-def test_maps_are_published_no_faster_than_asked_and_the_last_one_comes(
-    processes: Processes, observer: Observer, makers: Makers
-):
-    maps = observer.collect(OccupancyGrid, "fused/map", qos.MAP)
-    start_fusion(processes, max_publish_rate_hz=0.5)
-    makers.send_all()
-    wait_for_all(observer)
-    observer.wait(lambda: maps, what="the first fused map")
-    began_s, count = time.monotonic(), len(maps)
-    for number in range(15):
-        makers.send(touched(three()["b"], number))
-        observer.listen(0.2)
-    last_s = makers.stamp_s
-    observer.wait(
-        lambda: abs(messages.stamp_s(maps[-1]) - last_s) < 1e-6, what="the map of the last input"
-    )
-    allowed = 0.5 * (time.monotonic() - began_s) + 1.0
-    assert len(maps) - count <= allowed
-
-
-def test_settings_are_changed_and_refused_at_run_time(
-    processes: Processes, observer: Observer, makers: Makers
-):
-    makers.send_all()
-    start_fusion(processes)
-    wait_for_all(observer)
-    assert observer.set_parameter("fusion", "live.jump_m", 0.7).successful
-    answer = observer.set_parameter("fusion", "live.search_share", 3.0)
-    assert not answer.successful
-    assert not observer.set_parameter("fusion", "fusion.vote.mode", "majority").successful
-
-
 def test_wrong_settings_end_it_with_one_line(processes: Processes):
     refused: dict[str, dict[str, Any]] = {
         "/nowhere/lab.yaml": {"inputs": ["file:/nowhere/lab.yaml"]},
@@ -401,55 +264,6 @@ def test_wrong_settings_end_it_with_one_line(processes: Processes):
         assert node.wait(60.0) == 1
         assert words in node.text()
         assert "Traceback" not in node.text()
-
-
-def test_inputs_are_looked_for_around_their_starts(
-    processes: Processes, observer: Observer, makers: Makers
-):
-    """A wrong one keeps c out, which is let in by a right one; by the fused frame of these maps."""
-    live = live_fusion(open_device())
-    for grid in three().values():
-        live.put(grid.name, grid, 0.0)
-    live.update(0.0)
-    poses = {record.name: record.transform for record in live.inputs(0.0)}
-    starts = {
-        f"start__{name}": [pose.x, pose.y, pose.yaw_rad, 0.5, 0.1]
-        for name, pose in poses.items()
-        if pose is not None
-    }
-    assert len(starts) == 3
-    wrong = [*starts["start__c"][:2], starts["start__c"][2] + 1.5, 0.5, 0.1]
-    makers.send_all()
-    node = start_fusion(processes, **(starts | {"start__c": wrong}))
-    observer.wait_status(FUSION, "2 of 3 inputs vote; not: c", timeout_s=60.0)
-
-    def maps() -> int:
-        return int(values(observer.statuses()["fusion: input c"]).get("maps", "0"))
-
-    # Two may vote before the first map of c has come.
-    observer.wait(lambda: maps() == 1, what="the first map of c")
-    makers.send(touched(three()["c"], 1))
-    observer.wait(lambda: maps() > 1, what="the second map of c")
-    assert values(observer.statuses()["fusion: input c"])["accepted"] == "no"
-    node.kill()
-    start_fusion(processes, **starts)
-    wait_for_all(observer)
-
-
-def test_in_a_namespace_of_its_own(processes: Processes, observer: Observer):
-    makers = [Makers(observer, prefix=f"/robot{number}/") for number in (1, 2)]
-    fused = [
-        observer.collect(OccupancyGrid, f"/robot{number}/fused/map", qos.MAP) for number in (1, 2)
-    ]
-    for number in (1, 2):
-        start_fusion(processes, "-r", f"__ns:=/robot{number}")
-    makers[0].send_all()
-    for name in "ab":
-        makers[1].send(three()[name])
-    observer.wait_status("robot1/fusion: fusion", "all 3 inputs vote", timeout_s=60.0)
-    observer.wait_status("robot2/fusion: fusion", "2 of 3 inputs vote; not: c", timeout_s=60.0)
-    observer.wait(lambda: all(fused), what="both fused maps")
-    assert share_equal(fused[0][-1], fused_without_ros()) > 0.9
 
 
 # -- frames ----------------------------------------------------------------------------------------

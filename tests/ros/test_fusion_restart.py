@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,13 +15,10 @@ from nav_msgs.msg import OccupancyGrid
 from rclpy.context import Context
 from std_srvs.srv import Trigger
 
-from slamfusion.errors import ConfigError
-from slamfusion.fusion.live.session import FusionState
 from slamfusion.fusion.live.state import LiveState
 from slamfusion.geometry import Pose2
 from slamfusion.ros import messages, qos
-from slamfusion.ros.base import Level, NodeBase
-from slamfusion.ros.fusion_state import StateKeeper
+from slamfusion.ros.base import NodeBase
 from slamfusion.vote.lattice import Lattice
 from tests.fusion.live.maps import assert_same_lattice, share_standing, three, touched
 from tests.ros.fused import Makers, start_fusion
@@ -125,71 +121,6 @@ def base(domain: int) -> Iterator[NodeBase]:
     yield node
     node.node.destroy_node()
     rclpy.shutdown(context=context)
-
-
-class Live:
-    """A fusion in a state."""
-
-    def __init__(self) -> None:
-        self.restored: LiveState | None = None
-
-    def restore(self, state: LiveState) -> None:
-        self.restored = state
-
-    def state(self, stamp_s: float) -> LiveState:
-        return replace(a_state(), stamp_s=stamp_s)
-
-
-MADE, RESET = FusionState(fused_maps=1, fused_stamp_s=7.0), FusionState(resets=1)
-
-
-def test_a_keeper_writes_restores_and_clears_one_file(base: NodeBase, tmp_path: Path):
-    path = tmp_path / "state"
-    keeper = StateKeeper(base, Live(), str(path), "ab")
-    assert keeper.restored is None
-    assert not keeper.is_waiting(lambda _: False)
-    keeper.note(MADE)
-    keeper.close(is_whole=True)
-    assert LiveState.from_bytes(path.read_bytes()).stamp_s == 7.0
-    live = Live()
-    again = StateKeeper(base, live, str(path), ["a", "z"])
-    assert live.restored is again.restored is not None
-    assert live.restored.to_bytes() == path.read_bytes()
-    assert f"restored from '{path}' of" in base.diagnostics.worst()[1]
-    assert again.is_unconfirmed
-    # Of the inputs that had a place one is missing, and another never had one.
-    assert again.is_waiting(lambda name: name == "z")
-    assert not again.is_waiting(lambda name: name == "a")
-    again.note(RESET)
-    again.close(is_whole=True)
-    assert not path.exists()
-    assert not again.is_unconfirmed
-    assert base.diagnostics.worst() == (Level.OK, "ok")
-
-
-def test_a_keeper_leaves_files_of_others_alone(base: NodeBase, tmp_path: Path):
-    path = tmp_path / "lab.pgm"
-    path.write_bytes(b"P5\n1 1\n255\n\x00")
-    keeper = StateKeeper(base, Live(), str(path), "")
-    assert keeper.restored is None
-    assert "is no state of the fusion and is left as it is" in base.diagnostics.worst()[1]
-    keeper.note(MADE)
-    keeper.note(RESET)
-    keeper.close(is_whole=True)
-    assert path.read_bytes() == b"P5\n1 1\n255\n\x00"
-    with pytest.raises(ConfigError, match="is a folder"):
-        StateKeeper(base, Live(), str(tmp_path), "")
-
-
-def test_a_keeper_that_cannot_write_says_so(base: NodeBase, tmp_path: Path):
-    folder = tmp_path / "gone"
-    folder.mkdir()
-    keeper = StateKeeper(base, Live(), str(folder / "state"), "")
-    folder.rmdir()
-    folder.write_text("no folder")
-    keeper.note(MADE)
-    keeper.close(is_whole=False)
-    assert "the state is not kept" in base.diagnostics.worst()[1]
 
 
 def a_state() -> LiveState:

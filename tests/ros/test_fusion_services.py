@@ -17,7 +17,6 @@ from nav_msgs.srv import LoadMap
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.clock import Clock
 from rclpy.parameter import Parameter
-from std_srvs.srv import Trigger
 
 from slamfusion.config import FusionNodeConfig
 from slamfusion.grid import OccupancyGrid
@@ -70,29 +69,6 @@ def save_as(node: Node, **fields: Any) -> tuple[bool, str]:
     request = SetParametersAtomically.Request(parameters=given)
     result = node.answers["save_map_as"](request, SetParametersAtomically.Response()).result
     return result.successful, result.reason
-
-
-def test_what_goes_wrong_unforeseen_is_no_success(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    node = Node(tmp_path)
-    FusionServices(node)
-
-    def fail(*_: Any, **__: Any) -> Any:
-        message = "no more threads"
-        raise RuntimeError(message)
-
-    monkeypatch.setattr(node, "load_input", fail)
-    monkeypatch.setattr(node, "ask_reset", fail)
-    monkeypatch.setattr("slamfusion.ros.fusion_services.save_map", fail)
-    said = "RuntimeError: no more threads"
-    request = LoadMap.Request(map_url="/maps/lab.yaml")
-    loaded = node.answers["load_map"](request, LoadMap.Response())
-    assert loaded.result == LoadMap.Response.RESULT_UNDEFINED_FAILURE
-    reset = node.answers["reset"](Trigger.Request(), Trigger.Response())
-    assert (reset.success, reset.message) == (False, said)
-    assert save_as(node, path=str(tmp_path / "other")) == (False, said)
-    assert node.diagnostics.worst()[1] == said
 
 
 def test_a_map_is_loaded_from_its_path_alone(tmp_path: Path) -> None:

@@ -75,29 +75,6 @@ def test_a_clock_that_is_off_is_named_by_how_much_until_it_is_set() -> None:
     assert robots.told() == "all is well", "it is no input any more"
 
 
-def test_near_enough_is_not_named() -> None:
-    robots = Robots(a=0.0, b=1.9, c=-1.9)
-    robots.drive()
-    assert robots.told() == "all is well"
-
-
-def test_messages_that_come_late_now_and_then_tell_nothing() -> None:
-    robots = Robots(a=0.0, b=0.0)
-    robots.drive()
-    for late_s in (5.0, 0.1, 7.0):
-        robots.drive(5, late_s)
-        assert robots.told() == "all is well"
-
-
-def test_a_stray_stamp_is_no_clock() -> None:
-    robots = Robots(a=0.0, b=0.0)
-    robots.drive()
-    robots.clocks.hear("b", "pose", robots.now_s + 86400.0)
-    assert robots.told() == "all is well"
-    robots.drive(2)
-    assert robots.told() == "all is well"
-
-
 def test_a_kept_map_of_long_ago_is_no_clock() -> None:
     robots = Robots(a=0.0, b=0.0)
     del robots.ahead_s["b"]
@@ -216,39 +193,6 @@ def test_the_writer_that_had_fallen_silent_is_told_from_another_one(
     found = after(*events)
     assert found.is_back == is_back
     assert not found.is_dead(1e9)
-
-
-def test_who_was_forgiven_is_dead_only_when_it_falls_silent_anew() -> None:
-    found = after(LIVES, SILENT)
-    found.forgive()
-    assert not found.is_dead(1e9)
-    found.take(*RENEWED, 2.0)
-    found.take(*SILENT, 3.0)
-    assert found.is_dead(1e9)
-
-
-def test_a_count_that_is_too_small_hides_neither_life_nor_silence() -> None:
-    found = after(FEWER, FEWER_LIVES)
-    assert not found.is_dead(1e9)
-    assert found.take(*FEWER_SILENT, 3.0)
-    assert found.is_dead(4.0)
-    assert found.take(*FEWER_RENEWED, 5.0)
-    assert not found.is_dead(1e9)
-
-
-def test_a_living_writer_is_not_dead_because_another_one_is_taken_off() -> None:
-    found = after(LIVES, SILENT, RENEWED)
-    found.take(0, -1, 0, 3.0)
-    assert not found.is_dead(1e9)
-    found.take(*FEWER_SILENT, 4.0)
-    assert found.is_dead(1e9)
-
-
-def test_only_the_first_and_the_last_that_lives_is_news() -> None:
-    found = Liveliness()
-    events = (LIVES, (2, 1, 0), SILENT, GIVEN_UP, ANOTHER)
-    news = [found.take(*event, 0.1 * number) for number, event in enumerate(events)]
-    assert news == [True, False, True, False, True]
 
 
 # -- maps and what changed of them -----------------------------------------------------------------

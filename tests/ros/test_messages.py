@@ -9,10 +9,8 @@ import pytest
 pytest.importorskip("nav_msgs", reason="rclpy is absent: install the extra ros, or source a ROS")
 
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Pose
 from hypothesis import given
 from hypothesis import strategies as st
-from nav_msgs.msg import OccupancyGrid as GridMessage
 
 from slamfusion.errors import GridError, ScanError, TrajectoryError
 from slamfusion.geometry import Pose2
@@ -41,27 +39,6 @@ def test_a_grid_comes_back_as_it_was():
     assert back.name == "drawn"
 
 
-def test_a_large_grid_comes_back_as_it_was():
-    rng = np.random.default_rng(3)
-    cells = rng.integers(-1, 101, (4000, 4000)).astype(np.int8)
-    back = messages.grid_from_message(sent(OccupancyGrid(cells, 0.1)), "large")
-    assert np.array_equal(back.cells, cells)
-
-
-def test_a_received_grid_does_not_change_with_its_message():
-    message = sent()
-    back = messages.grid_from_message(message, "drawn")
-    message.data[1] = 55
-    assert back.cells[0, 1] == 0
-
-
-def test_the_message_has_the_frame_and_the_time():
-    message = sent()
-    assert message.header.frame_id == "a_map"
-    assert messages.stamp_s(message) == 7.000000005
-    assert (message.info.width, message.info.height) == (3, 2)
-
-
 @pytest.mark.parametrize("resolution", [math.nan, 0.0, -0.05, math.inf])
 def test_a_resolution_that_is_none_is_refused(resolution: float):
     message = sent()
@@ -75,17 +52,6 @@ def test_a_wrong_number_of_cells_is_refused():
     message.data = message.data[:-1]
     with pytest.raises(GridError, match=r"odd: 5 cells sent for a map of 3 x 2"):
         messages.grid_from_message(message, "odd")
-
-
-def test_an_empty_map_is_refused():
-    with pytest.raises(GridError, match=r"odd: a map of 0 x 0 cells is empty"):
-        messages.grid_from_message(GridMessage(info=_info(0.05)), "odd")
-
-
-def _info(resolution: float) -> Any:
-    info = sent().info
-    info.resolution, info.width, info.height = resolution, 0, 0
-    return info
 
 
 @pytest.mark.parametrize("value", [-2, 101, -128, 127])
@@ -117,32 +83,12 @@ def test_an_origin_that_is_no_pose_in_the_plane_is_refused(turn: tuple[float, ..
         messages.pose2_from_message(message.info.origin)
 
 
-def test_an_origin_that_is_nowhere_is_refused():
-    message = sent()
-    message.info.origin.position.x = math.inf
-    with pytest.raises(GridError, match="not finite"):
-        messages.grid_from_message(message, "odd")
-
-
 @given(st.floats(-100.0, 100.0), st.floats(-100.0, 100.0), st.floats(-3.14, 3.14))
 def test_a_pose_comes_back_as_it_was(x: float, y: float, yaw_rad: float):
     message = messages.pose_to_message(Pose2(x, y, yaw_rad), "map", Time())
     back = messages.pose2_from_message(message.pose)
     assert (back.x, back.y) == (x, y)
     assert back.yaw_rad == pytest.approx(yaw_rad, abs=1e-12)
-
-
-def test_a_quaternion_of_another_length_is_the_same_turn():
-    pose = Pose()
-    pose.orientation.z, pose.orientation.w = 3.0 * math.sin(0.2), 3.0 * math.cos(0.2)
-    assert messages.pose2_from_message(pose).yaw_rad == pytest.approx(0.4)
-
-
-def test_a_transform_carries_points_of_the_child_into_the_parent():
-    message = messages.transform_to_message(Pose2(1.0, 2.0, math.pi / 2), "map", "odom", Time())
-    assert (message.header.frame_id, message.child_frame_id) == ("map", "odom")
-    motion = messages.pose2_from_message(message.transform)
-    assert motion.transform((1.0, 0.0)) == pytest.approx([1.0, 3.0])
 
 
 @given(st.integers(0, 2**31 - 2), st.integers(0, 999_999_999))

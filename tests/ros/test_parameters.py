@@ -15,7 +15,7 @@ from rclpy.parameter import Parameter
 from slamfusion.config import GmappingConfig, TinySlamConfig
 from slamfusion.config.core import Checked, option
 from slamfusion.errors import ConfigError
-from slamfusion.ros.parameters import TypedNode, declare, declare_starts, parameter_names
+from slamfusion.ros.parameters import TypedNode, declare, declare_starts
 
 pytestmark = pytest.mark.ros
 
@@ -66,11 +66,6 @@ def test_without_a_word_the_defaults_hold(make_node: MakeNode):
     assert declare(make_node(), GmappingConfig(), "gmapping") == GmappingConfig()
 
 
-def test_an_instance_gives_the_defaults(make_node: MakeNode):
-    asked = Drawn(Inner(7), 2.0, "slow", "one", 0.5, is_on=False)
-    assert declare(make_node(), asked) == asked
-
-
 def test_the_command_line_sets_fields_of_every_kind(make_node: MakeNode):
     node = make_node(
         a__inner__beams="20", a__period_s="3", a__name="box", a__share="0.25", a__is_on="false"
@@ -119,24 +114,6 @@ def test_a_start_is_an_array_or_a_text(make_node: MakeNode, value: str, wanted: 
     assert declare_starts(make_node(), ("lab",)) == {}
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "words"),
-    [
-        ("lab", "[1.0,.nan,0.0]", "start.lab: wanted .*, all finite, found 1.0,nan,0.0"),
-        ("lab", "[1.0,2.0]", "start.lab: wanted .*, found 2 numbers: 1.0,2.0"),
-        ("lab", "[1.0,2.0,0.0,-1.0,0.5]", "start.lab: the tolerances must be at least 0, found -1"),
-        ("lab", "true", "start.lab: wanted .*, found True"),
-        ("lab", "north", "start.lab: wanted .*, all numbers, found north"),
-        ("lap", "[1.0,2.0,0.0]", "start.lap names no input; the inputs are lab, hall"),
-    ],
-)
-def test_a_start_that_cannot_be_is_refused_by_node_and_name(
-    make_node: MakeNode, name: str, value: str, words: str
-):
-    with pytest.raises(ConfigError, match=f"^node drawn0: {words}"):
-        declare_starts(make_node(**{f"start__{name}": value}), ("lab", "hall"))
-
-
 def test_tools_are_told_what_a_parameter_is(make_node: MakeNode):
     node = make_node()
     declare(node, Drawn(), "a", changeable=("mode",))
@@ -171,50 +148,3 @@ def test_a_change_is_checked_and_told(make_node: MakeNode):
     assert not change("period_s", 2.0).successful
     assert len(told) == 2
     assert node.get_parameter("mode").value == "fast"
-
-
-def test_a_refused_change_leaves_the_type_as_it_was(make_node: MakeNode):
-    node = make_node()
-    names = ("a.mode", "a.inner.beams", "a.share", "a.is_on", "a.period_s", "a.name")
-    fields = [name.removeprefix("a.") for name in names]
-    declare(node, Drawn(), "a", changeable=[name for name in fields if name != "period_s"])
-    before = [node.describe_parameter(name).type for name in names]
-    kinds = Parameter.Type
-    assert before == [
-        kinds.STRING.value,
-        kinds.INTEGER.value,
-        kinds.NOT_SET.value,
-        kinds.BOOL.value,
-        kinds.DOUBLE.value,
-        kinds.NOT_SET.value,
-    ]
-    for name in names:
-        for value in (True, -7, -7.5, "word", ["a", "b"], None):
-            if [name, value] in [["a.is_on", True], ["a.name", "word"]]:  # it may be that
-                continue
-            (result,) = node.set_parameters([Parameter(name, value=value)])
-            if name == "a.mode" or value is not None:
-                assert not result.successful, (name, value)
-                assert name in result.reason
-    # The second is refused, and the first stays with it.
-    both = [Parameter("a.share", value=0.5), Parameter("a.period_s", value=3.0)]
-    assert not node.set_parameters_atomically(both).successful
-    assert [node.describe_parameter(name).type for name in names] == before
-    # A number without a point is a float, where that is wanted.
-    assert node.set_parameters([Parameter("a.share", value=2)])[0].successful
-    assert node.describe_parameter("a.share").type == kinds.DOUBLE.value
-    assert node.get_parameter("a.share").value == 2.0
-    # What has a value keeps one.
-    (result,) = node.set_parameters([Parameter("a.share")])
-    assert (result.successful, "a.share: wanted a value" in result.reason) == (False, True)
-
-
-def test_only_known_fields_can_be_changeable(make_node: MakeNode):
-    with pytest.raises(ValueError, match="no field 'beams'"):
-        declare(make_node(), Drawn(), changeable=("beams",))
-
-
-def test_names_are_those_of_the_configuration_file():
-    names = parameter_names(TinySlamConfig, "tinyslam")
-    assert "tinyslam.resolution" in names
-    assert "tinyslam.matcher.beams" in names

@@ -27,7 +27,7 @@ from slamfusion.ros import messages, producer_node, qos
 from slamfusion.slam.common.mapper import DrawsAside, MapJob
 from slamfusion.slam.graph import GraphSlam
 from slamfusion.slam.graph.node_map import NodeMap
-from slamfusion.slam.registry import BUILT_IN, make_producer
+from slamfusion.slam.registry import make_producer
 from tests.ros.drives import as_sent, offline, scans
 from tests.ros.live import Observer
 
@@ -44,12 +44,6 @@ def there_and_back(count: int) -> list[LogScan]:
         dataclasses.replace(item, scan=dataclasses.replace(item.scan, stamp_s=100.0 + 0.1 * index))
         for index, item in enumerate([*there, *there[-2::-1]])
     ]
-
-
-def test_only_the_graph_lets_its_map_be_drawn_aside():
-    device = open_device()
-    kinds = {k for k in BUILT_IN if isinstance(make_producer(k, RunConfig(), device), DrawsAside)}
-    assert kinds == {"graph"}
 
 
 def test_what_a_settled_map_is_drawn_from_gives_the_map():

@@ -197,16 +197,6 @@ def test_odometry_and_laser_by_transforms(
         assert said == (0 if has_tf2 else 1)
 
 
-def test_without_odometry(processes: Processes, observer: Observer, tmp_path: FilePath):
-    log = write_log(tmp_path, COUNT)
-    maps = observer.collect(OccupancyGrid, "tinyslam/map", qos.MAP)
-    processes.node("tinyslam", odometry_source="none", map_update_interval_s=0.2)
-    processes.node("player", file=str(log), lockstep=True, wait_for=["tinyslam"], odometry="none")
-    message = wait_for_last_map(observer, maps)
-    bare = [LogScan(item.scan, None, item.line) for item in open_log(log)]
-    assert_same_map(message, offline("tinyslam", as_sent(bare)))
-
-
 def test_a_laser_offset_by_parameters_and_simulated_time(
     processes: Processes, observer: Observer, tmp_path: FilePath
 ):
@@ -596,19 +586,3 @@ def test_parameters_may_change_where_that_makes_sense(processes: Processes, obse
     assert not refused.successful
     assert "read-only" in refused.reason
     assert node.is_running
-
-
-def test_a_parameter_that_cannot_be_ends_the_node_with_one_line(processes: Processes):
-    refused: dict[str, dict[str, Any]] = {
-        "must be one of topic, tf, none, found 'wheels'": {"odometry_source": "wheels"},
-        "tinyslam.resolution": {"tinyslam__resolution": 5.0},
-        "wanted int, found 'many'": {"scan_queue": "many"},
-        "no such device": {"device": "no such device"},
-    }
-    nodes = {words: processes.node("tinyslam", **given) for words, given in refused.items()}
-    for words, node in nodes.items():
-        assert node.wait(60.0) == 1
-        said = [line for line in node.text().splitlines() if "tf2_msgs" not in line]
-        assert len(said) == 1
-        assert said[0].startswith("slamfusion: error: ")
-        assert words in said[0]

@@ -14,7 +14,6 @@ from tests.fusion.drawings import off_by
 from tests.fusion.live.maps import (
     Drive,
     littered,
-    live_fusion,
     moved_frame,
     on_lattice,
     share_standing,
@@ -126,54 +125,6 @@ def test_two_young_maps_take_nothing_from_what_the_third_knows(device: ComputeDe
     # But for cells at the rim, where a map may lie a hundredth of a cell elsewhere than before.
     assert np.count_nonzero(known_on(drive.fused, before) != (before.cells >= 0)) < 10
     assert np.count_nonzero(alone != (before.cells >= 0)) > 10
-
-
-@pytest.mark.parametrize(("rule", "is_kept"), [("value", False), ("abstain", True)])
-def test_a_rule_for_unknown_that_was_asked_for_holds_for_young_maps_too(
-    device: ComputeDevice, rule: str, is_kept: bool
-) -> None:
-    drive = Drive(live_fusion(device, unknown=rule))
-    drive.step(*three().values())
-    before = drive.fused
-    assert before is not None
-    for name in "bc":
-        drive.maybe(young(three()[name], 1.5))
-    share = np.count_nonzero(known_on(drive.fused, before)) / np.count_nonzero(before.cells >= 0)
-    assert (share > 0.85) == is_kept
-
-
-def test_maps_that_were_believed_in_the_wrong_place_are_found_when_they_have_grown(
-    device: ComputeDevice,
-) -> None:
-    drive = begun_anew(device, "bc")
-    right = {name: drive.input(name).transform for name in drive.accepted()}
-    # As if those few metres of wall had been taken for others.
-    wrong = Pose2(1.5, 0.8, 0.4)
-    for name, transform in right.items():
-        assert transform is not None
-        drive.live._tracks[name].transform = wrong.compose(transform)
-    drive.step(*(young(three()[name], 3.0) for name in right))
-    for half_m in (5.0, 9.0, 9.0):
-        drive.maybe(*(young(three()[name], half_m) for name in "bc"))
-    assert drive.accepted() == "bc"
-    for name, transform in right.items():
-        found = drive.input(name).transform
-        assert found is not None
-        assert transform is not None
-        shift, degrees = off_by(three()[name], found, transform)
-        assert shift < 1.0, name
-        assert degrees < 0.3, name
-
-
-def test_of_two_such_maps_the_one_that_knows_more_is_kept(device: ComputeDevice) -> None:
-    drive = begun_anew(device, "b")
-    held = drive.live._supervisor._anchor.held
-    assert held is not None
-    drive.live.drop("b", "its producer is gone")
-    drive.step()
-    drive.step(young(three()["c"], 1.5))
-    assert drive.accepted() == "c"
-    assert drive.live._supervisor._anchor.held is held
 
 
 def test_a_place_that_changed_leaves_the_frame_where_it_is(device: ComputeDevice) -> None:

@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import pytest
 
-from slamfusion.align.cancel import CancelledSearchError, CancelToken, check_cancelled
 from slamfusion.compute import ComputeDevice
 from slamfusion.fusion.live import LiveInput, LiveUpdate
 from tests.fusion.live.maps import Drive, interrupted, started, three, touched
@@ -65,40 +63,6 @@ def test_an_alignment_that_may_wait_is_given_up_and_begun_again(device: ComputeD
     rest(drive, Doorbell(None))
     assert drive.input("b").is_tracked
     assert drive.input("b").transform == undisturbed.input("b").transform
-
-
-def test_a_map_that_is_put_meanwhile_ends_it_too(device: ComputeDevice) -> None:
-    drive = drifted(device)
-    asked = 0
-
-    def put_at_fifth() -> bool:
-        nonlocal asked
-        asked += 1
-        if asked == 5:
-            drive.live.put("c", touched(three()["c"], 2), drive.now_s)
-        return False
-
-    assert rest(drive, put_at_fifth) is None
-    assert asked == 5
-    update = rest(drive, Doorbell(None))
-    assert update is not None
-    assert update.fused is not None
-    assert not drive.input("b").is_tracked
-
-
-def test_what_a_device_was_told_is_done_before_it_is_asked_whether_to_go_on(
-    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    said: list[str] = []
-    monkeypatch.setattr(device, "finish", lambda: said.append("done"), raising=False)
-    bell = Doorbell(2)
-    token = CancelToken(lambda: bool(said.append("asked")) or bell(), device)
-    assert not said
-    token.check()
-    with pytest.raises(CancelledSearchError):
-        token.check()
-    check_cancelled()
-    assert said == ["done", "asked"] * 2
 
 
 def test_what_changed_too_much_to_wait_is_aligned_whatever_comes(device: ComputeDevice) -> None:

@@ -10,15 +10,13 @@ import numpy as np
 import pytest
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.fusion.live import voting as fused_layers
 from slamfusion.geometry import Pose2
-from slamfusion.grid import OCCUPIED, CellBox, OccupancyGrid
-from tests.fusion.drawings import off_by, padded
+from slamfusion.grid import OCCUPIED, OccupancyGrid
+from tests.fusion.drawings import off_by
 from tests.fusion.live.maps import (
     AWAY,
     Drive,
     assert_same_lattice,
-    interrupted,
     littered,
     live_fusion,
     mirrored,
@@ -101,32 +99,6 @@ def test_a_jump_of_the_only_input_left_is_confirmed_by_the_last_fused_map(
     assert share_standing(drive.fused, first) > 0.97
 
 
-@pytest.mark.parametrize("others", ["abc", "ab"])
-def test_a_jump_that_a_second_search_does_not_find_is_not_believed(
-    device: ComputeDevice, others: str
-) -> None:
-    drive = Drive(live_fusion(device))
-    drive.step(*(three()[name] for name in others))
-    before = drive.input("b").transform
-    drive.step(moved_frame(three()["b"], AWAY))
-    track = drive.live._tracks["b"]
-    assert track.jump is not None
-    # As if that search had been wrong: 3 m from where every other one finds it.
-    track.jump = Pose2(3.0, 0.0, 0.0).compose(track.jump)
-    for _ in range(6):
-        drive.maybe()
-    assert drive.accepted() == others.replace("b", "")
-    assert "a second search does not find it" in drive.input("b").reason
-    assert drive.input("b").transform == before
-    # Its next map begins again.
-    again = moved_frame(touched(three()["b"], 1, 0.002), AWAY)
-    drive.step(again)
-    assert "jumped by" in drive.input("b").reason
-    for _ in range(4):
-        drive.maybe()
-    assert drive.accepted() == others
-
-
 def test_a_map_that_jumps_and_goes_back_within_the_time_stays_where_it_was(
     device: ComputeDevice,
 ) -> None:
@@ -202,47 +174,6 @@ def test_an_origin_that_jumps_by_10_km_takes_no_memory_and_is_followed(
     assert share_standing(first, drive.fused) > 0.97
 
 
-def test_the_layers_give_back_what_a_far_cell_took_and_the_frame_stays(
-    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(fused_layers, "SHRUNK_CELLS", 1 << 16)
-    drive = started(device)
-    layers, first = drive.live._layers, drive.fused
-    assert layers is not None
-    assert layers.box is not None
-    assert first is not None
-    before = layers.box.area
-    far = padded(three()["b"], 0, 0, 0, 3000)
-    cells = far.cells.copy()
-    cells[0, -1] = 0
-    drive.step(replace(far, cells=cells))
-    assert drive.accepted() == "abc"
-    assert layers.box.area > 10 * before
-    # A stray cell that is gone, an input that is lost: neither keeps the room.
-    update = drive.step(three()["b"])
-    assert update.fused is not None
-    assert layers.box.area <= before
-    assert update.fused.cells.size == layers.box.area
-    assert_same_lattice(first, update.fused)
-    assert share_standing(first, update.fused) > 0.999
-    assert np.array_equal(
-        update.fused.crop(CellBox(0, 0, first.height, first.width)).cells, first.cells
-    )
-
-
-def test_an_input_that_leaves_does_not_change_the_size_of_what_is_published(
-    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(fused_layers, "SHRUNK_CELLS", 1)
-    drive = started(device)
-    assert drive.fused is not None
-    shape = drive.fused.cells.shape
-    for name in "bc":
-        drive.live.drop(name, "its producer is gone")
-        drive.step()
-        assert drive.fused.cells.shape == shape
-
-
 # -- maps that say nothing -------------------------------------------------------------------------
 
 
@@ -271,38 +202,6 @@ def test_a_map_that_says_nothing_is_refused_before_it_is_looked_at(
     drive.step(three()["a"], bad.with_name("b"), three()["c"])
     assert drive.accepted() == "ac"
     assert words in drive.input("b").reason
-
-
-def test_a_long_search_is_put_off_while_maps_of_others_wait_and_ends_in_the_end(
-    device: ComputeDevice,
-) -> None:
-    drive = started(device)
-    drive.step(moved_frame(three()["b"], AWAY))
-    track = drive.live._tracks["b"]
-    track.jump, track.tried, track.patience_s = None, None, 0.0
-    drive.now_s += 1.0
-    update = interrupted(drive, lambda: True)
-    assert update is not None
-    assert "put off for the maps of others" in drive.input("b").reason
-    track.patience_s = 1000.0
-    drive.now_s += 1.0
-    interrupted(drive, lambda: True)
-    assert "jumped by" in drive.input("b").reason
-
-
-def test_searches_in_vain_leave_most_of_the_time_to_others(device: ComputeDevice) -> None:
-    drive = started(device, search_pause_s=2.0)
-    stranger = noise()
-    cells = np.where(stranger.cells == 100, 0, stranger.cells)
-    cells[np.random.default_rng(5).random(cells.shape) < 0.03] = 100
-    drive.step(replace(stranger, cells=cells, name="b"))
-    track = drive.live._tracks["b"]
-    assert not track.votes
-    assert track.searches == 1
-    track.rest_s = 20.0  # as after a search of 5 s
-    for number in range(4):
-        drive.step(touched(replace(stranger, cells=cells, name="b"), number, 0.001))
-    assert track.searches == 1, "a long search in vain is followed by a long pause"
 
 
 # -- mirrored --------------------------------------------------------------------------------------
@@ -381,14 +280,6 @@ def test_a_tracked_map_whose_walls_do_not_match_loses_its_vote_while_that_lasts(
     # A little litter is no contradiction.
     drive.step(littered(three()["b"], 1, 0.04))
     assert drive.accepted() == "abc"
-
-
-def test_nothing_that_votes_says_that_its_walls_do_not_match(device: ComputeDevice) -> None:
-    drive = started(device)
-    for number, share in enumerate(np.linspace(0.0, 0.3, 7)):
-        drive.maybe(littered(three()["b"], 1, float(share)), touched(three()["a"], number, 0.001))
-        for record in drive.live.inputs(drive.now_s):
-            assert not (record.accepted and is_contradicted(record.reason))
 
 
 # -- poses -----------------------------------------------------------------------------------------

@@ -6,21 +6,18 @@ import math
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.config import NormalizeConfig
 from slamfusion.fusion.live.layers import carry
 from slamfusion.geometry import Pose2
-from slamfusion.grid import CellBox, OccupancyGrid
+from slamfusion.grid import CellBox
 from slamfusion.vote.lattice import Lattice
-from tests.fusion.drawings import padded, random_cells, random_grid
+from tests.fusion.drawings import padded, random_grid
 from tests.fusion.live.maps import layer_of
 from tests.support.examples import examples
 
-RULES = NormalizeConfig()
 POSES = st.builds(
     Pose2, st.floats(-30.0, 30.0), st.floats(-30.0, 30.0), st.floats(-math.pi, math.pi)
 )
@@ -59,29 +56,6 @@ def test_a_cell_is_the_same_in_whatever_box_and_however_the_map_grew(
         cols = slice(inner[1], inner[1] + part.width)
         assert np.array_equal(alone, whole[rows, cols])
     assert (whole >= 0).sum() > 0.8 * (grid.cells >= 0).sum()
-
-
-@pytest.mark.parametrize("size", [0.05, 0.04, 0.2, 0.25])
-def test_cells_of_another_size_keep_their_phase_while_the_map_grows(
-    device: ComputeDevice, size: float
-) -> None:
-    grid = OccupancyGrid(random_cells(5), size, Pose2(4.0, 2.0, 0.6))
-    first = layer_of(grid, device)
-    assert first.lattice.resolution == 0.1
-    for south, west in ((1, 0), (3, 7), (10, 5)):
-        grown = layer_of(padded(grid, south, west, 2, 9), device, first)
-        assert grown.lattice == first.lattice
-        assert np.array_equal(grown.window(first.box), first.cells)
-    walls = grid.cells >= 65
-    if size < 0.1:
-        # No wall is lost where cells are joined.
-        rows, cols = np.nonzero(walls)
-        place = grid.origin.inverse().transform(grid.cell_centres(rows, cols)) / 0.1
-        found = first.cells[
-            np.floor(place[:, 1]).astype(int) - first.row,
-            np.floor(place[:, 0]).astype(int) - first.col,
-        ]
-        assert (found >= 65).all()
 
 
 def test_a_map_beside_the_lattice_begins_its_own(device: ComputeDevice) -> None:

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from slamfusion.config import NormalizeConfig
-from slamfusion.fusion.live import limits
 from slamfusion.fusion.live.limits import too_large, unusable
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
@@ -68,32 +65,3 @@ def test_a_wall_is_what_the_thresholds_say() -> None:
     assert unusable(map_of(lines), NormalizeConfig(occupied_percent=63.5)) is None
     assert "too few walls" in (unusable(map_of(np.zeros((9, 24))), RULES) or "")
     assert "are unknown" in (unusable(map_of(np.full((9, 24), -1)), RULES) or "")
-
-
-@given(height=st.integers(1, 3000), width=st.integers(1, 1 << 20))
-def test_bands_are_all_rows_once_and_fit_the_cache(height: int, width: int) -> None:
-    found = limits.bands(height, width)
-    assert [row for band in found for row in range(height)[band]] == list(range(height))
-    assert all((band.stop - band.start) * width <= max(1 << 18, width) for band in found)
-
-
-def test_a_sample_that_happens_to_say_nothing_is_overruled(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(limits, "BAND_CELLS", 400)
-    lines = np.zeros((16, 400))
-    lines[::4, ::2] = 100
-    assert unusable(map_of(lines), RULES) is None
-
-
-@pytest.mark.parametrize(
-    ("walls_every", "words"), [(400, "all occupied"), (8, None), (6, None), (4, "noise")]
-)
-def test_a_place_has_walls_and_free_space_side_by_side_but_not_everywhere(
-    walls_every: int, words: str | None
-) -> None:
-    """Posts in every such column, or in all but such columns where that is rare."""
-    cells = np.zeros((10, 400))
-    cells[:, ::walls_every] = 100
-    found = unusable(map_of(100 - cells if walls_every > 100 else cells), RULES)
-    assert found is None if words is None else words in (found or "")

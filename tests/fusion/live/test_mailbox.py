@@ -9,11 +9,9 @@ import pytest
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, NormalizeConfig, RunConfig
-from slamfusion.errors import GridError, MemoryBudgetError
+from slamfusion.errors import GridError
 from slamfusion.fusion.live import LiveFusion
-from slamfusion.fusion.live import fusion as live_module
 from slamfusion.fusion.live.mailbox import Mailbox
-from slamfusion.fusion.live.track import Track
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import memory
 from tests.fusion.live.maps import Drive, live_fusion, noise, started, three, touched
@@ -40,47 +38,6 @@ def test_the_newest_map_waits_and_is_taken_once() -> None:
     assert came == {"x": 3.0}, "a saved map grows never stale"
     assert not box.has_new
     assert box.take()[1] == {}
-
-
-def test_the_rate_is_that_of_the_intervals_and_smoothed() -> None:
-    box = Mailbox()
-    for received_s in (10.0, 10.5):
-        put(box, "x", three()["a"], received_s)
-    assert box.counts()["x"].rate_hz == pytest.approx(2.0)
-    for received_s in (11.5, 11.5):
-        put(box, "x", three()["a"], received_s)
-    assert box.counts()["x"].rate_hz == pytest.approx(2.0 + 0.3 * (1.0 - 2.0))
-
-
-def test_an_input_that_was_dropped_comes_back_by_its_next_map_or_when_it_is_recalled() -> None:
-    box = Mailbox()
-    box.recall("x", three()["a"])
-    assert box.counts() == {}
-    put(box, "x", three()["a"], 1.0)
-    box.recall("x", three()["b"])
-    assert box.take()[1]["x"].grid is three()["a"], "it was not dropped"
-    box.drop("x", "lost")
-    box.refill({"x": three()["a"], "z": three()["a"]})
-    item = box.take()[1]["x"]
-    assert (item.grid, item.gone) == (None, "lost")
-    box.recall("x", three()["b"])
-    item = box.take()[1]["x"]
-    assert (item.grid, item.gone) == (three()["b"], None)
-    box.drop("x", "lost")
-    put(box, "x", three()["a"], 2.0)
-    assert box.take()[1]["x"].gone is None
-
-
-def test_maps_that_were_taken_wait_again_but_where_a_newer_one_does() -> None:
-    box = Mailbox()
-    for name in "xy":
-        put(box, name, three()["a"], 1.0)
-    box.take()
-    put(box, "y", three()["c"], 2.0)
-    box.refill({"x": three()["b"], "y": three()["b"]})
-    fresh = box.take()[1]
-    assert fresh["x"].grid is three()["b"]
-    assert fresh["y"].grid is three()["c"]
 
 
 def test_no_message_of_many_threads_is_lost() -> None:
@@ -134,55 +91,6 @@ def test_an_input_is_stale_only_against_another_and_a_saved_one_never(
     drive.step(touched(three()["a"], 1))
     assert drive.accepted() == "ac"
     assert drive.input("b").reason.startswith("no map for 10")
-
-
-@pytest.mark.parametrize(
-    ("error", "words"),
-    [
-        (GridError("a: no known cells"), "a: no known cells"),
-        (MemoryBudgetError("a: too large"), "a: too large"),
-        (MemoryError(), "no memory is left for a map of"),
-    ],
-)
-def test_a_map_that_cannot_be_followed_is_refused_and_the_next_counts_again(
-    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch, error: Exception, words: str
-) -> None:
-    drive = started(device)
-
-    def fail(*_: object) -> None:
-        raise error
-
-    with monkeypatch.context() as patch:
-        patch.setattr(Track, "follow", fail)
-        drive.step(touched(three()["a"], 1))
-    assert drive.input("a").reason.startswith(words)
-    assert (drive.accepted(), drive.input("a").rejected) == ("bc", 1)
-    drive.step(touched(three()["a"], 2))
-    assert (drive.accepted(), drive.input("a").rejected) == ("abc", 1)
-
-
-def test_one_that_is_too_large_at_the_fused_resolution_is_told_so(
-    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    drive = started(device)
-    asked: list[float] = []
-
-    def too_large(_: OccupancyGrid, resolution: float) -> str | None:
-        asked.append(resolution)
-        return "c: too large"
-
-    monkeypatch.setattr(live_module, "too_large", too_large)
-    drive.step(touched(three()["c"], 1))
-    assert (drive.accepted(), drive.input("c").reason, asked) == ("ab", "c: too large", [0.1])
-
-
-def test_one_that_comes_back_before_it_had_a_map_waits_for_it(device: ComputeDevice) -> None:
-    live = live_fusion(device)
-    live.drop("a", "its producer is gone")
-    live.recall("a")
-    live.update(1.0)
-    (record,) = live.inputs(1.0)
-    assert (record.accepted, record.reason) == (False, "no map yet")
 
 
 def test_a_map_that_cannot_be_brought_to_the_cells_of_the_others_takes_no_part(

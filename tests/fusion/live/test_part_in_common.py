@@ -9,8 +9,6 @@ from functools import cache
 import pytest
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.config import LiveConfig, RunConfig
-from slamfusion.fusion.live import LiveFusion
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from tests.fusion.drawings import building, degraded, off_by
@@ -83,21 +81,6 @@ def test_two_robots_that_met_begin_to_be_fused_and_go_on(device: ComputeDevice) 
         else:
             assert half_m <= 1.0, drive.input("b").reason
     assert_right(drive, b, motion)
-
-
-def test_after_a_restart_what_grew_apart_comes_back_where_it_lay(device: ComputeDevice) -> None:
-    drawn, motion = wings()
-    drive = Drive(live_fusion(device))
-    for gone_m in (3.0, 7.0, 11.0):
-        a, b = drawn(3.0, gone_m)
-        drive.step(a, b)
-    state = drive.live.state()
-    assert state is not None
-    again = Drive(LiveFusion(RunConfig(live=LiveConfig(search_pause_s=0.0)), device))
-    again.live.restore(state)
-    update = again.step(a, b)
-    assert not update.is_full_search
-    assert_right(again, b, motion)
 
 
 def test_walls_that_moved_are_still_noticed_where_little_is_shared(device: ComputeDevice) -> None:

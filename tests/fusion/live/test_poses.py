@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterable
-from dataclasses import replace
+from collections.abc import Iterable
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from slamfusion.config import LiveConfig
-from slamfusion.fusion.live.poses import LINK_M, LINK_SHARE, RETURN_SHARE, PoseWatch
+from slamfusion.fusion.live.poses import LINK_M, PoseWatch
 from slamfusion.geometry import Pose2
 
 LIVE = LiveConfig()
@@ -91,23 +89,6 @@ def test_a_contradiction_takes_its_time_without_a_break_and_so_does_its_end() ->
     assert robot.wrong() == ""
 
 
-@pytest.mark.parametrize(("away", "stays"), sides(RETURN_SHARE * LIVE.pose_apart_m))
-def test_who_contradicted_must_come_nearer_than_it_went(away: float, stays: bool) -> None:
-    robot = Robot("abc").together()
-    robot.drive(5.0, b=(2.0, 0.0))
-    robot.drive(5.0, b=(away, 0.0))
-    assert robot.wrong() == ("b" if stays else "")
-
-
-def test_the_limits_are_settings() -> None:
-    live = replace(LIVE, pose_apart_m=4.0, pose_apart_s=1.0)
-    robot = Robot("abc", live).together()
-    robot.drive(5.0, b=(3.9, 0.0))
-    assert robot.wrong() == ""
-    robot.drive(1.5, b=(4.1, 0.0))
-    assert robot.wrong() == "b"
-
-
 @pytest.mark.parametrize(
     ("names", "off", "wrong"),
     [
@@ -141,27 +122,7 @@ def test_who_is_not_believed_is_not_counted() -> None:
     assert robot.wrong() == "ab"
 
 
-@pytest.mark.parametrize(("share", "restarts"), sides(LINK_SHARE))
-def test_a_transform_that_moves_begins_again_and_one_that_creeps_does_not(
-    share: float, restarts: bool
-) -> None:
-    robot = Robot("ab").together()
-    robot.drive(5.0, b=(7.0, 0.0))
-    moved = Pose2(share * LIVE.pose_apart_m, 0.0, 0.0).compose(FRAMES["b"])
-    robot.watch.place({"a": FRAMES["a"], "b": moved})
-    assert robot.wrong() == ("" if restarts else "ab")
-
-
 # -- two robots ------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("share", "is_one"), [(0.9, True), (1.1, False)])
-def test_two_that_never_drove_together_are_two_robots(share: float, is_one: bool) -> None:
-    robot = Robot("ab")
-    # Side by side, as near as the robots' bodies allow, with equal stamps.
-    robot.drive(60.0, b=(share * LINK_SHARE * LIVE.pose_apart_m, 0.0))
-    robot.drive(60.0, b=(9.0, 0.0))
-    assert (robot.wrong() == "ab") == is_one
 
 
 @pytest.mark.parametrize(("metres", "is_one"), [(LINK_M - 0.3, False), (LINK_M + 0.6, True)])
@@ -217,31 +178,6 @@ def test_a_time_that_goes_back_is_no_contradiction_of_its_own() -> None:
     assert robot.wrong() == ""
     robot.drive(2.0, b=(7.0, 0.0))
     assert robot.wrong() == "b"
-
-
-def test_what_is_kept_of_poses_is_bounded() -> None:
-    robot = Robot("ab").together()
-    robot.drive(1000.0)
-    assert all(len(poses) <= 512 for poses in robot.watch._poses.values())
-
-
-@pytest.mark.parametrize("turn", [lambda yaw: yaw, lambda yaw: yaw + 2.0 * math.pi])
-def test_turns_are_compared_round_the_circle(turn: Callable[[float], float]) -> None:
-    robot = Robot("abc").together()
-    robot.drive(5.0, b=(0.0, turn(0.0)))
-    assert robot.wrong() == ""
-
-
-def test_a_limit_of_nothing_is_exceeded_by_anything() -> None:
-    live = replace(LIVE, pose_apart_m=0.0)
-    robot = Robot("ab", live)
-    robot.watch.place(dict.fromkeys("ab", Pose2()))
-    for away_m in (0.0, 1e-9):
-        for _ in range(40):
-            robot.stamp_s, robot.x = robot.stamp_s + STEP_S, robot.x + SPEED * STEP_S
-            for name, aside_m in (("a", 0.0), ("b", away_m)):
-                robot.watch.hear(name, robot.stamp_s, Pose2(robot.x, aside_m))
-        assert robot.wrong() == ("ab" if away_m else "")
 
 
 @given(aways=st.lists(st.floats(0.0, 3.0), min_size=1, max_size=12), more=st.floats(0.0, 5.0))

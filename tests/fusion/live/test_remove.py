@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.fusion.live.state import LiveState
-from slamfusion.geometry import Pose2
 from tests.fusion.live.maps import (
     AWAY,
     Drive,
@@ -91,44 +89,3 @@ def test_a_map_that_waits_leaves_too_and_the_last_leaves_its_map(device: Compute
     assert before is not None
     assert drive.fused is not None
     assert_same_lattice(before, drive.fused)
-
-
-def test_nothing_is_left_of_it_in_the_state(device: ComputeDevice) -> None:
-    drive = started(device)
-    drive.live.remove("b")
-    drive.step()
-    state = drive.live.state()
-    assert isinstance(state, LiveState)
-    assert set(state.transforms) == {"a", "c"}
-    assert all("b" not in pair for pair in state.scores)
-    # Nor of one that had a place before a restart and is removed before it came.
-    again = live_fusion(device)
-    again.restore(state)
-    again.remove("c")
-    again.update(0.0)
-    kept = again.state()
-    assert kept is not None
-    assert set(kept.transforms) == {"a"}
-
-
-def test_its_poses_contradict_nobody_any_more(device: ComputeDevice) -> None:
-    drive = started(device)
-    places = {name: drive.input(name).transform for name in "abc"}
-
-    def tell(stamp_s: float, at: Pose2, **wrong: Pose2) -> None:
-        for name, place in places.items():
-            assert place is not None
-            pose = wrong.get(name, at)
-            drive.live.hear(name, stamp_s, place.inverse().compose(pose))
-
-    for step in range(40):  # they drive together, so that they are one robot's
-        tell(0.1 * step, Pose2(0.1 * step, 0.0, 0.0))
-    for step in range(80):  # one of them goes elsewhere
-        tell(4.0 + 0.1 * step, Pose2(4.0, 0.0, 0.0), b=Pose2(4.0, 3.0, 0.0))
-    drive.step(touched(three()["a"], 1))
-    assert drive.accepted() == "ac"
-    assert "contradict" in drive.input("b").reason
-    drive.live.remove("b")
-    drive.step()
-    drive.step(three()["b"])
-    assert drive.accepted() == "acb", "nothing is known of the new one's poses"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -12,8 +11,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import LiveConfig, RunConfig
 from slamfusion.errors import GridError
 from slamfusion.fusion.live import LiveFusion, LiveInput
-from slamfusion.fusion.live.session import GATHER_S, FusedMap, FusionSession, Sent, warm_up
-from slamfusion.geometry import Pose2
+from slamfusion.fusion.live.session import GATHER_S, FusedMap, FusionSession, warm_up
 from slamfusion.grid import OccupancyGrid
 from tests.fusion.live.maps import live_fusion, noise, three, touched
 
@@ -95,19 +93,6 @@ def test_maps_that_come_together_are_one_fused_map_with_one_agreement(
     assert snapshot.noted_s == 100.0
 
 
-def test_a_snapshot_is_frozen_and_stays_as_it_was(device: ComputeDevice) -> None:
-    session, desk = started(device)
-    before = session.snapshot
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        before.updates = 7
-    updates, inputs = before.updates, before.inputs
-    desk.put(touched(three()["b"], 1))
-    session.turn()
-    assert session.snapshot is not before
-    assert (before.updates, before.inputs) == (updates, inputs)
-    assert session.snapshot.updates > updates
-
-
 def test_a_map_waits_for_its_turn_and_the_newest_goes(device: ComputeDevice) -> None:
     session, desk = started(device, rate_hz=1.0)
     for number in range(3):
@@ -158,49 +143,6 @@ def test_an_input_that_is_lost_votes_no_more_and_is_recalled_with_its_map(
     assert not session.snapshot.inputs["b"].accepted
 
 
-def test_an_input_that_sends_before_its_process_is_known_to_live_is_recalled_all_the_same(
-    device: ComputeDevice,
-) -> None:
-    session, desk = started(device)
-    assert session.look("b", "lost: gone", has_map=True, is_back=False)
-    # Before anything was updated, and after.
-    assert not session.look("b", "", has_map=True, is_back=False)
-    later(session, desk)
-    assert not session.look("b", "", has_map=True, is_back=False)
-    later(session, desk)
-    assert session.look("b", "", has_map=True, is_back=True)
-    later(session, desk)
-    assert session.snapshot.inputs["b"].accepted
-    assert not session.look("b", "", has_map=True, is_back=True), "once"
-
-
-def test_an_input_that_came_back_by_a_map_of_its_own_is_not_recalled(
-    device: ComputeDevice,
-) -> None:
-    session, desk = started(device)
-    assert session.look("b", "lost: gone", has_map=True, is_back=False)
-    later(session, desk)
-    for count in (1, 2):
-        desk.put(touched(three()["b"], count))
-        later(session, desk)
-    assert session.snapshot.inputs["b"].accepted
-    assert not session.look("b", "", has_map=True, is_back=False)
-    assert not session.look("b", "", has_map=True, is_back=True)
-
-
-def test_an_input_whose_last_map_was_taken_after_it_was_lost_is_lost_again(
-    device: ComputeDevice,
-) -> None:
-    session, desk = started(device)
-    session.look("b", "lost: gone", has_map=True, is_back=False)
-    desk.put(touched(three()["b"], 1))
-    later(session, desk)
-    assert session.snapshot.inputs["b"].accepted
-    assert session.look("b", "lost: gone", has_map=True, is_back=False)
-    later(session, desk)
-    assert not session.snapshot.inputs["b"].accepted
-
-
 def test_requests_hold_from_the_next_turn_on(device: ComputeDevice) -> None:
     session, desk = started(device, stale_after_s=1000.0)
     session.ask_reset()
@@ -225,16 +167,6 @@ def test_why_nothing_is_fused_is_said(device: ComputeDevice) -> None:
         "nothing is fused: waits for 2 inputs that agree, has 1"
     )
     assert desk.went == []
-
-
-def test_poses_that_contradict_reach_the_fusion(
-    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    heard: list[tuple[str, float, Pose2]] = []
-    monkeypatch.setattr(LiveFusion, "hear", lambda _, *said: heard.append(said))
-    session, _ = begun(device)
-    session.hear("a", 3.0, Pose2(1.0, 2.0, 0.0))
-    assert heard == [("a", 3.0, Pose2(1.0, 2.0, 0.0))]
 
 
 def test_two_drawn_maps_are_fused_before_the_first_real_ones(
@@ -274,47 +206,11 @@ def test_who_is_removed_is_told_at_once_and_its_name_may_come_again(device: Comp
     assert desk.stamps[-1] == ("a", "b")
 
 
-def test_one_that_was_lost_and_removed_is_not_lost_under_its_name(device: ComputeDevice) -> None:
-    session, desk = started(device)
-    assert session.look("b", "lost: killed", has_map=True, is_back=False)
-    later(session, desk)
-    session.remove("b")
-    desk.put(three()["b"])
-    later(session, desk)
-    assert not session.look("b", "", has_map=True, is_back=True), "nothing is to be recalled"
-    assert session.snapshot.inputs["b"].accepted
-
-
 # -- fused maps on their way out -------------------------------------------------------------------
 
 
 def fused(stamp_s: float, arrived_s: float | None = None) -> FusedMap:
     return FusedMap(three()["a"], three()["b"], stamp_s, arrived_s)
-
-
-def test_of_several_within_a_period_the_last_goes_and_waits_for_its_turn(
-    device: ComputeDevice,
-) -> None:
-    session, desk = begun(device, rate_hz=2.0)
-    session.send()
-    assert not desk.went
-    session.offer(fused(1.0))
-    session.send()
-    for stamp_s in (2.0, 3.0):
-        session.offer(fused(stamp_s))
-    desk.now_s += 0.499
-    assert not session.is_due
-    session.send()
-    assert [item.stamp_s for item in desk.went] == [1.0]
-    desk.now_s += 0.002
-    assert session.is_due
-    session.send()
-    assert [item.stamp_s for item in desk.went] == [1.0, 3.0]
-    session.rate_hz = 100.0
-    session.offer(fused(4.0))
-    desk.now_s += 0.011
-    session.send()
-    assert session.waiting is None
 
 
 def test_the_agreement_waits_for_somebody_who_listens_and_goes_once(device: ComputeDevice) -> None:
@@ -331,21 +227,6 @@ def test_the_agreement_waits_for_somebody_who_listens_and_goes_once(device: Comp
     session.send()
     assert [item.stamp_s for item in desk.agreements] == [1.0]
     assert not session.is_due
-
-
-def test_latency_counts_from_the_first_map_that_was_not_shown(device: ComputeDevice) -> None:
-    session, desk = begun(device)
-    assert session.sent == Sent(0, 0.0, 0.0)
-    for arrived_s in (99.0, 99.9):
-        session.offer(fused(1.0, arrived_s))
-    session.send()
-    assert session.sent.maps == 1
-    assert session.sent.median_ms == pytest.approx(1000.0)
-    desk.now_s += 2.0
-    session.offer(fused(2.0))
-    session.send()
-    assert session.sent.maps == 2
-    assert session.sent.high_ms == pytest.approx(1000.0), "a saved map came at no time"
 
 
 @pytest.mark.parametrize("share", [0.99, 1.01])

@@ -109,19 +109,6 @@ def test_an_input_that_had_a_place_is_searched_everywhere(device: ComputeDevice)
     assert live.accepted() == "ab"
 
 
-def test_the_transforms_are_those_without_starts(device: ComputeDevice) -> None:
-    grids = {name: grid for name, (grid, _) in made().items()}
-    live = drive(device, "abc", **starts())
-    update = live.step(*grids.values())
-    base = made()[update.reference][1]
-    for name, (grid, pose) in made().items():
-        transform = live.input(name).transform
-        assert transform is not None
-        shift, turn = off_by(grid, transform, base.inverse().compose(pose))
-        assert shift < 1.0
-        assert turn < 0.5
-
-
 def test_starts_that_cannot_hold_are_refused(device: ComputeDevice) -> None:
     for names, given, words in (
         ("ab", {"c": (0.0, 0.0, 0.0)}, "'c', which is no input"),

@@ -12,56 +12,16 @@ from hypothesis import strategies as st
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import LiveConfig, NormalizeConfig
 from slamfusion.fusion.live import limits
-from slamfusion.fusion.live.layers import Layer
-from slamfusion.fusion.live.track import Track, compare
-from slamfusion.geometry import Pose2
+from slamfusion.fusion.live.track import Track
 from slamfusion.grid import CellBox
-from tests.fusion.drawings import draw, padded, random_grid
-from tests.fusion.live.maps import layer_of
+from tests.fusion.drawings import padded, random_grid
 from tests.support.examples import examples
 
 RULES = NormalizeConfig()
-PLACE = """
-##########
-#        #
-#..      #
-#..      #
-##########
-"""
 
 BOX = st.tuples(
     st.integers(-9, 40), st.integers(-9, 40), st.integers(1, 12), st.integers(1, 12)
 ).map(lambda box: CellBox(box[0], box[1], box[0] + box[2], box[1] + box[3]))
-
-
-def test_what_changed_is_boxed_and_counted(device: ComputeDevice) -> None:
-    old = layer_of(draw(PLACE), device)
-    walls = int((old.cells == 100).sum())
-    same = compare(old, old, walls, RULES, device)
-    assert same.box is None
-    assert same.standing == walls
-
-    cells = old.cells.copy()
-    cells[2, 5] = 100
-    cells[0, 3:7] = 0
-    change = compare(old, Layer(cells, old.lattice), walls, RULES, device)
-    assert change.box == CellBox(0, 3, 3, 7)
-    assert change.walls == 5
-    # The two in the middle of the gap have no wall beside them; the outer two have.
-    assert change.contradicted == 2
-    assert change.standing == walls - 2
-
-
-def test_what_is_cut_off_changed_and_contradicts_nothing(device: ComputeDevice) -> None:
-    grid = draw(PLACE)
-    old = layer_of(grid, device)
-    walls = int((old.cells == 100).sum())
-    cut = layer_of(grid.crop(CellBox(0, 0, 5, 6)), device, old)
-    change = compare(old, cut, walls, RULES, device)
-    assert change.box == CellBox(0, 6, 5, 10)
-    assert change.contradicted == 0
-    margin = layer_of(padded(grid, 4, 4, 4, 4), device, old)
-    assert compare(old, margin, walls, RULES, device).box is None
 
 
 @settings(max_examples=examples(60), deadline=None)
@@ -103,15 +63,3 @@ def test_what_is_kept_of_a_map_is_as_if_all_of_it_had_been_looked_at(
             if rng.random() < 0.3:
                 rows, cols = rng.integers(0, 4, 2).tolist()
                 grid = grid.crop(CellBox(rows, cols, grid.height, grid.width))
-
-
-def test_a_map_on_another_lattice_is_compared_where_it_lies(device: ComputeDevice) -> None:
-    grid = random_grid(11)
-    old = layer_of(grid, device)
-    walls = int((old.cells >= 65).sum())
-    turned = replace(grid, origin=Pose2(0.0, 0.0, 0.004))
-    near = compare(old, layer_of(turned, device, old), walls, RULES, device)
-    assert near.is_steady(0.75)
-    away = replace(grid, origin=Pose2(0.83, 0.61, 0.9))
-    far = compare(old, layer_of(away, device, old), walls, RULES, device)
-    assert not far.is_steady(0.75)

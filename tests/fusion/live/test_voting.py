@@ -34,17 +34,6 @@ def voting_of(device: ComputeDevice, **live: str) -> FusedLayers:
     return voting
 
 
-def test_without_layers_nothing_is_voted_on(device: ComputeDevice) -> None:
-    voting = FusedLayers(FusionConfig(), LiveConfig(), device)
-    track = voter("a", 0.0, device)
-    assert voting.update([track], [track], "a") is None
-    assert voting.last_fused() is None
-    assert voting.resolution is None
-    assert voting.phantom_cells == 0
-    with pytest.raises(ValueError, match="nothing was fused yet"):
-        voting.grids()
-
-
 def test_what_was_laid_is_not_laid_again_until_a_voter_leaves(device: ComputeDevice) -> None:
     voting = voting_of(device)
     tracks = [voter("a", 0.0, device), voter("b", 1.0, device)]
@@ -79,17 +68,6 @@ def test_what_a_majority_decided_is_kept_while_fewer_are_left_than_make_one(
     assert not np.array_equal(voting.grids()[0].cells, whole.cells)
     voting.update(tracks, tracks, "a")
     assert voting.agreed is None
-
-
-def test_the_extent_of_the_reference_cuts_the_others(device: ComputeDevice) -> None:
-    tracks = [voter("a", 0.0, device), voter("b", 20.0, device)]
-    wide, narrow = voting_of(device), voting_of(device, extent="reference")
-    for voting in (wide, narrow):
-        for track in tracks:
-            track.relay = True
-        voting.update(tracks, tracks, "a")
-    assert wide.grids()[0].width > 200
-    assert narrow.grids()[0].width <= 40
 
 
 def test_a_voter_that_memory_has_no_room_for_is_refused_and_the_others_vote(

@@ -126,27 +126,6 @@ def test_edits_of_a_record_are_refused_or_make_a_state(
     assert refused > 20
 
 
-EDITS = {
-    "another kind": lambda array: array.astype(np.float32 if array.dtype != np.float32 else "i2"),
-    "a value that is missing": lambda array: array[:-1],
-    "a value too many": lambda array: np.append(array, array[:1]),
-    "complex numbers": lambda array: array.astype(np.complex128),
-}
-
-
-@pytest.mark.parametrize("name", MAPPERS)
-@pytest.mark.parametrize("edit", EDITS)
-def test_an_array_of_another_kind_or_size_is_refused(
-    saved: dict[str, Path], tmp_path: Path, name: str, edit: str
-) -> None:
-    record, arrays = read_parts(saved[name])
-    path = tmp_path / "edited"
-    for array in arrays:
-        changed: Arrays = {**arrays, array: EDITS[edit](arrays[array])}
-        write_parts(path, record, changed)
-        assert refusal(path, name), array
-
-
 @pytest.mark.parametrize(
     ("name", "where", "value"),
     [

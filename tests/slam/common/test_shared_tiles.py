@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from typing import Any
 
 import numpy as np
@@ -24,24 +23,6 @@ HALF_PAGES = 5
 SIDE = 2 * HALF_PAGES * TILE
 
 
-class CountingDevice:
-    """A real device, and how often each of its operations was asked for."""
-
-    def __init__(self, device: ComputeDevice) -> None:
-        self._device = device
-        self.calls: Counter[str] = Counter()
-        self.tiles_copied = 0
-
-    def __getattr__(self, name: str) -> Any:
-        self.calls[name] += 1
-        return getattr(self._device, name)
-
-    def copy_tiles(self, pools: tuple[Any, ...], pairs: npt.NDArray[np.int32]) -> None:
-        self.calls["copy_tiles"] += 1
-        self.tiles_copied += len(pairs)
-        self._device.copy_tiles(pools, pairs)
-
-
 @pytest.fixture(scope="module", params=["numpy", "auto"])
 def device(request: pytest.FixtureRequest) -> ComputeDevice:
     return open_device(request.param)
@@ -61,7 +42,7 @@ class Pair:
     """Shared maps and full copies that get the same orders."""
 
     def __init__(self, device: ComputeDevice, count: int = MAPS) -> None:
-        self.device = CountingDevice(device)
+        self.device = device
         self.shared = SharedTileMaps(self.device, count, POOLS)
         self.full = Full(count)
 
@@ -157,55 +138,3 @@ def test_any_program_leaves_what_full_copies_hold(
         else:
             pair.take_over(what[0])
         pair.check()
-
-
-def random_pages(rng: np.random.Generator, count: int) -> list[tuple[int, int, int]]:
-    low, high = -HALF_PAGES + MARGIN, HALF_PAGES - MARGIN
-    drawn = np.column_stack((rng.integers(0, MAPS, count), rng.integers(low, high, (count, 2))))
-    return [tuple(row) for row in np.unique(drawn, axis=0).tolist()]
-
-
-def test_a_write_copies_only_what_others_use(device: ComputeDevice):
-    pair, rng = Pair(device), np.random.default_rng(3)
-    pair.cover((-2, -2), (1, 1))
-    pair.write([(0, 0, 0), (0, 1, 0)], rng)
-
-    def copied(pages: list[tuple[int, int, int]]) -> int:
-        pair.device.tiles_copied = 0
-        pair.write(pages, rng)
-        pair.check()
-        return pair.device.tiles_copied
-
-    assert copied([(0, 0, 0), (0, 1, 0)]) == 0  # its own
-    pair.take_over([0, 0, 0, 0])
-    assert copied([(1, 0, 0)]) == 1
-    assert copied([(1, 0, 0)]) == 0
-    # Of the three that still share a tile, and all write, one keeps it.
-    assert copied([(0, 0, 0), (2, 0, 0), (3, 0, 0)]) == 2
-    # Of four that share, three write: the fourth keeps it.
-    assert copied([(0, 1, 0), (2, 1, 0), (3, 1, 0)]) == 3
-    assert pair.shared.tiles_shared == 0
-    assert copied([(1, 1, 0)]) == 0
-
-
-def test_saved_and_restored_maps_go_on_alike(device: ComputeDevice):
-    """The same cells, and the same choice of free tiles ever after."""
-    pair, rng = Pair(device), np.random.default_rng(6)
-    pair.cover((-3, -3), (2, 2))
-    for _ in range(6):
-        pair.write(random_pages(rng, 60), rng)
-        pair.take_over(rng.integers(0, MAPS, MAPS).tolist())
-    arrays = {name: array.copy() for name, array in pair.shared.to_state().items()}
-    again = Pair(device)
-    again.shared.restore(arrays)
-    again.full.cells = {name: cells.copy() for name, cells in pair.full.cells.items()}
-    again.check()
-    assert again.shared.memory_bytes == pair.shared.memory_bytes
-    for step in range(6):
-        for other in (pair, again):
-            drawn = np.random.default_rng(step)
-            other.write(random_pages(drawn, 40), drawn)
-            other.take_over(drawn.integers(0, MAPS, MAPS).tolist())
-            other.check()
-        np.testing.assert_array_equal(again.shared.pages, pair.shared.pages)
-        np.testing.assert_array_equal(again.shared._users, pair.shared._users)

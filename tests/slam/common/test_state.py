@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +12,11 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from slamfusion.compute import NumpyDevice
 from slamfusion.config import MatcherConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import Pose2
 from slamfusion.slam.common.mapper import Health
-from slamfusion.slam.common.state import SavedMapper, pack, unpack
-from slamfusion.slam.common.tracking import Tracker
+from slamfusion.slam.common.state import SavedMapper
 
 
 @dataclass(frozen=True)
@@ -159,58 +157,3 @@ def test_a_state_that_cannot_be_written_leaves_the_one_before(path: Path) -> Non
         broken.save_state(path)
     assert_whole(path)
     assert [item.name for item in path.parent.iterdir()] == [path.name]
-
-
-# -- what states are made of -----------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("stamp_s", "x"),
-        ("poses", np.zeros(3)),
-        ("poses", np.zeros((2, 3), np.float32)),
-        ("rows", {}),
-        ("step", [0.0]),
-        ("health", Pose2()),
-    ],
-)
-def test_an_attribute_of_another_type_is_named(name: str, value: Any) -> None:
-    made = drawn()
-    with pytest.raises(TypeError, match=f"{name}: wanted"):
-        made.restore({**made.to_state(), name: value})
-    state = made.to_state()
-    del state[name]
-    with pytest.raises(KeyError, match=name):
-        made.restore(state)
-
-
-def through_file(state: Any) -> Any:
-    """Return a state as a file gives it back."""
-    values, arrays = pack(state)
-    kinds = {kind.__name__: kind for kind in (Pose2, Health, type(Health().skips))}
-    return unpack(json.loads(json.dumps(values)), arrays, kinds)
-
-
-@pytest.mark.parametrize("scans", [0, 1, 4])
-def test_a_tracker_goes_on_as_if_it_had_not_stopped(scans: int) -> None:
-    def start() -> Tracker:
-        return Tracker(MatcherConfig(), NumpyDevice(), np.random.default_rng(8), Health())
-
-    walked = start()
-    for scan in range(scans):
-        pose = Pose2(0.2 * scan, 0.1, 0.05 * scan)
-        walked.advance(pose, None if scan == 2 else replace(pose, y=0.0), 10.0 + 0.5 * scan)
-        walked._remember(0.4 + 0.1 * scan)
-        walked.rng.standard_normal(3)
-    resumed = start()
-    resumed.restore(through_file(walked.to_state()))
-    for name in ("pose", "odometry", "step", "step_s", "stamp_s", "running_mean_score"):
-        assert getattr(resumed, name) == getattr(walked, name), name
-    assert resumed.rng.random() == walked.rng.random()
-    for odometry in (None, Pose2(0.9, 0.1, 0.2)):
-        for one, other in zip(
-            resumed.hypotheses(12.1, odometry), walked.hypotheses(12.1, odometry), strict=True
-        ):
-            np.testing.assert_array_equal(one.pose, other.pose)
-            assert (one.spread, one.loss) == (other.spread, other.loss)

@@ -9,7 +9,7 @@ from slamfusion.compute import ComputeDevice, NumpyDevice, open_device
 from slamfusion.compute.cell_means import ScanRule
 from slamfusion.compute.layout import BEAM_ONE, TILE, UNSEEN
 from slamfusion.errors import MemoryBudgetError
-from slamfusion.slam.common.tile_map import MARGIN, TileMap, joined_tiles
+from slamfusion.slam.common.tile_map import TileMap
 from slamfusion.slam.tinyslam.cell_models import CELL_MODELS
 
 POOLS = {
@@ -77,34 +77,6 @@ def test_memory_follows_the_beams_and_not_the_box(device: ComputeDevice):
     write(tiles, device, (0, 3200))
     assert tiles.tiles == 1 + 2 * (3200 // TILE) + 1
     assert tiles.memory_bytes < 3e6  # the box would take 133 MB
-
-
-def test_tiles_are_joined_where_their_pages_are(device: ComputeDevice):
-    pool = np.random.default_rng(3).integers(1, 256, (9, TILE, TILE)).astype(np.uint8)
-    pool[0] = 7
-    pages = np.zeros((5, 6), dtype=np.int32)
-    pages[1:4, 2:4] = [[8, 0], [2, 5], [0, 4]]
-    values, first = joined_tiles(device, device.upload(pool), pages, np.array([-3, 10]))
-    assert first.tolist() == [-TILE, 11 * TILE]
-    np.testing.assert_array_equal(
-        values, np.block([[pool[8], pool[0]], [pool[2], pool[5]], [pool[0], pool[4]]])
-    )
-    nothing, first = joined_tiles(device, device.upload(pool), 0 * pages, np.array([-3, 10]))
-    assert first.tolist() == [-3 * TILE, 10 * TILE]
-    np.testing.assert_array_equal(nothing, pool[0])
-
-
-def test_the_border_stays_empty():
-    tiles = TileMap(NumpyDevice(), POOLS)
-    rng = np.random.default_rng(0)
-    for hit in rng.integers(-900, 900, (20, 2)):
-        write(tiles, NumpyDevice(), (float(hit[0]), float(hit[1])))
-        rows, cols = np.nonzero(tiles.pages)
-        height, width = tiles.pages.shape
-        assert rows.min() >= MARGIN
-        assert cols.min() >= MARGIN
-        assert rows.max() < height - MARGIN
-        assert cols.max() < width - MARGIN
 
 
 def test_an_absurd_size_is_refused_in_words():

@@ -7,17 +7,13 @@ import math
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from slamfusion.geometry import Pose2, wrap_angles
 from slamfusion.slam.gmapping.motion_model import (
     LEAST_SIGMAS,
-    MOST_STEERING_RAD,
     BicycleModel,
     DifferentialModel,
 )
-from tests.support.examples import examples
 
 F64 = npt.NDArray[np.float64]
 
@@ -68,22 +64,6 @@ def test_differential_errors_grow_with_way_and_turn(step: Pose2):
     np.testing.assert_allclose(model.sigmas(step), wanted)
 
 
-def test_each_parameter_has_its_own_effect():
-    along, around = Pose2(2.0, 0.0, 0.0), Pose2(0.0, 0.0, 0.5)
-    for place, (step, wanted) in enumerate(
-        [
-            (along, (0.2, 0.2, 0)),
-            (along, (0, 0, 0.2)),
-            (around, (0.05, 0.05, 0)),
-            (around, (0, 0, 0.05)),
-        ]
-    ):
-        model = DifferentialModel(*(0.1 * np.eye(4)[place]))
-        np.testing.assert_allclose(model.sigmas(step), np.maximum(wanted, LEAST_SIGMAS))
-        found = draws(model, step).std(axis=0)
-        np.testing.assert_allclose(found, wanted, rtol=0.03, atol=1e-12)
-
-
 # -- bicycle ---------------------------------------------------------------------------------------
 
 BASE = 0.4
@@ -117,25 +97,6 @@ def test_way_and_steering_err_as_asked(way: float, turn: float):
         assert values.std() == pytest.approx(sigma, rel=FAR / math.sqrt(2 * DRAWS))
 
 
-@settings(max_examples=examples(100), deadline=None)
-@given(
-    speed=st.floats(0.02, 3.0),
-    backwards=st.booleans(),
-    turn_rate=st.floats(-2.0, 2.0),
-    seconds=st.floats(0.05, 1.0),
-)
-def test_controls_of_a_twist(speed: float, backwards: bool, turn_rate: float, seconds: float):
-    """A robot that goes with v and turns with w has steered by atan(L w / v)."""
-    speed = -speed if backwards else speed
-    model = BicycleModel(0.1, 0.05, BASE)
-    way, steering = model._controls(arc(speed * seconds, turn_rate * seconds))
-    assert way == pytest.approx(speed * seconds, rel=1e-6)
-    wanted = math.atan(BASE * turn_rate / speed)
-    assert steering == pytest.approx(
-        max(-MOST_STEERING_RAD, min(MOST_STEERING_RAD, wanted)), rel=1e-5, abs=1e-7
-    )
-
-
 @pytest.mark.parametrize("step", [Pose2(), Pose2(0.0, 0.0, 0.3), Pose2(1e-9, -1e-9, 1e-4)])
 def test_a_bicycle_that_stands_stays(step: Pose2):
     """Without a way there is no error: what the step says, to the last bits."""
@@ -153,35 +114,3 @@ def test_without_errors_a_step_is_itself():
             found[:, 2] = wrap_angles(found[:, 2] - step.yaw_rad)
             np.testing.assert_allclose(found, [[step.x, step.y, 0.0]] * 3, rtol=0, atol=1e-12)
             np.testing.assert_array_equal(model.sigmas(step), LEAST_SIGMAS)
-
-
-def test_a_step_that_is_no_arc_errs_like_the_arc_nearest_to_it():
-    """A robot that has gone around a pillar: errors of the arc's end, put behind the step."""
-    model = BicycleModel(0.1, 0.05, BASE)
-    step = Pose2(0.8, 0.4, -0.3)
-    chord, half = math.hypot(step.x, step.y), 0.5 * step.yaw_rad
-    nearest = arc(chord * half / math.sin(half), step.yaw_rad)
-    behind = [
-        given.inverse().compose(Pose2(*row))
-        for given, found in (
-            (step, draws(model, step)[:200]),
-            (nearest, draws(model, nearest)[:200]),
-        )
-        for row in found
-    ]
-    rows = np.array([(pose.x, pose.y, pose.yaw_rad) for pose in behind])
-    np.testing.assert_allclose(rows[:200], rows[200:], rtol=0, atol=1e-9)
-
-
-@pytest.mark.parametrize(("way", "turn"), [(1.0, 0.0), (0.8, 0.3), (-0.8, 0.3), (0.5, -0.6)])
-def test_a_bicycle_s_sigmas_are_those_of_its_draws(way: float, turn: float):
-    """The heading's to a tenth; those of x and y both hold the whole of the place's error."""
-    model, step = BicycleModel(0.05, 0.03, BASE), arc(way, turn)
-    found = draws(model, step)
-    spread = found.std(axis=0)
-    place, same, heading = model.sigmas(step)
-    assert place == same
-    # The way errs too, and with it the turn.
-    along_turn = abs(turn) * 0.05
-    assert heading == pytest.approx(math.sqrt(spread[2] ** 2 - along_turn**2), rel=0.1)
-    assert place == pytest.approx(math.hypot(*spread[:2]), rel=0.15)

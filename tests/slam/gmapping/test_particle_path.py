@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slamfusion.geometry import Pose2, wrap_angle
+from slamfusion.geometry import Pose2
 from slamfusion.slam.common.state import pack, unpack
 from slamfusion.slam.gmapping.particle_path import LEAST_SIGMAS, ParticlePaths
 from tests.support.examples import examples
@@ -43,53 +43,6 @@ def drawn_tree() -> ParticlePaths:
         if number == 2:
             paths.add_scan(2.5, Pose2(0.5, 0.25, 0.125))
     return paths
-
-
-@pytest.mark.parametrize(
-    ("index", "x"),
-    [
-        (0, [0.0, 11.0, 21.0, 21.5, 30.0]),  # 3 <- 1 in node 2, 1 in node 1, 0 in node 0
-        (1, [0.0, 11.0, 21.0, 21.5, 31.0]),
-        (2, [2.0, 10.0, 20.0, 20.5, 32.0]),
-    ],
-)
-def test_a_path_goes_back_through_its_parents(index: int, x: list[float]):
-    path = drawn_tree().path(index, "mine")
-    assert path.name == "mine"
-    assert path.stamps_s.tolist() == [0.0, 1.0, 2.0, 2.5, 3.0]
-    assert path.poses[:, 0].tolist() == x
-    assert path.poses[:, 1].tolist() == [0.0, 0.0, 0.0, 0.25, 0.0]
-    assert path.poses[:, 2].tolist() == [0.0, 0.0, 0.0, 0.125, 0.0]
-
-
-def test_scans_between_nodes_are_counted_in_the_frame_of_their_node():
-    paths = ParticlePaths(2)
-    paths.add_node(np.array([(1.0, 2.0, 0.5 * math.pi), (5.0, 5.0, 0.0)]), None)
-    paths.add_scan(0.0, Pose2())
-    paths.add_scan(0.5, Pose2(1.0, 0.0, 0.1))
-    paths.add_scan(1.0, Pose2(2.0, 0.0, 3.0))
-    np.testing.assert_allclose(
-        paths.path(0, "").poses,
-        [
-            (1.0, 2.0, 0.5 * math.pi),
-            (1.0, 3.0, 0.5 * math.pi + 0.1),
-            (1.0, 4.0, wrap_angle(0.5 * math.pi + 3.0)),
-        ],
-        atol=1e-12,
-    )
-    np.testing.assert_allclose(
-        paths.path(1, "").poses, [(5.0, 5.0, 0.0), (6.0, 5.0, 0.1), (7.0, 5.0, 3.0)], atol=1e-12
-    )
-
-
-def test_scans_before_the_first_node_are_counted_from_the_frame_s_origin():
-    paths = ParticlePaths(2)
-    paths.add_scan(0.0, Pose2(3.0, 1.0, 0.5))
-    before = paths.path(1, "").poses
-    np.testing.assert_allclose(before, [(3.0, 1.0, 0.5)])
-    paths.add_node(np.array([(4.0, 1.0, 0.5)] * 2), None)
-    paths.add_scan(1.0, Pose2())
-    np.testing.assert_allclose(paths.path(1, "").poses, [(3.0, 1.0, 0.5), (4.0, 1.0, 0.5)])
 
 
 @settings(max_examples=examples(50), deadline=None)
@@ -170,21 +123,3 @@ def test_entropy_grows_with_the_spread_wherever_it_is(
     at = np.array(centre)
     grown = entropy_of(cloud(tuple(wide), at)) - entropy_of(cloud(tuple(narrow), at))
     assert grown == pytest.approx(math.log(factor), abs=0.01)
-
-
-@pytest.mark.parametrize("turn", [math.pi, -math.pi, 0.5 * math.pi])
-def test_headings_across_pi_are_as_near_as_anywhere(turn: float):
-    poses = cloud((0.05, 0.05, 0.2), np.zeros(3))
-    wanted = entropy_of(poses)
-    turned = poses + np.array([0.0, 0.0, turn])
-    turned[:, 2] = (turned[:, 2] + math.pi) % (2.0 * math.pi) - math.pi
-    assert entropy_of(turned) == pytest.approx(wanted, abs=1e-6)
-
-
-def test_entropy_is_the_mean_over_the_nodes():
-    paths = ParticlePaths(3)
-    assert paths.entropy() is None
-    clouds = [column(0.0, 0.1, 0.2), column(1.0, 2.0, 4.0), column(5.0, 5.0, 5.0)]
-    for number, poses in enumerate(clouds):
-        paths.add_node(poses, None if number else np.array([2, 2, 0]))
-    assert paths.entropy() == pytest.approx(np.mean([entropy_of(poses) for poses in clouds]))

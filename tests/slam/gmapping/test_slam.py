@@ -14,13 +14,13 @@ import pytest
 
 from slamfusion.compute import ComputeDevice, NumpyDevice
 from slamfusion.compute.hit_counts import full_field
-from slamfusion.compute.layout import FULL_HITS, FULL_VISITS, MOST_BEAMS
+from slamfusion.compute.layout import FULL_VISITS
 from slamfusion.config import GmappingConfig
 from slamfusion.errors import ConfigError, SlamFusionError
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.io.log import LogScan
 from slamfusion.scan import LaserScan
-from slamfusion.slam.common.hit_cells import halve_counts, percent_of_counts
+from slamfusion.slam.common.hit_cells import percent_of_counts
 from slamfusion.slam.common.shared_tiles import SharedTileMaps
 from slamfusion.slam.gmapping import particle_maps
 from slamfusion.slam.gmapping.beams import beams_of
@@ -154,15 +154,6 @@ def test_the_published_profile_holds_the_published_values(device: ComputeDevice)
     assert slam.series()[0].limit == 15.0
 
 
-def test_what_is_given_comes_before_the_profile():
-    chosen = GmappingConfig(profile="published", particles=7, minimumScore=50.0).chosen()
-    assert {name: getattr(chosen, name) for name in PUBLISHED} == {
-        **PUBLISHED,
-        "particles": 7,
-        "minimumScore": 50.0,
-    }
-
-
 @pytest.mark.parametrize("count", [0, -3])
 def test_a_filter_without_particles_is_refused_by_name(count: int):
     with pytest.raises(ConfigError, match=rf"particles must lie in \[1, 10000\], found {count}"):
@@ -208,24 +199,6 @@ def test_what_is_expected_where_neither_odometry_nor_the_scan_tells(
     assert math.hypot(found.x - last.x, found.y - last.y) == pytest.approx(onward * went, abs=0.03)
 
 
-def test_odometry_that_goes_the_wrong_way_for_some_scans(device: ComputeDevice):
-    """From scan 60 to 65 the wheels say backwards and a turn, 0.7 m beside the truth in all."""
-    scans, truth = drive(120)
-    wrong, odometry = [], scans[0].odometry or Pose2()
-    for index, item in enumerate(scans):
-        if index:
-            before = scans[index - 1].odometry or Pose2()
-            step = before.inverse().compose(item.odometry or Pose2())
-            if 60 <= index < 66:
-                step = Pose2(-step.x, step.y, step.yaw_rad + 0.05)
-            odometry = odometry.compose(step)
-        wrong.append(replace(item, odometry=odometry))
-    last = wrong[65].odometry
-    assert last is not None
-    assert math.hypot(last.x - truth[65].x, last.y - truth[65].y) > 0.6
-    assert errors(run(device, wrong), truth)[0] < 0.25
-
-
 # -- scans that tell nothing, or too little --------------------------------------------------------
 
 
@@ -247,16 +220,6 @@ def test_a_match_below_the_least_score_is_not_believed(device: ComputeDevice):
     assert slam.health.to_json()["filter"]["rejected"] == 6 * steps
     believed = run(device, scans, minimumScore=0.0)
     assert believed.health.rejected == 0
-
-
-def test_rejected_particles_are_drawn_from_the_motion_model(device: ComputeDevice):
-    """Without a believed match they spread as odometry errs, and no two are alike."""
-    scans, _ = drive(30)
-    slam = run(device, scans, minimumScore=1e5, particles=200, linearUpdate=1.0, stt=0.0, srt=0.0)
-    assert slam.health.filter_steps == 1
-    spread = slam._particles.poses[:, :2].std(axis=0)
-    np.testing.assert_allclose(spread, 0.1 * 1.03, rtol=0.2)  # srr for one step of 1 m
-    assert len(np.unique(slam._particles.poses, axis=0)) == 200
 
 
 # -- when the filter steps -------------------------------------------------------------------------
@@ -326,72 +289,10 @@ def test_shared_tiles_change_no_bit(device: ComputeDevice, monkeypatch: pytest.M
             )
 
 
-def test_every_particle_s_map_is_what_its_own_path_draws(device: ComputeDevice):
-    """Along each particle's path, back through its parents, the same scans make the same map."""
-    scans, _ = drive(30, turn_bias=0.01)
-    slam = Gmapping(config(**OFTEN), device)
-    mapped = []
-    for item in scans:
-        before = slam.health.filter_steps
-        slam.feed(item.scan, item.odometry)
-        if slam.health.filter_steps > before or len(mapped) == 0:
-            mapped.append(item)
-    assert slam.health.resamplings > 3
-    for index in range(6):
-        path = slam._paths.path(index, "")
-        alone = Gmapping(config(particles=1), device)
-        alone._maps.anchor = slam._maps.anchor
-        for item in mapped:
-            alone._particles.poses = path.poses[path.nearest([item.scan.stamp_s])]
-            write(alone, item.scan, np.zeros(1, dtype=np.int64))
-        (found, at), (wanted, own) = (
-            maps.cells("counts", number)
-            for maps, number in ((slam._maps.tiles, index), (alone._maps.tiles, 0))
-        )
-        assert at.tolist() == own.tolist()
-        assert found.shape == wanted.shape
-        # Their windows differ, and with them the last bit of a place: a beam may graze a corner.
-        assert (found != wanted).sum() < 0.005 * (wanted > 0).sum()
-
-
 def check_field(slam: Gmapping, index: int) -> None:
     """The score field of a particle's map is what its counts say."""
     counts, sums, field = (slam._maps.tiles.cells(n, index)[0] for n in ("counts", "sums", "field"))
     np.testing.assert_array_equal(full_field(counts, sums, slam._maps._field_rule), field)
-
-
-def test_weights_of_a_step_begin_anew_and_those_of_a_path_go_on(device: ComputeDevice):
-    """After a resampling siblings have their parent's weight, and all are equally likely."""
-    scans, _ = drive(40, turn_bias=0.01)
-    slam = Gmapping(config(linearUpdate=0.15, ogain=0.2), device)
-    steps = resamplings = siblings = 0
-    for item in scans:
-        slam.feed(item.scan, item.odometry)
-        if slam.health.filter_steps == steps:
-            continue
-        steps = slam.health.filter_steps
-        assert slam._particles.best == np.argmax(slam._particles.path_weights)
-        if slam.health.resamplings == resamplings:
-            assert slam._particles.log_weights.all()
-            continue
-        resamplings = slam.health.resamplings
-        assert not slam._particles.log_weights.any()
-        parents = slam._paths.to_state()["_parents"][-1]
-        for parent in np.unique(parents):
-            family = parents == parent
-            siblings += int(family.sum()) - 1
-            for values in (slam._particles.path_weights, *slam._particles.poses.T):
-                assert len(np.unique(values[family])) == 1
-    assert steps > resamplings > 1
-    assert siblings > 1
-
-
-def test_the_score_field_follows_from_the_counts_of_each_map(device: ComputeDevice):
-    scans, _ = drive(30, turn_bias=0.01)
-    slam = run(device, scans, **OFTEN)
-    for index in range(6):
-        assert slam._maps.tiles.cells("field", index)[0].max() > 200
-        check_field(slam, index)
 
 
 def test_what_it_offers_beside_the_best_path(device: ComputeDevice):
@@ -414,9 +315,6 @@ def test_what_it_offers_beside_the_best_path(device: ComputeDevice):
     assert record["resamplings"] > 0
     assert record["tiles_owned"] + record["tiles_shared"] == (slam._maps.tiles._users > 0).sum()
     assert slam.health.path_entropy == slam._paths.entropy()
-
-
-# -- equal bytes -----------------------------------------------------------------------------------
 
 
 # -- what a beam draws -----------------------------------------------------------------------------
@@ -487,15 +385,6 @@ def test_a_failed_reading_clears_nothing(device: ComputeDevice, failed: float):
     assert along(slam, 1, 1.0) == -1
 
 
-def test_max_urange_beyond_the_laser_adds_nothing(device: ComputeDevice):
-    """By default the last 2 % of the laser's reach are not trusted; what is asked for is used."""
-    scan = reading(2.0, 7.95)
-    assert along(drawn(device, scan), 1, 7.95) == -1
-    assert along(drawn(device, scan), 1, 7.7) == 0
-    for metres in (8.0, 50.0):
-        assert along(drawn(device, scan, maxUrange=metres), 1, 7.95) == 100
-
-
 def test_only_walls_that_may_be_used_are_matched(device: ComputeDevice):
     """Nothing within ``maxUrange``: the scan tells nothing."""
     slam = drawn(device, reading(6.0, 7.0), maxUrange=4.0)
@@ -523,36 +412,6 @@ def test_a_wall_is_what_was_hit_more_often_than_the_threshold(occ_thresh: float)
 def counts_of(slam: Gmapping) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
     counts = slam._maps.tiles.cells("counts", 0)[0].astype(np.int64)
     return counts >> 16, counts & 0xFFFF
-
-
-def test_busy_cells_are_halved_and_nothing_else_changes(device: ComputeDevice):
-    """Counts near their end: shares and mean hits stay, and what was seen once is still seen."""
-    slam = drawn(device, scan_at(true_poses(1)[0], 0.0), particles=1)
-    pools, rng = slam._maps.tiles.pools, np.random.default_rng(0)
-    shape = device.download(pools["counts"]).shape
-    visits = rng.choice([0, 1, 2, 3, 100, 1500, 20_000, FULL_VISITS - 1 + MOST_BEAMS], shape)
-    most = np.minimum(visits, FULL_HITS - 1 + MOST_BEAMS)
-    hits = np.rint(most * rng.random(shape)).astype(np.int64)
-    east, north = (hits * rng.integers(0, 16, shape) for _ in range(2))
-    pools["counts"] = device.upload((hits << 16 | visits).astype(np.uint32))
-    pools["sums"] = device.upload((east << 16 | north).astype(np.uint32))
-    halve_counts(device, slam._maps.tiles.pools)
-    pools = slam._maps.tiles.pools
-    counts, sums = (device.download(pools[name]).astype(np.int64) for name in ("counts", "sums"))
-    fewer_hits, fewer_visits = counts >> 16, counts & 0xFFFF
-    assert fewer_visits.max() < FULL_VISITS
-    assert fewer_hits.max() < FULL_HITS
-    assert (fewer_hits <= fewer_visits).all()
-    np.testing.assert_array_equal(fewer_visits == 0, visits == 0)
-    np.testing.assert_array_equal(fewer_hits == 0, hits == 0)
-    off = fewer_hits / np.maximum(fewer_visits, 1) - hits / np.maximum(visits, 1)
-    assert np.abs(off).max() < 1e-3
-    for fewer, given in ((sums >> 16, east), (sums & 0xFFFF, north)):
-        off = fewer / np.maximum(fewer_hits, 1) - given / np.maximum(hits, 1)
-        assert np.abs(off).max() <= 0.5
-        assert (fewer <= 15 * fewer_hits).all()
-    idle = (visits < FULL_VISITS // 2) & (hits < FULL_HITS // 2)
-    np.testing.assert_array_equal(counts[idle], (hits << 16 | visits)[idle])
 
 
 def test_counts_that_overflow_again_and_again_keep_the_map(device: ComputeDevice):

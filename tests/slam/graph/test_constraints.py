@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slamfusion.geometry import compose_poses, invert_poses, wrap_angles
-from slamfusion.slam.graph.constraints import Constraint, solve_constraints, turned
+from slamfusion.slam.graph.constraints import Constraint, solve_constraints
 from tests.support.examples import examples
 
 F64 = npt.NDArray[np.float64]
@@ -87,54 +87,6 @@ def test_a_ring_without_noise_is_exact_in_any_frame(
     np.testing.assert_allclose(solved.poses[0], start[0], atol=1e-9)  # the first is held
 
 
-def test_noise_is_shared_out_by_what_is_known():
-    """Three nodes on a line; a closure says 10 cm less, three times as surely as either step."""
-    steps = [
-        Constraint(index, index + 1, np.array([1.0, 0.0, 0.0]), np.eye(3)) for index in range(2)
-    ]
-    whole = Constraint(0, 2, np.array([1.9, 0.0, 0.0]), 3.0 * np.eye(3), is_closure=True)
-    solved = solve_constraints(np.array([(0.0, 0, 0), (1.0, 0, 0), (2.0, 0, 0)]), [*steps, whole])
-    # Of 0.1: both steps together are worth 1/2, the closure 3.
-    short = 0.1 * 3.0 / 3.5
-    np.testing.assert_allclose(solved.poses[:, 0], [0.0, 1.0 - short / 2.0, 2.0 - short], atol=1e-6)
-    np.testing.assert_allclose(solved.poses[:, 1:], 0.0, atol=1e-6)
-
-
-@pytest.mark.parametrize("turn_rad", [0.0, 0.7, math.pi / 2, -2.0, math.pi])
-@pytest.mark.parametrize("is_closure", [False, True])
-def test_information_lies_along_the_axes_of_the_start(*, turn_rad: float, is_closure: bool):
-    """Two say of one node, turned in the start's frame, different places.
-
-    One is sure along the start's x, the other along its y; whichever way the node looks, x is that
-    of the one and y that of the other.
-    """
-    along = Constraint(0, 1, np.array([1.0, 0.5, turn_rad]), known((0.001, 1.0, 0.1)))
-    across = Constraint(
-        0, 1, np.array([1.1, 0.6, turn_rad]), known((1.0, 0.001, 0.1)), is_closure=is_closure
-    )
-    solved = solve_constraints(np.array([(0.0, 0.0, 0.0), (1.0, 0.5, turn_rad)]), [along, across])
-    np.testing.assert_allclose(solved.poses[1, :2], [1.0, 0.6], atol=1e-4)
-    assert abs(wrap_angles(solved.poses[1:, 2] - turn_rad)[0]) < 1e-4
-
-
-@pytest.mark.parametrize("frame_rad", [0.0, 1.0, -2.5])
-def test_a_closure_that_is_open_one_way_leaves_that_to_the_steps(frame_rad: float):
-    """It is 30 cm off along a corridor, of which it knows nothing, and its end looks across."""
-    marks = [(0.0, 0.0, 0.0), (2.0, 0.0, 0.0), (2.0, 1.0, 2.5), (0.5, 1.0, -1.3)]
-    truth = compose_poses(np.broadcast_to((3.0, -1.0, frame_rad), (4, 3)), np.array(marks))
-    steps = chain(truth)
-    drift = drifted(steps, truth[0], np.array([0.0, 0.0, 0.002]))
-    information = known((0.5, 0.01, 0.005))
-    motion = seen_from(truth, 0, 3) + np.array([0.3, 0.0, 0.0])
-    tie = Constraint(0, 3, motion, information, is_closure=True)
-    solved = solve_constraints(drift, [*steps, tie])
-    assert not solved.is_outlier.any()
-    found = seen_from(solved.poses, 0, 3)
-    true = seen_from(truth, 0, 3)
-    assert abs(found[0] - true[0]) < 0.03
-    assert abs(found[1] - true[1]) < 0.01
-
-
 # -- false closures --------------------------------------------------------------------------------
 
 
@@ -201,23 +153,3 @@ def test_new_closures_that_contradict_are_left_out_until_they_are_too_many(count
     assert again.is_reevaluated
     assert again.weights[15] == 0.0
     assert off(again.poses, truth) < 1e-6
-
-
-# -- the frame of an information -------------------------------------------------------------------
-
-
-@given(
-    angle_rad=st.floats(-7.0, 7.0),
-    step=st.tuples(*[st.floats(-2.0, 2.0)] * 3),
-    sigmas=st.tuples(*[st.floats(0.01, 1.0)] * 3),
-)
-@settings(max_examples=examples(60), deadline=None)
-def test_turned_information_is_worth_the_same(
-    angle_rad: float, step: tuple[float, ...], sigmas: tuple[float, ...]
-):
-    cos, sin = math.cos(angle_rad), math.sin(angle_rad)
-    information, a = known(sigmas), np.array(step)
-    b = np.array([cos * a[0] - sin * a[1], sin * a[0] + cos * a[1], a[2]])
-    found = turned(information, angle_rad)
-    assert b @ found @ b == pytest.approx(a @ information @ a, rel=1e-9, abs=1e-9)
-    np.testing.assert_allclose(turned(found, -angle_rad), information, rtol=1e-6, atol=1e-6)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -27,6 +25,8 @@ from tests.support.examples import examples
 
 pytestmark = pytest.mark.once
 
+CONFIG = GraphConfig()
+CLOSURE, LOST_ROBOT = CONFIG.closure, CONFIG.relocalization
 # By how it was searched: nodes that must agree, the way between them, nodes for which they wait.
 TRUST = {
     "known": (AGREEING_NODES, 0.0, WAIT_NODES),
@@ -58,24 +58,6 @@ def moving(x: float, y: float, yaw_rad: float) -> Pose2:
     return moved.compose(HERE.inverse())
 
 
-@pytest.mark.parametrize(
-    ("step", "is_small"),
-    [
-        ((0.0, 0.0, 0.0), True),
-        ((SMALL_STEP_M - 0.01, 0.0, 0.0), True),
-        ((0.0, -SMALL_STEP_M - 0.01, 0.0), False),
-        ((0.3, 0.3, 0.0), False),
-        ((0.1, 0.1, SMALL_STEP_RAD - 0.01), True),
-        ((0.0, 0.0, -SMALL_STEP_RAD - 0.01), False),
-        ((0.0, 0.0, math.tau), True),
-    ],
-)
-def test_a_small_step_is_believed_at_once(step: tuple[float, float, float], is_small: bool):
-    pending, closure = PendingClosures(), closure_of(7, moving(*step))
-    assert pending.confirmed(closure, HERE) == ([closure] if is_small else [])
-    assert pending.closures == ([] if is_small else [closure])
-
-
 def test_a_big_step_waits_for_one_that_says_the_same():
     pending = PendingClosures()
     first, second = closure_of(7, BIG), closure_of(9, BIG)
@@ -84,34 +66,6 @@ def test_a_big_step_waits_for_one_that_says_the_same():
     assert pending.closures == []
     # The next one starts from nothing.
     assert pending.confirmed(closure_of(10, BIG), HERE) == []
-
-
-@pytest.mark.parametrize(
-    ("other", "agrees"),
-    [
-        ((2.0, 1.0, 0.5), True),
-        ((2.0 + AGREEMENT_M - 0.01, 1.0, 0.5), True),
-        ((2.0 + AGREEMENT_M + 0.01, 1.0, 0.5), False),
-        ((2.0, 1.0, 0.5 + 0.04), True),
-        ((2.0, 1.0, 0.5 - 0.06), False),
-        ((2.0, 1.0, 0.5 + math.tau), True),
-    ],
-)
-def test_what_would_move_the_robot_elsewhere_confirms_nothing(
-    other: tuple[float, float, float], agrees: bool
-):
-    pending = PendingClosures()
-    pending.confirmed(closure_of(7, moving(2.0, 1.0, 0.5)), HERE)
-    assert len(pending.confirmed(closure_of(8, moving(*other)), HERE)) == (2 if agrees else 0)
-
-
-@pytest.mark.parametrize("confirms", [True, False])
-def test_old_ones_expire(*, confirms: bool):
-    later = TRUST["known"][2] + (0 if confirms else 1)
-    pending, second = PendingClosures(), closure_of(7 + later, BIG)
-    pending.confirmed(closure_of(7, BIG), HERE)
-    assert len(pending.confirmed(second, HERE)) == (2 if confirms else 0)
-    assert pending.closures == ([] if confirms else [second])
 
 
 LOST: tuple[How, ...] = ("odometry",)
@@ -133,12 +87,6 @@ def told(how: How, ones: list[tuple[int, Pose2]], every_m: float = 1.0) -> list[
 def row(correction: Pose2, first: int, count: int) -> list[tuple[int, Pose2]]:
     """Return closures of nodes that follow each other and say the same."""
     return [(first + index, correction) for index in range(count)]
-
-
-def test_a_robot_that_was_lost_needs_more_than_one_that_was_not():
-    assert TRUST["known"][0] == 2
-    assert TRUST["known"][0] < TRUST["odometry"][0]
-    assert TRUST["known"][1] < TRUST["odometry"][1]
 
 
 @pytest.mark.parametrize("how", LOST)

@@ -62,37 +62,6 @@ def test_between_hits_on_one_wall_hits_are_put_evenly():
     np.testing.assert_allclose(added(points), wanted, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("step_m", "count"), [(0.3, 0), (0.2001, 0), (0.1999, 1), (0.1, 1), (0.0999, 2), (0.01, 19)]
-)
-def test_hits_are_no_farther_apart_than_a_step(step_m: float, count: int):
-    points = np.array([(2.0, -0.3), (2.0, -0.1), (2.0, 0.1), (2.0, 0.3)])
-    new = added(points, step_m=step_m)
-    assert len(new) == count
-    all_y = np.sort([-0.1, 0.1, *new[:, 1]])
-    assert np.diff(all_y).max() <= max(step_m, 0.2) + 1e-12
-    if count:
-        assert np.diff(all_y).max() <= step_m + 1e-12
-
-
-@pytest.mark.parametrize("clockwise", [False, True])
-@pytest.mark.parametrize("turned_rad", [0.0, 1.0, math.pi, -2.5])
-def test_a_wall_is_filled_in_any_direction(*, turned_rad: float, clockwise: bool):
-    """Also behind the robot, where bearings jump from pi to -pi."""
-    cos, sin = math.cos(turned_rad), math.sin(turned_rad)
-    turn = np.array([(cos, sin), (-sin, cos)])
-    points, laser = wall_ahead() @ turn, np.array([0.3, -0.2])
-    points = points + laser
-    if clockwise:
-        points = np.ascontiguousarray(points[::-1])
-    new = added(points, laser)
-    for index in range(1, 7):
-        assert is_between(new, points[index], points[index + 1]), index
-    unturned = (new - laser) @ turn.T
-    np.testing.assert_allclose(unturned[:, 0], 2.0, atol=1e-12)
-    assert np.diff(np.sort([*unturned[:, 1], *wall_ahead()[1:8, 1]])).max() <= STEP_M + 1e-9
-
-
 # -- what is not -----------------------------------------------------------------------------------
 
 
@@ -145,12 +114,6 @@ def test_an_edge_is_not_joined_to_what_is_behind_it():
     assert not is_between(new, points[9], points[10])
     assert is_between(new, points[6], points[7])
     assert np.isin(np.round(new[:, 0], 9), (1.0, 2.0)).all()
-
-
-def test_a_round_thing_is_not_filled_with_chords():
-    """Hits a quarter of a metre apart on a pillar of half a metre, seen from within."""
-    points = 0.5 * beams_at(*range(0, 360, 30))
-    assert len(added(points)) == 0
 
 
 # -- odd scans -------------------------------------------------------------------------------------
