@@ -6,16 +6,12 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import slamfusion
-from slamfusion.io import write_carmen
-from tests.slam.drives import drive
 
 pytestmark = pytest.mark.once
 
-SAMPLE = Path(__file__).resolve().parents[1] / "data" / "sample"
 # What takes long to load, or is not there everywhere.
 HEAVY = {"numpy", "scipy", "pandas", "cv2", "yaml", "pyopencl", "matplotlib", "rclpy", "click"}
 PUBLIC = [name for name in slamfusion.__all__ if name != "__version__"]
@@ -52,31 +48,6 @@ def test_a_name_that_is_not_there_is_no_attribute() -> None:
         slamfusion.fuse_everything  # noqa: B018
     with pytest.raises(ImportError, match="fuse_everything"):
         from slamfusion import fuse_everything  # noqa: F401, PLC0415
-
-
-def test_saved_maps_are_fused() -> None:
-    from slamfusion import fuse_maps, load_map  # noqa: PLC0415
-
-    fused = fuse_maps(sorted(SAMPLE.glob("map_*.yaml")), truth=SAMPLE / "truth.yaml")
-    assert [record.name for record in fused.result.accepted] == ["map_a", "map_b", "map_c"]
-    *inputs, last = fused.evaluations
-    assert last.name == "fused"
-    assert last.error <= 1.1 * min(item.error for item in inputs)
-    assert fused.grid.resolution == load_map(SAMPLE / "truth.yaml").resolution
-
-
-def test_from_a_log_to_a_fused_map(tmp_path: Path) -> None:
-    from slamfusion import fuse_maps, load_map, map_log, save_fused_maps  # noqa: PLC0415
-
-    write_carmen(tmp_path / "flat.log", drive(64)[0])
-
-    made = [map_log(tmp_path / "flat.log", name).grid for name in ("tinyslam", "graph")]
-    fused = fuse_maps(made)
-    save_fused_maps(fused, tmp_path / "out" / "fused")
-
-    np.testing.assert_array_equal(load_map(tmp_path / "out" / "fused.yaml").cells, fused.grid.cells)
-    walls = np.count_nonzero(fused.grid.cells == slamfusion.OCCUPIED)
-    assert walls > 0.5 * min(np.count_nonzero(grid.cells >= 65) for grid in made)
 
 
 def test_the_file_of_settings_that_the_commands_read_is_read_here_too(tmp_path: Path) -> None:

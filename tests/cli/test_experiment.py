@@ -83,6 +83,7 @@ def test_cell_models_trajectories_on_logs(drive: LogFiles, tmp_path: Path) -> No
     assert "gmapping" in {row["method"] for row in rows}
 
 
+@pytest.mark.full
 def test_ground_obstacle_small(tmp_path: Path) -> None:
     arguments = (
         "experiment", "ground-obstacle", "-o", tmp_path,

@@ -9,12 +9,8 @@ import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from slamfusion.config import LogConfig
-from slamfusion.io import load_map
-from slamfusion.io.trajectories import read_trajectory
 from slamfusion.slam.registry import BUILT_IN
 from tests.cli.command import json_of, run
 from tests.support.own_producer import NAME, with_own_producer
@@ -57,23 +53,6 @@ def test_it_is_listed_and_has_its_own_options(python: Path) -> None:
     assert absent.returncode == 2, "it is installed where it should not be"
 
 
-def test_it_makes_a_map_with_the_settings_it_is_given(
-    python: Path, log: Path, tmp_path: Path
-) -> None:
-    out = tmp_path / "map"
-    done = slamfusion(python, "slam", NAME, log, "-o", out, "--resolution", "0.1", "--json")
-    assert done.returncode == 0, done.stderr
-    document = json.loads(done.stdout)
-    (record,) = document["producers"]
-    assert record["name"] == NAME
-    assert record["scans_used"] > 100
-    assert document["config"]["producers"] == {NAME: {"resolution": 0.1, "usable_range_m": 30.0}}
-    grid = load_map(out.with_suffix(".yaml"))
-    assert grid.resolution == 0.1
-    assert set(np.unique(grid.cells)) == {-1, 0, 100}
-    assert len(read_trajectory(out.with_suffix(".tum"), LogConfig())) == record["scans"]
-
-
 def test_it_takes_part_in_a_run_beside_one_that_is_built_in(
     python: Path, log: Path, tmp_path: Path
 ) -> None:
@@ -107,11 +86,10 @@ def broken(python: Path) -> Iterator[str]:
     shutil.rmtree(folder)
 
 
-@pytest.mark.parametrize("command", ["slam", "node"])
 def test_a_broken_package_is_named_in_help_and_takes_no_other_along(
-    python: Path, broken: str, command: str
+    python: Path, broken: str
 ) -> None:
-    done = slamfusion(python, command, "--help")
+    done = slamfusion(python, "slam", "--help")
     assert done.returncode == 0, done.stderr
     said = (
         f"{broken} BROKEN: the producer 'broken' cannot be loaded from no_such_package:PRODUCER: "
@@ -120,10 +98,3 @@ def test_a_broken_package_is_named_in_help_and_takes_no_other_along(
     for name in (*BUILT_IN, NAME):
         assert f"\n  {name} " in done.stdout
     assert "slamfusion: error" not in done.stderr
-
-
-def test_a_broken_package_that_is_asked_for_is_one_line(python: Path, broken: str) -> None:
-    done = slamfusion(python, "slam", broken, "no.log", "-o", "out")
-    assert done.returncode == 1
-    (line,) = done.stderr.splitlines()
-    assert line.startswith("slamfusion: error: the producer 'broken' cannot be loaded")

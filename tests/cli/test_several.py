@@ -194,7 +194,7 @@ def test_results_of_one_case_are_named_as_those_of_several(ask: Ask, tmp_path: P
     for stem in ("hall", "yard", "map_a/hall", "map_b/hall", "map_a/yard"):
         save_map(grid, tmp_path / stem)
     maps = ("map_a/hall.yaml", "map_b/hall.yaml")
-    options = ("--truth", "lab=hall.yaml", "--no-align", "--device", "numpy")
+    options = ("--truth", "lab=hall.yaml", "--no-align")
     named = [f"lab={path}" for path in maps]
     assert ask("evaluate", *named, *options, *one)[0] == 0
     more = ("map_a/yard.yaml", "--truth", "yard.yaml")
@@ -202,16 +202,6 @@ def test_results_of_one_case_are_named_as_those_of_several(ask: Ask, tmp_path: P
     assert named_in(tmp_path / "one.zip") == {("lab", "map_a/hall"), ("lab", "map_b/hall")}
     assert named_in(tmp_path / "one.zip") < named_in(tmp_path / "several.zip")
     assert ("truth", "lab") in read_results(tmp_path / "one.zip").yardsticks
-
-    truth = circuit()
-    for case in ("north", "south"):
-        write_carmen(tmp_path / f"{case}.log", recorded(truth))
-        write_tum(tmp_path / "own" / f"{case}.tum", truth)
-    words = ("judge", "north.log", "own/north.tum")
-    assert ask(*words, *one)[0] == 0
-    assert ask(*words, "own/south.tum", "--log", "south.log", *several)[0] == 0
-    assert named_in(tmp_path / "one.zip") == {("north", "own")}
-    assert named_in(tmp_path / "one.zip") < named_in(tmp_path / "several.zip")
 
 
 def test_maps_of_several_truths(ask: Ask, tmp_path: Path) -> None:
@@ -223,7 +213,7 @@ def test_maps_of_several_truths(ask: Ask, tmp_path: Path) -> None:
             (tmp_path / Path(name).stem).mkdir(exist_ok=True)
             save_map(load_map(name), tmp_path / Path(name).stem / case)
     maps = [f"map_{letter}/{case}.yaml" for letter in "ab" for case in ("hall", "yard")]
-    options = ("--truth", "hall.yaml", "--truth", "yard.yaml", "--no-align", "--device", "numpy")
+    options = ("--truth", "hall.yaml", "--truth", "yard.yaml", "--no-align")
     found = document(
         ask("evaluate", *maps, *options, "--json", "--save-results", "a.zip"), "evaluate"
     )

@@ -20,6 +20,8 @@ pytest.importorskip("sphinx", reason="Sphinx is absent: install the extra docs")
 pytest.importorskip("myst_parser", reason="MyST is absent: install the extra docs")
 pytest.importorskip("furo", reason="furo is absent: install the extra docs")
 
+pytestmark = pytest.mark.full
+
 # In the build's own process: whoever asks for an address fails. Nearly all that it makes is kept to
 # its end: without looking for what is not it takes a fifth less.
 OFFLINE = """

@@ -54,6 +54,14 @@ def commands(block: str) -> list[str]:
 
 # Each block once: README's stand on pages too.
 RUN = {block: name for name, block in reversed(fenced("bash"))}
+BLOCKS = [
+    pytest.param(
+        block,
+        id=f"{name}: {commands(block)[0].split()[1]}",
+        marks=() if name == "README.md" else pytest.mark.full,
+    )
+    for block, name in RUN.items()
+]
 SHOWN = [
     pytest.param(command, id=f"{name}: {command[:50]}")
     for name, block in fenced("")
@@ -77,9 +85,7 @@ def test_the_readme_is_short() -> None:
     assert len(PAGES["README.md"].splitlines()) <= README_LINES
 
 
-@pytest.mark.parametrize(
-    "block", RUN, ids=lambda block: f"{RUN[block]}: {commands(block)[0].split()[1]}"
-)
+@pytest.mark.parametrize("block", BLOCKS)
 def test_commands_run_on_the_bundled_data(
     tmp_path: Path, block: str, request: pytest.FixtureRequest
 ) -> None:

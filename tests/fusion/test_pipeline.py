@@ -278,7 +278,7 @@ def test_same_input_same_fused_map(
     assert first.fused.origin == second.fused.origin
 
 
-@pytest.mark.parametrize("which", [0, 1, 2])
+@pytest.mark.parametrize("which", [1])
 def test_cropping_unknown_margins_moves_no_fused_cell(device: ComputeDevice, which: int) -> None:
     grids = [padded(grid, 9, 4, 13, 22) for grid in three()[0]]
     config = replace(QUICK, reference="a")
@@ -289,7 +289,7 @@ def test_cropping_unknown_margins_moves_no_fused_cell(device: ComputeDevice, whi
     assert_same_world(result.fused, wanted.fused)
 
 
-@pytest.mark.parametrize("place_m", [(5e5, 1e7), (-ORIGIN_MOST_M, ORIGIN_MOST_M)])
+@pytest.mark.parametrize("place_m", [(-ORIGIN_MOST_M, ORIGIN_MOST_M)])
 def test_maps_as_far_from_zero_as_may_be_fuse_as_near_it(
     device: ComputeDevice, place_m: tuple[float, float]
 ) -> None:
@@ -328,9 +328,15 @@ def test_union_and_reference_share_one_lattice(device: ComputeDevice) -> None:
     assert_same_world(outer, truth)
 
 
-@pytest.mark.parametrize("extent", ["reference", "union"])
-@pytest.mark.parametrize("unknown", ["auto", "value", "abstain"])
-@pytest.mark.parametrize("mode", ["majority", "consensus"])
+@pytest.mark.parametrize(
+    ("mode", "unknown", "extent"),
+    [
+        ("majority", "auto", "union"),
+        ("majority", "value", "reference"),
+        ("majority", "abstain", "union"),
+        ("consensus", "auto", "reference"),
+    ],
+)
 def test_every_mode_fuses(device: ComputeDevice, mode: str, unknown: str, extent: str) -> None:
     grids, poses = three()
     config = replace(QUICK, vote=VoteConfig(mode, unknown, extent))

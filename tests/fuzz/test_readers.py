@@ -16,7 +16,7 @@ from tests.fuzz.run import Counts, OverTimeError, limits, run_mutants, run_one, 
 from tests.support.examples import examples
 
 pytestmark = pytest.mark.once
-EVERY_RUN = 1000
+EVERY_RUN = 400
 FULL_RUN = 100_000
 
 
@@ -57,7 +57,7 @@ def test_a_hundred_thousand_mutants_end_so_too(tmp_path: Path) -> None:
     assert_clean(run_mutants(FULL_RUN, tmp_path, first=EVERY_RUN), FULL_RUN)
 
 
-@settings(max_examples=examples(150), suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(60), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_bytes_of_any_kind_do_so_too(good: list[Seed], tmp_path: Path, data: st.DataObject) -> None:
     """What hypothesis finds it also makes small."""

@@ -170,23 +170,24 @@ def test_a_saved_map_is_searched_around_its_start_in_the_frame_of_the_drive(
     Where it fits it votes beside the drawn map, which keeps all that it knows.
     """
     two = replace(RUN_DEFAULTS, run=replace(RUN_DEFAULTS.run, producers=("tinyslam", "graph")))
-    made = run_log(place / "flat.log", two)
-    assert made.grid is not None
     moved = Pose2(6.0, -2.0, 1.0)
-    saved = replace(made.grid, origin=moved.compose(made.grid.origin))
-    save_map(saved, place / "saved")
+    walls = np.where(draw_flat() == 1, 100, 0).astype(np.int8)
+    for name in ("saved", "elsewhere"):
+        save_map(OccupancyGrid(walls, CELL_M, moved), place / name)
     right = moved.inverse()
-    for off_m, is_found in ((0.5, True), (9.0, False)):
-        start = {"saved": (right.x + off_m, right.y, right.yaw_rad)}
-        config = replace(two, start=start)
-        run = run_log(place / "flat.log", config, saved_maps=[place / "saved.yaml"])
-        assert run.usable is not None
-        became = {record.name: record.accepted for record in run.usable.inputs}
-        assert became == {"tinyslam": True, "graph": True, "saved": is_found}
-        assert (run.fused_mode, run.why_voted, run.drawn) == ("drawn", None, None)
-        assert set(run.usable.weights) == ({"drawn", "saved"} if is_found else {"drawn"})
-        if is_found:
-            assert_all_of_the_saved_map_is_there(run)
+    start = {
+        name: (right.x + off_m, right.y, right.yaw_rad)
+        for name, off_m in (("saved", 0.5), ("elsewhere", 9.0))
+    }
+    config = replace(two, start=start, fusion=replace(two.fusion, keep_duplicates=True))
+    saved = [place / f"{name}.yaml" for name in start]
+    run = run_log(place / "flat.log", config, saved_maps=saved)
+    assert run.usable is not None
+    became = {record.name: record.accepted for record in run.usable.inputs}
+    assert became == {"tinyslam": True, "graph": True, "saved": True, "elsewhere": False}
+    assert (run.fused_mode, run.why_voted, run.drawn) == ("drawn", None, None)
+    assert set(run.usable.weights) == {"drawn", "saved"}
+    assert_all_of_the_saved_map_is_there(run)
     document = save_run(run, tmp_path / "out").document
     check_document(plain(document), "run")
     assert document["fused_mode"] == "drawn"

@@ -1,4 +1,4 @@
-"""Every device of this machine, both of PoCL's and the Oclgrind simulator first."""
+"""Every device of this machine, both of PoCL's first; ``test_simulator`` runs the simulator."""
 
 from __future__ import annotations
 
@@ -32,7 +32,6 @@ def other_devices() -> list[str]:
     params=[
         POCL,
         pytest.param(SINGLE_THREAD, marks=pytest.mark.once),
-        pytest.param(SIMULATOR, marks=pytest.mark.once),
         *other_devices(),
     ],
 )
@@ -40,7 +39,7 @@ def device(request: pytest.FixtureRequest) -> ComputeDevice:
     """The device of each device in turn."""
     if not WHEELS_EXIST:
         names = " ".join(f"{d.platform} {d.name}".lower() for d in list_devices())
-        if request.param in {POCL, SINGLE_THREAD, SIMULATOR} and request.param not in names:
+        if request.param in {POCL, SINGLE_THREAD} and request.param not in names:
             pytest.skip(f"no {request.param} on this platform")
     return open_device(request.param)
 
@@ -60,9 +59,3 @@ def pocl() -> ComputeDevice:
 def fresh() -> ComputeDevice:
     """The same device opened once more, where each operation has yet to run."""
     return opened()
-
-
-@pytest.fixture
-def is_simulated(device: ComputeDevice) -> bool:
-    """Whether the device runs on the simulator, which wants small sizes."""
-    return SIMULATOR in device.name.lower()

@@ -7,7 +7,7 @@ import pytest
 
 from slamfusion.compute import ComputeDevice, NumpyDevice
 from slamfusion.config import AlignConfig, FusionConfig
-from slamfusion.fusion import align_grids, fuse_grids
+from slamfusion.fusion import fuse_grids
 from slamfusion.grid import OccupancyGrid
 from slamfusion.sim import draw_building
 from tests.support.degrade import Degradation, degrade_map
@@ -19,13 +19,12 @@ CONFIG = FusionConfig(align=AlignConfig())
 
 @pytest.fixture(scope="module")
 def maps() -> list[OccupancyGrid]:
-    """Three maps of one small building, each turned its own way."""
+    """Two maps of one small building, one of them turned."""
     rng = np.random.default_rng(5)
     truth = draw_building(rng, 7.0, 6.0, 0.1)
     faults = (
         Degradation(flip_share=0.002),
         Degradation(yaw_rad=2.0, wall_change_cells=1),
-        Degradation(yaw_rad=-0.7, shift_share=(0.1, 0.2), flip_share=0.004),
     )
     return [
         degrade_map(truth, rng, fault)[0].with_name(f"map {n}") for n, fault in enumerate(faults)
@@ -35,18 +34,8 @@ def maps() -> list[OccupancyGrid]:
 def test_fusion_is_the_same(pocl: ComputeDevice, maps: list[OccupancyGrid]):
     device = fuse_grids(maps, CONFIG, pocl)
     twins = fuse_grids(maps, CONFIG, NumpyDevice())
-    assert [r.accepted for r in device.inputs] == [r.accepted for r in twins.inputs] == [True] * 3
+    assert [r.accepted for r in device.inputs] == [r.accepted for r in twins.inputs] == [True] * 2
     assert device.reference == twins.reference
     # The refined poses differ in the last bits, so a cell centre on a border may change sides.
     same = device.fused.cells == twins.fused.cells
     assert same.mean() > 0.999
-
-
-def test_repeated_alignment_gives_the_same_bits(pocl: ComputeDevice, maps: list[OccupancyGrid]):
-    first, second = (align_grids(maps[0], maps[2], CONFIG, pocl) for _ in range(2))
-    assert (first.transform, first.score, first.error) == (
-        second.transform,
-        second.score,
-        second.error,
-    )
-    assert first.statistics == second.statistics

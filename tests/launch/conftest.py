@@ -45,7 +45,7 @@ def colcon() -> Path:
     return COLCON / "bin" / "colcon"
 
 
-@pytest.fixture(scope="module", params=["copied", pytest.param("linked", marks=pytest.mark.full)])
+@pytest.fixture(scope="module", params=["copied", "linked"])
 def workspace(
     request: pytest.FixtureRequest, colcon: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[Path]:

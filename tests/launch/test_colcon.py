@@ -42,6 +42,7 @@ def sourced(workspace: Path, command: str) -> str:
     return done.stdout.strip()
 
 
+@pytest.mark.full
 def test_the_executables_are_where_ros2_run_looks(workspace: Path):
     folder = workspace / "install" / "slamfusion" / "lib" / "slamfusion"
     assert {item.name for item in folder.iterdir()} == EXECUTABLES
@@ -51,6 +52,7 @@ def test_the_executables_are_where_ros2_run_looks(workspace: Path):
         assert first == "#!/usr/bin/env python3"
 
 
+@pytest.mark.full
 def test_the_files_are_where_ros2_launch_looks(workspace: Path):
     share = workspace / "install" / "slamfusion" / "share"
     marker = share / "ament_index" / "resource_index" / "packages" / "slamfusion"
@@ -64,6 +66,7 @@ def test_the_files_are_where_ros2_launch_looks(workspace: Path):
     assert installed == {item.name for item in (scripts / "ament" / "config").iterdir()}
 
 
+@pytest.mark.full
 def test_the_library_of_the_workspace_is_used_with_all_its_files(workspace: Path):
     code = (
         "import slamfusion.report, pathlib; from slamfusion.compute.program import kernel_folder; "
@@ -85,6 +88,7 @@ def test_the_library_of_the_workspace_is_used_with_all_its_files(workspace: Path
     }
 
 
+@pytest.mark.full
 def test_an_installed_program_runs(workspace: Path):
     # A linked one begins with the Python that colcon ran with, which has no NumPy here.
     folder = workspace / "install" / "slamfusion" / "lib" / "slamfusion"
@@ -93,6 +97,7 @@ def test_an_installed_program_runs(workspace: Path):
     assert "Usage: slamfusion node" in sourced(workspace, f"python3 {folder}/fusion_node --help")
 
 
+@pytest.mark.full
 @pytest.mark.ros
 def test_an_installed_node_is_found_and_runs_as_ros2_run_starts_it(
     workspace: Path, request: pytest.FixtureRequest

@@ -16,9 +16,8 @@ from nav_msgs.msg import OccupancyGrid
 from slamfusion.io import load_map
 from slamfusion.ros import qos
 from tests.cli.command import INSTALLED, ROOT
-from tests.ros.drives import write_log
+from tests.ros.drives import offline_log, write_log
 from tests.ros.live import Observer, Process, Processes
-from tests.ros.test_launch_script import nodes_in
 
 pytestmark = pytest.mark.ros
 
@@ -26,6 +25,20 @@ PARAMETERS = str(ROOT / "launch_scripts" / "slamfusion.yaml")
 LEAST_SHM_KB = 327680
 SHARED_MEMORY = Path("/dev/shm")  # noqa: S108 - the real one
 SCRIPT = str(ROOT / "launch_scripts" / "slamfusion.sh")
+
+
+def nodes_in(domain: int) -> dict[int, str]:
+    """The running nodes of a domain: process and command line."""
+    found = {}
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            environment = (folder / "environ").read_bytes().split(b"\0")
+            words = (folder / "cmdline").read_bytes().split(b"\0")
+        except OSError:  # it has ended, or is another user's
+            continue
+        if f"ROS_DOMAIN_ID={domain}".encode() in environment and b"node" in words:
+            found[int(folder.name)] = b" ".join(words).decode()
+    return found
 
 
 def start(processes: Processes, *words: str, before: tuple[str, ...] = ()) -> Process:
@@ -48,20 +61,28 @@ def test_a_log_is_fused_by_all_three_and_reported(
     assert nodes_in(domain) == {}
     for name in ("tinyslam", "gmapping", "graph", "fused"):
         assert (load_map(out / f"{name}.yaml").cells == 100).sum() > 200, name
+    saved, wanted = load_map(out / "tinyslam.yaml"), offline_log("tinyslam", log)
+    assert saved.cells.shape == wanted.cells.shape
+    assert ((saved.cells == 100) == (wanted.cells >= 65)).all()
     assert (out / "report" / "report.html").stat().st_size > 10_000
+    assert "unknown parameter" not in script.text()
     assert f"the fused map: {out}/fused.yaml" in script.text()
 
 
-def test_ctrl_c_at_a_terminal_reaches_the_whole_group_and_leaves_nothing(
+def test_a_node_that_dies_is_started_later_each_time_and_ctrl_c_ends_the_whole_group(
     domain: int, processes: Processes, observer: Observer
 ):
-    script = start(processes, "--producers", "tinyslam,graph", before=("setsid", "--wait"))
+    words = ("--producers", "tinyslam", "--", "-r", "__ns:=/robot1")
+    script = start(processes, *words, before=("setsid", "--wait"))
     statuses = observer.statuses()
-    observer.wait(
-        lambda: {key.partition(":")[0] for key in statuses} >= {"tinyslam", "graph", "fusion"},
-        50.0,
-        "three nodes",
-    )
+
+    def wait_for_both() -> None:
+        wanted = {f"robot1/{name}" for name in ("tinyslam", "fusion")}
+        observer.wait(
+            lambda: {key.partition(":")[0] for key in statuses} >= wanted, 50.0, "both nodes"
+        )
+
+    wait_for_both()
     # Large maps get their shared memory, where there is some.
     has_room = shutil.disk_usage(SHARED_MEMORY).free >= LEAST_SHM_KB * 1024
     for pid in nodes_in(domain):
@@ -69,8 +90,23 @@ def test_ctrl_c_at_a_terminal_reaches_the_whole_group_and_leaves_nothing(
         assert (b"fastdds-large-maps.xml" in environment) == has_room
     (leader,) = {os.getpgid(pid) for pid in nodes_in(domain)}
     assert leader != os.getpgid(0)
+    for number, pause in enumerate((1, 2)):
+        observer.wait(
+            lambda: [pid for pid, words in nodes_in(domain).items() if "node fusion" in words],
+            50.0,
+            "the fusion",
+        )
+        (victim,) = [pid for pid, words in nodes_in(domain).items() if "node fusion" in words]
+        os.kill(victim, signal.SIGKILL)
+        words = f"fusion has ended with 137; it is started again, in its frame, in {pause} s"
+        wait_said(observer, script, words, 10.0)
+        assert script.is_running, number
+    observer.listen(0.5)
+    statuses.clear()
+    wait_for_both()
     os.killpg(leader, signal.SIGINT)
     assert script.wait(20.0) == 0
+    assert "stopping every node" in script.text()
     assert nodes_in(domain) == {}
     assert "gmapping" not in script.text()
 
@@ -117,46 +153,30 @@ def test_a_folder_that_cannot_be_written_to_is_found_before_the_log_plays(
     assert nodes_in(domain) == {}
 
 
-def test_a_node_that_dies_again_and_again_is_started_later_each_time(
-    domain: int, processes: Processes, observer: Observer
-):
-    script = start(processes, "--producers", "tinyslam")
-    for number, pause in enumerate((1, 2)):
-        observer.wait(
-            lambda: [pid for pid, words in nodes_in(domain).items() if "node fusion" in words],
-            50.0,
-            "the fusion",
-        )
-        (victim,) = [pid for pid, words in nodes_in(domain).items() if "node fusion" in words]
-        os.kill(victim, signal.SIGKILL)
-        words = f"fusion has ended with 137; it is started again, in its frame, in {pause} s"
-        wait_said(observer, script, words, 10.0)
-        assert script.is_running, number
-    statuses = observer.statuses()
-    observer.listen(0.5)
-    statuses.clear()
-    observer.wait(
-        lambda: {key.partition(":")[0] for key in statuses} >= {"tinyslam", "fusion"},
-        50.0,
-        "both nodes",
-    )
-    assert script.interrupt(20.0) == 0
-    assert nodes_in(domain) == {}
-
-
-def test_the_parameter_file_is_taken(processes: Processes, observer: Observer):
-    script = start(processes, "--producers", "graph", "--params", PARAMETERS)
-    statuses = observer.statuses()
-    observer.wait(
-        lambda: {key.partition(":")[0] for key in statuses} >= {"graph", "fusion"}, 50.0, "both"
-    )
-    assert script.interrupt(20.0) == 0
-    assert "unknown parameter" not in script.text()
-    assert "fuses graph/map on" in script.text()
-
-
 def test_a_second_log_is_refused(processes: Processes):
     here = str(ROOT / "README.md")
     script = start(processes, here, here)
     assert script.wait(30.0) == 1
     assert "error: two logs" in script.text()
+
+
+def test_a_node_that_cannot_start_ends_all(domain: int, processes: Processes):
+    script = start(processes, "--only", "tinyslam", "--", "-p", "device:=absent")
+    assert script.wait(60.0) == 1
+    assert "has ended with 1 3 times in a row soon after its start" in script.text()
+    assert nodes_in(domain) == {}
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--log", "absent.log"), "absent.log: no such log"),
+        (("--params", "absent.yaml"), "absent.yaml: no such file"),
+        (("--log",), "--log needs a value"),
+        (("--fast",), "unknown option --fast"),
+    ],
+)
+def test_wrong_words_are_refused(words: tuple[str, ...], said: str, processes: Processes):
+    script = start(processes, *words)
+    assert script.wait(30.0) == 1
+    assert f"error: {said}" in script.text()

@@ -128,7 +128,7 @@ def test_the_fused_map_goes_on_through_a_bad_day(processes: Processes, observer:
     first = fused()
 
     # Each is killed and comes back, in the middle of the drive, with an empty map.
-    for kind in ("tinyslam", "graph"):
+    for kind in ("tinyslam",):
         running[kind].kill()
         robot.drive_until(says("2 of 3 inputs vote", kind), f"{kind} is missed")
         count = len(heard)

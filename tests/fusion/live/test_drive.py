@@ -76,7 +76,7 @@ def test_maps_grow_and_no_wall_moves(
         assert abs(np.angle(np.exp(1j * (found.yaw_rad - wanted.yaw_rad)))) < 0.03
 
 
-@pytest.mark.parametrize("name", list(FRAMES))
+@pytest.mark.parametrize("name", ["gmapping"])
 def test_one_is_refused_lost_and_returns_and_no_wall_moves(
     device: ComputeDevice, rounds: list[dict[str, OccupancyGrid]], name: str
 ) -> None:

@@ -174,8 +174,9 @@ def test_a_filter_of_hardly_any_particles_works(device: ComputeDevice, count: in
 # -- where the robot is ----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("motion_model", ["differential", "bicycle"])
-@pytest.mark.parametrize("expectation", ["motion", "pose"])
+@pytest.mark.parametrize(
+    ("expectation", "motion_model"), [("motion", "differential"), ("pose", "bicycle")]
+)
 def test_without_odometry(device: ComputeDevice, expectation: str, motion_model: str):
     scans, truth = drive(120, turn_bias=0.01)
     settings = {"expectation": expectation, "motion_model": motion_model, "odometry": "none"}
@@ -237,9 +238,9 @@ def test_scans_that_are_not_matched_are_told_as_such(device: ComputeDevice):
 
 
 def test_a_robot_that_stands_leaves_its_map_alone(device: ComputeDevice):
-    """600 scans by the published gates, and 100 that are matched too: not a bit changes."""
+    """By the published gates, and where every scan is matched too: not a bit changes."""
     gates = {name: PUBLISHED[name] for name in ("linearUpdate", "angularUpdate", "temporalUpdate")}
-    for count, match_every_scan in ((600, False), (100, True)):
+    for count, match_every_scan in ((150, False), (40, True)):
         scans = standing(count)
         slam = feed(Gmapping(config(**gates, match_every_scan=match_every_scan), device), scans[:1])
         first, counts = slam.grid(), all_counts(slam)
@@ -252,7 +253,7 @@ def test_a_robot_that_stands_leaves_its_map_alone(device: ComputeDevice):
         assert slam.trajectory().poses[-1] == pytest.approx(slam.trajectory().poses[0], abs=0.02)
 
 
-@pytest.mark.parametrize(("every_s", "wanted"), [(0.0, 39), (0.99, 3), (-1.0, 0), (-0.5, 0)])
+@pytest.mark.parametrize(("every_s", "wanted"), [(0.99, 3), (-1.0, 0)])
 def test_time_alone_makes_a_step_where_it_is_asked_to(
     device: ComputeDevice, every_s: float, wanted: int
 ):

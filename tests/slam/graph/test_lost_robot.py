@@ -199,9 +199,7 @@ def test_a_state_saved_while_lost_goes_on_as_if_nothing_had_been(device: Compute
 # -- what is no loss -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "jump", [Pose2(0.8, 0.5, 0.2), Pose2(-3.0, 2.0, 0.0), Pose2(0.0, 4.9, -1.0), Pose2(80.0, 0, 3)]
-)
+@pytest.mark.parametrize("jump", [Pose2(0.0, 4.9, -1.0), Pose2(80.0, 0, 3)])
 def test_odometry_that_jumps_loses_no_robot(device: ComputeDevice, jump: Pose2):
     """In A the robot drives on; its odometry is suddenly elsewhere."""
     drive = carried(draw_building(), IN_A)
