@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from slamfusion.geometry import (
     Pose2,
     fit_motion,
-    moved_poses,
     transform_points,
     travelled,
     with_levers,
@@ -43,11 +42,6 @@ def test_a_pose_composed_with_its_inverse_is_the_identity(pose: Pose2) -> None:
     assert_same(pose.inverse().compose(pose), Pose2())
 
 
-@given(POSES, POSES, POSES)
-def test_composition_is_associative(a: Pose2, b: Pose2, c: Pose2) -> None:
-    assert_same(a.compose(b).compose(c), a.compose(b.compose(c)))
-
-
 @given(POSES, POSES, LENGTHS, LENGTHS)
 def test_composing_is_transforming_twice(a: Pose2, b: Pose2, x: float, y: float) -> None:
     once = a.compose(b).transform((x, y))
@@ -71,13 +65,6 @@ def test_points_are_mapped_by_many_poses_as_by_one() -> None:
     of = np.array([2, 0, 2, 3, 3, 1])
     more = rng.normal(size=(6, 2))
     assert np.array_equal(transform_points(poses, more, of), transform_points(poses[of], more))
-
-
-def test_many_poses_are_moved_as_one() -> None:
-    motion = Pose2(1.0, -2.0, 3.0)
-    poses = np.random.default_rng(6).normal(size=(4, 3))
-    for found, pose in zip(moved_poses(motion, poses), poses, strict=True):
-        assert_same(Pose2(*found), motion.compose(Pose2(*pose)))
 
 
 def test_way_is_as_long_as_its_steps() -> None:

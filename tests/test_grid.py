@@ -63,14 +63,6 @@ def test_the_known_box_is_the_smallest_around_known_cells() -> None:
     assert known_box(np.full((2, 3), -1, dtype=np.int8)) is None
 
 
-def test_the_known_box_of_a_map_is_looked_for_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    grid = grid_of()
-    box = grid.known_box()
-    monkeypatch.setattr("slamfusion.grid.known_box", lambda _: None)
-    assert grid.known_box() == box
-    assert grid.with_name("another").known_box() is None
-
-
 def test_cropping_moves_no_cell_in_the_map_frame() -> None:
     grid = grid_of(origin=Pose2(3.0, -1.0, 0.7))
     box = CellBox(1, 1, 3, 3)
@@ -116,19 +108,3 @@ def test_a_cell_size_or_place_beyond_the_ranges_is_named(
 ) -> None:
     found = implausible(resolution, origin)
     assert found == words if words is None else words in str(found)
-
-
-@pytest.mark.parametrize(
-    ("resolution", "origin", "words"),
-    [
-        (0.99e-4, Pose2(), "resolution"),
-        (101.0, Pose2(), "resolution"),
-        (math.nan, Pose2(), "resolution"),
-        (-0.05, Pose2(), "resolution"),
-        (0.05, Pose2(1.01e7, 0.0, 0.0), "x of the origin"),
-        (0.05, Pose2(0.0, -1.01e7, 0.0), "y of the origin"),
-        (0.05, Pose2(0.0, 0.0, 90.0), "yaw"),
-    ],
-)
-def test_numbers_that_no_place_has_are_named(resolution: float, origin: Pose2, words: str) -> None:
-    assert words in (implausible(resolution, origin) or "")

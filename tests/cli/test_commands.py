@@ -252,17 +252,6 @@ def test_evaluate_measures_pictures_and_distances(tmp_path: Path) -> None:
     assert list(report.glob("*.html"))
 
 
-def test_the_step_of_the_fixed_step_search_does_not_change_an_evaluation() -> None:
-    """It looks at a quarter of the map, and this one is turned by 126 degrees."""
-    wanted, found = (
-        json_of(run("evaluate", MAPS[1], "--truth", TRUTH, "--json", *more))["maps"][0]
-        for more in ((), ("--step", "8", "--window-yaw-rad", "3.141592653589793"))
-    )
-    for alignment in (wanted["alignment"], found["alignment"]):
-        del alignment["time_s"]
-    assert found == wanted
-
-
 def test_devices_lists_each_with_its_index() -> None:
     devices = json_of(run("devices", "--json"))["devices"]
     assert [device["index"] for device in devices] == list(range(len(devices)))

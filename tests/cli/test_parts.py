@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import io
-import json
 import sys
 from pathlib import Path
 
 import click
-import numpy as np
 import pytest
 
 from slamfusion.cli import slam
@@ -21,7 +19,6 @@ from slamfusion.cli.program import COMMANDS, run_program
 from slamfusion.config import GMAPPING_PROFILES, MapFileConfig
 from slamfusion.errors import MapFileError
 from slamfusion.jobs.inputs import check_writable, distinct_names, load_maps
-from slamfusion.json_values import plain
 from slamfusion.slam.registry import BUILT_IN, producer
 from tests.cli.command import ROOT
 
@@ -41,18 +38,6 @@ pytestmark = pytest.mark.once
 )
 def test_names_are_as_short_as_they_can_be(paths: list[str], names: list[str]) -> None:
     assert distinct_names([Path(path) for path in paths]) == names
-
-
-def test_json_has_no_nan_and_no_numpy() -> None:
-    value = {
-        "a": float("nan"),
-        "b": [np.float32(0.5), np.int64(3), float("-inf")],
-        "c": np.array([1.0, np.inf]),
-        "d": Path("x"),
-        "e": np.bool_(True),
-    }
-    found = json.loads(json.dumps(plain(value), allow_nan=False))
-    assert found == {"a": None, "b": [0.5, 3, None], "c": [1.0, None], "d": "x", "e": True}
 
 
 def test_one_line_shows_what_cannot_be_printed() -> None:

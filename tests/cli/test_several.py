@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import csv
-import itertools
 import json
-import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -17,7 +15,7 @@ import pytest
 
 from slamfusion.cli import run
 from slamfusion.cli.main import main
-from slamfusion.io import load_map, read_trajectory, save_map, write_tum
+from slamfusion.io import load_map, save_map, write_tum
 from slamfusion.io.carmen import write_carmen
 from slamfusion.jobs.cases import CaseFile
 from slamfusion.jobs.results import read_results
@@ -136,32 +134,6 @@ def test_results_are_saved_and_compared(ask: Ask, tmp_path: Path) -> None:
     ate = next(item for item in found["figures"] if item["figure"] == "ate_rmse_m")
     assert ate["difference"] > 0.0
     assert (ate["count_first"], ate["count_second"]) == (2, 2)
-
-
-def test_seeds_of_a_case_are_repetitions(ask: Ask, tmp_path: Path) -> None:
-    paths(tmp_path)
-    files: dict[str, list[str]] = {"good": [], "bad": []}
-    for case, seed in itertools.product(("intel", "office"), (0, 1)):
-        for method, name in (("good", f"good/seed{seed}/{case}"), ("bad", f"bad_{case}_s{seed}")):
-            path = read_trajectory(tmp_path / method / f"{case}.tum")
-            poses = path.poses.copy()
-            poses[::2, 1] += 0.01 * seed
-            (tmp_path / name).parent.mkdir(exist_ok=True)
-            write_tum(tmp_path / f"{name}.tum", Trajectory(path.stamps_s, poses))
-            files[method].append(f"{name}.tum")
-    for method, own in files.items():
-        code, out, _ = ask("trajectory", *own, *TRUTHS, "--save-results", f"{method}.zip")
-        assert code == 0
-        assert f"intel\tmean of 2\t{method}\t" in out
-    found = document(ask("trajectory", *files["good"], *TRUTHS, "--json"), "trajectory")
-    ates = [item["ate"]["rmse"] for item in found["trajectories"] if item["case"] == "intel"]
-    (row,) = (item for item in found["repetitions"] if item["case"] == "intel")
-    assert (row["method"], row["seeds"]) == ("good", 2)
-    assert row["std"]["ate_rmse_m"] == pytest.approx(abs(ates[0] - ates[1]) / 2.0**0.5)
-    code, out, _ = ask("compare", "good.zip", "bad.zip")
-    assert code == 0
-    assert "good (first) against bad (second); 4 pairs of the same case and seed, in 2 cases" in out
-    assert re.search(r"^bad\t0\.\d+ ± 0\.\d+\t0\.\d+ ± ", out, re.MULTILINE)
 
 
 def test_without_pandas_one_line_says_what_to_install(tmp_path: Path) -> None:

@@ -33,14 +33,6 @@ def test_a_row_in_a_pipe_is_a_line_with_its_note() -> None:
     assert list(table.tabbed()) == ["A title", "name\tdx m\treason", "a b\t1.0\tit fits"]
 
 
-def test_wide_characters_take_two_places() -> None:
-    table = Table(("name ", "m"), (("機械の地図", "1"), ("abc", "22")))
-    lines = table.fitted(80).splitlines()[2:]
-    assert [cell_len(line) for line in lines] == [cell_len(lines[0])] * 2
-    long = Table(("name ", "m"), (("機械の地図" * 4, "1"),))
-    assert max(map(cell_len, long.fitted(30).splitlines())) <= 30
-
-
 def test_columns_that_hold_nothing_are_left_out_on_a_terminal_alone() -> None:
     table = Table(("name ", "gap", "m"), (("a", "-", "1"), ("b", "-", "2")))
     assert table.fitted(80).split()[:2] == ["name", "m"]

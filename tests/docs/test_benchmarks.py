@@ -103,12 +103,6 @@ def test_a_table_says_what_was_run_when_and_where():
     ]
 
 
-def test_a_measurement_comes_back_as_it_was_written(tmp_path: Path):
-    path = tmp_path / MEASURED.file_name
-    path.write_text(MEASURED.to_json(), encoding="utf-8")
-    assert Measurement.read(path) == MEASURED
-
-
 def test_a_console_keeps_every_table_that_it_prints(tmp_path: Path):
     printed = io.StringIO()
     console = record.console_for("drawn", tmp_path, file=printed, width=100)

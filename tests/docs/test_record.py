@@ -24,7 +24,6 @@ from slamfusion.jobs.documents import circumstances
 from slamfusion.json_values import plain
 from slamfusion.slam.registry import BUILT_IN
 from tests.docs.test_pages import parse
-from tests.support.documents import check_document
 
 pytestmark = pytest.mark.once
 
@@ -55,22 +54,6 @@ def saved(folder: Path, document: Mapping[str, Any], name: str = "document") -> 
     path = folder / f"{name}.json"
     path.write_text(json.dumps(document), encoding="utf-8")
     return str(path)
-
-
-def test_methods_stand_beside_each_other_and_votes_against_the_best_input() -> None:
-    document = error_table({"consensus": 9.7}, 2, "no obstacle")
-    check_document(document, "experiment ground-obstacle")
-    columns, (means, against) = tables.ground_obstacle([document])
-    assert columns == ("", "tinySLAM", "gmapping", "graph", *FUSIONS)
-    found = dict(zip(columns, means, strict=True))
-    assert found[""] == "no obstacle"
-    assert found["tinySLAM"] == "101.0 ± 1.4"
-    assert found["graph"] == "97.0 ± 1.4"
-    assert found["consensus"] == "**87.3 ± 1.4**"
-    found = dict(zip(columns, against, strict=True))
-    assert found[""] == "against graph, 95 %"
-    assert found["tinySLAM"] == ""
-    assert found["consensus"] == "-10.0 to -10.0 %"
 
 
 def test_a_document_becomes_a_dated_table(tmp_path: Path) -> None:

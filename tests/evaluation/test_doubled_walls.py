@@ -47,11 +47,6 @@ def test_one_wall_is_not_doubled_however_thick(thickness: int) -> None:
     assert doubled_wall_share(draw_walls(HORIZONTAL, thickness=thickness)) == 0.0
 
 
-@pytest.mark.parametrize("end", [(75, 47), (75, 60), (60, 75), (5, 75)])
-def test_one_slanted_wall_is_not_doubled(end: tuple[int, int]) -> None:
-    assert doubled_wall_share(draw_walls(((5, 5), end))) == 0.0
-
-
 @pytest.mark.parametrize("angle_deg", [0, 15, 30, 45, 60, 90])
 @pytest.mark.parametrize("distance", [3, 5, 7])
 def test_two_parallel_walls_nearby_are_doubled(distance: int, angle_deg: float) -> None:
@@ -112,22 +107,7 @@ def test_a_slip_is_added_by_the_fusion_and_a_narrow_passage_is_not():
     assert fused_doubled_shares(np.zeros_like(passage), [(passage, whole)])[1] == 0.0
 
 
-def test_a_large_map_is_looked_at_in_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Walls across the edges of tiles, doubled or not, and specks at them."""
-    walls = np.zeros((150, 190), dtype=np.bool_)
-    for row in range(3, 145, 23):
-        walls[row, 4:180] = True
-        walls[row + 5 : row + 7, 4:90] = True
-    walls[10:140, 63:65] = walls[10:140, 70] = True
-    walls[np.random.default_rng(1).random(walls.shape) < 0.01] = True
-    wanted = doubled_wall_share(walls)
-    assert 0.1 < wanted < 0.9
-    for side in (33, 64, 100):
-        monkeypatch.setattr(doubled_walls, "TILE_CELLS", side)
-        assert doubled_wall_share(walls) == wanted
-
-
-def test_tiles_tell_the_same_of_inputs(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_tiles_and_devices_tell_the_same_of_inputs(monkeypatch: pytest.MonkeyPatch) -> None:
     """Inputs that know a part of the place each, some of it doubled in them, too."""
     fused = np.zeros((150, 190), dtype=np.int8)
     fused[5:145:23, 4:180] = fused[10:150:23, 4:90] = 1

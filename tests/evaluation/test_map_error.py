@@ -227,21 +227,6 @@ def test_any_map_agrees_with_itself(cells: npt.NDArray[np.int8]) -> None:
     assert result.ssim == pytest.approx(1.0)
 
 
-@given(st.data())
-@settings(deadline=None, max_examples=examples(50))
-def test_swapping_map_and_truth_transposes_the_confusion(data: st.DataObject) -> None:
-    cells = data.draw(CLASSES)
-    other = data.draw(hnp.arrays(np.int8, cells.shape, elements=st.sampled_from([-1, 0, 100])))
-    for values in (cells, other):  # the same known box on both sides
-        values[0, 0] = values[-1, -1] = 0
-    a, b = OccupancyGrid(cells, 0.1), OccupancyGrid(other, 0.1)
-    forward, backward = compare(a, b), compare(b, a)
-    assert forward.error == pytest.approx(backward.error)
-    assert np.array_equal(counts(forward), counts(backward).T)
-    assert forward.map_to_truth_m == backward.truth_to_map_m
-    assert forward.wall_precision == backward.wall_recall
-
-
 @given(CLASSES, st.floats(-600, 600), st.floats(-600, 600), st.floats(-3.1, 3.1))
 @settings(deadline=None, max_examples=examples(50))
 def test_a_rigid_motion_of_the_map_and_its_inverse_change_nothing(

@@ -224,6 +224,34 @@ def test_the_floor_is_the_best_path_at_the_scans() -> None:
         subsample_to_scans(late, scans, odometry, tolerance_s=0.01, tolerance_m=TOLERANCE_M)
 
 
+# --- files ---------------------------------------------------------------------------------------
+
+
+def test_late_rows_are_sorted_and_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = tmp_path / "wheels.txt.gz"
+    path.write_bytes(gzip.compress(b"# t x y theta\n1 0 0 0\n3 2 0 0\n2 1 0 0\n3 2.5 0 0\n\n"))
+    with caplog.at_level(logging.INFO, logger="slamfusion"):
+        found = read_odometry(path)
+    assert found.name == "wheels"
+    assert found.stamps_s.tolist() == [1.0, 2.0, 3.0, 3.0]
+    assert found.poses[:, 0].tolist() == [0.0, 1.0, 2.0, 2.5]
+    assert "1 of 4 rows go back in time" in caplog.text
+
+
+def test_nanoseconds_are_seconds(tmp_path: Path) -> None:
+    path = tmp_path / "wheels.txt"
+    path.write_text("976052857337530016 1 2 3\n", encoding="ascii")
+    assert read_odometry(path).stamps_s[0] == pytest.approx(976052857.33753, abs=1e-6)
+
+
+@pytest.mark.parametrize("line", ["1 2 3", "1 2 3 4 5", "1 2 x 4", "1 nan 3 4"])
+def test_a_bad_row_is_named(tmp_path: Path, line: str) -> None:
+    path = tmp_path / "wheels.txt"
+    path.write_text(f"0 0 0 0\n\n{line}\n", encoding="ascii")
+    with pytest.raises(TrajectoryError, match=r"line 3: wanted 'time x y theta', found"):
+        read_odometry(path)
+
+
 # --- the Intel run -------------------------------------------------------------------------------
 
 

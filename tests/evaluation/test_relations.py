@@ -167,21 +167,6 @@ TEXT = """# t1 t2 x y z roll pitch yaw
 """
 
 
-@pytest.mark.parametrize(
-    ("stamps", "motions", "word"),
-    [
-        ([[0.0, 1.0]], [[0.0] * 3] * 2, "1 pairs of times for 2 motions"),
-        ([[0.0, np.nan]], [[0.0] * 3], "finite"),
-        ([[0.0, 1.0]], [[0.0, np.inf, 0.0]], "finite"),
-    ],
-)
-def test_relations_that_are_none_are_refused(
-    stamps: list[list[float]], motions: list[list[float]], word: str
-) -> None:
-    with pytest.raises(TrajectoryError, match=word):
-        Relations(np.array(stamps), np.array(motions))
-
-
 @pytest.mark.parametrize("packed", [False, True])
 def test_files_are_read_plain_and_packed(tmp_path: Path, packed: bool) -> None:
     path = tmp_path / ("my.relations.gz" if packed else "my.relations")

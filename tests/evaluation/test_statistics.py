@@ -6,8 +6,6 @@ from dataclasses import asdict
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from scipy import stats
 
 from slamfusion.evaluation import (
@@ -17,10 +15,6 @@ from slamfusion.evaluation import (
     mean_interval,
 )
 
-FINITE = st.floats(-1e6, 1e6)
-# Steps that no difference of nearly equal values can lose.
-STEPS = st.integers(-1000, 1000).map(lambda value: value / 16)
-
 
 def test_error_statistics_of_a_worked_example() -> None:
     found = ErrorStatistics.of([1.0, -2.0, 3.0, 6.0])
@@ -29,16 +23,6 @@ def test_error_statistics_of_a_worked_example() -> None:
     assert found.rmse == pytest.approx(np.sqrt(12.5))
     assert (found.median, found.min, found.max) == (2.5, 1.0, 6.0)
     assert list(asdict(found)) == ["mean", "std", "rmse", "median", "min", "max"]
-
-
-@given(st.lists(FINITE, min_size=1, max_size=20))
-def test_mean_and_deviation_make_the_root_mean_square(errors: list[float]) -> None:
-    found = ErrorStatistics.of(errors)
-    assert found.rmse**2 == pytest.approx(found.mean**2 + found.std**2, rel=1e-6, abs=1e-9)
-    # A sum of equal numbers may be rounded.
-    slack = 1e-9 * (1.0 + found.max)
-    assert found.min - slack <= found.mean <= found.max + slack
-    assert found.min <= found.median <= found.max
 
 
 @pytest.mark.parametrize("values", [[], [np.nan], [1.0, np.inf]])
@@ -57,15 +41,6 @@ def test_p_values_of_a_worked_example() -> None:
     assert found.p_t == pytest.approx(p_value, rel=1e-3)
     assert np.isnan([found.low, found.high]).all()
     assert np.isnan(difference_test([1.0], [2.0, 3.0], paired=False)).all()
-
-
-@given(st.lists(STEPS, min_size=2, max_size=8), st.lists(STEPS, min_size=2, max_size=8))
-def test_p_values_are_symmetric_probabilities(first: list[float], second: list[float]) -> None:
-    found = np.array(difference_test(first, second, paired=False))
-    swapped = np.array(difference_test(second, first, paired=False))
-    assert found == pytest.approx(swapped, nan_ok=True)
-    known = found[np.isfinite(found)]
-    assert ((known >= 0.0) & (known <= 1.0)).all()
 
 
 def test_equal_values_have_no_p_value_and_a_constant_difference_is_sure(
@@ -159,18 +134,6 @@ def test_the_interval_of_a_difference_by_hand() -> None:
     assert (found.low, found.high) == pytest.approx((-2.0 - margin, -2.0 + margin), abs=1e-3)
 
 
-def test_pairs_show_what_samples_hide() -> None:
-    cases = np.array([10.0, 20.0, 30.0, 40.0, 50.0, 60.0])
-    gains = np.array([1.0, 1.2, 0.8, 1.1, 0.9, 1.0])
-    found, apart = (difference_test(cases - gains, cases, paired=own) for own in (True, False))
-    assert found.p_t == pytest.approx(stats.ttest_1samp(-gains, 0.0).pvalue)
-    assert found.p_t < 1e-4
-    assert apart.p_t > 0.9
-    assert found.p_pooled == apart.p_pooled
-    # All six of one sign: two of 2^6 outcomes are as extreme.
-    assert found.p_rank == pytest.approx(2 / 64)
-
-
 def test_holm_of_a_worked_example() -> None:
     # Sorted 0.01, 0.02, 0.03, 0.04 times 4, 3, 2, 1: 0.04, 0.06, 0.06, 0.04, never falling.
     assert correct_by_holm([0.04, 0.01, 0.03, 0.02]) == pytest.approx([0.06, 0.04, 0.06, 0.06])
@@ -180,12 +143,3 @@ def test_holm_of_a_worked_example() -> None:
     assert correct_by_holm([float("nan"), 0.02, 0.01]) == pytest.approx(
         [float("nan"), 0.02, 0.02], nan_ok=True
     )
-
-
-@given(st.lists(st.floats(0.0, 1.0), min_size=1, max_size=20))
-def test_holm_never_lowers_and_keeps_the_order(p_values: list[float]) -> None:
-    found = correct_by_holm(p_values)
-    assert all(b >= a for a, b in zip(p_values, found, strict=True))
-    assert min(found) <= min(1.0, len(p_values) * min(p_values))
-    in_order = [found[index] for index in np.argsort(p_values, kind="stable")]
-    assert in_order == sorted(in_order)

@@ -64,10 +64,6 @@ def test_faces_are_the_wall_cells_that_share_a_side_with_a_free_one() -> None:
     ]
 
 
-def test_a_wall_has_a_face_on_each_side_that_is_free() -> None:
-    assert faces("...", "###", "###", "###", "...") == ["---", "fff", "---", "fff", "---"]
-
-
 def test_a_map_against_itself_has_perfect_faces() -> None:
     grid = draw("####", "#..#", "#..#", "####")
     result = compare(grid, grid).faces
@@ -105,14 +101,6 @@ def test_precision_counts_the_maps_faces_and_recall_the_true_ones() -> None:
     assert agreement.f1 == pytest.approx(2 * 0.6 / 1.6)
     turned = compare(truth, half).faces.agreements[0]
     assert (turned.precision, turned.recall) == (pytest.approx(0.6), 1.0)
-
-
-def test_faces_are_carried_through_the_transform() -> None:
-    truth = draw("####?", "#...?", "#..##", "#####")
-    moved = OccupancyGrid(truth.cells, 0.05, Pose2(30.0, -4.0, 0.7))
-    back = Pose2(30.0, -4.0, 0.7).inverse()
-    assert compare(moved, truth, back).faces.f1(0.05) == 1.0
-    assert compare(moved, truth).faces.f1(0.2) == 0.0
 
 
 def test_a_map_without_faces_has_no_figures() -> None:

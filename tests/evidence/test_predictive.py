@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from slamfusion.compute import ComputeDevice, NumpyDevice
 from slamfusion.errors import LogError, TrajectoryError
 from slamfusion.evidence import JudgedScans, judged_scans, score_paths, with_path
-from slamfusion.evidence.beams import CHUNKS, surface_facings
+from slamfusion.evidence.beams import CHUNKS
 from slamfusion.evidence.predictive import without_scans
 from slamfusion.trajectory import Trajectory
 from tests.evidence.rooms import bent, circuit, moved, recorded
@@ -116,15 +116,6 @@ def test_scans_that_are_left_out_neither_draw_nor_are_judged(
     assert evidence.scores["torn"].sums[first].sum() < evidence.scores["truth"].sums[first].sum()
     with pytest.raises(TrajectoryError, match="every scan is left out"):
         without_scans(evidence, ("truth",), np.ones(len(scans), dtype=np.bool_), device)
-
-
-def test_surfaces_face_the_laser():
-    wall = np.array([(2.0, y) for y in np.linspace(-1.0, 1.0, 21)])
-    assert (
-        surface_facings(wall, (0.0, 0.0)) == pytest.approx(np.full(21, math.pi), abs=1e-6)
-        or (np.abs(np.abs(surface_facings(wall, (0.0, 0.0))) - math.pi) < 1e-6).all()
-    )
-    assert surface_facings(wall, (4.0, 0.0)) == pytest.approx(np.zeros(21), abs=1e-6)
 
 
 def test_too_few_scans_are_refused():

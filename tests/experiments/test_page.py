@@ -87,13 +87,6 @@ def test_a_clear_gain_is_found_by_pairs_and_not_without() -> None:
     assert "may be chance" in drawn(0.0).sentences()[FUSIONS.index("majority")]
 
 
-def test_a_single_drive_proves_nothing() -> None:
-    experiment = drawn(3.0, count=1)
-    assert experiment.comparisons["p_t"].isna().all()
-    assert "interval" not in experiment.sentences()[0]
-    assert experiment.summaries["low"].isna().all()
-
-
 def test_overall_counts_each_case_once_and_tells_the_worst() -> None:
     experiment = fusion_experiment(
         "t",

@@ -52,14 +52,6 @@ def test_the_reference_map_is_drawn_at_the_reference_poses() -> None:
     assert (grid.cells == 100).any()
 
 
-def test_scans_between_the_poses_do_not_draw() -> None:
-    every_third = Trajectory(truth().stamps_s[::3], truth().poses[::3])
-    grid, count = reference_map(room().scans, every_third, CONFIG, NumpyDevice())
-    wanted, _ = reference_map(room().scans[::3], truth(), CONFIG, NumpyDevice())
-    assert count == 4
-    assert np.array_equal(grid.cells, wanted.cells)
-
-
 def test_a_reference_of_another_time_is_refused() -> None:
     later = Trajectory(truth().stamps_s + 100.0, truth().poses)
     with pytest.raises(SlamFusionError, match="no scan of the log has a pose"):

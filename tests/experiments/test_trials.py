@@ -15,9 +15,9 @@ from slamfusion.config import (
     FailuresConfig,
     GroundObstacleConfig,
     RunConfig,
-    from_mapping,
 )
-from slamfusion.errors import ConfigError, SlamFusionError
+from slamfusion.errors import SlamFusionError
+from slamfusion.experiments.faults import FAULTS
 from slamfusion.experiments.fusions import (
     CHOICE,
     FUSED_PATH,
@@ -41,7 +41,7 @@ from slamfusion.experiments.trials import (
 from slamfusion.grid import OccupancyGrid
 from slamfusion.jobs.outputs import DRAWN
 from slamfusion.jobs.partial import Layers
-from slamfusion.sim import COURSES, simulate
+from slamfusion.sim import COURSES
 from slamfusion.slam.registry import BUILT_IN, with_settings
 from slamfusion.trajectory import Trajectory
 from tests.fusion.drawings import building, fusion_config
@@ -150,20 +150,6 @@ def test_where_no_two_maps_agree_the_fallback_map_counts_alone() -> None:
     assert vote_every_way(nobody, config, device, notes) == dict.fromkeys(FUSIONS)
 
 
-def test_drives_are_paired_and_worlds_are_numbered() -> None:
-    settings = GroundObstacleConfig(repetitions=2, worlds=2, first_world=7)
-    config = RunConfig(seed=3, experiment=ExperimentConfig(ground_obstacle=settings))
-    trials = obstacle_trials(config)
-    assert len({trial.key for trial in trials}) == len(trials) == 8
-    assert {trial.world for trial in trials} == {7, 8}
-    assert {trial.course.world.seed for trial in trials} == {7, 8}
-    assert {trial.seed for trial in trials} == {3, 4}
-    assert sum(trial.is_example for trial in trials) == 2
-    without, over = trials[0].course, trials[4].course
-    assert (without.obstacles, over.obstacles) == (False, True)
-    assert replace(over, obstacles=False) == without
-
-
 def test_failures_are_courses_times_lasers() -> None:
     trials = failure_trials(small())
     assert len(trials) == 3 * len(FAILURES)
@@ -182,24 +168,6 @@ def test_failures_are_courses_times_lasers() -> None:
     assert [trial.condition for trial in failure_trials(config)] == (
         ["slip, hokuyo"] * 2 + ["glass, hokuyo"] * 2
     )
-
-
-def test_an_unknown_course_or_laser_is_refused() -> None:
-    settings = FailuresConfig(courses=("glas",))
-    config = RunConfig(experiment=ExperimentConfig(failures=settings))
-    with pytest.raises(ConfigError, match=r"no course 'glas'; wanted some of"):
-        failure_trials(config)
-    with pytest.raises(ConfigError, match=r"lidars must be one of kinect, .*, found 'sonar'"):
-        from_mapping(FailuresConfig, {"lidars": "kinect,sonar"})
-
-
-@pytest.mark.parametrize("name", ["loop", "glass", "crowd", "slip"])
-def test_failing_courses_are_driven(name: str) -> None:
-    trials = [item for item in failure_trials(small()) if item.course.name == name]
-    for trial in trials[:1]:
-        recording = simulate(trial.course, open_device())
-        assert recording.truth.path_length_m() > 30.0
-        assert 200 < len(recording.scans) < 1500
 
 
 def test_a_map_is_not_turned_round_where_the_drive_heads_as_the_world_does() -> None:

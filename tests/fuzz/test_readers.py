@@ -10,7 +10,6 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tests.fuzz.corpus import CORPUS
-from tests.fuzz.mutate import mutant
 from tests.fuzz.readers import Seed, seeds
 from tests.fuzz.run import Counts, OverTimeError, limits, run_mutants, run_one, table
 from tests.support.examples import examples
@@ -109,11 +108,3 @@ def test_a_traceback_a_long_line_and_a_hang_are_found(tmp_path: Path) -> None:
 
     with pytest.raises(OverTimeError):
         hang()
-
-
-def test_a_mutant_is_always_the_same_and_seldom_the_good_file() -> None:
-    good = b"1.5 2 3\n" * 20
-    made = [mutant(good, number, is_text=True) for number in range(200)]
-    assert made == [mutant(good, number, is_text=True) for number in range(200)]
-    assert sum(one == good for one in made) < 20
-    assert len(set(made)) > 150

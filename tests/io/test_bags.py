@@ -14,7 +14,7 @@ import pytest
 from slamfusion.config import LogConfig
 from slamfusion.errors import LogError
 from slamfusion.geometry import Pose2
-from slamfusion.io import LogScan, open_log, read_trajectory
+from slamfusion.io import LogScan, open_log
 from slamfusion.io.bags import BagLog
 from tests.support.datasets import DATASETS
 
@@ -164,16 +164,6 @@ def test_a_laser_that_stands_upright_on_its_side_is_refused(tmp_path: Path) -> N
         read(bag, tmp_path)
 
 
-def test_a_slight_tilt_is_said(tmp_path: Path) -> None:
-    tilt = math.radians(10.0) / 2.0
-    turn = (0.0, math.sin(tilt), 0.0, math.cos(tilt))
-    log, scans = read(
-        driven().scan(10.5).scan(11.0).transform(10.0, "base_link", "laser", turn=turn), tmp_path
-    )
-    assert len(scans) == 2
-    assert [note for note in log.notes if "tilted by 10 degrees" in note] == log.notes
-
-
 def test_a_laser_that_turns_on_the_robot_has_a_mount_for_each_time(tmp_path: Path) -> None:
     bag = driven().scan(10.5).scan(11.0)
     for stamp in (10.0, 11.0, 12.0):
@@ -283,12 +273,6 @@ def test_without_rosbags_the_extra_is_named(
     monkeypatch.setitem(sys.modules, "rosbags.typesys", None)
     with pytest.raises(LogError, match=r"pip install 'slamfusion\[bags\]'"):
         open_log(path)
-
-
-def test_a_bag_is_a_trajectory_too(tmp_path: Path) -> None:
-    found = read_trajectory(driven().scan(10.5).scan(11.0).write(tmp_path))
-    assert found.stamps_s.tolist() == [10.5, 11.0]
-    assert found.poses[1] == pytest.approx([1.0, 0.0, 0.5])
 
 
 # --- recordings ----------------------------------------------------------------------------------

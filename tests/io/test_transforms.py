@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
 from slamfusion.io.transform_edge import TransformError
-from slamfusion.io.transforms import TransformTree, plan_poses
+from slamfusion.io.transforms import TransformTree
 
 Row = tuple[float, ...]
 
@@ -25,18 +25,6 @@ def tree_of(*edges: tuple[str, str, float, Row]) -> TransformTree:
     for parent, child, stamp, row in edges:
         assert tree.add(parent, child, stamp, row)
     return tree
-
-
-def test_a_way_leads_down_and_up_again() -> None:
-    tree = tree_of(
-        ("base", "arm", 0.0, level(1.0, 0.0, math.pi / 2.0)),
-        ("base", "laser", 0.0, level(3.0, 1.0, 0.0)),
-    )
-    (pose,) = tree.sample("arm", "laser", 0.0)
-    # Seen from the arm, whose x axis is the base's y axis.
-    expected = [[0, 1, 0, 1], [-1, 0, 0, -2], [0, 0, 1, 0], [0, 0, 0, 1]]
-    assert pose == pytest.approx(np.array(expected), abs=1e-12)
-    assert plan_poses(pose[None])[0] == pytest.approx([1.0, -2.0, -math.pi / 2.0])
 
 
 def test_frames_that_nothing_connects() -> None:

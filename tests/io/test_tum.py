@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slamfusion.geometry import wrap_angles
-from slamfusion.io import AtomicFiles, read_trajectory, write_tum
+from slamfusion.io import read_trajectory, write_tum
 from slamfusion.io.tum import quaternion_yaw_rad
 from slamfusion.trajectory import Trajectory
 
@@ -70,20 +70,6 @@ def test_what_is_written_reads_back(
     np.testing.assert_allclose(back.stamps_s, ours.stamps_s, atol=1e-6, rtol=0)
     np.testing.assert_allclose(back.poses[:, :2], ours.poses[:, :2], atol=1e-8)
     np.testing.assert_allclose(wrap_angles(back.poses[:, 2] - ours.poses[:, 2]), 0, atol=1e-9)
-
-
-def test_the_same_poses_give_the_same_bytes(tmp_path: Path) -> None:
-    for name in ("a.tum.gz", "b.tum.gz"):
-        write_tum(tmp_path / name, TWO)
-    assert (tmp_path / "a.tum.gz").read_bytes() == (tmp_path / "b.tum.gz").read_bytes()
-
-
-def test_a_trajectory_appears_together_with_the_other_files(tmp_path: Path) -> None:
-    path = tmp_path / "a.tum"
-    with AtomicFiles() as files:
-        write_tum(path, TWO, files=files)
-        assert not path.exists()
-    assert path.exists()
 
 
 @pytest.mark.parametrize("length", [1.0, 0.5, 20.0])

@@ -12,7 +12,6 @@ from slamfusion.errors import (
     AlignmentError,
     ConfigError,
     SlamFusionError,
-    StartError,
 )
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import load_map
@@ -139,18 +138,3 @@ def test_maps_with_starts_are_searched_there_and_the_truth_everywhere() -> None:
     wrong = {**starts, "other": (other_pose.x, other_pose.y + 9.0, other_pose.yaw_rad, 1.0, 0.2)}
     with pytest.raises(AlignmentError, match="no two of the inputs"):
         fuse_maps([grid, other], replace(CONFIG, start=wrong), device())
-
-
-def test_a_start_that_names_no_map_or_says_nothing_is_refused() -> None:
-    truth, grid, _ = moved()
-    maps = [truth, grid, truth.with_name("again")]
-    for start, words in (
-        ({"lab": (0.0, 0.0, 0.0)}, "'lab', which is no input"),
-        ({"moving": (0.0, 0.0, 0.0)}, "'moving' alone says nothing"),
-    ):
-        with pytest.raises(StartError, match=words):
-            fuse_maps(maps, replace(CONFIG, start=start), device())
-    named = replace(CONFIG, fusion=replace(CONFIG.fusion, reference="again"))
-    with pytest.raises(AlignmentError, match="no two of the inputs"):
-        # In the frame of the reference: of the three pairs it limits one.
-        fuse_maps([grid, maps[2]], replace(named, start={"moving": (50.0, 0.0, 0.0)}), device())

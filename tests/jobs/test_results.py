@@ -7,7 +7,6 @@ import io
 import json
 import zipfile
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +27,6 @@ from slamfusion.jobs.results import (
     results_table,
     write_results_file,
 )
-from slamfusion.jobs.trajectory import CaseFiles
 from slamfusion.json_values import plain
 from tests.cli.command import MAPS
 from tests.support.documents import check_document
@@ -325,21 +323,6 @@ def test_rows_without_a_partner_and_another_truth_are_told(tmp_path: Path) -> No
         "new: not in few: new in mit, new in office, new in hall",
         "few: not in new: new in attic seed 3",
         "new and few rest on different files: truth",
-    ]
-
-
-@pytest.mark.parametrize("kind", [own.name for own in fields(CaseFiles)])
-def test_whatever_paths_were_held_against_is_told_where_it_is_another(
-    tmp_path: Path, kind: str
-) -> None:
-    zips = []
-    for name in ("old", "new"):
-        file = tmp_path / f"{name}.txt"
-        file.write_text(name, encoding="ascii")
-        (held,) = CaseFiles(**{kind: {"intel": file}}).inputs([])
-        zips.append(save(tmp_path / f"{name}.zip", path_item("intel", name, 0.2), [held]))
-    assert compare_results(zips).document["notes"] == [
-        f"old and new rest on different files: {held[0]} of intel"
     ]
 
 

@@ -9,18 +9,12 @@ import numpy as np
 import pytest
 
 from slamfusion.config import RunConfig
-from slamfusion.errors import TrajectoryError
 from slamfusion.io import read_trajectory
 from slamfusion.jobs.trajectory import (
-    TrajectoryFiles,
     Yardsticks,
     measure_trajectory,
-    measure_trajectory_file,
-    write_trajectory,
 )
-from slamfusion.json_values import plain
 from slamfusion.trajectory import Trajectory
-from tests.support.documents import check_document
 
 
 def test_a_trajectory_is_measured_by_hand(place: Path) -> None:
@@ -35,22 +29,3 @@ def test_a_trajectory_is_measured_by_hand(place: Path) -> None:
     assert found.relations is not None
     assert found.relations.translation.mean == pytest.approx(0.0, abs=1e-6)
     assert measure_trajectory(shifted).to_json() == {}
-
-
-def test_a_trajectory_file_is_measured_and_reported(place: Path, tmp_path: Path) -> None:
-    files = TrajectoryFiles(
-        place / "truth.tum", place / "flat.relations", place / "flat.log", place / "flat.log",
-        place / "truth.tum",
-    )  # fmt: skip
-    found = measure_trajectory_file(files)
-    document = found.to_json()
-    check_document(plain(document), "trajectory")
-    assert document["ate"].rmse == pytest.approx(0.0, abs=1e-9)
-    assert write_trajectory(found, tmp_path / "report").exists()
-
-
-def test_trajectories_that_never_meet_are_an_error(place: Path) -> None:
-    truth = read_trajectory(place / "truth.tum")
-    later = Trajectory(truth.stamps_s + 1e6, truth.poses)
-    with pytest.raises(TrajectoryError):
-        measure_trajectory(later, truth=truth)

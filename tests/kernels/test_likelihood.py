@@ -6,17 +6,12 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from slamfusion.compute import ComputeDevice, NumpyDevice
+from slamfusion.compute import ComputeDevice
 from slamfusion.compute.cell_means import LikelihoodRule
-from slamfusion.compute.layout import BEAM_ONE, MOST_OBSERVATIONS, TILE
-from tests.support.examples import examples
+from slamfusion.compute.layout import BEAM_ONE, TILE
 
 I32 = npt.NDArray[np.int32]
-SEEDS = st.integers(0, 2**32 - 1)
 FALLING = np.arange(255, -1, -1).astype(np.uint8)
 UNSEEN = 20
 MEAN_ONE = 4112
@@ -74,19 +69,6 @@ def beams_of(*beams: tuple[float, float, float, float]) -> I32:
     return np.round(np.array(beams).reshape(-1, 4) * BEAM_ONE).astype(np.int32)
 
 
-def random_beams(rng: np.random.Generator, pages: I32, count: int, margin: int) -> I32:
-    """Beams that keep ``margin`` cells off the window's border; some hit the laser's own cell."""
-    size = np.array(pages.shape[::-1]) * TILE
-    ends = margin + rng.random((count, 2)) * (size - 2 * margin)
-    laser = margin + rng.random(2) * (size - 2 * margin)
-    near = rng.random(count) < 0.1
-    ends[near] = np.floor(laser) + rng.random((int(near.sum()), 2))
-    # Several beams end in one cell, and some at a cell's very corner.
-    ends[rng.random(count) < 0.2] = ends[0]
-    ends[rng.random(count) < 0.1] = np.floor(ends[-1])
-    return beams_of(*np.column_stack((ends, np.broadcast_to(laser, ends.shape))).tolist())
-
-
 def value_at(squared_cells: float) -> int:
     """Return what ``FALLING`` says of a squared distance."""
     return 255 - min(255, int(squared_cells * BEAM_ONE**2) >> SHIFT)
@@ -109,43 +91,3 @@ def test_one_beam_by_hand(device: ComputeDevice):
     wanted = np.where(seen, ((words >> 1) * MEAN_ONE) << 12 | 1, 0)
     np.testing.assert_array_equal(built.cells("states"), wanted)
     assert not built.cells("observed").any()
-
-
-def follow_both(
-    device: ComputeDevice, seed: int, rule: LikelihoodRule, count: int, scans: int
-) -> None:
-    """Write scans on a device and with the twins, and compare all there is after each step."""
-    rng = np.random.default_rng(seed)
-    shape = tuple(int(side) for side in rng.integers(1, 5, 2))
-    pages = np.where(rng.random(shape) < 0.8, own_pages(*shape), 0).astype(np.int32)
-    pages.flat[0] = pages.size
-    ours, twin = Map(device, pages), Map(NumpyDevice(), pages)
-    for _ in range(scans):
-        beams = random_beams(rng, pages, count, rule.reach + 1)
-        assert ours.mark(beams, rule) is twin.mark(beams, rule)
-        for a, b in zip(ours.pools(), twin.pools(), strict=True):
-            np.testing.assert_array_equal(a, b)
-        ours.fold(beams, rule)
-        twin.fold(beams, rule)
-        for a, b in zip(ours.pools(), twin.pools(), strict=True):
-            np.testing.assert_array_equal(a, b)
-    assert (twin.states > 0).any()
-
-
-@given(
-    seed=SEEDS,
-    shift=st.integers(8, 20),
-    reach=st.integers(0, 6),
-    most=st.sampled_from((1, 2, 3, 64, MOST_OBSERVATIONS)),
-    count=st.integers(1, 80),
-)
-@settings(max_examples=examples(40), deadline=None)
-def test_kernels_equal_their_twins(
-    pocl: ComputeDevice, seed: int, shift: int, reach: int, most: int, count: int
-):
-    follow_both(pocl, seed, LikelihoodRule(FALLING, shift, reach, most), count, 3)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_kernels_equal_their_twins_on_every_device(device: ComputeDevice, seed: int):
-    follow_both(device, seed, LikelihoodRule(FALLING, 15, 1 + seed, 2 + seed), 12, 2)

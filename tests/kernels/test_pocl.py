@@ -13,7 +13,7 @@ import pytest
 
 from slamfusion.compute import device as device_module
 from slamfusion.compute.device import choose_device
-from slamfusion.compute.pocl import CHECKED, PROCESSORS, SWITCH, _processor_flags, processor_name
+from slamfusion.compute.pocl import CHECKED, SWITCH
 from slamfusion.errors import DeviceError
 from tests.kernels.conftest import WHEELS_EXIST
 
@@ -198,17 +198,3 @@ def test_a_refused_device_is_passed_over(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(device_module, "find_devices", lambda: [refused])
     with pytest.raises(DeviceError, match="left as it is; install another"):
         choose_device()
-
-
-def test_the_best_name_that_fits():
-    everything = {flag for _, needed in PROCESSORS for flag in needed.split()}
-    assert processor_name(everything) == "skylake-avx512"
-    assert processor_name(everything - {"avx512vl"}) == "haswell"
-    assert processor_name(everything - {"avx512vl", "avx2"}) == "sandybridge"
-    assert processor_name({"sse2"}) == "x86-64"
-
-
-def test_flags_of_the_first_processor():
-    text = "processor : 0\nflags\t\t: fpu avx2 fma\n\nprocessor : 1\nflags : fpu\n"
-    assert _processor_flags(text) == {"fpu", "avx2", "fma"}
-    assert _processor_flags("") == set()

@@ -70,28 +70,6 @@ def test_distance_is_that_of_the_nearest_cell_in_the_way(seed: int):
             assert hit[1] == (1 if wall < glass else 2)
 
 
-@given(seed=SEEDS)
-@settings(max_examples=examples(40), deadline=None)
-def test_a_quarter_turn_of_everything_changes_no_distance(seed: int):
-    cells, rays = random_case(seed)
-    turned = np.rot90(cells, k=-1)  # row r, col c goes to row c, col H - 1 - r: 90 deg, y up
-    x, y, cosine, sine = rays.T
-    other = np.column_stack((cells.shape[0] - y, x, -sine, cosine)).astype(np.float32)
-    here, there = (
-        TWIN.cast_rays(cells, rays, 500.0),
-        TWIN.cast_rays(np.ascontiguousarray(turned), other, 500),
-    )
-    np.testing.assert_allclose(here, there, atol=2e-4)
-
-
-@given(seed=SEEDS)
-@settings(max_examples=examples(15), deadline=None)
-def test_a_device_gives_the_twins_bits(pocl: ComputeDevice, seed: int):
-    cells, rays = random_case(seed, 97)
-    found = pocl.cast_rays(pocl.upload(cells), rays, 30.0)
-    assert found.tobytes() == TWIN.cast_rays(cells, rays, 30.0).tobytes()
-
-
 def test_hand_computed_hits(device: ComputeDevice):
     cells = drawn(
         "#####",

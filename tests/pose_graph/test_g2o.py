@@ -140,20 +140,3 @@ def test_packed_data_that_end_early_are_refused(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-200])
     with pytest.raises(GraphError, match="damaged or end early"):
         read_g2o(path)
-
-
-@given(st.binary(max_size=200))
-@settings(
-    max_examples=examples(100),
-    deadline=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
-)
-def test_no_bytes_do_worse_than_one_line(tmp_path: Path, data: bytes) -> None:
-    path = tmp_path / "graph.g2o"
-    path.write_bytes(POSES.encode() + b"EDGE_SE2 " + data)
-    try:
-        file = read_g2o(path)
-    except GraphError as error:
-        assert len(str(error).splitlines()) == 1  # noqa: PT017
-    else:
-        assert len(file.graph) >= 2

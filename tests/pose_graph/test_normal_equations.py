@@ -5,14 +5,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.pose_graph.measurements import Measurements
-from slamfusion.pose_graph.normal_equations import NormalEquations, elimination_order, factorise
-from tests.pose_graph.graphs import drawn, laps
-from tests.support.examples import examples
+from slamfusion.pose_graph.normal_equations import NormalEquations
 
 Array = npt.NDArray[np.float64]
 
@@ -74,35 +70,3 @@ def test_matrix_and_gradient_are_those_of_finite_differences(
     gradient = (weighed.reshape(jacobian.shape).T @ measured.errors(poses).T.ravel())[columns]
     assert equations.matrix().toarray() == pytest.approx(hessian, rel=1e-6, abs=1e-6)
     assert equations.gradient == pytest.approx(gradient, rel=1e-6, abs=1e-6)
-
-
-@given(st.integers(0, 10_000))
-@settings(max_examples=examples(25), deadline=None)
-def test_step_solves_the_equations_and_promises_what_they_say(seed: int) -> None:
-    measured, poses = random_graph(seed)
-    equations = NormalEquations(measured, len(poses), (0,))
-    equations.linearise(poses)
-    for damping in (0.0, 0.3):
-        step, promised = equations.step(damping)
-        moved = step[equations.free].ravel()
-        matrix = equations.matrix().toarray()
-        damped = matrix + damping * np.diag(np.diag(matrix))
-        assert damped @ moved == pytest.approx(-equations.gradient, rel=1e-6, abs=1e-6)
-        fall = -2.0 * equations.gradient @ moved - moved @ matrix @ moved
-        assert promised == pytest.approx(fall, rel=1e-6)
-        assert (step[0] == 0.0).all()
-
-
-def test_order_fills_in_less_than_the_given_one() -> None:
-    graph = drawn(*laps(count=60, rounds=5, every=1))
-    count = len(graph)
-    order = elimination_order(graph.edges, count)
-    assert sorted(order.tolist()) == list(range(count))
-    measured = Measurements(graph.edges, graph.motions, graph.information)
-    equations = NormalEquations(measured, count, (0,))
-    equations.linearise(graph.poses)
-    ours = equations.matrix()
-    # From the outside in: every elimination ties ever more poses together.
-    plain = np.argsort(equations.free)
-    columns = (3 * plain[:, None] + np.arange(3)).ravel()
-    assert factorise(ours).L.nnz < 0.7 * factorise(ours[:, columns][columns].tocsc()).L.nnz

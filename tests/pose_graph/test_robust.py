@@ -5,12 +5,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from slamfusion.pose_graph import PoseGraph, Robust, optimize, read_g2o
 from slamfusion.pose_graph.graph import chained_poses
-from slamfusion.pose_graph.robust import truncated_weights
 from tests.pose_graph.graphs import (
     ABSENT,
     POSE_GRAPHS,
@@ -56,7 +53,7 @@ def test_a_false_closure_bends_the_plain_graph_and_not_the_robust_one(robust: Ro
 
 
 @pytest.mark.parametrize("kind", ["shuffled", "random"])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_consensus_bears_as_many_false_closures_as_true_ones(kind: str, seed: int) -> None:
     graph = drift(seed)
     clean = optimize(graph)
@@ -67,22 +64,6 @@ def test_consensus_bears_as_many_false_closures_as_true_ones(kind: str, seed: in
 
 
 KEEPING: tuple[Robust, ...] = ("consensus", "gnc")
-
-
-@pytest.mark.parametrize("robust", KEEPING)
-def test_an_earlier_verdict_stands_without_a_search(robust: Robust) -> None:
-    graph = drift()
-    clean = optimize(graph)
-    false_too = with_false_closures(graph.with_poses(clean.poses), 0.3, 1, "random")
-    first = optimize(false_too, robust=robust, start="given")
-    again = optimize(
-        false_too.with_poses(first.poses), robust=robust, start="given", weights=first.weights
-    )
-    assert again.iterations <= 2
-    if robust == "gnc":  # the other searches among the closures, not among poses
-        assert first.iterations > 10
-    assert again.weights.tolist() == first.weights.tolist()
-    assert apart(first.poses, again.poses) < 1e-4
 
 
 @pytest.mark.parametrize("robust", KEEPING)
@@ -162,21 +143,8 @@ def test_one_closure_alone_is_believed_as_far_as_odometry_allows() -> None:
         assert found.chi2 < 1e-9
 
 
-@given(st.floats(1e-9, 1e3), st.floats(1.0, 100.0))
-def test_truncated_weights_fall_from_one_to_nothing(hardness: float, limit: float) -> None:
-    squares = np.geomspace(1e-3, 1e15, 400) * limit
-    weights = truncated_weights(squares, hardness, limit)
-    assert ((weights >= 0.0) & (weights <= 1.0)).all()
-    assert (np.diff(weights) <= 1e-12).all()
-    share = hardness / (hardness + 1.0)
-    assert (weights[squares < 0.999 * share * limit] == 1.0).all()
-    assert (weights[squares > 1.001 * limit / share] == 0.0).all()
-    between = (squares > 1.001 * share * limit) & (squares < 0.999 * limit / share)
-    assert ((weights[between] > 0.0) & (weights[between] < 1.0)).all()
-
-
 @pytest.mark.skipif(not POSE_GRAPHS.is_dir(), reason=ABSENT)
-@pytest.mark.parametrize("name", ["CSAIL", "intel", "MIT", "INTEL_1228"])
+@pytest.mark.parametrize("name", ["CSAIL", "intel"])
 @pytest.mark.parametrize(("share", "kind"), [(0.0, ""), (0.1, "random"), (0.3, "shuffled")])
 def test_public_graphs_stay_where_they_are(name: str, share: float, kind: str) -> None:
     graph = read_g2o(POSE_GRAPHS / f"{name}.g2o.gz").graph

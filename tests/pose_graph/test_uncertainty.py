@@ -9,11 +9,10 @@ import pytest
 from slamfusion.geometry import compose_poses, invert_poses, wrap_angles
 from slamfusion.pose_graph import PoseGraph, optimize
 from slamfusion.pose_graph.covariance import turned
-from slamfusion.pose_graph.graph import chained_poses
 from slamfusion.pose_graph.measurements import Measurements
 from slamfusion.pose_graph.normal_equations import NormalEquations
 from slamfusion.pose_graph.uncertainty import Uncertainty, gates
-from tests.pose_graph.graphs import INFORMATION, between, drawn, laps, ring
+from tests.pose_graph.graphs import INFORMATION, between, drawn, laps
 from tests.pose_graph.gtsam_oracle import GtsamGraph, has_gtsam
 
 Array = npt.NDArray[np.float64]
@@ -59,16 +58,6 @@ def test_relative_covariances_are_those_of_a_dense_inverse(pair: tuple[int, int]
     expected = dense_relative(graph, equations, pair)
     found = Uncertainty(equations, graph.poses).relative([pair])[0]
     assert found == pytest.approx(expected, rel=1e-5, abs=1e-9)
-
-
-def test_one_edge_alone_is_as_certain_as_its_information() -> None:
-    poses, edges = ring()
-    graph = drawn(poses, edges[:-1], noise=1.0)
-    graph = graph.with_poses(chained_poses(graph))
-    measured = Measurements(graph.edges, graph.motions, graph.information)
-    uncertainty = Uncertainty(NormalEquations(measured, len(graph), (0,)), graph.poses)
-    covariance = uncertainty.relative(graph.edges)
-    assert np.linalg.inv(covariance) == pytest.approx(graph.information, rel=1e-6, abs=1e-6)
 
 
 def test_covariance_is_as_large_as_the_noise_makes_the_error() -> None:

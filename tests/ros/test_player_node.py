@@ -18,7 +18,6 @@ from slamfusion.geometry import Pose2
 from slamfusion.io import open_log
 from slamfusion.ros import messages, qos
 from slamfusion.ros.frames import HAS_TF2, TransformInput
-from slamfusion.ros.player_node import APART_S, ProgressLines
 from tests.io.bags import Bag
 from tests.ros import tf2
 from tests.ros.drives import FIRST_S, write_log
@@ -254,23 +253,3 @@ def test_a_bag_is_played_with_its_transforms(
     assert last_s == pytest.approx(100.9)
     found = transforms.lookup("odom", "laser", last_s)
     assert (found.x, found.y, found.yaw_rad) == pytest.approx((0.75, 0.1, 0.0))
-
-
-def test_each_tenth_of_a_log_is_a_line_but_none_comes_too_soon() -> None:
-    said: list[str] = []
-    now_s = [0.0]
-    progress = ProgressLines(said.append, lambda: now_s[0])
-
-    def tell(share: float, after_s: float) -> None:
-        now_s[0] += after_s
-        progress.tell(share, f"at {share}")
-
-    tell(0.05, APART_S)
-    tell(0.11, 0.1)
-    tell(0.12, 0.1)
-    tell(0.25, APART_S - 0.2)
-    tell(0.31, 0.2)
-    tell(1.0, APART_S)  # the end has a line of its own
-    assert said == ["played 11%: at 0.11", "played 31%: at 0.31"]
-    tell(0.1, APART_S)  # played again
-    assert said[2:] == ["played 10%: at 0.1"]

@@ -9,15 +9,6 @@ from slamfusion.grid import FREE, OCCUPIED, UNKNOWN
 from slamfusion.sim import draw_building
 
 
-def test_same_seed_same_bytes() -> None:
-    first, second, other = (
-        draw_building(np.random.default_rng(seed), 16.0, 11.0) for seed in (4, 4, 5)
-    )
-    assert first.cells.tobytes() == second.cells.tobytes()
-    assert first.origin == second.origin
-    assert first.cells.tobytes() != other.cells.tobytes()
-
-
 @pytest.mark.parametrize("resolution", [0.04, 0.05, 0.1])
 def test_size_is_the_asked_one_in_metres(resolution: float) -> None:
     grid = draw_building(np.random.default_rng(0), 14.0, 9.0, resolution)

@@ -54,18 +54,6 @@ def test_unknown_cells_are_no_place_to_be() -> None:
         space.way((0.0, -1.0), (0.0, 1.0))
 
 
-def test_clearance_is_never_too_large() -> None:
-    grid = two_rooms(0.9)
-    rng = np.random.default_rng(1)
-    points = rng.uniform((0.0, 0.0), (6.0, 3.0), (200, 2))
-    space = FreeSpace(grid, 0.2)
-    for point, claimed in zip(points, space.clearance_m(points), strict=True):
-        true = clearance_m(grid, point[None])
-        assert claimed <= true + 1e-9
-        assert claimed >= true - 0.15
-    assert float(space.clearance_m((-5.0, 0.0))) < 0.0
-
-
 def test_tour_comes_near_every_reachable_place_and_home() -> None:
     grid = two_rooms(1.0)
     space = FreeSpace(grid, 0.2)

@@ -21,7 +21,6 @@ from slamfusion.sim import Course, Recording, load_course, named_course, simulat
 from slamfusion.sim import write_recording as write
 from slamfusion.sim.world import tilt_of
 from tests.sim.places import clearance_m, room
-from tests.support.datasets import MAPS
 
 WORLDS = ("office", "corridor", "atrium", "yard", "rooms")
 # NumPy of any age draws and drives two of them; all of them are looked at in the last leg.
@@ -208,15 +207,6 @@ def test_a_map_without_waypoints_is_toured_from_a_place_of_the_seed(tmp_path: Pa
     assert clearance_m(recording.world.grid, recording.truth.poses[:, :2]) >= 0.2
     other = simulate(replace(course, seed=5), device())
     assert other.course.start != recording.course.start
-
-
-@pytest.mark.datasets
-def test_a_recorded_map_is_toured() -> None:
-    changes = SimulateConfig(world=str(MAPS / "multi-slam" / "mit-csail" / "karto.yaml"))
-    recording = simulate(with_overrides(short("atrium"), changes), device())
-    assert recording.course.name == "karto"
-    assert recording.truth.path_length_m() > 100.0
-    assert clearance_m(recording.world.grid, recording.truth.poses[::10, :2]) >= 0.2 - 1e-9
 
 
 def test_the_log_reads_back_as_what_was_simulated(tmp_path: Path) -> None:

@@ -26,13 +26,6 @@ def floor_of(name: str, seed: int = 0, resolution: float = 0.05) -> Floor:
     return draw_floor(config, np.random.default_rng(seed), Path())
 
 
-@pytest.mark.parametrize("name", DRAWN)
-def test_same_seed_same_place_and_another_seed_another(name: str) -> None:
-    first, again, other = floor_of(name, 3), floor_of(name, 3), floor_of(name, 4)
-    assert first.grid.cells.tobytes() == again.grid.cells.tobytes()
-    assert first.grid.cells.tobytes() != other.grid.cells.tobytes()
-
-
 @pytest.mark.parametrize("resolution", [0.04, 0.1])
 @pytest.mark.parametrize("name", DRAWN)
 def test_start_is_free_and_the_cells_have_the_asked_size(name: str, resolution: float) -> None:

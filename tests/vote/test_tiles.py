@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from hypothesis.extra import numpy as hnp
 
 from slamfusion.compute import ComputeDevice, NumpyDevice, open_device
 from slamfusion.compute.layout import VOTE_ONE
@@ -116,20 +115,6 @@ def test_every_combination(device: ComputeDevice, count: int, unknown: str) -> N
     assert result.phantom_cells == phantoms
 
 
-@pytest.mark.parametrize("cells", [(F, O), (F, F, O, O), (O, F, F, O, U), (U, O, F), (O, U, F)])
-def test_tie_becomes_occupied(device: ComputeDevice, cells: tuple[int, ...]) -> None:
-    assert majority(column(cells), device).fused.item() == O
-
-
-def test_tie_of_free_and_unknown_is_a_phantom_only_where_unknown_is_a_value(
-    device: ComputeDevice,
-) -> None:
-    grids = column((F, U))
-    assert majority(grids, device, "value").phantom_cells == 1
-    auto = majority(grids, device)
-    assert (auto.fused.item(), auto.agreement.item(), auto.phantom_cells) == (F, 100, 0)
-
-
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 8, 9, 16, 17, 32])
 def test_dissent_has_a_bit_for_every_input(device: ComputeDevice, count: int) -> None:
     cells = (O,) + (F,) * (count - 1) if count > 2 else (O,) * count
@@ -143,58 +128,6 @@ def test_dissent_has_a_bit_for_every_input(device: ComputeDevice, count: int) ->
 def test_agreement_rounds_half_up(device: ComputeDevice) -> None:
     for cells, percent in (((O, O, F), 67), ((O, F, U), 33), ((O,) * 5 + (F,) * 3, 63)):
         assert majority(column(cells), device, "value").agreement.item() == percent
-
-
-GRIDS = st.tuples(
-    st.integers(1, 9), st.tuples(st.integers(1, 9), st.integers(1, 40)), st.integers(0, 2**32 - 1)
-)
-
-
-def draw(spec: tuple[int, tuple[int, int], int]) -> list[np.ndarray]:
-    """Random trinary grids of (count, shape, seed)."""
-    count, shape, seed = spec
-    rng = np.random.default_rng(seed)
-    return [rng.integers(-1, 2, shape).astype(np.int8) for _ in range(count)]
-
-
-@settings(max_examples=examples(40), deadline=None)
-@given(spec=GRIDS, unknown=st.sampled_from(("auto", "value", "abstain")), seed=st.integers(0, 99))
-def test_order_of_inputs_does_not_matter_to_the_majority(
-    spec: tuple[int, tuple[int, int], int], unknown: str, seed: int
-) -> None:
-    grids = draw(spec)
-    order = np.random.default_rng(seed).permutation(len(grids))
-    one, other = (
-        majority(given_, open_shared(), unknown) for given_ in (grids, [grids[n] for n in order])
-    )
-    assert np.array_equal(one.fused, other.fused)
-    assert np.array_equal(one.agreement, other.agreement)
-
-
-@settings(max_examples=examples(30), deadline=None)
-@given(
-    cells=hnp.arrays(
-        np.int8, hnp.array_shapes(min_dims=2, max_dims=2, max_side=40), elements=st.integers(-1, 1)
-    ),
-    count=st.integers(1, 8),
-    unknown=st.sampled_from(("auto", "value", "abstain")),
-)
-def test_the_majority_of_a_grid_and_itself_is_that_grid(
-    cells: np.ndarray, count: int, unknown: str
-) -> None:
-    result = majority([cells] * count, open_shared(), unknown)
-    assert np.array_equal(result.fused, cells)
-    assert not result.dissent.any()
-    assert set(np.unique(result.agreement)) <= {-1, 100}
-
-
-@settings(max_examples=examples(60), deadline=None)
-@given(spec=GRIDS)
-def test_auto_makes_no_phantom_cells(spec: tuple[int, tuple[int, int], int]) -> None:
-    grids = draw(spec)
-    result = majority(grids, open_shared())
-    assert result.phantom_cells == 0
-    assert not np.any((result.fused == O) & ~np.any(np.stack(grids) == O, axis=0))
 
 
 def test_inputs_are_not_changed_and_may_be_read_only_or_strided(device: ComputeDevice) -> None:

@@ -125,24 +125,6 @@ def test_growing_cropping_and_shifting_an_input_never_moves_a_fused_cell(
             assert np.array_equal(np.where(fused == 100, 1, fused)[known], own[known])
 
 
-@settings(max_examples=examples(15), deadline=None)
-@given(name=st.sampled_from("abc"), margins=st.tuples(*[st.integers(0, 60)] * 4))
-def test_unknown_margins_of_an_input_change_nothing(
-    device: ComputeDevice, name: str, margins: tuple[int, int, int, int]
-) -> None:
-    drive = started(device)
-    first = drive.fused
-    before = {record.name: record.transform for record in drive.live.inputs(drive.now_s)}
-    update = drive.step(padded(three()[name], *margins))
-    assert update.fused is None
-    drive.step(padded(touched(three()[name], 1, 0.0005), *margins))
-    assert drive.fused is not None
-    assert first is not None
-    assert (np.asarray(on_lattice(drive.fused, first)) != first.cells).mean() < 0.001
-    after = {record.name: record.transform for record in drive.live.inputs(drive.now_s)}
-    assert after == before
-
-
 @pytest.mark.parametrize("gone", ["a", "b", "c"])
 def test_an_input_that_is_lost_and_returns_leaves_every_wall_where_it_was(
     device: ComputeDevice, gone: str

@@ -186,15 +186,3 @@ def test_cells_of_another_size_than_asked_for_are_refused(device: ComputeDevice)
     config = RunConfig(fusion=FusionConfig(normalize=NormalizeConfig(resolution=0.5)))
     with pytest.raises(StateError, match=r"cells of .* resolution asks for 0.5 m"):
         LiveFusion(config, device).restore(state)
-
-
-def test_an_input_that_was_dropped_is_recalled_with_its_last_map(device: ComputeDevice):
-    drive = started(device)
-    drive.live.drop("b", "lost: frozen")
-    drive.step()
-    assert drive.accepted() == "ac"
-    assert drive.input("b").reason == "lost: frozen"
-    drive.live.recall("b")
-    drive.live.recall("c")  # was never gone
-    drive.step()
-    assert drive.accepted() == "abc"

@@ -10,7 +10,6 @@ import pytest
 
 from slamfusion.errors import SlamFusionError
 from slamfusion.io.log import LogScan
-from slamfusion.json_values import plain
 from slamfusion.slam.common.runner import run_producer
 from tests.support.producers import DeadReckoning, ListLog, ResumableReckoning, room_drive
 
@@ -42,17 +41,6 @@ def test_the_record_has_the_promised_keys_and_is_json() -> None:
     assert json.loads(json.dumps(document, allow_nan=False)) == document
 
 
-def test_the_log_s_own_counts_are_kept() -> None:
-    log = ListLog(room_drive(3))
-    log.skips.add("cut-off line", 17)
-    log.warnings.add("no scan for an hour or more", 3)
-    log.notes.append("stamps are broken")
-    document = plain(run_producer(DeadReckoning(), log, log=log).log)
-    assert document["skipped"] == [{"reason": "cut-off line", "count": 1, "first_lines": [17]}]
-    assert document["warnings"][0]["count"] == 1
-    assert document["notes"] == ["stamps are broken"]
-
-
 def test_no_usable_scan_is_one_line_with_the_reasons() -> None:
     log = ListLog(room_drive(4, blind=True))
     log.skips.add("cut-off line", 17)
@@ -81,17 +69,6 @@ def test_a_deadline_stops_and_says_so() -> None:
     assert run.scans == 1
     assert not run.is_complete
     assert any("deadline" in sentence for sentence in run.warnings())
-
-
-def test_what_the_producer_offers_to_be_plotted_is_kept_and_not_in_the_json() -> None:
-    run = run_producer(DeadReckoning(), room_drive(5))
-    (series,) = run.series
-    assert (series.name, series.unit, series.limit) == ("hits", "beams", 100.0)
-    np.testing.assert_array_equal(series.stamps_s, run.trajectory.stamps_s)
-    hits = [item.scan.is_hit().sum() for item in room_drive(5)]
-    np.testing.assert_array_equal(series.values, hits)
-    assert [path.poses[0, 1] for path in run.other_paths] == pytest.approx([1.1, 2.1])
-    assert not {"series", "other_paths"} & run.to_json().keys()
 
 
 def test_a_limit_stops_without_a_doubt() -> None:

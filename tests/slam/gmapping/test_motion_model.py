@@ -97,15 +97,6 @@ def test_way_and_steering_err_as_asked(way: float, turn: float):
         assert values.std() == pytest.approx(sigma, rel=FAR / math.sqrt(2 * DRAWS))
 
 
-@pytest.mark.parametrize("step", [Pose2(), Pose2(0.0, 0.0, 0.3), Pose2(1e-9, -1e-9, 1e-4)])
-def test_a_bicycle_that_stands_stays(step: Pose2):
-    """Without a way there is no error: what the step says, to the last bits."""
-    model = BicycleModel(0.1, 0.2, BASE)
-    found = model.draw(step, 50, np.random.default_rng(0))
-    np.testing.assert_allclose(found, [[step.x, step.y, step.yaw_rad]] * 50, rtol=0, atol=1e-15)
-    np.testing.assert_array_equal(model.sigmas(step), LEAST_SIGMAS)
-
-
 def test_without_errors_a_step_is_itself():
     """Also one that is no arc: around two corners, or sideways."""
     for step in (*STEPS, Pose2(0.0, 0.5, 0.0), Pose2(0.2, 0.3, -3.1), arc(1.0, 6.0)):

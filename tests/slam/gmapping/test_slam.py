@@ -16,7 +16,7 @@ from slamfusion.compute import ComputeDevice, NumpyDevice
 from slamfusion.compute.hit_counts import full_field
 from slamfusion.compute.layout import FULL_VISITS
 from slamfusion.config import GmappingConfig
-from slamfusion.errors import ConfigError, SlamFusionError
+from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.io.log import LogScan
 from slamfusion.scan import LaserScan
@@ -152,12 +152,6 @@ def test_the_published_profile_holds_the_published_values(device: ComputeDevice)
     assert math.hypot(last.x - truth[-1].x, last.y - truth[-1].y) > 1.0
     assert errors(slam, truth)[0] < 0.4
     assert slam.series()[0].limit == 15.0
-
-
-@pytest.mark.parametrize("count", [0, -3])
-def test_a_filter_without_particles_is_refused_by_name(count: int):
-    with pytest.raises(ConfigError, match=rf"particles must lie in \[1, 10000\], found {count}"):
-        config(particles=count)
 
 
 @pytest.mark.parametrize("count", [1, 2])

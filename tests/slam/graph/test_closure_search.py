@@ -125,26 +125,6 @@ def test_no_other_place_than_the_true_one_is_found(
 # -- why one is not found --------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("drift_m", [0.5, 2.0])
-def test_another_place_fits_badly(search: ClosureSearch, flat: Submap, drift_m: float):
-    """A round room in an L of straight walls."""
-    angles = np.linspace(0.0, 2.0 * math.pi, 180, endpoint=False)
-    ring = 0.9 * np.column_stack((np.cos(angles), np.sin(angles)))
-    expected = vector(true_poses(120)[60])
-    assert search.near(flat, ring, expected, drift_m, MEAN_SCORE) == "low response"
-    assert search.anywhere(flat, ring, MEAN_SCORE) == "low response"
-
-
-def test_where_nothing_was_seen_there_is_little_in_common(
-    device: ComputeDevice, search: ClosureSearch
-):
-    """A submap of one end of the flat, and a robot at its other end."""
-    end = seen(device, draw_flat(), [Pose2(1.2, 1.0 + 0.2 * i, 2.5) for i in range(6)], 2.0)
-    truth = Pose2(7.0, 2.2, 0.3)
-    points = hits(draw_flat(), truth, 3.0)
-    assert search.near(end, points, vector(truth), 0.5, MEAN_SCORE) == "little in common"
-
-
 @pytest.mark.parametrize("drift_m", [0.3, 0.7])
 def test_a_bare_corridor_leaves_the_place_open(
     device: ComputeDevice, search: ClosureSearch, drift_m: float

@@ -8,10 +8,6 @@ import pytest
 from slamfusion.geometry import Pose2
 from slamfusion.slam.graph.constraints import Constraint
 from slamfusion.slam.graph.hypotheses import (
-    BORNE_OUT_M,
-    BORNE_OUT_NODES,
-    MISSES,
-    MOST_HYPOTHESES,
     RelocalizationHypotheses,
 )
 from slamfusion.slam.graph.pending_closures import PendingClosure
@@ -73,23 +69,3 @@ def test_of_two_places_that_look_alike_none_is_believed_until_one_fails():
     winner = hypotheses.winner()
     assert winner is not None
     assert winner.correction == TRUE
-
-
-@pytest.mark.parametrize(("away", "count"), [((0.1, 0.1, 0.02), 1), ((0.5, 0.0, 0.0), 2)])
-def test_hits_that_say_the_same_are_one_hypothesis(away: tuple[float, float, float], count: int):
-    """The same at the robot; what a correction does at the frame's origin is no matter."""
-    hypotheses = RelocalizationHypotheses()
-    place = TRUE.compose(HERE)
-    other = Pose2(place.x + away[0], place.y + away[1], place.yaw_rad + away[2])
-    hypotheses.add(hit(0, TRUE), HERE)
-    hypotheses.add(hit(1, other.compose(HERE.inverse())), HERE)
-    assert len(hypotheses.kept) == count
-
-
-def test_the_least_supported_hypothesis_makes_room():
-    hypotheses = RelocalizationHypotheses()
-    told(hypotheses, TRUE, range(3))
-    for number in range(2 * MOST_HYPOTHESES):
-        hypotheses.add(hit(0, Pose2(30.0 + 3.0 * number, 0.0)), HERE)
-    assert len(hypotheses.kept) == MOST_HYPOTHESES
-    assert hypotheses.kept[0].correction == TRUE

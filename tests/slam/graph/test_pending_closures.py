@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from slamfusion.geometry import Pose2
 from slamfusion.slam.graph.constraints import Constraint
@@ -21,7 +19,6 @@ from slamfusion.slam.graph.pending_closures import (
     PendingClosure,
     PendingClosures,
 )
-from tests.support.examples import examples
 
 pytestmark = pytest.mark.once
 
@@ -106,42 +103,3 @@ def test_a_lost_robot_is_not_found_where_as_many_say_otherwise(how: How):
     assert told(how, [*others[1:], *agreeing])[-1] == wanted
     assert told(how, [*others, *agreeing])[-1] == 0
     assert told(how, [*others, *agreeing, (2 * wanted, BIG)])[-1] == wanted + 1
-
-
-@given(
-    frame=st.tuples(st.floats(-50.0, 50.0), st.floats(-50.0, 50.0), st.floats(-3.0, 3.0)),
-    ones=st.lists(
-        st.tuples(
-            st.integers(0, 3),
-            st.sampled_from(
-                [(0.1, 0.1, 0.05), (2.0, 1.0, 0.5), (2.1, 1.1, 0.52), (2.4, 1.0, 0.5), (-5, 2, 1)]
-            ),
-            st.sampled_from(("known", "odometry")),
-        ),
-        max_size=25,
-    ),
-)
-@settings(max_examples=examples(100), deadline=None)
-def test_what_is_believed_does_not_depend_on_the_map_frame(
-    frame: tuple[float, float, float],
-    ones: list[tuple[int, tuple[float, float, float], How]],
-):
-    """And every closure is believed once at most, after it was told, within its time."""
-    turn = Pose2(*frame)
-    here, there = PendingClosures(), PendingClosures()
-    pose, number, believed = HERE, 0, []
-    for further, step, how in ones:
-        number += further
-        pose = pose.compose(Pose2(0.5 * further, 0.0, 0.1 * further))
-        moved = Pose2(pose.x + step[0], pose.y + step[1], pose.yaw_rad + step[2])
-        correction = moved.compose(pose.inverse())
-        turned = turn.compose(correction).compose(turn.inverse())
-        one = closure_of(number, correction, how=how)
-        found = here.confirmed(one, pose)
-        same = there.confirmed(closure_of(number, turned, how=how), turn.compose(pose))
-        assert [c.constraint.end for c in found] == [c.constraint.end for c in same]
-        assert not found or found[0] is one
-        assert all(number - c.constraint.end <= TRUST[c.how][2] for c in found)
-        assert not {id(c) for c in found} & {id(c) for c in here.closures}
-        believed += found
-    assert len({id(one) for one in believed}) == len(believed)

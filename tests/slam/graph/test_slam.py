@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -35,7 +33,6 @@ from tests.slam.places import (
     errors,
     everything,
     false_closures,
-    feed,
     log_of,
     near,
     odometry_error,
@@ -263,30 +260,3 @@ def test_other_cell_sizes(device: ComputeDevice, resolution: float):
     slam = run(device, scans, resolution=resolution)
     assert slam.grid().resolution == resolution
     assert errors(slam, truth)[0] < 0.15
-
-
-# -- state -----------------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def unbroken(device: ComputeDevice) -> list[Any]:
-    """What a run shows at its end that no one has stopped."""
-    return everything(run(device, ring()[0][:210]))
-
-
-def went_on(device: ComputeDevice, log: list[LogScan], at: int, path: Path) -> GraphSlam:
-    """Save after some scans, load, and go on."""
-    half = run(device, log[:at])
-    half.save_state(path)
-    loaded = GraphSlam.load_state(path, GraphConfig(), device)
-    assert loaded.health.to_json() == half.health.to_json()
-    return feed(loaded, log[at:])
-
-
-@pytest.mark.parametrize("at", [180])
-def test_a_saved_graph_goes_on_as_if_nothing_had_been(
-    device: ComputeDevice, tmp_path: Path, unbroken: list[Any], at: int
-):
-    slam = went_on(device, ring()[0][:210], at, tmp_path / "state.npz")
-    assert slam.health.closures_accepted > 20
-    assert everything(slam)[:4] == unbroken[:4]  # a pyramid that no one has asked for is not there

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -105,17 +103,6 @@ def test_beams_that_are_missing_are_not_bridged(missing: int):
     assert is_between(new, points[7], points[8])
 
 
-def test_an_edge_is_not_joined_to_what_is_behind_it():
-    """A pillar at x = 1 before a wall at x = 2, which is seen on both sides of it."""
-    points = wall_ahead(15)
-    points[5:10] *= 0.5
-    new = added(points)
-    assert not is_between(new, points[4], points[5])
-    assert not is_between(new, points[9], points[10])
-    assert is_between(new, points[6], points[7])
-    assert np.isin(np.round(new[:, 0], 9), (1.0, 2.0)).all()
-
-
 # -- odd scans -------------------------------------------------------------------------------------
 
 
@@ -161,15 +148,3 @@ def test_every_new_hit_lies_between_two_neighbours(scan: tuple[F64, F64], step_m
         share = np.clip(np.nan_to_num(share), 0.0, 1.0)
         nearest = np.hypot(*(one + share[:, None] * along - place).T)
         assert nearest[(length > step_m) & (length <= MOST_GAP_M)].min() < 1e-9
-
-
-@given(scan=SCANS, angle_rad=st.floats(-4.0, 4.0))
-@settings(max_examples=examples(100), deadline=None)
-def test_a_turned_and_moved_scan_is_filled_alike(scan: tuple[F64, F64], angle_rad: float):
-    points, laser = scan
-    cos, sin = math.cos(angle_rad), math.sin(angle_rad)
-    turn, moved = np.array([(cos, sin), (-sin, cos)]), np.array([3.0, -7.0])
-    there = added(points @ turn + moved, laser @ turn + moved)
-    here = added(points, laser)
-    assert len(there) == len(here)
-    np.testing.assert_allclose(there, here @ turn + moved, atol=1e-6)

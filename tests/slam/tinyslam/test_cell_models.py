@@ -19,8 +19,6 @@ from slamfusion.slam.tinyslam.cell_models import (
 )
 
 VALUES = st.lists(st.floats(0.0, 1.0), min_size=1, max_size=20)
-OFFSETS = st.floats(-0.5, 0.5)
-ANGLES = st.floats(-7.0, 7.0)
 
 
 def test_base_moves_a_share_of_the_way() -> None:
@@ -37,16 +35,6 @@ def test_each_observation_may_have_its_quality(model: CellModel) -> None:
     values = model([1.0, 0.0, 1.0], [1.0, 0.0, 0.0])
     assert values[1] == 1.0
     assert values[-1] == {base_cell: 1.0, mean_cell: 2.0 / 3.0}[model]
-
-
-@pytest.mark.parametrize("model", CELL_MODELS.values(), ids=CELL_MODELS)
-def test_many_cells_at_once_are_each_cell_alone(model: CellModel) -> None:
-    told = np.random.default_rng(3).uniform(size=(6, 2, 4))
-    together = model(told, 0.4)
-    assert together.shape == (7, 2, 4)
-    for row in range(2):
-        for col in range(4):
-            np.testing.assert_allclose(together[:, row, col], model(told[:, row, col], 0.4))
 
 
 @pytest.mark.parametrize("model", CELL_MODELS.values(), ids=CELL_MODELS)
@@ -78,22 +66,3 @@ def test_mean_forgets_the_order_and_stays_between(
 )
 def test_area_by_hand(x: float, y: float, angle_rad: float, share: float) -> None:
     assert area_behind(x, y, angle_rad) == pytest.approx(share, abs=1e-12)
-
-
-@given(OFFSETS, OFFSETS, ANGLES)
-def test_area_turns_and_mirrors_with_the_cell(x: float, y: float, angle_rad: float) -> None:
-    share = area_behind(x, y, angle_rad)
-    assert area_behind(-y, x, angle_rad + math.pi / 2.0) == pytest.approx(share, abs=1e-9)
-    assert area_behind(x, -y, -angle_rad) == pytest.approx(share, abs=1e-9)
-    # Seen from the other side of the same wall, the rest is behind.
-    assert area_behind(x, y, angle_rad + math.pi) == pytest.approx(1.0 - share, abs=1e-9)
-
-
-@given(OFFSETS, OFFSETS, ANGLES, st.floats(0.0, 0.5))
-def test_the_farther_the_hit_the_less_is_behind(
-    x: float, y: float, angle_rad: float, way: float
-) -> None:
-    near = area_behind(x, y, angle_rad)
-    far = area_behind(x + way * math.cos(angle_rad), y + way * math.sin(angle_rad), angle_rad)
-    assert 0.0 <= far <= near + 1e-12
-    assert near <= 1.0
