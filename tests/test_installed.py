@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 import json
 import os
 import subprocess
@@ -16,11 +15,11 @@ from typing import Any
 import pytest
 
 from slamfusion import __version__
+from slamfusion.io import write_carmen
+from tests.slam.drives import drive
 
 ROOT = Path(__file__).resolve().parents[1]
 SAMPLE = ROOT / "data" / "sample"
-# Of the simulated log: a line for each scan and one for its odometry.
-LINES = 60
 
 pytestmark = pytest.mark.once
 
@@ -93,16 +92,11 @@ def run(command: Path, folder: Path, *words: str | Path) -> dict[str, Any]:
 
 
 def drive_and_fuse(command: Path, folder: Path, producers: str) -> None:
-    """Simulate a drive, run its first scans, fuse the sample, and look at the installation."""
-    run(command, folder, "simulate", "f16", "--lidar", "rplidar", "-o", "drive")
-    log = folder / "drive" / "f16.log.gz"
-    lines = gzip.decompress(log.read_bytes()).splitlines(keepends=True)
-    log.write_bytes(gzip.compress(b"".join(lines[:LINES])))
-    ran = run(command, folder, "run", log, "-o", "out", "--producers", producers)
+    """Run a log of some scans, which fuses its maps, and look at the installation."""
+    write_carmen(folder / "flat.log", drive(30)[0])
+    ran = run(command, folder, "run", "flat.log", "-o", "out", "--producers", producers)
     assert ran["fused_count"] == len(producers.split(","))
     assert (folder / "out" / "report" / "report.html").is_file()
-    maps = [SAMPLE / f"map_{letter}.yaml" for letter in "abc"]
-    assert run(command, folder, "fuse", *maps, "-o", "fused")["fused_count"] == 3
     found = run(command, folder, "doctor")
     assert found["versions"]["slamfusion"] == __version__
     assert found["self_test"]
@@ -138,4 +132,8 @@ def test_the_wheel_brings_what_it_stands_on(wheel: Path, tmp_path: Path):
     """By pip alone, from the package index."""
     python = environment(tmp_path / "venv")
     install(python, f"{wheel}[report]")
-    drive_and_fuse(python.with_name("slamfusion"), tmp_path, "tinyslam,gmapping,graph")
+    command = python.with_name("slamfusion")
+    drive_and_fuse(command, tmp_path, "tinyslam,gmapping,graph")
+    run(command, tmp_path, "simulate", "f16", "--lidar", "rplidar", "-o", "drive")
+    maps = [SAMPLE / f"map_{letter}.yaml" for letter in "abc"]
+    assert run(command, tmp_path, "fuse", *maps, "-o", "fused")["fused_count"] == 3

@@ -204,8 +204,6 @@ def test_a_map_given_twice_has_one_vote_and_is_named(tmp_path: Path) -> None:
     assert document["copies"] == {"map_a#2": "map_a"}
     assert document["fused_count"] == 2
     assert document["inputs"][2]["reason"] in line
-    again = run("fuse", *MAPS[:2], MAPS[0], "-o", tmp_path / "out", "--json", "--keep-duplicates")
-    assert json_of(again)["fused_count"] == 3
 
 
 def test_bare_images_take_the_resolution_option(tmp_path: Path) -> None:

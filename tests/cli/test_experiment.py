@@ -67,6 +67,7 @@ def test_occupancy_estimator_on_a_log_alone(drive: LogFiles, tmp_path: Path) -> 
     assert json_of(run(*arguments))["summaries"] == document["summaries"]
 
 
+@pytest.mark.full
 def test_cell_models_trajectories_on_logs(drive: LogFiles, tmp_path: Path) -> None:
     log = f"{drive.log}:{drive.relations}"
     done = run(
@@ -115,6 +116,7 @@ def test_ground_obstacle_small(tmp_path: Path) -> None:
     assert unchanged.items() <= tree(tmp_path).items()
 
 
+@pytest.mark.full
 def test_real_logs_skips_what_is_not_there(tmp_path: Path) -> None:
     made = room()
     folder = tmp_path / "datasets" / "mit-csail"
@@ -158,13 +160,10 @@ def test_real_logs_without_any_is_one_line(tmp_path: Path) -> None:
     ("arguments", "word"),
     [
         (("occupancy-estimator", "--relations", "x"), "give --log"),
-        (("occupancy-estimator", "--floors", "0"), "nothing to run on"),
         (("cell-models-trajectories", "--floors", "0"), "nothing to run on"),
         (("cell-models-trajectories", "--log", "only.log"), "wanted LOG:RELATIONS"),
-        (("cell-models-trajectories", "--log", "a:b:c:d"), "wanted LOG:RELATIONS"),
         (("occupancy-estimator", "--resolutions", "0.6..0.1"), "must be like 0.1..0.6"),
         (("failures", "--courses", "glas"), "wanted some of corridor loop, glass"),
-        (("failures", "--lidars", "sonar"), "must be one of kinect, hokuyo"),
         (("ground-obstacle", "--repetitions", "0"), "must lie in [1, 10000]"),
         (("no-such",), "No such command"),
     ],

@@ -102,21 +102,15 @@ def test_parts_give_the_bytes_of_one_run(parts: Path, state: Path, log: str, kno
     [
         (("--resume", "half.state", "--save-state", "half.state"), "would replace the input"),
         (("--save-state", "room.log"), "--save-state room.log would replace the input room.log"),
-        (("--save-state", "link.log"), "would replace the input room.log with link.log"),
-        (("--save-state", "x/../room.log"), "would replace the input room.log"),
         (("--save-state", "on.tum"), "would replace a file of -o on with on.tum"),
         (("--report", "rep", "--save-state", "rep/report.html"), "a file of --report rep"),
         (("--save-state", "folder"), "is a folder"),
-        (("--save-state", "/dev/null"), "is a device or pipe"),
-        (("--stop-after", "0"), "'--stop-after': 0 is not in the range"),
     ],
 )
 def test_what_cannot_end_well_is_refused(
     state: Path, arguments: tuple[str, ...], words: str
 ) -> None:
-    (state / "link.log").symlink_to("room.log")
     (state / "folder").mkdir()
-    (state / "x").mkdir()
     before = tree(state)
     done = gmapping(state, "-o", "on", *arguments)
     assert done.returncode == 2

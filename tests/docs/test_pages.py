@@ -29,7 +29,7 @@ pytestmark = pytest.mark.once
 
 PAGES = {str(path.relative_to(ROOT)): path.read_text(encoding="utf-8") for path in pages()}
 # Of a simulated log, a line for each scan and one for its odometry.
-MOST_LINES = 300
+MOST_LINES = 120
 README_LINES = 150
 
 
@@ -70,7 +70,7 @@ SHOWN = [
 
 
 def shorten(folder: Path) -> None:
-    """Cut long logs below a folder to their first minute or less."""
+    """Cut long logs below a folder to their first seconds."""
     for path in folder.rglob("*.log.gz"):
         lines = gzip.decompress(path.read_bytes()).splitlines(keepends=True)
         path.write_bytes(gzip.compress(b"".join(lines[:MOST_LINES])))

@@ -117,6 +117,7 @@ def test_a_trial_that_fails_is_named(tmp_path: Path) -> None:
         run_trials("t", "t", [replace(trial, course=course)], settings, setup(tmp_path))
 
 
+@pytest.mark.full
 def test_where_fewer_than_two_maps_are_made_the_one_counts_alone(
     done: tuple[list[Trial], list[RunResult]],
 ) -> None:

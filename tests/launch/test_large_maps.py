@@ -65,6 +65,7 @@ def test_with_the_profile_a_whole_map_fits_into_shared_memory(processes: Process
     assert "Error" not in said
 
 
+@pytest.mark.full
 def test_without_shared_memory_a_map_goes_over_udp(processes: Processes):
     """In a network of their own, since rmw adds shared memory where discovery is for this host."""
     before = private("-n", "ip link set lo up multicast on")
@@ -75,6 +76,7 @@ def test_without_shared_memory_a_map_goes_over_udp(processes: Processes):
     assert "Error" not in said
 
 
+@pytest.mark.full
 def test_what_is_said_of_wifi_works_on_one_machine_too(processes: Processes):
     """As above; shared memory and, for what is not on this host, TCP."""
     before = private("-n", "ip link set lo up multicast on")
@@ -83,6 +85,7 @@ def test_what_is_said_of_wifi_works_on_one_machine_too(processes: Processes):
     assert is_whole(told)
 
 
+@pytest.mark.full
 def test_where_shared_memory_does_not_suffice_a_map_goes_over_udp(processes: Processes):
     """As in a container with little ``/dev/shm``: here a mount that only these processes see."""
     before = private("-m", "mount -t tmpfs -o size=8m tmpfs /dev/shm")

@@ -100,6 +100,7 @@ def test_halves_of_one_drive_fuse_in_frames_of_their_own(
     assert "Traceback" not in node.text()
 
 
+@pytest.mark.full
 def test_halves_of_drives_through_two_buildings_never_fuse(
     processes: Processes, observer: Observer, drive: Recording, tmp_path: Path
 ):

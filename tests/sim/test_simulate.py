@@ -23,9 +23,8 @@ from slamfusion.sim.world import tilt_of
 from tests.sim.places import clearance_m, room
 
 WORLDS = ("office", "corridor", "atrium", "yard", "rooms")
-# NumPy of any age draws and drives two of them; all of them are looked at in the last leg.
 EACH_WORLD = [
-    pytest.param(name, marks=() if name in {"atrium", "yard"} else pytest.mark.once)
+    pytest.param(name, marks=() if name in {"atrium", "yard"} else pytest.mark.full)
     for name in WORLDS
 ]
 
