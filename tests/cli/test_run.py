@@ -144,8 +144,9 @@ def test_the_tables_name_the_same_and_the_vote_is_that_of_fuse(
     """It replaces all of an earlier run, what failed too; what is not of a run stays."""
     out = tmp_path / "out"
     shutil.copytree(made[0], out)
-    (out / "failed").mkdir()
-    for name in ("notes.txt", "graph_probability.yaml", "failed/graph.yaml"):
+    (out / "failed" / "report").mkdir(parents=True)
+    of_failed = ("failed/graph.yaml", "failed/report/report.html")
+    for name in ("notes.txt", "graph_probability.yaml", *of_failed):
         (out / name).write_text("mine, or of an earlier run", encoding="utf-8")
     vote = ("--mode", "consensus")
     options = (*TWO, *vote, "--relations", place / "flat.relations")

@@ -24,7 +24,7 @@ def maps() -> list[OccupancyGrid]:
     truth = draw_building(rng, 7.0, 6.0, 0.1)
     faults = (
         Degradation(flip_share=0.002),
-        Degradation(yaw_rad=2.0, wall_change_cells=1),
+        Degradation(yaw_rad=2.0),
     )
     return [
         degrade_map(truth, rng, fault)[0].with_name(f"map {n}") for n, fault in enumerate(faults)

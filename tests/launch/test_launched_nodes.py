@@ -19,6 +19,7 @@ pytestmark = pytest.mark.ros
 COUNT = 40
 
 
+@pytest.mark.full
 def test_a_log_waits_for_the_slowest_producer_and_no_scan_is_lost(
     processes: Processes, observer: Observer, tmp_path: Path
 ):

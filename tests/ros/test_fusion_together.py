@@ -36,6 +36,7 @@ def offline(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, FusionResul
     return log, fuse_grids(maps, config, open_device())
 
 
+@pytest.mark.full
 def test_the_fused_map_of_a_log_is_that_of_the_offline_run(
     processes: Processes,
     observer: Observer,

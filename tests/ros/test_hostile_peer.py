@@ -91,6 +91,7 @@ def count_of(request: pytest.FixtureRequest) -> int:
     return MESSAGES if request.config.getoption("--full") else MESSAGES // 10
 
 
+@pytest.mark.full
 def test_a_hostile_peer_moves_no_cell_of_the_fused_map(
     processes: Processes, observer: Observer, request: pytest.FixtureRequest
 ):

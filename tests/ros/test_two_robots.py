@@ -71,6 +71,7 @@ def transforms_at(listener: TransformInput, stamp_s: float) -> Pose2:
     return first.inverse().compose(second)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     "overlap", [0.2, *(pytest.param(more, marks=pytest.mark.full) for more in (0.4, 0.6))]
 )
