@@ -130,10 +130,6 @@ def test_results_are_saved_and_compared(ask: Ask, tmp_path: Path) -> None:
     assert "good (first) against bad (second)" in out
     assert out.count("\tATE m\t") == 2  # along each of the two paths
     assert "| ATE rmse m | 2 |" in (tmp_path / "out.md").read_text(encoding="utf-8")
-    found = document(ask("compare", "bad.zip", "good.zip", "--json"), "compare")
-    ate = next(item for item in found["figures"] if item["figure"] == "ate_rmse_m")
-    assert ate["difference"] > 0.0
-    assert (ate["count_first"], ate["count_second"]) == (2, 2)
 
 
 def test_without_pandas_one_line_says_what_to_install(tmp_path: Path) -> None:
@@ -207,19 +203,16 @@ def test_paths_of_several_logs(ask: Ask, tmp_path: Path) -> None:
     write_tum(tmp_path / "south_bent.tum", bent(truth, 0.2, 70))
     files = ("north_good.tum", "south_good.tum", "south_bent.tum")
     words = ("north.log", *files, "--log", "south.log", "--truth", "south=south_good.tum")
-    code, out, err = ask("judge", *words, "--save-results", "a.zip")
+    code, out, err = ask("judge", *words)
     assert code == 0, err
     assert "3 paths in 2 cases" in out
     assert "south: Use the good path: no scan contradicts it" in out
     assert "north: Use the good path: no scan contradicts it" in out
     assert "means are of different cases" in err
-    found = document(ask("judge", *words, "--json"), "judge")
+    found = document(ask("judge", *words, "--json", "--save-results", "a.zip"), "judge")
     assert [log["case"] for log in found["logs"]] == ["north", "south"]
     assert [path["name"] for path in found["logs"][1]["paths"]] == ["good", "bent"]
-    # The scores of each scan say what the single log's test says.
-    code, out, _ = ask("compare", "a.zip", "a.zip")
-    assert code == 0
-    assert "log-likelihood a hit" in out
+    assert named_in(tmp_path / "a.zip") >= {("south", "bent"), ("north", "good")}
 
 
 def test_maps_and_paths_may_follow_each_other() -> None:
