@@ -82,14 +82,6 @@ def test_a_node_that_dies_is_started_later_each_time_and_ctrl_c_ends_the_whole_g
             lambda: {key.partition(":")[0] for key in statuses} >= wanted, 50.0, "both nodes"
         )
 
-    wait_for_both()
-    # Large maps get their shared memory, where there is some.
-    has_room = shutil.disk_usage(SHARED_MEMORY).free >= LEAST_SHM_KB * 1024
-    for pid in nodes_in(domain):
-        environment = Path(f"/proc/{pid}/environ").read_bytes()
-        assert (b"fastdds-large-maps.xml" in environment) == has_room
-    (leader,) = {os.getpgid(pid) for pid in nodes_in(domain)}
-    assert leader != os.getpgid(0)
     for number, pause in enumerate((1, 2)):
         observer.wait(
             lambda: [pid for pid, words in nodes_in(domain).items() if "node fusion" in words],
@@ -104,6 +96,13 @@ def test_a_node_that_dies_is_started_later_each_time_and_ctrl_c_ends_the_whole_g
     observer.listen(0.5)
     statuses.clear()
     wait_for_both()
+    # Large maps get their shared memory, where there is some.
+    has_room = shutil.disk_usage(SHARED_MEMORY).free >= LEAST_SHM_KB * 1024
+    for pid in nodes_in(domain):
+        environment = Path(f"/proc/{pid}/environ").read_bytes()
+        assert (b"fastdds-large-maps.xml" in environment) == has_room
+    (leader,) = {os.getpgid(pid) for pid in nodes_in(domain)}
+    assert leader != os.getpgid(0)
     os.killpg(leader, signal.SIGINT)
     assert script.wait(20.0) == 0
     assert "stopping every node" in script.text()
