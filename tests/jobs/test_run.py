@@ -170,9 +170,10 @@ def test_a_saved_map_is_searched_around_its_start_in_the_frame_of_the_drive(
     Where it fits it votes beside the drawn map, which keeps all that it knows.
     """
     two = replace(RUN_DEFAULTS, run=replace(RUN_DEFAULTS.run, producers=("tinyslam", "graph")))
+    made = run_log(place / "flat.log", two)
+    assert made.grid is not None
     moved = Pose2(6.0, -2.0, 1.0)
-    walls = np.where(draw_flat() == 1, 100, 0).astype(np.int8)
-    save_map(OccupancyGrid(walls, CELL_M, moved), place / "saved")
+    save_map(replace(made.grid, origin=moved.compose(made.grid.origin)), place / "saved")
     right = moved.inverse()
     config = replace(two, start={"saved": (right.x + 0.5, right.y, right.yaw_rad)})
     run = run_log(place / "flat.log", config, saved_maps=[place / "saved.yaml"])
