@@ -63,7 +63,7 @@ class Deskewing:
 
     Attributes:
         scans: whose beams were moved.
-        without_motion: scans left as they are, for nothing tells how the robot moved during them.
+        without_motion: scans left as they are, because the robot's motion during them is unknown.
         sweep_s: time from the first to the last beam, seconds; 0: all are of one time.
         source: what that follows from.
         largest_turn_rad: of the robot within a sweep.
@@ -109,7 +109,7 @@ class Deskewer:
         self._laser_motion, self._test = LaserMotion(), SkewTest()
 
     def note(self, stamp_s: float) -> None:
-        """Take in the stamp of the next scan: the period is told by stamps."""
+        """Take in the stamp of the next scan; stamps give the period."""
         if self._stamp_s is not None and stamp_s > self._stamp_s:
             self._periods_s.append(stamp_s - self._stamp_s)
         self._stamp_s = stamp_s

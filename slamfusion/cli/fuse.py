@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from slamfusion.cli.evaluate import print_evaluations, tell_unaligned
-from slamfusion.cli.fleet import asked_executor, processes_option, scheduler_option
 from slamfusion.cli.fused import print_alignments, print_frames, print_pairs, tell_left_out
 from slamfusion.cli.options import (
     GivenStarts,

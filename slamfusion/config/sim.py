@@ -23,6 +23,7 @@ DrawnPlace: TypeAlias = Literal[
     "rooms",
 ]
 PlaceName: TypeAlias = Literal[DrawnPlace, "map"]
+LidarName: TypeAlias = Literal["kinect", "hokuyo", "rplidar", "lds01"]
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,7 @@ class WorldConfig(Checked):
 class LidarConfig(Checked):
     """A planar laser: what it can see, how it errs, and where it sits."""
 
-    model: Literal["kinect", "hokuyo", "rplidar", "lds01"] = option("hokuyo", "its kind")
+    model: LidarName = option("hokuyo", "its kind")
     beams: int = option(541, "beams in a sweep", low=1, high=100_000)
     view_rad: float = option(
         math.radians(270.0), "angle from first to last beam", unit="rad", low=0.0, high=math.tau
@@ -235,9 +236,7 @@ class SimulateConfig(Checked):
     resolution: float | None = option(
         None, "cell size of the drawn truth", unit="m", low=0.01, high=0.25
     )
-    lidar: Literal["kinect", "hokuyo", "rplidar", "lds01"] | None = option(
-        None, "laser on the robot"
-    )
+    lidar: LidarName | None = option(None, "laser on the robot")
     drive: Literal["differential", "bicycle", "tracks"] | None = option(
         None,
         "how the robot moves",

@@ -47,7 +47,6 @@ from slamfusion.evaluation.odometry import (
     OdometryMatch,
     match_odometry,
     poses_by_odometry,
-    subsample_to_scans,
 )
 from slamfusion.evaluation.relations import (
     AT_SCAN_S,

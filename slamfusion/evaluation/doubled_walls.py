@@ -6,12 +6,12 @@ plans through the gap. The share of doubled walls needs no truth.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator
 
 import cv2
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
 
 from slamfusion.config import NormalizeConfig
 from slamfusion.grid import CellBox, OccupancyGrid, trinary_cells
@@ -23,13 +23,10 @@ IsWall = Callable[[npt.NDArray[np.int8]], Bools]
 F32 = npt.NDArray[np.float32]
 
 _DEFAULT_NORMALIZE = NormalizeConfig()
-# Cells around a part of a map that decide what is doubled in it: rays of twice 8 cells, and windows
-# of the filters at their ends.
-REACH_CELLS = 48
-# A map with longer sides than the first is looked at in tiles: its filters would not fit into
-# memory, and NumPy's are several times as large as a device's. Tiles in which some cells are asked
-# about are smaller: those without any cost nothing.
-WHOLE_CELLS, DEVICE_TILE_CELLS, TILE_CELLS, ASKED_CELLS = 2048, 2048, 1024, 384
+# A map is looked at in tiles of this many cells: those without walls cost nothing.
+TILE_CELLS = 1024
+# Cells beyond the end of a ray that decide what is found there: windows of the filters.
+FILTERS_CELLS = 32
 # Distances of doubled walls, cells: from the last cell of the own wall to the first of the other.
 NEAR, FAR = 2.0, 8.0
 # A group of fewer connected cells is a speck, not a wall.
@@ -46,9 +43,7 @@ PARALLEL_DEG = 20.0
 
 
 def doubled_wall_share(
-    grid: OccupancyGrid | npt.NDArray[np.bool_],
-    *,
-    normalize: NormalizeConfig = _DEFAULT_NORMALIZE,
+    grid: OccupancyGrid | Bools, *, normalize: NormalizeConfig = _DEFAULT_NORMALIZE
 ) -> float:
     """Return the share of wall cells that have a parallel wall ``NEAR`` to ``FAR`` cells away.
 
@@ -71,7 +66,7 @@ def doubled_wall_share(
     Source: structure tensor and coherence as in Bigun and Granlund, "Optimal orientation detection
         of linear symmetry", ICCV 1987.
     """
-    considered, doubled = _count(_walls(grid, normalize), device)
+    considered, doubled = _count(_walls(grid, normalize))
     return int(np.count_nonzero(doubled)) / considered if considered else 0.0
 
 
@@ -102,7 +97,7 @@ def fused_doubled_shares(
     Returns:
         0..1 each; 0 for a map without walls.
     """
-    considered, doubled = _count(fused > 0, device)
+    considered, doubled = _count(fused > 0)
     if not considered:
         return 0.0, 0.0
     share = int(np.count_nonzero(doubled)) / considered
@@ -125,7 +120,7 @@ def _take_doubled(
         box: where in the array it lies.
         is_wall: tells the walls among its cells.
     """
-    for tile, wide, inner in _tiles(doubled.shape, FAR):
+    for tile, wide, inner in _tiles(doubled.shape):
         if not doubled[tile].any():
             continue
         height, width = doubled[wide].shape
@@ -138,7 +133,7 @@ def _take_doubled(
         top, left = max(-row, 0), max(-col, 0)
         walls = np.zeros((height, width), dtype=np.bool_)
         walls[top : top + part.shape[0], left : left + part.shape[1]] = part
-        doubled[tile] &= ~_grown(_doubled(walls, _grown(asked), NEAR, FAR)[1])[inner]
+        doubled[tile] &= ~_grown(_doubled(walls, _grown(asked))[1])[inner]
 
 
 def _grown(cells: Bools) -> Bools:
@@ -148,43 +143,22 @@ def _grown(cells: Bools) -> Bools:
     return np.asarray(grown).view(np.bool_)
 
 
-def _count(
-    walls: npt.NDArray[np.bool_], device: ComputeDevice | None
-) -> tuple[int, npt.NDArray[np.bool_]]:
+def _count(walls: Bools) -> tuple[int, Bools]:
     """Return how many cells are walls and no specks, and the doubled ones."""
-    device = device or NumpyDevice()
-    steps = RaySteps.of(NEAR, FAR)
-    doubled = np.zeros(walls.shape, dtype=np.bool_)
-
-    def look(part: tuple[Window, Window, Window]) -> int:
-        """Look at one tile; tiles are written by nobody else.
-
-        Groups that the part's edge cuts are no specks that reach what is asked about.
-        """
-        tile, wide, inner = part
-        if not walls[tile].any():
-            return 0
-        asked = np.zeros(walls[wide].shape, dtype=np.uint8)
-        asked[inner] = walls[tile]
-        marks = device.mark_doubled(walls[wide].view(np.uint8), asked, steps)[inner]
-        doubled[tile] = marks == DOUBLED
-        return int(np.count_nonzero(marks))
-
-    side = DEVICE_TILE_CELLS if device.opencl else TILE_CELLS
-    parts = list(_tiles(walls.shape, side, REACH_CELLS))
-    if len(parts) == 1 or device.opencl:
-        return sum(map(look, parts)), doubled
-    with ThreadPoolExecutor(usable_cores()) as threads:
-        return sum(threads.map(look, parts)), doubled
+    considered, doubled = 0, np.zeros(walls.shape, dtype=np.bool_)
+    for tile, wide, inner in _tiles(walls.shape):
+        if walls[tile].any():
+            asked = np.zeros(walls[wide].shape, dtype=np.bool_)
+            asked[inner] = True
+            # Groups that the part's edge cuts are no specks that reach what is asked about.
+            kept, marks = _doubled(walls[wide], asked)
+            considered += int(np.count_nonzero(kept))
+            doubled[tile] = marks[inner]
+    return considered, doubled
 
 
-def _doubled(walls: Bools, asked: Bools, near: float, far: float) -> tuple[Bools, Bools]:
-    """Return which of the cells asked about are walls, and which of these are doubled.
-
-    Args:
-        walls, asked: (H, W).
-        near, far: see ``doubled_wall_cells``.
-    """
+def _doubled(walls: Bools, asked: Bools) -> tuple[Bools, Bools]:
+    """Return which of the (H, W) cells asked about are walls, and which of these are doubled."""
     _, labels, stats, _ = cv2.connectedComponentsWithStats(walls.astype(np.uint8), connectivity=8)
     is_large = np.asarray(stats)[:, cv2.CC_STAT_AREA] >= LEAST_GROUP
     is_large[0] = False
@@ -198,7 +172,7 @@ def _doubled(walls: Bools, asked: Bools, near: float, far: float) -> tuple[Bools
     for side in (0.0, math.pi):
         ways = np.stack([np.sin(angle + side), np.cos(angle + side)])
         # Half a cell further the ray is inside the other wall.
-        steps = _next_wall(drawn, np.stack([rows, cols]), ways, near, far)
+        steps = _next_wall(drawn, np.stack([rows, cols]), ways)
         rays = np.flatnonzero(steps)
         hits = np.stack([rows, cols])[:, rays] + (steps[rays] + 1) / STEPS_PER_CELL * ways[:, rays]
         hit_rows, hit_cols = np.floor(hits + 0.5).astype(np.intp)
@@ -240,27 +214,26 @@ def _smoothed(values: F32, sigma: float) -> F32:
     return np.asarray(blurred, dtype=np.float32)
 
 
-def _next_wall(
-    drawn: F32, cells: npt.NDArray[np.intp], ways: F32, near: float, far: float
-) -> npt.NDArray[np.int64]:
+def _next_wall(drawn: F32, cells: npt.NDArray[np.intp], ways: F32) -> npt.NDArray[np.int64]:
     """Walk along rays to the beginning of the next wall.
 
     Args:
         drawn: (H, W), 1 at a wall.
         cells: (2, N) rows and columns where rays begin, on a wall.
         ways: (2, N) unit vectors; NaN goes nowhere.
-        near, far: see ``doubled_wall_cells``.
 
     Returns:
         (N,) the number of the step of half a cell; 0 where there is none.
     """
+    from scipy import ndimage  # noqa: PLC0415 - slow to load
+
     # From the last sample on the own wall: to one that is on it too, to the first of another, and
     # as long as the ray goes on. One cell less, since walls reach half a cell beyond centres.
-    most_own = math.ceil((near - 1.0) * STEPS_PER_CELL) - 1
-    most_other = math.floor((far - 1.0) * STEPS_PER_CELL)
+    most_own = math.ceil((NEAR - 1.0) * STEPS_PER_CELL) - 1
+    most_other = math.floor((FAR - 1.0) * STEPS_PER_CELL)
     found, own_end = np.zeros((2, cells.shape[1]), dtype=np.int64)
     goes_on = np.isfinite(ways[0])
-    for step in range(1, int(2 * far * STEPS_PER_CELL) + 1):
+    for step in range(1, int(2 * FAR * STEPS_PER_CELL) + 1):
         rays = np.flatnonzero(goes_on)
         if rays.size == 0:
             break
@@ -272,22 +245,18 @@ def _next_wall(
         own_end[rays[is_own]] = step
         found[rays[is_other]] = step
         width = step - own_end[rays]
-        is_thick = own_end[rays] > far * STEPS_PER_CELL
-        goes_on[rays] = ~is_other & ~is_thick & (width < (far - 1.0) * STEPS_PER_CELL)
+        is_thick = own_end[rays] > FAR * STEPS_PER_CELL
+        goes_on[rays] = ~is_other & ~is_thick & (width < (FAR - 1.0) * STEPS_PER_CELL)
     return found
 
 
-def _tiles(shape: tuple[int, ...], far: float) -> Iterator[tuple[Window, Window, Window]]:
+def _tiles(shape: tuple[int, ...]) -> Iterator[tuple[Window, Window, Window]]:
     """Yield tiles that together are all of an array of a shape.
-
-    Args:
-        shape: rows and columns.
-        far: half the length of rays, cells.
 
     Yields:
         The tile, the same with the cells around it, and where in these the tile lies.
     """
-    side, reach = TILE_CELLS, 2 * math.ceil(far) + FILTERS_CELLS
+    side, reach = TILE_CELLS, 2 * math.ceil(FAR) + FILTERS_CELLS
     for row in range(0, shape[0], side):
         for col in range(0, shape[1], side):
             tile = slice(row, min(row + side, shape[0])), slice(col, min(col + side, shape[1]))

@@ -36,7 +36,7 @@ _READERS: dict[str, Reader] = {
     **dict.fromkeys(BAG_SUFFIXES, BagLog),
 }
 _TEXT_READERS: tuple[Reader, ...] = (CarmenLog, TinySlamDat)
-_BAG_MAGICS = (b"#ROSBAG V", b"SQLite format 3\0", b"\x89MCAP0\r\n")
+_BAG_MAGICS = (b"#ROSBAG V", b"SQLite format 3\0", b"\x89MCAP0\r\n", b"\x28\xb5\x2f\xfd")
 # These are enough to tell whether a sweep takes long.
 FIRST_SCANS = 500
 # Logs of a folder that a message names.

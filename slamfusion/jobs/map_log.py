@@ -218,9 +218,7 @@ def map_log(
     files = LogFiles(
         Path(log), *map(as_path, (relations, odometry, truth, truth_map, scan_odometry))
     )
-    held = Yardsticks.read(
-        config, relations=files.relations, odometry=files.odometry, truth=files.truth, warn=warn
-    )
+    held = Yardsticks.read(config, files.relations, files.odometry, files.truth, warn)
     true_map = None
     if files.truth_map is not None:
         (true_map,) = load_maps([files.truth_map], None, config.map_files, warn, measured=True)

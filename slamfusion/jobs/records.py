@@ -19,7 +19,6 @@ from importlib import resources
 from typing import Any, TypedDict
 
 from slamfusion.align.records import Alignment, AlignmentJson, Bent, FusionResult
-from slamfusion.compute import ComputeDevice
 from slamfusion.compute.records import DeviceInfo, PoclState
 from slamfusion.config import FusionMode, RunConfig
 from slamfusion.evaluation import (
@@ -185,7 +184,6 @@ class DoubledWalls:
         cls,
         result: FusionResult,
         config: RunConfig,
-        device: ComputeDevice,
         known: Mapping[str, float] | None = None,
     ) -> DoubledWalls:
         """Measure a fusion.
@@ -193,23 +191,20 @@ class DoubledWalls:
         Args:
             result: the fusion.
             config: its thresholds say what is a wall.
-            device: computes.
             known: shares of inputs that were measured before, by name; default: none.
         """
         known, normalize = known or {}, config.fusion.normalize
         shares = {
             record.name: known[record.name]
             if record.name in known
-            else doubled_wall_share(record.grid, normalize=normalize, device=device)
+            else doubled_wall_share(record.grid, normalize=normalize)
             for record in result.inputs
         }
         layers = (record.layer for record in result.accepted if record.layer is not None)
         aligned = ((layer.codes, layer.box) for layer in layers)
         return cls(
             shares,
-            *fused_doubled_shares(
-                result.fused.cells, aligned, device=device, is_wall=occupied_codes
-            ),
+            *fused_doubled_shares(result.fused.cells, aligned, is_wall=occupied_codes),
         )
 
 

@@ -248,9 +248,7 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
             (true_map,) = load_maps(
                 [files.truth_map], resolution, config.map_files, warn, measured=True
             )
-        held = Yardsticks.read(
-            config, relations=files.relations, odometry=files.odometry, truth=files.truth, warn=warn
-        )
+        held = Yardsticks.read(config, files.relations, files.odometry, files.truth, warn)
         others, their_paths = saved.load(config, resolution, warn)
         device = device_for(config)
         outcomes = work.wait(_share_teller(progress))

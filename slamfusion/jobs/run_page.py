@@ -285,9 +285,13 @@ def _timings_section(run: LogRun) -> Section:
         "The producers run side by side, so their times overlap. Process: imports, the device and "
         "the kernels included.",
     )
-    tables = [Table("Producers", columns, rows, note)] if rows else []
-    stages = [[Cell(name), number(seconds, 2)] for name, seconds in run.stages.items()]
-    tables.append(Table("Stages", ("stage", "s"), stages, "The drawing of this page comes on top."))
+    stages = Table.of(
+        "Stages",
+        run.stages.items(),
+        {"stage": lambda own: own[0], "s": lambda own: number(own[1], 2)},
+        "The drawing of this page comes on top.",
+    )
+    tables = [producers, stages] if producers.rows else [stages]
     text = "; ".join((f"The log: {run.files.log}", *run.log_notes()))
     return Section("Timings and memory", "timings", text, tables=tables)
 

@@ -104,8 +104,7 @@ class Yardsticks:
         Args:
             config: ``log`` says how poses are read.
             relations: lines of 't1 t2 x y z roll pitch yaw' [K09].
-            odometry: a log, or poses.
-            truth: poses.
+            odometry, truth: a log, or poses.
             warn: told in a sentence what is doubtful about the truth.
 
         Raises:
@@ -319,9 +318,7 @@ def measure_trajectory_file(
     config = config or RunConfig()
     estimate = read_trajectory(files.estimate, config.log)
     scans = None if files.log is None else read_trajectory(files.log, config.log)
-    held = Yardsticks.read(
-        config, relations=files.relations, odometry=files.odometry, truth=files.truth, warn=warn
-    )
+    held = Yardsticks.read(config, files.relations, files.odometry, files.truth, warn)
     drawn = None if grid is None else as_grids([grid], config, warn=warn)[0]
     measures = held.measure(estimate, config, scans)
     return MeasuredTrajectory(files, config, estimate, measures, held.truth, scans, drawn)

@@ -34,6 +34,7 @@ from rich.table import Table
 from slamfusion.compute import open_device
 from slamfusion.fleet import executor_for
 from slamfusion.geometry import Pose2
+from slamfusion.grid import OccupancyGrid
 from slamfusion.io import save_map
 from slamfusion.jobs.fuse import fuse_maps
 from tests.benchmarks.bench_many import CONFIG, RIGHT_M
@@ -111,7 +112,7 @@ def draw_maps(folder: Path, count: int, cells: int, parts: int, seed: int) -> No
     facts = []
     for index, (coarse, pose, _) in enumerate(sites._maps_of(0, count, cells // parts, rng)):
         split = np.kron(coarse.cells, np.ones((parts, parts), dtype=np.int8))
-        grid = sites.OccupancyGrid(split, coarse.resolution / parts, coarse.origin)
+        grid = OccupancyGrid(split, coarse.resolution / parts, coarse.origin)
         save_map(grid, folder / f"map_{index}")
         facts.append((grid.origin, grid.cells.shape, grid.resolution, pose))
     (folder / "truth.pickle").write_bytes(pickle.dumps(facts))
@@ -180,7 +181,7 @@ def errors_m(folder: Path, document: dict[str, object]) -> list[float]:
     facts = pickle.loads((folder / "truth.pickle").read_bytes())  # noqa: S301 - our own
     # Places ask for the shape of a map, and where it lies: one cell of memory will do.
     grids = tuple(
-        sites.OccupancyGrid(
+        OccupancyGrid(
             np.broadcast_to(np.zeros(1, np.int8), shape).copy(), resolution, origin, f"map_{index}"
         )
         for index, (origin, shape, resolution, _) in enumerate(facts)

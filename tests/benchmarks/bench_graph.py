@@ -388,17 +388,8 @@ def _report(folder: Path, run: ProducerRun, corrected: Trajectory, config: RunCo
     poses = [moved.compose(corrected.pose(number)) for number in range(len(corrected))]
     rows = np.array([(pose.x, pose.y, pose.yaw_rad) for pose in poses])
     beside = Trajectory(corrected.stamps_s, rows, "the corrected log, aligned")
-    write_slam_report(
-        folder,
-        name=run.name,
-        grid=run.grid,
-        trajectory=run.trajectory,
-        config=config,
-        warnings=[(f"{run.name}:", sentence) for sentence in run.warnings()],
-        odometry=run.odometry if settings_of(config, "graph").odometry == "poses" else None,
-        series=run.series,
-        other_paths=(*run.other_paths, beside),
-    )
+    shown = replace(run, other_paths=(*run.other_paths, beside))
+    write_slam_report(folder, shown, config=config)
 
 
 def half_an_office(bench: Bench, seed: int) -> tuple[Recording, Course]:

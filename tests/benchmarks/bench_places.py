@@ -183,8 +183,8 @@ def bench_halmstad(aligner: Aligner, console: Console) -> list[Counts]:
                 console.print(f"WRONG: {b} to {a}: {pixels:.1f} px, {degrees:.2f} deg")
         if counts["pairs"]:
             right = f"{counts['right']} of {counts['pairs']}"
-            believed = (str(counts[name]) for name in ("accepted", "accepted wrong"))
-            rows.append((f"Halmstad {place}", right, *believed))
+            accepted, wrong = (str(counts[name]) for name in ("accepted", "accepted wrong"))
+            rows.append((f"Halmstad {place}", right, accepted, wrong))
     return rows
 
 

@@ -82,8 +82,10 @@ SLOW_POSES = 5000
 # Poses between two solutions of a graph that grows.
 SOLVE_POSES = 20
 # Graphs and how many of their first poses are solved once more.
-AGAIN = (("intel", 900), ("intel", 1728), ("M3500", 3500), ("city10000", 900), ("city10000", 5000))
-AGAIN += (("city10000", 10000),)
+AGAIN = (
+    *(("intel", 900), ("intel", 1728), ("M3500", 3500)),
+    *(("city10000", 900), ("city10000", 5000), ("city10000", 10000)),
+)
 
 
 def timed(work: Callable[[], T], repetitions: int) -> tuple[float, T]:
@@ -289,8 +291,13 @@ def again(names: tuple[str, ...], methods: tuple[Robust, ...], repetitions: int)
     for name, count in [each for each in AGAIN if each[0] in names]:
         graph = load(name)
         kept = (graph.edges < count).all(axis=1)
-        arrays = (graph.edges, graph.motions, graph.information, graph.is_closure)
-        graph = PoseGraph(graph.poses[:count], *(array[kept] for array in arrays))
+        graph = PoseGraph(
+            graph.poses[:count],
+            graph.edges[kept],
+            graph.motions[kept],
+            graph.information[kept],
+            graph.is_closure[kept],
+        )
         graph = graph.with_poses(optimize(graph).poses)
         false_too = with_false_closures(graph, 10.0 / graph.is_closure.sum(), 0, "random")
         for method in methods:

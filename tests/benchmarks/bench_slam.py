@@ -21,6 +21,7 @@ from rich.table import Table
 
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import RunConfig
+from slamfusion.config.sim import LidarName
 from slamfusion.evaluation import Relations, match_odometry
 from slamfusion.experiments.drives import ATE, RELATIONS, Drive, read_drive
 from slamfusion.io import open_log, read_trajectory, save_map
@@ -57,8 +58,10 @@ UNMEASURED = (
     "tinyslam/exp2.dat.gz",
     "rosbags/test_turtlebot.bag",
 )
-SIMULATED = tuple((world, lidar) for world in ("office", "hall") for lidar in ("hokuyo", "rplidar"))
-SIMULATED_KINECT = (("office", "kinect"), ("f16", "kinect"))
+SIMULATED: tuple[tuple[str, LidarName], ...] = (
+    *(("office", "hokuyo"), ("office", "rplidar"), ("hall", "hokuyo"), ("hall", "rplidar")),
+    *(("office", "kinect"), ("f16", "kinect")),
+)
 
 
 def drives(config: RunConfig, device: ComputeDevice) -> Iterator[Drive]:
@@ -70,7 +73,7 @@ def drives(config: RunConfig, device: ComputeDevice) -> Iterator[Drive]:
         if (DATASETS / name).exists():
             scans = tuple(open_log(DATASETS / name, config.log))
             yield Drive(Path(name).name.split(".")[0], scans, Yardsticks())
-    for world, lidar in SIMULATED + SIMULATED_KINECT:
+    for world, lidar in SIMULATED:
         course = named_course(world, config.seed)
         if world != "f16":
             course = with_overrides(course, replace(config.simulate, lidar=lidar))

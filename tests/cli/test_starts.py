@@ -121,13 +121,11 @@ def test_a_yaw_may_be_in_degrees() -> None:
 
 
 def test_align_takes_the_start_of_the_moving_map_without_its_name() -> None:
-    """Also as three words, as before starts had names."""
-    form = "--start -0.2 -0.2 -2.2"
-    found = json_of(run("align", TRUTH, MAPS[1], *form.split(), "--json"))
+    start = ("--start", "-0.2,-0.2,-2.2")
+    found = json_of(run("align", TRUTH, MAPS[1], *start, "--json"))
     assert found["accepted"] is True
     assert found["dx_m"] == pytest.approx(POSES["map_b"].x, abs=0.1)
     assert found["yaw_rad"] == pytest.approx(POSES["map_b"].yaw_rad, abs=0.01)
     # The windows count from it, as they did.
     near = ("--window-m", "0.3", "--window-yaw-rad", "0.1")
-    off = form.replace("-2.2", "-2.4")
-    assert run("align", TRUTH, MAPS[1], *off.split(), *near).returncode == 1
+    assert run("align", TRUTH, MAPS[1], "--start", "-0.2,-0.2,-2.4", *near).returncode == 1

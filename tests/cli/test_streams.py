@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from slamfusion.fleet.children import interrupts_held
+from slamfusion.fleet import interrupts_held
 from slamfusion.io import write_carmen
 from tests.cli.command import INSTALLED, MAPS, ROOT, server, without_progress
 from tests.slam.drives import drive

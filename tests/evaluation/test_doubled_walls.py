@@ -107,7 +107,7 @@ def test_a_slip_is_added_by_the_fusion_and_a_narrow_passage_is_not():
     assert fused_doubled_shares(np.zeros_like(passage), [(passage, whole)])[1] == 0.0
 
 
-def test_tiles_and_devices_tell_the_same_of_inputs(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_tiles_tell_the_same_of_inputs(monkeypatch: pytest.MonkeyPatch) -> None:
     """Inputs that know a part of the place each, some of it doubled in them, too."""
     fused = np.zeros((150, 190), dtype=np.int8)
     fused[5:145:23, 4:180] = fused[10:150:23, 4:90] = 1

@@ -210,48 +210,6 @@ def test_rows_by_stamp_are_the_best_in_order(
     assert cost == pytest.approx(least_cost(poses_s, rows_s, tolerance_s), abs=1e-6)
 
 
-def test_the_floor_is_the_best_path_at_the_scans() -> None:
-    truth, odometry = run()
-    rows = np.arange(2, 400, 9)
-    scans = part(odometry, rows, 0.05)
-    floor = subsample_to_scans(
-        truth, scans, odometry, tolerance_s=TOLERANCE_S, tolerance_m=TOLERANCE_M
-    )
-    assert floor.stamps_s.tolist() == scans.stamps_s.tolist()
-    np.testing.assert_allclose(floor.poses, truth.poses[rows], atol=1e-12)
-    late = Trajectory(truth.stamps_s + 900.0, truth.poses, "late")
-    with pytest.raises(TrajectoryError, match="late: has no pose at a scan"):
-        subsample_to_scans(late, scans, odometry, tolerance_s=0.01, tolerance_m=TOLERANCE_M)
-
-
-# --- files ---------------------------------------------------------------------------------------
-
-
-def test_late_rows_are_sorted_and_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    path = tmp_path / "wheels.txt.gz"
-    path.write_bytes(gzip.compress(b"# t x y theta\n1 0 0 0\n3 2 0 0\n2 1 0 0\n3 2.5 0 0\n\n"))
-    with caplog.at_level(logging.INFO, logger="slamfusion"):
-        found = read_odometry(path)
-    assert found.name == "wheels"
-    assert found.stamps_s.tolist() == [1.0, 2.0, 3.0, 3.0]
-    assert found.poses[:, 0].tolist() == [0.0, 1.0, 2.0, 2.5]
-    assert "1 of 4 rows go back in time" in caplog.text
-
-
-def test_nanoseconds_are_seconds(tmp_path: Path) -> None:
-    path = tmp_path / "wheels.txt"
-    path.write_text("976052857337530016 1 2 3\n", encoding="ascii")
-    assert read_odometry(path).stamps_s[0] == pytest.approx(976052857.33753, abs=1e-6)
-
-
-@pytest.mark.parametrize("line", ["1 2 3", "1 2 3 4 5", "1 2 x 4", "1 nan 3 4"])
-def test_a_bad_row_is_named(tmp_path: Path, line: str) -> None:
-    path = tmp_path / "wheels.txt"
-    path.write_text(f"0 0 0 0\n\n{line}\n", encoding="ascii")
-    with pytest.raises(TrajectoryError, match=r"line 3: wanted 'time x y theta', found"):
-        read_odometry(path)
-
-
 # --- the Intel run -------------------------------------------------------------------------------
 
 

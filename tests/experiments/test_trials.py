@@ -17,7 +17,6 @@ from slamfusion.config import (
     RunConfig,
 )
 from slamfusion.errors import SlamFusionError
-from slamfusion.experiments.faults import FAULTS
 from slamfusion.experiments.fusions import (
     CHOICE,
     FUSED_PATH,

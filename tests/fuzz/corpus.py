@@ -105,7 +105,6 @@ CORPUS: dict[str, tuple[str, str, Make]] = {
         for reader, suffix in (
             ("trajectory", ".tum"),
             ("relations", ".relations"),
-            ("odometry", ".txt"),
             ("scan odometry", ".csv"),
             ("graph", ".g2o"),
             ("log", ".log"),

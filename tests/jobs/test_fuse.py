@@ -15,7 +15,7 @@ from slamfusion.errors import (
 )
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import load_map
-from slamfusion.jobs import fuse_documents
+from slamfusion.jobs import records
 from slamfusion.jobs.fuse import (
     AllRequiredError,
     fuse_maps,

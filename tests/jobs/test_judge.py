@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slamfusion.config import RunConfig
+from slamfusion.config import RunConfig, TrajectoryConfig
 from slamfusion.errors import TrajectoryError
 from slamfusion.io import read_trajectory, write_tum
 from slamfusion.io.carmen import write_carmen

@@ -22,7 +22,6 @@ SOURCES = {path.name: path.read_text(encoding="utf-8") for path in kernel_folder
 OWN = {
     "POINTS_BETWEEN",  # how often a bound looks whether it can stop
     "AHEAD",  # cells of a walk that are fetched together
-    "VECTORS",  # blocks in a row that are looked at together
     "WARP_CELLS",  # cells that a resampling passes over together
     "REFINE_LANES",  # points of a fit that are done at once
     "MODEL_BASE",  # a flag of two values, False in Python

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from slamfusion.compute import NumpyDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import MapFileError
 from slamfusion.evaluation import AGREE_FREE, AGREE_WALL, EXTRA_WALL, MISSING_WALL
@@ -163,7 +162,7 @@ def write_fusion(folder: Path) -> FuseDocument:
     for path, record in zip(files, result.inputs, strict=True):
         save_map(record.grid, path.with_suffix(""))
     config = RunConfig()
-    doubled = DoubledWalls.of(result, config, NumpyDevice())
+    doubled = DoubledWalls.of(result, config)
     fused = FusedMaps(config, result, doubled, (), GivenMaps(files))
     return save_fused_maps(fused, folder / "out")
 

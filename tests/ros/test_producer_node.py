@@ -119,8 +119,10 @@ def test_in_lockstep_the_map_is_that_of_the_offline_run(
     poses = observer.collect(PoseStamped, f"{kind}/pose")
     settings = {f"{kind}__{name}": value for name, value in SETTINGS[kind].items()}
     producer = processes.node(kind, map_update_interval_s=0.2, **settings)
-    # Poses are not kept for who comes late.
-    observer.wait(lambda: observer.node.count_publishers(f"{kind}/pose"), what="the producer")
+    # Poses are not kept for who comes late. The first node of a fresh installation compiles Python.
+    observer.wait(
+        lambda: observer.node.count_publishers(f"{kind}/pose"), 120.0, what="the producer"
+    )
     observer.listen(0.5)
     player = processes.node("player", file=str(log), lockstep=True, wait_for=[kind])
     message = wait_for_last_map(observer, maps)

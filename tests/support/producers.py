@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from slamfusion.deskew import Deskewing
 from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
@@ -115,6 +116,7 @@ class ListLog:
         self.notes: list[str] = []
         self.has_stamps = True
         self.fraction_read = 0.0
+        self.deskewing = Deskewing()
         self._scans = scans
 
     def __iter__(self) -> Iterator[LogScan]:

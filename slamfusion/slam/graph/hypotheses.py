@@ -15,9 +15,9 @@ from slamfusion.slam.graph.pending_closures import PendingClosure, is_same_place
 
 # Hypotheses that are tested at a node, and that are kept: what a node may cost.
 TESTED, MOST_HYPOTHESES = 2, 12
-# A hypothesis is borne out where so many nodes fit over this way, metres: longer than rooms go on
-# alike. It is given up after so many misses in a row: a door or a person may hide a place once or
-# twice.
+# A hypothesis is accepted after this number of nodes that fit over this way, metres: longer than
+# rooms look alike. It is given up after this number of misses in a row: a door or a person may hide
+# a place once or twice.
 BORNE_OUT_NODES, BORNE_OUT_M, MISSES = 14, 4.0, 3
 # One with fewer hits, or a smaller share of the best one's, is no rival.
 RIVAL_HITS, RIVAL_SHARE = 2, 0.4

@@ -14,14 +14,14 @@ from slamfusion.slam.graph.constraints import Constraint
 # over.
 How = Literal["known", "odometry", "anywhere"]
 
-# A closure that moves the robot by no more is believed alone, metres and radians.
+# A closure that moves the robot by no more is accepted alone, metres and radians.
 SMALL_STEP_M, SMALL_STEP_RAD = 0.4, 0.1
 # Closures that put the robot nearer to each other than this say the same, metres and radians.
 AGREEMENT_M, AGREEMENT_RAD = 0.3, 0.05
-# So many nodes must have closures that say the same before one that moves the robot far is
-# believed; it waits for them for so many nodes.
+# Nodes whose closures must agree before one that moves the robot far is accepted, and nodes for
+# which it waits for them.
 AGREEING_NODES, WAIT_NODES = 2, 12
-# Of a kidnapped robot that odometry has there: so many nodes, over this way, metres.
+# The same where odometry has a kidnapped robot: nodes, and the way between them, metres.
 ODOMETRY_NODES, ODOMETRY_M = 3, 0.8
 
 

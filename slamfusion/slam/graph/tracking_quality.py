@@ -11,10 +11,10 @@ TrackingStatus = Literal["tracked", "unsure", "failed", "kidnapped"]
 # one that is worth less than the second share is enough: the robot was perhaps switched off and
 # moved.
 BAD_SHARE, RESET_SHARE = 0.6, 0.8
-# So many scans in a row, no place of which is sure: the robot is kidnapped. One bad scan or two are
-# a door or a crowd.
+# Scans in a row without a sure place after which the robot is kidnapped. One or two bad scans are a
+# door or a crowd.
 LOST_SCANS = 4
-# So many bad scans among so many of the last ones: tracking has failed.
+# Tracking has failed after this number of bad scans among this number of the last ones.
 FAILED_BAD, FAILED_SCANS = 3, 10
 
 

@@ -28,7 +28,6 @@ pytestmark = pytest.mark.once
 
 F64 = npt.NDArray[np.float64]
 MEAN_SCORE = 0.75
-LOCAL_DRIFT_M = GraphConfig().closure.local_drift_m
 
 
 @pytest.fixture(scope="module")

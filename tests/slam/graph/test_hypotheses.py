@@ -8,6 +8,9 @@ import pytest
 from slamfusion.geometry import Pose2
 from slamfusion.slam.graph.constraints import Constraint
 from slamfusion.slam.graph.hypotheses import (
+    BORNE_OUT_M,
+    BORNE_OUT_NODES,
+    MISSES,
     RelocalizationHypotheses,
 )
 from slamfusion.slam.graph.pending_closures import PendingClosure

@@ -9,11 +9,8 @@ from slamfusion.geometry import Pose2
 from slamfusion.slam.graph.constraints import Constraint
 from slamfusion.slam.graph.pending_closures import (
     AGREEING_NODES,
-    AGREEMENT_M,
     ODOMETRY_M,
     ODOMETRY_NODES,
-    SMALL_STEP_M,
-    SMALL_STEP_RAD,
     WAIT_NODES,
     How,
     PendingClosure,
@@ -22,8 +19,6 @@ from slamfusion.slam.graph.pending_closures import (
 
 pytestmark = pytest.mark.once
 
-CONFIG = GraphConfig()
-CLOSURE, LOST_ROBOT = CONFIG.closure, CONFIG.relocalization
 # By how it was searched: nodes that must agree, the way between them, nodes for which they wait.
 TRUST = {
     "known": (AGREEING_NODES, 0.0, WAIT_NODES),
