@@ -22,7 +22,13 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.config import LogConfig
-from slamfusion.geometry import Pose2, compose_poses, invert_poses, transform_points
+from slamfusion.geometry import (
+    Pose2,
+    compose_poses,
+    interpolate_poses,
+    invert_poses,
+    transform_points,
+)
 from slamfusion.scan import LaserScan
 
 F64 = npt.NDArray[np.float64]
@@ -177,7 +183,8 @@ class Deskewer:
             return scan
         self.done.scans += 1
         self.done.largest_turn_rad = max(self.done.largest_turn_rad, turn_rad)
-        return replace(scan, motion=_at_beams(motion, len(scan)))
+        beams, known = (np.linspace(0.0, 1.0, count) for count in (len(scan), len(motion)))
+        return replace(scan, motion=interpolate_poses(beams, known, motion))
 
     def matched(self, first: LaserScan, second: LaserScan) -> F64 | None:
         """Return the motion between the stamps of two scans, (3,), found by matching them.
@@ -408,9 +415,3 @@ def _fit(
         bend = rows.T @ (weights[:, None] * rows) + pull
         found[is_free] -= np.linalg.lstsq(bend, slope, rcond=None)[0]
     return found, error_m
-
-
-def _at_beams(motion: F64, beams: int) -> F64:
-    """Return the motion at each beam of a sweep, (beams, 3), from (K, 3) at even times in it."""
-    shares, known = np.linspace(0.0, 1.0, beams), np.linspace(0.0, 1.0, len(motion))
-    return np.stack([np.interp(shares, known, column) for column in motion.T], axis=1)

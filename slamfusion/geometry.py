@@ -14,6 +14,7 @@ __all__ = [
     "blend_poses",
     "compose_poses",
     "fit_motion",
+    "interpolate_poses",
     "invert_poses",
     "moved_poses",
     "transform_points",
@@ -85,6 +86,25 @@ def blend_poses(
     away = second - first
     away[:, 2] = wrap_angles(away[:, 2])
     return np.asarray(first + share[:, None] * away)
+
+
+def interpolate_poses(
+    times_s: npt.NDArray[np.float64],
+    stamps_s: npt.NDArray[np.float64],
+    poses: npt.NDArray[np.float64],
+) -> npt.NDArray[np.float64]:
+    """Return poses at times, linear between those that are known, and as these beyond the ends.
+
+    Args:
+        times_s: (...), seconds.
+        stamps_s: (N,), increasing.
+        poses: (N, 3) x, y, yaw at the stamps.
+
+    Returns:
+        (..., 3); the yaw goes on where it passes pi.
+    """
+    columns = (poses[:, 0], poses[:, 1], np.unwrap(poses[:, 2]))
+    return np.stack([np.interp(times_s, stamps_s, column) for column in columns], axis=-1)
 
 
 def moved_poses(motion: Pose2, poses: npt.ArrayLike) -> npt.NDArray[np.float64]:

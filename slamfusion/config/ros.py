@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from slamfusion.config.core import Checked, option
-from slamfusion.config.run import LaserMounting
+from slamfusion.config.run import Deskew, LaserMounting, deskew_option, sweep_option
 
 
 @dataclass(frozen=True)
@@ -44,19 +44,8 @@ class ProducerNodeConfig(Checked):
         "how the laser sits, where the transforms say otherwise: mirrored (upside down, or it "
         "turns the other way) or backward",
     )
-    deskew: Literal["auto", "no"] = option(
-        "auto",
-        "move the beams of a sweep to its stamp by the robot's motion: auto (where that matters) "
-        "or no",
-    )
-    sweep_s: float | None = option(
-        None,
-        "time from the first to the last beam of a sweep; default: by the time_increment of the "
-        "scans, where that can be",
-        unit="s",
-        low=-10.0,
-        high=10.0,
-    )
+    deskew: Deskew = deskew_option()
+    sweep_s: float | None = sweep_option()
     scan_queue: int = option(
         20, "scans that may wait; when one more comes the oldest is dropped", low=1, high=10_000
     )

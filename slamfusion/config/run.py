@@ -32,6 +32,29 @@ class MapFileConfig(Checked):
 
 # How a laser really sits, where the transforms or the order of its ranges say otherwise.
 LaserMounting = Literal["as-given", "mirrored", "backward"]
+# Whether the beams of a sweep are moved to its stamp.
+Deskew = Literal["auto", "no"]
+
+
+def deskew_option() -> Any:
+    """Declare whether scans are deskewed, of logs and of nodes."""
+    return option(
+        "auto",
+        "move the beams of a sweep to its stamp by the robot's motion: auto (where that matters) "
+        "or no",
+    )
+
+
+def sweep_option() -> Any:
+    """Declare how long a sweep takes, of logs and of nodes."""
+    return option(
+        None,
+        "time from the first to the last beam of a sweep; default: by the time_increment of the "
+        "scans, where that can be",
+        unit="s",
+        low=-10.0,
+        high=10.0,
+    )
 
 
 @dataclass(frozen=True)
@@ -63,19 +86,8 @@ class LogConfig(Checked):
         "how the laser sits, where log and transforms say otherwise: mirrored (upside down, or it "
         "turns the other way) or backward",
     )
-    deskew: Literal["auto", "no"] = option(
-        "auto",
-        "move the beams of a sweep to its stamp by the robot's motion: auto (where that matters) "
-        "or no",
-    )
-    sweep_s: float | None = option(
-        None,
-        "time from the first to the last beam of a sweep; default: by the time_increment of the "
-        "scans, where that can be",
-        unit="s",
-        low=-10.0,
-        high=10.0,
-    )
+    deskew: Deskew = deskew_option()
+    sweep_s: float | None = sweep_option()
     axes: Literal["robot", "camera"] = option(
         "robot",
         "axes of a TUM file: of a robot (x ahead, z up) or of a camera (z ahead, y down)",

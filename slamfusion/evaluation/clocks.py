@@ -7,6 +7,7 @@ import numpy.typing as npt
 import scipy
 
 from slamfusion.errors import TrajectoryError
+from slamfusion.geometry import interpolate_poses
 from slamfusion.trajectory import Trajectory
 
 F64 = npt.NDArray[np.float64]
@@ -84,15 +85,12 @@ def clock_offset_s(path: Trajectory, reference: Trajectory) -> float:
     return offset_s + left_s if is_same_scans else offset_s
 
 
-def _at(path: Trajectory, times_s: F64) -> F64:
-    """Return x, y and the unwrapped yaw of a path at times, (N, 3)."""
-    columns = (*path.poses[:, :2].T, np.unwrap(path.poses[:, 2]))
-    return np.stack([np.interp(times_s, path.stamps_s, column) for column in columns], axis=1)
-
-
 def _motion(path: Trajectory, times_s: F64, span_s: float) -> F64:
     """Return how far a path drives and turns within a span after times, (N, 2) m and rad."""
-    change = _at(path, times_s + span_s) - _at(path, times_s)
+    before, after = (
+        interpolate_poses(at_s, path.stamps_s, path.poses) for at_s in (times_s, times_s + span_s)
+    )
+    change = after - before
     return np.stack((np.hypot(change[:, 0], change[:, 1]), change[:, 2]), axis=1)
 
 

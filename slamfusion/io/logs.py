@@ -12,7 +12,14 @@ from slamfusion.config import LogConfig
 from slamfusion.deskew import Deskewer
 from slamfusion.errors import LogError
 from slamfusion.io.bags import BagLog
-from slamfusion.io.bags.reader import METADATA, STORAGE_FILES
+from slamfusion.io.bags.reader import (
+    MCAP_MAGIC,
+    METADATA,
+    ROS1_MAGIC,
+    SQLITE_MAGIC,
+    STORAGE_FILES,
+    ZSTD_MAGIC,
+)
 from slamfusion.io.carmen import CARMEN_WORDS, CarmenLog
 from slamfusion.io.lines import read_head, strip_gz
 from slamfusion.io.log import ScanLog
@@ -36,7 +43,7 @@ _READERS: dict[str, Reader] = {
     **dict.fromkeys(BAG_SUFFIXES, BagLog),
 }
 _TEXT_READERS: tuple[Reader, ...] = (CarmenLog, TinySlamDat)
-_BAG_MAGICS = (b"#ROSBAG V", b"SQLite format 3\0", b"\x89MCAP0\r\n", b"\x28\xb5\x2f\xfd")
+_BAG_MAGICS = (ROS1_MAGIC, SQLITE_MAGIC, MCAP_MAGIC, ZSTD_MAGIC)
 # These are enough to tell whether a sweep takes long.
 FIRST_SCANS = 500
 # Logs of a folder that a message names.

@@ -14,7 +14,7 @@ import yaml
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import ObstacleConfig
 from slamfusion.errors import SimulationError
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import Pose2, interpolate_poses
 from slamfusion.io.atomic import AtomicFiles
 from slamfusion.io.carmen import write_carmen
 from slamfusion.io.log import LogScan, deskewed_scans
@@ -271,7 +271,9 @@ def _record(
     increment_s = time_increment_s(lidar)
     sweeps = poses[:, None]
     if increment_s:
-        sweeps = _poses_at(motion, stamps_s[:, None] + increment_s * np.arange(lidar.beams))
+        times_s = stamps_s[:, None] + increment_s * np.arange(lidar.beams)
+        steps_s = motion.step_s * np.arange(len(motion.poses), dtype=np.float64)
+        sweeps = interpolate_poses(times_s, steps_s, motion.poses)
     ranges = sweep_ranges(world, lidar, sweeps, discs, device, _chance(course, LASER_STREAM))
     angle_min_rad, step_rad = beam_angles(lidar)
     mount = mount_of(lidar)
@@ -293,11 +295,3 @@ def _record(
     if progress is not None:
         progress("scans", len(poses), len(poses))
     return tuple(deskewed_scans(scans)), Trajectory(stamps_s, poses, "truth")
-
-
-def _poses_at(motion: Motion, times_s: F64) -> F64:
-    """Return the true poses (N, B, 3) at times (N, B); after the end the robot stands."""
-    steps_s = motion.step_s * np.arange(len(motion.poses))
-    x, y, yaw = motion.poses.T
-    rows = [np.interp(times_s, steps_s, column) for column in (x, y, np.unwrap(yaw))]
-    return np.stack(rows, axis=-1)

@@ -287,7 +287,7 @@ class OdometrySurvey:
 def read_poses(
     path: Path, config: LogConfig, wanted: str | None, notes: list[str]
 ) -> Floats | None:
-    """Return a path that a bag holds beside or without scans.
+    """Return a path of a bag, with or without scans.
 
     Args:
         path: of the bag.

@@ -33,19 +33,24 @@ from rosbags.rosbag2 import storage_mcap as mcap
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from slamfusion.errors import LogError
-from slamfusion.io.bags.reader import TRANSFORM_TYPES
+from slamfusion.io.bags.reader import (
+    MCAP_MAGIC,
+    ROS1_MAGIC,
+    SQLITE_MAGIC,
+    TRANSFORM_TYPES,
+    ZSTD_MAGIC,
+)
 from slamfusion.io.memory import format_bytes
 from slamfusion.io.regular import open_regular
 
 # A chunk or a message unpacks to no more; those of recorders are a thousand times smaller.
 PIECE_BYTES = 2**30
-_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 # The topic of a message, when it was recorded in nanoseconds, and its bytes.
 Stored = tuple[Connection, int, bytes]
 _NO_DEFINITION = MessageDefinition(MessageDefinitionFormat.NONE, "")
 # What damaged records of ROS 1 bags raise.
 _DAMAGE = (rosbag1.ReaderError, ValueError, LookupError, RuntimeError, OSError, AssertionError)
-_MCAP_MAGIC, _MCAP_FOOTER = b"\x89MCAP0\r\n", b"\x02"
+_MCAP_FOOTER = b"\x02"
 zstd: Any = vars(mcap)["zstd"]
 
 
@@ -71,7 +76,7 @@ class Mcap(mcap.McapReader):
         file: Any = self.bio
         size = file.seek(0, os.SEEK_END)
         file.seek(0)
-        if file.read(len(_MCAP_MAGIC)) != _MCAP_MAGIC:
+        if file.read(len(MCAP_MAGIC)) != MCAP_MAGIC:
             message = "File magic is invalid."
             raise ReaderError(message)
         self.data_start = file.tell()
@@ -223,9 +228,9 @@ class Sqlite:
 
 Storage = Mcap | Bag1 | Sqlite
 _KINDS: dict[bytes, Callable[[Path], Storage]] = {
-    b"#ROSBAG V": Bag1,
-    b"SQLite format 3\0": Sqlite,
-    _MCAP_MAGIC: Mcap,
+    ROS1_MAGIC: Bag1,
+    SQLITE_MAGIC: Sqlite,
+    MCAP_MAGIC: Mcap,
 }
 
 
@@ -243,7 +248,7 @@ def open_storage(path: Path, stack: ExitStack) -> Storage:
     _adapt_rosbags()
     with open_regular(path, LogError) as file:
         head = file.peek(20)
-        if head.startswith(_ZSTD_MAGIC):
+        if head.startswith(ZSTD_MAGIC):
             folder = stack.enter_context(TemporaryDirectory())
             path = Path(folder, path.stem)
             # A packed file may be cut off, too.
@@ -303,7 +308,7 @@ def _decoder(encoding: str) -> Callable[[bytes, str], Any]:
 
 def _plain(raw: bytes) -> bytes:
     """Return the bytes of a message that may be packed for itself."""
-    return _unpack_zstd(raw) if raw.startswith(_ZSTD_MAGIC) else raw
+    return _unpack_zstd(raw) if raw.startswith(ZSTD_MAGIC) else raw
 
 
 def _unpack_zstd(data: bytes) -> bytes:
