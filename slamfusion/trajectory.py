@@ -99,7 +99,7 @@ class Trajectory:
         return len(self.stamps_s)
 
     def later(self, seconds: float) -> Trajectory:
-        """Return the same path at times that are so much later."""
+        """Return the same path, later by some seconds."""
         return Trajectory(self.stamps_s + seconds, self.poses, self.name)
 
     def pose(self, index: int) -> Pose2:

@@ -184,7 +184,7 @@ def spread(mean: float, deviation: float, digits: int) -> str:
 
 
 FORMS = (".csv", ".md", ".tex")
-# A spreadsheet takes a cell that begins so for a formula.
+# A spreadsheet takes a cell that starts with one of these for a formula.
 FORMULA = ("=", "+", "-", "@")
 
 

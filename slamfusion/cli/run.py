@@ -381,7 +381,7 @@ def run_many(
     *,
     as_json: bool,
 ) -> int:
-    """Run the main job on each log, and say what came of each."""
+    """Run the main job on each log, and print the outcome of each."""
     from slamfusion.fleet import executor_for  # noqa: PLC0415
     from slamfusion.jobs.run_many import log_tasks, run_logs, runs_document  # noqa: PLC0415
 

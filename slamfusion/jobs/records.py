@@ -209,7 +209,7 @@ class DoubledWalls:
 
 
 class FusionJson(TypedDict):
-    """What came of a fusion; null and empty values where nothing was fused."""
+    """The result of a fusion; null and empty values where nothing was fused."""
 
     inputs: Sequence[FusedInputJson | UnalignedInputJson]
     """The inputs, in the order given."""
@@ -518,7 +518,7 @@ class SlamProducerJson(ProducerJson):
 
 
 class LogFilesJson(TypedDict):
-    """A log, and the files that what was made of it is held against."""
+    """A log, and the files that its results are compared with."""
 
     log: str
     """The log that was mapped."""
@@ -651,7 +651,7 @@ class RunsDocument(SettingsJson):
     """The logs, in the order given."""
 
 
-# --- the commands beside the main work ------------------------------------------------------------
+# --- the commands other than the main work --------------------------------------------------------
 
 
 class GraphOptimizeDocument(SettingsJson):
@@ -752,7 +752,7 @@ class SimulateDocument(SimulatedDriveJson, CircumstancesJson):
 
 
 class ShowDocument(TypedDict):
-    """What ``slamfusion show`` prints when it has begun."""
+    """What ``slamfusion show`` prints when it starts."""
 
     url: str
     """Address of the page."""

@@ -159,7 +159,7 @@ def test_good_maps_are_borne_out_by_each_other_where_the_reference_is_bent(
         assert record.alignment is not None
         assert record.alignment.strength == "strong"
         assert record.alignment.reason.startswith(f"to {other}: walls match (strong)")
-    # All that is told of an alignment is in the frame of the reference.
+    # All results of an alignment are in the frame of the reference.
     (pair,) = (item for item in result.pairs if {item.reference, item.moving} == {"a", "b"})
     shown = {record.name: record.alignment for record in result.inputs}
     held, moved = shown[pair.reference], shown[pair.moving]
