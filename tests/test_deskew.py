@@ -20,7 +20,7 @@ from slamfusion.io import open_log
 from slamfusion.io.log import LogScan, deskewed_scans
 from slamfusion.scan import LaserScan
 from slamfusion.sim import named_course, simulate, write_recording
-from slamfusion.sim.lidar import LIDARS
+from slamfusion.sim.world import LIDARS
 from slamfusion.slam.session import ProducerSession, QueuedScan
 from tests.io.bags import Bag
 

@@ -35,7 +35,7 @@ from slamfusion.compute.layout import (
     FACING_PARTS,
     FIELD_ONE,
 )
-from slamfusion.io.memory import available_memory, return_freed_memory
+from slamfusion.io.files import available_memory, return_freed_memory
 
 P = ParamSpec("P")
 R = TypeVar("R")

@@ -16,7 +16,7 @@ from slamfusion.compute.layout import FIXED_ONE
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import GridError
 from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid, known_box, trinary_cells
-from slamfusion.io.memory import check_memory
+from slamfusion.io.files import check_memory
 from slamfusion.vote.lattice import SAME_RESOLUTION, Extent, Lattice
 
 # What each cell of an input takes that is aligned, and while it is looked at; and while it votes.

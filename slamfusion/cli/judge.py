@@ -129,7 +129,7 @@ def command(config: RunConfig, **asked: Any) -> int:
 
 def _judge(request: _Request, config: RunConfig) -> int:
     """Rank the paths of each log."""
-    from slamfusion.io.atomic import AtomicFiles  # noqa: PLC0415
+    from slamfusion.io.files import AtomicFiles  # noqa: PLC0415
     from slamfusion.jobs.judge import (  # noqa: PLC0415
         judge_paths,
         judgements_document,

@@ -98,7 +98,7 @@ def check_paths(context: click.Context, given: Mapping[str, Any]) -> None:
                 reads += [(path, file) for file in option.type.files(path, given)]
     if not writes:
         return
-    from slamfusion.io.overwriting import refuse_overwriting  # noqa: PLC0415  (OpenCV, as above)
+    from slamfusion.io.files import refuse_overwriting  # noqa: PLC0415  (OpenCV, as above)
 
     try:
         refuse_overwriting(reads, writes)

@@ -167,7 +167,7 @@ def _run(
 
     check_odometry(asked["odometry"], asked["relations"])
     if resume is not None:
-        from slamfusion.io.regular import open_regular  # noqa: PLC0415  (OpenCV loads slowly)
+        from slamfusion.io.files import open_regular  # noqa: PLC0415  (OpenCV loads slowly)
 
         open_regular(resume, SlamFusionError).close()
     check_report(report)

@@ -20,13 +20,6 @@ from slamfusion.config.core import (
     split_list,
     to_mapping,
 )
-from slamfusion.config.experiments import (
-    CellModelsConfig,
-    ExperimentConfig,
-    FailuresConfig,
-    GroundObstacleConfig,
-    OccupancyEstimatorConfig,
-)
 from slamfusion.config.fusion import (
     SMALLEST,
     AlignConfig,
@@ -41,14 +34,24 @@ from slamfusion.config.fusion import (
 from slamfusion.config.ros import FusionNodeConfig, PlayerNodeConfig, ProducerNodeConfig
 from slamfusion.config.run import (
     PICTURE_FORMS,
+    START_FORM,
+    START_M,
+    START_RAD,
+    CellModelsConfig,
     DeviceConfig,
+    ExperimentConfig,
+    FailuresConfig,
+    GroundObstacleConfig,
     LaserMounting,
     LogConfig,
     MapFileConfig,
+    OccupancyEstimatorConfig,
     ReportConfig,
     RunConfig,
     SideBySideConfig,
     TrajectoryConfig,
+    checked_start,
+    checked_starts,
 )
 from slamfusion.config.sim import (
     ActionConfig,
@@ -70,13 +73,6 @@ from slamfusion.config.slam import (
     MatcherConfig,
     OccupancyEstimator,
     TinySlamConfig,
-)
-from slamfusion.config.start import (
-    START_FORM,
-    START_M,
-    START_RAD,
-    checked_start,
-    checked_starts,
 )
 
 __all__ = [

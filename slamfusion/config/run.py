@@ -3,17 +3,166 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from slamfusion.config.core import Checked, option
-from slamfusion.config.experiments import ExperimentConfig
 from slamfusion.config.fusion import EvaluateConfig, FusionConfig, LiveConfig
 from slamfusion.config.sim import SimulateConfig
 from slamfusion.config.slam import GraphOptimizerConfig
-from slamfusion.config.start import checked_starts
-from slamfusion.errors import ConfigError, shown
+from slamfusion.errors import ConfigError, StartError, shown
+
+
+@dataclass(frozen=True)
+class OccupancyEstimatorConfig(Checked):
+    """The experiment on tinySLAM's occupancy estimator, [H16] Table III."""
+
+    seeds: int = option(20, "repetitions of every condition", low=1, high=1000)
+    resolutions: tuple[float, ...] = option(
+        (0.1, 0.2, 0.3, 0.4, 0.5, 0.6),
+        "cell sizes: first..last in steps of 0.1 m, or a list with commas",
+        unit="m",
+        low=0.005,
+        high=1.0,
+    )
+    floors: int = option(1, "simulated office floors, drawn by the seeds from 1", low=0, high=100)
+
+    def __post_init__(self) -> None:
+        """Refuse an empty list of cell sizes."""
+        super().__post_init__()
+        if not self.resolutions:
+            message = (
+                "OccupancyEstimatorConfig.resolutions must be like 0.1..0.6 or 0.1,0.25, each in "
+                "[0.005, 1] m, found none"
+            )
+            raise ConfigError(message)
+
+
+@dataclass(frozen=True)
+class CellModelsConfig(Checked):
+    """The experiment on tinySLAM's cell models, [H16] Table I."""
+
+    seeds: int = option(10, "repetitions of every condition", low=1, high=1000)
+    floors: int = option(3, "simulated office floors, drawn by the seeds from 1", low=0, high=100)
+
+
+@dataclass(frozen=True)
+class GroundObstacleConfig(Checked):
+    """The experiment on fusion with and without a ground obstacle, [F16] Tables I to III."""
+
+    repetitions: int = option(
+        30, "drives of each condition in each world; seeds from --seed on", low=1, high=10_000
+    )
+    worlds: int = option(3, "atriums that are driven in", low=1, high=1000)
+    first_world: int = option(1, "seed of the first atrium; the others follow", low=0)
+    particles: int = option(80, "particles of gmapping, as in [F16]", low=1, high=10_000)
+    draw: bool = option(False, "also draw maps from the scans: at each path, and at the fused one")
+    processes: int | None = option(
+        None, "drives that run at the same time; default: one for each core", low=1, high=64
+    )
+
+
+@dataclass(frozen=True)
+class FailuresConfig(Checked):
+    """The experiment on fusion where drives or producers fail."""
+
+    repetitions: int = option(
+        3, "drives of each course in each world; seeds from --seed on", low=1, high=10_000
+    )
+    worlds: int = option(1, "worlds that each course is driven in", low=1, high=1000)
+    first_world: int = option(1, "seed of the first world; the others follow", low=0)
+    courses: tuple[str, ...] = option(("all",), "courses of the table, with commas, or all")
+    lidars: tuple[Literal["kinect", "hokuyo", "rplidar", "lds01"], ...] = option(
+        ("kinect", "hokuyo", "rplidar"), "lasers that drive each course, with commas"
+    )
+    draw: bool = option(False, "also draw maps from the scans: at each path, and at the fused one")
+    processes: int | None = option(
+        None, "drives that run at the same time; default: one for each core", low=1, high=64
+    )
+
+
+@dataclass(frozen=True)
+class ExperimentConfig(Checked):
+    """How often the experiments of the papers are repeated, and on what."""
+
+    occupancy_estimator: OccupancyEstimatorConfig = OccupancyEstimatorConfig()
+    cell_models_trajectories: CellModelsConfig = CellModelsConfig()
+    ground_obstacle: GroundObstacleConfig = GroundObstacleConfig()
+    failures: FailuresConfig = FailuresConfig()
+
+
+# How far a map may lie from its start where the start does not say: what a person who points at a
+# plan, or a robot that is put onto a mark, is off by.
+START_M = 2.0
+START_RAD = 0.35
+START_FORM = "x,y,yaw or x,y,yaw,metres,radians"
+POSE, POSE_AND_TOLERANCES = 3, 5
+YAW = 2
+DEGREES = "deg"
+
+
+def checked_start(given: Any, where: str) -> tuple[float, ...]:
+    """Return a start as 3 numbers (x, y in m, yaw in rad) or 5 (and tolerances in m and rad).
+
+    Args:
+        given: numbers, or a text of them with commas between, as in a file or a parameter. The yaw
+            may be in degrees: ``46.4deg``.
+        where: what the messages call it.
+
+    Raises:
+        StartError: not so many numbers, one that is not finite, or a tolerance below 0.
+    """
+    parts = given.split(",") if isinstance(given, str) else given
+    is_row = isinstance(parts, Sequence) and not isinstance(parts, bytes)
+    if not is_row or any(isinstance(part, bool) for part in parts):
+        message = f"{where}: wanted {START_FORM}, found {shown(given)}"
+        raise StartError(message)
+    try:
+        values = tuple(
+            _yaw_rad(part) if place == YAW else float(part) for place, part in enumerate(parts)
+        )
+    except (TypeError, ValueError, OverflowError):
+        message = f"{where}: wanted {START_FORM}, all numbers, found {_shown(parts)}"
+        raise StartError(message) from None
+    if len(values) not in {POSE, POSE_AND_TOLERANCES}:
+        message = f"{where}: wanted {START_FORM}, found {len(values)} numbers: {_shown(parts)}"
+        raise StartError(message)
+    if not all(map(math.isfinite, values)):
+        message = f"{where}: wanted {START_FORM}, all finite, found {_shown(parts)}"
+        raise StartError(message)
+    if any(value < 0.0 for value in values[POSE:]):
+        message = f"{where}: the tolerances must be at least 0, found {_shown(parts[POSE:])}"
+        raise StartError(message)
+    return values
+
+
+def checked_starts(given: Any, where: str = "start") -> dict[str, tuple[float, ...]]:
+    """Return starts by the names of inputs; see ``checked_start``.
+
+    Raises:
+        StartError: no mapping of names to starts, or one of them is refused.
+    """
+    if not isinstance(given, Mapping):
+        message = f"{where}: wanted names of inputs with {START_FORM} each, found {shown(given)}"
+        raise StartError(message)
+    named = {name if isinstance(name, str) else shown(name): own for name, own in given.items()}
+    return {name: checked_start(own, f"{where}: {name}") for name, own in named.items()}
+
+
+def _yaw_rad(given: Any) -> float:
+    """Return a yaw in radians; text that ends in ``deg`` is in degrees."""
+    if isinstance(given, str) and given.strip().endswith(DEGREES):
+        return math.radians(float(given.strip().removesuffix(DEGREES)))
+    return float(given)
+
+
+def _shown(parts: Sequence[Any]) -> str:
+    return ",".join(
+        (" ".join(part.split()) if isinstance(part, str) else shown(part))[:40]
+        for part in parts[:10]
+    )
+
 
 # What pictures can be written as.
 PICTURE_FORMS = ("png", "svg", "pdf")

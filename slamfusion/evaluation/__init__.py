@@ -5,7 +5,6 @@ Everything here is a pure function on value types; nothing is drawn, printed or 
 
 from __future__ import annotations
 
-from slamfusion.evaluation.clocks import clock_offset_s, on_clock
 from slamfusion.evaluation.distances import (
     DistanceComparison,
     DistanceRow,
@@ -66,12 +65,14 @@ from slamfusion.evaluation.statistics import (
 from slamfusion.evaluation.trajectory_error import (
     TrajectoryErrors,
     associate,
+    clock_offset_s,
+    on_clock,
     trajectory_errors,
 )
-from slamfusion.evaluation.wall_distances import WallDistance
 from slamfusion.evaluation.wall_faces import (
     FACE_TOLERANCES_M,
     FaceAgreement,
+    WallDistance,
     WallFaces,
     WallThickness,
     compare_faces,

@@ -16,20 +16,18 @@ import numpy.typing as npt
 
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import GridError
-from slamfusion.evaluation.cells import sample_on_lattice, wall_centres
+from slamfusion.evaluation.distances import sample_on_lattice, wall_centres
 from slamfusion.evaluation.doubled_walls import doubled_wall_share
-from slamfusion.evaluation.wall_distances import (
-    WallDistance,
-    distance_summary,
-    harmonic_mean,
-    nearest_distances,
-    share_within,
-)
 from slamfusion.evaluation.wall_faces import (
+    WallDistance,
     WallFaces,
     WallThickness,
     compare_faces,
+    distance_summary,
+    harmonic_mean,
+    nearest_distances,
     outside_area,
+    share_within,
     wall_thickness,
 )
 from slamfusion.geometry import Pose2

@@ -13,7 +13,7 @@ where the scans do not speak against what comes of it.
 
 from __future__ import annotations
 
-from slamfusion.evidence.beams import JudgedScans, judged_scans
+from slamfusion.evidence.beams import CoveredPath, JudgedScans, cover_stamps, judged_scans
 from slamfusion.evidence.comparison import Comparison
 from slamfusion.evidence.displacement import Displacement, find_displacements
 from slamfusion.evidence.exclusion import (
@@ -33,7 +33,6 @@ from slamfusion.evidence.recommendation import (
 )
 from slamfusion.evidence.refined_path import refine_path
 from slamfusion.evidence.refinement import RefinedPath, refine_borne_out
-from slamfusion.evidence.stamps import CoveredPath, cover_stamps
 
 __all__ = [
     "Check",

@@ -31,10 +31,11 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from slamfusion.evidence.path_consensus import consensus_poses, find_modes
 from slamfusion.evidence.path_frames import (
     FROM_MEDIAN,
     LaidPaths,
+    consensus_poses,
+    find_modes,
     geman_mcclure,
     lay_paths,
     pose_distances,

@@ -26,9 +26,8 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.layout import BEAM_ONE, FACINGS, TILE
 from slamfusion.errors import TrajectoryError
-from slamfusion.evidence.beams import CHUNKS, JudgedScans
+from slamfusion.evidence.beams import CHUNKS, CoveredPath, JudgedScans, cover_stamps, no_common_time
 from slamfusion.evidence.comparison import Comparison, compare_sums
-from slamfusion.evidence.stamps import CoveredPath, cover_stamps, no_common_time
 from slamfusion.geometry import compose_poses, invert_poses, transform_points
 from slamfusion.trajectory import Trajectory
 

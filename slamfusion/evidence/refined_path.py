@@ -29,10 +29,9 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from slamfusion.evidence.beams import JudgedScans
+from slamfusion.evidence.beams import JudgedScans, cover_stamps
 from slamfusion.evidence.known_motions import KnownMotions, MotionEquations
 from slamfusion.evidence.path_frames import FROM_MEDIAN, geman_mcclure, laid_onto
-from slamfusion.evidence.stamps import cover_stamps
 from slamfusion.geometry import compose_poses, invert_poses, wrap_angles
 from slamfusion.trajectory import Trajectory
 

@@ -20,12 +20,11 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.evidence.beams import JudgedScans
+from slamfusion.evidence.beams import JudgedScans, cover_stamps
 from slamfusion.evidence.comparison import SURE
 from slamfusion.evidence.path_frames import laid_onto
 from slamfusion.evidence.predictive import PathEvidence, with_path
 from slamfusion.evidence.refined_path import carried_along, refine_path
-from slamfusion.evidence.stamps import cover_stamps
 from slamfusion.trajectory import Trajectory
 
 # What the scans of a drive were laid on each other along, at first.

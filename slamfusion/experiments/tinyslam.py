@@ -26,7 +26,7 @@ from slamfusion.slam.common.mapper import Mapper
 from slamfusion.slam.gmapping import Gmapping
 from slamfusion.slam.registry import settings_of
 from slamfusion.slam.tinyslam import TinySlam
-from slamfusion.slam.tinyslam.cell_models import CELL_MODELS
+from slamfusion.slam.tinyslam.slam import CELL_MODELS
 
 F64 = npt.NDArray[np.float64]
 

@@ -45,8 +45,8 @@ from slamfusion.io import LogScan
 from slamfusion.jobs.inputs import RUN_VOTE
 from slamfusion.jobs.outputs import DRAWN
 from slamfusion.sim import Course, named_course
-from slamfusion.sim.lidar import LIDARS
 from slamfusion.sim.simulate import Recording, simulate
+from slamfusion.sim.world import LIDARS
 from slamfusion.slam.registry import BUILT_IN, with_settings
 from slamfusion.trajectory import Trajectory
 

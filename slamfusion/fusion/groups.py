@@ -32,7 +32,7 @@ from slamfusion.fusion.consistency import (
 from slamfusion.fusion.many import Candidate, align_many, placed, rank_pairs
 from slamfusion.fusion.pair_tasks import AlignmentTasks, PairSettings
 from slamfusion.geometry import Pose2, wrap_angles
-from slamfusion.io.memory import return_freed_memory
+from slamfusion.io.files import return_freed_memory
 
 # Told what is being done, how many steps are done, and of how many.
 Progress = Callable[[str, int, int], None]

@@ -21,7 +21,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig
 from slamfusion.errors import GridError
 from slamfusion.grid import OccupancyGrid, row_parts
-from slamfusion.io.memory import return_freed_memory
+from slamfusion.io.files import return_freed_memory
 
 # How many times coarser or finer than the fused cells a map's may be. Walls are compared within
 # 0.15 m, which says nothing of cells of a metre; and cells of 1 mm make a hall too large.

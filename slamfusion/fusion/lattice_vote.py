@@ -33,7 +33,7 @@ from slamfusion.fleet import in_order
 from slamfusion.fusion.groups import Members, Progress
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, box_origin
-from slamfusion.io.memory import check_memory
+from slamfusion.io.files import check_memory
 from slamfusion.vote.agreement import AGREEING, Trust, WallCounts, most_borne_out
 from slamfusion.vote.boxes import hull, moved, overlap, padded, slices
 from slamfusion.vote.lattice import Extent, Lattice

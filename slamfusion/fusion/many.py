@@ -47,7 +47,7 @@ from slamfusion.fusion.consistency import (
 )
 from slamfusion.geometry import Pose2
 from slamfusion.pose_graph import PoseGraph, optimize
-from slamfusion.pose_graph.covariance import inverted, moved
+from slamfusion.pose_graph.uncertainty import inverted, moved
 
 # Aligns two maps, by name, in full.
 AlignPair = Callable[[str, str], Alignment]

@@ -9,12 +9,18 @@ refused with numbers before it is allocated (``check_memory``).
 
 from __future__ import annotations
 
-from slamfusion.io.atomic import AtomicFiles, write_atomic, write_json_atomic, write_text_atomic
 from slamfusion.io.carmen import write_carmen
+from slamfusion.io.files import (
+    AtomicFiles,
+    available_memory,
+    check_memory,
+    write_atomic,
+    write_json_atomic,
+    write_text_atomic,
+)
 from slamfusion.io.log import LogScan, ScanLog, Skips
 from slamfusion.io.logs import open_log
 from slamfusion.io.map_server import load_map, save_map
-from slamfusion.io.memory import available_memory, check_memory
 from slamfusion.io.trajectories import read_trajectory
 from slamfusion.io.tum import write_tum
 

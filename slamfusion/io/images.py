@@ -17,8 +17,7 @@ import numpy.typing as npt
 import PIL.Image
 
 from slamfusion.errors import MapFileError, SlamFusionError
-from slamfusion.io.memory import WORKING_BYTES, check_memory, format_bytes
-from slamfusion.io.regular import open_regular
+from slamfusion.io.files import WORKING_BYTES, check_memory, format_bytes, open_regular
 
 # (H, W) grey, (H, W, 3) colour or (H, W, 4) colour and alpha, uint8 or uint16; row 0 is the top.
 Pixels = npt.NDArray[Any]

@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from slamfusion.errors import LogError, SlamFusionError
-from slamfusion.io.memory import check_memory
-from slamfusion.io.regular import open_regular
+from slamfusion.io.files import check_memory, open_regular
 
 # Of a row of some ten numbers while it is a list of Python floats, with the table made of it.
 ROW_BYTES = 600

@@ -9,7 +9,7 @@ import math
 from pathlib import Path
 
 from slamfusion.geometry import wrap_angle
-from slamfusion.io.atomic import AtomicFiles, write_atomic
+from slamfusion.io.files import AtomicFiles, write_atomic
 from slamfusion.io.lines import packed_by_name
 from slamfusion.trajectory import Trajectory
 

@@ -13,7 +13,7 @@ from typing import Any
 import yaml
 
 from slamfusion.errors import SlamFusionError, shown
-from slamfusion.io.regular import read_small
+from slamfusion.io.files import read_small
 
 # 1 MiB of measured distances is 90 000 values; settings and courses are some hundred.
 VALUES_MAX = 100_000

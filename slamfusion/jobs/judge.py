@@ -29,7 +29,7 @@ from slamfusion.evidence import (
 )
 from slamfusion.fusion.groups import LEAST_FUSED
 from slamfusion.io import open_log, read_trajectory, write_tum
-from slamfusion.io.atomic import AtomicFiles
+from slamfusion.io.files import AtomicFiles
 from slamfusion.jobs.cases import Placed
 from slamfusion.jobs.documents import circumstances, path_text
 from slamfusion.jobs.fused_path import DrivePath, fuse_weighed_paths

@@ -31,8 +31,7 @@ from slamfusion.evidence import (
     score_paths,
     with_path,
 )
-from slamfusion.evidence.drawn_fusion import fuse_with_drawn
-from slamfusion.evidence.drawn_map import DrawnScan, drawn_scans
+from slamfusion.evidence.drawn_map import DrawnScan, drawn_scans, fuse_with_drawn
 from slamfusion.fusion.groups import LEAST_FUSED
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import open_log

@@ -12,7 +12,7 @@ import numpy as np
 from slamfusion.evaluation import error_kinds
 from slamfusion.fusion.path_check import PathGap, moved_path
 from slamfusion.geometry import Pose2
-from slamfusion.io.atomic import AtomicFiles
+from slamfusion.io.files import AtomicFiles
 from slamfusion.jobs.map_log import ProducerResult
 from slamfusion.jobs.run import LogRun
 from slamfusion.jobs.trajectory import Measures

@@ -8,8 +8,7 @@ from pathlib import Path
 
 from slamfusion.config import RunConfig
 from slamfusion.errors import ConfigError, TrajectoryError
-from slamfusion.evidence.beams import JudgedScans
-from slamfusion.evidence.stamps import cover_stamps
+from slamfusion.evidence.beams import JudgedScans, cover_stamps
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import read_trajectory
 from slamfusion.jobs.cases import CaseFile, files_by_case

@@ -19,8 +19,8 @@ import numpy.typing as npt
 import scipy
 
 from slamfusion.geometry import compose_poses, invert_poses, wrap_angles
-from slamfusion.pose_graph.covariance import inverted, moved, turned
-from slamfusion.pose_graph.measurements import Measurements
+from slamfusion.pose_graph.least_squares import Measurements
+from slamfusion.pose_graph.uncertainty import inverted, moved, turned
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]

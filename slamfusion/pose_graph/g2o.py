@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.errors import GraphError
-from slamfusion.io.atomic import AtomicFiles, write_atomic
+from slamfusion.io.files import AtomicFiles, write_atomic
 from slamfusion.io.lines import TextLines, packed_by_name
 from slamfusion.pose_graph.graph import (
     PoseGraph,

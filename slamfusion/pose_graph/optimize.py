@@ -19,8 +19,7 @@ from slamfusion.pose_graph.graph import (
     joining,
     part_labels,
 )
-from slamfusion.pose_graph.initialize import rotations_first
-from slamfusion.pose_graph.measurements import Measurements
+from slamfusion.pose_graph.least_squares import Measurements, rotations_first
 from slamfusion.pose_graph.robust import (
     InlierSet,
     Problem,

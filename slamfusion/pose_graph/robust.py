@@ -29,10 +29,14 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.pose_graph.consensus import Consensus, find_consensus
-from slamfusion.pose_graph.descend import NEGLIGIBLE, Descent, descend
-from slamfusion.pose_graph.initialize import rotations_first
-from slamfusion.pose_graph.measurements import Measurements
-from slamfusion.pose_graph.normal_equations import NormalEquations
+from slamfusion.pose_graph.least_squares import (
+    NEGLIGIBLE,
+    Descent,
+    Measurements,
+    NormalEquations,
+    descend,
+    rotations_first,
+)
 from slamfusion.pose_graph.uncertainty import Gates, Uncertainty, gates
 
 Array = npt.NDArray[np.float64]

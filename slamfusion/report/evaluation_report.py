@@ -10,7 +10,7 @@ from slamfusion.align.records import Alignment
 from slamfusion.config import PICTURE_FORMS, RunConfig
 from slamfusion.errors import MapFileError
 from slamfusion.evaluation import MapError
-from slamfusion.io.atomic import AtomicFiles, write_atomic
+from slamfusion.io.files import AtomicFiles, write_atomic
 from slamfusion.report import plots
 from slamfusion.report.canvas import in_form
 from slamfusion.report.layers import error_layers

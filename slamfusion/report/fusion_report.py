@@ -11,7 +11,7 @@ from slamfusion.align.records import Alignment, FusionResult, InputRecord
 from slamfusion.config import RunConfig
 from slamfusion.evaluation import MapError
 from slamfusion.grid import CellBox, OccupancyGrid
-from slamfusion.io.atomic import AtomicFiles
+from slamfusion.io.files import AtomicFiles
 from slamfusion.palette import DISAGREEMENT_RGB
 from slamfusion.report import plots
 from slamfusion.report.canvas import Classes, crop_box

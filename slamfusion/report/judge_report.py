@@ -8,7 +8,7 @@ from pathlib import Path
 from slamfusion.config import RunConfig
 from slamfusion.evidence.predictive import PathEvidence
 from slamfusion.evidence.recommendation import Recommendation
-from slamfusion.io.atomic import AtomicFiles
+from slamfusion.io.files import AtomicFiles
 from slamfusion.report.evidence import evidence_section
 from slamfusion.report.page import (
     Banner,

@@ -17,7 +17,7 @@ from slamfusion.evaluation import (
     face_figures,
     shown_figures,
 )
-from slamfusion.evaluation.cells import sample_on_lattice
+from slamfusion.evaluation.distances import sample_on_lattice
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, OccupancyGrid, known_box, trinary_cells
 from slamfusion.palette import Rgb, colours_of

@@ -20,7 +20,7 @@ import yaml
 from markupsafe import Markup
 
 from slamfusion.config import PICTURE_FORMS, RunConfig, to_mapping
-from slamfusion.io.atomic import AtomicFiles
+from slamfusion.io.files import AtomicFiles
 from slamfusion.palette import Rgb
 from slamfusion.report.canvas import in_form
 from slamfusion.report.layers import Layers

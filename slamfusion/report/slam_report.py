@@ -7,7 +7,7 @@ from pathlib import Path
 
 from slamfusion.config import RunConfig
 from slamfusion.evaluation import RelationErrors, trajectory_errors
-from slamfusion.io.atomic import AtomicFiles
+from slamfusion.io.files import AtomicFiles
 from slamfusion.palette import colours_of
 from slamfusion.report import paths
 from slamfusion.report.layers import map_layers

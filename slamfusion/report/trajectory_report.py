@@ -14,7 +14,7 @@ from slamfusion.evaluation import (
 )
 from slamfusion.fusion.path_check import moved_path
 from slamfusion.grid import OccupancyGrid
-from slamfusion.io.atomic import AtomicFiles
+from slamfusion.io.files import AtomicFiles
 from slamfusion.palette import colours_of
 from slamfusion.report import paths
 from slamfusion.report.map_axes import mark_legend

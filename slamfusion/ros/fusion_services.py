@@ -14,8 +14,8 @@ from rclpy.parameter import parameter_value_to_python
 from std_srvs.srv import Trigger
 
 from slamfusion.errors import SlamFusionError
+from slamfusion.io.files import refuse_overwriting
 from slamfusion.io.map_server import map_sources, save_map, saved_files
-from slamfusion.io.overwriting import refuse_overwriting
 from slamfusion.ros import messages
 from slamfusion.ros.base import SHOWN_S, Level
 from slamfusion.ros.fusion_inputs import FILE_PREFIX, saved_path

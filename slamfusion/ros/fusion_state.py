@@ -12,8 +12,7 @@ from slamfusion.errors import ConfigError, SlamFusionError
 from slamfusion.fusion.live import LiveFusion
 from slamfusion.fusion.live.session import FusionState
 from slamfusion.fusion.live.state import LiveState, StateError, is_state
-from slamfusion.io.atomic import write_atomic
-from slamfusion.io.memory import check_memory
+from slamfusion.io.files import check_memory, write_atomic
 from slamfusion.ros.base import Level, NodeBase, Worker
 
 # A state is written at most this often, seconds, and so that writing takes a tenth of the time.

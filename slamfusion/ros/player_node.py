@@ -24,10 +24,10 @@ from slamfusion.config import LogConfig, PlayerNodeConfig
 from slamfusion.deskew import Deskewer
 from slamfusion.errors import ConfigError, LogError, SlamFusionError
 from slamfusion.geometry import Pose2
+from slamfusion.io.files import refuse_overwriting
 from slamfusion.io.log import LogScan, ScanLog
 from slamfusion.io.logs import log_sources, open_log
 from slamfusion.io.map_server import save_map, saved_files
-from slamfusion.io.overwriting import refuse_overwriting
 from slamfusion.io.stamps import AHEAD_S, CONFIRMING
 from slamfusion.ros import messages, qos
 from slamfusion.ros.base import Level, NodeBase, Status

@@ -33,8 +33,7 @@ from slamfusion.errors import ConfigError, SimulationError, shown
 from slamfusion.geometry import Pose2
 from slamfusion.io.yaml_file import read_yaml
 from slamfusion.sim.drive import DRIVES
-from slamfusion.sim.lidar import LIDARS
-from slamfusion.sim.world import Person
+from slamfusion.sim.world import LIDARS, Person
 
 T = TypeVar("T")
 Point = tuple[float, float]

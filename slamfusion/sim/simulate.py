@@ -15,18 +15,24 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import ObstacleConfig
 from slamfusion.errors import SimulationError
 from slamfusion.geometry import Pose2, interpolate_poses
-from slamfusion.io.atomic import AtomicFiles
 from slamfusion.io.carmen import write_carmen
+from slamfusion.io.files import AtomicFiles
 from slamfusion.io.log import LogScan, deskewed_scans
 from slamfusion.io.map_server import save_map
 from slamfusion.io.tum import write_tum
 from slamfusion.scan import LaserScan
 from slamfusion.sim.courses import Course, course_to_mapping
 from slamfusion.sim.drive import Motion, StuckError, follow_ways, read_odometry, run_script
-from slamfusion.sim.lidar import beam_angles, mount_of, sweep_ranges, time_increment_s
 from slamfusion.sim.people import PERSON_RADIUS_M, Walks, draw_people, walk
 from slamfusion.sim.route import MARGIN_M, FreeSpace
-from slamfusion.sim.world import World, thin_walls
+from slamfusion.sim.world import (
+    World,
+    beam_angles,
+    mount_of,
+    sweep_ranges,
+    thin_walls,
+    time_increment_s,
+)
 from slamfusion.sim.worlds import Floor, draw_floor, pick_glass
 from slamfusion.trajectory import Trajectory
 

@@ -16,9 +16,14 @@ from slamfusion.errors import SimulationError
 from slamfusion.geometry import Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid, trinary_cells
 from slamfusion.io.map_server import load_map
-from slamfusion.sim.building import draw_building
-from slamfusion.sim.canvas import Canvas
-from slamfusion.sim.corridors import draw_pillars, draw_ring, draw_rooms, draw_wings
+from slamfusion.sim.building import (
+    Canvas,
+    draw_building,
+    draw_pillars,
+    draw_ring,
+    draw_rooms,
+    draw_wings,
+)
 
 Point = tuple[float, float]
 

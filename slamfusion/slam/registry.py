@@ -44,9 +44,9 @@ _LOG = logging.getLogger(__name__)
 ENTRY_POINTS = "slamfusion.producers"
 # Where the records of our own producers lie, in the order of the papers' tables.
 _PLACES = {
-    "tinyslam": "slamfusion.slam.tinyslam.producer:PRODUCER",
-    "gmapping": "slamfusion.slam.gmapping.producer:PRODUCER",
-    "graph": "slamfusion.slam.graph.producer:PRODUCER",
+    "tinyslam": "slamfusion.slam.tinyslam.slam:PRODUCER",
+    "gmapping": "slamfusion.slam.gmapping.slam:PRODUCER",
+    "graph": "slamfusion.slam.graph.slam:PRODUCER",
 }
 BUILT_IN = tuple(_PLACES)
 # Seconds between two published maps of a producer that names no other interval.

@@ -57,10 +57,12 @@ from rich.table import Table
 
 from slamfusion.geometry import compose_poses, invert_poses
 from slamfusion.pose_graph import PoseGraph, chi2_of, optimize, read_g2o
-from slamfusion.pose_graph.descend import descend
-from slamfusion.pose_graph.initialize import rotations_first
-from slamfusion.pose_graph.measurements import Measurements
-from slamfusion.pose_graph.normal_equations import NormalEquations
+from slamfusion.pose_graph.least_squares import (
+    Measurements,
+    NormalEquations,
+    descend,
+    rotations_first,
+)
 from slamfusion.pose_graph.optimize import Robust
 from tests.benchmarks.record import add_record_option, console_for
 from tests.pose_graph.graphs import POSE_GRAPHS, apart, with_false_closures

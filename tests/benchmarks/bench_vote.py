@@ -50,8 +50,8 @@ from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import EvaluateConfig, FusionConfig, NormalizeConfig, VoteMode
 from slamfusion.errors import AlignmentError
 from slamfusion.evaluation import doubled_wall_share, wall_thickness
-from slamfusion.evaluation.cells import sample_on_lattice, wall_centres
-from slamfusion.evaluation.wall_distances import harmonic_mean, nearest_distances, share_within
+from slamfusion.evaluation.distances import sample_on_lattice, wall_centres
+from slamfusion.evaluation.wall_faces import harmonic_mean, nearest_distances, share_within
 from slamfusion.fusion.pipeline import fuse_grids, vote_again
 from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, trinary_cells

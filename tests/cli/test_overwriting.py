@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from slamfusion.cli.paths import InputPath, OutputPath
 from slamfusion.cli.program import cli, run_program
 from slamfusion.errors import SlamFusionError
-from slamfusion.io.overwriting import refuse_overwriting
+from slamfusion.io.files import refuse_overwriting
 from tests.cli.command import SAMPLE
 
 Case = tuple[str, str, str]

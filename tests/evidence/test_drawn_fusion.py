@@ -12,7 +12,7 @@ from slamfusion.align.records import FusionResult, InputRecord
 from slamfusion.compute import NumpyDevice
 from slamfusion.config import FusionConfig, VoteConfig
 from slamfusion.errors import GridError
-from slamfusion.evidence.drawn_fusion import fuse_with_drawn
+from slamfusion.evidence.drawn_map import fuse_with_drawn
 from slamfusion.geometry import Pose2
 from slamfusion.grid import UNKNOWN, OccupancyGrid
 from tests.support.written_maps import CELL, MEANING, fits, written_map

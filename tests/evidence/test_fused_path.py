@@ -7,8 +7,7 @@ import pytest
 
 from slamfusion.errors import TrajectoryError
 from slamfusion.evidence import FusedPath, fuse_paths
-from slamfusion.evidence.path_consensus import consensus_poses
-from slamfusion.evidence.path_frames import fit_frame, lay_paths
+from slamfusion.evidence.path_frames import consensus_poses, fit_frame, lay_paths
 from slamfusion.geometry import Pose2, compose_poses, fit_motion, invert_poses, wrap_angles
 from slamfusion.trajectory import Trajectory
 

@@ -18,7 +18,7 @@ from slamfusion.fusion import fuse_grids
 from slamfusion.fusion.pipeline import vote_again
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.grid import ORIGIN_MOST_M, CellBox, OccupancyGrid
-from slamfusion.io import memory
+from slamfusion.io import files
 from tests.fusion.drawings import (
     assert_right,
     building,
@@ -385,7 +385,7 @@ def test_work_that_would_not_fit_into_memory_is_refused(
     device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     grids, _ = three()
-    monkeypatch.setattr(memory, "available_memory", lambda: 1000)
+    monkeypatch.setattr(files, "available_memory", lambda: 1000)
     with pytest.raises(MemoryBudgetError, match=r"^b: .*needs .* of memory"):
         fuse_grids(grids, QUICK, device)
 

@@ -21,7 +21,7 @@ from slamfusion.config import NormalizeConfig
 from slamfusion.errors import MapFileError, MemoryBudgetError, SlamFusionError
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid, trinary_cells
-from slamfusion.io import images, load_map, memory, save_map
+from slamfusion.io import files, images, load_map, save_map
 from tests.io.pictures import bmp24, chunk, pgm, png, write_map
 from tests.support.datasets import load_entry, map_entries
 from tests.support.examples import examples
@@ -611,7 +611,7 @@ def test_a_device_is_never_a_place_for_a_map(stem: str) -> None:
 
 
 def test_saving_beyond_memory_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(memory, "available_memory", lambda: 1000)
+    monkeypatch.setattr(files, "available_memory", lambda: 1000)
     with pytest.raises(MemoryBudgetError, match=r"out\.pgm: saving a 3 x 2 map needs"):
         save_map(grid_of(CELLS), tmp_path / "out")
     assert list(tmp_path.iterdir()) == []

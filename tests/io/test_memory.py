@@ -6,7 +6,7 @@ import psutil
 import pytest
 
 from slamfusion.errors import MemoryBudgetError
-from slamfusion.io import available_memory, check_memory, memory
+from slamfusion.io import available_memory, check_memory, files
 
 
 def test_no_more_is_available_than_the_machine_has() -> None:
@@ -16,7 +16,7 @@ def test_no_more_is_available_than_the_machine_has() -> None:
 def test_what_fits_passes_and_what_does_not_is_refused_with_numbers(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(memory, "available_memory", lambda: 3 * 2**30)
+    monkeypatch.setattr(files, "available_memory", lambda: 3 * 2**30)
     check_memory(3 * 2**30, "a map", "here.yaml")
     with pytest.raises(MemoryBudgetError) as caught:
         check_memory(5 * 2**30, "fusing 3 maps", "here.yaml")

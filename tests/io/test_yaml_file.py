@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from slamfusion.errors import ConfigError, MapFileError
-from slamfusion.io.regular import SMALL_BYTES
+from slamfusion.io.files import SMALL_BYTES
 from slamfusion.io.yaml_file import DEPTH_MAX, VALUES_MAX, read_yaml
 
 pytestmark = pytest.mark.once

@@ -13,7 +13,7 @@ from scipy.spatial import KDTree
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import MatcherConfig
-from slamfusion.evaluation.cells import wall_centres
+from slamfusion.evaluation.distances import wall_centres
 from slamfusion.evidence import PathEvidence, find_exclusions, judged_scans, score_paths
 from slamfusion.evidence.drawn_map import DrawnScan, draw_map, drawn_scans
 from slamfusion.geometry import Pose2, compose_poses

@@ -11,7 +11,7 @@ from scipy.spatial import KDTree
 
 from slamfusion.compute import NumpyDevice
 from slamfusion.errors import ConfigError, SlamFusionError, StartError
-from slamfusion.evaluation.cells import wall_centres
+from slamfusion.evaluation.distances import wall_centres
 from slamfusion.evidence import FusedPath, UndecidedSpan, judged_scans, score_paths
 from slamfusion.evidence.drawn_map import drawn_scans
 from slamfusion.fusion.path_check import moved_path

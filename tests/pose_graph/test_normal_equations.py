@@ -7,8 +7,7 @@ import numpy.typing as npt
 import pytest
 
 from slamfusion.geometry import Pose2, wrap_angle
-from slamfusion.pose_graph.measurements import Measurements
-from slamfusion.pose_graph.normal_equations import NormalEquations
+from slamfusion.pose_graph.least_squares import Measurements, NormalEquations
 
 Array = npt.NDArray[np.float64]
 

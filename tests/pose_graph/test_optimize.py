@@ -12,11 +12,13 @@ from hypothesis import strategies as st
 from slamfusion.errors import GraphError
 from slamfusion.geometry import compose_poses, wrap_angles
 from slamfusion.pose_graph import PoseGraph, Start, chi2_of, optimize, read_g2o
-from slamfusion.pose_graph.descend import descend
 from slamfusion.pose_graph.graph import chained_poses
-from slamfusion.pose_graph.initialize import rotations_first
-from slamfusion.pose_graph.measurements import Measurements
-from slamfusion.pose_graph.normal_equations import NormalEquations
+from slamfusion.pose_graph.least_squares import (
+    Measurements,
+    NormalEquations,
+    descend,
+    rotations_first,
+)
 from tests.pose_graph.graphs import ABSENT, POSE_GRAPHS, drawn, laps, ring
 from tests.pose_graph.gtsam_oracle import GtsamGraph, has_gtsam
 from tests.support.examples import examples

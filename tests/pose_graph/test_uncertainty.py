@@ -8,10 +8,8 @@ import pytest
 
 from slamfusion.geometry import compose_poses, invert_poses, wrap_angles
 from slamfusion.pose_graph import PoseGraph, optimize
-from slamfusion.pose_graph.covariance import turned
-from slamfusion.pose_graph.measurements import Measurements
-from slamfusion.pose_graph.normal_equations import NormalEquations
-from slamfusion.pose_graph.uncertainty import Uncertainty, gates
+from slamfusion.pose_graph.least_squares import Measurements, NormalEquations
+from slamfusion.pose_graph.uncertainty import Uncertainty, gates, turned
 from tests.pose_graph.graphs import INFORMATION, between, drawn, laps
 from tests.pose_graph.gtsam_oracle import GtsamGraph, has_gtsam
 

@@ -19,7 +19,7 @@ from slamfusion.sim.courses import (
     with_overrides,
 )
 from slamfusion.sim.drive import DRIVES
-from slamfusion.sim.lidar import LIDARS
+from slamfusion.sim.world import LIDARS
 
 FULL = {
     "name": "mine",

@@ -14,8 +14,7 @@ from slamfusion.config import LidarConfig, ObstacleConfig
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OCCUPIED, OccupancyGrid
 from slamfusion.scan import LaserScan
-from slamfusion.sim.lidar import LIDARS, beam_angles, mount_of, sweep_ranges
-from slamfusion.sim.world import World
+from slamfusion.sim.world import LIDARS, World, beam_angles, mount_of, sweep_ranges
 from tests.sim.places import room, world_of
 
 EXACT = LidarConfig(

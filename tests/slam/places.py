@@ -17,8 +17,7 @@ from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.log import LogScan
 from slamfusion.scan import LaserScan
-from slamfusion.slam.common.matcher import ScanOnTiles
-from slamfusion.slam.common.response import response_information
+from slamfusion.slam.common.matcher import ScanOnTiles, response_information
 from slamfusion.slam.graph import GraphSlam
 from slamfusion.slam.graph.submap import Submap
 from slamfusion.trajectory import Trajectory

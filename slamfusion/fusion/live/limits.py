@@ -16,7 +16,7 @@ from slamfusion.align.decide import WALLS_MIN
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import MemoryBudgetError
 from slamfusion.grid import OccupancyGrid, implausible
-from slamfusion.io.memory import check_memory
+from slamfusion.io.files import check_memory
 
 I8 = npt.NDArray[np.int8]
 

@@ -22,7 +22,7 @@ from slamfusion.fusion.live.state import LiveState
 from slamfusion.fusion.live.track import Track
 from slamfusion.geometry import Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, trinary_cells
-from slamfusion.io.memory import check_memory
+from slamfusion.io.files import check_memory
 from slamfusion.vote.agreement import Trust, WallCounts, count_walls
 from slamfusion.vote.boxes import grown_inside, hull, joined, moved, overlap, padded, slices
 from slamfusion.vote.lattice import Lattice

@@ -40,8 +40,7 @@ from slamfusion.io.bags.reader import (
     TRANSFORM_TYPES,
     ZSTD_MAGIC,
 )
-from slamfusion.io.memory import format_bytes
-from slamfusion.io.regular import open_regular
+from slamfusion.io.files import format_bytes, open_regular
 
 # A chunk or a message unpacks to no more; those of recorders are a thousand times smaller.
 PIECE_BYTES = 2**30

@@ -5,7 +5,6 @@ say alone; ``log`` reads with both, and ``writer`` writes.
 """
 
 from slamfusion.io.carmen.log import CarmenLog
-from slamfusion.io.carmen.messages import CARMEN_WORDS
-from slamfusion.io.carmen.writer import write_carmen
+from slamfusion.io.carmen.messages import CARMEN_WORDS, write_carmen
 
 __all__ = ["CARMEN_WORDS", "CarmenLog", "write_carmen"]

@@ -1,24 +1,302 @@
-"""``CarmenLog``: a CARMEN log as a stream of scans."""
+"""``CarmenLog``: the scans of a CARMEN log, after a first pass that finds what no line says alone.
+
+The first pass finds whether the time stamps can be used, where the laser sits on the robot, and
+which readings mean "nothing seen".
+"""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from slamfusion.config import LogConfig
 from slamfusion.deskew import Deskewing
-from slamfusion.errors import ScanError
-from slamfusion.geometry import Pose2
-from slamfusion.io.carmen.messages import NO_SCAN, Message, read_messages
-from slamfusion.io.carmen.survey import count_of, no_return_notes, take_survey
+from slamfusion.errors import LogError, ScanError
+from slamfusion.geometry import Pose2, wrap_angle
+from slamfusion.grid import IDENTITY
+from slamfusion.io.carmen.messages import (
+    CARMEN_WORDS,
+    FORWARD_STEPS_RAD,
+    LASERS,
+    NO_RETURN_PARAM,
+    NO_SCAN,
+    OFFSET_PARAM,
+    OTHER_LASERS,
+    TIME_INCREMENT_PARAM,
+    Message,
+    PoseRow,
+    forward_angles,
+    read_messages,
+)
 from slamfusion.io.lines import TextLines
-from slamfusion.io.log import FARTHEST_M, Continuity, LogScan, Skips
+from slamfusion.io.log import AHEAD_S, FARTHEST_M, Continuity, LogScan, Skips
+from slamfusion.io.no_return import NoReturn, NoReturnFinder
 from slamfusion.io.scan_odometry import ScanOdometry
+from slamfusion.io.stamps import StampGate
 from slamfusion.scan import LaserScan
+
+# Stamps are broken when this share of the scans, and this number at least, is lost to them ...
+_LOST_SHARE, _LOST_AT_LEAST = 0.05, 10
+# ... or, in a short log, most of them.
+_LOST_MOST, _LOST_FEW = 0.5, 3
+# A laser sits still on its robot; logs of 6 significant digits let it move by their rounding.
+_MOUNT_SPREAD_M, _MOUNT_SPREAD_SHARE, _MOUNT_SPREAD_RAD = 2e-3, 4e-6, 2e-3
+# Below this a mount is the rounding of a laser that sits on the robot's origin.
+_MOUNT_ZERO = 1e-9
+
+
+@dataclass
+class StampCheck:
+    """How many scans would be lost if the stamps of a log were believed."""
+
+    scans: int = 0
+    lost: int = 0
+    absent: int = 0
+    are_zero: bool = True
+    _gate: StampGate[float] = field(default_factory=lambda: StampGate(math.inf, ahead_s=AHEAD_S))
+
+    def add(self, stamp_s: float | None) -> None:
+        """Look at the stamp of the next scan, seconds; None: it has none."""
+        self.scans += 1
+        if stamp_s is None:
+            self.absent += 1
+            return
+        self.are_zero &= stamp_s == 0.0
+        newest_s = self._gate.newest_s
+        if newest_s is not None and stamp_s <= newest_s:
+            self.lost += 1
+        else:
+            self.lost += len(self._gate.offer(stamp_s, stamp_s).strays)
+
+    def trouble(self) -> str:
+        """Return why the stamps cannot be used; empty when they can."""
+        if self.absent:
+            return "the scans have no time stamps"
+        if self.are_zero and self.scans > 1:
+            return "all time stamps are 0"
+        many = self.lost >= _LOST_AT_LEAST and self.lost > _LOST_SHARE * self.scans
+        most = self.lost >= _LOST_FEW and self.lost > _LOST_MOST * self.scans
+        if many or most:
+            return (
+                f"the time stamps are broken ({self.lost} of {self.scans} are not later than "
+                "one before)"
+            )
+        return ""
+
+
+@dataclass
+class MountEstimate:
+    """Where the laser sits, from the two poses of every scan's line."""
+
+    scans: int = 0
+    first_yaw_rad: float = 0.0
+    total: npt.NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+    low: npt.NDArray[np.float64] = field(default_factory=lambda: np.full(3, math.inf))
+    high: npt.NDArray[np.float64] = field(default_factory=lambda: np.full(3, -math.inf))
+    farthest_m: float = 0.0
+
+    def add(self, robot: PoseRow, laser: PoseRow) -> None:
+        """Look at the poses of robot and laser at the next scan, metres and radians."""
+        relative = IDENTITY
+        if robot != laser:
+            relative = Pose2(*robot).inverse().compose(Pose2(*laser))
+        if self.scans == 0:
+            self.first_yaw_rad = relative.yaw_rad
+        row = np.array((relative.x, relative.y, wrap_angle(relative.yaw_rad - self.first_yaw_rad)))
+        self.scans += 1
+        self.total += row
+        self.low = np.minimum(self.low, row)
+        self.high = np.maximum(self.high, row)
+        self.farthest_m = max(self.farthest_m, abs(robot[0]), abs(robot[1]))
+
+    def result(self, offset_m: float) -> tuple[Pose2, list[str]]:
+        """Return the mount, and notes where it is not simply what the lines say.
+
+        Args:
+            offset_m: what the log's settings say: the laser is so far ahead of the robot's origin.
+        """
+        setting = f"{OFFSET_PARAM} {offset_m:g} m"
+        if self.scans == 0:
+            note = f"the lines have no laser pose; the laser sits by the setting {setting}"
+            return Pose2(offset_m, 0.0, 0.0), [note] if offset_m else []
+        spread = self.high - self.low
+        allowed_m = _MOUNT_SPREAD_M + _MOUNT_SPREAD_SHARE * self.farthest_m
+        if max(spread[0], spread[1]) > allowed_m or spread[2] > _MOUNT_SPREAD_RAD:
+            note = (
+                "the laser's pose on the robot changes by up to "
+                f"{max(spread[0], spread[1]):.3g} m and {spread[2]:.3g} rad, so it is not where "
+                f"the laser sits (a corrected log?); taken instead: {setting}"
+            )
+            return Pose2(offset_m, 0.0, 0.0), [note]
+        x, y, yaw_rad = self.total / self.scans
+        yaw_rad = wrap_angle(yaw_rad + self.first_yaw_rad)
+        if max(abs(x), abs(y), abs(yaw_rad)) < _MOUNT_ZERO:
+            note = f"the setting {setting} is not used: in every line laser and robot have one pose"
+            return IDENTITY, [note] if offset_m else []
+        return Pose2(float(x), float(y), float(yaw_rad)), []
+
+
+@dataclass
+class Survey:
+    """What a first pass over a log finds."""
+
+    path: Path
+    skips: Skips = field(default_factory=Skips)
+    words: Counter[bytes] = field(default_factory=Counter)
+    # Laser lines, those that cannot be read too.
+    lasers: Counter[bytes] = field(default_factory=Counter)
+    settings: dict[str, float] = field(default_factory=dict)
+    stamps: StampCheck = field(default_factory=StampCheck)
+    # The same for ROBOTLASER1 alone: newer loggers write each scan twice, also as FLASER.
+    own_stamps: StampCheck = field(default_factory=StampCheck)
+    twice: int = 0
+    odd_beams: Counter[int] = field(default_factory=Counter)
+    mount: MountEstimate = field(default_factory=MountEstimate)
+    finder: NoReturnFinder = field(default_factory=NoReturnFinder)
+    # The smallest range limit that ROBOTLASER1 lines state.
+    own_limit_m: float = math.inf
+    _last: tuple[bytes, float | None] = (b"", None)
+
+    def add(self, message: Message) -> None:
+        """Take in one scan."""
+        self.words[message.kind] += 1
+        self.stamps.add(message.stamp_s)
+        if message.kind == b"ROBOTLASER1":
+            self.own_stamps.add(message.stamp_s)
+        elif len(message.ranges_m) not in FORWARD_STEPS_RAD:
+            self.odd_beams[len(message.ranges_m)] += 1
+        now = (message.kind, message.stamp_s)
+        self.twice += now[1] == self._last[1] and now[0] != self._last[0]
+        self._last = now
+        if message.laser is not None:
+            self.mount.add(message.robot, message.laser)
+        if message.range_max_m > 0.0:
+            self.own_limit_m = min(self.own_limit_m, message.range_max_m)
+        self.finder.add(message.ranges_m)
+
+    def add_other(self, word: bytes, line: bytes) -> None:
+        """Take in a line that is no scan."""
+        if word == b"PARAM":
+            name, value = (*line.split()[1:3], b"", b"")[:2]
+            key = name.decode("ascii", "replace")
+            if key in {NO_RETURN_PARAM, OFFSET_PARAM, TIME_INCREMENT_PARAM}:
+                with suppress(ValueError):
+                    self.settings[key] = float(value)
+        if not word.startswith(b"#"):
+            self.words[word if word in CARMEN_WORDS else b"other lines"] += 1
+
+    def kinds(self) -> frozenset[bytes]:
+        """Return the laser lines to use: all, but no scan twice."""
+        if self.has_scans_twice():
+            return frozenset({b"ROBOTLASER1"})
+        return frozenset(LASERS)
+
+    def laser_lines(self) -> int:
+        """Return how many laser lines are used, those that cannot be read too."""
+        return count_of(self.lasers, self.kinds())
+
+    def has_scans_twice(self) -> bool:
+        """Whether most scans stand in the log as FLASER and as ROBOTLASER1."""
+        fewer = min(self.words[b"FLASER"], self.words[b"ROBOTLASER1"])
+        return fewer > 0 and 2 * self.twice > fewer
+
+    def stamp_trouble(self) -> str:
+        """Return why the stamps cannot be used; empty when they can."""
+        return (self.own_stamps if self.has_scans_twice() else self.stamps).trouble()
+
+    @property
+    def said_no_return_m(self) -> float | None:
+        """The no-return value in the log's own settings, if any."""
+        value = self.settings.get(NO_RETURN_PARAM, math.nan)
+        return value if value > 0.0 else None
+
+    @property
+    def time_increment_s(self) -> float:
+        """The time from beam to beam in the log's own settings, seconds; 0: it says none."""
+        value = self.settings.get(TIME_INCREMENT_PARAM, 0.0)
+        return value if math.isfinite(value) else 0.0
+
+    def offset_m(self) -> float:
+        """Return how far ahead the laser sits by the log's settings."""
+        value = self.settings.get(OFFSET_PARAM, 0.0)
+        return value if math.isfinite(value) else 0.0
+
+    def no_return(self) -> NoReturn:
+        """Return what the readings say."""
+        return self.finder.result()
+
+    def notes(self, config: LogConfig) -> list[str]:
+        """Return what a user should know of time, angles and lines left out."""
+        notes = []
+        if self.stamp_trouble():
+            notes.append(
+                f"{self.stamp_trouble()}; used instead: the scan's index times "
+                f"{config.index_period_s:g} s"
+            )
+        for beams, scans in sorted(self.odd_beams.items()):
+            step_deg = math.degrees(forward_angles(beams)[1])
+            notes.append(
+                f"{scans} scans of {beams} beams do not say their angles; taken: 180 degrees "
+                f"forward in steps of {step_deg:.4g} degrees"
+            )
+        if self.has_scans_twice():
+            notes.append(f"the {self.words[b'FLASER']} FLASER lines repeat ROBOTLASER1; left out")
+        for word, what in OTHER_LASERS.items():
+            if self.words[word]:
+                notes.append(f"{self.words[word]} {word.decode()} lines left out: {what}")
+        return notes
+
+
+def no_return_notes(survey: Survey, found: NoReturn, config: LogConfig) -> list[str]:
+    """Say which readings saw nothing, where the log does not say it itself."""
+    if config.no_return_m is not None or survey.said_no_return_m is not None:
+        return []
+    if survey.own_limit_m < (math.inf if found.from_m is None else found.from_m):
+        return [f"readings from {survey.own_limit_m:g} m on saw nothing, as the lines say"]
+    if found.from_m is None:
+        return ["no reading is repeated as lasers do that saw nothing; all count as hits"]
+    return [
+        f"readings from {found.from_m:.2f} m on saw nothing (the log repeats {found.code_m:g} m)"
+    ]
+
+
+def take_survey(path: Path) -> Survey:
+    """Read the whole log once."""
+    survey = Survey(path)
+    lines = TextLines(path)
+    for _, message in read_messages(lines, survey.skips, survey.lasers, survey.add_other):
+        survey.add(message)
+    if survey.stamps.scans == 0:
+        raise LogError(_no_laser(survey))
+    return survey
+
+
+def count_of(seen: Counter[bytes], words: Collection[bytes]) -> int:
+    """Return how many lines begin with one of the words."""
+    return sum(seen[word] for word in words)
+
+
+def _no_laser(survey: Survey) -> str:
+    """Say in one line why there is nothing to read."""
+    wanted = "FLASER, ROBOTLASER1, LASER_READING or Laser lines"
+    if survey.skips.total:
+        reasons = "; ".join(survey.skips.sentences())
+        return f"{survey.path}: no readable laser scan among its lines: {reasons}; mend the file"
+    if not survey.words:
+        return f"{survey.path}: wanted {wanted}, found no line at all; the log is empty"
+    found = ", ".join(f"{count} {word.decode()}" for word, count in survey.words.most_common(5))
+    return (
+        f"{survey.path}: wanted {wanted}, found {found}; there is no laser in it, give a log that "
+        "recorded one"
+    )
+
 
 _DEFAULT_CONFIG = LogConfig()
 

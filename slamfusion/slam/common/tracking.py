@@ -24,10 +24,11 @@ from slamfusion.slam.common.matcher import (
     PoseHypothesis,
     ScanOnTiles,
     Spread,
+    keep_degenerate_prior,
+    response_hessian,
     search_pose,
 )
 from slamfusion.slam.common.pose_rows import row_of
-from slamfusion.slam.common.response import keep_degenerate_prior, response_hessian
 from slamfusion.slam.common.state import Stateful
 
 # Share of the running mean score below which a match is low: while tracking holds that is rare.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from slamfusion.slam.gmapping.health import FilterHealth
-from slamfusion.slam.gmapping.slam import Gmapping
+from slamfusion.slam.gmapping.slam import FilterHealth, Gmapping
 
 __all__ = ["FilterHealth", "Gmapping"]

@@ -2,18 +2,95 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.geometry import Pose2
+from slamfusion.compute import ComputeDevice
+from slamfusion.compute.arrays import DeviceArray
+from slamfusion.compute.hit_counts import BeamScan, FieldRule
+from slamfusion.compute.layout import MOST_BEAMS
+from slamfusion.geometry import Pose2, compose_poses, wrap_angles
+from slamfusion.grid import OccupancyGrid
+from slamfusion.scan import LaserScan
+from slamfusion.slam.common.hit_cells import halve_counts, percent_of_counts
 from slamfusion.slam.common.mapper import Series
+from slamfusion.slam.common.matcher import FieldMap, pose_table
 from slamfusion.slam.common.pose_rows import pose_of
-from slamfusion.slam.gmapping.proposal import effective_particles
+from slamfusion.slam.common.state import Stateful
+from slamfusion.slam.common.tile_map import SharedTileMaps
+from slamfusion.trajectory import Trajectory
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
+
+
+# Usable range where ``maxUrange`` is open: metres, and share of the laser's range, near whose end
+# readings are often returns of nothing.
+DEFAULT_USABLE_M, USABLE_SHARE = 80.0, 0.98
+
+
+@dataclass(frozen=True, eq=False)
+class Beams:
+    """The beams of a scan that count.
+
+    Attributes:
+        ends: (B, 2) metres in the robot's frame.
+        is_hit: (B,) 1 for those that hit something there; the others are free up to their end.
+        laser: (2,) likewise.
+    """
+
+    ends: F64
+    is_hit: npt.NDArray[np.uint8]
+    laser: F64
+
+    @property
+    def hits(self) -> F64:
+        """(P, 2) the ends that hit something."""
+        return np.asarray(self.ends[self.is_hit == 1])
+
+
+def beams_of(scan: LaserScan, config: Any) -> Beams:
+    """Return the beams of a scan that count.
+
+    Args:
+        scan: the sweep.
+        config: a ``GmappingConfig``.
+    """
+    most = config.maxRange or scan.range_max_m
+    usable = config.maxUrange or min(DEFAULT_USABLE_M, USABLE_SHARE * scan.range_max_m)
+    usable = min(usable, most)
+    hit = scan.is_hit(usable)
+    free = scan.is_hit(most) & ~hit
+    if most > scan.range_max_m:  # [G07]'s way to say that no return means free space
+        free |= scan.is_clear()
+    chosen = hit | free
+    ends = scan.points(chosen, np.where(hit, scan.ranges, usable))
+    laser = np.array([scan.mount.x, scan.mount.y])
+    return Beams(ends, hit[chosen].astype(np.uint8), laser)
+
+
+def effective_particles(weights: F64) -> float:
+    """Return N_eff of normalised weights, 1 to N."""
+    return 1.0 / float(np.square(weights).sum())
+
+
+def resample_systematic(weights: F64, start: float) -> npt.NDArray[np.int64]:
+    """Return (N,) which particle each new one descends from; systematic resampling.
+
+    Args:
+        weights: (N,) normalised.
+        start: uniform in [0, 1).
+    """
+    count = len(weights)
+    places = (np.arange(count) + start) / count
+    sums = np.cumsum(weights)
+    # Rounding may leave the last place beyond the sum: it goes to the last one with any weight.
+    last = np.searchsorted(sums, sums[-1])
+    return np.asarray(np.minimum(np.searchsorted(sums, places, side="right"), last))
 
 
 @dataclass(eq=False)
@@ -95,3 +172,197 @@ def normalised_weights(log_weights: F64, gain: float) -> F64:
     away = log_weights - log_weights.max()
     weights = np.exp(away / (gain * len(log_weights)))
     return np.asarray(weights / weights.sum())
+
+
+# Share of a cell's beams that ended in it from which on the matcher takes it for a wall; the
+# published map asks for ``occ_thresh``.
+MATCHER_SHARE = 0.1
+# Entries of the score field's table by squared distance.
+TABLE_STEPS = 256
+# Beams of a scan that are mapped at most, what a cell can count at once: of more every second
+# (third, ...) is.
+MOST_MAPPED = MOST_BEAMS
+# Share of ``memory_budget`` that the maps may hold before particles are resampled for it: a scan
+# may still add as much as the rest.
+BUDGET_SHARE = 0.8
+BYTES_PER_MB = 1e6
+
+
+class ParticleMaps(Stateful):
+    """Maps of N particles on tiles that they share until one writes.
+
+    Attributes:
+        anchor: (2,) x and y in the map frame, metres, of the cells' lattice.
+        tiles: counts of hits and visits, sums of the hits' places, and the score field.
+    """
+
+    STATE = ("anchor", "tiles")
+
+    def __init__(self, config: Any, device: ComputeDevice, count: int) -> None:
+        """Start empty.
+
+        Args:
+            config: a ``GmappingConfig`` with nothing left open.
+            device: where the maps live.
+            count: N.
+        """
+        self.anchor = np.zeros(2)
+        pools = {"counts": np.uint32, "sums": np.uint32, "field": np.uint8}
+        self.tiles = SharedTileMaps(device, count, pools)
+        self._config = config
+        self._device = device
+        self._field_rule = self._make_field_rule()
+
+    @property
+    def field(self) -> DeviceArray[Any]:
+        """Score field of all maps, on the device."""
+        return self.tiles.pools["field"]
+
+    @property
+    def corner(self) -> F64:
+        """Lower-left corner of the window in the map frame, (2,) x and y in cells."""
+        return np.asarray(self.anchor / self._config.delta + self.tiles.origin)
+
+    @property
+    def is_over_budget(self) -> bool:
+        """Whether the maps hold nearly all of ``memory_budget``, if there is one."""
+        budget = BUDGET_SHARE * self._config.memory_budget * BYTES_PER_MB
+        return bool(0.0 < budget < self.tiles.used_bytes)
+
+    def begin_at(self, place: F64) -> None:
+        """Lay the cells so that their lattice is the map frame's, near a place (2,), metres."""
+        cell = self._config.delta
+        self.anchor = np.floor(place / cell) * cell
+
+    def walls(self, index: int) -> FieldMap:
+        """Return one particle's map as the matcher sees it."""
+        return FieldMap(self.field, self.tiles.page_table(index), self.corner, self._config.delta)
+
+    def grid(self, index: int, name: str) -> OccupancyGrid:
+        """Return one particle's map as it is published."""
+        counts, first = self.tiles.cells("counts", index)
+        cell = self._config.delta
+        corner = self.anchor + first * cell
+        origin = Pose2(float(corner[0]), float(corner[1]))
+        percent = percent_of_counts(counts.astype(np.uint32), self._config.occ_thresh)
+        grid = OccupancyGrid(percent, cell, origin, name)
+        box = grid.known_box()
+        return grid if box is None else grid.crop(box)
+
+    def integrate(self, beams: Beams, poses: F64, alive: I64) -> None:
+        """Integrate a scan into the maps of some particles.
+
+        Args:
+            beams: of the scan.
+            poses: (N, 3) of all particles.
+            alive: indices of those that write.
+        """
+        config, maps, device = self._config, self.tiles, self._device
+        cell = config.delta
+        every = -(-len(beams.ends) // MOST_MAPPED)
+        ends, is_hit, laser = beams.ends[::every], beams.is_hit[::every], beams.laser
+        reach = float(np.hypot(*np.vstack((ends, laser)).T).max()) / cell + config.kernelSize + 1.0
+        at = (poses - (*self.anchor, 0.0))[alive] / (cell, cell, 1.0)
+        maps.cover(at[:, :2].min(axis=0) - reach, at[:, :2].max(axis=0) + reach)
+        table = pose_table(at, 1.0, maps.origin)
+        scan = BeamScan(
+            (ends / cell).astype(np.float32), is_hit, (laser / cell).astype(np.float32), table
+        )
+        pages = maps.page_tables_of(alive)
+        written = np.zeros(maps.pages.shape, dtype=np.bool_)
+        written[alive] = device.touch_pages(pages, scan, config.kernelSize)
+        maps.make_writable(written)
+        pages, pools = maps.page_tables_of(alive), maps.pools
+        if device.count_beams(pools["counts"], pools["sums"], pages, scan):
+            halve_counts(device, pools)
+        device.settle_field(
+            pools["counts"], pools["sums"], pools["field"], pages, scan, self._field_rule
+        )
+
+    def _make_field_rule(self) -> FieldRule:
+        """Return how the score field follows from the counts."""
+        config = self._config
+        # No occupied cell within reach is farther than this, in (1/256 cell)^2.
+        farthest = 2.0 * ((config.kernelSize + 0.5) * 256.0) ** 2
+        shift = max(0, math.ceil(math.log2(farthest / TABLE_STEPS)))
+        squared_m2 = np.arange(TABLE_STEPS) * 2.0**shift / 65536.0 * config.delta**2
+        return FieldRule(
+            table=np.rint(255.0 * np.exp(-squared_m2 / config.sigma)).astype(np.uint8),
+            shift=shift,
+            reach=config.kernelSize,
+            occupied=round(MATCHER_SHARE * 65536),
+            least_hits=1,
+        )
+
+
+# Least standard deviations of a cloud, metres, metres, radians: its entropy stays finite.
+LEAST_SIGMAS = (1e-3, 1e-3, 1e-3)
+
+
+class ParticlePaths(Stateful):
+    """The paths of N particles.
+
+    A node is a filter step: a pose of each particle and its parent in the node before. Scans
+    between two nodes are the same small motion for every particle, counted from the last node.
+    """
+
+    STATE = ("_poses", "_parents", "_entropies", "_stamps", "_nodes", "_motions")
+
+    def __init__(self, count: int) -> None:
+        """Start without a node."""
+        self._count = count
+        self._poses: list[F64] = []
+        self._parents: list[npt.NDArray[np.int32]] = []
+        self._entropies: list[float] = []
+        self._stamps: list[float] = []
+        self._nodes: list[int] = []
+        self._motions: list[tuple[float, float, float]] = []
+
+    @property
+    def memory_bytes(self) -> int:
+        """Bytes of nodes and scans."""
+        return len(self._poses) * self._count * 28 + len(self._stamps) * 40
+
+    def add_node(self, poses: F64, parents: npt.NDArray[np.int64] | None) -> None:
+        """Add a filter step.
+
+        Args:
+            poses: (N, 3), metres and radians.
+            parents: (N,) which particle of the node before each descends from; None: itself.
+        """
+        own = np.arange(self._count) if parents is None else parents
+        self._poses.append(poses.copy())
+        self._parents.append(own.astype(np.int32))
+        self._entropies.append(_entropy(poses))
+
+    def add_scan(self, stamp_s: float, moved: Pose2) -> None:
+        """Add a scan that lies so far behind the last node; before the first, behind the origin."""
+        self._stamps.append(stamp_s)
+        self._nodes.append(len(self._poses) - 1)
+        self._motions.append((moved.x, moved.y, moved.yaw_rad))
+
+    def path(self, index: int, name: str) -> Trajectory:
+        """Return the path of a particle at every scan."""
+        at = np.empty((len(self._poses), 3))
+        for number in range(len(self._poses) - 1, -1, -1):
+            at[number] = self._poses[number][index]
+            index = int(self._parents[number][index])
+        # Node -1, before the first, is the frame's origin.
+        at = np.concatenate((at, np.zeros((1, 3))))
+        nodes = np.array(self._nodes, dtype=np.int64)
+        motions = np.array(self._motions).reshape(-1, 3)
+        return Trajectory(np.array(self._stamps), compose_poses(at[nodes], motions), name)
+
+    def entropy(self) -> float | None:
+        """Return the mean over the nodes of the entropy of the particles there, in nats."""
+        return float(np.mean(self._entropies)) if self._entropies else None
+
+
+def _entropy(poses: F64) -> float:
+    """Return the entropy of a Gaussian around poses (N, 3), nats."""
+    away = poses - poses[0]
+    away[:, 2] = wrap_angles(away[:, 2])
+    spread = away - away.mean(axis=0)
+    covariance = spread.T @ spread / len(poses) + np.diag(np.square(LEAST_SIGMAS))
+    _, log_determinant = np.linalg.slogdet(covariance)
+    return 0.5 * (3.0 * math.log(math.tau * math.e) + float(log_determinant))

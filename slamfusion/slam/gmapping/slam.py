@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
@@ -26,20 +27,66 @@ from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import Pose2, compose_poses, wrap_angle
 from slamfusion.grid import IDENTITY, OccupancyGrid
 from slamfusion.scan import LaserScan
-from slamfusion.slam.common.mapper import Series, Step
+from slamfusion.slam.common.mapper import Health, Series, Step
 from slamfusion.slam.common.matcher import PoseHypothesis
 from slamfusion.slam.common.pose_rows import pose_of, row_of
 from slamfusion.slam.common.state import SavedMapper
 from slamfusion.slam.common.tracking import Tracker
-from slamfusion.slam.gmapping.beams import Beams, beams_of
-from slamfusion.slam.gmapping.health import FilterHealth
-from slamfusion.slam.gmapping.motion_model import make_motion_model
-from slamfusion.slam.gmapping.particle_maps import ParticleMaps
-from slamfusion.slam.gmapping.particle_path import ParticlePaths
-from slamfusion.slam.gmapping.particles import Particles, better_half
-from slamfusion.slam.gmapping.pose_sampler import PoseSampler
-from slamfusion.slam.gmapping.proposal import resample_systematic
+from slamfusion.slam.gmapping.particles import (
+    Beams,
+    ParticleMaps,
+    ParticlePaths,
+    Particles,
+    beams_of,
+    better_half,
+    resample_systematic,
+)
+from slamfusion.slam.gmapping.pose_sampler import PoseSampler, make_motion_model
+from slamfusion.slam.records import HealthJson
+from slamfusion.slam.registry import Producer
 from slamfusion.trajectory import Trajectory
+
+
+@dataclass
+class FilterHealth(Health):
+    """How well the particle filter is doing.
+
+    Attributes:
+        best_score: of the best particle at the last filter step: sum over its hits, each 0 to 1.
+        filter_steps: times that the particles were weighed and mapped.
+        resamplings: times that they were resampled.
+        resamplings_for_memory: of these, the ones that ``memory_budget`` asked for.
+        rejected: matches of single particles below ``minimumScore``.
+        path_entropy: mean over the path of the entropy of the particles' pose, nats.
+        tiles_owned: tiles of the maps that one particle uses alone.
+        tiles_shared: tiles that several use.
+    """
+
+    best_score: float | None = None
+    filter_steps: int = 0
+    resamplings: int = 0
+    resamplings_for_memory: int = 0
+    rejected: int = 0
+    path_entropy: float | None = None
+    tiles_owned: int = 0
+    tiles_shared: int = 0
+
+    def to_json(self) -> HealthJson:
+        """Return the record for a JSON document."""
+        return {
+            **super().to_json(),
+            "filter": {
+                "best_score": self.best_score,
+                "filter_steps": self.filter_steps,
+                "resamplings": self.resamplings,
+                "resamplings_for_memory": self.resamplings_for_memory,
+                "rejected": self.rejected,
+                "path_entropy": self.path_entropy,
+                "tiles_owned": self.tiles_owned,
+                "tiles_shared": self.tiles_shared,
+            },
+        }
+
 
 F64 = npt.NDArray[np.float64]
 NAME = "gmapping"
@@ -259,3 +306,19 @@ def _is_due(moved: Pose2, waited_s: float, config: Any) -> bool:
         or abs(wrap_angle(moved.yaw_rad)) >= config.angularUpdate
         or 0.0 <= config.temporalUpdate <= waited_s
     )
+
+
+def _map_interval_s(config: GmappingConfig) -> float:
+    """Return seconds between two maps: gmapping has a parameter for that."""
+    return float(config.chosen().map_update_interval or 0.0)
+
+
+PRODUCER = Producer(
+    name="gmapping",
+    summary="gmapping: a Rao-Blackwellised particle filter",
+    config=GmappingConfig(),
+    make=Gmapping,
+    load=Gmapping.load_state,
+    cost=6.0,
+    map_interval_s=_map_interval_s,
+)

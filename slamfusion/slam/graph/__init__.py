@@ -22,7 +22,7 @@ one ``ClosureSearch``. ``state`` has a typed record for what each of them owns.
 
 from __future__ import annotations
 
-from slamfusion.slam.graph.health import GraphHealth
+from slamfusion.slam.graph.map_graph import GraphHealth
 from slamfusion.slam.graph.slam import GraphSlam
 
 __all__ = ["GraphHealth", "GraphSlam"]

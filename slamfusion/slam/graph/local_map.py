@@ -12,17 +12,12 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import GraphConfig
 from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY
-from slamfusion.slam.common.matcher import Match, ScanOnTiles
+from slamfusion.slam.common.matcher import Match, ScanOnTiles, information_of, response_information
 from slamfusion.slam.common.pose_rows import wrapped_row_of
-from slamfusion.slam.common.response import information_of, response_information
 from slamfusion.slam.common.state import Stateful
-from slamfusion.slam.graph.constraints import Constraint, turned
-from slamfusion.slam.graph.health import GraphHealth
-from slamfusion.slam.graph.map_graph import BELIEVED_SHARE
+from slamfusion.slam.graph.map_graph import BELIEVED_SHARE, Constraint, GraphHealth, turned
 from slamfusion.slam.graph.node_map import Node
-from slamfusion.slam.graph.submap import UNSEEN_WALL, Submap, seen_score
-from slamfusion.slam.graph.surfaces import fill_walls
-from slamfusion.slam.graph.tracking_quality import RESET_SHARE
+from slamfusion.slam.graph.submap import UNSEEN_WALL, Submap, fill_walls, seen_score
 
 F64 = npt.NDArray[np.float64]
 
@@ -30,6 +25,10 @@ F64 = npt.NDArray[np.float64]
 WALL_CELLS = 1.0
 # A scan with this share of its hits where the local map has seen nothing is not bad.
 MOST_UNSEEN = 0.8
+# A match worth less than this share of the usual one is bad. Right after a reset of the odometry
+# one that is worth less than the second share is enough: the robot was perhaps switched off and
+# moved.
+BAD_SHARE, RESET_SHARE = 0.6, 0.8
 
 
 class LocalMap(Stateful):

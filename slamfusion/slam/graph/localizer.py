@@ -1,8 +1,9 @@
-"""``Localizer``: where a scan lies on the local map, and whether the robot is still there."""
+"""``Localizer``: where a scan lies on the local map, and whether the robot is still tracked."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -17,12 +18,59 @@ from slamfusion.slam.common.pose_rows import pose_of
 from slamfusion.slam.common.state import Stateful
 from slamfusion.slam.common.tracking import Tracker
 from slamfusion.slam.graph.closure_search import ClosureSearch
-from slamfusion.slam.graph.health import GraphHealth
-from slamfusion.slam.graph.local_map import LocalMap
+from slamfusion.slam.graph.local_map import BAD_SHARE, RESET_SHARE, LocalMap
+from slamfusion.slam.graph.map_graph import GraphHealth
 from slamfusion.slam.graph.node_map import Node
-from slamfusion.slam.graph.tracking_quality import BAD_SHARE, TrackingQuality, TrackingStatus
 
 F64 = npt.NDArray[np.float64]
+TrackingStatus = Literal["tracked", "unsure", "failed", "kidnapped"]
+
+# Scans in a row without a sure place after which the robot is kidnapped. One or two bad scans are a
+# door or a crowd.
+LOST_SCANS = 4
+# Tracking has failed after this number of bad scans among this number of the last ones.
+FAILED_BAD, FAILED_SCANS = 3, 10
+
+
+@dataclass
+class TrackingQuality:
+    """How the last scans fitted; it is its own state.
+
+    Attributes:
+        unsure_row: scans in a row whose place was not sure.
+        bad: numbers of the bad scans among the last ``FAILED_SCANS``.
+    """
+
+    unsure_row: int = 0
+    bad: list[int] = field(default_factory=list)
+
+    def judge(self, number: int, fit: float, *, is_sure: bool, has_jumped: bool) -> TrackingStatus:
+        """Take how a scan fitted, and return what that says of the robot.
+
+        Args:
+            number: of the scan.
+            fit: what its match is worth, in the running mean score.
+            is_sure: whether its place may be trusted.
+            has_jumped: whether odometry has just been reset.
+
+        Returns:
+            ``kidnapped`` where it is no longer where the local map is; ``failed`` where it may be,
+            but its place to what was before is not known; ``unsure`` for a scan that only dead
+            reckoning places.
+        """
+        self.unsure_row = 0 if is_sure else self.unsure_row + 1
+        if self.unsure_row >= LOST_SCANS or (has_jumped and fit < RESET_SHARE):
+            return "kidnapped"
+        self.bad = [bad for bad in self.bad if number - bad < FAILED_SCANS]
+        if fit < BAD_SHARE:
+            self.bad.append(number)
+        if not is_sure:
+            return "unsure"
+        return "failed" if len(self.bad) >= FAILED_BAD else "tracked"
+
+    def reset(self) -> None:
+        """Forget what was: a new local map begins."""
+        self.unsure_row, self.bad = 0, []
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,29 +1,332 @@
-"""``LoopClosure``: older submaps are searched for new nodes, and what is found is believed or not.
+"""Loop closures: what is searched when, which ones are accepted, and a kidnapped robot's way back.
 
-What a search finds becomes a closure at once where it changes little; where it would move the robot
-it is pending until others say the same. A kidnapped robot is searched too; once it is relocalized
-the map component that it has begun joins the older one.
+A closure that moves the robot far waits in ``PendingClosures`` until others agree. A kidnapped
+robot is searched near where odometry has it and then all over. Rooms look alike: every place where
+a scan fits is a hypothesis, which says where the next scans must fit too. The robot is relocalized
+when one hypothesis has been confirmed over a distance, no other is left, and every old submap has
+been searched.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from slamfusion.config import GraphConfig
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.slam.common.pose_rows import pose_of, wrapped_row_of
 from slamfusion.slam.common.state import Stateful
 from slamfusion.slam.graph.closure_search import LOW_RESPONSE, ClosureSearch, Found
-from slamfusion.slam.graph.constraints import Constraint
-from slamfusion.slam.graph.health import GraphHealth
 from slamfusion.slam.graph.local_map import LocalMap
-from slamfusion.slam.graph.loop_candidates import LoopCandidate
-from slamfusion.slam.graph.map_graph import BELIEVED_SHARE, MapGraph
-from slamfusion.slam.graph.pending_closures import PendingClosure, PendingClosures
-from slamfusion.slam.graph.relocalization import DRIFT_SHARE, KIDNAPPED_DRIFT_M, Relocalization
+from slamfusion.slam.graph.map_graph import BELIEVED_SHARE, Constraint, GraphHealth, MapGraph
+
+# How a place was searched: where the graph has the robot; where odometry has a kidnapped one; all
+# over.
+How = Literal["known", "odometry", "anywhere"]
+
+# A closure that moves the robot by no more is accepted alone, metres and radians.
+SMALL_STEP_M, SMALL_STEP_RAD = 0.4, 0.1
+# Closures that put the robot nearer to each other than this say the same, metres and radians.
+AGREEMENT_M, AGREEMENT_RAD = 0.3, 0.05
+# Nodes whose closures must agree before one that moves the robot far is accepted, and nodes for
+# which it waits for them.
+AGREEING_NODES, WAIT_NODES = 2, 12
+# The same where odometry has a kidnapped robot: nodes, and the way between them, metres.
+ODOMETRY_NODES, ODOMETRY_M = 3, 0.8
+
+
+@dataclass(frozen=True, eq=False)
+class PendingClosure:
+    """A closure that is not believed yet.
+
+    Attributes:
+        constraint: what it says.
+        correction: what it would do to the robot's pose in the map frame.
+        travelled_m: distance that the robot has travelled up to it.
+        how: it was searched.
+    """
+
+    constraint: Constraint
+    correction: Pose2
+    travelled_m: float
+    how: How
+
+
+class PendingClosures(Stateful):
+    """Closures that wait for others to say the same.
+
+    Attributes:
+        closures: the ones of the last nodes.
+    """
+
+    STATE = ("closures",)
+
+    def __init__(self) -> None:
+        """Start with none."""
+        self.closures: list[PendingClosure] = []
+
+    def confirmed(self, closure: PendingClosure, pose: Pose2) -> list[PendingClosure]:
+        """Return the closures that may be believed now, this one among them; often none.
+
+        Args:
+            closure: a new one, not found ``anywhere``.
+            pose: of its node in the map frame, before any correction.
+        """
+        number = closure.constraint.end
+        moved = closure.correction.compose(pose)
+        self.closures = [c for c in self.closures if number - c.constraint.end <= WAIT_NODES]
+        if closure.how == "known" and _is_small(pose, moved):
+            return [closure]
+        earlier = [c for c in self.closures if c.constraint.end != number]
+        agreeing = [c for c in earlier if is_same_place(c.correction.compose(pose), moved)]
+        self.closures.append(closure)
+        least_nodes, least_m = AGREEING_NODES, 0.0
+        if closure.how != "known":  # see ``Relocalization`` for those that are found anywhere
+            least_nodes, least_m = ODOMETRY_NODES, ODOMETRY_M
+        nodes = {c.constraint.end for c in agreeing}
+        driven_m = closure.travelled_m - min((c.travelled_m for c in agreeing), default=math.inf)
+        if len(nodes) + 1 < least_nodes or driven_m < least_m:
+            return []
+        if closure.how != "known" and len(earlier) - len(agreeing) >= len(nodes):
+            return []
+        self.closures = []
+        return [closure, *agreeing]
+
+
+def is_same_place(one: Pose2, other: Pose2) -> bool:
+    """Return whether two corrected poses of the robot are one place."""
+    away = math.hypot(one.x - other.x, one.y - other.y)
+    turn = abs(wrap_angle(one.yaw_rad - other.yaw_rad))
+    return away < AGREEMENT_M and turn < AGREEMENT_RAD
+
+
+def _is_small(pose: Pose2, moved: Pose2) -> bool:
+    """Return whether a closure leaves the robot about where it was believed to be."""
+    away = math.hypot(moved.x - pose.x, moved.y - pose.y)
+    turn = abs(wrap_angle(moved.yaw_rad - pose.yaw_rad))
+    return away <= SMALL_STEP_M and turn <= SMALL_STEP_RAD
+
+
+# Hypotheses that are tested at a node, and that are kept: what a node may cost.
+TESTED, MOST_HYPOTHESES = 2, 12
+# A hypothesis is accepted after this number of nodes that fit over this way, metres: longer than
+# rooms look alike. It is given up after this number of misses in a row: a door or a person may hide
+# a place once or twice.
+BORNE_OUT_NODES, BORNE_OUT_M, MISSES = 14, 4.0, 3
+# One with fewer hits, or a smaller share of the best one's, is no rival.
+RIVAL_HITS, RIVAL_SHARE = 2, 0.4
+
+
+@dataclass(eq=False)
+class RelocalizationHypothesis:
+    """Where the robot's map component may lie.
+
+    Attributes:
+        correction: what would move the component there, in the map frame.
+        hits: closures that say so.
+        misses: tests in a row that it has failed.
+        tested: node at which it was tested last.
+    """
+
+    correction: Pose2
+    hits: list[PendingClosure] = field(default_factory=list)
+    misses: int = 0
+    tested: int = -1
+
+    @property
+    def is_borne_out(self) -> bool:
+        """Whether enough scans have fitted over a long enough distance."""
+        nodes = {hit.constraint.end for hit in self.hits}
+        travelled = [hit.travelled_m for hit in self.hits]
+        driven_m = max(travelled) - min(travelled)
+        return len(nodes) >= BORNE_OUT_NODES and driven_m >= BORNE_OUT_M
+
+
+class RelocalizationHypotheses(Stateful):
+    """The hypotheses about one kidnapped robot.
+
+    Attributes:
+        kept: that are not given up.
+    """
+
+    STATE = ("kept",)
+
+    def __init__(self) -> None:
+        """Start with none."""
+        self.kept: list[RelocalizationHypothesis] = []
+
+    def to_test(self) -> list[RelocalizationHypothesis]:
+        """Return the hypotheses whose turn it is."""
+        return sorted(self.kept, key=lambda one: one.tested)[:TESTED]
+
+    def add(self, hit: PendingClosure, pose: Pose2) -> RelocalizationHypothesis:
+        """Take a closure as a hit of the hypothesis that says the same, or of a new one.
+
+        Args:
+            hit: the closure.
+            pose: of its node in the map frame, before any correction.
+        """
+        place = hit.correction.compose(pose)
+        for one in self.kept:
+            if is_same_place(one.correction.compose(pose), place):
+                break
+        else:
+            one = RelocalizationHypothesis(hit.correction)
+            self.kept.append(one)
+        one.hits.append(hit)
+        one.correction, one.misses = hit.correction, 0
+        if len(self.kept) > MOST_HYPOTHESES:
+            self.kept.remove(min(self.kept, key=lambda other: len(other.hits)))
+        return one
+
+    def miss(self, one: RelocalizationHypothesis) -> None:
+        """Count that a scan did not fit where a hypothesis says that it must."""
+        one.misses += 1
+        if one.misses >= MISSES and one in self.kept:
+            self.kept.remove(one)
+
+    def winner(self) -> RelocalizationHypothesis | None:
+        """Return the hypothesis that is borne out and has no rival left."""
+        if not self.kept:
+            return None
+        best = max(self.kept, key=lambda one: len(one.hits))
+        enough = max(RIVAL_HITS, RIVAL_SHARE * len(best.hits))
+        has_rival = any(len(one.hits) >= enough for one in self.kept if one is not best)
+        return best if best.is_borne_out and not has_rival else None
+
+
+@dataclass(frozen=True)
+class LoopCandidate:
+    """A submap that is to be searched.
+
+    Attributes:
+        index: of the submap.
+        expected: pose of the robot in the map frame; None: anywhere.
+        drift_m: how far off that may be.
+        how: it is searched.
+        hypothesis: that this is to test; None for none.
+    """
+
+    index: int
+    expected: Pose2 | None
+    drift_m: float
+    how: How = "known"
+    hypothesis: RelocalizationHypothesis | None = None
+
+
+# Submaps that are searched all over at a node; and once each has been, nodes until the next round.
+SEARCHED_AT_NODE, ROUND_NODES = 3, 4
+# How far off the robot may be, metres: where odometry has a kidnapped one, more for each metre that
+# it travels from there; and where a hypothesis has it.
+KIDNAPPED_DRIFT_M, DRIFT_SHARE, HYPOTHESIS_DRIFT_M = 1.2, 0.02, 0.6
+# Searches in vain where odometry has it, one for each node, after which it may be anywhere.
+LOCAL_SEARCHES = 12
+# A hypothesis is tested on an old submap where the robot was this near to where it is now, metres.
+INSIDE_M = 0.5
+
+
+class Relocalization(Stateful):
+    """The search for a kidnapped robot in the map components that it is not in.
+
+    Attributes:
+        hypotheses: where it may be.
+    """
+
+    STATE = ("hypotheses", "_searched", "_failed_searches", "_kidnapped_m")
+
+    def __init__(self) -> None:
+        """Start with nothing searched."""
+        self.hypotheses = RelocalizationHypotheses()
+        # How often submaps of other components were searched all over.
+        self._searched: dict[int, int] = {}
+        # Searches where odometry has it, and the distance travelled when it was kidnapped.
+        self._failed_searches = 0
+        self._kidnapped_m = 0.0
+
+    def begin(self, travelled_m: float) -> None:
+        """Begin for a robot that was kidnapped after a distance travelled, metres."""
+        self.forget()
+        self._failed_searches = 0
+        self._kidnapped_m = travelled_m
+
+    def forget(self) -> None:
+        """Forget what was searched, and every hypothesis: the robot is somewhere else now."""
+        self._searched = {}
+        self.hypotheses = RelocalizationHypotheses()
+
+    def candidates(self, graph: MapGraph, local_map: LocalMap, pose: Pose2) -> list[LoopCandidate]:
+        """Return the submaps that a kidnapped robot is searched in at a node.
+
+        Args:
+            graph: with the node as its last.
+            local_map: the submaps.
+            pose: of the robot if it were where odometry alone has it, in the map frame.
+        """
+        if local_map.component_count < 2:
+            return []
+        others = local_map.in_other_components()
+        away_m = local_map.distances_m(pose, graph.poses)
+        # First near where odometry has it.
+        drift_m = KIDNAPPED_DRIFT_M + DRIFT_SHARE * (graph.travelled_m - self._kidnapped_m)
+        nearest = others[int(away_m[others].argmin())]
+        candidates = [LoopCandidate(nearest, pose, drift_m, "odometry")]
+        self._failed_searches += 1
+        if self._failed_searches <= LOCAL_SEARCHES:
+            return candidates
+        # Then where hypotheses have it.
+        for hypothesis in self.hypotheses.to_test():
+            hypothesis.tested = len(graph.nodes)
+            expected = hypothesis.correction.compose(pose)
+            outside_m = local_map.distances_m(expected, graph.poses)[others]
+            place = int(outside_m.argmin())
+            if outside_m[place] < INSIDE_M:
+                candidates.append(
+                    LoopCandidate(
+                        others[place], expected, HYPOTHESIS_DRIFT_M, "anywhere", hypothesis
+                    )
+                )
+        # Then anywhere: submaps that have not been searched yet first, and of these the near ones.
+        rounds = sorted(
+            (self._searched.get(index, 0), float(away_m[index]), index)
+            for index in _covering(others)
+        )
+        for times, _, index in rounds[:SEARCHED_AT_NODE]:
+            if times == 0 or len(graph.nodes) % ROUND_NODES == 0:
+                self._searched[index] = times + 1
+                candidates.append(LoopCandidate(index, None, 0.0, "anywhere"))
+        return candidates
+
+    def confirmed(
+        self, closure: PendingClosure, pose: Pose2, local_map: LocalMap
+    ) -> list[PendingClosure]:
+        """Return the closures found anywhere that may be believed now; often none.
+
+        Args:
+            closure: a new one, found ``anywhere``.
+            pose: of its node in the map frame, before any correction.
+            local_map: the submaps.
+        """
+        self.hypotheses.add(closure, pose)
+        winner = self.hypotheses.winner()
+        to_search = _covering(local_map.in_other_components())
+        if winner is None or any(index not in self._searched for index in to_search):
+            return []
+        return winner.hits
+
+
+def _covering(submaps: list[int]) -> list[int]:
+    """Return those of some submaps that together hold every scan: all overlap by half."""
+    known = set(submaps)
+    return [
+        index
+        for place, index in enumerate(submaps)
+        if place % 2 == 0 or not {index - 1, index + 1} <= known
+    ]
+
 
 F64 = npt.NDArray[np.float64]
 

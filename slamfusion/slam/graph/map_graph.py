@@ -1,23 +1,159 @@
-"""``MapGraph``: the nodes, what is known of their poses, and the solution of all of it."""
+"""``MapGraph``: nodes and constraints, and the poses that fit them best; and the driven path.
+
+Constraints from one scan to the next are trusted; closures may be false, and the robust solution
+leaves outliers out of the inlier set (graduated non-convexity, ``slamfusion.pose_graph.robust``).
+"""
 
 from __future__ import annotations
 
 import importlib
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
 from slamfusion.geometry import Pose2, compose_poses, wrap_angle
-from slamfusion.pose_graph import Optimized
-from slamfusion.slam.common.pose_rows import pose_of, wrapped_row_of
+from slamfusion.grid import IDENTITY
+from slamfusion.pose_graph import Optimized, PoseGraph, optimize
+from slamfusion.slam.common.mapper import Health, Series
+from slamfusion.slam.common.pose_rows import pose_of, row_of, wrapped_row_of
 from slamfusion.slam.common.state import Stateful
-from slamfusion.slam.graph.constraints import Constraint, solve_constraints
-from slamfusion.slam.graph.health import GraphHealth
 from slamfusion.slam.graph.node_map import Node
+from slamfusion.slam.records import HealthJson
+from slamfusion.trajectory import Trajectory
 
 F64 = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Constraint:
+    """What is known of two nodes.
+
+    Attributes:
+        start: number of the node in whose frame it is told.
+        end: the other node.
+        motion: (3,) pose of ``end`` in the frame of ``start``, metres and radians.
+        information: (3, 3) inverse covariance of the motion, along the axes of ``start``.
+        is_closure: whether it may be false.
+    """
+
+    start: int
+    end: int
+    motion: F64
+    information: F64
+    is_closure: bool = False
+
+
+def solve_constraints(
+    poses: F64,
+    constraints: Sequence[Constraint],
+    weights: F64 | None = None,
+    tolerated: int = 0,
+) -> Optimized:
+    """Return the poses that fit the constraints best; the first node is held.
+
+    Args:
+        poses: (N, 3) where the nodes are believed to be: where the search starts.
+        constraints: together they join all nodes; at least one.
+        weights: of the first of them by the last solution: its outliers are not tried again from
+            the start.
+        tolerated: closures that may be new outliers before all of them are re-evaluated.
+    """
+    motions = np.array([one.motion for one in constraints])
+    information = np.array([one.information for one in constraints])
+    graph = PoseGraph(
+        poses=poses,
+        edges=np.array([(one.start, one.end) for one in constraints], dtype=np.int64),
+        motions=motions,
+        information=_in_end_frame(information, motions[:, 2]),
+        is_closure=np.array([one.is_closure for one in constraints]),
+    )
+    return optimize(graph, robust="gnc", start="given", weights=weights, tolerated=tolerated)
+
+
+def turned(information: F64, angle_rad: float) -> F64:
+    """Return an information matrix of x, y and yaw, (3, 3), in a frame turned by an angle."""
+    cos, sin = math.cos(angle_rad), math.sin(angle_rad)
+    turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    return np.asarray(turn @ information @ turn.T)
+
+
+def _in_end_frame(information: F64, yaws: F64) -> F64:
+    """Return (M, 3, 3) information along the axes of each constraint's end, exactly symmetric."""
+    turns = np.zeros((len(yaws), 3, 3))
+    turns[:, 0, 0] = turns[:, 1, 1] = np.cos(yaws)
+    turns[:, 0, 1], turns[:, 1, 0] = np.sin(yaws), -np.sin(yaws)
+    turns[:, 2, 2] = 1.0
+    seen = turns @ information @ turns.transpose(0, 2, 1)
+    return np.asarray(0.5 * (seen + seen.transpose(0, 2, 1)))
+
+
+# Node of the scans before there is one: their poses are told from the start.
+NO_NODE = -1
+
+
+class DrivenPath(Stateful):
+    """The scans' poses relative to the graph's nodes, so that the path moves with them.
+
+    Attributes:
+        start: pose of the robot in the map frame at the first scan.
+    """
+
+    STATE = ("start", "_scans", "_reported", "_responses")
+
+    def __init__(self) -> None:
+        self.start = IDENTITY
+        self._scans: list[tuple[float, int, tuple[float, float, float]]] = []
+        self._reported: list[tuple[float, float, float]] = []
+        self._responses: list[tuple[float, float]] = []
+
+    def add(self, stamp_s: float, node: int, moved: Pose2) -> None:
+        """Add a scan.
+
+        Args:
+            stamp_s: its time.
+            node: the last one before it; ``NO_NODE`` for none.
+            moved: pose of the robot in the node's frame, or in that of the start.
+        """
+        self._scans.append((stamp_s, node, (moved.x, moved.y, moved.yaw_rad)))
+
+    def report(self, pose: Pose2) -> None:
+        """Keep what was told of the last scan's pose, in the map frame."""
+        self._reported.append((pose.x, pose.y, pose.yaw_rad))
+
+    def add_response(self, stamp_s: float, score: float) -> None:
+        """Keep the response, 0 to 1, of a node's match."""
+        self._responses.append((stamp_s, score))
+
+    def series(self) -> tuple[Series, ...]:
+        """Return the responses of the nodes' matches, to be plotted."""
+        if not self._responses:
+            return ()
+        stamps, values = np.array(self._responses).T
+        return (Series("response", "", stamps, values),)
+
+    def trajectory(self, poses: F64, name: str) -> Trajectory:
+        """Return the pose at every scan by the nodes' poses (N, 3) in the map frame."""
+        stamps = np.array([stamp for stamp, _, _ in self._scans])
+        nodes = np.array([node for _, node, _ in self._scans], dtype=np.int64)
+        motions = np.array([motion for _, _, motion in self._scans]).reshape(-1, 3)
+        frames = np.concatenate((poses, row_of(self.start)[None]))  # NO_NODE is the last one
+        return Trajectory(stamps, compose_poses(frames[nodes], motions), name)
+
+    def as_reported(self, name: str) -> Trajectory:
+        """Return the pose at every scan as it was first told."""
+        stamps = np.array([stamp for stamp, _, _ in self._scans])
+        return Trajectory(stamps, np.array(self._reported).reshape(-1, 3), name)
+
+    def node_stamps(self) -> dict[int, float]:
+        """Return the time of each node's scan, seconds."""
+        stamps: dict[int, float] = {}
+        for stamp, node, _ in self._scans:
+            stamps.setdefault(node, stamp)
+        return stamps
+
 
 # Share of the information that matches and odometry tell which is believed: scans on one submap
 # share its errors, and what wheels do wrong they do all the way. Without it true closures of long
@@ -41,6 +177,111 @@ SOLVE_NODES = 30
 NEW_OUTLIERS, NEW_OUTLIERS_SHARE = 3, 1.0 / 6.0
 # Memory of a constraint: motion, information and ends.
 CONSTRAINT_BYTES = 112
+
+
+# Time without a scan, seconds, from which on the pause is named: the robot may have been moved.
+PAUSE_S = 60.0
+
+
+@dataclass
+class GraphHealth(Health):
+    """How well the graph is doing.
+
+    Attributes:
+        nodes: scans that became nodes.
+        submaps: of which each holds some of them.
+        kidnappings: times that the robot was taken to be kidnapped and a map component of its own
+            began; ``restarts`` in JSON.
+        tracking_failures: times that scans fitted badly for a while, and only odometry tells how
+            what came after lies to what was before, until a closure does; ``breaks`` in JSON.
+        relocalizations: times that a kidnapped robot was found on submaps of before; ``refound``
+            in JSON.
+        map_components: of the map, that nothing but odometry holds together; 1 for a whole one;
+            ``parts`` in JSON.
+        closures_tried: searches of an older submap.
+        closures_accepted: of these, the ones that became an edge.
+        closures_rejected: by reason.
+        closure_outliers: edges outside the inlier set of the last solution; ``closures_doubted``
+            in JSON.
+        largest_correction_m: how far a closure has moved the robot at most.
+        pauses: times that no scan came for more than ``PAUSE_S``.
+        longest_pause_s: the longest of them.
+        chi2: of the graph after the last solution.
+        solutions: how often it was solved.
+        solve_s: duration of the last solution.
+    """
+
+    nodes: int = 0
+    submaps: int = 0
+    kidnappings: int = 0
+    tracking_failures: int = 0
+    relocalizations: int = 0
+    map_components: int = 1
+    closures_tried: int = 0
+    closures_accepted: int = 0
+    closures_rejected: dict[str, int] = field(default_factory=dict)
+    closure_outliers: int = 0
+    largest_correction_m: float = 0.0
+    pauses: int = 0
+    longest_pause_s: float = 0.0
+    chi2: float | None = None
+    solutions: int = 0
+    solve_s: float | None = None
+
+    def to_json(self) -> HealthJson:
+        """Return the record for a JSON document."""
+        return {
+            **super().to_json(),
+            "graph": {
+                "nodes": self.nodes,
+                "submaps": self.submaps,
+                "restarts": self.kidnappings,
+                "breaks": self.tracking_failures,
+                "refound": self.relocalizations,
+                "parts": self.map_components,
+                "closures_tried": self.closures_tried,
+                "closures_accepted": self.closures_accepted,
+                "closures_rejected": self.closures_rejected,
+                "closures_doubted": self.closure_outliers,
+                "largest_correction_m": self.largest_correction_m,
+                "pauses": self.pauses,
+                "longest_pause_s": self.longest_pause_s,
+                "chi2": self.chi2,
+                "solutions": self.solutions,
+                "solve_s": self.solve_s,
+            },
+        }
+
+    def warnings(self) -> tuple[str, ...]:
+        """Return what speaks against the map; see ``Health.warnings``."""
+        sentences = []
+        if self.map_components > 1:
+            sentences.append(
+                f"the map is in {self.map_components} components: the robot was kidnapped "
+                f"{self.kidnappings} times and relocalized {self.relocalizations} times; only "
+                "odometry tells how the components lie"
+            )
+        elif self.kidnappings:
+            sentences.append(
+                f"the robot was kidnapped {self.kidnappings} times, and relocalized in the map "
+                "each time; look at the map"
+            )
+        if self.tracking_failures:
+            sentences.append(
+                f"tracking failed {self.tracking_failures} times, scans fitted badly for a while: "
+                "there only odometry and later closures tell how the map goes on; look at the map"
+            )
+        return tuple(sentences)
+
+    def count_pause(self, pause_s: float) -> None:
+        """Count the time since the last scan, seconds, if it was long."""
+        if pause_s > PAUSE_S:
+            self.pauses += 1
+            self.longest_pause_s = max(self.longest_pause_s, pause_s)
+
+    def reject_closure(self, reason: str) -> None:
+        """Count a closure that was not accepted."""
+        self.closures_rejected[reason] = self.closures_rejected.get(reason, 0) + 1
 
 
 class MapGraph(Stateful):

@@ -21,7 +21,7 @@ from slamfusion.geometry import Pose2
 from slamfusion.grid import UNKNOWN, OccupancyGrid
 from slamfusion.slam.common.hit_cells import halve_counts, percent_of_counts
 from slamfusion.slam.common.mapper import MapJob
-from slamfusion.slam.common.shared_tiles import SharedTileMaps
+from slamfusion.slam.common.tile_map import SharedTileMaps
 
 F64 = npt.NDArray[np.float64]
 

@@ -28,17 +28,12 @@ from slamfusion.slam.common.pose_rows import pose_of
 from slamfusion.slam.common.runner import FIRST_REPORTED
 from slamfusion.slam.common.state import SavedMapper
 from slamfusion.slam.graph.closure_search import ClosureSearch
-from slamfusion.slam.graph.constraints import Constraint
-from slamfusion.slam.graph.health import GraphHealth
-from slamfusion.slam.graph.hypotheses import RelocalizationHypothesis
 from slamfusion.slam.graph.local_map import LocalMap
-from slamfusion.slam.graph.localizer import Localizer, Observation
-from slamfusion.slam.graph.loop_closure import LoopClosure
-from slamfusion.slam.graph.map_graph import MapGraph
+from slamfusion.slam.graph.localizer import Localizer, Observation, TrackingQuality
+from slamfusion.slam.graph.loop_closure import LoopClosure, PendingClosure, RelocalizationHypothesis
+from slamfusion.slam.graph.map_graph import NO_NODE, Constraint, DrivenPath, GraphHealth, MapGraph
 from slamfusion.slam.graph.node_map import Node, NodeMap
-from slamfusion.slam.graph.path import NO_NODE, DrivenPath
-from slamfusion.slam.graph.pending_closures import PendingClosure
-from slamfusion.slam.graph.tracking_quality import TrackingQuality
+from slamfusion.slam.registry import Producer
 from slamfusion.trajectory import Trajectory
 
 NAME = "graph"
@@ -270,3 +265,15 @@ def _is_far(moved: Pose2, config: GraphConfig) -> bool:
         math.hypot(moved.x, moved.y) >= config.minimum_travel_distance
         or abs(wrap_angle(moved.yaw_rad)) >= config.minimum_travel_heading
     )
+
+
+PRODUCER = Producer(
+    name="graph",
+    summary="graph SLAM: scans on submaps, loop closures, a pose graph",
+    config=GraphConfig(),
+    make=GraphSlam,
+    load=GraphSlam.load_state,
+    cost=3.0,
+    closes_loops=True,
+    prefers_small_kernels=True,
+)

@@ -1,7 +1,4 @@
-"""tinySLAM [H16]: one map and a Monte-Carlo matcher.
-
-``slam`` is the method, ``cell_models`` define what a cell holds.
-"""
+"""tinySLAM [H16]: one map and a Monte-Carlo matcher."""
 
 from __future__ import annotations
 

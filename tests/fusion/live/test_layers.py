@@ -14,7 +14,7 @@ from slamfusion.errors import MemoryBudgetError
 from slamfusion.fusion.live.voting import FusedLayers, Layer
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, trinary_cells
-from slamfusion.io import memory
+from slamfusion.io import files
 from slamfusion.vote.boxes import slices
 from slamfusion.vote.lattice import Lattice
 from slamfusion.vote.tiles import TileVoter
@@ -103,7 +103,7 @@ def test_fused_layers_grow_by_whole_cells_and_never_beyond_memory(
     assert np.array_equal(after.crop(CellBox(5, 7, after.height, after.width)).cells, before.cells)
     corner = after.origin.transform((0.7, 0.5))
     assert np.allclose(corner, (before.origin.x, before.origin.y))
-    monkeypatch.setattr(memory, "available_memory", lambda: 10_000)
+    monkeypatch.setattr(files, "available_memory", lambda: 10_000)
     with pytest.raises(MemoryBudgetError, match="b: a fused map"):
         layers.grow(CellBox(0, 0, 5000, 5000), "b")
     assert layers.box == grown

@@ -9,7 +9,7 @@ from slamfusion.config import NormalizeConfig
 from slamfusion.fusion.live.limits import too_large, unusable
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
-from slamfusion.io import memory
+from slamfusion.io import files
 from tests.fusion.drawings import draw
 from tests.fusion.live.maps import noise, three
 
@@ -45,7 +45,7 @@ def test_noise_and_a_map_all_occupied_say_nothing_of_a_place() -> None:
 def test_a_large_map_must_fit_into_memory_at_the_fused_resolution(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(memory, "available_memory", lambda: 10_000_000)
+    monkeypatch.setattr(files, "available_memory", lambda: 10_000_000)
     grid = OccupancyGrid(np.zeros((1000, 1000), dtype=np.int8), 0.1, Pose2(), "big")
     assert too_large(grid, 0.1) is None
     assert "big" in (too_large(grid, 0.02) or "")

@@ -13,7 +13,7 @@ from slamfusion.errors import GridError
 from slamfusion.fusion.live import LiveFusion
 from slamfusion.fusion.live.mailbox import Mailbox
 from slamfusion.grid import OccupancyGrid
-from slamfusion.io import memory
+from slamfusion.io import files
 from tests.fusion.live.maps import Drive, live_fusion, noise, started, three, touched
 
 
@@ -108,7 +108,7 @@ def test_before_the_first_fusion_memory_must_hold_the_maps_at_its_resolution(
 ) -> None:
     config = FusionConfig(normalize=NormalizeConfig(resolution=0.001))
     drive = Drive(LiveFusion(RunConfig(fusion=config), device))
-    monkeypatch.setattr(memory, "available_memory", lambda: 1000)
+    monkeypatch.setattr(files, "available_memory", lambda: 1000)
     update = drive.step(three()["a"], three()["b"])
     assert update.problem == "waits for 2 inputs that agree, has 0"
     assert "a: " in drive.input("a").reason

@@ -11,7 +11,7 @@ from slamfusion.fusion.live.track import Track
 from slamfusion.fusion.live.voting import FusedLayers
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, OccupancyGrid
-from slamfusion.io import memory
+from slamfusion.io import files
 from slamfusion.vote.lattice import Lattice
 from tests.fusion.drawings import random_cells
 
@@ -75,7 +75,7 @@ def test_a_voter_that_memory_has_no_room_for_is_refused_and_the_others_vote(
 ) -> None:
     voting = voting_of(device)
     tracks = [voter("a", 0.0, device), voter("b", 5000.0, device)]
-    monkeypatch.setattr(memory, "available_memory", lambda: 1_000_000)
+    monkeypatch.setattr(files, "available_memory", lambda: 1_000_000)
     assert voting.update(tracks, tracks, "a") is not None
     assert voting.names == ("a",)
     assert not tracks[1].votes

@@ -15,13 +15,16 @@ from hypothesis import strategies as st
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import GraphConfig
 from slamfusion.geometry import Pose2
-from slamfusion.slam.common.matcher import PoseHypothesis, ScanOnTiles, Spread, search_pose
-from slamfusion.slam.common.response import (
+from slamfusion.slam.common.matcher import (
     MOST_SIGMA,
+    PoseHypothesis,
+    ScanOnTiles,
+    Spread,
     keep_degenerate_prior,
     response_hessian,
+    search_pose,
 )
-from slamfusion.slam.graph.constraints import turned
+from slamfusion.slam.graph.map_graph import turned
 from slamfusion.slam.graph.submap import Submap
 from tests.slam.drives import CELL_M, draw_flat, scan_at, true_poses
 from tests.slam.places import NO_LASER, Place, draw_corridor, place_of

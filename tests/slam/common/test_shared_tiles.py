@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.compute.layout import TILE
-from slamfusion.slam.common.shared_tiles import SharedTileMaps
-from slamfusion.slam.common.tile_map import MARGIN
+from slamfusion.slam.common.tile_map import MARGIN, SharedTileMaps
 from tests.support.examples import examples
 
 POOLS = {"counts": np.uint32, "field": np.uint8}

@@ -10,7 +10,7 @@ from slamfusion.compute.cell_means import ScanRule
 from slamfusion.compute.layout import BEAM_ONE, TILE, UNSEEN
 from slamfusion.errors import MemoryBudgetError
 from slamfusion.slam.common.tile_map import TileMap
-from slamfusion.slam.tinyslam.cell_models import CELL_MODELS
+from slamfusion.slam.tinyslam.slam import CELL_MODELS
 
 POOLS = {
     "observed": (np.uint32, 0),

@@ -9,7 +9,7 @@ import numpy.typing as npt
 import pytest
 
 from slamfusion.geometry import Pose2, wrap_angles
-from slamfusion.slam.gmapping.motion_model import (
+from slamfusion.slam.gmapping.pose_sampler import (
     LEAST_SIGMAS,
     BicycleModel,
     DifferentialModel,

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from slamfusion.geometry import Pose2
 from slamfusion.slam.common.state import pack, unpack
-from slamfusion.slam.gmapping.particle_path import LEAST_SIGMAS, ParticlePaths
+from slamfusion.slam.gmapping.particles import LEAST_SIGMAS, ParticlePaths
 from tests.support.examples import examples
 
 F64 = npt.NDArray[np.float64]

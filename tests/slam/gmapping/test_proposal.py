@@ -9,13 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
-from slamfusion.slam.gmapping.particles import normalised_weights
-from slamfusion.slam.gmapping.proposal import (
+from slamfusion.slam.gmapping.particles import (
     effective_particles,
-    local_grid,
-    propose,
+    normalised_weights,
     resample_systematic,
 )
+from slamfusion.slam.gmapping.pose_sampler import local_grid, propose
 from tests.support.examples import examples
 
 F64 = npt.NDArray[np.float64]

@@ -21,9 +21,9 @@ from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.io.log import LogScan
 from slamfusion.scan import LaserScan
 from slamfusion.slam.common.hit_cells import percent_of_counts
-from slamfusion.slam.common.shared_tiles import SharedTileMaps
-from slamfusion.slam.gmapping import particle_maps
-from slamfusion.slam.gmapping.beams import beams_of
+from slamfusion.slam.common.tile_map import SharedTileMaps
+from slamfusion.slam.gmapping import particles
+from slamfusion.slam.gmapping.particles import beams_of
 from slamfusion.slam.gmapping.slam import Gmapping
 from tests.slam.drives import (
     drive,
@@ -271,7 +271,7 @@ class FullCopies(SharedTileMaps):
 def test_shared_tiles_change_no_bit(device: ComputeDevice, monkeypatch: pytest.MonkeyPatch):
     scans, _ = drive(40, turn_bias=0.01)
     shared = run(device, scans, **OFTEN)
-    monkeypatch.setattr(particle_maps, "SharedTileMaps", FullCopies)
+    monkeypatch.setattr(particles, "SharedTileMaps", FullCopies)
     copied = run(device, scans, **OFTEN)
     assert shared.health.resamplings == copied.health.resamplings > 5
     assert shared.health.tiles_shared > 0

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import GraphConfig
 from slamfusion.geometry import Pose2, wrap_angle
-from slamfusion.slam.common.response import LEAST_SIGMA, MOST_SIGMA
+from slamfusion.slam.common.matcher import LEAST_SIGMA, MOST_SIGMA
 from slamfusion.slam.graph.closure_search import (
     LOCAL_DRIFT_M,
     ClosureSearch,

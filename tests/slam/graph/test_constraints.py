@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slamfusion.geometry import compose_poses, invert_poses, wrap_angles
-from slamfusion.slam.graph.constraints import Constraint, solve_constraints
+from slamfusion.slam.graph.map_graph import Constraint, solve_constraints
 from tests.support.examples import examples
 
 F64 = npt.NDArray[np.float64]

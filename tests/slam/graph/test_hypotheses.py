@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from slamfusion.geometry import Pose2
-from slamfusion.slam.graph.constraints import Constraint
-from slamfusion.slam.graph.hypotheses import (
+from slamfusion.slam.graph.loop_closure import (
     BORNE_OUT_M,
     BORNE_OUT_NODES,
     MISSES,
+    PendingClosure,
     RelocalizationHypotheses,
 )
-from slamfusion.slam.graph.pending_closures import PendingClosure
+from slamfusion.slam.graph.map_graph import Constraint
 
 pytestmark = pytest.mark.once
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from slamfusion.geometry import Pose2
-from slamfusion.slam.graph.constraints import Constraint
-from slamfusion.slam.graph.pending_closures import (
+from slamfusion.slam.graph.loop_closure import (
     AGREEING_NODES,
     ODOMETRY_M,
     ODOMETRY_NODES,
@@ -16,6 +15,7 @@ from slamfusion.slam.graph.pending_closures import (
     PendingClosure,
     PendingClosures,
 )
+from slamfusion.slam.graph.map_graph import Constraint
 
 pytestmark = pytest.mark.once
 

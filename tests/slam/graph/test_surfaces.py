@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slamfusion.slam.graph.surfaces import MOST_GAP_M, fill_walls
+from slamfusion.slam.graph.submap import MOST_GAP_M, fill_walls
 from tests.support.examples import examples
 
 F64 = npt.NDArray[np.float64]

@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.geometry import wrap_angle
-from slamfusion.slam.graph.submap import Pyramid, Submap
-from slamfusion.slam.graph.window_search import (
+from slamfusion.slam.graph.closure_search import (
     BESIDE_M,
     BESIDE_RAD,
     LEAST_REACH_CELLS,
@@ -22,6 +21,7 @@ from slamfusion.slam.graph.window_search import (
     WindowMatch,
     search_window,
 )
+from slamfusion.slam.graph.submap import Pyramid, Submap
 from tests.slam.drives import CELL_M, scan_at, true_poses
 from tests.support.examples import examples
 

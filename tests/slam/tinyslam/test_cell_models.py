@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slamfusion.slam.tinyslam.cell_models import (
+from slamfusion.slam.tinyslam.slam import (
     CELL_MODELS,
     CellModel,
     area_behind,

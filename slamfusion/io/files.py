@@ -1,23 +1,186 @@
-"""Files that appear whole or not at all.
+"""Files and memory: regular files only, checked sizes, and writing that is whole or not at all.
 
-The data goes into a temporary file next to its target, is forced to disk, and is only then renamed
-over the target. The old file stays until that moment, and stays for good if anything fails.
+Data goes into a temporary file next to its target, is forced to disk, and is only then renamed over
+the target. The old file stays until that moment, and stays for good if anything fails.
 """
 
 from __future__ import annotations
 
+import ctypes
 import errno
 import fcntl
 import json
 import os
 import secrets
 import stat
-from collections.abc import Iterator
+from collections.abc import Hashable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from io import BufferedReader
 from pathlib import Path
 from typing import Any
 
-from slamfusion.errors import MapFileError
+import psutil
+
+from slamfusion.errors import MapFileError, MemoryBudgetError, SlamFusionError
+
+# What the interpreter and its buffers take beside the map itself.
+WORKING_BYTES = 64 * 2**20
+
+
+def available_memory() -> int:
+    """Return the bytes that processes may still take before the machine swaps."""
+    return int(psutil.virtual_memory().available)
+
+
+def check_memory(
+    bytes_needed: int,
+    what: str,
+    where: str,
+    fix: str = "free memory, crop it or use a coarser cell",
+) -> None:
+    """Refuse work that would not fit into memory.
+
+    Args:
+        bytes_needed: the peak of the work, in bytes.
+        what: the work, as the subject of a sentence: ``a 30000 x 30000 map``.
+        where: the file, topic or option that asked for it.
+        fix: what to do.
+
+    Raises:
+        MemoryBudgetError: with the needed and the available amount; nothing was allocated.
+    """
+    available = available_memory()
+    if bytes_needed > available:
+        message = (
+            f"{where}: {what} needs {format_bytes(bytes_needed)} of memory, but only "
+            f"{format_bytes(available)} is available; {fix}"
+        )
+        raise MemoryBudgetError(message)
+
+
+def return_freed_memory() -> None:
+    """Give memory that was freed back to the system, where the C library can (glibc).
+
+    Arrays of some megabytes come from a heap that otherwise keeps them: after fields of three maps
+    of 8000 x 8000 cells some 600 MB.
+    """
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+    if trim is not None:
+        trim(0)
+
+
+def format_bytes(count: int) -> str:
+    """Return a byte count as people read it: ``1.7 GiB``."""
+    for power, unit in ((4, "TiB"), (3, "GiB"), (2, "MiB"), (1, "KiB")):
+        if count >= 1024**power:
+            return f"{count / 1024**power:.1f} {unit}"
+    return f"{count} bytes"
+
+
+# Files that people write by hand: settings, courses, distances, maps' YAML.
+SMALL_BYTES = 2**20
+
+_KINDS = (
+    (stat.S_ISDIR, "a folder"),
+    (stat.S_ISFIFO, "a pipe"),
+    (stat.S_ISSOCK, "a socket"),
+)
+
+
+def open_regular(path: Path, error: type[SlamFusionError]) -> BufferedReader:
+    """Open a file for reading; what would make the reader wait or never end is refused.
+
+    Args:
+        path: the file, links followed.
+        error: raised for a folder, pipe, socket or device.
+
+    Raises:
+        SlamFusionError: ``error``; it names the file and what was found.
+        OSError: the file cannot be opened.
+    """
+    _check_regular(path, path.stat().st_mode, error)
+    # What was a file a moment ago may be a pipe by now: opening must not wait for its writer.
+    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
+    try:
+        _check_regular(path, os.fstat(descriptor).st_mode, error)
+    except BaseException:
+        os.close(descriptor)
+        raise
+    return os.fdopen(descriptor, "rb")
+
+
+def read_small(path: Path, error: type[SlamFusionError], what: str) -> bytes:
+    """Return the bytes of a file that a person may have written, at most ``SMALL_BYTES``.
+
+    Args:
+        path: the file.
+        error: raised where it is no regular file, or larger.
+        what: the file should be, with its article.
+
+    Raises:
+        SlamFusionError: ``error``.
+        OSError: the file cannot be read.
+    """
+    with open_regular(path, error) as file:
+        data = file.read(SMALL_BYTES + 1)
+    if len(data) > SMALL_BYTES:
+        message = (
+            f"{path}: wanted {what} of at most {format_bytes(SMALL_BYTES)}, found more; "
+            "check what the file is"
+        )
+        raise error(message)
+    return data
+
+
+def _check_regular(path: Path, mode: int, error: type[SlamFusionError]) -> None:
+    if not stat.S_ISREG(mode):
+        found = next((name for is_kind, name in _KINDS if is_kind(mode)), "a device")
+        mend = "name a file in it" if stat.S_ISDIR(mode) else "save it to a file and name that"
+        message = f"{path}: wanted a file, found {found}; {mend}"
+        raise error(message)
+
+
+def refuse_overwriting(
+    reads: Iterable[tuple[Path, Path]], writes: Iterable[tuple[str, Path]]
+) -> None:
+    """Refuse outputs that would replace an input or each other, and what no file can replace.
+
+    Two paths are of one file where they are the same without links, or lead to the same inode:
+    hard links, or names that differ in letters which the file system does not tell apart.
+
+    Args:
+        reads: inputs as they were given, each with a file that is read for it.
+        writes: outputs as they were asked for, in words, each with a file that may be written or
+            removed for it.
+
+    Raises:
+        SlamFusionError: names the input and the output.
+    """
+    taken: dict[Hashable, str] = {}
+    for given, file in reads:
+        words = f"the input {file}" + ("" if file == given else f" (of {given})")
+        for mark in _marks(file):
+            taken.setdefault(mark, words)
+    for asked, file in writes:
+        own = f"a file of {asked}"
+        for mark in _marks(file):
+            words = taken.setdefault(mark, own)
+            if words != own:
+                message = f"{asked} would replace {words} with {file}; choose another name"
+                raise SlamFusionError(message)
+        if file.exists() and not file.is_file():
+            what = "a folder" if file.is_dir() else "a device or pipe"
+            message = f"{asked} cannot be written: {file} is {what}; name a file"
+            raise SlamFusionError(message)
+
+
+def _marks(path: Path) -> Iterator[Hashable]:
+    """Yield what a path has in common with every other one of its file."""
+    with suppress(OSError, ValueError):  # a path that cannot be is named when it is opened
+        yield os.path.realpath(path)
+        found = path.stat()
+        yield found.st_dev, found.st_ino
+
 
 _FIXES = {
     errno.ENOSPC: "free some space or write elsewhere",

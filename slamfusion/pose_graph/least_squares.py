@@ -1,0 +1,527 @@
+"""Sparse least squares on a pose graph: measurements, normal equations, first poses and steps.
+
+Poses are (x, y, yaw) and steps are added to them. Turning error and information by the measured
+pose's yaw into the world's axes leaves Jacobians of plain numbers: with d the way from i to j,
+``de/dx_j`` is the identity and ``de/dx_i`` is ``[[-1, 0, d_y], [0, -1, -d_x], [0, 0, -1]]``. So
+all edges are done at once, term by term. The pattern of the matrix is found once, its values at
+every step. Unknowns are ordered by whole poses to keep the factor sparse (minimum degree on the
+graph of the poses, which is a ninth of the matrix); SuperLU factorises in its symmetric mode.
+
+Poses that are far off start again by rotations first, then everything at once.
+
+Sources: Carlone, Tron, Daniilidis and Dellaert, Initialization Techniques for 3D SLAM, ICRA 2015
+(the chordal relaxation); Carlone, Aragues, Castellanos and Bona, A Linear Approximation for
+Graph-Based Simultaneous Localization and Mapping, RSS 2011 (the second step).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from slamfusion.geometry import wrap_angles
+
+Array = npt.NDArray[np.float64]
+
+
+class Measurements:
+    """The measured motions of a graph's edges, or of some of them.
+
+    Errors are those of g2o: of an edge with the measured motion z from pose i to pose j,
+    ``e = z^-1 (x_i^-1 x_j)`` as x, y and wrapped yaw.
+
+    Attributes:
+        edges: (M, 2) int64, from and to.
+        motions: (M, 3) float64 x, y, yaw.
+        information: (M, 3, 3) float64.
+        start: (M,) int64, from.
+        end: (M,) int64, to.
+        motion: (3, M), the same motions.
+        cos: (M,) of the motions' yaws.
+        sin: (M,) of the motions' yaws.
+        upper: (6, M), the upper triangles of the information, row by row.
+    """
+
+    def __init__(self, edges: npt.NDArray[np.int64], motions: Array, information: Array) -> None:
+        self.edges, self.motions, self.information = edges, motions, information
+        self.start, self.end = edges[:, 0].copy(), edges[:, 1].copy()
+        self.motion = np.ascontiguousarray(motions.T)
+        self.cos, self.sin = np.cos(motions[:, 2]), np.sin(motions[:, 2])
+        triangle = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+        self.upper = np.stack([information[:, row, column] for row, column in triangle])
+
+    def __len__(self) -> int:
+        """Edges."""
+        return len(self.edges)
+
+    def chosen(self, which: npt.NDArray[np.bool_] | npt.NDArray[np.int64]) -> Measurements:
+        """Return those of some edges, by (M,) bool or by their indices."""
+        return Measurements(self.edges[which], self.motions[which], self.information[which])
+
+    def errors(self, poses: Array) -> Array:
+        """Return the errors in the frames of the measured poses, (3, M): x, y, wrapped yaw."""
+        cos, sin = np.cos(poses[:, 2])[self.start], np.sin(poses[:, 2])[self.start]
+        x, y = self.ways(poses)
+        across_x = cos * x + sin * y - self.motion[0]
+        across_y = cos * y - sin * x - self.motion[1]
+        return np.stack(
+            (
+                self.cos * across_x + self.sin * across_y,
+                self.cos * across_y - self.sin * across_x,
+                self.turns(poses),
+            )
+        )
+
+    def squared_errors(self, poses: Array) -> Array:
+        """Return each edge's squared error in its own deviations (chi-square), (M,)."""
+        e = self.errors(poses)
+        i00, i01, i02, i11, i12, i22 = self.upper
+        return np.asarray(
+            e[0] * (i00 * e[0] + 2.0 * (i01 * e[1] + i02 * e[2]))
+            + e[1] * (i11 * e[1] + 2.0 * i12 * e[2])
+            + i22 * e[2] * e[2]
+        )
+
+    def ways(self, poses: Array) -> tuple[Array, Array]:
+        """Return x and y of the way from the first to the last pose of each edge, world's axes."""
+        x, y = poses[:, 0], poses[:, 1]
+        return x[self.end] - x[self.start], y[self.end] - y[self.start]
+
+    def turns(self, poses: Array) -> Array:
+        """Return the errors in yaw, wrapped, (M,)."""
+        yaw = poses[:, 2]
+        return wrap_angles(yaw[self.end] - yaw[self.start] - self.motion[2])
+
+    def turned_information(self, cos: Array, sin: Array) -> Array:
+        """Return the upper triangles of the information in the world's axes, (6, M).
+
+        Args:
+            cos: (M,) of the yaws of the first poses.
+            sin: (M,) of the same.
+        """
+        c, s = cos * self.cos - sin * self.sin, sin * self.cos + cos * self.sin
+        i00, i01, i02, i11, i12, i22 = self.upper
+        return np.stack(
+            (
+                c * (c * i00 - s * i01) - s * (c * i01 - s * i11),
+                s * (c * i00 - s * i01) + c * (c * i01 - s * i11),
+                c * i02 - s * i12,
+                s * (s * i00 + c * i01) + c * (s * i01 + c * i11),
+                s * i02 + c * i12,
+                i22,
+            )
+        )
+
+
+Indices = npt.NDArray[np.int64]
+
+# Columns that SuperLU updates together; of 1 to 20 the fastest on matrices of 3 x 3 blocks.
+PANEL_SIZE = 4
+
+
+def factorise(matrix: scipy.sparse.csc_matrix, order: str = "NATURAL") -> Any:
+    """Factorise a symmetric positive definite sparse matrix without pivoting.
+
+    Args:
+        matrix: whole, not only a triangle.
+        order: of the columns, in SuperLU's words; natural where they are in a good one already.
+
+    Returns:
+        SciPy's ``SuperLU``.
+
+    Raises:
+        RuntimeError: the matrix is singular.
+    """
+    # Its types know neither complex matrices nor the order as a name.
+    solve: Any = scipy.sparse.linalg.splu
+    return solve(
+        matrix,
+        permc_spec=order,
+        diag_pivot_thresh=0.0,
+        panel_size=PANEL_SIZE,
+        options={"SymmetricMode": True},
+    )
+
+
+def elimination_order(edges: Indices, count: int) -> Indices:
+    """Return an order of the nodes of a graph that keeps its factor sparse (minimum degree).
+
+    Args:
+        edges: (M, 2) between nodes.
+        count: nodes.
+
+    Returns:
+        (count,) nodes, first the one to be eliminated first.
+    """
+    if count < 3:
+        return np.arange(count)
+    low, high = edges.min(axis=1), edges.max(axis=1)
+    low, high = np.divmod(np.unique(low * count + high), count)
+    degree = 1.0 + np.bincount(np.concatenate((low, high)), minlength=count)
+    values = np.concatenate((degree, np.full(2 * len(low), -1.0)))
+    diagonal = np.arange(count)
+    rows = np.concatenate((diagonal, low, high))
+    columns = np.concatenate((diagonal, high, low))
+    laplacian = scipy.sparse.csc_matrix((values, (rows, columns)), shape=(count, count))
+    return np.argsort(factorise(laplacian, "MMD_AT_PLUS_A").perm_c)
+
+
+class NormalEquations:
+    """The least-squares problem of a graph, linearised where it is asked to.
+
+    Attributes:
+        measurements: the edges.
+        fixed: poses that do not move.
+        free: (F,) poses that may move, in the order of elimination.
+        place: (N,) of each pose its place in ``free``; -1 for the fixed ones.
+        gradient: (3 F,) of half the weighted sum of squares, at the last linearisation.
+    """
+
+    def __init__(self, measurements: Measurements, count: int, fixed: Sequence[int]) -> None:
+        """Find the pattern for edges between ``count`` poses."""
+        self.measurements = measurements
+        self.fixed = tuple(fixed)
+        self._count = count
+        self.free = self._order()
+        self.place = np.full(count, -1)
+        self.place[self.free] = np.arange(len(self.free))
+        self._pattern()
+        self.gradient = np.zeros(3 * len(self.free))
+
+    def linearise(
+        self, poses: Array, weights: Array | None = None, *, by_measured_ways: bool = False
+    ) -> None:
+        """Fill in the matrix and the gradient.
+
+        Args:
+            poses: (N, 3), where.
+            weights: (M,) by which the information is multiplied; default: 1.
+            by_measured_ways: take the way from i to j as measured, turned by the yaw of i, where
+                the positions are not known yet.
+        """
+        measured = self.measurements
+        x, y = measured.ways(poses)
+        cos, sin = np.cos(poses[:, 2])[measured.start], np.sin(poses[:, 2])[measured.start]
+        measured_x = cos * measured.motion[0] - sin * measured.motion[1]
+        measured_y = sin * measured.motion[0] + cos * measured.motion[1]
+        error = (x - measured_x, y - measured_y, measured.turns(poses))
+        if by_measured_ways:
+            x, y = measured_x, measured_y
+        information = measured.turned_information(cos, sin)
+        if weights is not None:
+            information = information * weights
+        i00, i01, i02, i11, i12, i22 = information
+        # Minus the third row of the transposed Jacobian of the first pose, times the information.
+        lever = (y * i00 - x * i01 - i02, y * i01 - x * i11 - i12, y * i02 - x * i12 - i22)
+        self._fill(
+            ends=(i00, i01, i02, i11, i12, i22),
+            starts=(i00, i01, -lever[0], i11, -lever[1], y * lever[0] - x * lever[1] - lever[2]),
+            between=(-i00, -i01, -i02, -i01, -i11, -i12, *lever),
+        )
+        pull = (
+            i00 * error[0] + i01 * error[1] + i02 * error[2],
+            i01 * error[0] + i11 * error[1] + i12 * error[2],
+            i02 * error[0] + i12 * error[1] + i22 * error[2],
+        )
+        back = (-pull[0], -pull[1], y * pull[0] - x * pull[1] - pull[2])
+        gradient = np.empty((len(self.free), 3))
+        for column in range(3):
+            gradient[:, column] = self._sum_at_poses(back[column], pull[column])
+        self.gradient = gradient.ravel()
+
+    def matrix(self, damping: float = 0.0) -> scipy.sparse.csc_matrix:
+        """Return the matrix of the last linearisation; the diagonal times 1 + ``damping``.
+
+        Returns:
+            (3 F, 3 F), x, y and yaw of each pose in ``free``.
+        """
+        data = self._values.ravel()[self._source]
+        data[self._diagonal] *= 1.0 + damping
+        size = 3 * len(self.free)
+        return scipy.sparse.csc_matrix((data, self._rows, self._columns), shape=(size, size))
+
+    def step(self, damping: float = 0.0) -> tuple[Array, float]:
+        """Solve for the step that takes the linearised errors to their least squares.
+
+        Args:
+            damping: of Levenberg and Marquardt; 0 is Gauss and Newton's step.
+
+        Returns:
+            (N, 3) to be added to the poses, and by how much the weighted sum of squares would fall
+            if the errors were linear.
+
+        Raises:
+            RuntimeError: the matrix is singular.
+        """
+        matrix = self.matrix(damping)
+        moved = -factorise(matrix).solve(self.gradient)
+        if not np.isfinite(moved).all():
+            message = "the matrix is singular"
+            raise RuntimeError(message)
+        damped = damping / (1.0 + damping) * np.dot(matrix.data[self._diagonal], moved * moved)
+        step = np.zeros((self._count, 3))
+        step[self.free] = moved.reshape(-1, 3)
+        return step, float(damped - np.dot(self.gradient, moved))
+
+    def _order(self) -> Indices:
+        """Return the free poses in a good order."""
+        is_free = np.ones(self._count, np.bool_)
+        is_free[list(self.fixed)] = False
+        free = np.flatnonzero(is_free)
+        place = np.full(self._count, -1)
+        place[free] = np.arange(len(free))
+        ends = place[self.measurements.edges]
+        return free[elimination_order(ends[(ends >= 0).all(axis=1)], len(free))]
+
+    def _pattern(self) -> None:
+        """Find where each block of the matrix comes from and goes to.
+
+        Blocks are kept once: first those on the diagonal, then those of each pair of joined poses,
+        with the pose that is eliminated later as row. The matrix has them twice.
+        """
+        count = len(self.free)
+        start, end = self.place[self.measurements.edges].T
+        both = np.concatenate((start, end))
+        self._at_free = np.flatnonzero(both >= 0)
+        self._at_place = both[self._at_free]
+        self._joins = np.flatnonzero((start >= 0) & (end >= 0))
+        start, end = start[self._joins], end[self._joins]
+        self._is_turned = start < end
+        low, high = np.minimum(start, end), np.maximum(start, end)
+        pairs, self._pair = np.unique(low * count + high, return_inverse=True)
+        low, high = np.divmod(pairs, max(count, 1))
+        self._values = np.zeros((count + len(pairs), 9))
+
+        diagonal, below = np.arange(count), count + np.arange(len(pairs))
+        columns = np.concatenate((diagonal, low, high))
+        rows = np.concatenate((diagonal, high, low))
+        source = np.concatenate((diagonal, below, below))
+        is_turned = np.repeat((False, False, True), (count, len(pairs), len(pairs)))
+        order = np.argsort(columns * count + rows)
+        columns, rows, source, is_turned = (
+            array[order] for array in (columns, rows, source, is_turned)
+        )
+        per_column = np.bincount(columns, minlength=count)
+        first = np.cumsum(per_column) - per_column
+        rank = np.arange(len(columns)) - first[columns]
+        within = np.arange(3)
+        row, column = within[:, None], within[None, :]
+        target = (9 * first[columns] + 3 * rank)[:, None, None] + row
+        target = target + 3 * per_column[columns][:, None, None] * column
+        taken = np.where(is_turned[:, None, None], 3 * column + row, 3 * row + column)
+        self._source = np.empty(target.size, np.int64)
+        self._source[target] = 9 * source[:, None, None] + taken
+        self._rows = np.empty(target.size, np.int32)
+        self._rows[target] = 3 * rows[:, None, None] + row
+        starts = 9 * first[:, None] + 3 * per_column[:, None] * within
+        self._columns = np.append(starts.ravel(), target.size).astype(np.int32)
+        self._diagonal = target[rows == columns][:, within, within].ravel()
+
+    def _fill(
+        self, *, ends: Sequence[Array], starts: Sequence[Array], between: Sequence[Array]
+    ) -> None:
+        """Sum the edges' blocks: of their last poses, of their first ones (upper), of the pairs."""
+        count = len(self.free)
+        upper = ((0, 1, 2, 4, 5, 8), (0, 3, 6, 4, 7, 8))
+        for index, (place, mirrored) in enumerate(zip(*upper, strict=True)):
+            summed = self._sum_at_poses(starts[index], ends[index])
+            self._values[:count, place] = summed
+            self._values[:count, mirrored] = summed
+        blocks = [block[self._joins] for block in between]
+        pairs = len(self._values) - count
+        for place in range(9):
+            mirrored = 3 * (place % 3) + place // 3
+            block = np.where(self._is_turned, blocks[mirrored], blocks[place])
+            self._values[count:, place] = np.bincount(self._pair, block, minlength=pairs)
+
+    def _sum_at_poses(self, of_starts: Array, of_ends: Array) -> Array:
+        """Sum the edges' numbers at their free poses, (F,)."""
+        numbers = np.concatenate((of_starts, of_ends))[self._at_free]
+        summed = np.bincount(self._at_place, numbers, minlength=len(self.free))
+        return np.asarray(summed, np.float64)
+
+
+def rotations_first(
+    equations: NormalEquations,
+    poses: npt.NDArray[np.float64],
+    weights: npt.NDArray[np.float64] | None = None,
+) -> npt.NDArray[np.float64]:
+    """Return a start that needs no guess: two linear problems, both solved exactly.
+
+    First the yaws alone, as free complex numbers u with ``u_j = exp(i z) u_i`` of each edge.
+    Then poses and yaws together, where the way along each edge is taken as measured.
+
+    Args:
+        equations: the graph.
+        poses: (N, 3); only the fixed ones count.
+        weights: (M,) by which the information is multiplied; default: 1.
+
+    Returns:
+        (N, 3) float64, not wrapped.
+
+    Raises:
+        RuntimeError: the free poses do not all hang together with a fixed one.
+    """
+    turned = np.array(poses, np.float64)
+    turned[equations.free, 2] = _yaws(equations, turned[:, 2], weights)
+    equations.linearise(turned, weights, by_measured_ways=True)
+    step, _ = equations.step()
+    return turned + step
+
+
+def _yaws(
+    equations: NormalEquations,
+    yaws: npt.NDArray[np.float64],
+    weights: npt.NDArray[np.float64] | None,
+) -> npt.NDArray[np.float64]:
+    """Return the yaws of the free poses from those of the fixed ones, (F,)."""
+    measured = equations.measurements
+    start, end = measured.start, measured.end
+    weight = _yaw_information(measured.upper)
+    if weights is not None:
+        weight = weight * weights
+    turn = np.exp(1j * measured.motion[2])
+    count, free = len(yaws), equations.free
+    rows = np.concatenate((start, end, end, start))
+    columns = np.concatenate((start, end, start, end))
+    values = np.concatenate((weight, weight, -weight * turn, -weight * turn.conj()))
+    matrix = scipy.sparse.csc_matrix((values, (rows, columns)), shape=(count, count))
+    fixed = list(equations.fixed)
+    pull = -(matrix[:, fixed] @ np.exp(1j * yaws[fixed]))[free]
+    return np.asarray(np.angle(factorise(matrix[:, free][free]).solve(pull)), np.float64)
+
+
+def _yaw_information(information: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return what edges know of yaw when nothing is known of x and y, (M,), from (6, M)."""
+    xx, xy, x_yaw, yy, y_yaw, yaw = information
+    known = (yy * x_yaw * x_yaw - 2.0 * xy * x_yaw * y_yaw + xx * y_yaw * y_yaw) / (
+        xx * yy - xy * xy
+    )
+    return np.asarray(np.maximum(yaw - known, 1e-9 * yaw))
+
+
+# Damping after a first step that made it worse, and where damping is taken for hopeless.
+FIRST_DAMPING, LARGEST_DAMPING = 1e-6, 1e8
+# Undamped steps in a row that may make it worse, as long as one after them makes it better: from
+# far off they often cross a ridge that damped steps creep along.
+PATIENCE = 4
+# When that does not help, parts of the step to try instead.
+SHARES = (0.5, 0.25, 0.1, 0.03)
+# A sum of squares this small is no error that could be seen: poses fit to 1e-6 deviations.
+NEGLIGIBLE = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class Descent:
+    """How a descent went.
+
+    Attributes:
+        poses: (N, 3) where it ended.
+        costs: weighted sums of squares, of the start and after each accepted step; never rising.
+        iterations: steps solved for, kept or not.
+        is_converged: it ended because another step would change next to nothing.
+    """
+
+    poses: Array
+    costs: tuple[float, ...]
+    iterations: int
+    is_converged: bool
+
+
+def descend(
+    equations: NormalEquations,
+    poses: Array,
+    weights: Array | None = None,
+    *,
+    max_iterations: int = 100,
+    tolerance: float = 1e-5,
+) -> Descent:
+    """Descend to the nearest least weighted sum of squared errors.
+
+    Args:
+        equations: the graph.
+        poses: (N, 3), the start.
+        weights: (M,) by which the information is multiplied; default: 1.
+        max_iterations: steps to solve for at most.
+        tolerance: stop after a step that promised to lower the sum by less than this share.
+    """
+    walk = _Walk(equations, poses, weights)
+    for iteration in range(1, max_iterations + 1):
+        step, promised = walk.next_step()
+        cost = walk.cost_at(walk.poses + step)
+        is_small = promised <= tolerance * walk.costs[-1] + NEGLIGIBLE
+        if cost <= walk.costs[-1]:
+            is_done = is_small and walk.damping == 0.0
+            walk.keep(step, cost)
+            if is_done:
+                return Descent(walk.best, tuple(walk.costs), iteration, is_converged=True)
+        elif walk.risen == 0 and (is_small or walk.damping > LARGEST_DAMPING):
+            # Nothing but rounding is left, or no step leads down.
+            return Descent(walk.best, tuple(walk.costs), iteration, is_converged=is_small)
+        else:
+            walk.cope(step, cost)
+    return Descent(walk.best, tuple(walk.costs), max_iterations, is_converged=False)
+
+
+class _Walk:
+    """Where a descent is.
+
+    Attributes:
+        best: (N, 3) poses of the least cost so far.
+        costs: of the start and of each place that was better than those before.
+        poses: (N, 3) where the next step starts.
+        damping: of that step.
+        risen: steps since ``best``, each of them for the worse.
+    """
+
+    def __init__(self, equations: NormalEquations, poses: Array, weights: Array | None) -> None:
+        self._equations, self._weights = equations, weights
+        self.best = self.poses = poses
+        self.costs = [self.cost_at(poses)]
+        self.damping = 0.0
+        self.risen, self._patience = 0, PATIENCE
+
+    def cost_at(self, poses: Array) -> float:
+        """Return the weighted sum of squares."""
+        squares = self._equations.measurements.squared_errors(poses)
+        return float(squares.sum() if self._weights is None else np.dot(self._weights, squares))
+
+    def next_step(self) -> tuple[Array, float]:
+        """Return the step from here and what it promises; not a number, and infinity, if none."""
+        self._equations.linearise(self.poses, self._weights)
+        try:
+            return self._equations.step(self.damping)
+        except RuntimeError:  # singular in this arithmetic; damping mends it
+            return np.full_like(self.poses, np.nan), np.inf
+
+    def keep(self, step: Array, cost: float) -> None:
+        """Go a step for the better."""
+        if self.damping == 0.0:
+            self._patience = PATIENCE
+        self._go(step, cost)
+        self.damping = 0.1 * self.damping if self.damping > FIRST_DAMPING else 0.0
+
+    def cope(self, step: Array, cost: float) -> None:
+        """Do something about a step for the worse: go on all the same, go back, or shorten it."""
+        if self.damping == 0.0 and self.risen < self._patience and np.isfinite(cost):
+            self.poses, self.risen = self.poses + step, self.risen + 1
+            return
+        if self.risen > 0:
+            self.poses, self.risen, self._patience = self.best, 0, 0
+            return
+        costs = [self.cost_at(self.poses + share * step) for share in SHARES]
+        least = int(np.argmin(costs))
+        if costs[least] <= self.costs[-1]:
+            self._go(SHARES[least] * step, costs[least])
+        else:
+            self.damping = max(10.0 * self.damping, FIRST_DAMPING)
+
+    def _go(self, step: Array, cost: float) -> None:
+        self.best = self.poses = self.poses + step
+        self.costs.append(cost)
+        self.risen = 0
