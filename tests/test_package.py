@@ -23,7 +23,8 @@ CORE = {
     "slamfusion.fusion": set[str](),
     "slamfusion.io": {"scipy"},
     "slamfusion.sim": set[str](),
-    "slamfusion.cli.program": {"cv2", "psutil", "scipy", "yaml"},
+    "slamfusion.cli.program": {"cv2", "numpy", "psutil", "rich", "scipy", "yaml"},
+    "slamfusion.cli.run": {"cv2", "numpy", "psutil", "rich", "scipy", "yaml"},
     "slamfusion.jobs.fuse": SLOW,
     "slamfusion.jobs.run": SLOW,
 }

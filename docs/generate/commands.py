@@ -12,7 +12,7 @@ from slamfusion.cli.program import cli
 __all__ = ["TABLES", "command_pages", "walk"]
 
 # Options that every command has are described once.
-COMMON = ("--help",)
+COMMON = ("--help", "--help-all")
 
 
 def walk(command: click.Command = cli, before: str = "") -> Iterator[tuple[str, click.Context]]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from slamfusion.cli.help import Command
 from slamfusion.cli.options import (
     GivenStarts,
     common_options,
@@ -21,20 +22,20 @@ from slamfusion.cli.output import notice, print_json, print_table
 from slamfusion.cli.paths import MAP
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError
-from slamfusion.geometry import Pose2
 from slamfusion.jobs.documents import number
 from slamfusion.jobs.inputs import device_for, load_maps
 
 if TYPE_CHECKING:
     from slamfusion.align.records import Alignment
+    from slamfusion.geometry import Pose2
 
 
-@click.command("align")
+@click.command("align", cls=Command, examples=["align map_a.yaml map_b.yaml"])
 @click.argument("reference", type=MAP)
 @click.argument("moving", type=MAP)
 @start_option(
-    "Where the frame of MOVING lies in that of REFERENCE (with NAME: where that map's lies in the "
-    "other's; both may have one, in a frame that they share)",
+    "Expected pose of MOVING in the frame of REFERENCE. With NAME: the pose of that map in the "
+    "frame of the other one, or of both maps in a common frame.",
     bare_name=True,
 )
 @map_resolution_option
@@ -48,11 +49,11 @@ def command(
     config: RunConfig,
     as_json: bool,
 ) -> int:
-    """Align the map MOVING with the map REFERENCE.
+    """Align one map with another.
 
-    The motion printed maps a point of MOVING's frame into REFERENCE's. Exit code 1 when the
-    alignment cannot be believed; the record is printed all the same. Where a start has no M and
-    RAD, the --window options, if there are any, count from it instead.
+    Prints the transform that maps points from the frame of MOVING to the frame of REFERENCE. The
+    exit code is 1 if the alignment is rejected. If a start has no M and RAD, the --window options
+    apply around it.
     """
     from slamfusion.jobs.align import align_document, align_maps  # noqa: PLC0415
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from slamfusion.cli.help import Command
 from slamfusion.cli.options import check_picture, common_options, output_option
 from slamfusion.cli.output import NOTHING, notice, print_json, print_table
 from slamfusion.cli.paths import FILE
@@ -23,23 +24,28 @@ DIGITS = 4
 LEADING = ("error", "wall_f1", "ate_rmse_m", "relations_mean_m", "consistency")
 
 
-@click.command("compare")
+@click.command(
+    "compare",
+    cls=Command,
+    examples=["compare graph.zip gmapping.zip", "compare all.zip --plot errors.pdf"],
+)
 @click.argument("files", metavar="A.zip [B.zip...]", nargs=-1, required=True, type=FILE)
 @output_option(
     "--plot",
     "plot_path",
     metavar="FILE",
-    help="Draw the errors along the paths and the figures by case here: .png, .svg or .pdf.",
+    help="Draw the errors along the paths and by case: .png, .svg or .pdf.",
 )
 @common_options
 @table_option
 def command(files: tuple[Path, ...], plot_path: Path | None, as_json: bool) -> int:
-    """Compare results that --save-results saved: differences of all figures, with p-values.
+    """Compare saved results, with p-values.
 
-    Files are compared, every two of them; if a file has several methods in a case and no other file
-    has one of these, its methods are. Maps and paths of the same case, seed and method are pairs;
-    those of the same case and seed are, if each has one method; if the seeds differ, the means over
-    them are the pairs. If no case is the same, figures are compared as two samples.
+    The files come from --save-results. Every two files are compared. If a file holds several
+    methods of a case that no other file holds, its methods are compared. Results with the same
+    case, seed and method form pairs. If each file has one method, results with the same case and
+    seed form pairs; if the seeds differ, the means over the seeds do. Without a common case the
+    results are compared as two independent samples.
     """
     from slamfusion.jobs.compare import compare_results, write_comparison_plot  # noqa: PLC0415
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from slamfusion.cli.help import Command
 from slamfusion.cli.options import common_options, with_config
 from slamfusion.cli.output import print_json, print_table
 from slamfusion.config import RunConfig
@@ -17,11 +18,14 @@ if TYPE_CHECKING:
     from slamfusion.jobs.records import DoctorDocument
 
 
-@click.command("doctor")
+@click.command("doctor", cls=Command)
 @with_config("device")
 @common_options
 def command(config: RunConfig, as_json: bool) -> int:
-    """Check this installation: versions, devices, and a test of three kernels."""
+    """Check this installation.
+
+    Lists versions and devices and tests three kernels.
+    """
     from slamfusion.jobs.doctor import check_installation  # noqa: PLC0415
 
     document = check_installation(config)
@@ -58,10 +62,13 @@ def _print(document: DoctorDocument) -> None:
 NUMPY_NOTE = "numpy: always there (--device numpy), without OpenCL and slower"
 
 
-@click.command("devices")
+@click.command("devices", cls=Command)
 @common_options
 def devices_command(as_json: bool) -> int:
-    """List the OpenCL devices that --device can name."""
+    """List the OpenCL devices.
+
+    --device takes an index or a part of a name.
+    """
     from slamfusion.jobs.doctor import devices_document  # noqa: PLC0415
 
     document = devices_document()

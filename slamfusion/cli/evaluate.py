@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from slamfusion.cli.fused import tell_left_out
+from slamfusion.cli.help import Command
 from slamfusion.cli.options import (
     case_option,
     check_picture,
@@ -97,19 +98,27 @@ def _image_files(image: Path, given: Mapping[str, Any]) -> list[Path]:
     return difference_images(image, [f"{item.case}_{item.method}" for item in placed])
 
 
-@click.command("evaluate")
+@click.command(
+    "evaluate",
+    cls=Command,
+    examples=[
+        "evaluate out/*.yaml --truth truth.yaml",
+        "evaluate map.yaml --distances measured.csv",
+        "evaluate a.yaml b.yaml c.yaml            (compares them with each other)",
+    ],
+)
 @click.argument("maps", metavar="MAP...", nargs=-1, required=True, type=CASE_MAP)
 @case_option("--truth", "truths", "MAP", "The true map.", CASE_MAP)
 @click.option(
     "--align/--no-align",
     default=True,
-    help="Align each map with the truth first, or take both frames for the same. [default: align]",
+    help="Align each map with the truth first, or use both maps as they are. [default: align]",
 )
 @file_option(
     "--distances",
     "distances_path",
     "FILE",
-    "Compare distances measured in the building with the map's (CSV or YAML).",
+    "Distances measured in the building (CSV or YAML), to compare with the map.",
 )
 @report_option("report_dir", _report_folders)
 @output_option(
@@ -117,7 +126,7 @@ def _image_files(image: Path, given: Mapping[str, Any]) -> list[Path]:
     "image_path",
     files=_image_files,
     metavar="FILE",
-    help="Write the difference image of the map here; several maps add their names.",
+    help="Write an image of the differences. Several maps add their names.",
 )
 @map_resolution_option
 @with_config("fusion.normalize", "fusion.align", "map_files", "evaluate", "report", "device", "")
@@ -125,13 +134,14 @@ def _image_files(image: Path, given: Mapping[str, Any]) -> list[Path]:
 @results_option
 @table_option
 def command(config: RunConfig, **asked: Any) -> int:
-    """Measure the error of each MAP against the truth, or against measured distances.
+    """Measure the errors of maps.
 
-    Without both the maps are compared with each other: those whose walls agree are right.
+    Each MAP is compared with the true map, or with measured distances. Without both, the maps are
+    compared with each other.
 
-    With several truths a map belongs to the one whose name its own name or folder says as a word
-    (graph/office.yaml and office_graph.yaml to office.yaml), or that it is given: CASE=MAP. All
-    maps then stand in one table with the means of each method; a report is written for each truth.
+    With several truths, a map belongs to the truth whose name is a word of its file name or
+    folder: graph/office.yaml and office_graph.yaml belong to office.yaml. CASE=MAP overrides that.
+    One table then shows all maps and the mean of each method. Each truth gets its own report.
     """
     request = _Request(**asked)
     request.check()

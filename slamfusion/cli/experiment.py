@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from slamfusion.cli.help import Group
 from slamfusion.cli.options import (
     case_option,
     common_options,
@@ -108,27 +109,27 @@ def _experiment(*sections: str) -> Callable[[Callable[..., Found]], Callable[...
             files=_files,
             required=True,
             metavar="DIR",
-            help="Folder for the table of results and the plot; made where it is missing.",
+            help="Write the results, tables and the plot to this folder.",
         )(command)
 
     return decorate
 
 
-@click.group("experiment")
+@click.group("experiment", cls=Group)
 def command() -> None:
-    """Repeat an experiment of the papers, with deviations and p-values.
+    """Repeat an experiment of a paper.
 
-    Writes every single result as CSV, the tables and tests as Markdown, and a plot. What was run
-    before an interruption is kept.
+    Writes every result as CSV, the tables and tests as Markdown, and a plot. After an interruption,
+    the same command runs only what is missing.
     """
 
 
 @command.command("cell-models")
 @_experiment("report")
 def cell_models(setup: Setup) -> Found:
-    """Compute Table II of [H16]: a cell that receives 12 values in two orders.
+    """Compute Table II of [H16], a cell that receives 12 values in two orders.
 
-    Exit code 1 when a value differs from the paper's in its three decimals.
+    The exit code is 1 if a value differs from the paper in its three decimals.
     """
     from slamfusion.experiments.tinyslam import table_two  # noqa: PLC0415
 
@@ -142,11 +143,11 @@ def _log_option(name: str, help_text: str, metavar: str = "FILE") -> Callable[[F
 
 
 @command.command("occupancy-estimator")
-@_log_option("log", "A recorded drive, besides the simulated floors.", "LOG")
+@_log_option("log", "A recorded drive, in addition to the simulated floors.", "LOG")
 @_log_option("relations", "Known motions of the recorded drive [K09].")
 @_log_option(
     "odometry",
-    "Raw odometry of its whole run, to carry poses on to the times of the relations.",
+    "Raw odometry of its whole run. It carries poses to the times of the relations.",
 )
 @_log_option("reference", "The best known trajectory of the recorded drive.")
 @_experiment("experiment.occupancy_estimator", "report", "device", "")
@@ -157,9 +158,9 @@ def occupancy_estimator(
     odometry_path: Path | None,
     reference_path: Path | None,
 ) -> Found:
-    """Sweep tinySLAM's cell size with both occupancy estimators: Table III of [H16].
+    """Sweep tinySLAM's cell size with both occupancy estimators, Table III of [H16].
 
-    On simulated office floors, whose truth is known, and on a log where one is given.
+    Uses simulated office floors, whose truth is known, and a recorded drive with --log.
     """
     from slamfusion.experiments.drives import drive_inputs  # noqa: PLC0415
     from slamfusion.experiments.tinyslam import sweep_estimators  # noqa: PLC0415
@@ -181,14 +182,13 @@ def occupancy_estimator(
     multiple=True,
     type=InputPath(_read_of_drive),
     metavar="LOG:RELATIONS[:ODOMETRY]",
-    help="A recorded drive with known motions [K09], and raw odometry of its whole run; may be "
-    "given several times.",
+    help="A recorded drive with known motions [K09] and raw odometry. Can be repeated.",
 )
 @_experiment("experiment.cell_models_trajectories", "report", "device", "")
 def cell_models_trajectories(setup: Setup, logs: tuple[Path, ...]) -> Found:
-    """Compare tinySLAM's cell models and gmapping by errors of the trajectory: Table I of [H16].
+    """Compare tinySLAM's cell models and gmapping by path errors, Table I of [H16].
 
-    On simulated office floors, whose truth is known, and on the logs given.
+    Uses simulated office floors, whose truth is known, and the recorded drives of --log.
     """
     from slamfusion.experiments.drives import drive_inputs  # noqa: PLC0415
     from slamfusion.experiments.tinyslam import compare_models  # noqa: PLC0415
@@ -222,11 +222,10 @@ def _floors(count: int, recorded: Sequence[LogFiles]) -> range:
 @scheduler_option("the drives")
 @_experiment("experiment.ground_obstacle", "report", "device", "")
 def ground_obstacle(setup: Setup) -> Found:
-    """Compare three producers and their fusions, with and without an obstacle on the ground.
+    """Compare three SLAMs and their fusions, with and without an obstacle on the ground.
 
-    Tables I to III of [F16]: each drive is simulated, mapped by all producers and fused in every
-    way; then every two methods are tested. What is done stays in DIR/trials: started again after
-    an interruption, only the rest is run.
+    Tables I to III of [F16]. Each drive is simulated, mapped by all SLAMs and fused in every way;
+    then every two methods are tested. Finished drives stay in DIR/trials.
     """
     from slamfusion.experiments.trials import compare_with_obstacle  # noqa: PLC0415
 
@@ -237,11 +236,10 @@ def ground_obstacle(setup: Setup) -> Found:
 @scheduler_option("the drives")
 @_experiment("experiment.failures", "report", "device", "")
 def failures(setup: Setup) -> Found:
-    """Compare three producers and their fusions where the place, the drive or a producer fails.
+    """Compare three SLAMs and their fusions in difficult places and drives.
 
-    Courses: corridor loop, glass, people, slip, kidnapping, broken odometry, lost for good; each
-    with each laser. What is done stays in DIR/trials: started again after an interruption, only
-    the rest is run.
+    Courses: corridor loop, glass, people, slip, kidnapping, broken odometry, lost for good, each
+    with each laser. Finished drives stay in DIR/trials.
     """
     from slamfusion.experiments.trials import compare_failures  # noqa: PLC0415
 
@@ -257,27 +255,25 @@ def failures(setup: Setup) -> Found:
     required=True,
     type=InputPath(_read_of_datasets),
     metavar="DIR",
-    help="Folder of the recordings, with mit-csail/ and intel/ in it.",
+    help="Folder with the recordings mit-csail/ and intel/.",
 )
 @case_option(
     "--inputs",
     "maps",
     "MAP",
-    "Saved map of another SLAM, of a drive whose name it says.",
+    "Saved map of another SLAM. Its name contains the drive.",
     CASE_MAP,
 )
-@case_option(
-    "--paths", "paths", "PATH", "The path that was found with such a map, named as that is."
-)
+@case_option("--paths", "paths", "PATH", "The path of such a map, with the same name.")
 @_experiment("report", "device", "")
 def real_logs(
     setup: Setup, datasets: Path, maps: tuple[CaseFile, ...], paths: tuple[CaseFile, ...]
 ) -> Found:
-    """Compare three producers and their fusions on recorded drives: mit-csail and Intel.
+    """Compare three SLAMs and their fusions on recorded drives, mit-csail and Intel.
 
-    Against the map drawn from the best trajectory known, the nearest thing to the truth. A drive
-    whose files are not in the folder is skipped, and named. Maps of other SLAMs are measured and
-    vote, too: intel/karto.yaml and intel_karto.yaml are karto's of intel, or intel=MAP.
+    The reference is the map drawn at the best known trajectory. Drives that are not in the folder
+    are skipped. Maps of other SLAMs are measured and vote too: intel/karto.yaml and
+    intel_karto.yaml are the maps of karto for intel, or intel=MAP.
     """
     from slamfusion.experiments.real_logs import (  # noqa: PLC0415
         compare_on_logs,

@@ -11,6 +11,7 @@ import click
 
 from slamfusion.cli.evaluate import print_evaluations, tell_unaligned
 from slamfusion.cli.fused import print_alignments, print_frames, print_pairs, tell_left_out
+from slamfusion.cli.help import Command
 from slamfusion.cli.options import (
     GivenStarts,
     asked_executor,
@@ -32,7 +33,6 @@ from slamfusion.cli.paths import MAP
 from slamfusion.cli.results import table_option
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError
-from slamfusion.grid import OccupancyGrid
 from slamfusion.jobs.inputs import LIKE_PAPER, GivenMaps, device_for, load_maps
 from slamfusion.jobs.outputs import (
     AGREEMENT_END,
@@ -45,6 +45,7 @@ from slamfusion.jobs.outputs import (
 )
 
 if TYPE_CHECKING:
+    from slamfusion.grid import OccupancyGrid
     from slamfusion.jobs.fuse import FusedMaps
 
 
@@ -67,7 +68,14 @@ def _report_folders(folder: Path, _: Mapping[str, Any]) -> list[Path]:
     return [folder, folder / FAILED]
 
 
-@click.command("fuse")
+@click.command(
+    "fuse",
+    cls=Command,
+    examples=[
+        "fuse a.yaml b.yaml c.yaml -o out/fused --report out/report",
+        "fuse robot1.yaml robot2.yaml -o out/fused --start robot2=12.5,0,90deg",
+    ],
+)
 @click.argument("maps", nargs=-1, required=True, type=MAP)
 @output_option(
     "-o",
@@ -76,17 +84,21 @@ def _report_folders(folder: Path, _: Mapping[str, Any]) -> list[Path]:
     files=_files,
     required=True,
     metavar="OUT",
-    help="Write OUT.yaml, OUT.pgm, OUT_agreement.yaml, OUT_agreement.pgm and the record OUT.json; "
-    "of further groups of maps that share ground with each other alone OUT-2.yaml, OUT-3.yaml ... "
-    "A fused map that does not fit into memory goes to a Zarr store: OUT.zarr.",
+    help="Write the fused map OUT.yaml, OUT.pgm, its agreement OUT_agreement.yaml, .pgm and the "
+    "record OUT.json. Further groups of maps that overlap only each other: OUT-2.yaml ... "
+    "OUT.zarr writes a Zarr store, for maps larger than memory.",
 )
 @file_option(
-    "--truth", "truth_path", "MAP", "Evaluate every input and the fused map against this one.", MAP
+    "--truth",
+    "truth_path",
+    "MAP",
+    "The true map. Adds the errors of all maps.",
+    MAP,
 )
 @report_option("report_dir", _report_folders)
 @start_option(
-    "Where the frame of map NAME lies in one that all starts share, or, of one start alone, in "
-    "that of the reference or of the only other map"
+    "Expected pose of map NAME. Several starts share one frame. A single start is given in the "
+    "frame of the reference or of the only other map."
 )
 @map_resolution_option
 @scheduler_option("the alignments")
@@ -117,11 +129,11 @@ def command(
     config: RunConfig,
     as_json: bool,
 ) -> int:
-    """Align saved MAPS of one place and fuse them by vote.
+    """Align saved maps of one place and fuse them by vote.
 
-    MAPS are map_server YAML files, or bare images together with --resolution. At least two have
-    to fit each other; those that do not are named and left out. The fused map covers all that
-    fit, in the frame of the first.
+    MAPS are map_server YAML files, or images together with --resolution. Maps that do not fit are
+    named and left out; at least two must fit. The fused map covers all maps that fit, in the frame
+    of the first of them.
     """
     from slamfusion.jobs.fuse import (  # noqa: PLC0415
         check_count,

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from slamfusion.cli.help import Group
 from slamfusion.cli.options import common_options, output_option, with_config
 from slamfusion.cli.output import notice, print_json, print_table
 from slamfusion.cli.paths import FILE
@@ -21,9 +22,9 @@ if TYPE_CHECKING:
 NAMED = 10
 
 
-@click.group("graph")
+@click.group("graph", cls=Group)
 def command() -> None:
-    """Work on pose graphs in files."""
+    """Optimise a pose graph in a file."""
 
 
 @command.command("optimize")
@@ -33,23 +34,23 @@ def command() -> None:
     "--output",
     "out",
     metavar="OUT.g2o",
-    help="Write the graph with its new poses here; all edges stay.",
+    help="Write the graph with its new poses and all edges.",
 )
 @output_option(
     "--tum",
     "tum_path",
     metavar="OUT.tum",
-    help="Write the new poses here, with the vertex ids as times.",
+    help="Write the new poses, with the vertex ids as times.",
 )
 @with_config("graph_optimizer")
 @common_options
 def optimize_command(
     path: Path, out: Path | None, tum_path: Path | None, config: RunConfig, as_json: bool
 ) -> int:
-    """Optimise the pose graph FILE: find the poses that fit its edges best.
+    """Find the poses that fit the edges of a pose graph best.
 
-    FILE is g2o's or TORO's text, plain or gzip. Edges between consecutive vertices are odometry;
-    closures that are outliers are left out.
+    FILE is a g2o or TORO file, plain or gzip. Edges between consecutive vertices are odometry.
+    Loop closures that are outliers are ignored.
     """
     from slamfusion.jobs.graph import optimize_graph, save_optimized_graph  # noqa: PLC0415
 

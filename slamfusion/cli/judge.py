@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from slamfusion.cli.help import Command
 from slamfusion.cli.options import (
     case_option,
     check_odometry,
@@ -86,23 +87,29 @@ def _report_folders(folder: Path, given: Mapping[str, Any]) -> list[Path]:
     return [folder] if len(logs) == 1 else [folder / case for case in case_names(logs)]
 
 
-@click.command("judge")
+@click.command(
+    "judge",
+    cls=Command,
+    examples=[
+        "judge drive.log cartographer.tum slam_toolbox.tum",
+        "judge drive.log a.tum b.tum --fused fused.tum --report out",
+    ],
+)
 @click.argument("log", type=CASE_FILE)
 @click.argument("paths", metavar="PATH...", nargs=-1, required=True, type=CASE_FILE)
-@case_option("--log", "more_logs", "LOG", "One more log, of other paths.")
+@case_option("--log", "more_logs", "LOG", "Another log, with its own paths.")
 @case_option(
     "--truth",
     "truths",
     "FILE",
-    "The true trajectory: errors of the paths, ranked beside the scans.",
+    "The true trajectory. Adds the errors of the paths and their ranking.",
 )
 @drive_files("paths", of_cases=True)
 @output_option(
     "--fused",
     "fused",
     metavar="FILE.tum",
-    help="Make one path of PATHs as `run` does of its producers', judge it beside them, write it "
-    "here.",
+    help="Fuse the paths into one, as `run` does, rank it with them, and write it to this file.",
 )
 @report_option("report_dir", _report_folders)
 @with_config("log", "trajectory", "report", "device", "")
@@ -110,17 +117,18 @@ def _report_folders(folder: Path, given: Mapping[str, Any]) -> list[Path]:
 @results_option
 @table_option
 def command(config: RunConfig, **asked: Any) -> int:
-    """Rank paths of LOG by how well what was seen at other times predicts each scan.
+    """Rank the paths of a log by its scans, without ground truth.
 
-    LOG is a CARMEN or tinySLAM log, or a ROS bag; each PATH a file of poses that any SLAM made of
-    it: TUM, 't x y theta' or CSV. No truth is needed. A path may be sparse: odometry fills it.
-    With --fused all scans are aligned along one path made of them. That is the path to use unless
-    the scans support another one more, and the PATH nearest to it is the SLAM to take alone.
+    A path is better if the scans of other times predict each scan better. LOG is a CARMEN or
+    tinySLAM log, or a ROS bag. Each PATH holds the poses that a SLAM found for it: TUM, 't x y
+    theta' or CSV. Odometry fills the gaps of a sparse path. With --fused, all scans are aligned
+    along one fused path. Use that path unless the scans support another one better; the PATH
+    nearest to it is the best single SLAM.
 
-    With several logs (--log) a PATH belongs to the one whose name its own name or folder says as a
-    word (graph/intel.tum and intel_graph.tum to intel.log), or that it is given: CASE=PATH; so do
-    the files of the other options. All paths then stand in one table with the means of each method;
-    a report is written for each log.
+    With several logs (--log), a path belongs to the log whose name is a word of its file name or
+    folder: graph/intel.tum and intel_graph.tum belong to intel.log. CASE=PATH overrides that. The
+    same holds for the files of other options. One table then shows all paths and the mean of each
+    method. Each log gets its own report.
     """
     request = _Request(**asked)
     request.check()

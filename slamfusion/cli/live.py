@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from slamfusion.cli.help import Choice, Group
 from slamfusion.cli.node import import_rclpy
 from slamfusion.cli.options import common_options
 from slamfusion.cli.output import one_line, print_json, print_table
@@ -25,9 +26,9 @@ if TYPE_CHECKING:
 SHOWN = {"score": "score", "overlap": "overlap", "age [s]": "age s", "rate [Hz]": "rate Hz"}
 
 
-@click.group("live")
+@click.group("live", cls=Group)
 def command() -> None:
-    """Ask a running fusion node how it is; let it save, reset, and change inputs or settings."""
+    """Query and control a running fusion node."""
 
 
 def _node_options(function: Callable[..., int]) -> Callable[..., int]:
@@ -36,7 +37,7 @@ def _node_options(function: Callable[..., int]) -> Callable[..., int]:
         "--node",
         default="fusion",
         metavar="NAME",
-        help="The fusion node, with its namespace: robot1/fusion. [default: fusion]",
+        help="Name of the fusion node, with its namespace: robot1/fusion. [default: fusion]",
     )
     timeout = click.option(
         "--timeout",
@@ -44,7 +45,7 @@ def _node_options(function: Callable[..., int]) -> Callable[..., int]:
         type=click.FloatRange(0.1, 3600.0),
         default=10.0,
         metavar="S",
-        help="Wait for it this long. [default: 10 s]",
+        help="Time to wait for the node. [default: 10 s]",
     )
 
     def wrapper(node: str, timeout_s: float, **given: Any) -> int:
@@ -61,7 +62,7 @@ def _node_options(function: Callable[..., int]) -> Callable[..., int]:
 @command.command("status")
 @_node_options
 def status_command(client: Any, as_json: bool) -> int:
-    """Say who votes, who does not and why."""
+    """Show which inputs vote, and why others do not."""
     found = client.status()
     if as_json:
         print_json(found)
@@ -73,7 +74,7 @@ def status_command(client: Any, as_json: bool) -> int:
 @command.command("watch")
 @_node_options
 def watch_command(client: Any, as_json: bool) -> int:
-    """Say so each time a vote or a warning changes, until Ctrl-C; with --json a line for each."""
+    """Print each change of a vote or warning until Ctrl-C; with --json one line each."""
     told: dict[str, tuple[str, str]] = {}
     try:
         while True:
@@ -96,12 +97,10 @@ def _words(line: LiveLineJson) -> str:
 
 @command.command("save")
 @click.option(
-    "--path", metavar="PATH", help="Where, without an ending. [default: the node's save_path]"
+    "--path", metavar="PATH", help="File name without an ending. [default: the node's save_path]"
 )
-@click.option(
-    "--format", "image_format", type=click.Choice(["pgm", "png", "bmp"]), help="Of the picture."
-)
-@click.option("--mode", type=click.Choice(["trinary", "scale", "raw"]), help="Of the map's values.")
+@click.option("--format", "image_format", type=Choice(["pgm", "png", "bmp"]), help="Image format.")
+@click.option("--mode", type=Choice(["trinary", "scale", "raw"]), help="Map value mode.")
 @_node_options
 def save_command(
     client: Any,
@@ -110,7 +109,7 @@ def save_command(
     mode: str | None,
     as_json: bool,
 ) -> int:
-    """Save the fused map: where the node's save_path says, or into that folder."""
+    """Save the fused map to the node's save_path, or to --path in its folder."""
     rules = {"path": path, "format": image_format, "mode": mode}
     given = {name: value for name, value in rules.items() if value is not None}
     return _tell(client.save_as(**given) if given else client.call("save_map"), as_json)
@@ -119,7 +118,7 @@ def save_command(
 @command.command("reset")
 @_node_options
 def reset_command(client: Any, as_json: bool) -> int:
-    """Begin a new fused frame with the newest maps."""
+    """Start a new fused frame with the newest maps."""
     return _tell(client.call("reset"), as_json)
 
 
@@ -128,11 +127,11 @@ def reset_command(client: Any, as_json: bool) -> int:
 @click.option(
     "--topic",
     metavar="TOPIC",
-    help="Of its maps; or file:PATH of a saved one, where the node is. [default: NAME/map]",
+    help="Topic of its maps, or file:PATH of a map on the node's machine. [default: NAME/map]",
 )
 @_node_options
 def add_command(client: Any, name: str, topic: str | None, as_json: bool) -> int:
-    """Fuse the maps of one SLAM more, which votes once its map was found to fit."""
+    """Add the maps of another SLAM, which votes once they fit."""
     return _tell(client.add(name, topic), as_json)
 
 
@@ -140,7 +139,7 @@ def add_command(client: Any, name: str, topic: str | None, as_json: bool) -> int
 @click.argument("name", metavar="NAME")
 @_node_options
 def remove_command(client: Any, name: str, as_json: bool) -> int:
-    """Fuse an input's maps no more; its vote goes with it."""
+    """Remove an input and its vote."""
     return _tell(client.remove(name), as_json)
 
 
@@ -150,7 +149,7 @@ def remove_command(client: Any, name: str, as_json: bool) -> int:
 @click.argument("value", metavar="VALUE")
 @_node_options
 def set_command(client: Any, parameter: str, value: str, as_json: bool) -> int:
-    """Set a parameter that may be changed while the node runs, such as max_publish_rate_hz."""
+    """Set a parameter of the running node, such as max_publish_rate_hz."""
     return _tell(client.set(parameter, value), as_json)
 
 

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import click
 
-from slamfusion.cli.output import one_line
+from slamfusion.cli.help import Command, unknown
+from slamfusion.cli.slam import producer_summaries
 from slamfusion.errors import SlamFusionError
 
 # The nodes that are no producer's, and their modules, which have ``make_node(kind) -> NodeBase``.
@@ -29,25 +30,20 @@ def _known(_: click.Context, __: click.Parameter, name: str) -> str:
 
     names = (*producer_names(), *NODES)
     if name not in names:
-        message = f"{name!r} is not one of {', '.join(map(repr, names))}."
-        raise click.BadParameter(message)
+        raise click.BadParameter(unknown(name, names))
     return name
 
 
-class _Command(click.Command):
+class _Command(Command):
     """Lists the nodes in the help: the producers of the registry, then the others."""
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
         """Write the names with a word on each; of a broken producer, what is wrong with it."""
-        from slamfusion.slam.registry import producer, producer_names  # noqa: PLC0415
-
-        rows = []
-        for name in producer_names():
-            try:
-                rows.append((name, producer(name).summary))
-            except SlamFusionError as error:
-                rows.append((name, f"BROKEN: {one_line(str(error))}"))
-        rows += [("fusion", "maps that become one"), ("player", "a log or bag, as it was driven")]
+        rows = producer_summaries()
+        rows += [
+            ("fusion", "fuses the maps of the others"),
+            ("player", "publishes a log or bag"),
+        ]
         with formatter.section("Nodes"):
             formatter.write_dl(rows)
 
@@ -55,16 +51,17 @@ class _Command(click.Command):
 @click.command(
     "node",
     cls=_Command,
+    examples=["node graph", "node fusion --ros-args -p page:=true"],
     context_settings={"ignore_unknown_options": True, "allow_interspersed_args": False},
     options_metavar="",
 )
 @click.argument("name", callback=_known, metavar="NAME")
 @click.argument("ros_arguments", nargs=-1, type=click.UNPROCESSED, metavar="[--ros-args ...]")
 def command(name: str, ros_arguments: tuple[str, ...]) -> int:
-    """Run a ROS 2 node until Ctrl-C.
+    """Run a ROS 2 node.
 
-    Parameters, names and remappings are given as with `ros2 run`: --ros-args -p rate:=2.0 -r
-    scan:=front/scan -r __ns:=/robot1 --params-file FILE.
+    Parameters, names and remappings follow --ros-args as with `ros2 run`: -p rate:=2.0
+    -r scan:=front/scan -r __ns:=/robot1 --params-file FILE.
     """
     if ros_arguments and "--ros-args" not in ros_arguments:
         message = f"{ros_arguments[0]!r}: a node's options stand after --ros-args"

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from slamfusion.cli.help import Choice, Setting
 from slamfusion.cli.output import Settings
 from slamfusion.cli.paths import (
     CASE_FILE,
@@ -231,7 +232,7 @@ def case_option(
     Args:
         name, parameter, metavar, text, kind: see ``file_option``; the parameter is a tuple.
     """
-    text = f"{text} May be given for several cases: [CASE=]{metavar}."
+    text = f"{text} Repeat it for several cases: [CASE=]{metavar}."
     return click.option(name, parameter, type=kind, multiple=True, metavar=metavar, help=text)
 
 
@@ -239,15 +240,15 @@ _CONFIG_FILE = file_option(
     "--config",
     "config_file",
     "FILE",
-    "YAML file with settings, also the expert ones; options given here override it.",
+    "YAML file with settings, including expert ones. Options override it.",
 )
 
 
 _LIKE_PAPER = click.option(
     "--like-paper",
     is_flag=True,
-    help="Fuse as [F16] does: a majority in which unknown is a value, in the frame and box of the "
-    "smallest map; options given here override it.",
+    help="Fuse as the paper [F16]: a majority vote that counts unknown as a value, in the frame "
+    "and box of the smallest map. Options override it.",
 )
 
 
@@ -268,7 +269,7 @@ def report_option(
             file for folder in folders(path, given) for file in possible_report(folder)
         ],
         metavar="DIR",
-        help="Write a self-contained HTML report with its pictures here.",
+        help="Write an HTML report with its pictures to this folder.",
     )
 
 
@@ -284,20 +285,20 @@ def drive_files(judged: str, *, of_cases: bool = False) -> Callable[[F], F]:
         "--relations",
         "relations",
         "FILE",
-        f"Known motions between pairs of times [K09]: errors of the {judged}.",
+        f"Known motions between pairs of times [K09]. Adds the errors of the {judged}.",
     )
     odometry = option(
         "--odometry",
         "odometry",
         "FILE",
-        "Raw odometry of the whole run, to carry poses on to the times of the relations.",
+        "Raw odometry of the whole run. It carries poses to the times of the relations.",
     )
     scan_odometry = option(
         "--scan-odometry",
         "scan_odometry",
         "FILE",
-        "CSV with the odometry of each scan of a CARMEN log (index, odom_x, odom_y, odom_theta), "
-        "taken instead of the poses in LOG: those of a corrected log are the answer of a SLAM.",
+        "CSV with the odometry of each scan of a CARMEN log (index, odom_x, odom_y, odom_theta). "
+        "It replaces the poses in LOG, which in a corrected log are the result of a SLAM.",
     )
 
     def decorate(function: F) -> F:
@@ -322,7 +323,7 @@ def drive_options(judged: str) -> Callable[[F], F]:
     probabilities = click.option(
         "--probabilities",
         is_flag=True,
-        help="Also write the map with its probabilities: NAME_probability.yaml and .png.",
+        help="Also write the map as probabilities: NAME_probability.yaml and .png.",
     )
 
     def decorate(function: F) -> F:
@@ -334,7 +335,10 @@ def drive_options(judged: str) -> Callable[[F], F]:
 def map_resolution_option(function: F) -> F:
     """Give a command ``--resolution`` for images that come without a YAML file."""
     decorate = click.option(
-        "--resolution", type=float, metavar="M", help="Cell size of bare images, in metres."
+        "--resolution",
+        type=float,
+        metavar="M",
+        help="Cell size of images without YAML, in metres.",
     )
     return decorate(function)
 
@@ -362,7 +366,7 @@ def common_options(function: F) -> F:
         is_eager=True,
         expose_value=False,
         callback=remember_debug,
-        help="Show the traceback of a failure.",
+        help="Show the traceback of an error.",
     )
     as_json = click.option(
         "--json",
@@ -403,20 +407,24 @@ def _click_option(option: ConfigOption) -> Callable[[Any], Any]:
     help_text = info.help[0].upper() + info.help[1:] + "." + _default_help(option)
     if info.kind is bool:
         flags = f"{name}/--no-{name.removeprefix('--')}"
-        return click.option(flags, option.parameter, default=None, help=help_text)
-    kind: Any = click.Choice(info.choices) if info.choices else info.kind
+        return click.option(
+            flags, option.parameter, cls=Setting, section=option.section, default=None,
+            help=help_text,
+        )  # fmt: skip
+    kind: Any = Choice(info.choices) if info.choices else info.kind
     if info.is_list:
         kind = _List(info)
     word = info.unit or info.kind.__name__
     metavar = None if info.choices and not info.is_list else METAVARS.get(word, word.upper())
     return click.option(
-        name, option.parameter, type=kind, default=None, metavar=metavar, help=help_text
-    )
+        name, option.parameter, cls=Setting, section=option.section, type=kind, default=None,
+        metavar=metavar, help=help_text,
+    )  # fmt: skip
 
 
 def _default_help(option: ConfigOption) -> str:
     """Return the default in brackets; of a profile's field also the published value."""
-    if option.default is None:
+    if option.default in (None, ()):
         return ""
     published = "" if option.published is None else f"; published {shown_value(option.published)}"
     return f" [default: {shown_default(option)}{published}]"
@@ -427,7 +435,7 @@ def shown_default(option: ConfigOption) -> str:
     if option.default is None:
         return ""
     unit = "" if isinstance(option.default, bool) else option.info.unit
-    return f"{shown_value(option.default)} {unit}".rstrip()
+    return f"{shown_value(option.default)} {unit}".strip()
 
 
 def shown_value(value: Any) -> str:
@@ -495,8 +503,8 @@ def scheduler_option(tasks: str) -> Callable[[F], F]:
         "scheduler",
         metavar="WHERE",
         callback=_checked,
-        help=f"Let the workers of a Dask cluster do {tasks}: local or local:N (N processes of this "
-        "machine), tcp://HOST:PORT or tls://HOST:PORT (a scheduler that runs).",
+        help=f"Run {tasks} on a Dask cluster: local or local:N (N processes on this machine), or "
+        "tcp://HOST:PORT or tls://HOST:PORT, a running scheduler.",
     )
 
 
@@ -507,7 +515,7 @@ def processes_option(tasks: str) -> Callable[[F], F]:
         "processes",
         type=click.IntRange(1, 64),
         metavar="N",
-        help=f"Let so many processes of this machine do {tasks}.",
+        help=f"Run {tasks} in this number of processes.",
     )
 
 
@@ -559,8 +567,8 @@ def start_option(text: str, *, bare_name: bool = False) -> Callable[[F], F]:
         type=_Start(bare_name=bare_name),
         callback=_refuse_twice,
         metavar=f"[NAME=]{form.removeprefix('NAME=')}" if bare_name else form,
-        help=f"{text}, in m and rad, or degrees as in 46.4deg; searched only within M metres and "
-        f"RAD radians of it. [default: {START_M:g} m, {START_RAD:g} rad]",
+        help=f"{text} In metres and radians, or degrees as in 46.4deg. The search covers M metres "
+        f"and RAD radians around it. [default: {START_M:g} m, {START_RAD:g} rad]",
     )
 
 

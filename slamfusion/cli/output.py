@@ -17,11 +17,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slamfusion.jobs.inputs import Progress
-from slamfusion.json_values import plain
-
 if TYPE_CHECKING:
     from rich.table import Table as RichTable
+
+    from slamfusion.jobs.inputs import Progress
 
 # Narrower terminals break the lines themselves.
 LEAST_WIDTH = 40
@@ -49,6 +48,8 @@ class Settings:
 
 def print_json(document: Mapping[str, Any]) -> None:
     """Print the run's one JSON document to stdout; NaN and infinity become null."""
+    from slamfusion.json_values import plain  # noqa: PLC0415  (NumPy loads slowly; --help needs none)
+
     print(json.dumps(plain(document), indent=2, allow_nan=False))
     context = click.get_current_context(silent=True)
     if context is not None:

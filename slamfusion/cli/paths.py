@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.shell_completion import CompletionItem
 
 from slamfusion.errors import SlamFusionError
 from slamfusion.jobs.cases import CaseFile
@@ -34,6 +35,13 @@ class _UserPath(click.ParamType):  # type: ignore[type-arg]  # generic from clic
         """Return the path; one that begins with ``~NAME`` of nobody stays."""
         del param, ctx
         return Path(os.path.expanduser(value))  # noqa: PTH111 - pathlib's raises for nobody
+
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem]:
+        """Let the shell complete files."""
+        del ctx, param
+        return [CompletionItem(incomplete, type="file")]
 
 
 class InputPath(_UserPath):

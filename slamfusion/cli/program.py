@@ -14,72 +14,48 @@ from pathlib import Path
 from typing import Any, cast
 
 import click
+from click.shell_completion import shell_complete
 
-from slamfusion import __version__
-from slamfusion.cli import (
-    align,
-    compare,
-    doctor,
-    evaluate,
-    experiment,
-    fuse,
-    graph,
-    judge,
-    live,
-    node,
-    run,
-    show,
-    simulate,
-    slam,
-    trajectory,
-)
+from slamfusion.cli.help import Group
 from slamfusion.cli.output import Settings, one_line, print_json
 from slamfusion.errors import SlamFusionError
+from slamfusion.version import __version__
 
-# Every subcommand; a new one is a module with a ``command`` and a line here.
-COMMANDS: tuple[click.Command, ...] = (
-    run.command,
-    fuse.command,
-    align.command,
-    evaluate.command,
-    simulate.command,
-    experiment.command,
-    slam.command,
-    trajectory.command,
-    judge.command,
-    compare.command,
-    show.command,
-    graph.command,
-    doctor.devices_command,
-    doctor.command,
-    node.command,
-    live.command,
-)
+# Every command: where it is, and what it does. A module is loaded when its command is used.
+COMMANDS = {
+    "run": ("run:command", "Map a log with several SLAMs, fuse their maps, write a report."),
+    "fuse": ("fuse:command", "Align saved maps of one place and fuse them by vote."),
+    "show": ("show:command", "Show the maps of a run in the browser."),
+    "slam": ("slam:command", "Map a log with one SLAM."),
+    "judge": ("judge:command", "Rank the paths of a log by its scans, without ground truth."),
+    "evaluate": ("evaluate:command", "Measure the errors of maps."),
+    "trajectory": ("trajectory:command", "Measure the errors of paths."),
+    "compare": ("compare:command", "Compare saved results, with p-values."),
+    "align": ("align:command", "Align one map with another."),
+    "simulate": ("simulate:command", "Simulate a robot's log, with the true map and path."),
+    "experiment": ("experiment:command", "Repeat an experiment of a paper."),
+    "graph": ("graph:command", "Optimise a pose graph in a file."),
+    "node": ("node:command", "Run a ROS 2 node."),
+    "live": ("live:command", "Query and control a running fusion node."),
+    "devices": ("doctor:devices_command", "List the OpenCL devices."),
+    "doctor": ("doctor:command", "Check this installation."),
+}
 
 EXIT_FAILURE = 1
 EXIT_USAGE = 2
 EXIT_INTERRUPTED = 130
 EXIT_PIPE_CLOSED = 141
+# The variable by which a shell asks for completions: bash_source, zsh_complete, ...
+COMPLETE = "_SLAMFUSION_COMPLETE"
 OUT_OF_MEMORY = "out of memory; free some, crop the maps or use a coarser cell"
 # What they warn of is told: a changed library, a full cache, a producer that is not used, ...
 TOLD_LOGGERS = ("slamfusion.compute", "slamfusion.slam.registry")
 
 
-class _InOrder(click.Group):
-    """A group that lists its commands in the order of the table."""
-
-    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
-        return list(self.commands)
-
-
-@click.group(cls=_InOrder, context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(cls=Group, table=COMMANDS, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="slamfusion")
 def cli() -> None:
-    """Align the occupancy grids of several 2D SLAMs and let them vote."""
-
-
-for _command in COMMANDS:
-    cli.add_command(_command)
+    """Run several 2D SLAMs, align their occupancy grids, and let them vote."""
 
 
 def run_program(arguments: Sequence[str]) -> int:
@@ -93,6 +69,8 @@ def run_program(arguments: Sequence[str]) -> int:
         told = logging.getLogger(name)
         if not told.handlers:
             told.addHandler(logging.StreamHandler())
+    if wanted := os.environ.get(COMPLETE):
+        return shell_complete(cli, {}, "slamfusion", COMPLETE, wanted)
     settings = Settings(arguments=tuple(arguments))
     code = _run(list(arguments), settings)
     with contextlib.suppress(OSError):
@@ -156,10 +134,7 @@ def _run(arguments: list[str], settings: Settings) -> int:
     except click.exceptions.Exit as request:  # --help, --version
         code = request.exit_code
     except click.UsageError as error:
-        if type(error) is click.BadParameter:  # the value is wrong, not the way to ask
-            _say(f"error: {error.format_message()}")
-        else:
-            error.show()
+        _say(f"error: {_usage_message(error)}")
         code = EXIT_USAGE
     except (KeyboardInterrupt, click.Abort):
         _say("interrupted")
@@ -170,6 +145,15 @@ def _run(arguments: list[str], settings: Settings) -> int:
     except _EXPECTED as error:
         code = _fail(_message(error), settings)
     return code if isinstance(code, int) else 0
+
+
+def _usage_message(error: click.UsageError) -> str:
+    """Return what is wrong with the command line; where the value is right, where to look."""
+    message = error.format_message().removesuffix(".")
+    if type(error) is click.BadParameter:
+        return message.removeprefix("Invalid value for ").removeprefix("Invalid value: ")
+    path = error.ctx.command_path if error.ctx is not None else "slamfusion"
+    return f"{message}; see {path} --help"
 
 
 def _message(error: Exception) -> str:

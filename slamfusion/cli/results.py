@@ -30,8 +30,7 @@ def results_option(function: F) -> F:
         "--save-results",
         "results_path",
         metavar="FILE.zip",
-        help="Save what was measured, its settings and the inputs' SHA-256, for slamfusion "
-        "compare.",
+        help="Save all results, settings and the SHA-256 of the inputs, for `slamfusion compare`.",
     )
 
     @functools.wraps(function)
@@ -195,7 +194,7 @@ def table_option(function: F) -> F:
         "table_path",
         files=_files,
         metavar="FILE",
-        help="Also write the tables here: .csv (a file for each: FILE-2.csv ...), .md or .tex.",
+        help="Also write the tables: .csv (FILE.csv, FILE-2.csv ...), .md or .tex.",
     )
 
     @functools.wraps(function)

@@ -13,6 +13,7 @@ import click
 
 from slamfusion.cli.evaluate import print_evaluations, tell_unaligned
 from slamfusion.cli.fused import print_alignments, print_pairs
+from slamfusion.cli.help import Command
 from slamfusion.cli.judge import print_reasons, print_recommendation
 from slamfusion.cli.options import (
     GivenStarts,
@@ -69,7 +70,7 @@ MORE = {
 }
 
 
-class _ManyInputs(click.Command):
+class _ManyInputs(Command):
     """A command that takes ``--inputs A.yaml B.yaml`` for ``--inputs A.yaml --inputs B.yaml``.
 
     Likewise ``--paths A.tum B.tum``.
@@ -109,7 +110,15 @@ def _files(out: Path, given: Mapping[str, Any]) -> list[Path]:
     ]
 
 
-@click.command("run", cls=_ManyInputs)
+@click.command(
+    "run",
+    cls=_ManyInputs,
+    examples=[
+        "run drive.log.gz -o out",
+        "run drive.bag -o out --inputs slam_toolbox.yaml --paths slam_toolbox.tum",
+        "run drive.log -o out --truth floor.yaml --truth-trajectory truth.tum",
+    ],
+)
 @click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=FILE)
 @output_option(
     "-o",
@@ -118,9 +127,8 @@ def _files(out: Path, given: Mapping[str, Any]) -> list[Path]:
     files=_files,
     required=True,
     metavar="DIR",
-    help="Write here, of several logs into a folder for each: each producer's map, path and "
-    "record, the fused map and path, the record of "
-    "the run (fused.json), and report/.",
+    help="Write the map, path and record of each SLAM, the fused map and path, the record "
+    "fused.json and report/ to this folder.",
 )
 @click.option(
     "--inputs",
@@ -128,7 +136,7 @@ def _files(out: Path, given: Mapping[str, Any]) -> list[Path]:
     multiple=True,
     type=MAP,
     metavar="MAP",
-    help="Saved maps of other SLAMs that vote too: one or several.",
+    help="Saved maps of other SLAMs, one or several. They vote too.",
 )
 @click.option(
     "--paths",
@@ -136,17 +144,19 @@ def _files(out: Path, given: Mapping[str, Any]) -> list[Path]:
     multiple=True,
     type=CASE_FILE,
     metavar="PATH",
-    help="Paths that were found with these maps, each in its map's frame: judged by the scans and "
-    "fused as the producers' own. A path is that of the map whose name it says: MAP.tum, or "
-    "MAP=PATH.",
+    help="Paths of these maps, each in its map's frame. The scans rank them, and they join the "
+    "fused path. The file name assigns a path to its map: MAP.tum, or MAP=PATH.",
 )
-@file_option("--truth", "truth", "MAP", "The true map: errors of every map and the fused one.", MAP)
+@file_option("--truth", "truth", "MAP", "The true map. Adds the errors of all maps.", MAP)
 @file_option(
-    "--truth-trajectory", "truth_trajectory", "FILE", "The true trajectory: errors of the paths."
+    "--truth-trajectory",
+    "truth_trajectory",
+    "FILE",
+    "The true path. Adds the errors of all paths.",
 )
 @start_option(
-    "Where the frame of the saved map or producer NAME lies in one that all starts share, or, of "
-    "one start alone, in that of the drive, in which all producers begin"
+    "Expected pose of the saved map or SLAM NAME. Several starts share one frame. A single start "
+    "is given in the start frame of the drive."
 )
 @drive_options("paths")
 @map_resolution_option
@@ -177,15 +187,14 @@ def command(
     as_json: bool,
     **asked: Any,
 ) -> int:
-    """Map the scans in LOG with all producers side by side, fuse their maps, report.
+    """Map a log with several SLAMs, fuse their maps, write a report.
 
-    LOG is a CARMEN or tinySLAM log, or a ROS bag. A producer that fails is named and left out; at
-    least two maps have to fit each other. Settings of the producers stand in --config.
+    LOG is a CARMEN or tinySLAM log, or a ROS bag. A SLAM that fails is named and left out; at
+    least two maps must fit each other. --config sets the settings of each SLAM. Several logs run
+    one after the other; the results of each go to DIR/NAME, where NAME is the log's file name.
 
-    Of several logs each is run alone, with its results in DIR/NAME, after the log's file.
-
-    A fused map with everything beside it replaces the results of an earlier run in DIR, all at
-    once. A run without one leaves them as they are; what it made goes to DIR/failed then.
+    A run that makes a fused map replaces the results of an earlier run in DIR. A run that makes
+    none leaves them unchanged and writes to DIR/failed.
     """
     # The import takes longer than the look: it is made while the producers are at work.
     if importlib.util.find_spec("matplotlib") is None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from slamfusion.cli.help import Command
 from slamfusion.cli.options import common_options
 from slamfusion.cli.output import notice, print_json
 from slamfusion.cli.paths import FILE
@@ -21,35 +22,35 @@ if TYPE_CHECKING:
 DEFAULTS = FusionNodeConfig()
 
 
-@click.command("show")
+@click.command("show", cls=Command, examples=["show out", "show out --port 8080"])
 @click.argument("folder", metavar="DIR", type=FILE)
 @click.option(
     "--port",
     type=click.IntRange(0, 65535),
     default=0,
     metavar="N",
-    help="Serve the page on this port. [default: any that is free]",
+    help="Port of the page. [default: any free port]",
 )
 @click.option(
     "--host",
     default=DEFAULTS.page_host,
     metavar="ADDRESS",
-    help="Serve it on this address; another one than this machine's own lets everybody on the "
-    f"network look. [default: {DEFAULTS.page_host}]",
+    help="Address of the page. 0.0.0.0 makes it visible to the whole network. "
+    f"[default: {DEFAULTS.page_host}]",
 )
 @click.option(
     "--drive",
     default="",
     metavar="NAME",
-    help="Of an experiment, which of the drives whose maps it kept. [default: the first]",
+    help="Drive of an experiment to show. [default: the first]",
 )
 @common_options
 def command(folder: Path, port: int, host: str, drive: str, as_json: bool) -> int:
-    """Show the maps of a finished run in the browser until Ctrl-C.
+    """Show the maps of a run in the browser.
 
-    DIR is what `slamfusion run`, `fuse` or `experiment` wrote (of several fusions in one folder,
-    the fused map of one), or any folder with maps. The page is that of the live nodes: layers,
-    paths, the difference of two maps, and what each map says of a cell.
+    DIR is a folder that `slamfusion run`, `fuse` or `experiment` wrote, a fused map, or any folder
+    with maps. The page shows layers, paths, the difference of two maps, and the value of a cell in
+    each map. Ctrl-C ends it.
     """
     from slamfusion.page.finished import read_finished  # noqa: PLC0415
 

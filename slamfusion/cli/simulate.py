@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from slamfusion.cli.help import Command
 from slamfusion.cli.options import common_options, output_option, with_config
 from slamfusion.cli.output import notice, print_json, print_table, progress_bar
 from slamfusion.cli.paths import MAP, InputPath
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from slamfusion.sim import Course
 
 
-class _Command(click.Command):
+class _Command(Command):
     """Lists the named courses in the help, from their one table."""
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
@@ -46,7 +47,11 @@ def _files(folder: Path, given: Mapping[str, Any]) -> list[Path]:
     return recording_files(choose_course(given["course"], given["config"]), folder)
 
 
-@click.command("simulate", cls=_Command)
+@click.command(
+    "simulate",
+    cls=_Command,
+    examples=["simulate office -o out/drive", "simulate f16 --lidar rplidar --seed 1 -o out/drive"],
+)
 @click.argument("course", type=InputPath(_read))
 @output_option(
     "-o",
@@ -55,7 +60,7 @@ def _files(folder: Path, given: Mapping[str, Any]) -> list[Path]:
     files=_files,
     required=True,
     metavar="DIR",
-    help="Folder for the log, the truth and the course; made where it is missing.",
+    help="Write the log, the truth and the course to this folder.",
 )
 @with_config("simulate", "device", "")
 @common_options
@@ -63,11 +68,12 @@ def _files(folder: Path, given: Mapping[str, Any]) -> list[Path]:
 def command(
     context: click.Context, course: Path, folder: Path, config: RunConfig, as_json: bool
 ) -> int:
-    """Simulate a robot that drives COURSE: the name of a course, or a YAML file.
+    """Simulate a robot's log, with the true map and path.
 
-    Writes DIR/NAME.log.gz (a CARMEN log), DIR/truth.yaml and .pgm (the true map; walls are solid),
-    DIR/truth_thin.yaml and .pgm (only the surfaces of walls, which a lidar can see), DIR/truth.tum
-    (the true poses) and DIR/course.yaml, which gives the same files again in another DIR.
+    COURSE is the name of a course, or a YAML file. The command writes NAME.log.gz (a CARMEN log),
+    truth.yaml and .pgm (the true map with solid walls), truth_thin.yaml and .pgm (only the surfaces
+    of walls, which a lidar can see), truth.tum (the true poses) and course.yaml, which reproduces
+    these files.
     """
     from slamfusion.jobs.simulate import (  # noqa: PLC0415
         choose_course,

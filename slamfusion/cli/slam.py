@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from slamfusion.cli.evaluate import print_evaluations, tell_unaligned
+from slamfusion.cli.help import Command, Group
 from slamfusion.cli.options import (
     check_odometry,
     check_report,
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
     from slamfusion.jobs.map_log import ProducerResult
 
 
-class _Producers(click.Group):
+class _Producers(Group):
     """A command for each producer of the registry, made when it is asked for."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
@@ -47,23 +48,27 @@ class _Producers(click.Group):
         """
         return _make_command(cmd_name) if cmd_name in self.list_commands(ctx) else None
 
-    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write a line for each producer; of one that is broken, what is wrong with it."""
-        names = self.list_commands(ctx)
-        limit = formatter.width - 6 - max(map(len, names))
-        rows = []
-        for name in names:
-            try:
-                rows.append((name, _make_command(name).get_short_help_str(limit)))
-            except SlamFusionError as error:
-                rows.append((name, f"BROKEN: {one_line(str(error))}"))
-        with formatter.section("Commands"):
-            formatter.write_dl(rows)
+    def summaries(self) -> list[tuple[str, str]]:
+        """Return each producer and what it is; of a broken one, what is wrong with it."""
+        return producer_summaries()
+
+
+def producer_summaries() -> list[tuple[str, str]]:
+    """Return the name and the summary of each producer; of a broken one, what is wrong with it."""
+    from slamfusion.slam.registry import producer, producer_names  # noqa: PLC0415  (loads slowly)
+
+    rows = []
+    for name in producer_names():
+        try:
+            rows.append((name, producer(name).summary))
+        except SlamFusionError as error:
+            rows.append((name, f"BROKEN: {one_line(str(error))}"))
+    return rows
 
 
 @click.group("slam", cls=_Producers)
 def command() -> None:
-    """Run one producer of maps on a log or bag."""
+    """Map a log with one SLAM."""
 
 
 def _stem(out: Path) -> Path:
@@ -85,20 +90,19 @@ def _state_options(function: Any) -> Any:
         "stop_after",
         type=click.IntRange(min=1),
         metavar="N",
-        help="Stop after N scans fed in this run.",
+        help="Stop after N scans.",
     )
     resume = file_option(
         "--resume",
         "resume",
         "FILE",
-        "Go on from a saved state, with the settings that it was made with; scans of LOG up to its "
-        "last one are passed over.",
+        "Continue from a saved state with its settings; skip the scans of LOG that it knows.",
     )
     save_state = output_option(
         "--save-state",
         "state",
         metavar="FILE",
-        help="Write at the end everything that a later run needs to go on with --resume.",
+        help="Write the final state, for --resume.",
     )
     return save_state(resume(stop_after(function)))
 
@@ -110,7 +114,7 @@ def _make_command(name: str) -> click.Command:
     record = producer(name)
     base = with_producers(RunConfig(), [name])
 
-    @click.command(name)
+    @click.command(name, cls=Command, examples=[f"slam {name} drive.log.gz -o out/{name}"])
     @click.argument("log", type=FILE)
     @output_option(
         "-o",
@@ -119,11 +123,11 @@ def _make_command(name: str) -> click.Command:
         files=_files,
         required=True,
         metavar="OUT",
-        help="Write the map OUT.yaml and OUT.pgm, the path OUT.tum and the record OUT.json.",
+        help="Write the map OUT.yaml, OUT.pgm, the path OUT.tum and the record OUT.json.",
     )
     @drive_options("path")
-    @file_option("--truth", "truth", "FILE", "The true trajectory: errors of the path.")
-    @file_option("--truth-map", "truth_map", "MAP", "The true map: errors of the map.", MAP)
+    @file_option("--truth", "truth", "FILE", "The true trajectory. Adds the errors of the path.")
+    @file_option("--truth-map", "truth_map", "MAP", "The true map. Adds the map errors.", MAP)
     @report_option("report")
     @(_state_options if record.load is not None else lambda function: function)
     @with_config(
@@ -141,9 +145,9 @@ def _make_command(name: str) -> click.Command:
         return _run(name, log, _stem(out), **asked)
 
     run.help = (
-        f"Make a map of the scans in LOG with {name}: a CARMEN or tinySLAM log, or a ROS bag.\n\n"
-        f"{record.summary[0].upper()}{record.summary[1:]}.\n\n"
-        "Where LOG has no odometry, the robot is expected to go on as it went."
+        f"Map a log with {record.summary}.\n\n"
+        "LOG is a CARMEN or tinySLAM log, or a ROS bag. Without odometry in LOG, the SLAM assumes "
+        "constant velocity between scans."
     )
     return run
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from slamfusion.cli.help import Command
 from slamfusion.cli.options import (
     case_option,
     check_odometry,
@@ -100,36 +101,42 @@ def _report_folder(folder: Path, placed: Placed) -> Path:
     return folder / placed.case / placed.name.replace("/", "_")
 
 
-@click.command("trajectory")
+@click.command(
+    "trajectory",
+    cls=Command,
+    examples=[
+        "trajectory out/*.tum --truth truth.tum",
+        "trajectory out/graph.tum --relations drive.relations --report out/errors",
+    ],
+)
 @click.argument("estimates", metavar="EST...", nargs=-1, required=True, type=CASE_FILE)
 @case_option(
     "--relations",
     "relations",
     "FILE",
-    "Known motions between pairs of times, lines of 't1 t2 x y z roll pitch yaw' [K09].",
+    "Known motions between pairs of times: lines of 't1 t2 x y z roll pitch yaw' [K09].",
 )
 @case_option(
     "--odometry",
     "odometry",
     "FILE",
-    "Raw odometry of the whole run: the pose at a relation's time is the nearest estimated one, "
-    "carried on by it.",
+    "Raw odometry of the whole run. It carries the nearest pose to the time of a relation.",
 )
 @case_option(
     "--log",
     "logs",
     "LOG",
-    "The log that EST was made from: with --odometry, a pose's place in the run is found by its "
-    "scan's own odometry and not by its stamp.",
+    "The log of EST. With --odometry, poses are matched by the odometry of their scan instead of "
+    "their stamp.",
 )
 @case_option(
-    "--truth", "truths", "FILE", "The true trajectory: absolute and relative errors (ATE, RPE)."
+    "--truth", "truths", "FILE", "The true trajectory, for absolute and relative errors (ATE, RPE)."
 )
 @file_option(
     "--map",
     "map_path",
     "MAP",
-    "A map in the frame of EST, to draw the path over in the report.",
+    "A map in the frame of EST, drawn under the path in the report.",
     MAP,
 )
 @report_option("report_dir", _report_folders)
@@ -138,14 +145,14 @@ def _report_folder(folder: Path, placed: Placed) -> Path:
 @results_option
 @table_option
 def command(config: RunConfig, **asked: Any) -> int:
-    """Measure the errors of trajectories, one EST or several.
+    """Measure the errors of paths.
 
-    Files hold poses as TUM, 't x y theta' or CSV; of a log, the raw odometry of its scans counts.
+    EST is a file of poses (TUM, 't x y theta' or CSV), or a log, whose raw odometry is measured.
 
-    With several truths or relations an EST belongs to the one whose name its own name or folder
-    says as a word (graph/intel.tum and intel_graph.tum to intel.tum), or that it is given:
-    CASE=EST; so do the files of the other options. All paths then stand in one table with the means
-    of each method; a report is written for each path.
+    With several truths or relations, a path belongs to the one whose name is a word of its file
+    name or folder: graph/intel.tum and intel_graph.tum belong to intel.tum. CASE=EST overrides
+    that. The same holds for the files of other options. One table then shows all paths and the
+    mean of each method. Each path gets its own report.
     """
     request = _Request(**asked)
     request.check()

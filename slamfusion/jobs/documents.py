@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from slamfusion.config import RunConfig, to_mapping
-from slamfusion.json_values import plain
 from slamfusion.version import versions
 
 if TYPE_CHECKING:
@@ -18,6 +17,8 @@ if TYPE_CHECKING:
 
 def record_bytes(document: Mapping[str, Any]) -> bytes:
     """Return a document as the indented UTF-8 text of a JSON file; NaN and infinity become null."""
+    from slamfusion.json_values import plain  # noqa: PLC0415  (NumPy loads slowly; --help needs none)
+
     return (json.dumps(plain(document), indent=2, allow_nan=False) + "\n").encode()
 
 

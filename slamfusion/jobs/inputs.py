@@ -8,21 +8,21 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 from slamfusion.config import SMALLEST, FusionConfig, MapFileConfig, RunConfig, VoteConfig, VoteMode
 from slamfusion.errors import MapFileError
-from slamfusion.grid import OccupancyGrid
 from slamfusion.jobs.outputs import FUSED
 
 if TYPE_CHECKING:
     from slamfusion.compute import ComputeDevice
+    from slamfusion.grid import OccupancyGrid
     from slamfusion.jobs.records import GivenMapsJson
 
 _LOG = logging.getLogger(__name__)
 
 # A map in memory, or a map_server YAML file or bare image.
-MapInput = OccupancyGrid | str | Path
+MapInput: TypeAlias = "OccupancyGrid | str | Path"
 # Told the stage, and how much of how much of it is done.
 Progress = Callable[[str, int, int], None]
 # Told in a sentence what is doubtful about an input.
@@ -48,7 +48,7 @@ class GivenMaps:
     @classmethod
     def of(cls, maps: Sequence[MapInput], resolution: float | None) -> GivenMaps:
         """Take the inputs of a fusion."""
-        files = tuple(Path(item) for item in maps if not isinstance(item, OccupancyGrid))
+        files = tuple(Path(item) for item in maps if isinstance(item, (str, Path)))
         return cls(files if len(files) == len(maps) else (), resolution)
 
     def to_json(self) -> GivenMapsJson:
@@ -122,9 +122,9 @@ def as_grids(
     measured: bool = False,
 ) -> list[OccupancyGrid]:
     """Return maps in order: those in memory as they are, files loaded; see ``load_maps``."""
-    paths = [Path(item) for item in maps if not isinstance(item, OccupancyGrid)]
+    paths = [Path(item) for item in maps if isinstance(item, (str, Path))]
     loaded = iter(load_maps(paths, resolution, config.map_files, warn, measured=measured))
-    return [item if isinstance(item, OccupancyGrid) else next(loaded) for item in maps]
+    return [next(loaded) if isinstance(item, (str, Path)) else item for item in maps]
 
 
 def as_path(path: str | Path | None) -> Path | None:

@@ -158,7 +158,7 @@ BAD_VALUES = {
     "--occupied-percent 120": "'--occupied-percent': must lie in [0, 100] %, found 120.0",
     "--window-m nan": "'--window-m': must lie in [0, inf] m, found nan",
     "--free-percent 80": "free_percent (80) must be below occupied_percent (65); swap them",
-    "--mode loudest": "'consensus', 'majority', 'drawn'.",
+    "--mode loudest": "'--mode': 'loudest' is not one of consensus, majority, drawn",
 }
 
 
@@ -167,7 +167,7 @@ def test_a_bad_value_is_one_line_that_names_the_option(tmp_path: Path, given: st
     done = run("fuse", *MAPS, "-o", "x", *given.split(), cwd=tmp_path)
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()
-    assert line.startswith("slamfusion: error: Invalid value")
+    assert line.startswith("slamfusion: error: ")
     assert line.endswith(BAD_VALUES[given])
     assert done.stdout == ""
     assert not tree(tmp_path)
@@ -177,6 +177,7 @@ def test_a_bad_value_is_one_line_that_names_the_option(tmp_path: Path, given: st
 def test_wrong_usage_exits_with_two(tmp_path: Path, case: str) -> None:
     done = run(*USAGE[case], cwd=tmp_path)
     assert done.returncode == 2
-    assert "Usage:" in done.stderr
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("slamfusion: error: ")
     assert done.stdout == ""
     assert not tree(tmp_path)

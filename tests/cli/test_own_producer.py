@@ -48,7 +48,7 @@ def test_it_is_listed_and_has_its_own_options(python: Path) -> None:
     listed = slamfusion(python, "slam", "--help")
     assert NAME in listed.stdout, listed.stderr
     told = slamfusion(python, "slam", NAME, "--help").stdout
-    assert "Dead reckoning: scans drawn where the odometry says they are." in told
+    assert "Map a log with dead reckoning: scans drawn where the odometry says they are." in told
     assert "--usable-range-m" in told
     assert "--save-state" not in told
     absent = run("slam", NAME, "--help")

@@ -15,7 +15,7 @@ from slamfusion.cli.fuse import command as fuse_command
 from slamfusion.cli.options import config_fields, option_name
 from slamfusion.cli.output import one_line, progress_bar
 from slamfusion.cli.paths import FILE
-from slamfusion.cli.program import COMMANDS, run_program
+from slamfusion.cli.program import COMMANDS, cli, run_program
 from slamfusion.config import GMAPPING_PROFILES, MapFileConfig
 from slamfusion.errors import MapFileError
 from slamfusion.jobs.inputs import check_writable, distinct_names, load_maps
@@ -62,7 +62,70 @@ def leaves(command: click.Command) -> list[click.Command]:
 
 def subcommands() -> list[click.Command]:
     """Every command that takes options."""
-    return [leaf for command in COMMANDS for leaf in leaves(command)]
+    return [leaf for command in leaves(cli) for leaf in leaves(command)]
+
+
+def test_the_list_of_commands_says_what_their_help_says() -> None:
+    for command, (name, (_, summary)) in zip(leaves(cli), COMMANDS.items(), strict=True):
+        assert (command.name, str(command.help).split("\n")[0]) == (name, summary)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("rum a.log", "did you mean 'run'?; see slamfusion --help"),
+        ("slam gmaping a.log -o out", "did you mean 'gmapping'?; see slamfusion slam --help"),
+        ("fuse a.yaml b.yaml -o out --mode consenus", "'--mode': 'consenus' is not one of "),
+        ("fuse a.yaml b.yaml -o out --mode consenus", "did you mean 'consensus'?"),
+        ("node fussion", "did you mean 'fusion'?"),
+        ("fuse a.yaml b.yaml", "Missing option '-o' / '--output'; see slamfusion fuse --help"),
+    ],
+)
+def test_wrong_usage_is_one_line_with_the_nearest_name(
+    words: str, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run_program(words.split()) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("slamfusion: error: ")
+    assert said in line
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_a_shell_gets_its_completion(
+    shell: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("_SLAMFUSION_COMPLETE", f"{shell}_source")
+    assert run_program([]) == 0
+    assert f"_SLAMFUSION_COMPLETE={shell}_complete" in capsys.readouterr().out
+
+
+def test_commands_slams_options_and_files_are_completed(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("_SLAMFUSION_COMPLETE", "bash_complete")
+    for line, word in (
+        ("slamfusion tra", "plain,trajectory"),
+        ("slamfusion slam gm", "plain,gmapping"),
+        ("slamfusion fuse --mode maj", "plain,majority"),
+        ("slamfusion run --tru", "plain,--truth-trajectory"),
+        ("slamfusion run dri", "file,dri"),
+    ):
+        monkeypatch.setenv("COMP_WORDS", line)
+        monkeypatch.setenv("COMP_CWORD", str(len(line.split()) - 1))
+        assert run_program([]) == 0
+        assert word in capsys.readouterr().out.splitlines()
+
+
+def test_long_help_shows_the_basic_options_alone(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_program(["run", "--help"]) == 0
+    text = capsys.readouterr().out
+    assert run_program(["run", "--help-all"]) == 0
+    whole = capsys.readouterr().out
+    assert "--sweep-s" not in text
+    assert "more options: slamfusion run --help-all" in text
+    assert "--sweep-s" in whole
+    for name in ("Examples:", "Input:", "Output:", "Ground truth:", "Vote:"):
+        assert f"\n{name}\n" in text
 
 
 @pytest.mark.parametrize("command", subcommands(), ids=lambda command: str(command.name))

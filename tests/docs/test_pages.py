@@ -187,7 +187,7 @@ def test_nav2_is_told_our_topic_and_frames() -> None:
 
 def test_every_command_and_driver_is_listed() -> None:
     for command in COMMANDS:
-        assert f"| `{command.name}" in PAGES["docs/reference/command_line.md"]
+        assert f"| `{command}" in PAGES["docs/reference/command_line.md"]
     for device, line in INSTALL.items():
         assert f"| {device} | {line} |" in PAGES["docs/install.md"]
 

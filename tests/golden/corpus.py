@@ -317,6 +317,7 @@ def _help() -> str:
 
     def walk(command: click.Command, name: str) -> Iterator[str]:
         context = click.Context(command, info_name=name, terminal_width=80, max_content_width=80)
+        context.meta["help-all"] = True
         parts = re.split(r"\n(?=  \S|\n)", command.get_help(context))
         text = re.sub("\n {20,}", "\n" + 8 * " ", "\n".join(map(short, parts)))
         yield f"$ {name} --help\n{text}\n"

@@ -55,7 +55,10 @@ def test_the_schema_is_one_of_the_dialect_that_it_names() -> None:
 def commands_with_json(group: click.Group, *words: str) -> set[str]:
     """The words of every command that has ``--json``; the producers of ``slam`` print the same."""
     found: set[str] = set()
-    for name, command in group.commands.items():
+    context = click.Context(group)
+    for name in group.list_commands(context):
+        command = group.get_command(context, name)
+        assert command is not None
         if isinstance(command, click.Group) and name != "slam":
             found |= commands_with_json(command, *words, name)
             continue
