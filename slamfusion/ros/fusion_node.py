@@ -19,7 +19,7 @@ from slamfusion.config import (
     RunConfig,
 )
 from slamfusion.errors import GridError
-from slamfusion.fusion.live import LiveFusion, LiveInput
+from slamfusion.fusion.live import LiveFusion, LiveInput, State
 from slamfusion.fusion.live.session import FusedMap, FusionSession, warm_up
 from slamfusion.geometry import Pose2
 from slamfusion.ros import messages, qos
@@ -40,6 +40,8 @@ CHANGEABLE = (
 # How often the node looks whether a fused map may go out, at frames, and who publishes its inputs;
 # and shows itself on the page.
 TURN_S, LOOK_S, LOOK_AROUND_S, SHOW_S = 0.02, 0.1, 1.0, 0.5
+# Of an input in the diagnostics, by its state; WARN in the others.
+LEVELS = {State.TRACKED: Level.OK, State.LOST: Level.STALE}
 # From so many inputs on the executor rests so many times as long as it works.
 MANY, REST = 8, 3.0
 
@@ -373,10 +375,10 @@ class FusionNode(NodeBase):
             return Status(PREFIX + name, Level.STALE, said, {ENTRY: entry})
         frame = "-" if source is None else self._frames.child_frame(source) or source.frame
         transform, place = record.transform, record.transform or Pose2()
-        is_silent = record.reason.startswith(("lost", "no map for"))
-        level = Level.OK if record.accepted else Level.STALE if is_silent else Level.WARN
+        level = LEVELS.get(record.state, Level.WARN)
         values: dict[str, object] = {
             ENTRY: entry,
+            "state": record.state.value,
             "accepted": record.accepted,
             "score": record.score,
             "overlap": record.overlap,

@@ -11,6 +11,7 @@ boxes. ``state`` carries it over a restart; ``session`` runs it beside a program
 from __future__ import annotations
 
 from slamfusion.fusion.live.fusion import LiveFusion, LiveInput, LiveUpdate
+from slamfusion.fusion.live.inputs import State
 from slamfusion.fusion.live.state import LiveState, StateError
 
-__all__ = ["LiveFusion", "LiveInput", "LiveState", "LiveUpdate", "StateError"]
+__all__ = ["LiveFusion", "LiveInput", "LiveState", "LiveUpdate", "State", "StateError"]

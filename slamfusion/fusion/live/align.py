@@ -17,7 +17,7 @@ from slamfusion.align.records import Alignment
 from slamfusion.align.starts import StartPose, Starts
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, LiveConfig
-from slamfusion.fusion.live.track import Track
+from slamfusion.fusion.live.inputs import Event, Fit, Input, Jump
 from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY
 from slamfusion.vote.lattice import Lattice
@@ -164,12 +164,12 @@ class Aligner:
             raise ValueError(message)
         return self.lattice
 
-    def features(self, track: Track, cancel: CancelToken | None = None) -> GridFeatures:
+    def features(self, track: Input, cancel: CancelToken | None = None) -> GridFeatures:
         """Return what alignment looks at in an input's map."""
         size, thresholds = self.fixed().resolution, self.config.normalize
         return track.features(size, thresholds, self.live.track_share, self.device, cancel)
 
-    def held(self, track: Track) -> AnchorMap:
+    def held(self, track: Input) -> AnchorMap:
         """Return an input as something to align others to."""
         return AnchorMap(track.name, track.transform or IDENTITY, self.features(track))
 
@@ -197,16 +197,16 @@ class Aligner:
     # -- tracking ---------------------------------------------------------------------------------
 
     def follow(
-        self, track: Track, held: AnchorMap, is_wanted: Callable[[], bool] | None = None
+        self, track: Input, held: AnchorMap, is_wanted: Callable[[], bool] | None = None
     ) -> bool:
-        """Track an input from its last transform and believe it where it still fits.
+        """Input an input from its last transform and believe it where it still fits.
 
         Raises:
             CancelledSearchError: ``is_wanted`` answered True meanwhile; nothing was changed.
         """
         cancel = None if is_wanted is None else CancelToken(is_wanted, self.device)
         fit = self.fit(track, held, cancel)
-        if fit is not None and not track.is_steady:
+        if fit is not None and not track.stands:
             found = self._found.get(frozenset((track.name, held.name)))
             if found is None or fit[0].score < MIRROR_SHARE * found.score:
                 fit = self._unmirrored(track, held, fit, cancel)
@@ -214,15 +214,15 @@ class Aligner:
             names = frozenset((track.name, held.name))
             if (found := self._found.get(names)) is not None:
                 self._found[names] = found.tracked(fit[0], self.live.search_share)
-            self.believe(track, fit[1], fit[0], is_tracked=True)
+            self.accept(track, fit[1], fit[0], is_tracked=True)
         return fit is not None
 
     def fit(
-        self, track: Track, held: AnchorMap, cancel: CancelToken | None = None
+        self, track: Input, held: AnchorMap, cancel: CancelToken | None = None
     ) -> tuple[Alignment, Pose2] | None:
-        """Track an input from its last transform; None where it fits there no more.
+        """Input an input from its last transform; None where it fits there no more.
 
-        ``track.mismatch`` says so where its walls do not match, and is empty otherwise.
+        ``track.fit.mismatch`` says so where its walls do not match, and is empty otherwise.
 
         Raises:
             CancelledSearchError: ``cancel`` says so; nothing was changed.
@@ -231,7 +231,6 @@ class Aligner:
         start = held.transform.inverse().compose(last)
         own = self.features(track, cancel)
         pair = track_pair(Pair(held.features, own, cancel), start)
-        track.score, track.overlap = pair.score, pair.overlap
         moved = held.transform.compose(pair.transform)
         found = self._found.get(frozenset((track.name, held.name)))
         is_good = pair.accepted
@@ -239,17 +238,18 @@ class Aligner:
             is_good = found.lasts(pair, self.live.search_share)
             if is_good and not pair.accepted:
                 pair = replace(pair, reason=f"tracked where the search found it: {found.reason}")
-        track.mismatch = "" if is_good or pair.accepted else f"to {held.name}: {pair.reason}"
+        mismatch = "" if is_good or pair.accepted else f"to {held.name}: {pair.reason}"
+        track.fit = replace(track.fit, score=pair.score, overlap=pair.overlap, mismatch=mismatch)
         return (pair, moved) if is_good and not self.is_jump(track, last, moved) else None
 
     # -- searching --------------------------------------------------------------------------------
 
-    def may_search(self, track: Track) -> bool:
+    def may_search(self, track: Input) -> bool:
         """Whether it may be searched everywhere now: one an update, each not too often."""
-        pause = max(self.live.search_pause_s, track.rest_s)
-        return not self.has_searched and self.now_s - track.searched_s >= pause
+        pause = max(self.live.search_pause_s, track.pace.rest_s)
+        return not self.has_searched and self.now_s - track.pace.last_s >= pause
 
-    def search(self, track: Track, held: AnchorMap) -> bool:
+    def search(self, track: Input, held: AnchorMap) -> bool:
         """Search an input everywhere and believe, doubt or refuse what is found.
 
         Returns:
@@ -260,41 +260,47 @@ class Aligner:
             self._weigh(track, held, pair)
         return pair is not None
 
-    def _weigh(self, track: Track, held: AnchorMap, pair: Alignment) -> None:
+    def _weigh(self, track: Input, held: AnchorMap, pair: Alignment) -> None:
         """Believe, doubt or refuse what a search found."""
         last, jump = track.transform, track.jump
         moved = held.transform.compose(pair.transform)
-        track.score, track.overlap = pair.score, pair.overlap
+        track.fit = replace(track.fit, score=pair.score, overlap=pair.overlap)
         if not pair.accepted:
-            track.jump, track.mismatch = None, f"to {held.name}: {pair.reason}"
-            track.refuse(track.mismatch)
+            reason = f"to {held.name}: {pair.reason}"
+            track.fit = replace(track.fit, mismatch=reason)
+            track.reject(reason)
             return
-        is_found_again = (
-            jump is not None
-            and track.jump_version != track.version
-            and not self.is_jump(track, jump, moved)
-        )
+        is_again = jump is not None and not self.is_jump(track, jump.transform, moved)
+        is_found_again = is_again and not track.awaits_confirmation
         if last is None or is_found_again or not self.is_jump(track, last, moved):
-            self.note(replace(pair, reference=held.name, moving=track.name))
-            self.believe(track, moved, pair, is_tracked=False)
+            self._accept_searched(track, held, pair, moved)
             return
-        if jump is None or self.is_jump(track, jump, moved):
-            track.jump_s, track.jump_maps = self.now_s, track.maps
-        track.jump, track.jump_version, track.confirms = moved, track.version, 0
-        away, turn, _ = track.apart(last, moved)
-        track.refuse(
-            f"jumped by {away:.2f} m and {turn:.2f} rad; its next map must confirm it, or a second "
-            f"search after {self.live.confirm_s:g} s"
+        if jump is None or not is_again:
+            jump = Jump(moved, track.version, self.now_s)
+        track.jump = replace(jump, transform=moved, version=track.version, confirms=0)
+        track.turn(
+            Event.JUMP,
+            f"{_jumped(track, last, moved)}; its next map must confirm it, or a second search "
+            f"after {self.live.confirm_s:g} s",
         )
 
-    def may_confirm(self, track: Track) -> bool:
-        """Whether a map that jumped and did not change since was waited for long enough."""
-        is_waited = self.now_s - track.jump_s >= self.live.confirm_s
-        is_repeated = track.maps - track.jump_maps >= CONFIRM_MAPS
-        is_same = track.jump is not None and track.jump_version == track.version
-        return is_same and (is_waited or is_repeated)
+    def _accept_searched(
+        self, track: Input, held: AnchorMap, pair: Alignment, moved: Pose2
+    ) -> None:
+        """Accept what a search found, and keep what it gave."""
+        self.note(replace(pair, reference=held.name, moving=track.name))
+        self.accept(track, moved, pair, is_tracked=False)
 
-    def confirm(self, track: Track, candidates: Sequence[AnchorMap]) -> bool:
+    def may_confirm(self, track: Input) -> bool:
+        """Whether a map that jumped and did not change since was waited for long enough."""
+        jump = track.jump
+        return (
+            jump is not None
+            and track.awaits_confirmation
+            and (self.now_s - jump.found_s >= self.live.confirm_s or jump.messages >= CONFIRM_MAPS)
+        )
+
+    def confirm(self, track: Input, candidates: Sequence[AnchorMap]) -> bool:
         """Search a jump of an unchanged map once more, in another way; return whether any is left.
 
         Against the first candidate that was not tried; against the last, which is the one that it
@@ -304,35 +310,32 @@ class Aligner:
         jump = track.jump
         if jump is None:
             return False
-        index = min(track.confirms, len(candidates) - 1)
+        index = min(jump.confirms, len(candidates) - 1)
         held, is_last = candidates[index], index == len(candidates) - 1
         pair = self.searched(track, held, is_swapped=is_last)
         if pair is None:
             return True
         moved = held.transform.compose(pair.transform)
-        track.confirms += 1
-        if pair.accepted and not self.is_jump(track, jump, moved):
-            self.note(replace(pair, reference=held.name, moving=track.name))
-            self.believe(track, moved, pair, is_tracked=False)
+        track.jump = replace(jump, confirms=jump.confirms + 1)
+        if pair.accepted and not self.is_jump(track, jump.transform, moved):
+            self._accept_searched(track, held, pair, moved)
         elif is_last:
-            away, turn, _ = track.apart(track.transform or IDENTITY, jump)
-            track.jump = None
-            track.refuse(
-                f"jumped by {away:.2f} m and {turn:.2f} rad, and a second search does not find it "
-                "there; waits for its next map"
+            words = _jumped(track, track.transform or IDENTITY, jump.transform)
+            track.reject(
+                f"{words}, and a second search does not find it there; waits for its next map"
             )
         return not is_last
 
     def searched(
-        self, track: Track, held: AnchorMap, *, is_swapped: bool = False
+        self, track: Input, held: AnchorMap, *, is_swapped: bool = False
     ) -> Alignment | None:
         """Search an input everywhere; None where that was given up for maps that wait."""
         self.has_searched = True
-        track.searched_s = self.now_s
-        track.searches += 1
+        pace = track.pace
+        pace.last_s = self.now_s
         start = self._expected(track, held)
-        own, began = self.features(track), time.perf_counter()
-        until_s = began + track.patience_s
+        own, began_s = self.features(track), time.perf_counter()
+        until_s = began_s + pace.patience_s
 
         def is_wanted() -> bool:
             return time.perf_counter() > until_s and self.is_wanted()
@@ -347,40 +350,35 @@ class Aligner:
                 sides, self.config.align, where, thorough=False, image_after=MAY_BE_IMAGE
             )
         except CancelledSearchError:
-            track.patience_s *= 2.0
-            track.searches -= 1
+            pace.patience_s *= 2.0
             if not track.votes:
-                track.refuse("its search takes long and was put off for the maps of others")
+                track.doubt("its search takes long and was put off for the maps of others")
             return None
+        pace.count += 1
         if is_swapped:
             pair = replace(pair, transform=pair.transform.inverse())
-        track.patience_s = PATIENCE_S
-        spent_s = time.perf_counter() - began
-        track.rest_s = 0.0 if pair.accepted or spent_s < PATIENCE_S else REST * spent_s
+        pace.patience_s = PATIENCE_S
+        spent_s = time.perf_counter() - began_s
+        pace.rest_s = 0.0 if pair.accepted or spent_s < PATIENCE_S else REST * spent_s
         return pair
 
-    def is_jump(self, track: Track, a: Pose2, b: Pose2) -> bool:
+    def is_jump(self, track: Input, a: Pose2, b: Pose2) -> bool:
         """Whether two transforms carry an input's map too far apart to be one."""
         centre, turn, _ = track.apart(a, b)
         return centre > self.live.jump_m or turn > self.live.jump_rad
 
-    def is_worth_a_move(self, track: Track, a: Pose2, b: Pose2) -> bool:
+    def is_worth_a_move(self, track: Input, a: Pose2, b: Pose2) -> bool:
         """Whether two transforms carry an input's map far enough apart to go by the other."""
         return track.apart(a, b)[2] >= self.live.hold_cells * self.fixed().resolution
 
-    def believe(self, track: Track, moved: Pose2, pair: Alignment, *, is_tracked: bool) -> None:
+    def accept(self, track: Input, moved: Pose2, pair: Alignment, *, is_tracked: bool) -> None:
         """Let an input vote, at its old transform where the new one is nearly the same."""
         if track.transform is None or self.is_worth_a_move(track, track.transform, moved):
             track.transform = moved
-            track.relay = True
-        track.score, track.overlap = pair.score, pair.overlap
-        track.is_tracked = is_tracked
-        track.reason = pair.reason
-        track.mismatch = ""
-        track.accepted = track.is_steady = True
-        track.pin()
+        track.fit = Fit(pair.score, pair.overlap, is_tracked)
+        track.accept(pair.reason)
 
-    def _expected(self, track: Track, held: AnchorMap) -> Pose2 | StartPose | None:
+    def _expected(self, track: Input, held: AnchorMap) -> Pose2 | StartPose | None:
         """Return where a search expects an input in the frame of what it is aligned to.
 
         One that has no place yet is looked for around its start. One that had a place may have
@@ -393,7 +391,7 @@ class Aligner:
 
     def _unmirrored(
         self,
-        track: Track,
+        track: Input,
         held: AnchorMap,
         fit: tuple[Alignment, Pose2],
         cancel: CancelToken | None,
@@ -409,5 +407,11 @@ class Aligner:
         refused = decide_mirrored(gain)
         if refused is None:
             return fit
-        track.mismatch = f"to {held.name}: {refused.reason}"
+        track.fit = replace(track.fit, mismatch=f"to {held.name}: {refused.reason}")
         return None
+
+
+def _jumped(track: Input, last: Pose2, moved: Pose2) -> str:
+    """Return in words how far from its transform an input was found."""
+    away_m, turn_rad, _ = track.apart(last, moved)
+    return f"jumped by {away_m:.2f} m and {turn_rad:.2f} rad"

@@ -32,7 +32,7 @@ The rules, for a robot that drives by the fused map:
   because another looks better.
 * **Growth.** Inputs that come back by the last fused map are young; while it knows more than they
   do the reference is laid onto it again as it grows, so that the frame stays (``live.anchor``).
-  What a map that began anew does not know yet is no vote, so that two of them take nothing from
+  What a restarted map does not know yet is no vote, so that two of them take nothing from
   the robot's map that the third knows; ``unknown`` of the vote forces another rule.
 * **Doubt.** A map that is not believed does not vote, and neither does the older one before it.
   One healthy input goes on alone and is called so. Where two inputs disagree, both steady, a third
@@ -52,15 +52,15 @@ from dataclasses import dataclass
 from slamfusion.align.starts import place_starts
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import LiveConfig, RunConfig
-from slamfusion.errors import GridError, MemoryBudgetError, SlamFusionError
+from slamfusion.errors import SlamFusionError
 from slamfusion.fusion.inputs import odd_resolution
 from slamfusion.fusion.live.align import Aligner
+from slamfusion.fusion.live.inputs import Event, Input, State
 from slamfusion.fusion.live.limits import too_large, unusable
 from slamfusion.fusion.live.mailbox import InputMessage, Mailbox
 from slamfusion.fusion.live.poses import PoseWatch
 from slamfusion.fusion.live.state import LiveState, StateError
 from slamfusion.fusion.live.supervisor import InputSupervisor
-from slamfusion.fusion.live.track import Track
 from slamfusion.fusion.live.voting import FusedLayers
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, OccupancyGrid
@@ -75,8 +75,8 @@ class LiveInput:
         name: as given to ``put``.
         age_s: time since its last message; infinite before the first.
         rate_hz: messages a second, smoothed; 0 before the second.
-        accepted: whether it votes.
-        reason: why (not), one line.
+        state: see ``State``.
+        reason: why it is in that state, one line.
         transform: its map frame into the fused frame, metres; the last that was accepted.
         score, overlap: of its last alignment, see ``Alignment``; 1 for the reference.
         maps: messages that came, usable or not.
@@ -87,7 +87,7 @@ class LiveInput:
     name: str
     age_s: float
     rate_hz: float
-    accepted: bool
+    state: State
     reason: str
     transform: Pose2 | None
     score: float
@@ -95,6 +95,11 @@ class LiveInput:
     maps: int
     rejected: int
     is_tracked: bool
+
+    @property
+    def accepted(self) -> bool:
+        """Whether it votes."""
+        return self.state is State.TRACKED
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,7 +172,7 @@ class LiveFusion:
         )
         self._layers = FusedLayers(self._config, self._live, self._device)
         self._supervisor = InputSupervisor(self._aligner, self._layers)
-        self._tracks = self._supervisor.tracks
+        self._inputs = self._supervisor.inputs
         with self._poses_lock:
             self._poses = PoseWatch(self._live)
         self._restored: dict[str, Pose2] = {}
@@ -218,7 +223,7 @@ class LiveFusion:
 
     def recall(self, name: str) -> None:
         """Take an input that was dropped for present again, with the last map that it sent."""
-        track = self._tracks.get(name)
+        track = self._inputs.get(name)
         self._mailbox.recall(name, None if track is None else track.grid)
 
     def remove(self, name: str) -> None:
@@ -227,7 +232,7 @@ class LiveFusion:
 
     def reset(self) -> None:
         """Forget the fused frame; every input's newest map starts the next one."""
-        self._mailbox.refill({t.name: t.grid for t in self._tracks.values() if t.is_live})
+        self._mailbox.refill({t.name: t.grid for t in self._inputs.values() if t.is_live})
         self._clear()
 
     def configure(self, live: LiveConfig) -> None:
@@ -253,7 +258,7 @@ class LiveFusion:
         if layers.lattice is None or layers.box is None:
             return None
         fused, agreement = layers.grids()
-        placed = {t.name: t.transform for t in self._tracks.values() if t.transform is not None}
+        placed = {t.name: t.transform for t in self._inputs.values() if t.transform is not None}
         return LiveState(
             layers.lattice,
             layers.box.row0,
@@ -306,7 +311,7 @@ class LiveFusion:
         self._layers.lattice = self._aligner.lattice
         clock.append(time.perf_counter())
         supervisor = self._supervisor
-        box = self._layers.update(self._tracks.values(), supervisor.voters, supervisor.reference)
+        box = self._layers.update(self._inputs.values(), supervisor.voters, supervisor.reference)
         fused, agreement = (None, None) if box is None else self._layers.grids()
         clock.append(time.perf_counter())
         if not has_news and box is None and self._state() == before:
@@ -333,35 +338,24 @@ class LiveFusion:
         """
         removed, fresh, received = self._mailbox.take()
         for name in removed:
-            self._tracks.pop(name, None)
+            self._inputs.pop(name, None)
             self._aligner.remove(name)
             self._layers.lift(name)
             self._restored.pop(name, None)
             with self._poses_lock:
                 self._poses.remove(name)
         for name, item in fresh.items():
-            track = self._tracks.setdefault(name, Track(name, transform=self._restored.get(name)))
-            reason = item.gone
-            if reason is None:
-                try:
-                    grid = item.read()
-                except SlamFusionError as error:
-                    grid, reason = None, str(error)
-                if grid is not None:
-                    reason = self._follow(
-                        track, grid if grid.name == name else grid.with_name(name)
-                    )
-                if reason is not None:
-                    self._mailbox.count_rejected(name)
-            if reason is not None:
-                track.is_live = False
-                track.refuse(reason)
+            track = self._inputs.setdefault(name, Input(name, transform=self._restored.get(name)))
+            if item.gone is not None:
+                track.lose(item.gone)
+            elif reason := self._take(track, item):
+                self._mailbox.count_rejected(name)
+                track.refuse_map(reason)
         newest = max(received.values(), default=now_s)
         for name, came_s in received.items():
-            stale = self._tracks.get(name)
+            stale = self._inputs.get(name)
             if stale is not None and stale.is_live and newest - came_s > self._live.stale_after_s:
-                stale.is_live = False
-                stale.refuse(f"no map for {now_s - came_s:.0f} s")
+                stale.lose(f"no map for {now_s - came_s:.0f} s")
         since_s = [
             item.waits_since_s
             for item in fresh.values()
@@ -369,40 +363,43 @@ class LiveFusion:
         ]
         return bool(fresh or removed), min(since_s, default=None)
 
-    def _follow(self, track: Track, grid: OccupancyGrid) -> str | None:
-        """Let a track follow its new map; return why it cannot, in words."""
+    def _take(self, track: Input, item: InputMessage) -> str | None:
+        """Let an input take the map that waits; return why it cannot, in words."""
         resolution, thresholds = self._layers.resolution, self._config.normalize
-        reason = unusable(grid, thresholds)
-        if reason is None and resolution is not None:
-            reason = odd_resolution(grid.resolution, resolution)
-        reason = reason or too_large(grid, resolution or grid.resolution)
-        if reason is not None:
-            return reason
+        was_live = track.is_live
         try:
+            grid = item.read()
+            if grid is None:
+                return None
+            grid = grid if grid.name == track.name else grid.with_name(track.name)
+            if reason := (
+                unusable(grid, thresholds)
+                or (resolution and odd_resolution(grid.resolution, resolution))
+                or too_large(grid, resolution or grid.resolution)
+            ):
+                return reason
             change = track.follow(grid, resolution, thresholds, self._live, self._device)
-        except (GridError, MemoryBudgetError) as error:
+        except SlamFusionError as error:
             return str(error)
         except MemoryError:
-            return f"no memory is left for a map of {grid.height} x {grid.width} cells"
-        if not track.is_live:
-            track.is_live = True
+            return "no memory is left for its map"
+        if not was_live:
+            track.turn(Event.MAP, "new; not aligned yet")
             track.tried = None
-            track.refuse("new; not aligned yet")
-        if change is not None and track.name == self._supervisor.reference:
-            for other in self._tracks.values():
-                if other is not track:
-                    other.drift += change.walls
+        if change is not None:
+            self._layers.note(track.name, change.box)
+            self._supervisor.note(track, change)
         return None
 
     def _state(self) -> tuple[object, ...]:
-        inputs = tuple((t.name, t.votes, t.why) for t in self._tracks.values())
+        inputs = tuple((t.name, t.state, t.why) for t in self._inputs.values())
         return (self._supervisor.reference, self._layers.names, inputs)
 
     def inputs(self, now_s: float) -> tuple[LiveInput, ...]:
         """Return the inputs as they stand; from the thread of updates."""
         out = []
         counts = self._mailbox.counts()
-        for name, track in self._tracks.items():
+        for name, track in self._inputs.items():
             came = counts.get(name) or InputMessage()  # removed, and not yet noticed
             is_reference = name == self._supervisor.reference and track.votes
             reason = track.why
@@ -413,14 +410,14 @@ class LiveFusion:
                     name,
                     now_s - came.received_s,
                     came.rate_hz,
-                    track.votes,
+                    track.state,
                     reason,
                     track.transform,
-                    1.0 if is_reference else track.score,
-                    1.0 if is_reference else track.overlap,
+                    1.0 if is_reference else track.fit.score,
+                    1.0 if is_reference else track.fit.overlap,
                     came.maps,
                     came.rejected,
-                    track.is_tracked,
+                    track.fit.is_tracked,
                 )
             )
         return tuple(out)
@@ -431,14 +428,14 @@ class LiveFusion:
         """Take the vote of those whose poses contradict the others', and give it back."""
         with self._poses_lock:
             reasons = self._poses.contradictions()
-        for name, track in self._tracks.items():
+        for name, track in self._inputs.items():
             track.contradiction = reasons.get(name, "")
 
     def _place(self) -> None:
         """Let the poses of those be compared whose maps are believed."""
         placed = {
             name: track.transform
-            for name, track in self._tracks.items()
+            for name, track in self._inputs.items()
             if track.stands and track.transform is not None
         }
         with self._poses_lock:

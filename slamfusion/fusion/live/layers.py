@@ -1,23 +1,33 @@
-"""``Layer``: the cells of one input on its own lattice."""
+"""``Layer``: the cells of one input on its own lattice, and ``Change``: what a new map changed."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
+from slamfusion.align.decide import WALLS_MIN
 from slamfusion.align.normalize import pool_cells
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.lattice import fixed_poses
 from slamfusion.compute.layout import FIXED_ONE
 from slamfusion.config import NormalizeConfig
+from slamfusion.fusion.live.limits import bands
 from slamfusion.geometry import Pose2
-from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid
-from slamfusion.vote.boxes import overlap, padded, slices
+from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid, known_box
+from slamfusion.vote.boxes import hull, moved, overlap, padded, slices
 from slamfusion.vote.lattice import SAME_RESOLUTION, Lattice
 
 I8 = npt.NDArray[np.int8]
+
+# Share of the old walls.
+STANDING_MIN = 0.4
+# Cells in which nothing lies, that a box of changes may hold for each cell of the two maps.
+SPARE_SHARE = 4
+NEIGHBOURS = np.ones((3, 3), dtype=np.uint8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,12 +38,16 @@ class Layer:
         cells: (H, W) int8, -1 unknown, 0..100 percent.
         lattice: on which they lie.
         row, col: the lattice's indices of ``cells[0, 0]``.
+        known: cells of the lattice that hold every known one; None: none, or not ``measured``.
+        walls: wall cells; 0 before ``measured``.
     """
 
     cells: I8
     lattice: Lattice
     row: int = 0
     col: int = 0
+    known: CellBox | None = None
+    walls: int = 0
 
     @property
     def box(self) -> CellBox:
@@ -119,3 +133,158 @@ def carry(
     cells = device.upload(np.ascontiguousarray(layer.window(needed)))
     warped = device.warp(cells, pose[None], (box.height, box.width), UNKNOWN)
     return np.asarray(device.download(warped)[0])
+
+
+@dataclass(frozen=True)
+class Change:
+    """What a new map changed.
+
+    Attributes:
+        box: cells of the lattice that hold every cell that differs; None where none does.
+        walls: cells that became or ceased to be a wall.
+        standing: old wall cells with a wall within one cell.
+        contradicted: old wall cells that are free now, no wall within one cell.
+        before: all old wall cells.
+        after: all new wall cells; None where not all of them were looked at.
+        is_lost: whether a known cell became unknown.
+    """
+
+    box: CellBox | None
+    walls: int
+    standing: int
+    contradicted: int
+    before: int
+    after: int | None = None
+    is_lost: bool = True
+
+    def is_steady(self, share: float) -> bool:
+        """Whether enough old walls still stand to believe that the map's frame did not move.
+
+        Args:
+            share: of those that can be judged, wall or free now. A few that stand by chance tell
+                nothing where most have gone into the unknown.
+        """
+        judged = self.standing + self.contradicted
+        is_enough = self.standing >= max(WALLS_MIN, STANDING_MIN * self.before)
+        return is_enough and self.standing >= share * judged
+
+
+def compare(old: Layer, new: Layer, thresholds: NormalizeConfig, device: ComputeDevice) -> Change:
+    """Compare two maps of one input, cell by cell where both lie in its frame.
+
+    Args:
+        old: the map before, measured.
+        new: the map now; on another lattice it is resampled first, and all of it counts as changed.
+        thresholds: what is a wall, and what is free.
+    """
+    walls = old.walls
+    if new.lattice == old.lattice:
+        box = _changed_box(old, new)
+        if box is None:
+            return Change(None, 0, walls, 0, walls, walls, is_lost=False)
+        near = padded(box, 1)
+        if near.area > SPARE_SHARE * (old.box.area + new.box.area):
+            return _replaced(new, box, walls, thresholds)
+        before, after = old.window(near), new.window(near)
+        is_lost = bool(((before >= 0) & (after < 0)).any())
+    else:
+        box = old.box
+        before = old.cells
+        after = carry(new, Pose2(), old.lattice, box, device)
+        is_lost = True
+    occupied = math.ceil(thresholds.occupied_percent)
+    was, now = (before >= occupied).view(np.uint8), (after >= occupied).view(np.uint8)
+    near_now = cv2.dilate(now, NEIGHBOURS)
+    free = (after >= 0) & (after <= thresholds.free_percent)
+    gone = (was != 0) & (near_now == 0)
+    lost = int(np.count_nonzero(gone))
+    differ = int(np.count_nonzero(was != now))
+    total = None
+    if new.lattice == old.lattice:
+        total = walls - int(np.count_nonzero(was)) + int(np.count_nonzero(now))
+    contradicted = int(np.count_nonzero(gone & free))
+    return Change(box, differ, walls - lost, contradicted, walls, total, is_lost)
+
+
+def _replaced(new: Layer, box: CellBox, walls: int, thresholds: NormalizeConfig) -> Change:
+    """Return what a map changed that lies far from the one before: nothing stands.
+
+    No array of the cells between both is made: for maps 10 km apart it would take gigabytes.
+    """
+    occupied = math.ceil(thresholds.occupied_percent)
+    after = int(np.count_nonzero(new.cells >= occupied))
+    return Change(box, walls + after, 0, 0, walls, after)
+
+
+def _changed_box(old: Layer, new: Layer) -> CellBox | None:
+    """Return the box of cells that differ; outside of a layer all is unknown."""
+    common = overlap(old.box, new.box)
+    boxes = []
+    if common is None:
+        boxes = [_known(old, old.box), _known(new, new.box)]
+    else:
+        found = _differing(old.window(common), new.window(common))
+        if found is not None:
+            boxes.append(moved(found, common.row0, common.col0))
+        for layer in (old, new):
+            boxes += [_known(layer, strip) for strip in _around(layer.box, common)]
+    out: CellBox | None = None
+    for box in boxes:
+        if box is not None:
+            out = box if out is None else hull(out, box)
+    return out
+
+
+def _differing(a: I8, b: I8) -> CellBox | None:
+    """Return the box of cells that differ, None without any; two arrays of one shape."""
+    out: CellBox | None = None
+    for band in bands(*a.shape):
+        differs = a[band] != b[band]
+        if not differs.any():
+            continue
+        rows, cols = (np.flatnonzero(differs.any(axis=axis)) for axis in (1, 0))
+        top = band.start
+        found = CellBox(
+            top + int(rows[0]), int(cols[0]), top + int(rows[-1]) + 1, int(cols[-1]) + 1
+        )
+        out = found if out is None else hull(out, found)
+    return out
+
+
+def measured(
+    layer: Layer,
+    thresholds: NormalizeConfig,
+    before: Layer | None = None,
+    change: Change | None = None,
+) -> Layer:
+    """Return a layer with its known box and walls; only what ``change`` says is looked at."""
+    if before is None or change is None or change.after is None:
+        occupied = math.ceil(thresholds.occupied_percent)
+        walls = int(np.count_nonzero(layer.cells >= occupied))
+        return replace(layer, known=_known(layer, layer.box), walls=walls)
+    box, old = change.box, before.known
+    if box is None or (old is not None and padded(box, 1) == overlap(padded(box, 1), old)):
+        known = old  # the cells that bound it did not change
+    elif change.is_lost:
+        known = _known(layer, layer.box)
+    else:
+        found = _known(layer, overlap(box, layer.box) or box)
+        known = found if old is None else old if found is None else hull(old, found)
+    return replace(layer, known=known, walls=change.after)
+
+
+def _around(outer: CellBox, inner: CellBox) -> list[CellBox]:
+    """Return the strips of a box around one inside of it."""
+    strips = [
+        CellBox(outer.row0, outer.col0, inner.row0, outer.col1),
+        CellBox(inner.row1, outer.col0, outer.row1, outer.col1),
+        CellBox(inner.row0, outer.col0, inner.row1, inner.col0),
+        CellBox(inner.row0, inner.col1, inner.row1, outer.col1),
+    ]
+    return [strip for strip in strips if strip.height > 0 and strip.width > 0]
+
+
+def _known(layer: Layer, box: CellBox) -> CellBox | None:
+    """Return the box of known cells inside a box of the layer's lattice."""
+    found = known_box(layer.window(box))
+    return None if found is None else moved(found, box.row0, box.col0)

@@ -1,15 +1,23 @@
-"""Which inputs of the live fusion are believed, and where: the rules that ``fusion`` states."""
+"""Which inputs of the live fusion vote, and where they lie: the rules that ``fusion`` states."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 from slamfusion.align.cancel import CancelledSearchError
-from slamfusion.errors import SlamFusionError
+from slamfusion.align.normalize import common_resolution
+from slamfusion.config import SMALLEST
+from slamfusion.errors import AlignmentError, MemoryBudgetError, SlamFusionError
+from slamfusion.fusion.groups import AlignedGroup, align_group
+from slamfusion.fusion.inputs import odd_resolution, odd_resolutions
 from slamfusion.fusion.live.align import Aligner
-from slamfusion.fusion.live.recovery import Anchor, align_first, believe_first, fusable, recover
-from slamfusion.fusion.live.track import Track, refuse_all
+from slamfusion.fusion.live.inputs import RESTARTED_SHARE, Input
+from slamfusion.fusion.live.layers import Change
+from slamfusion.fusion.live.limits import too_large
+from slamfusion.fusion.live.recovery import Anchor, recover
 from slamfusion.fusion.live.voting import FusedLayers
+from slamfusion.vote.lattice import Lattice
 
 NEVER = float("-inf")
 # A steady voter is late when the usual share has changed this many times; then it waits for others
@@ -21,25 +29,39 @@ class InputSupervisor:
     """Aligns what changed and decides who votes.
 
     Attributes:
-        tracks: the inputs by name, in the order in which they came; the owner adds and feeds them.
+        inputs: by name, in the order in which they came; the owner adds and feeds them.
         reference: name of the input that others are aligned to; empty without.
-        problem: why nobody votes, one line.
+        problem: why no input votes, one line.
+        anchor: the last fused map, while it knows more than the inputs do.
     """
 
     def __init__(self, aligner: Aligner, layers: FusedLayers) -> None:
         """Start without inputs; ``layers`` have the last fused map."""
-        self.tracks: dict[str, Track] = {}
+        self.inputs: dict[str, Input] = {}
         self.reference = ""
         self.problem = "no map yet"
+        self.anchor = Anchor(aligner, layers)
         self._aligner = aligner
-        self._anchor = Anchor()
-        self._began: tuple[float, tuple[tuple[str, int], ...]] = (NEVER, ())
+        self._tried: tuple[float, tuple[tuple[str, int], ...]] = (NEVER, ())
         self._layers = layers
 
     @property
-    def voters(self) -> list[Track]:
+    def voters(self) -> list[Input]:
         """The inputs that vote, in order."""
-        return [track for track in self.tracks.values() if track.votes]
+        return [one for one in self.inputs.values() if one.votes]
+
+    @property
+    def _live(self) -> list[Input]:
+        return [one for one in self.inputs.values() if one.is_live]
+
+    def note(self, one: Input, change: Change) -> None:
+        """Take note of what the new map of an input changed."""
+        if one.walls < RESTARTED_SHARE * change.before:
+            self.anchor.note_restart()
+        if one.name == self.reference:
+            for other in self.inputs.values():
+                if other is not one:
+                    other.drift += change.walls
 
     def align(self, now_s: float, *, is_idle: bool) -> None:
         """Align what is new, came back or changed.
@@ -51,63 +73,125 @@ class InputSupervisor:
         self._aligner.now_s = now_s
         self._aligner.has_searched = False
         if self._aligner.lattice is None:
-            self._begin()
+            self._start()
             return
-        self._anchor.note(self.tracks.values(), self._layers, self._aligner)
+        self.anchor.look(self.inputs.values())
         if self._choose_reference():
-            self._anchor.settle(self.tracks[self.reference], self.tracks.values(), self._aligner)
+            self.anchor.settle(self.inputs[self.reference], self.inputs.values())
             self._realign(is_idle=is_idle)
         else:
             self._recover()
 
     # -- the first fusion -------------------------------------------------------------------------
 
-    def _begin(self) -> None:
+    def _start(self) -> None:
         """Try the first fusion, once for every new map and not too often."""
-        usable = fusable(
-            [t for t in self.tracks.values() if t.is_live], self._aligner.config.normalize
-        )
-        least = self._aligner.live.minimum_inputs
+        aligner = self._aligner
+        usable, least = self._usable(), aligner.live.minimum_inputs
         if len(usable) < least:
-            self.problem = f"waits for {least} inputs that agree, has {len(usable)}"
-            refuse_all(usable, self.problem)
+            self._wait(usable, f"waits for {least} inputs that agree, has {len(usable)}")
             return
-        versions = tuple((track.name, track.version) for track in usable)
-        last_s, tried = self._began
-        if versions == tried or self._aligner.now_s - last_s < self._aligner.live.search_pause_s:
+        versions = tuple((one.name, one.version) for one in usable)
+        last_s, tried = self._tried
+        if versions == tried or aligner.now_s - last_s < aligner.live.search_pause_s:
             return
-        self._began = (self._aligner.now_s, versions)
-        self._aligner.has_searched = len(usable) > 1
+        self._tried = (aligner.now_s, versions)
+        aligner.has_searched = len(usable) > 1
         try:
-            group, lattice = align_first(usable, least, self._aligner)
+            group, lattice = self._first_group(usable, least)
         except SlamFusionError as error:
-            self.problem = str(error)
-            refuse_all(usable, self.problem)
+            self._wait(usable, str(error))
         else:
-            self.reference = group.reference
-            believe_first(group, lattice, self.tracks, self._aligner)
+            self._accept_first(group, lattice)
+
+    def _wait(self, inputs: Sequence[Input], problem: str) -> None:
+        self.problem = problem
+        for one in inputs:
+            one.doubt(problem)
+
+    def _usable(self) -> list[Input]:
+        """Return the inputs that can be brought to one resolution; reject the others by name."""
+        grids = {one.name: one.grid for one in self._live if one.grid is not None}
+        reasons = odd_resolutions({name: grid.resolution for name, grid in grids.items()})
+        rest = [grid for name, grid in grids.items() if name not in reasons]
+        for grid in rest:
+            reason = too_large(grid, common_resolution(rest, self._aligner.config.normalize))
+            if reason is not None:
+                reasons[grid.name] = reason
+        for name, reason in reasons.items():
+            self.inputs[name].reject(reason)
+        return [self.inputs[name] for name in grids if name not in reasons]
+
+    def _first_group(self, usable: Sequence[Input], least: int) -> tuple[AlignedGroup, Lattice]:
+        """Return the inputs that agree, and the cells of the frame that their reference gives.
+
+        Raises:
+            SlamFusionError: too few agree, or memory cannot hold them; in one line.
+        """
+        aligner = self._aligner
+        config, device = aligner.config, aligner.device
+        # The walls of the reference are what the others are compared with until it is lost.
+        config = replace(config, reference=config.reference or SMALLEST)
+        grids = [one.grid for one in usable if one.grid is not None]
+        resolution = common_resolution(grids, config.normalize)
+        try:
+            features = {
+                one.name: one.features(resolution, config.normalize, -1.0, device) for one in usable
+            }
+            group = align_group(features, {}, config, device, list(features), starts=aligner.starts)
+        except MemoryError:
+            message = f"no memory is left to align {len(usable)} maps at {resolution:g} m a cell"
+            raise MemoryBudgetError(message) from None
+        if len(group.alignments) < least:
+            message = f"{len(group.alignments)} of the {least} inputs needed agree"
+            raise AlignmentError(message)
+        base = features[group.reference].grid.grid
+        return group, Lattice(base.resolution, base.origin)
+
+    def _accept_first(self, group: AlignedGroup, lattice: Lattice) -> None:
+        """Fix the fused frame, lay every map out on its lattice, and let the group vote."""
+        aligner = self._aligner
+        aligner.lattice, self.reference = lattice, group.reference
+        size, thresholds = lattice.resolution, aligner.config.normalize
+        for one in self.inputs.values():
+            if one.grid is None:
+                continue
+            reason = odd_resolution(one.grid.resolution, size) or too_large(one.grid, size)
+            if reason is None:
+                one.place(size, thresholds, aligner.device)
+            elif one.is_live:
+                one.refuse_map(reason)
+        for name, pair in group.alignments.items():
+            aligner.accept(self.inputs[name], pair.transform, pair, is_tracked=False)
+        for pair in group.pairs:
+            if pair.accepted:
+                aligner.note(pair)
+        for name, (reason, shown) in group.left_out.items():
+            one = self.inputs[name]
+            one.reject(reason)
+            if shown is not None:
+                one.fit = replace(one.fit, score=shown.score, overlap=shown.overlap)
 
     # -- every round after it ---------------------------------------------------------------------
 
     def _choose_reference(self) -> bool:
         """Keep the reference, or hand over when it must; return whether there is one."""
         # Where the poses of all contradict each other, their walls still stand: the frame holds.
-        able = self.voters or [track for track in self.tracks.values() if track.stands]
-        if not any(track.name == self.reference for track in able):
+        able = self.voters or [one for one in self.inputs.values() if one.stands]
+        if not any(one.name == self.reference for one in able):
             if not able:
                 self.reference = ""
                 return False
-            self._hand_over(max(able, key=lambda track: track.walls))
-        reasons = [track.contradiction for track in able if track.contradiction]
+            self._hand_over(max(able, key=lambda one: one.walls))
+        reasons = [one.contradiction for one in able if one.contradiction]
         if reasons and not self.voters:
             self.problem = f"{reasons[0]}, and nobody can say who is right"
         return True
 
-    def _hand_over(self, track: Track) -> None:
-        self._anchor.hand_over(track)
-        self.reference = track.name
-        track.reason = "the reference"
-        track.pin()
+    def _hand_over(self, one: Input) -> None:
+        self.anchor.hand_over(one)
+        self.reference = one.name
+        one.accept("the reference")
 
     def _realign(self, *, is_idle: bool) -> None:
         """Align what is due: doubtful inputs always, steady voters as far as time allows.
@@ -116,121 +200,110 @@ class InputSupervisor:
         new map does, and is given up for one that comes. Of those that are late the one that
         changed most is aligned whatever waits, one a round, so that each has its turn.
         """
-        first = self.tracks[self.reference]
-        due = [track for track in self.tracks.values() if self._is_due(track, first)]
-        due.sort(key=lambda track: (track.votes, -track.drift))
+        first = self.inputs[self.reference]
+        due = [one for one in self.inputs.values() if self._is_due(one, first)]
+        due.sort(key=lambda one: (one.votes, -one.drift))
         cells, has_late = 0, False
-        for track in due:
-            reference = self.tracks.get(self.reference)
-            if reference is None or not reference.accepted:
+        for one in due:
+            reference = self.inputs.get(self.reference)
+            if reference is None or not reference.stands:
                 return
-            if track is reference:
+            if one is reference:
                 continue
-            own = 0 if track.layer is None else track.layer.box.area
-            may_wait = track.votes and cells + own > self._aligner.live.track_cells
-            is_late = track.drift > LATE * self._few(track, reference)
+            own = 0 if one.layer is None else one.layer.box.area
+            may_wait = one.votes and cells + own > self._aligner.live.track_cells
+            is_late = one.drift > LATE * self._few(one, reference)
             if may_wait and (has_late or not is_late):
                 if not (is_idle and cells == 0):
                     continue
                 try:
-                    self._align(track, reference, self._aligner.is_wanted)
+                    self._align(one, reference, self._aligner.is_wanted)
                 except CancelledSearchError:
                     return
             else:
                 has_late = has_late or may_wait
-                self._align_or_refuse(track, reference)
+                try:
+                    self._align(one, reference)
+                except (SlamFusionError, MemoryError) as error:
+                    one.tried = (one.version, reference.name, reference.version)
+                    one.reject(f"cannot be aligned: {str(error) or type(error).__name__}")
             cells += own
 
-    def _align_or_refuse(self, track: Track, reference: Track) -> None:
-        """Align an input; one that cannot be is refused by name, and the others go on."""
-        try:
-            self._align(track, reference)
-        except (SlamFusionError, MemoryError) as error:
-            track.tried = (track.version, reference.name, reference.version)
-            track.refuse(f"cannot be aligned: {str(error) or type(error).__name__}")
-
     def _align(
-        self, track: Track, reference: Track, is_wanted: Callable[[], bool] | None = None
+        self, one: Input, reference: Input, is_wanted: Callable[[], bool] | None = None
     ) -> None:
         """Align an input to the reference: tracked, or else searched everywhere.
 
         Raises:
             CancelledSearchError: ``is_wanted`` answered True meanwhile; nothing was changed.
         """
-        aligner, was_voting = self._aligner, track.votes
-        if track.transform is not None and aligner.follow(
-            track, aligner.held(reference), is_wanted
-        ):
+        aligner, had_vote = self._aligner, one.votes
+        if one.transform is not None and aligner.follow(one, aligner.held(reference), is_wanted):
             return
-        others = [other for other in self.voters if other is not reference and other is not track]
-        now = (track.version, reference.name, reference.version)
-        if not aligner.may_search(track):
-            if not was_voting:
-                track.refuse(_waits(track))
-            elif track.mismatch:
-                # Its walls and the reference's contradict each other: it has no vote until a
-                # search, or a third, says which of them is right.
-                track.refuse(_waits(track))
-                self._arbitrate(track, reference, others)
+        others = [other for other in self.voters if other is not reference and other is not one]
+        now = (one.version, reference.name, reference.version)
+        if not aligner.may_search(one):
+            # A voter whose walls and the reference's contradict each other has no vote until a
+            # search, or a third, says which of them is right; one that jumped waits on.
+            if not had_vote or one.fit.mismatch:
+                one.doubt("; ".join(filter(None, (one.fit.mismatch, "waits for a full search"))))
+            if had_vote and one.fit.mismatch:
+                self._arbitrate(one, reference, others)
             return
-        if aligner.may_confirm(track):
-            is_left = aligner.confirm(track, [aligner.held(one) for one in (*others, reference)])
-            track.tried = None if is_left else now
+        if aligner.may_confirm(one):
+            is_left = aligner.confirm(one, [aligner.held(other) for other in (*others, reference)])
+            one.tried = None if is_left else now
             return
         # The reference may share no ground with it where another input does.
-        held = [reference] if was_voting else [reference, *others]
-        is_last = track.searches % len(held) == len(held) - 1
-        is_done = aligner.search(track, aligner.held(held[track.searches % len(held)]))
+        held = [reference] if had_vote else [reference, *others]
+        turn = one.pace.count % len(held)
+        is_done = aligner.search(one, aligner.held(held[turn]))
         if not is_done:
-            track.tried = None
-        if track.votes or not is_done:
+            one.tried = None
+        if one.votes or not is_done:
             return
-        track.tried = now if is_last else None
-        if was_voting:
-            self._arbitrate(track, reference, others)
+        one.tried = now if turn == len(held) - 1 else None
+        if had_vote:
+            self._arbitrate(one, reference, others)
 
-    def _arbitrate(self, track: Track, reference: Track, others: list[Track]) -> None:
+    def _arbitrate(self, one: Input, reference: Input, others: list[Input]) -> None:
         """Find who is wrong when an input that voted fits the reference no more.
 
         A third decides; without one what a majority or both had agreed on, see ``recovery``.
         """
         if not others:
-            reference.accepted = track.accepted = False
             self._recover()
             return
         for third in others:
-            if self._aligner.follow(track, self._aligner.held(third)):
+            if self._aligner.follow(one, self._aligner.held(third)):
                 if self._aligner.fit(reference, self._aligner.held(third)) is None:
-                    names = f"{third.name} and {track.name}"
-                    reference.refuse(f"{names} agree with each other and not with it")
+                    names = f"{third.name} and {one.name}"
+                    reference.reject(f"{names} agree with each other and not with it")
                     self._hand_over(third)
                 return
 
     def _recover(self) -> None:
         """Go by the last fused map: no input is left to align to."""
-        live = [track for track in self.tracks.values() if track.is_live]
-        found = recover(live, self._aligner, self._layers)
+        if not self._live:
+            self.problem = "no input is left"
+            return
+        found = recover(self._live, self._aligner, self._layers)
         self.problem = self.problem if found.problem is None else found.problem
         if found.held is not None:
-            self._anchor.keep(found.held)
+            self.anchor.keep(found.held)
         if found.reference is not None:
             self._hand_over(found.reference)
 
-    def _is_due(self, track: Track, reference: Track) -> bool:
+    def _is_due(self, one: Input, reference: Input) -> bool:
         """Whether an input has to be aligned in this round."""
-        if track is reference or not track.is_live:
+        if one is reference or not one.is_live:
             return False
-        if not track.accepted:
-            if track.jump is not None and track.jump_version == track.version:
-                return self._aligner.may_confirm(track)
-            return track.tried != (track.version, reference.name, reference.version)
-        return not track.is_steady or track.drift > self._few(track, reference)
+        if one.stands:
+            return one.drift > self._few(one, reference)
+        if one.awaits_confirmation:
+            return self._aligner.may_confirm(one)
+        return one.tried != (one.version, reference.name, reference.version)
 
-    def _few(self, track: Track, reference: Track) -> float:
+    def _few(self, one: Input, reference: Input) -> float:
         """Return the changed wall cells below which nothing needs to be aligned again."""
-        return self._aligner.live.track_share * min(track.walls, reference.walls)
-
-
-def _waits(track: Track) -> str:
-    """Return the reason of an input that has to be searched and may not be yet."""
-    return "; ".join(filter(None, (track.mismatch, "waits for a full search")))
+        return self._aligner.live.track_share * min(one.walls, reference.walls)

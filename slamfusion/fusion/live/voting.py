@@ -7,7 +7,7 @@ changed cells are carried over and voted on again, everything else stays as it w
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -17,9 +17,9 @@ import numpy.typing as npt
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, LiveConfig
 from slamfusion.errors import MemoryBudgetError
+from slamfusion.fusion.live.inputs import Input
 from slamfusion.fusion.live.layers import Layer, carry
 from slamfusion.fusion.live.state import LiveState
-from slamfusion.fusion.live.track import Track
 from slamfusion.geometry import Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, trinary_cells
 from slamfusion.io.files import check_memory
@@ -39,6 +39,25 @@ SHRUNK_CELLS, SHRUNK_SHARE = 1 << 22, 0.25
 MAJORITY = 3
 
 
+@dataclass(eq=False)
+class LaidInput:
+    """What the lattice holds of one input.
+
+    Attributes:
+        cells: of all of the fused box, in {-1, 0, 1}.
+        walls: what they show around each cell, where that decides.
+        covered: cells of the lattice that hold every known one; None: none.
+        place: lattice and transform of the layer that was laid; None: lay all of it again.
+        changed: cells of the layer's lattice that differ from what was laid; None: none.
+    """
+
+    cells: I8
+    walls: npt.NDArray[np.uint8]
+    covered: CellBox | None = None
+    place: tuple[Lattice, Pose2] | None = None
+    changed: CellBox | None = None
+
+
 class FusedLayers:
     """The fused cells, what every input shows of them, and the vote.
 
@@ -52,7 +71,7 @@ class FusedLayers:
         box: cells of the lattice that are kept; None before the first ``grow``.
         phantom_cells: occupied in the fused cells, occupied in no layer that voted.
         names: who voted last.
-        has_young: whether a map that began anew was among them.
+        has_young: whether a map that restarted was among them.
         agreed: the fused map when a majority last decided, before all but two or fewer lost their
             vote; None while a majority decides, and before one ever did.
     """
@@ -68,14 +87,11 @@ class FusedLayers:
         self.agreed: OccupancyGrid | None = None
         self._config = config
         self._device = device
-        # Cells in {-1, 0, 1} of each input, and what they show around each cell, if that decides.
-        self._carried: dict[str, I8] = {}
-        self._walls: dict[str, npt.NDArray[np.uint8]] = {}
+        self._laid: dict[str, LaidInput] = {}
         self._trust: Trust | None = None
         # Walls that agree, of the voters and the cells of the last vote.
         self._counts: WallCounts | None = None
         self._counted: tuple[tuple[str, ...], CellBox] | None = None
-        self._covered: dict[str, CellBox] = {}
         self._fused = np.zeros((0, 0), dtype=np.int8)
         self._agreement = self._fused
         self._trinary = trinary_cells(
@@ -96,15 +112,15 @@ class FusedLayers:
         return None if self.lattice is None else self.lattice.resolution
 
     def update(
-        self, tracks: Iterable[Track], voters: Sequence[Track], reference: str
+        self, inputs: Iterable[Input], voters: Sequence[Input], reference: str
     ) -> CellBox | None:
         """Lay what changed and vote on it.
 
-        While a map that began anew is among the voters unknown abstains by the rule ``auto``: two
+        While a map that restarted is among the voters unknown abstains by the rule ``auto``: two
         young maps know little, and would take from the robot's map what the third knows.
 
         Args:
-            tracks: all inputs; the layers of those that do not vote are lifted.
+            inputs: all of them; the layers of those that do not vote are lifted.
             voters: the inputs that vote, in order; one that finds no room is refused.
             reference: name of the input that others are aligned to.
 
@@ -117,10 +133,9 @@ class FusedLayers:
         voters = [track for track in voters if track.votes]
         names = tuple(track.name for track in voters)
         self._keep_agreed(names)
-        for track in tracks:
+        for track in inputs:
             if track.name not in names:
                 self.lift(track.name)
-                track.relay = True
         if self.box is None or not names:
             self.names = names
             return None
@@ -145,7 +160,7 @@ class FusedLayers:
         elif len(self.names) >= MAJORITY:
             self.agreed = self.last_fused()
 
-    def _make_room(self, track: Track, reference: str) -> bool:
+    def _make_room(self, track: Input, reference: str) -> bool:
         """Grow the layers to hold an input's new cells; return whether they grew."""
         needed = self._needed(track, reference)
         if needed is None:
@@ -153,10 +168,10 @@ class FusedLayers:
         try:
             return self.grow(needed, track.name) is not None
         except MemoryBudgetError as error:
-            track.refuse(str(error))
+            track.reject(str(error))
             return False
 
-    def _give_back(self, voters: Sequence[Track], reference: str) -> bool:
+    def _give_back(self, voters: Sequence[Input], reference: str) -> bool:
         """Give back what the layers hold for no voter; return whether there was any."""
         found = [self._needed(track, reference) for track in voters]
         boxes = [box for box in found if box is not None]
@@ -167,23 +182,31 @@ class FusedLayers:
             needed = hull(needed, box)
         return self.shrink(needed) is not None
 
-    def _needed(self, track: Track, reference: str) -> CellBox | None:
+    def _needed(self, track: Input, reference: str) -> CellBox | None:
         """Return the cells of the lattice that an input needs; None where it gives no extent."""
-        if track.layer is None or track.known is None or track.transform is None:
+        if track.layer is None or track.layer.known is None or track.transform is None:
             return None
         if self.live.extent == "reference" and track.name != reference:
             return None
-        return self._fixed.box_of(track.known, track.layer.lattice, track.transform)
+        return self._fixed.box_of(track.layer.known, track.layer.lattice, track.transform)
 
-    def _lay(self, track: Track) -> CellBox | None:
+    def note(self, name: str, changed: CellBox | None) -> None:
+        """Take note of cells of an input's lattice that its new map changed."""
+        laid = self._laid.get(name)
+        if laid is not None and changed is not None:
+            laid.changed = changed if laid.changed is None else hull(laid.changed, changed)
+
+    def _lay(self, track: Input) -> CellBox | None:
         """Lay what the layers have not seen of an input; return the cells of the lattice."""
-        if track.layer is None or track.known is None or track.transform is None:
+        layer, transform, laid = track.layer, track.transform, self._laid.get(track.name)
+        if layer is None or layer.known is None or transform is None:
             return None
-        if not track.relay and track.unlaid is None:
-            return None
-        changed = None if track.relay else track.unlaid
-        track.relay, track.unlaid = False, None
-        return self.lay(track.name, track.layer, track.known, track.transform, changed)
+        changed = None
+        if laid is not None and laid.place == (layer.lattice, transform):
+            if laid.changed is None:
+                return None
+            changed = laid.changed
+        return self.lay(track.name, layer, transform, changed)
 
     def grow(self, box: CellBox, name: str) -> CellBox | None:
         """Make room for a box of the lattice; return all their cells where they grew.
@@ -198,16 +221,9 @@ class FusedLayers:
         if self.box is not None and hull(self.box, box) == self.box:
             return None
         grown = box if self.box is None else hull(self.box, box)
-        room = grown.area * (CELL_BYTES + LAYER_BYTES * len(self._carried))
+        room = grown.area * (CELL_BYTES + LAYER_BYTES * len(self._laid))
         check_memory(room, f"a fused map of {grown.height} x {grown.width} cells", name)
-        self._fused = self._moved(self._fused, grown)
-        self._agreement = self._moved(self._agreement, grown)
-        self._carried = {name: self._moved(cells, grown) for name, cells in self._carried.items()}
-        self._walls = {
-            name: self._moved(walls.view(np.int8), grown, 0).view(np.uint8)
-            for name, walls in self._walls.items()
-        }
-        self.box = grown
+        self._resize(grown)
         return grown
 
     def shrink(self, box: CellBox) -> CellBox | None:
@@ -220,23 +236,26 @@ class FusedLayers:
             return None
         if box.area > SHRUNK_SHARE * self.box.area or hull(self.box, box) != self.box:
             return None
-        self._fused = self._cut(self._fused, box)
-        self._agreement = self._cut(self._agreement, box)
-        self._carried = {name: self._cut(cells, box) for name, cells in self._carried.items()}
-        self._walls = {
-            name: self._cut(walls.view(np.int8), box).view(np.uint8)
-            for name, walls in self._walls.items()
-        }
-        kept = {name: overlap(covered, box) for name, covered in self._covered.items()}
-        self._covered = {name: part for name, part in kept.items() if part is not None}
-        self.box = box
+        self._resize(box)
         return box
 
-    def _cut(self, cells: I8, box: CellBox) -> I8:
-        whole = self.box
-        if whole is None:
-            return cells
-        return cells[slices(box, whole.row0, whole.col0)].copy()
+    def _resize(self, box: CellBox) -> None:
+        """Keep the cells of another box; what is new of it is unknown."""
+        before, self.box = self.box, box
+        common = None if before is None else overlap(before, box)
+
+        def resized(cells: npt.NDArray[Any], outside: int) -> npt.NDArray[Any]:
+            out = np.full((box.height, box.width), outside, dtype=cells.dtype)
+            if before is not None and common is not None:
+                kept = cells[slices(common, before.row0, before.col0)]
+                out[slices(common, box.row0, box.col0)] = kept
+            return out
+
+        self._fused = resized(self._fused, UNKNOWN)
+        self._agreement = resized(self._agreement, UNKNOWN)
+        for laid in self._laid.values():
+            laid.cells, laid.walls = resized(laid.cells, UNKNOWN), resized(laid.walls, 0)
+            laid.covered = None if laid.covered is None else overlap(laid.covered, box)
 
     def restore(self, state: LiveState) -> None:
         """Begin with the last fused map of an earlier run, which no layer is under yet."""
@@ -246,72 +265,63 @@ class FusedLayers:
         self._fused, self._agreement = np.asarray(fused).view(np.int8), state.agreement.copy()
         self.lattice, self.box = state.lattice, state.box
 
-    def _moved(self, cells: I8, grown: CellBox, outside: int = UNKNOWN) -> I8:
-        out = np.full((grown.height, grown.width), outside, dtype=np.int8)
-        if self.box is not None:
-            out[slices(self.box, grown.row0, grown.col0)] = cells
-        return out
-
     def lay(
-        self, name: str, layer: Layer, known: CellBox, transform: Pose2, changed: CellBox | None
+        self, name: str, layer: Layer, transform: Pose2, changed: CellBox | None
     ) -> CellBox | None:
         """Carry an input's cells onto its layer; return the cells of the lattice that it touched.
 
         Args:
             name: the input.
-            layer: all of its cells.
-            known: cells of the layer's lattice that hold every known one.
+            layer: all of its cells, measured.
             transform: maps the layer's frame into the fused frame, metres.
             changed: cells of the layer's lattice that differ from what was laid here before with
                 the same transform and lattice; None for all.
         """
         box = self.box
-        if box is None:
-            message = "grow the layers before anything is laid on them"
+        if box is None or layer.known is None:
+            message = "grow the layers before a map with known cells is laid on them"
             raise ValueError(message)
-        before = self._covered.get(name)
-        if name not in self._carried:
-            self._carried[name] = np.full((box.height, box.width), UNKNOWN, dtype=np.int8)
-            self._walls[name] = np.zeros((box.height, box.width), dtype=np.uint8)
-        carried = self._carried[name]
-        now = overlap(self._fixed.box_of(known, layer.lattice, transform), box)
+        if name not in self._laid:
+            shape = box.height, box.width
+            unknown = np.full(shape, UNKNOWN, dtype=np.int8)
+            self._laid[name] = LaidInput(unknown, np.zeros(shape, dtype=np.uint8))
+        laid = self._laid[name]
+        before = laid.covered
+        laid.place, laid.changed = (layer.lattice, transform), None
+        now = overlap(self._fixed.box_of(layer.known, layer.lattice, transform), box)
         if changed is None:
             target = now
             if before is not None:
-                carried[slices(before, box.row0, box.col0)] = UNKNOWN
+                laid.cells[slices(before, box.row0, box.col0)] = UNKNOWN
             touched = now if before is None or now is None else hull(before, now)
             touched = touched or before
         else:
             near = self._fixed.box_of(changed, layer.lattice, transform)
             target = touched = overlap(padded(near, 1), box)
-        self._covered.pop(name, None)
-        if now is not None:
-            self._covered[name] = now if before is None or changed is None else hull(before, now)
+        laid.covered = now
+        if before is not None and now is not None and changed is not None:
+            laid.covered = hull(before, now)
         if target is not None:
             cells = carry(layer, transform, self._fixed, target, self._device)
-            carried[slices(target, box.row0, box.col0)] = self._classes(cells)
+            laid.cells[slices(target, box.row0, box.col0)] = self._classes(cells)
         if touched is not None and self._config.vote.mode == "consensus":
-            self._show(name, touched, box)
+            self._show(laid, touched, box)
         return touched
 
-    def _show(self, name: str, touched: CellBox, whole: CellBox) -> None:
+    def _show(self, laid: LaidInput, touched: CellBox, whole: CellBox) -> None:
         """Find what a layer shows around the cells that changed."""
         size = self._fixed.resolution
         box = grown_inside(touched, margin_cells(size), whole)
-        cells = self._carried[name]
 
         def read(part: CellBox) -> I8:
-            return np.ascontiguousarray(cells[slices(part, whole.row0, whole.col0)])
+            return np.ascontiguousarray(laid.cells[slices(part, whole.row0, whole.col0)])
 
-        window = slices(box, whole.row0, whole.col0)
-        self._walls[name][window] = codes_on(box, whole, size, read)
+        laid.walls[slices(box, whole.row0, whole.col0)] = codes_on(box, whole, size, read)
 
-    def lift(self, name: str) -> CellBox | None:
-        """Take an input's layer away; return the cells that it had covered."""
-        self._carried.pop(name, None)
-        self._walls.pop(name, None)
-        self._counted = None
-        return self._covered.pop(name, None)
+    def lift(self, name: str) -> None:
+        """Take an input's layer away."""
+        if self._laid.pop(name, None) is not None:
+            self._counted = None
 
     def vote(self, names: Sequence[str], box: CellBox, *, has_young: bool = False) -> CellBox:
         """Let the layers of some inputs vote again on a box of the lattice.
@@ -320,7 +330,7 @@ class FusedLayers:
             names: the voters, one or more, in order; each has a layer.
             box: cells of the lattice, inside of those kept. All of these are voted on where the
                 trust in the inputs has changed.
-            has_young: whether a map that began anew votes: unknown abstains by the rule ``auto``.
+            has_young: whether a map that restarted votes: unknown abstains by the rule ``auto``.
 
         Returns:
             The cells that were voted on.
@@ -361,7 +371,7 @@ class FusedLayers:
             changed = whole
         box = voter.aligned(grown_inside(changed, margin_cells(voter.resolution), whole))
         window = slices(box, whole.row0, whole.col0)
-        codes = [self._walls[name][window] for name in voter.names]
+        codes = [self._laid[name].walls[window] for name in voter.names]
         found = count_walls(codes, voter.shift, voter.phase(box))
         if self._counts is None or box == whole:
             self._counts = found
@@ -374,10 +384,12 @@ class FusedLayers:
 
     def _shown(self, voter: TileVoter, tile: CellBox) -> dict[str, npt.NDArray[Any]]:
         """Return what the voters show around a tile."""
-        shown = self._walls if voter.weighs else self._carried
         whole = self.box or tile
         window = slices(voter.around(tile), whole.row0, whole.col0)
-        return {name: shown[name][window] for name in voter.names}
+        laid = {name: self._laid[name] for name in voter.names}
+        return {
+            name: (own.walls if voter.weighs else own.cells)[window] for name, own in laid.items()
+        }
 
     def _classes(self, cells: I8) -> I8:
         return np.asarray(cv2.LUT(cells.view(np.uint8), self._trinary)).view(np.int8)
@@ -386,7 +398,7 @@ class FusedLayers:
         """Count the fused walls of all cells that were voted for and that no voter has."""
         alone = (self._fused == 1) & (self._agreement >= 0)
         for name in names:
-            alone &= self._carried[name] != 1
+            alone &= self._laid[name].cells != 1
         return int(np.count_nonzero(alone))
 
     def last_fused(self) -> OccupancyGrid | None:

@@ -91,7 +91,7 @@ def test_maps_that_begin_anew_grow_into_the_frame_of_before(
         if name in names:
             assert_in_frame(drive, name, grid, old[name])
             assert drive.input(name).score > 0.5
-    assert drive.live._supervisor._anchor.held is None, "outgrown"
+    assert drive.live._supervisor.anchor.held is None, "outgrown"
 
 
 def test_maps_that_begin_anew_one_by_one_grow_into_the_frame_of_before(
@@ -136,7 +136,7 @@ def test_a_place_that_changed_leaves_the_frame_where_it_is(device: ComputeDevice
         drive.step(littered(young(changed, 4.0), 1, 0.9))
     assert drive.input("b").transform == before
     assert drive.accepted() == "b"
-    track = drive.live._tracks["b"]
-    assert track.reason == "the reference; the place is not as it was in the last fused map"
+    reason = drive.live._inputs["b"].reason
+    assert reason == "the reference; the place is not as it was in the last fused map"
     assert drive.fused is not None
     assert share_standing(fused, drive.fused) > 0.95

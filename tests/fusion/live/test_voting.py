@@ -7,7 +7,7 @@ import pytest
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, LiveConfig
-from slamfusion.fusion.live.track import Track
+from slamfusion.fusion.live.inputs import Event, Input
 from slamfusion.fusion.live.voting import FusedLayers
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, OccupancyGrid
@@ -18,14 +18,13 @@ from tests.fusion.drawings import random_cells
 SIZE = 0.1
 
 
-def voter(name: str, x: float, device: ComputeDevice) -> Track:
+def voter(name: str, x: float, device: ComputeDevice) -> Input:
     grid = OccupancyGrid(random_cells(3, 30, 40), SIZE, Pose2(x, 0.0, 0.0), name)
-    track = Track(name)
-    config = FusionConfig()
-    track.follow(grid, SIZE, config.normalize, LiveConfig(), device)
-    track.place(SIZE, config.normalize, device)
-    track.transform, track.accepted, track.is_steady = Pose2(), True, True
-    return track
+    one = Input(name, transform=Pose2())
+    one.follow(grid, SIZE, FusionConfig().normalize, LiveConfig(), device)
+    one.turn(Event.MAP, "new")
+    one.accept("fits")
+    return one
 
 
 def voting_of(device: ComputeDevice, **live: str) -> FusedLayers:
@@ -36,18 +35,17 @@ def voting_of(device: ComputeDevice, **live: str) -> FusedLayers:
 
 def test_what_was_laid_is_not_laid_again_until_a_voter_leaves(device: ComputeDevice) -> None:
     voting = voting_of(device)
-    tracks = [voter("a", 0.0, device), voter("b", 1.0, device)]
-    box = voting.update(tracks, tracks, "a")
+    inputs = [voter("a", 0.0, device), voter("b", 1.0, device)]
+    box = voting.update(inputs, inputs, "a")
     fused, _ = voting.grids()
     assert box == CellBox(0, 0, fused.height, fused.width)
     assert voting.names == ("a", "b")
-    assert voting.update(tracks, tracks, "a") is None
+    assert voting.update(inputs, inputs, "a") is None
     # Without b its cells are voted on again, and the frame keeps its size.
-    tracks[1].refuse("gone")
-    assert voting.update(tracks, tracks[:1], "a") == box
-    assert tracks[1].relay
+    inputs[1].lose("gone")
+    assert voting.update(inputs, inputs[:1], "a") == box
     assert voting.grids()[0].cells.shape == fused.cells.shape
-    assert voting.update(tracks, [], "a") is None
+    assert voting.update(inputs, [], "a") is None
     assert voting.names == ()
 
 
@@ -55,18 +53,18 @@ def test_what_a_majority_decided_is_kept_while_fewer_are_left_than_make_one(
     device: ComputeDevice,
 ) -> None:
     voting = voting_of(device)
-    tracks = [voter("a", 0.0, device), voter("b", 0.5, device), voter("c", 1.0, device)]
-    voting.update(tracks, tracks[:2], "a")
+    inputs = [voter("a", 0.0, device), voter("b", 0.5, device), voter("c", 1.0, device)]
+    voting.update(inputs, inputs[:2], "a")
     assert voting.agreed is None
-    voting.update(tracks, tracks, "a")
+    voting.update(inputs, inputs, "a")
     whole = voting.grids()[0]
     assert voting.agreed is None
-    for left in (tracks[:2], tracks[:1], [], tracks[1:]):
-        voting.update(tracks, left, "a")
+    for left in (inputs[:2], inputs[:1], [], inputs[1:]):
+        voting.update(inputs, left, "a")
         assert voting.agreed is not None
         assert np.array_equal(voting.agreed.cells, whole.cells)
     assert not np.array_equal(voting.grids()[0].cells, whole.cells)
-    voting.update(tracks, tracks, "a")
+    voting.update(inputs, inputs, "a")
     assert voting.agreed is None
 
 
@@ -74,9 +72,9 @@ def test_a_voter_that_memory_has_no_room_for_is_refused_and_the_others_vote(
     device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     voting = voting_of(device)
-    tracks = [voter("a", 0.0, device), voter("b", 5000.0, device)]
+    inputs = [voter("a", 0.0, device), voter("b", 5000.0, device)]
     monkeypatch.setattr(files, "available_memory", lambda: 1_000_000)
-    assert voting.update(tracks, tracks, "a") is not None
+    assert voting.update(inputs, inputs, "a") is not None
     assert voting.names == ("a",)
-    assert not tracks[1].votes
-    assert "b: a fused map" in tracks[1].reason
+    assert not inputs[1].votes
+    assert "b: a fused map" in inputs[1].reason

@@ -1,0 +1,353 @@
+"""One input of the live fusion: its state, its newest map, and where that lies.
+
+``TRANSITIONS`` is the whole state machine: what happens to an input in a state, and its next state.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from enum import Enum
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.align.cancel import CancelToken, watched_by
+from slamfusion.align.features import GridFeatures
+from slamfusion.align.normalize import normalize_grid
+from slamfusion.compute import ComputeDevice
+from slamfusion.config import LiveConfig, NormalizeConfig
+from slamfusion.fusion.live.layers import Change, Layer, compare, lay_out, measured
+from slamfusion.geometry import Pose2, wrap_angle
+from slamfusion.grid import OccupancyGrid
+
+# A map with less than the first share of the walls of the one before has restarted, and is young
+# until it has the second.
+RESTARTED_SHARE, GROWN_SHARE = 0.5, 0.75
+YOUNG = "its map restarted: what it does not know yet is no vote"
+
+
+class State(Enum):
+    """The state of an input; only ``TRACKED`` votes."""
+
+    NEW = "new"  # its map, or the first since it was lost, waits to be aligned
+    TRACKED = "tracked"  # its walls stand where its transform puts them
+    DOUBTED = "doubted"  # its walls or poses contradict others, or its map cannot be used
+    JUMPED = "jumped"  # a search found it elsewhere, and a second one must confirm that
+    LOST = "lost"  # it is silent: no process, or no recent map
+
+
+class Event(Enum):
+    """What happens to an input."""
+
+    MAP = "a usable map comes, the first or after a loss or an unusable map"
+    LOSS = "its process ends, or its maps stop"
+    DOUBT = "its walls moved, it does not fit where it stood, or it waits for others or a search"
+    REJECTION = "it is found nowhere, contradicts two others, or its map cannot be used"
+    JUMP = "a search finds it elsewhere"
+    ACCEPTANCE = "its alignment is accepted"
+
+
+# The next state by event and state; in a state that is left out the event changes nothing. While
+# the poses of a TRACKED input contradict those of others it is DOUBTED, see ``Input.state``.
+TRANSITIONS: Mapping[Event, Mapping[State, State]] = {
+    Event.MAP: dict.fromkeys((State.NEW, State.DOUBTED, State.LOST), State.NEW),
+    Event.LOSS: dict.fromkeys(State, State.LOST),
+    Event.DOUBT: {
+        State.NEW: State.NEW,
+        State.TRACKED: State.DOUBTED,
+        State.DOUBTED: State.DOUBTED,
+    },
+    Event.REJECTION: dict.fromkeys(State, State.DOUBTED),
+    Event.JUMP: dict.fromkeys(State, State.JUMPED),
+    Event.ACCEPTANCE: dict.fromkeys(State, State.TRACKED),
+}
+
+
+@dataclass(frozen=True)
+class Fit:
+    """The last alignment of an input.
+
+    Attributes:
+        score, overlap: see ``Alignment``.
+        is_tracked: whether the last accepted one started from the transform before.
+        mismatch: why its walls do not match; empty: they do.
+    """
+
+    score: float = 0.0
+    overlap: float = 0.0
+    is_tracked: bool = False
+    mismatch: str = ""
+
+
+@dataclass(frozen=True)
+class Jump:
+    """Where a search found an input, away from its transform.
+
+    Attributes:
+        transform: its map frame into the fused frame there, metres.
+        version: of the map that was searched.
+        found_s: when it was first found there.
+        messages: maps that came since.
+        confirms: further searches of the same map.
+    """
+
+    transform: Pose2
+    version: int
+    found_s: float
+    messages: int = 0
+    confirms: int = 0
+
+
+@dataclass
+class SearchPace:
+    """When an input may be searched everywhere.
+
+    Attributes:
+        last_s: when it was searched last.
+        count: searches so far.
+        rest_s: the least pause after the last one.
+        patience_s: how long maps of others wait for the next one.
+    """
+
+    last_s: float = -math.inf
+    count: int = 0
+    rest_s: float = 0.0
+    patience_s: float = 1.0
+
+
+@dataclass(eq=False)
+class Input:
+    """What the fusion keeps of one input.
+
+    Attributes:
+        grid: its newest map; None before the first, and while that cannot be used.
+        version: counts the maps that differed from the one before.
+        layer: ``grid`` at the fused resolution; None before the first fusion.
+        young_below: wall cells below which a restarted map knows less than the one before; 0: none.
+        reason: why it is in its state, one line.
+        transform: its map frame into the fused frame, metres; the last that was accepted.
+        fit: the last alignment.
+        contradiction: why its poses contradict those of others; empty: they do not.
+        jump: while it is JUMPED.
+        tried: own version, and name and version of what it was last aligned to in vain; see
+            ``recovery`` for those of the last fused map.
+        pace: of its searches.
+        drift: wall cells that came or went, here and in the reference, since it was accepted.
+    """
+
+    name: str
+    grid: OccupancyGrid | None = None
+    version: int = 0
+    layer: Layer | None = None
+    young_below: float = 0.0
+    reason: str = "no map yet"
+    transform: Pose2 | None = None
+    fit: Fit = Fit()
+    contradiction: str = ""
+    jump: Jump | None = None
+    tried: tuple[int, str, int] | None = None
+    pace: SearchPace = field(default_factory=SearchPace)
+    drift: int = 0
+    _state: State = State.NEW
+    # Wall cells that came or went so far; the layer that was accepted last, with which walls that
+    # creep a cell at a time are compared, and that count when it was; the same of the features.
+    _changed: int = 0
+    _key: tuple[Layer, int] | None = None
+    _features: tuple[GridFeatures, int] | None = None
+
+    # -- its state --------------------------------------------------------------------------------
+
+    def turn(self, event: Event, reason: str) -> None:
+        """Take an event: the next state by ``TRANSITIONS``, with its reason in one line."""
+        state = TRANSITIONS[event].get(self._state)
+        if state is None:
+            return
+        self._state, self.reason = state, reason
+        if state is not State.JUMPED:
+            self.jump = None
+
+    @property
+    def state(self) -> State:
+        """The state; DOUBTED while its poses contradict those of others, though its walls stand."""
+        return State.DOUBTED if self.stands and self.contradiction else self._state
+
+    @property
+    def is_live(self) -> bool:
+        """Whether its newest message was a usable map, and recent."""
+        return self.grid is not None and self._state is not State.LOST
+
+    @property
+    def stands(self) -> bool:
+        """Whether its walls stand where its transform puts them."""
+        return self._state is State.TRACKED
+
+    @property
+    def votes(self) -> bool:
+        """Whether it votes."""
+        return self.state is State.TRACKED
+
+    @property
+    def is_young(self) -> bool:
+        """Whether its map restarted and knows less than the one before."""
+        return self.walls < self.young_below
+
+    @property
+    def walls(self) -> int:
+        """Wall cells of the layer."""
+        return 0 if self.layer is None else self.layer.walls
+
+    @property
+    def why(self) -> str:
+        """Why it votes, or why not, one line."""
+        if self.stands and self.contradiction:
+            return self.contradiction
+        return self.reason + (f"; {YOUNG}" if self.votes and self.is_young else "")
+
+    def doubt(self, reason: str) -> None:
+        """Let it not vote until it fits again."""
+        self.turn(Event.DOUBT, reason)
+
+    def reject(self, reason: str) -> None:
+        """Let it not vote, for it fits nowhere."""
+        self.turn(Event.REJECTION, reason)
+
+    def refuse_map(self, reason: str) -> None:
+        """Let it not vote, for its newest map cannot be used; no older one counts either."""
+        self.grid = None
+        self.turn(Event.REJECTION, reason)
+
+    def lose(self, reason: str) -> None:
+        """Let it not vote until its next usable map."""
+        self.turn(Event.LOSS, reason)
+
+    def accept(self, reason: str) -> None:
+        """Let it vote with its newest map, where its transform puts that."""
+        self.turn(Event.ACCEPTANCE, reason)
+        self.drift, self.tried = 0, None
+        if self.layer is not None:
+            self._key = self.layer, self._changed
+
+    @property
+    def awaits_confirmation(self) -> bool:
+        """Whether its map has not changed since a search found it elsewhere."""
+        return self.jump is not None and self.jump.version == self.version
+
+    # -- its map ----------------------------------------------------------------------------------
+
+    def place(self, resolution: float, thresholds: NormalizeConfig, device: ComputeDevice) -> None:
+        """Lay the map out at the fused resolution; before the first fusion there is none."""
+        if self.grid is not None:
+            layer = lay_out(self.grid, None, resolution, thresholds, device)
+            self.layer = measured(layer, thresholds)
+
+    def follow(
+        self,
+        grid: OccupancyGrid,
+        resolution: float | None,
+        thresholds: NormalizeConfig,
+        live: LiveConfig,
+        device: ComputeDevice,
+    ) -> Change | None:
+        """Take a new map; return what it changed, None where that is unknown.
+
+        Args:
+            grid: the map.
+            resolution: of the fused map; None before the first fusion.
+            thresholds: what is a wall, and what is free.
+            live: the share of the old walls that must stand for the transform to hold.
+            device: resamples.
+        """
+        before, last = self.layer, self.grid
+        self.grid = grid
+        if self.jump is not None:
+            self.jump = replace(self.jump, messages=self.jump.messages + 1)
+        if resolution is None or before is None:
+            if last is not None and _is_same(last, grid):
+                return None
+            self.version += 1
+            self._features = None
+            if resolution is not None:
+                self.place(resolution, thresholds, device)
+            return None
+        layer = lay_out(grid, before.lattice, resolution, thresholds, device)
+        change = compare(before, layer, thresholds, device)
+        self.layer = measured(layer, thresholds, before, change)
+        if change.box is None:
+            return change
+        self.version += 1
+        if self.walls < RESTARTED_SHARE * before.walls:
+            self.young_below = max(self.young_below, GROWN_SHARE * before.walls)
+        elif not self.is_young:
+            self.young_below = 0.0
+        self.drift += change.walls
+        self._changed += change.walls
+        if not (change.is_steady(live.steady_share) and self._is_steady(thresholds, live, device)):
+            self.doubt("its walls moved; not aligned again yet")
+            self._features = None
+        return change
+
+    def _is_steady(
+        self, thresholds: NormalizeConfig, live: LiveConfig, device: ComputeDevice
+    ) -> bool:
+        """Whether the walls still stand as in the map that was accepted last."""
+        if self._key is None or self.layer is None:
+            return True
+        before, compared = self._key
+        if self._changed - compared <= live.track_share * self.walls:
+            return True
+        self._key = before, self._changed
+        return compare(before, self.layer, thresholds, device).is_steady(live.steady_share)
+
+    def features(
+        self,
+        resolution: float,
+        thresholds: NormalizeConfig,
+        stale_share: float,
+        device: ComputeDevice,
+        cancel: CancelToken | None = None,
+    ) -> GridFeatures:
+        """Return what alignment looks at; that of an older map while few walls have changed.
+
+        Raises:
+            CancelledSearchError: ``cancel`` says so.
+        """
+        if self._features is not None:
+            features, changed = self._features
+            if self._changed - changed <= stale_share * self.walls:
+                return features
+        if self.grid is None:
+            message = f"{self.name} has no map"
+            raise ValueError(message)
+        with watched_by(cancel):
+            normalized = normalize_grid(self.grid, resolution, thresholds, device)
+        features = GridFeatures(normalized, device)
+        self._features = features, self._changed
+        return features
+
+    def corners(self) -> npt.NDArray[np.float64]:
+        """Return the corners of the known box in the input's frame, (4, 2) metres."""
+        if self.layer is None or self.layer.known is None:
+            return np.zeros((4, 2))
+        box, lattice = self.layer.known, self.layer.lattice
+        cells = [(x, y) for x in (box.col0, box.col1) for y in (box.row0, box.row1)]
+        return lattice.origin.transform(np.array(cells, dtype=np.float64) * lattice.resolution)
+
+    def apart(self, a: Pose2, b: Pose2) -> tuple[float, float, float]:
+        """Return how far two transforms carry this map apart: centre m, turn rad, corners m."""
+        own = self.corners()
+        corners = a.transform(own) - b.transform(own)
+        centre = own.mean(axis=0)
+        away_m = math.dist(
+            *(pose.transform((float(centre[0]), float(centre[1]))) for pose in (a, b))
+        )
+        turn_rad = abs(wrap_angle(a.yaw_rad - b.yaw_rad))
+        return away_m, turn_rad, float(np.hypot(corners[:, 0], corners[:, 1]).max())
+
+
+def _is_same(a: OccupancyGrid, b: OccupancyGrid) -> bool:
+    """Whether two maps are equal in all that counts."""
+    return (
+        a.origin == b.origin and a.resolution == b.resolution and np.array_equal(a.cells, b.cells)
+    )
