@@ -13,7 +13,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 import pytest
-from scipy import signal
+import scipy
 
 from slamfusion.align.pair import Pair, displacement
 from slamfusion.align.search import search
@@ -39,7 +39,7 @@ def best_pose(reference: Side, moving: Side) -> tuple[int, npt.NDArray[np.float6
         at = np.floor(own @ np.array([[cos, sin], [-sin, cos]]) + 0.5).astype(int) + reach
         counts = np.zeros((2 * reach + 1, 2 * reach + 1))
         np.add.at(counts, (at[:, 1], at[:, 0]), 1.0)
-        scores = np.rint(signal.correlate(reference.value, counts, "full")).astype(int)
+        scores = np.rint(scipy.signal.correlate(reference.value, counts, "full")).astype(int)
         row, col = np.unravel_index(int(scores.argmax()), scores.shape)
         if scores[row, col] > best:
             best = int(scores[row, col])

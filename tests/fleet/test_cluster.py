@@ -9,6 +9,7 @@ import signal
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
+from importlib.util import find_spec
 from typing import Any
 
 import pytest
@@ -28,10 +29,10 @@ from slamfusion.version import __version__
 from tests.fleet.test_executor import end_by_force, half
 from tests.support.sites import many_maps
 
-pytest.importorskip("distributed", reason="Dask comes with the fleet extra")
-cluster_module = pytest.importorskip("slamfusion.fleet.cluster")
-
-pytestmark = pytest.mark.once
+pytestmark = [
+    pytest.mark.once,
+    pytest.mark.skipif(not find_spec("distributed"), reason="Dask comes with the fleet extra"),
+]
 
 CONFIG = RunConfig(fusion=FusionConfig(vote=VoteConfig("consensus", extent="union")))
 SITE = many_maps(7, 0, 200).grids
@@ -145,7 +146,8 @@ def test_a_task_that_kills_its_workers_ends_the_job() -> None:
 
 
 def test_a_scheduler_that_goes_away_ends_the_job() -> None:
-    distributed = pytest.importorskip("distributed")
+    import distributed  # noqa: PLC0415  (an extra)
+
     own = distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=":0")
     with pytest.raises(FleetError, match=f"the scheduler at {own.scheduler_address} went away"):
         _work_until(own.scheduler_address, own.close)
@@ -157,7 +159,7 @@ def refused(where: str) -> None:
 
 
 def test_nobody_answers(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cluster_module, "ANSWER_S", 0.5)
+    monkeypatch.setattr("slamfusion.fleet.cluster.ANSWER_S", 0.5)
     began_s = time.monotonic()
     with pytest.raises(FleetError, match=r"no Dask scheduler answers at tcp://127.0.0.1:9 within"):
         refused("tcp://127.0.0.1:9")
@@ -172,8 +174,9 @@ def test_tls_without_certificates_says_where_they_are_named() -> None:
 def test_a_scheduler_without_workers_says_how_to_start_some(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    distributed = pytest.importorskip("distributed")
-    monkeypatch.setattr(cluster_module, "WORKERS_S", 0.2)
+    import distributed  # noqa: PLC0415  (an extra)
+
+    monkeypatch.setattr("slamfusion.fleet.cluster.WORKERS_S", 0.2)
 
     def start_empty() -> Any:
         return distributed.LocalCluster(n_workers=0, dashboard_address=":0")
@@ -191,7 +194,8 @@ def test_a_scheduler_without_workers_says_how_to_start_some(
 
 
 def test_workers_that_differ_are_named(caplog: pytest.LogCaptureFixture) -> None:
-    check = cluster_module.check_workers
+    from slamfusion.fleet.cluster import check_workers as check  # noqa: PLC0415  (an extra)
+
     one, two = (__version__, "one"), (__version__, "two")
     with caplog.at_level(logging.WARNING, "slamfusion.fleet"):
         check("local", {"tcp://a:1": one, "tcp://b:1": one})

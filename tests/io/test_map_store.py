@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox
 from slamfusion.io.map_store import MapStore, read_stored_map
 
-pytest.importorskip("zarr", reason="Zarr comes with the fleet extra")
+pytestmark = pytest.mark.skipif(not find_spec("zarr"), reason="Zarr comes with the fleet extra")
 
 ORIGIN = Pose2(1.0, -2.0, 0.5)
 CELLS = np.random.default_rng(0).integers(-1, 101, (50, 70)).astype(np.int8)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -32,8 +33,10 @@ from tests.support.documents import check_document
 from tests.support.sites import many_maps
 from tests.vote.rooms import moved, room
 
-pytest.importorskip("zarr", reason="Zarr comes with the fleet extra")
-pytestmark = pytest.mark.once
+pytestmark = [
+    pytest.mark.once,
+    pytest.mark.skipif(not find_spec("zarr"), reason="Zarr comes with the fleet extra"),
+]
 
 CONFIG = RunConfig(fusion=FusionConfig(vote=VoteConfig("consensus", extent="union")))
 SITE = many_maps(7, 0, 200).grids

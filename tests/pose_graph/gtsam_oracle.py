@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -16,12 +17,8 @@ Array = npt.NDArray[np.float64]
 
 
 def has_gtsam() -> bool:
-    """Whether GTSAM can be imported."""
-    try:
-        import gtsam  # noqa: F401, PLC0415
-    except ImportError:
-        return False
-    return True
+    """Whether GTSAM is installed."""
+    return find_spec("gtsam") is not None
 
 
 class GtsamGraph:
