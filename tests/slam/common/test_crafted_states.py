@@ -119,8 +119,8 @@ def test_edits_of_a_record_are_refused_or_make_a_state(
     path = tmp_path / "edited"
     refused = 0
     for number, at in enumerate(places(record["state"])):
-        # One place in four meets one of the values, the places in turn all.
-        for value in NEVER if is_full else NEVER[number % len(NEVER) :][: number % 4 == 0]:
+        # One place in ten meets one of the values, the places in turn all.
+        for value in NEVER if is_full else NEVER[number % len(NEVER) :][: number % 10 == 0]:
             write_parts(path, edited(record, ("state", *at), value), arrays)
             refused += bool(refusal(path, name))
     assert refused > 5

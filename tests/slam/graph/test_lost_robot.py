@@ -34,7 +34,7 @@ pytestmark = pytest.mark.once
 
 REACH_M = 6.0
 # Way from scan to scan once it has been carried.
-STEP_M = 0.1
+STEP_M = 0.2
 # After so many scans a loss has been noticed.
 NOTICED_SCANS = 15
 
