@@ -22,6 +22,8 @@ from slamfusion.geometry import Pose2
 from tests.fusion.drawings import features_of, fusion_config
 from tests.support.sites import ManyMaps, many_maps
 
+pytestmark = pytest.mark.usefixtures("remembered_searches")
+
 QUICK = fusion_config()
 RIGHT_M = 0.3
 

@@ -38,7 +38,7 @@ pytestmark = pytest.mark.ros
 PRODUCERS = {"tinyslam": {}, "gmapping": {"gmapping__particles": 6}, "graph": {}}
 FUSION = "fusion: fusion"
 WARN = DiagnosticStatus.WARN
-PERIOD_S = 0.06
+PERIOD_S = 0.12
 SILENT = "lost: its process gave no sign of life for 1 s"
 
 
@@ -115,7 +115,7 @@ def test_the_fused_map_goes_on_through_a_bad_day(processes: Processes, observer:
         return share_standing(first, fused()) > 0.9
 
     def start(kind: str) -> None:
-        running[kind] = processes.node(kind, map_update_interval_s=0.4, **PRODUCERS[kind])
+        running[kind] = processes.node(kind, map_update_interval_s=0.6, **PRODUCERS[kind])
 
     running = {}
     processes.node("fusion", live__stale_after_s=4.0, lost_after_s=1.0, live__search_pause_s=0.5)
@@ -124,7 +124,7 @@ def test_the_fused_map_goes_on_through_a_bad_day(processes: Processes, observer:
     robot = Robot(observer)
     observer.wait(lambda: robot.scans.get_subscription_count() == 3, 60.0, "three producers")
     robot.drive_until(says("all 3 inputs vote"), "the first fused map")
-    robot.drive_until(lambda: robot.count >= 100, "a fair map")
+    robot.drive_until(lambda: robot.count >= 80, "a fair map")
     first = fused()
 
     # Each is killed and comes back, in the middle of the drive, with an empty map.
