@@ -167,6 +167,7 @@ def test_the_tables_name_the_same_and_the_vote_is_that_of_fuse(
     assert np.array_equal(again.cells, fused.cells)
 
 
+@pytest.mark.full  # tests of side_by_side, run_log and its page kill one, too
 def test_a_killed_producer_is_named_and_the_others_are_fused(place: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     started = subprocess.Popen(
