@@ -59,6 +59,17 @@ check() {
     "$@" || failed+=("$name")
 }
 
+# Types, and few sets of parameters and examples of the tests to which the Jazzy constraints matter;
+# what is looked at once is in the other leg.
+types_and_jazzy() {
+    failed=()
+    check "mypy" "$venv/bin/mypy"
+    check "tests under the Jazzy constraints" \
+        "$jazzy/bin/python" -m pytest -m "jazzy or not (ros or datasets or once)" \
+        -p no:cacheprovider --few-each --hypothesis-profile=brief "${jazzy_tests[@]}" "$@"
+    [ ${#failed[@]} -eq 0 ]
+}
+
 # finish PID LOG: wait for what runs in the background, show what it said, and end as it did.
 finish() {
     local code=0
@@ -70,24 +81,15 @@ finish() {
 install_all
 check "ruff check" "$venv/bin/ruff" check .
 check "ruff format" "$venv/bin/ruff" format --check .
-# mypy takes one core. On another one the tests run to which the Jazzy constraints matter: few sets of
-# parameters of each, and few examples; what is looked at once is in the last leg. Then the modules of
-# all tests are compiled, once for all processes of that leg.
-jazzy_log="$(mktemp)"
-trap 'rm -f "$jazzy_log"' EXIT
-{
-    code=0
-    "$jazzy/bin/python" -m pytest -m "jazzy or not (ros or datasets or once)" -p no:cacheprovider \
-        --few-each --hypothesis-profile=brief "${jazzy_tests[@]}" "$@" || code=$?
-    "$venv/bin/python" -m pytest --collect-only -q -p no:cacheprovider >/dev/null ||
-        say "the tests cannot all be collected, as will be said below"
-    exit "$code"
-} >"$jazzy_log" 2>&1 &
-check "mypy" "$venv/bin/mypy"
-check "tests under the Jazzy constraints" finish "$!" "$jazzy_log"
-if [ ${#failed[@]} -gt 0 ]; then
-    say "failed so far: ${failed[*]}"
+# Tests with nodes wait a lot, so there is time for both legs at once.
+log="$(mktemp)"
+trap 'rm -f "$log"' EXIT
+types_and_jazzy "$@" >"$log" 2>&1 &
+if [ ! -d tests/__pycache__ ]; then
+    say "compiling the tests once for all processes"
+    "$venv/bin/python" -m pytest --collect-only -q -p no:cacheprovider >/dev/null || true
 fi
 # In the order of tests/conftest.py, not by the number of tests in a file.
 check "tests" "$venv/bin/python" -m pytest -n "$workers" --dist loadfile --no-loadscope-reorder "$@"
-[ ${#failed[@]} -eq 0 ]
+check "types and tests under the Jazzy constraints" finish "$!" "$log"
+[ ${#failed[@]} -eq 0 ] || die "failed: ${failed[*]}"

@@ -41,8 +41,13 @@ def nodes_in(domain: int) -> dict[int, str]:
     return found
 
 
-def start(processes: Processes, *words: str, before: tuple[str, ...] = ()) -> Process:
-    env = {"SLAMFUSION": str(INSTALLED)}
+def start(
+    processes: Processes,
+    *words: str,
+    before: tuple[str, ...] = (),
+    command: Path = INSTALLED,
+) -> Process:
+    env = {"SLAMFUSION": str(command)}
     return processes.start("slamfusion.sh", [*before, SCRIPT, *words], env)
 
 
@@ -159,8 +164,12 @@ def test_a_second_log_is_refused(processes: Processes):
     assert "error: two logs" in script.text()
 
 
-def test_a_node_that_cannot_start_ends_all(domain: int, processes: Processes):
-    script = start(processes, "--only", "tinyslam", "--", "-p", "device:=absent")
+def test_a_node_that_cannot_start_ends_all(domain: int, processes: Processes, tmp_path: Path):
+    """The nodes are a stand-in: one ends at once, the other waits to be stopped."""
+    command = tmp_path / "slamfusion"
+    command.write_text('#!/bin/sh\nwhile [ "$2" = fusion ]; do sleep 0.2; done\nexit 1\n')
+    command.chmod(0o755)
+    script = start(processes, "--only", "tinyslam", command=command)
     assert script.wait(60.0) == 1
     assert "has ended with 1 3 times in a row soon after its start" in script.text()
     assert nodes_in(domain) == {}

@@ -254,6 +254,7 @@ def test_wrong_settings_end_it_with_one_line(processes: Processes):
     refused: dict[str, dict[str, Any]] = {
         "/nowhere/lab.yaml": {"inputs": ["file:/nowhere/lab.yaml"]},
         "twice": {"inputs": ["a/map", "a/map"]},
+        "no OpenCL device fits 'absent'": {"device": "absent"},
         "stale_after_s": {"live__stale_after_s": -1.0},
         "start.a: wanted x,y,yaw or": {"start__a": [1.0, 2.0]},
         "start.lab names no input; the inputs are a, b, c": {"start__lab": [1.0, 2.0, 0.0]},
