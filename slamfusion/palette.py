@@ -41,8 +41,8 @@ MISSING_WALL_RGB: Rgb = (226, 45, 45)
 # The ends of a path.
 START_RGB: Rgb = (47, 158, 68)
 END_RGB: Rgb = (110, 0, 60)
-# Lettering, and lines of no map: a contrast of about 4 to 1 on white and on a dark page.
-INK_RGB: Rgb = (123, 130, 140)
+# Lettering on white, and lines of no map.
+INK_RGB: Rgb = (62, 68, 76)
 
 # Hues a golden section of the circle apart never meet.
 _GOLDEN = 0.618034

@@ -60,7 +60,7 @@ def command(folder: Path, port: int, host: str, drive: str, as_json: bool) -> in
         raise SlamFusionError(str(error)) from error
 
     found = read_finished(folder, drive)
-    server = PageServer(found.scene, host=host, port=port)
+    server = PageServer(found.scene, host=host, port=port, report=found.report)
     found.feed(server.feed)
     if as_json:
         document: ShowDocument = {"url": server.url, "maps": [item.name for item in found.maps]}

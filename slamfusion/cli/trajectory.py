@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -88,19 +87,6 @@ class _Request:
         return place_files(cases, self.estimates), held
 
 
-def _report_folders(folder: Path, given: Mapping[str, Any]) -> list[Path]:
-    kinds = given["truths"], given["relations"]
-    if max(map(len, (given["estimates"], *kinds))) == 1:
-        return [folder]
-    placed = place_files(shared_case_names(*kinds), given["estimates"])
-    return [_report_folder(folder, item) for item in placed]
-
-
-def _report_folder(folder: Path, placed: Placed) -> Path:
-    """Return the folder of the report of one of several paths."""
-    return folder / placed.case / placed.name.replace("/", "_")
-
-
 @click.command(
     "trajectory",
     cls=Command,
@@ -139,7 +125,7 @@ def _report_folder(folder: Path, placed: Placed) -> Path:
     "A map in the frame of EST, drawn under the path in the report.",
     MAP,
 )
-@report_option("report_dir", _report_folders)
+@report_option("report_dir")
 @with_config("trajectory", "log", "map_files", "report")
 @common_options
 @results_option
@@ -151,8 +137,8 @@ def command(config: RunConfig, **asked: Any) -> int:
 
     With several truths or relations, a path belongs to the one whose name is a word of its file
     name or folder: graph/intel.tum and intel_graph.tum belong to intel.tum. CASE=EST overrides
-    that. The same holds for the files of other options. One table then shows all paths and the
-    mean of each method. Each path gets its own report.
+    that. The same holds for the files of other options. One table and one report then
+    show all paths.
     """
     request = _Request(**asked)
     request.check()
@@ -161,11 +147,10 @@ def command(config: RunConfig, **asked: Any) -> int:
 
 def _measure(request: _Request, config: RunConfig) -> int:
     """Measure the paths, each by what there is of its case."""
-    from slamfusion.io import AtomicFiles  # noqa: PLC0415
     from slamfusion.jobs.trajectory import (  # noqa: PLC0415
         measure_trajectories,
         trajectories_document,
-        write_trajectory,
+        write_trajectories,
     )
 
     placed, held = request.placed()
@@ -174,10 +159,7 @@ def _measure(request: _Request, config: RunConfig) -> int:
     if request.map_path is not None:
         (grid,) = load_maps([request.map_path], None, config.map_files, notice)
     if folder is not None:
-        with AtomicFiles() as files:
-            for item, own in found:
-                target = folder if request.is_one else _report_folder(folder, item)
-                write_trajectory(replace(own, grid=grid), target, files)
+        write_trajectories([(item, replace(own, grid=grid)) for item, own in found], folder)
     rows = [row for item, own in found for row in own.rows(item)]
     document: TrajectoryDocument | TrajectoriesDocument = first.to_json()
     if not request.is_one:

@@ -10,10 +10,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import cast, get_args
 
-import numpy as np
-import numpy.typing as npt
 import pandas as pd
-import scipy
 
 from slamfusion.config import OccupancyEstimator
 from slamfusion.evaluation import Row, figure_of, result_rows
@@ -27,8 +24,6 @@ from slamfusion.slam.gmapping import Gmapping
 from slamfusion.slam.registry import settings_of
 from slamfusion.slam.tinyslam import TinySlam
 from slamfusion.slam.tinyslam.slam import CELL_MODELS
-
-F64 = npt.NDArray[np.float64]
 
 # Table I: the methods that are compared, each two of them, and the cells of gmapping in [H16].
 METHODS = ("tinyslam base", "tinyslam mean", "gmapping")
@@ -47,10 +42,8 @@ PAPER = {
     ("mean", "backward"): (0.245, 0.480, 0.715),
 }
 
-# Table III: does the estimator help on cells from this size on? It tells the hit cell how much of
-# it is behind the wall (``area``), instead of the same for every hit (``constant``).
+# Table III: ``area`` counts how much of a hit cell is behind the wall, ``constant`` nothing of it.
 ESTIMATORS: tuple[OccupancyEstimator, ...] = get_args(OccupancyEstimator)
-COARSE_M = 0.4
 
 
 def table_two() -> Experiment:
@@ -114,26 +107,26 @@ def compare_models(recorded: Sequence[LogFiles], floors: Sequence[int], setup: S
         dict.fromkeys((RELATIONS, ATE, TIME), PAIRS),
         is_paired=False,
     )
-    return replace(experiment, remarks=model_sentences(experiment))
+    return replace(experiment, remarks=method_sentences(experiment))
 
 
-def model_sentences(experiment: Experiment) -> list[str]:
+def method_sentences(experiment: Experiment) -> list[str]:
     """Say for each drive and error which of every two methods is better, with the p-value."""
     tests = experiment.comparisons
-    return [_sentence(test) for _, test in tests[tests["figure"] != TIME].iterrows()]
-
-
-def _sentence(test: pd.Series) -> str:
-    """Say which of two methods is better, with the p-value."""
-    where = f"{test['case']}, {figure_of(test['figure']).label}"
-    both = f"{test['first']} and {test['second']}"
-    if pd.isna(test["p_t"]):
-        return f"{where}: no test of {both}, whose runs are single or do not vary."
-    if test["p_t"] >= SIGNIFICANT:
-        found = f"no difference between {both} can be shown"
-    else:
-        found = f"{test['first' if test['difference'] < 0.0 else 'second']} is better of {both}"
-    return f"{where}: {found} (difference {test['difference']:.4f}, p {p_text(test['p_t'])})."
+    sentences = []
+    for _, test in tests[tests["figure"] != TIME].iterrows():
+        where = f"{test['case']}, {figure_of(test['figure']).label}"
+        both = f"{test['first']} and {test['second']}"
+        numbers = f"(difference {test['difference']:.4f}, p {p_text(test['p_t'])})"
+        if pd.isna(test["p_t"]):
+            found = f"no test of {both}, whose runs are single or do not vary"
+        elif test["p_t"] >= SIGNIFICANT:
+            found = f"no difference between {both} can be shown {numbers}"
+        else:
+            better = test["first" if test["difference"] < 0.0 else "second"]
+            found = f"{better} is better of {both} {numbers}"
+        sentences.append(f"{where}: {found}.")
+    return sentences
 
 
 def sweep_estimators(
@@ -173,63 +166,9 @@ def sweep_estimators(
         {figure: [("constant", "area")] for figure in (RELATIONS, ATE, TIME)},
         is_paired=False,
     )
-    return replace(experiment, remarks=verdicts(experiment, settings.resolutions))
+    return replace(experiment, remarks=method_sentences(experiment))
 
 
 def case_of(drive: str, size_m: float) -> str:
     """Return the case of a cell size on a drive."""
     return f"{drive}, {size_m:g} m"
-
-
-def verdicts(experiment: Experiment, sizes_m: Sequence[float]) -> list[str]:
-    """Say for each drive and error whether the estimator helps on cells from ``COARSE_M`` on.
-
-    Errors grow with the cell, so on each size the difference of the means counts relative to the
-    constant value's mean. The mean of these over the coarse sizes is tested as Welch's t-test
-    tests one difference: variances add, degrees of freedom are Welch and Satterthwaite's.
-    """
-    values = experiment.table.groupby(["case", "figure", "method"], sort=False)["value"].agg(
-        np.array
-    )
-    drives = dict.fromkeys(case.rpartition(", ")[0] for case in values.index.unique("case"))
-    found = []
-    for drive, figure in itertools.product(drives, (RELATIONS, ATE)):
-        pairs: dict[str, list[F64]] = {}
-        for size_m in sizes_m:
-            keys = [(case_of(drive, size_m), figure, method) for method in ESTIMATORS]
-            # Against an error of 0 nothing is relative.
-            if size_m >= COARSE_M - 1e-9 and keys[0] in values and values[keys[0]].mean() > 0.0:
-                base = values[keys[0]].mean()
-                pairs[f"{size_m:g}"] = [values[key] / base for key in keys]
-        if not pairs:
-            continue
-        change = float(np.mean([area.mean() - 1.0 for _, area in pairs.values()]))
-        p_value = change_p_value(change, [own for pair in pairs.values() for own in pair])
-        answer = "no effect of the estimator can be shown"
-        if p_value < SIGNIFICANT:
-            answer = f"the estimator {'helps' if change < 0.0 else 'does harm'}"
-        found.append(
-            f"{drive}, cells of {', '.join(pairs)} m, {figure_of(figure).label}: {answer}; the "
-            f"error is {100.0 * abs(change):.1f} % {'larger' if change > 0.0 else 'smaller'} with "
-            f"it; p {p_text(p_value)}."
-        )
-    return found
-
-
-def change_p_value(change: float, samples: Sequence[F64]) -> float:
-    """Return the two-sided p-value of a mean of differences; NaN where it cannot be tested.
-
-    Args:
-        change: the mean difference, over half as many sizes as there are samples.
-        samples: of both methods on each size.
-    """
-    if min(map(len, samples)) < 2:
-        return float("nan")
-    freedom = np.array([len(own) - 1 for own in samples])
-    variances = np.array([own.var(ddof=1) / len(own) for own in samples])
-    variances /= (len(samples) / 2) ** 2
-    total = variances.sum()
-    if total == 0.0:
-        return float("nan")
-    degrees = total**2 / (variances**2 / freedom).sum()
-    return float(2.0 * scipy.stats.t.sf(abs(change) / np.sqrt(total), degrees))

@@ -9,16 +9,21 @@ from pathlib import Path
 
 import numpy as np
 
-from slamfusion.evaluation import error_kinds
 from slamfusion.fusion.path_check import PathGap, moved_path
 from slamfusion.geometry import Pose2
 from slamfusion.io.files import AtomicFiles
 from slamfusion.jobs.map_log import ProducerResult
 from slamfusion.jobs.run import LogRun
-from slamfusion.jobs.trajectory import Measures
 from slamfusion.palette import NAMED, Rgb
 from slamfusion.report import paths
-from slamfusion.report.evidence import evidence_section
+from slamfusion.report.canvas import LegendEntry
+from slamfusion.report.errors import MeasuredPath, error_facts, errors_section
+from slamfusion.report.evidence import (
+    evidence_section,
+    path_colours,
+    place_lines,
+    strip_picture,
+)
 from slamfusion.report.fusion_report import (
     alignment_section,
     dissent_section,
@@ -48,23 +53,26 @@ from slamfusion.report.page import (
     write_page,
 )
 from slamfusion.report.series import broken, drawable, series_picture
-from slamfusion.report.trajectory_report import FIGURES, figure_cells
 from slamfusion.slam.common.mapper import Series
 from slamfusion.slam.common.runner import ProducerRun
 from slamfusion.trajectory import flag_runs
 
 BYTES_PER_MB = 1e6
-MOST_OVERLAYS = 6
 # What the path is called that is made of those of the producers; among those of the verdict; and
 # the fused map among the doubled walls.
 FUSED_PATH, FUSED_VERDICT, FUSED_MAP = "fused path", "fused", "fused map"
 
 
-def _measured_paths(run: LogRun) -> list[tuple[str, Measures]]:
-    """Return the errors of the producers' paths and those of saved maps, and of the fused one."""
-    found = [(name, item.measures) for name, item in run.results.items()]
-    found += [(name, item.measures) for name, item in run.saved_paths.items()]
-    return found if run.fused_path is None else [*found, (FUSED_PATH, run.fused_path.measures)]
+def _measured_paths(run: LogRun) -> list[MeasuredPath]:
+    """Return the producers' paths, those of saved maps and the fused one, with their errors."""
+    found = [(name, item.run.trajectory, item.measures) for name, item in run.results.items()]
+    found += [(name, item.path, item.measures) for name, item in run.saved_paths.items()]
+    if run.fused_path is not None:
+        found.append((FUSED_PATH, run.fused_path.trajectory, run.fused_path.measures))
+    return [
+        MeasuredPath(name, path, own.truth, own.relations, own.at_scans)
+        for name, path, own in found
+    ]
 
 
 def _colours(run: LogRun) -> dict[str, Rgb]:
@@ -80,32 +88,29 @@ def _warnings(run: LogRun) -> list[tuple[str, str]]:
     ]
     if run.why_voted is not None:
         found.append(("Not drawn:", f"the maps vote ({run.fused_mode}): {run.why_voted}"))
-    found += [("The vote:", sentence) for sentence in run.layers.sentences()]
     return [*found, *(("Not measured:", trouble) for trouble in run.not_measured)]
 
 
 def write_run_page(run: LogRun, directory: str | Path, files: AtomicFiles | None = None) -> Path:
-    """Write the report of a run as one self-contained page with its pictures beside it.
+    """Write the report of a run; see ``write_page``."""
+    return write_page(run_page(run), directory, files)
 
-    Args:
-        run: what was made.
-        directory, files: see ``write_page``, also for what is returned and raised.
-    """
+
+def run_page(run: LogRun) -> Page:
+    """Return the report of a run."""
     config, result, normalize = run.config, run.fusion.result, run.config.fusion.normalize
     sections = [_maps_section(run)]
+    if run.results:
+        sections += [_drive_section(run), _paths_section(run)]
     if run.recommendation is not None and run.evidence is not None:
         sections.append(evidence_section(run.recommendation, run.evidence, _colours(run)))
-    if run.results:
-        sections += [_paths_section(run), _health_section(run)]
     if result is not None:
         if any(record.dissent is not None for record in result.accepted):
             sections.append(dissent_section(result, shown_box(result)))
         sections.append(alignment_section(result, only_doubtful=True))
     elif run.fusion.pairs:
-        sections.append(
-            pairs_section(run.grids, run.fusion.pairs, normalize, most_overlays=MOST_OVERLAYS)
-        )
-    sections += _path_errors_section(run)
+        sections.append(pairs_section(run.grids, run.fusion.pairs, normalize))
+    sections += errors_section(_measured_paths(run), _colours(run))
     if run.evaluations:
         alignments = [item.alignment for item in run.evaluations]
         sections.append(error_section(run.evaluations, alignments))
@@ -117,15 +122,14 @@ def write_run_page(run: LogRun, directory: str | Path, files: AtomicFiles | None
         sections.append(statistics_section(result, config, doubled))
     elif run.grids:
         tables = [statistics_table(run.grids, normalize)]
-        sections.append(Section("The maps in numbers", "numbers", tables=tables))
-    page = Page("SLAMfusion run", _banner(run), _facts(run), sections, config, run.device)
-    return write_page(page, directory, files)
+        sections.append(Section("The maps in numbers", tables=tables))
+    return Page("SLAMfusion run", _banner(run), _facts(run), sections, config, run.device)
 
 
 def _banner(run: LogRun) -> Banner:
     """Say first what to use, then what to check, then what was fused and what was not."""
     answer, result = run.recommendation, run.fusion.result
-    lines = [] if answer is None else answer.lines()
+    lines = [] if answer is None else place_lines(answer)
     lines += [(f"{item.name} made no map:", item.reason) for item in run.failed]
     if result is not None:
         lines += doubtful_lines(result)
@@ -156,17 +160,15 @@ def _how(mode: str | None) -> str:
 
 
 def _facts(run: LogRun) -> list[Fact]:
-    """Return the numbers of the headline."""
-    facts = []
+    """Return the numbers of the headline, the first four as cards."""
+    facts, more = [], []
+    result, all_gaps = run.fusion.result, run.fusion.gaps
     if run.results:
         first = next(iter(run.results.values())).run
         stamps_s = first.trajectory.stamps_s
-        facts += [
-            Fact(f"{float(stamps_s[-1] - stamps_s[0]):.0f} s", "of driving"),
-            Fact(f"{first.trajectory.path_length_m():.0f} m", f"travelled, says {first.name}"),
-            Fact(str(first.scans), "scans"),
-        ]
-    result, all_gaps = run.fusion.result, run.fusion.gaps
+        length_m = first.trajectory.path_length_m()
+        duration_s = float(stamps_s[-1] - stamps_s[0])
+        facts.append(Fact(f"{length_m:.0f} m in {duration_s:.0f} s", f"drive, {first.scans} scans"))
     if result is not None:
         total, fused = len(result.inputs) + len(run.failed), len(result.accepted)
         facts.append(Fact(f"{fused} of {total}", "maps fused", "good" if fused == total else "bad"))
@@ -183,53 +185,67 @@ def _facts(run: LogRun) -> list[Fact]:
         widest = max((gap.median_m for gap in gaps if gap is not None), default=None)
         if widest is not None:
             what = f"between the paths farthest apart in the fused map, {when} (median)"
-            facts.append(Fact(f"{widest:.2f} m", what))
-    facts += [
-        Fact(f"{item.relations.translation.mean:.4f} m", f"{name}: error of relations")
-        for name, item in _measured_paths(run)
-        if item.relations is not None
-    ]
-    facts += [
-        Fact(f"{item.error:.1f}", f"{item.name}: map error [F16]") for item in run.evaluations
-    ]
-    facts.append(Fact(f"{sum(run.stages.values()):.1f} s", "for all, without this page"))
-    return facts
+            more.append(Fact(f"{widest:.2f} m", what))
+    more += [fact for item in _measured_paths(run) for fact in error_facts(item)]
+    more += [Fact(f"{item.error:.1f}", f"{item.name}: map error [F16]") for item in run.evaluations]
+    time = Fact(f"{sum(run.stages.values()):.1f} s", "for all, without this page")
+    return [*facts, *more, time]
+
+
+def _places(run: LogRun) -> list[tuple[float, float]]:
+    """Return the places to check, x and y in metres in the fused frame."""
+    return [(place.x, place.y) for place in run.recommendation.check] if run.recommendation else []
 
 
 def _maps_section(run: LogRun) -> Section:
-    """Return the fused map, the producers' maps, how they lie on each other, where they agree."""
+    """Return the fused map, the inputs that voted, and where they agree."""
     result = run.fusion.result
-    text = (
-        "In its picture each input lies in its own frame, as it was made; the fused map in that of "
-        "the reference, and so do all layers."
-    )
     if result is None:
         pictures = [input_picture(grid, run.config.fusion.normalize) for grid in run.grids]
-        return Section("Maps", "maps", text, pictures)
+        return Section("Maps", "Each map in its own frame.", pictures)
     voted = {record.name for record in result.accepted}
     found = {name: item.run.trajectory for name, item in run.results.items()}
     found |= {name: item.path for name, item in run.saved_paths.items()}
     shown = {name: path for name, path in found.items() if name in voted}
     if run.fused_path is not None:
         shown[FUSED_VERDICT] = run.fused_path.trajectory
-    section = fused_section(result, shown_box(result), shown)
+    section = fused_section(result, shown_box(result), shown, _places(run))
     fused, *others = section.pictures
-    inputs = inputs_section(result, run.config).pictures
-    return Section("Maps", "maps", text, [fused, *inputs, *others], layers=section.layers)
+    inputs = inputs_section(result, run.config)
+    pictures = [*_strip(run), fused, *inputs.pictures, *others]
+    return Section("Maps", inputs.text, pictures, layers=section.layers)
 
 
-def _health_section(run: LogRun) -> Section:
-    """Return each producer's match score and its own quantities over time, and its warnings."""
-    pictures, colours = [], _colours(run)
-    for item in run.results.values():
-        shown = drawable(_over_time(item.run))
-        if shown:
-            start_s = float(item.run.trajectory.stamps_s[0])
-            png = series_picture(shown, colour=colours[item.run.name], start_s=start_s)
-            pictures.append(Picture(f"over-time-{item.run.name}", png, item.run.name))
+def _strip(run: LogRun) -> list[Picture]:
+    """Return who was off when; empty if the scans could not be asked."""
+    answer, evidence = run.recommendation, run.evidence
+    if answer is None or evidence is None:
+        return []
+    no_vote = {
+        own.name: [(span.from_s, span.to_s) for span in own.excluded_spans]
+        for own in run.layers.partial
+    }
+    return [strip_picture(answer, no_vote, path_colours(answer, evidence, _colours(run)))]
+
+
+def _drive_section(run: LogRun) -> Section:
+    """Return the match scores, each SLAM's own quantities, and its warnings."""
+    colours, pictures = _colours(run), []
+    runs = [item.run for item in run.results.values()]
+    series = [(item.name, one) for item in runs for one in drawable(_over_time(item))]
+    if series:
+        figure = series_picture(
+            [one for _, one in series],
+            colours=[colours[name] for name, _ in series],
+            start_s=min(float(item.trajectory.stamps_s[0]) for item in runs),
+        )
+        names = dict.fromkeys(name for name, _ in series)
+        legend = tuple(LegendEntry(name, colours[name]) for name in names)
+        title = "The SLAMs over the drive"
+        pictures.append(Picture("over-time", figure, title, "Dotted: limits.", legend=legend))
     health = Table.of(
         "Health",
-        [item.run for item in run.results.values()],
+        runs,
         {
             "producer": lambda own: own.name,
             "scans": lambda own: own.scans,
@@ -237,8 +253,8 @@ def _health_section(run: LogRun) -> Section:
             "mean match score": lambda own: number(own.health.mean_match_score),
             "low scores": lambda own: own.health.low_scores,
             "in a row": lambda own: own.low_in_a_row,
-            "what speaks against its map": lambda own: Cell(
-                "; ".join(own.warnings()) or "nothing", "bad" if own.warnings() else "good"
+            "warnings": lambda own: Cell(
+                "; ".join(own.warnings()) or "none", "bad" if own.warnings() else "good"
             ),
         },
         "Match score: share of a scan's hits that fall on known walls. Low: below half of the "
@@ -249,7 +265,7 @@ def _health_section(run: LogRun) -> Section:
         for item in run.failed
     ]
     tables = [replace(health, rows=[*health.rows, *failed])]
-    return Section("Health over time", "health", pictures=pictures, tables=tables)
+    return Section("Over the drive", pictures=pictures, tables=tables)
 
 
 def _over_time(run: ProducerRun) -> list[Series]:
@@ -293,7 +309,7 @@ def _timings_section(run: LogRun) -> Section:
     )
     tables = [producers, stages] if producers.rows else [stages]
     text = "; ".join((f"The log: {run.files.log}", *run.log_notes()))
-    return Section("Timings and memory", "timings", text, tables=tables)
+    return Section("Timings and memory", text, tables=tables)
 
 
 # --- paths -------------------------------------------------------------------------------------
@@ -348,13 +364,12 @@ def _paths_section(run: LogRun) -> Section:
                 "path-gaps",
                 series_picture(over_time, start_s=start_s, shaded=shaded),
                 "Distance between the paths in the fused map",
-                "All producers rode on one robot: where two paths part, one of the two, or the "
-                "alignment of their maps, is wrong there. Shaded: one of the two has no vote. A "
-                "line is broken where one has no pose.",
+                "All SLAMs ran on one robot: where two paths part, one of them or the alignment of "
+                "their maps is wrong. Shaded: one of the two has no vote.",
             )
         )
         tables.append(_gaps_table(gaps, limit_m))
-    return Section("Paths", "paths", "", pictures, tables)
+    return Section("Paths", "", pictures, tables)
 
 
 def _without_vote(gap: PathGap) -> list[tuple[float, float]]:
@@ -386,9 +401,8 @@ def _gaps_table(gaps: Sequence[PathGap], limit_m: float) -> Table:
             "median m, both vote": while_voting,
             "at most m, both vote": lambda gap: number(gap.voting.max_m if gap.voting else None),
         },
-        "Laid into the fused map. A producer whose path is, while both vote, more than "
-        f"{limit_m:g} m (median) from those of the others is left out of the vote, however well "
-        "its walls fit.",
+        "In the fused map. A SLAM whose path is more than "
+        f"{limit_m:g} m (median, while both vote) from those of the others has no vote.",
     )
 
 
@@ -414,11 +428,11 @@ def _together(
     if run.truth is not None and (errors := first.measures.truth) is not None:
         motion = placed[first.run.name].compose(errors.pose_truth_estimate.inverse())
         lines.append(paths.truth_line(moved_path(run.truth, motion)))
-        sentences.append("The truth is laid on the first path as a whole.")
+        sentences.append("The truth is aligned with the whole first path.")
     if first.run.odometry is not None:
         lines.insert(0, paths.odometry_line(paths.laid_on_start(first.run.odometry, top)))
         sentences.append(
-            "Raw odometry is laid on its start; drift far beyond the picture is cut off."
+            "Raw odometry is aligned with its start; drift far beyond the picture is cut off."
         )
     return Picture(
         "paths",
@@ -432,40 +446,3 @@ def _together(
         " ".join(sentences),
         legend=paths.paths_legend(lines),
     )
-
-
-def _path_errors_section(run: LogRun) -> list[Section]:
-    """Return the errors of all paths in one table, and of each relation over time."""
-    rows, pictures, colours = [], [], _colours(run)
-    for name, item in _measured_paths(run):
-        for kind, statistics, digits in error_kinds(item.truth, item.relations, item.at_scans):
-            rows.append([Cell(name), Cell(kind), *figure_cells(statistics, digits)])
-        if item.relations is not None:
-            used = f"{item.relations.relations_used} of {item.relations.relations_total} relations."
-            pictures.append(
-                Picture(
-                    f"relations-{name}",
-                    paths.relations_picture(item.relations),
-                    f"{name}: error of each relation",
-                    used,
-                    legend=paths.revisit_legend(),
-                )
-            )
-        if item.truth is not None:
-            pictures.append(
-                Picture(
-                    f"error-{name}",
-                    paths.error_picture(item.truth, colours[name]),
-                    f"{name}: error along the path",
-                )
-            )
-    if not rows:
-        return []
-    text = (
-        "Relations [K09]: the motion between two times as it should be, against what the path made "
-        "of it. ATE: of each pose after the best rigid motion of the whole; RPE: of the motion "
-        "between two poses."
-    )
-    columns = ("path", "error", *FIGURES)
-    table = Table("Errors of the paths", columns, rows)
-    return [Section("Errors of the paths", "path-errors", text, pictures, [table])]

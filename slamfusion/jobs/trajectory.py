@@ -396,24 +396,32 @@ def trajectories_document(
     }
 
 
-def write_trajectory(
-    found: MeasuredTrajectory, directory: str | Path, files: AtomicFiles | None = None
+def write_trajectories(
+    found: Sequence[tuple[Placed, MeasuredTrajectory]],
+    directory: str | Path,
+    files: AtomicFiles | None = None,
 ) -> Path:
-    """Write the report of a trajectory's errors; see ``slamfusion.report.page.write_page``.
+    """Write one report of the errors of paths; see ``slamfusion.report.page.write_page``.
 
     Raises:
         SlamFusionError: matplotlib is missing, or the directory cannot be written.
     """
-    from slamfusion.report import write_trajectory_report  # noqa: PLC0415  (an extra)
+    from slamfusion.report import MeasuredPath, write_trajectory_report  # noqa: PLC0415  (an extra)
 
+    cases: dict[str, list[MeasuredPath]] = {}
+    for item, own in found:
+        errors = own.measures
+        path = MeasuredPath(
+            item.name, own.estimate, errors.truth, errors.relations, errors.at_scans
+        )
+        cases.setdefault(item.case, []).append(path)
+    first = found[0][1]
     return write_trajectory_report(
         directory,
-        trajectory=found.estimate,
-        config=found.config,
-        relations=found.measures.relations,
-        errors=found.measures.truth,
-        truth=found.truth,
-        odometry=found.scans,
-        grid=found.grid,
+        cases,
+        config=first.config,
+        truths={item.case: own.truth for item, own in found if own.truth is not None},
+        odometry=first.scans if len(found) == 1 else None,
+        grid=first.grid,
         files=files,
     )

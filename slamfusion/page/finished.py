@@ -6,14 +6,22 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from slamfusion.errors import MapFileError, SlamFusionError
 from slamfusion.evidence.recommendation import Recommendation
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import load_map
 from slamfusion.io.trajectories import read_trajectory
-from slamfusion.jobs.outputs import AGREEMENT, AGREEMENT_END, DRAWN, FUSED, FUSED_PATH, RUN_RECORD
+from slamfusion.jobs.outputs import (
+    AGREEMENT,
+    AGREEMENT_END,
+    DRAWN,
+    FUSED,
+    FUSED_PATH,
+    REPORT,
+    RUN_RECORD,
+)
 from slamfusion.viewer import scene
 from slamfusion.viewer.scene import Feed, Kind, Scene, layer_name, unlaid
 
@@ -64,13 +72,15 @@ class Finished:
 
     Attributes:
         scene: all but the maps.
-        maps: in the order in which they are told.
+        maps: in the order in which they are shown.
         also: other drives of the folder, which can be shown by name.
+        report: folder of the report; None: there is none.
     """
 
     scene: Scene
     maps: list[ShownMap] = field(default_factory=list)
     also: Sequence[str] = ()
+    report: Path | None = None
 
     def feed(self, feed: Feed) -> None:
         """Load the maps and show them; one that cannot be read becomes an event."""
@@ -86,8 +96,7 @@ class Finished:
 def read_finished(place: Path, drive: str = "") -> Finished:
     """Read what ``run``, ``fuse`` or an experiment wrote, or any folder with maps.
 
-    Without a record nobody knows how maps lie to each other: each is shown where its own frame has
-    it.
+    Without a record of their alignment, each map is shown in its own frame.
 
     Args:
         place: the folder; or of several fusions in one folder the map or the record of one.
@@ -140,11 +149,13 @@ def _record_of(place: Path) -> Path | None:
 
 
 def _read_record(path: Path) -> Finished:
-    """Read the maps of a fusion, each where its record says that it was laid."""
+    """Read the maps of a fusion, aligned as in its record."""
     record = _load_record(path)
     inputs = [item for item in record["inputs"] if isinstance(item, dict)]
     stem = path.with_suffix("")
-    found = Finished(Scene(f"SLAMfusion: {_title(path)}", is_live=False))
+    found = _finished(_title(path))
+    report = stem.with_name(REPORT)
+    found.report = report if (report / "report.html").exists() else None
     found.maps = list(_maps_of(stem, record, inputs))
     told = [_input(item) for item in inputs]
     drawn = stem.with_name(f"{DRAWN}.yaml")
@@ -162,18 +173,40 @@ def _read_record(path: Path) -> Finished:
     if others > 0:
         figures["further groups, not shown"] = str(others)
     headline, level = f"{record.get('fused_count')} maps were fused", "plain"
+    places: list[tuple[float, float]] = []
+    for stamp_s, event_level, text in sorted(_events(record)):
+        found.scene.put_event(event_level, text, stamp_s)
     if record.get("recommendation"):
         answer = Recommendation.from_json(record["recommendation"])
         headline, level = answer.headline, answer.tone
-        for place in answer.check:
-            found.scene.put_event("warn", f"check {place}")
+        places = [(place.x, place.y) for place in answer.check]
         if answer.best_single:
             figures = {"single SLAM": answer.best_single, **figures}
-    found.scene.put_status(told, headline=headline, level=level, figures=figures)
+    found.scene.put_status(told, headline=headline, level=level, figures=figures, places=places)
     if path.name == RUN_RECORD and "producers" in record:
-        for name, file in _paths_of(stem, record, inputs):
-            _put_path(found.scene, name, file)
+        _put_paths(found.scene, dict(_paths_of(stem, record, inputs)))
     return found
+
+
+def _finished(title: str) -> Finished:
+    """Return an empty scene whose times count from the start of the drive."""
+    return Finished(Scene(f"SLAMfusion: {title}", is_live=False, clock=lambda: 0.0))
+
+
+def _events(record: Mapping[str, Any]) -> Iterator[tuple[float, Literal["ok", "warn"], str]]:
+    """Yield drive time in seconds, level and text of what happened on a drive."""
+    for number, place in enumerate((record.get("recommendation") or {}).get("check", ()), start=1):
+        yield place["from_s"], "warn", f"place {number} to check: {place['what']}"
+    for vote in record.get("partial_votes") or ():
+        for span in vote["excluded_spans"]:
+            yield span["from_s"], "warn", f"{vote['name']} loses its vote: {span['ground']}"
+            yield span["to_s"], "ok", f"{vote['name']} votes again"
+    for path in record.get("path_evidence") or ():
+        for span in path["spans"]:
+            if not span["agrees"]:
+                away = f"leaves the recommended path, by up to {span['gap_m']:.1f} m"
+                yield span["from_s"], "warn", f"{path['name']} {away}"
+                yield span["to_s"], "ok", f"{path['name']} is back on the recommended path"
 
 
 def _load_record(path: Path) -> Mapping[str, Any]:
@@ -260,24 +293,27 @@ def _input(item: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _put_path(shown: Scene, name: str, file: Path) -> None:
-    """Put the poses of a path in the frame of the map of that name; one that is gone is left."""
-    if not file.exists():
-        return
-    try:
-        poses = read_trajectory(file).poses
-    except SlamFusionError as error:
-        shown.put_event("error", f"the path of {name} is not shown: {error}")
-        return
-    shown.put_path(name, poses)
+def _put_paths(shown: Scene, files: Mapping[str, Path]) -> None:
+    """Put each path in the frame of the map of its name; a missing file is left out."""
+    paths = {}
+    for name, file in files.items():
+        if not file.exists():
+            continue
+        try:
+            paths[name] = read_trajectory(file)
+        except SlamFusionError as error:
+            shown.put_event("error", f"the path of {name} is not shown: {error}")
+    start_s = min((float(path.stamps_s[0]) for path in paths.values()), default=0.0)
+    for name, path in paths.items():
+        shown.put_path(name, path, start_s)
 
 
 # --- maps without a record --------------------------------------------------------------------
 
 
 def _read_maps(folder: Path, files: Mapping[str, Path]) -> Finished:
-    """Read maps of which nobody knows how they lie."""
-    found = Finished(Scene(f"SLAMfusion: {folder.absolute().name}", is_live=False))
+    """Read maps without a record of their alignment."""
+    found = _finished(folder.absolute().name)
     inputs = {name: path for name, path in files.items() if name not in FUSION}
     found.maps = [
         ShownMap(layer, kind, files[name])
@@ -288,9 +324,8 @@ def _read_maps(folder: Path, files: Mapping[str, Path]) -> Finished:
     told = [unlaid(layer_name(name), "as its own frame has it") for name in inputs]
     words = f"{len(files)} maps; no record says how they lie to each other"
     found.scene.put_status(told, headline=words, level="plain", figures={})
-    _put_path(found.scene, scene.FUSED, folder / FUSED_PATH)
-    for name in inputs:
-        _put_path(found.scene, layer_name(name), folder / f"{name}.tum")
+    paths = {layer_name(name): folder / f"{name}.tum" for name in inputs}
+    _put_paths(found.scene, {scene.FUSED: folder / FUSED_PATH, **paths})
     return found
 
 
@@ -321,7 +356,7 @@ def _read_drive(folder: Path, drive: str) -> Finished:
         message = f"{folder}: no drive {drive!r} in it; --drive takes one of {listed}"
         raise MapFileError(message)
     truth, maps = kept_maps(folder, chosen)
-    found = Finished(Scene(f"SLAMfusion: {chosen}", is_live=False))
+    found = _finished(chosen)
     found.maps = [ShownMap("truth", "fused", truth)]
     found.maps += [
         ShownMap(grid.name, "input", grid, is_shown=number == 0) for number, grid in enumerate(maps)

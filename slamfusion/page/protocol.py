@@ -2,7 +2,8 @@
 
 Server to page come the messages of ``slamfusion.viewer.messages`` and, ``type`` of the JSON text:
 
-- ``hello``: ``scene`` (of this server's life), ``may_command``, ``title``, ``is_live``.
+- ``hello``: ``scene`` (of this server's life), ``may_command``, ``title``, ``is_live``,
+  ``has_report``.
 - ``end``: all of this batch was sent; ``seq`` of the newest thing in it.
 - ``answer``: to a command, ``id``, ``success``, ``message``.
 
@@ -21,10 +22,11 @@ import hmac
 import ipaddress
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import MISSING, dataclass
+from typing import Literal
 
-from slamfusion.errors import SlamFusionError
+from slamfusion.config import Checked, from_mapping, option
+from slamfusion.errors import ConfigError, SlamFusionError
 
 LOOPBACK_NAMES = frozenset(("localhost",))
 
@@ -76,7 +78,6 @@ def _address(name: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
         return None
 
 
-COMMANDS = ("save", "reset")
 # A page says no more than this at once.
 MESSAGE_BYTES = 4096
 
@@ -86,7 +87,7 @@ class PageMessageError(SlamFusionError):
 
 
 @dataclass(frozen=True)
-class Hello:
+class Hello(Checked):
     """The first message of a page.
 
     Attributes:
@@ -94,24 +95,31 @@ class Hello:
         scene, seq: what it has from a connection before; empty and 0 for nothing.
     """
 
-    token: str
-    scene: str
-    seq: int
+    token: str = ""
+    scene: str = ""
+    seq: int = option(0, "newest number that the page has", low=0)
 
 
 @dataclass(frozen=True)
-class Seen:
+class Seen(Checked):
     """The page has taken everything up to ``seq``."""
 
-    seq: int
+    seq: int = option(0, "newest number that the page has", low=0)
 
 
 @dataclass(frozen=True)
-class Command:
+class Command(Checked):
     """The page asks for something; ``id`` comes back with the answer."""
 
-    id: int
-    name: str
+    name: Literal["save", "reset"] = option(MISSING, "what to do")
+    id: int = option(0, "of the question", low=0)
+
+
+KINDS: Mapping[str, type[Hello | Seen | Command]] = {
+    "hello": Hello,
+    "seen": Seen,
+    "command": Command,
+}
 
 
 def parse_message(text: str) -> Hello | Seen | Command:
@@ -122,34 +130,7 @@ def parse_message(text: str) -> Hello | Seen | Command:
     """
     try:
         found = json.loads(text)
-    except (ValueError, RecursionError):
-        message = "no JSON"
+        return from_mapping(KINDS[found.pop("type")], found)
+    except (ValueError, TypeError, AttributeError, LookupError, RecursionError, ConfigError):
+        message = "no message of our page"
         raise PageMessageError(message) from None
-    if not isinstance(found, dict):
-        message = "no JSON object"
-        raise PageMessageError(message)
-    kind = found.get("type")
-    if kind == "hello":
-        return Hello(_text(found, "token"), _text(found, "scene"), _count(found, "seq"))
-    if kind == "seen":
-        return Seen(_count(found, "seq"))
-    if kind == "command" and found.get("name") in COMMANDS:
-        return Command(_count(found, "id"), _text(found, "name"))
-    message = "an unknown message"
-    raise PageMessageError(message)
-
-
-def _text(found: Mapping[str, Any], key: str) -> str:
-    value = found.get(key, "")
-    if not isinstance(value, str):
-        message = f"{key} is no text"
-        raise PageMessageError(message)
-    return value
-
-
-def _count(found: Mapping[str, Any], key: str) -> int:
-    value = found.get(key, 0)
-    if type(value) is not int or not 0 <= value < 2**53:
-        message = f"{key} is no count"
-        raise PageMessageError(message)
-    return value

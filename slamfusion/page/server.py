@@ -8,13 +8,13 @@ import secrets
 import socket
 import threading
 from collections.abc import Callable, Mapping
-from pathlib import PurePath
+from pathlib import Path, PurePath
 
 try:
     import uvicorn
     from starlette.applications import Starlette
     from starlette.requests import HTTPConnection, Request
-    from starlette.responses import PlainTextResponse, Response
+    from starlette.responses import FileResponse, PlainTextResponse, Response
     from starlette.routing import Route, WebSocketRoute
     from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 except ImportError as missing:  # starlette, uvicorn
@@ -94,6 +94,7 @@ class PageServer:
         command: carries out a command of a page that has the token, in some thread; None where
             there is nothing to command.
         token: what lets a page command; empty: a new one.
+        report: folder of a report, served with the page; None: there is none.
 
     Attributes:
         url: with the token, where there are commands, in its fragment, which no browser sends
@@ -112,8 +113,10 @@ class PageServer:
         port: int = 0,
         command: Callable[[str], Answer] | None = None,
         token: str = "",
+        report: Path | None = None,
     ) -> None:
         self._scene = scene
+        self._report = report
         self._host = host
         self._command = command
         self._token = token or secrets.token_urlsafe(24)
@@ -185,11 +188,17 @@ class PageServer:
         host = request.headers.get("host", "")
         if not self._may_ask(request):
             return PlainTextResponse("this page answers for its own address alone\n", 403)
-        found = self._files.get(request.path_params["name"] or "index.html")
+        path = request.path_params["name"] or "index.html"
+        headers = {name: value.replace("{host}", host) for name, value in HEADERS.items()}
+        if self._report is not None and path.startswith("report/"):
+            files = {item.name: item for item in self._report.iterdir() if item.is_file()}
+            if (file := files.get(path.removeprefix("report/"))) is not None:
+                del headers["Content-Security-Policy"]  # the report has its own
+                return FileResponse(file, headers=headers)
+        found = self._files.get(path)
         if found is None:
             return PlainTextResponse("there is no such page\n", 404)
         content, kind = found
-        headers = {name: value.replace("{host}", host) for name, value in HEADERS.items()}
         return Response(content, headers=headers, media_type=kind)
 
     async def _look(self, ws: WebSocket) -> None:
@@ -224,7 +233,8 @@ class PageServer:
         scene = self._scene
         viewer.seen = hello.seq if hello.scene == scene.id else 0
         greeting = {"scene": scene.id, "title": scene.title, "is_live": scene.is_live}
-        await ws.send_text(to_text("hello", {**greeting, "may_command": may}))
+        greeting |= {"may_command": may, "has_report": self._report is not None}
+        await ws.send_text(to_text("hello", greeting))
         tasks = [
             asyncio.create_task(self._send(ws, viewer)),
             asyncio.create_task(self._hear(ws, viewer, may_command=may)),

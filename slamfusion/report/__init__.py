@@ -1,4 +1,4 @@
-"""Reports made to be looked at: one self-contained HTML file, and its pictures as PNG beside it.
+"""Reports: one self-contained HTML file, and its pictures as PNG in the same folder.
 
 The only place that imports matplotlib, which is an extra; without it the import of this package
 says what to install.
@@ -14,6 +14,7 @@ except ImportError as _error:
     _message = "the report needs matplotlib; pip install 'slamfusion[report]'"
     raise SlamFusionError(_message) from _error
 
+from slamfusion.report.errors import MeasuredPath
 from slamfusion.report.evaluation_report import write_difference_image, write_evaluation_report
 from slamfusion.report.fusion_report import write_failure_report, write_fusion_report
 from slamfusion.report.judge_report import write_judge_report
@@ -23,6 +24,7 @@ from slamfusion.report.trajectory_report import write_trajectory_report
 
 __all__ = [
     "Fact",
+    "MeasuredPath",
     "Table",
     "write_difference_image",
     "write_evaluation_report",

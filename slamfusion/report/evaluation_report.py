@@ -11,10 +11,14 @@ from slamfusion.config import PICTURE_FORMS, RunConfig
 from slamfusion.errors import MapFileError
 from slamfusion.evaluation import MapError
 from slamfusion.io.files import AtomicFiles, write_atomic
-from slamfusion.report import plots
-from slamfusion.report.canvas import in_form
+from slamfusion.report.canvas import to_form
 from slamfusion.report.layers import error_layers
-from slamfusion.report.maps import alignment_table, error_section, yaw_pictures
+from slamfusion.report.maps import (
+    alignment_table,
+    difference_picture,
+    error_section,
+    yaw_pictures,
+)
 from slamfusion.report.page import Banner, Fact, Page, Section, write_page
 
 
@@ -48,7 +52,7 @@ def write_evaluation_report(
     searched = [alignment for alignment in alignments if alignment is not None]
     if searched:
         tables = alignment_table("Alignment to the truth", searched)
-        sections.append(Section("Alignment", "alignment", "", yaw_pictures(searched), tables))
+        sections.append(Section("Alignment", "", yaw_pictures(searched), tables))
     banner = _banner(evaluations, searched)
     page = Page("SLAMfusion evaluation", banner, _facts(evaluations), sections, config, device)
     return write_page(page, directory, files)
@@ -72,10 +76,8 @@ def write_difference_image(
     if form not in PICTURE_FORMS:
         message = f"{path}: wanted a name that ends in .{', .'.join(PICTURE_FORMS)}"
         raise MapFileError(message)
-    picture = plots.difference_picture(
-        evaluation.difference, evaluation.resolution, evaluation.origin
-    )
-    write_atomic(path, in_form(picture, form), files=files)
+    picture = difference_picture(evaluation, None)
+    write_atomic(path, to_form(picture.figure, form), files=files)
 
 
 def _banner(evaluations: Sequence[MapError], searched: Sequence[Alignment]) -> Banner:

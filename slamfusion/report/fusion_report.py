@@ -1,8 +1,9 @@
-"""The report of a fusion: which maps vote, how they lie, where they differ, and what came out."""
+"""The report of a fusion: the result, which maps vote, where they lie and where they differ."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +15,9 @@ from slamfusion.grid import CellBox, OccupancyGrid
 from slamfusion.io.files import AtomicFiles
 from slamfusion.palette import DISAGREEMENT_RGB
 from slamfusion.report import plots
-from slamfusion.report.canvas import Classes, crop_box
+from slamfusion.report.canvas import Classes, LegendEntry, crop_box
 from slamfusion.report.layers import fusion_layers
+from slamfusion.report.map_axes import draw_places
 from slamfusion.report.maps import (
     alignment_table,
     error_section,
@@ -31,7 +33,6 @@ from slamfusion.report.page import (
     Banner,
     Cell,
     Fact,
-    LegendEntry,
     Page,
     Picture,
     Section,
@@ -40,9 +41,6 @@ from slamfusion.report.page import (
     write_page,
 )
 from slamfusion.trajectory import Trajectory
-
-# Overlays of failed pairs.
-_MOST_OVERLAYS = 12
 
 
 def write_fusion_report(
@@ -100,17 +98,16 @@ def write_failure_report(
     sections = [
         Section(
             "Inputs",
-            "inputs",
             "The maps as they were given.",
             [input_picture(grid, normalize) for grid in grids],
             [statistics_table(grids, normalize)] if grids else [],
         )
     ]
     if pairs:
-        sections.append(pairs_section(grids, pairs, normalize, most_overlays=_MOST_OVERLAYS))
+        sections.append(pairs_section(grids, pairs, normalize))
         curves = yaw_pictures(pairs)
         if curves:
-            sections.append(Section("Score over yaw", "yaw", _YAW_TEXT, curves))
+            sections.append(Section("Score over yaw", _YAW_TEXT, curves))
     banner = Banner("bad", "Nothing was fused", [("", reason)])
     facts = [
         Fact(f"0 of {len(grids)}", "maps fused", "bad"),
@@ -121,9 +118,8 @@ def write_failure_report(
 
 
 _YAW_TEXT = (
-    "The best coarse score at each yaw of the moving map. One sharp peak means that the place "
-    "looks like itself in one way only; a rival of nearly the same height is a symmetry, and a "
-    "reason for doubt."
+    "The best coarse score at each yaw of the moving map. One sharp peak: the place fits in one "
+    "way only. A second peak of nearly the same height: the place is symmetric."
 )
 
 
@@ -176,11 +172,6 @@ def _facts(result: FusionResult, evaluations: Sequence[MapError]) -> list[Fact]:
     facts = [
         Fact(f"{fused} of {total}", "maps fused", "good" if fused == total else "bad"),
         Fact(f"{area:.1f} m²", "known in the fused map"),
-        Fact(
-            str(result.phantom_cells),
-            "phantom cells: walls that no input has",
-            "bad" if result.phantom_cells else "plain",
-        ),
     ]
     if agreement.size:
         unanimous = 100.0 * float(np.mean(agreement == 100))
@@ -190,29 +181,38 @@ def _facts(result: FusionResult, evaluations: Sequence[MapError]) -> list[Fact]:
         for evaluation in evaluations
         if evaluation.name in {result.fused.name, "fused"}
     ]
+    phantoms = "phantom cells: walls that no input has"
+    tone = "bad" if result.phantom_cells else "plain"
+    facts.append(Fact(str(result.phantom_cells), phantoms, tone))
     facts.append(Fact(f"{result.time_s:.2f} s", f"on {result.device}"))
     return facts
 
 
 def fused_section(
-    result: FusionResult, box: CellBox, paths: Mapping[str, Trajectory] | None = None
+    result: FusionResult,
+    box: CellBox,
+    paths: Mapping[str, Trajectory] | None = None,
+    places: Sequence[tuple[float, float]] = (),
 ) -> Section:
     """Return the fused map, the inputs over each other, and where they agree.
 
     Args:
         result: what was fused.
         box: cells of the fused lattice to draw.
-        paths: see ``fusion_layers``.
+        paths, places: see ``fusion_layers``; the places are numbered on the fused map.
     """
     fused, agreement = result.fused, result.agreement
+    drawn = plots.map_picture(_classes(fused), fused.resolution, fused.origin, box)
+    draw_places(drawn, places)
     pictures = [
         Picture(
             "fused",
-            plots.map_picture(_classes(fused), fused.resolution, fused.origin, box),
+            drawn,
             "Fused map",
             f"{fused.width} x {fused.height} cells of {fused.resolution:g} m, in the frame of "
             f"{result.reference}.",
             tone="good" if len(result.accepted) > 1 else "bad",
+            legend=plots.MAP_LEGEND,
         )
     ]
     aligned = [record for record in result.accepted if record.aligned is not None]
@@ -230,8 +230,8 @@ def fused_section(
                     box,
                 ),
                 "The aligned inputs over each other",
-                "Walls in the colour of their map, darker where more have one, black where all "
-                "do. A coloured double of a black wall is a slip.",
+                "A wall has the colour of its map; it is darker where more maps have it, and black "
+                "where all do. A coloured copy next to a black wall shows a slip.",
                 legend=layer_legend([record.name for record in aligned], colours),
             )
         )
@@ -241,13 +241,11 @@ def fused_section(
             plots.agreement_picture(agreement.cells, agreement.resolution, agreement.origin, box),
             "Agreement",
             "Share of votes for the winner of each cell. A block of cells shows its worst.",
-            legend=tuple(
-                LegendEntry(f"{percent} %", plots.agreement_colour(percent))
-                for percent in _agreement_steps(result)
-            ),
+            legend=plots.agreement_legend(),
         )
     )
-    return Section("Fused map", "fused", "", pictures, layers=fusion_layers(result, paths))
+    layers = fusion_layers(result, paths, places)
+    return Section("Fused map", "", pictures, layers=layers)
 
 
 def group_sections(result: FusionResult) -> list[Section]:
@@ -267,7 +265,7 @@ def group_sections(result: FusionResult) -> list[Section]:
             )
         )
     text = "Maps that fit each other, and share no ground with the others or contradict them."
-    return [Section("Further groups", "groups", text, pictures)]
+    return [Section("Further groups", text, pictures)]
 
 
 def shown_box(result: FusionResult) -> CellBox:
@@ -279,17 +277,8 @@ def shown_box(result: FusionResult) -> CellBox:
     return crop_box(shown)
 
 
-def _agreement_steps(result: FusionResult) -> list[int]:
-    """Return the shares of votes that occur, at most six of them."""
-    steps = [int(value) for value in np.unique(result.agreement.cells) if value >= 0]
-    if len(steps) <= 6:
-        return steps[::-1]
-    chosen = np.linspace(0, len(steps) - 1, 6).round().astype(int)
-    return [steps[index] for index in chosen][::-1]
-
-
 def inputs_section(result: FusionResult, config: RunConfig) -> Section:
-    """Return every input, and for a rejected one also how it would have lain."""
+    """Return every input, aligned if it votes, and of a rejected one its best alignment."""
     normalize = config.fusion.normalize
     grids = {record.name: record.grid for record in result.inputs}
     colours = input_colours(list(grids))
@@ -299,8 +288,13 @@ def inputs_section(result: FusionResult, config: RunConfig) -> Section:
         if record.copy_of is not None:
             continue
         caption = role if record.accepted else f"Rejected: {record.reason}"
+        grid, box = record.grid, None
+        if record.aligned is not None:
+            cells = np.where(record.aligned > 0, np.int8(100), record.aligned)
+            grid = replace(result.fused.with_name(grid.name), cells=cells)
+            box = shown_box(result)
         pictures.append(
-            input_picture(record.grid, normalize, caption=caption, accepted=record.accepted)
+            input_picture(grid, normalize, caption=caption, accepted=record.accepted, box=box)
         )
         alignment = record.alignment
         if not record.accepted and alignment is not None and alignment.reference in grids:
@@ -309,33 +303,29 @@ def inputs_section(result: FusionResult, config: RunConfig) -> Section:
             )
             if overlay is not None:
                 pictures.append(overlay)
-    return Section("Inputs", "inputs", "The maps as they were given, each in its frame.", pictures)
+    text = "The inputs that vote, aligned with the fused map; a rejected one lies in its own frame."
+    return Section("Inputs", text, pictures)
 
 
 def dissent_section(result: FusionResult, box: CellBox) -> Section:
     """Return where each input was outvoted."""
-    fused = result.fused
-    classes = _classes(fused)
-    pictures = []
-    for record in result.accepted:
-        if record.dissent is None:
-            continue
-        pictures.append(
-            Picture(
-                f"outvoted-{record.name}",
-                plots.dissent_picture(
-                    classes, record.dissent, fused.resolution, fused.origin, box=box
-                ),
-                record.name,
-                f"Outvoted in {_outvoted(record)}.",
-                legend=(LegendEntry("outvoted", DISAGREEMENT_RGB),),
-            )
+    fused, classes = result.fused, _classes(result.fused)
+    where = fused.resolution, fused.origin
+    pictures = [
+        Picture(
+            f"outvoted-{record.name}",
+            plots.dissent_picture(classes, record.dissent, *where, box=box),
+            record.name,
+            f"Outvoted in {_outvoted(record)}.",
+            legend=(LegendEntry("outvoted", DISAGREEMENT_RGB),),
         )
+        for record in result.accepted
+        if record.dissent is not None
+    ]
     return Section(
         "Where each input was outvoted",
-        "outvoted",
-        "Cells in which the others decided against this map. Scattered specks are noise; a whole "
-        "wall in colour is a place where this map, or all the others, are wrong.",
+        "Cells in which the other maps decided against this one. Scattered cells are noise; at a "
+        "whole wall in colour this map or all others are wrong.",
         pictures,
     )
 
@@ -375,7 +365,7 @@ def alignment_section(result: FusionResult, *, only_doubtful: bool = False) -> S
     ]
     drawn = [item for item in (*to_reference, *others) if not (only_doubtful and item.accepted)]
     curves = yaw_pictures(drawn)
-    return Section("Alignment", "alignment", _YAW_TEXT if curves else "", curves, tables)
+    return Section("Alignment", _YAW_TEXT if curves else "", curves, tables)
 
 
 def statistics_section(
@@ -405,7 +395,7 @@ def statistics_section(
     grids = [record.grid for record in result.inputs]
     shown = [*grids, result.fused.with_name("fused map")]
     table = statistics_table(shown, config.fusion.normalize, doubled)
-    return Section("Votes and maps in numbers", "numbers", "", tables=[votes, table])
+    return Section("Votes and maps in numbers", tables=[votes, table])
 
 
 def _classes(grid: OccupancyGrid) -> Classes:

@@ -1,4 +1,4 @@
-"""The report of what the scans of a log say of paths, with no fusion beside it."""
+"""The report on which of several paths the scans of a log support, without a fusion."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from slamfusion.config import RunConfig
 from slamfusion.evidence.predictive import PathEvidence
 from slamfusion.evidence.recommendation import Recommendation
 from slamfusion.io.files import AtomicFiles
-from slamfusion.report.evidence import evidence_section
+from slamfusion.report.evidence import evidence_section, path_colours, place_lines, strip_picture
 from slamfusion.report.page import (
     Banner,
     Cell,
@@ -38,7 +38,7 @@ def write_judge_report(
 
     Args:
         answer: which path to use.
-        evidence: what the scans say of all.
+        evidence: how well the scans support all.
         directory, files: see ``write_page``, also for what is returned and raised.
         log: that the scans are of.
         config: the settings in effect.
@@ -47,26 +47,15 @@ def write_judge_report(
         not_measured: what could not be measured, a sentence each.
         device: the device that scored, in words.
     """
-    sections = [evidence_section(answer, evidence)]
+    strip = strip_picture(answer, {}, path_colours(answer, evidence, {}))
+    sections = [Section("Over the drive", "", [strip]), evidence_section(answer, evidence)]
     known = {name: errors for name, errors in (errors_m or {}).items() if errors}
     if known:
         sections.append(_errors_section(answer, known))
-    banner = _banner(answer, log, not_measured)
-    page = Page("SLAMfusion judge", banner, _facts(answer), sections, config, device)
-    return write_page(page, directory, files)
-
-
-def _banner(answer: Recommendation, log: str, not_measured: Sequence[str]) -> Banner:
-    """Say which path to use, and what to check."""
-    lines = answer.lines()
+    lines = place_lines(answer)
     lines += [("Not measured:", sentence) for sentence in not_measured]
-    lines.append(("Log:", log))
-    return Banner(answer.tone, answer.headline, lines)
-
-
-def _facts(answer: Recommendation) -> list[Fact]:
-    """Return the score of each path, the recommended one marked."""
-    return [
+    banner = Banner(answer.tone, answer.headline, [*lines, ("Log:", log)])
+    facts = [
         Fact(
             f"{path.consistency:.3f}",
             f"log-likelihood of a hit, {path.name}",
@@ -74,12 +63,14 @@ def _facts(answer: Recommendation) -> list[Fact]:
         )
         for path in answer.paths
     ]
+    page = Page("SLAMfusion judge", banner, facts, sections, config, device)
+    return write_page(page, directory, files)
 
 
 def _errors_section(answer: Recommendation, errors_m: Mapping[str, Mapping[str, float]]) -> Section:
     """Return the errors of the paths, in the order that the scans put them in."""
     ranks = {name: sorted(errors, key=errors.__getitem__) for name, errors in errors_m.items()}
-    columns = ["path", *(word for name in errors_m for word in (f"{name}, m", "rank"))]
+    columns = ["path", *(word for name in errors_m for word in (f"{name} [m]", "rank"))]
     rows = []
     for path in answer.paths:
         row = [Cell(path.name)]
@@ -89,5 +80,5 @@ def _errors_section(answer: Recommendation, errors_m: Mapping[str, Mapping[str, 
             row.append(number(rank, 0))
         rows.append(row)
     table = Table("Errors of the paths", columns, rows, "The recommended path first.")
-    what = "What the scans say beside errors by a truth or by known relations."
-    return Section("Held against what is known", "errors", what, tables=[table])
+    what = "The order by the scans next to the errors against the truth or known relations."
+    return Section("Compared with what is known", what, tables=[table])

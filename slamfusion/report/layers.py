@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterable, Mapping, Sequence
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -34,22 +35,27 @@ class Layers:
     note: str
 
 
-def fusion_layers(result: FusionResult, paths: Mapping[str, Trajectory] | None = None) -> Layers:
+def fusion_layers(
+    result: FusionResult,
+    paths: Mapping[str, Trajectory] | None = None,
+    places: Sequence[tuple[float, float]] = (),
+) -> Layers:
     """Return the fused map, the agreement and the inputs where they were laid.
 
     Args:
         result: what was fused; an input that was never aligned has no place and is left out, one
             that was rejected is hidden at first.
         paths: by input in the frame of its map, and as ``fused`` in the fused frame.
+        places: x and y in the fused frame, metres, of what to check; the first has number 1.
     """
     placed = [record for record in result.inputs if record.accepted or record.alignment]
     too_large = _too_large(result.fused, result.agreement, *(record.grid for record in placed))
     if too_large is not None:
         return too_large
     scene = _scene([layer_name(record.name) for record in result.inputs])
-    scene.put_status([_told(record, result.reference) for record in placed])
+    scene.put_status([_told(record, result.reference) for record in placed], places=places)
     for name, path in (paths or {}).items():
-        scene.put_path(name if name == FUSED else layer_name(name), path.poses)
+        scene.put_path(name if name == FUSED else layer_name(name), path)
     scene.put_map(FUSED, result.fused, "fused")
     scene.put_map(AGREEMENT, result.agreement, "agreement")
     for record in placed:
@@ -65,7 +71,7 @@ def map_layers(grid: OccupancyGrid, path: Trajectory) -> Layers:
         return too_large
     scene = _scene([grid.name])
     scene.put_status([])
-    scene.put_path(grid.name, path.poses)
+    scene.put_path(grid.name, path)
     scene.put_map(grid.name, grid, "fused")
     return Layers(_recorded(scene), _NOTE)
 
@@ -134,13 +140,6 @@ def _recorded(scene: Scene) -> str:
     """Return everything that a scene says; no letter of it can end a script element."""
     messages, _ = scene.since(0)
     texts = [message for message in messages if isinstance(message, str)]
-    tiles = [_quoted(message) for message in messages if isinstance(message, bytes)]
-    return f'{{"messages":{_listed(texts)},"tiles":{_listed(tiles)}}}'.replace("<", "\\u003c")
-
-
-def _quoted(tile: bytes) -> str:
-    return f'"{base64.b64encode(tile).decode("ascii")}"'
-
-
-def _listed(items: Iterable[str]) -> str:
-    return f"[{','.join(items)}]"
+    tiles = [base64.b64encode(item).decode() for item in messages if isinstance(item, bytes)]
+    recorded = f'{{"messages":[{",".join(texts)}],"tiles":{json.dumps(tiles)}}}'
+    return recorded.replace("<", "\\u003c")

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,19 +17,31 @@ from matplotlib.transforms import Affine2D  # noqa: TID251
 from slamfusion.config import NormalizeConfig
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid, box_origin, trinary_cells
-from slamfusion.palette import END_RGB, FREE_RGB, START_RGB, UNKNOWN_RGB, WALL_RGB
+from slamfusion.palette import DISAGREEMENT_RGB, END_RGB, FREE_RGB, START_RGB, UNKNOWN_RGB, WALL_RGB
 from slamfusion.report.canvas import (
     DPI,
     INK,
+    SMALL_PT,
     WIDTH_IN,
+    LegendEntry,
     crop_box,
     cut_cells,
+    label_axes,
     pool_cells,
     style_axes,
     unit_rgb,
 )
-from slamfusion.report.page import LegendEntry
 
+# A number in a circle: a place to check.
+PLACE_LOOK: dict[str, Any] = {
+    "color": "white",
+    "fontsize": SMALL_PT,
+    "fontweight": "bold",
+    "ha": "center",
+    "va": "center",
+    "bbox": {"boxstyle": "circle,pad=0.25", "facecolor": unit_rgb(DISAGREEMENT_RGB), "lw": 0.0},
+    "zorder": 6.0,
+}
 # A box grows by this at least where its growth is limited to a share of its size.
 _LEAST_GROWTH_M = 1.0
 _LONGEST = 1.25 * WIDTH_IN
@@ -71,7 +86,7 @@ def map_axes(
     margin = 0.03 * float(extent.size.max()) + 0.2 if margin_m is None else margin_m
     low, high = extent.low - margin, extent.high + margin
     wide, tall = (float(side) for side in high - low)
-    left, right, bottom, top = 0.5, (0.72 if bar else 0.08), 0.4, 0.08
+    left, right, bottom, top = 0.5, (0.72 if bar else 0.08), 0.4, 0.03
     width = WIDTH_IN - left - right
     height = width * tall / wide
     if height > _LONGEST:
@@ -87,10 +102,25 @@ def map_axes(
     axes.set_ylim(middle[1] - scale * height / 2, middle[1] + scale * height / 2)
     for axis, inches in ((axes.xaxis, width), (axes.yaxis, height)):
         axis.set_major_locator(MaxNLocator(nbins=max(2, round(1.8 * inches)), steps=[1, 2, 5, 10]))
-    axes.set_xlabel("x in m", color=INK, fontsize=7.5, labelpad=2)
-    axes.set_ylabel("y in m", color=INK, fontsize=7.5, labelpad=2)
+    label_axes(axes, x="x [m]", y="y [m]")
     style_axes(axes)
+    _draw_scale(axes)
     return figure, axes
+
+
+def _draw_scale(axes: Axes) -> None:
+    """Draw a bar of a round length, at most a quarter of the width, at the lower left."""
+    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+    most = 0.25 * (right - left)
+    unit = 10.0 ** math.floor(math.log10(most))
+    length = max(step * unit for step in (1.0, 2.0, 5.0) if step * unit <= most)
+    x, y = left + 0.04 * (right - left), bottom + 0.04 * (top - bottom)
+    ends = {"color": INK, "lw": 1.6, "marker": "|", "ms": 5.0, "zorder": 5.0}
+    axes.plot([x, x + length], [y, y], scalex=False, scaley=False, **ends)
+    ground = {"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.8}
+    look = {"color": INK, "fontsize": SMALL_PT, "ha": "center", "va": "bottom", "zorder": 5.0}
+    up = y + 0.02 * (top - bottom)
+    axes.text(x + 0.5 * length, up, f"{length:g} m", bbox=ground, **look)
 
 
 def draw_grid(axes: Axes, grid: OccupancyGrid, normalize: NormalizeConfig) -> None:
@@ -147,6 +177,12 @@ def draw_marks(axes: Axes, poses: npt.NDArray[np.float64]) -> None:
             scalex=False,
             scaley=False,
         )
+
+
+def draw_places(figure: Figure, places: Iterable[tuple[float, float]]) -> None:
+    """Number places on the map of a figure, x and y in metres; the first is 1."""
+    for number, place in enumerate(places, start=1):
+        figure.axes[0].annotate(str(number), place, annotation_clip=True, **PLACE_LOOK)
 
 
 def path_extent(poses: npt.NDArray[np.float64]) -> Extent:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -22,26 +22,35 @@ from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, OccupancyGrid, known_box, trinary_cells
 from slamfusion.palette import Rgb, colours_of
 from slamfusion.report import plots
-from slamfusion.report.page import Cell, LegendEntry, Picture, Section, Table, number
+from slamfusion.report.canvas import LegendEntry
+from slamfusion.report.page import Cell, Picture, Section, Table, number
 from slamfusion.viewer.scene import layer_name
 
 # An overlay of a wrong alignment may spread over far more cells than either map.
 _OVERLAY_CELLS = 40_000_000
+# Pairs that are drawn: with ten inputs there are 45.
+_MOST_OVERLAYS = 12
 
 
 def input_picture(
-    grid: OccupancyGrid, normalize: NormalizeConfig, *, caption: str = "", accepted: bool = True
+    grid: OccupancyGrid,
+    normalize: NormalizeConfig,
+    *,
+    caption: str = "",
+    accepted: bool = True,
+    box: CellBox | None = None,
 ) -> Picture:
-    """Return one input as it was given, framed and marked when it was rejected."""
+    """Return one input, framed and marked if it was rejected; default box: what is known."""
     classes = trinary_cells(grid.cells, normalize)
     size = f"{grid.width} x {grid.height} cells of {grid.resolution:g} m"
     return Picture(
         f"input-{grid.name}",
-        plots.map_picture(classes, grid.resolution, grid.origin),
+        plots.map_picture(classes, grid.resolution, grid.origin, box),
         grid.name,
         f"{size}. {caption}" if caption else size,
         tone="plain" if accepted else "bad",
         badge="" if accepted else "rejected",
+        legend=plots.MAP_LEGEND,
     )
 
 
@@ -103,29 +112,24 @@ def pairs_section(
     grids: Sequence[OccupancyGrid],
     pairs: Sequence[Alignment],
     normalize: NormalizeConfig,
-    *,
-    most_overlays: int,
 ) -> Section:
-    """Return the pairs that were tried where nothing was fused: overlays of the first, and all.
+    """Return the pairs that were tried if nothing was fused: overlays of the first, a table of all.
 
     Args:
         grids: the inputs.
         pairs: every pair that was aligned.
         normalize: what counts as wall and as free.
-        most_overlays: with ten inputs there are 45 pairs.
     """
     by_name = {grid.name: grid for grid in grids}
     colours = input_colours(list(by_name))
     overlays = [
         pair_overlay(by_name[pair.reference], by_name[pair.moving], pair, normalize, colours)
-        for pair in pairs[:most_overlays]
+        for pair in pairs[:_MOST_OVERLAYS]
         if pair.reference in by_name and pair.moving in by_name
     ]
     return Section(
         "Pairs",
-        "pairs",
-        "Each pair laid over each other under the best alignment that was found. Where both maps "
-        "have a wall it is black.",
+        "Each pair under the best alignment found. Walls of both maps are black.",
         [overlay for overlay in overlays if overlay is not None],
         alignment_table("All pairs", pairs),
     )
@@ -165,9 +169,9 @@ def alignment_table(
                 "moving": lambda own: own.moving,
                 "reference": lambda own: own.reference,
                 "": accepted_cell,
-                "dx m": lambda own: number(own.transform.x),
-                "dy m": lambda own: number(own.transform.y),
-                "yaw °": lambda own: number(
+                "dx [m]": lambda own: number(own.transform.x),
+                "dy [m]": lambda own: number(own.transform.y),
+                "yaw [°]": lambda own: number(
                     math.degrees(math.remainder(own.transform.yaw_rad, 2 * math.pi)), 2
                 ),
                 "score": lambda own: number(own.score),
@@ -176,7 +180,7 @@ def alignment_table(
                 "runner-up ratio": lambda own: number(
                     own.runner_up.ratio if own.runner_up else None, 2
                 ),
-                "time s": lambda own: number(own.time_s, 2),
+                "time [s]": lambda own: number(own.time_s, 2),
                 "reason": lambda own: own.reason,
             },
             note,
@@ -233,10 +237,10 @@ def statistics_table(
         {
             "map": lambda grid: grid.name,
             "cells": lambda grid: Cell(f"{grid.width} x {grid.height}", is_number=True),
-            "cell m": lambda grid: number(grid.resolution),
-            "known m²": lambda grid: number(area_m2(grid), 1),
+            "cell [m]": lambda grid: number(grid.resolution),
+            "known [m²]": lambda grid: number(area_m2(grid), 1),
             "wall cells": lambda grid: int((trinary_cells(grid.cells, normalize) == 1).sum()),
-            "doubled walls %": lambda grid: number(doubled_percent(grid), 1),
+            "doubled walls [%]": lambda grid: number(doubled_percent(grid), 1),
         },
         "Doubled walls: wall cells with a parallel wall 2 to 8 cells away, the trace of a map laid "
         "over itself with a slip; thin furniture and double partitions count too, so compare maps "
@@ -255,73 +259,67 @@ def error_section(
             a map that was taken as it lies. May be empty.
     """
     placed = list(alignments) or [None] * len(evaluations)
-    legend = tuple(
-        LegendEntry(text, rgb)
-        for code, (text, rgb) in plots.DIFFERENCE_COLOURS.items()
-        if any((evaluation.difference == code).any() for evaluation in evaluations)
-    )
-    pictures = []
-    for evaluation, alignment in zip(evaluations, placed, strict=True):
-        is_placed = alignment is None or alignment.accepted
-        pictures.append(
-            Picture(
-                f"difference-{evaluation.name}",
-                plots.difference_picture(
-                    evaluation.difference, evaluation.resolution, evaluation.origin
-                ),
-                f"{evaluation.name} against {evaluation.truth}",
-                f"Error {evaluation.error:.2f}."
-                if is_placed or alignment is None
-                else f"Error {evaluation.error:.2f} at best: not aligned. {alignment.reason}",
-                tone="plain" if is_placed else "bad",
-                badge="" if is_placed else "not aligned",
-                legend=legend,
-            )
-        )
+    pictures = [difference_picture(*pair) for pair in zip(evaluations, placed, strict=True)]
     return Section(
         "Error against the truth",
-        "errors",
         "Each map on the lattice of the truth, over the truth's known box. The error is that of "
         "Fernandes and Alexandre 2016: the root of the summed squared differences with unknown -1, "
         "free 0 and wall 1.",
         pictures=pictures,
-        tables=[_error_table(evaluations, placed), _face_table(evaluations)],
+        tables=[
+            _error_table(
+                "Errors",
+                evaluations,
+                shown_figures,
+                f"Walls count as right or found within {evaluations[0].tolerance_m:g} m. Distances "
+                "are means from each wall cell to the nearest one of the other map.",
+                placed,
+            ),
+            _error_table(
+                "Faces of walls",
+                evaluations,
+                face_figures,
+                "Faces are wall cells that share a side with a free cell. Outside is the area that "
+                "the map knows beyond the truth's outline.",
+                placed,
+            ),
+        ],
     )
 
 
-def _error_table(evaluations: Sequence[MapError], alignments: Sequence[Alignment | None]) -> Table:
-    """Return all measures with the best of each column marked."""
-    heads, rows = _figures(evaluations, list(map(shown_figures, evaluations)))
+def difference_picture(evaluation: MapError, alignment: Alignment | None) -> Picture:
+    """Return where a map differs from the truth; an alignment that was rejected is marked."""
+    is_placed = alignment is None or alignment.accepted
+    caption = f"Error {evaluation.error:.2f}."
+    if alignment is not None and not is_placed:
+        caption = f"Error {evaluation.error:.2f} at best: not aligned. {alignment.reason}"
+    colours = plots.DIFFERENCE_COLOURS.items()
+    return Picture(
+        f"difference-{evaluation.name}",
+        plots.difference_picture(evaluation.difference, evaluation.resolution, evaluation.origin),
+        f"{evaluation.name} against {evaluation.truth}",
+        caption,
+        tone="plain" if is_placed else "bad",
+        badge="" if is_placed else "not aligned",
+        legend=tuple(
+            LegendEntry(*entry) for code, entry in colours if (evaluation.difference == code).any()
+        ),
+    )
+
+
+def _error_table(
+    title: str,
+    evaluations: Sequence[MapError],
+    figures_of: Callable[[MapError], Sequence[tuple[Figure, float | None]]],
+    note: str,
+    alignments: Sequence[Alignment | None],
+) -> Table:
+    """Return measures, a row for each map; the best of each column is marked."""
+    heads, rows = ["map"], [[Cell(item.name)] for item in evaluations]
     for row, alignment in zip(rows, alignments, strict=True):
         if alignment is not None and not alignment.accepted:
             row[0] = Cell(f"{row[0].text} (not aligned)", "bad")
-    tolerance = evaluations[0].tolerance_m if evaluations else 0.0
-    return Table(
-        "Errors",
-        heads,
-        rows,
-        f"Walls count as right or found within {tolerance:g} m. Distances are means from each wall "
-        "cell to the nearest one of the other map. The best of each column is green.",
-    )
-
-
-def _face_table(evaluations: Sequence[MapError]) -> Table:
-    """Return the measures that reward no thickness with the best of each column marked."""
-    return Table(
-        "Faces of walls",
-        *_figures(evaluations, list(map(face_figures, evaluations))),
-        "Faces are the wall cells that share a side with a free cell, so what is filled behind a "
-        "wall counts for nothing. Outside is the area that the map knows beyond the truth's "
-        "outline. The best of each column is green.",
-    )
-
-
-def _figures(
-    evaluations: Sequence[MapError], figures: Sequence[Sequence[tuple[Figure, float | None]]]
-) -> tuple[list[str], list[list[Cell]]]:
-    """Return the headings and a row of figures for each map, the best of each column marked."""
-    heads, rows = ["map"], [[Cell(item.name)] for item in evaluations]
-    for column in zip(*figures, strict=True):
+    for column in zip(*map(figures_of, evaluations), strict=True):
         figure, values = column[0][0], [value for _, value in column]
         defined = [value for value in values if value is not None]
         best = None
@@ -331,7 +329,7 @@ def _figures(
         for row, value in zip(rows, values, strict=True):
             tone = "best" if value == best is not None else "plain"
             row.append(number(value, figure.digits, tone))
-    return heads, rows
+    return Table(title, heads, rows, f"{note} The best of each column is green.")
 
 
 def _common_box(

@@ -11,18 +11,19 @@ import platform
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from operator import itemgetter
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import jinja2
 import yaml
 from markupsafe import Markup
+from matplotlib.figure import Figure  # noqa: TID251
 
 from slamfusion.config import PICTURE_FORMS, RunConfig, to_mapping
 from slamfusion.io.files import AtomicFiles
-from slamfusion.palette import Rgb
-from slamfusion.report.canvas import in_form
+from slamfusion.report.canvas import LegendEntry, add_lettering, to_form
 from slamfusion.report.layers import Layers
 from slamfusion.version import __version__, version_of, versions
 from slamfusion.viewer.front import bundled, front_end
@@ -31,42 +32,39 @@ T = TypeVar("T")
 
 _STEM_CHARACTERS = re.compile(r"[^A-Za-z0-9_-]+")
 _STEM_LENGTH = 40
+# Facts that are cards at the top.
+CARDS = 4
 
 
-@dataclass(frozen=True)
-class LegendEntry:
-    """One colour of a picture and its meaning."""
-
-    text: str
-    rgb: Rgb
-
-    @property
-    def css(self) -> str:
-        """The colour as CSS."""
-        return "rgb({}, {}, {})".format(*self.rgb)
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Picture:
-    """A picture with its caption.
+    """A figure with its caption; title and legend are drawn into the figure.
 
     Attributes:
         stem: start of the file name; anything that is not a plain character is replaced.
-        png: the file's bytes.
-        title: first line of the caption, also the text for who cannot see the picture.
+        figure: what is drawn.
+        title: also the text for who cannot see the picture.
         caption: what to see in it.
         tone: ``plain``, or framed as ``good`` or ``bad``.
-        badge: a word beside the title, e.g. ``rejected``.
+        badge: a word next to the caption, e.g. ``rejected``.
         legend: colours used.
     """
 
     stem: str
-    png: bytes
+    figure: Figure
     title: str
     caption: str = ""
     tone: str = "plain"
     badge: str = ""
     legend: tuple[LegendEntry, ...] = ()
+
+    def __post_init__(self) -> None:
+        add_lettering(self.figure, self.title, self.legend)
+
+    @cached_property
+    def png(self) -> bytes:
+        """The picture as it is on the page."""
+        return to_form(self.figure, "png")
 
     @property
     def data_uri(self) -> str:
@@ -139,13 +137,12 @@ class Fact:
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the page: text, layers, pictures, tables and preformatted text, in this order.
+    """A part of the page: text, layers, pictures, tables and a folded text, in this order.
 
     One section of a page has layers, no more.
     """
 
     title: str
-    anchor: str
     text: str = ""
     pictures: Sequence[Picture] = ()
     tables: Sequence[Table] = ()
@@ -164,7 +161,10 @@ class Banner:
 
 @dataclass(frozen=True)
 class Page:
-    """A whole report, which ends with the settings in effect and the device, in words."""
+    """A whole report, which ends with the settings in effect and the device, in words.
+
+    The first ``CARDS`` of the facts are cards; the others stand in a table at the end.
+    """
 
     title: str
     banner: Banner
@@ -186,27 +186,49 @@ def _cell(value: Cell | str | int) -> Cell:
     return value if isinstance(value, Cell) else Cell(str(value), is_number=isinstance(value, int))
 
 
-def _circumstances(config: RunConfig, device: str) -> Section:
-    """Return the effective configuration and the versions that a result came from."""
+def _circumstances(page: Page) -> Section:
+    """Return further facts, the versions, and the settings: those changed, and folded all."""
     found = {
         **versions(),
         "matplotlib": version_of("matplotlib"),
         "platform": f"{platform.system()} {platform.machine()}",
-        "device": device or "not named",
+        "device": page.device or "not named",
     }
+    settings, defaults = to_mapping(page.config), _flat(to_mapping(RunConfig()))
+    changed = [(key, value) for key, value in _flat(settings).items() if value != defaults.get(key)]
+    facts = Table.of(
+        "Further figures",
+        page.facts[CARDS:],
+        {"what": lambda own: own.label, "value": lambda own: Cell(own.value, own.tone)},
+    )
+    tables = [
+        Table.of(
+            "Settings that differ from the defaults",
+            changed or [("none", "all settings have their defaults")],
+            {"setting": itemgetter(0), "value": lambda item: str(item[1])},
+        ),
+        Table.of(
+            "Versions",
+            found.items(),
+            {"what": itemgetter(0), "version": lambda item: item[1] or "not installed"},
+            folded=True,
+        ),
+    ]
     return Section(
         "How it was made",
-        "circumstances",
-        "The effective configuration: with it and the same inputs, the same result comes out.",
-        tables=[
-            Table.of(
-                "Versions",
-                found.items(),
-                {"what": itemgetter(0), "version": lambda item: item[1] or "not installed"},
-            )
-        ],
-        code=yaml.safe_dump(to_mapping(config), sort_keys=False, allow_unicode=True),
+        "The same settings and inputs give the same result.",
+        tables=[facts, *tables] if facts.rows else tables,
+        code=yaml.safe_dump(settings, sort_keys=False, allow_unicode=True),
     )
+
+
+def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return nested settings by dotted names."""
+    found: dict[str, Any] = {}
+    for key, value in settings.items():
+        is_group = isinstance(value, Mapping) and value
+        found |= _flat(value, f"{prefix}{key}.") if is_group else {f"{prefix}{key}": value}
+    return found
 
 
 def write_page(page: Page, directory: str | Path, files: AtomicFiles | None = None) -> Path:
@@ -227,7 +249,7 @@ def write_page(page: Page, directory: str | Path, files: AtomicFiles | None = No
         SlamFusionError: the directory cannot be written; one line with the reason.
     """
     directory = Path(directory)
-    sections = [*page.sections, _circumstances(page.config, page.device)]
+    sections = [*page.sections, _circumstances(page)]
     pictures = [picture for section in sections for picture in section.pictures]
     numbers = {id(picture): index for index, picture in enumerate(pictures, start=1)}
     names = {
@@ -237,8 +259,9 @@ def write_page(page: Page, directory: str | Path, files: AtomicFiles | None = No
     has_layers = any(section.layers and section.layers.recorded for section in sections)
     html = _template().render(
         page=page,
+        cards=page.facts[:CARDS],
         sections=sections,
-        script=_script() if has_layers else "",
+        script=_script() if has_layers else {},
         names=names,
         numbers=numbers,
         identity=id,
@@ -248,9 +271,12 @@ def write_page(page: Page, directory: str | Path, files: AtomicFiles | None = No
     path = directory / "report.html"
     earlier = set(directory.glob("[0-9][0-9]-*.*")) if path.exists() else set()
     beside = {
-        (directory / names[id(picture)]).with_suffix(f".{form}"): in_form(picture.png, form)
+        (directory / names[id(picture)]).with_suffix(f".{form}"): data
         for picture in pictures
-        for form in ("png", *page.config.report.pictures)
+        for form, data in (
+            ("png", picture.png),
+            *((form, to_form(picture.figure, form)) for form in page.config.report.pictures),
+        )
     }
     with contextlib.nullcontext(files) if files is not None else AtomicFiles() as whole:
         for picture_path, data in beside.items():
@@ -262,19 +288,11 @@ def write_page(page: Page, directory: str | Path, files: AtomicFiles | None = No
     return path
 
 
-@dataclass(frozen=True)
-class _Script:
-    """The one script of a page, and what its policy knows it by."""
-
-    text: Markup
-    sha256: str
-
-
-def _script() -> _Script:
-    """Return the front end of the maps, which no other script may join."""
+def _script() -> dict[str, str]:
+    """Return the front end of the maps and its digest; the page's policy allows no other script."""
     text = bundled(_own_file("report.js"))
     digest = hashlib.sha256(text.encode()).digest()
-    return _Script(Markup(text), base64.b64encode(digest).decode("ascii"))  # noqa: S704 - ours
+    return {"text": Markup(text), "sha256": base64.b64encode(digest).decode("ascii")}  # noqa: S704
 
 
 def _template() -> jinja2.Template:

@@ -15,23 +15,13 @@ from matplotlib.axes import Axes  # noqa: TID251
 from matplotlib.collections import LineCollection  # noqa: TID251
 from matplotlib.colors import Colormap, LinearSegmentedColormap, Normalize  # noqa: TID251
 from matplotlib.figure import Figure  # noqa: TID251
-from matplotlib.ticker import FuncFormatter  # noqa: TID251
 
 from slamfusion.config import NormalizeConfig
-from slamfusion.evaluation import REVISIT_S, RelationErrors, TrajectoryErrors
 from slamfusion.fusion.path_check import moved_path
 from slamfusion.geometry import compose_poses
 from slamfusion.grid import OccupancyGrid
-from slamfusion.palette import DISAGREEMENT_RGB, INK_RGB, NAMED, Rgb, colours_of
-from slamfusion.report.canvas import (
-    DPI,
-    INK,
-    WIDTH_IN,
-    style_axes,
-    to_png,
-    unit_rgb,
-    write_note,
-)
+from slamfusion.palette import DISAGREEMENT_RGB, NAMED, Rgb, colours_of
+from slamfusion.report.canvas import INK, SMALL_PT, LegendEntry, unit_rgb
 from slamfusion.report.map_axes import (
     draw_grid,
     draw_marks,
@@ -40,8 +30,7 @@ from slamfusion.report.map_axes import (
     mark_legend,
     path_extent,
 )
-from slamfusion.report.page import LegendEntry, Picture
-from slamfusion.report.series import thinned
+from slamfusion.report.page import Picture
 from slamfusion.slam.common.mapper import Closure
 from slamfusion.trajectory import Trajectory
 
@@ -57,8 +46,6 @@ _DRIFT_SHARE = 0.25
 # The other paths are drawn faintly; those that lie on each other add up.
 _OTHERS_OPACITY = 0.35
 _OTHERS_POINTS = 400_000
-# Errors below this are drawn here: a logarithmic axis has no zero.
-_LEAST_M, _LEAST_DEG = 1e-4, 1e-3
 
 
 def laid_on_start(odometry: Trajectory, path: Trajectory) -> Trajectory:
@@ -73,7 +60,7 @@ def path_picture(
     grid: OccupancyGrid | None = None,
     normalize: NormalizeConfig = _NORMALIZE,
     values: npt.NDArray[np.float64] | None = None,
-) -> bytes:
+) -> Figure:
     """Draw a path over the map that it belongs to, coloured by time or by an error.
 
     Args:
@@ -87,11 +74,11 @@ def path_picture(
     if grid is not None:
         extent = extent.grown(grid_extent(grid, normalize))
     if values is None:
-        label = "seconds since the start"
+        label = "time since the start [s]"
         shown = trajectory.stamps_s - trajectory.stamps_s[0]
         colours = _part(colormaps["plasma"], _TIME_SPAN)
     else:
-        label, shown = "error in m", np.asarray(values, dtype=np.float64)
+        label, shown = "error [m]", np.asarray(values, dtype=np.float64)
         colours = _part(colormaps["YlOrRd"], _ERROR_SPAN)
     figure, axes = map_axes(extent, bar=True)
     if grid is not None:
@@ -111,10 +98,10 @@ def path_picture(
     box = axes.get_position()
     strip = figure.add_axes((box.x1 + 0.025, box.y0, 0.022, box.height))
     bar = figure.colorbar(lines, cax=strip)
-    bar.set_label(label, color=INK, fontsize=7.5)
+    bar.set_label(label, color=INK, fontsize=SMALL_PT)
     bar.outline.set_edgecolor(INK)
-    strip.tick_params(colors=INK, labelsize=7.5, width=0.7, length=3)
-    return to_png(figure)
+    strip.tick_params(colors=INK, labelsize=SMALL_PT, width=0.7, length=3)
+    return figure
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +147,7 @@ def paths_picture(
     others: Sequence[Trajectory] = (),
     grid: OccupancyGrid | None = None,
     normalize: NormalizeConfig = _NORMALIZE,
-) -> bytes:
+) -> Figure:
     """Draw several paths of one drive over each other.
 
     Args:
@@ -192,7 +179,7 @@ def paths_picture(
             scaley=False,
         )
     draw_marks(axes, marked.poses)
-    return to_png(figure)
+    return figure
 
 
 def paths_legend(
@@ -206,88 +193,7 @@ def paths_legend(
     return (*entries, *mark_legend())
 
 
-def error_picture(errors: TrajectoryErrors, colour: Rgb) -> bytes:
-    """Draw the absolute errors over travelled metres: of the place above, of the heading below.
-
-    Args:
-        errors: of a path.
-        colour: of the path.
-    """
-    figure, (upper, lower) = _stacked()
-    travelled = errors.travelled_m
-    for axes, values, label in (
-        (upper, errors.translation_m, "error in m"),
-        (lower, np.rad2deg(errors.rotation_rad), "error in degrees"),
-    ):
-        x, y = thinned(travelled, values)
-        axes.fill_between(x, y, color=unit_rgb(colour), alpha=0.16, lw=0)
-        axes.plot(x, y, color=unit_rgb(colour), lw=1.0)
-        rmse = float(np.sqrt(np.mean(values**2)))
-        axes.axhline(rmse, color=INK, lw=0.8, ls=":")
-        write_note(axes, f"root mean square {rmse:.3g}")
-        axes.set_ylabel(label, color=INK, fontsize=7.5)
-        axes.set_ylim(0.0, 1.08 * float(values.max()) + 1e-9)
-        axes.margins(x=0)
-        style_axes(axes)
-    lower.set_xlabel("travelled metres", color=INK, fontsize=7.5)
-    return to_png(figure)
-
-
-def relations_picture(errors: RelationErrors) -> bytes:
-    """Draw what is left of each relation over time, revisits marked, on logarithmic axes."""
-    figure, (upper, lower) = _stacked()
-    since = errors.stamps_s.min(axis=1)
-    since = since - since.min()
-    revisit = errors.is_revisit()
-    for axes, values, least, label in (
-        (upper, errors.translation_m, _LEAST_M, "error in m"),
-        (lower, np.rad2deg(errors.rotation_rad), _LEAST_DEG, "error in degrees"),
-    ):
-        shown = np.maximum(values, least)
-        style_axes(axes)
-        axes.set_yscale("log")
-        axes.minorticks_off()
-        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        for chosen, colour, marker, size in (
-            (~revisit, INK_RGB, "o", 3.0),
-            (revisit, DISAGREEMENT_RGB, "D", 5.0),
-        ):
-            axes.scatter(
-                since[chosen],
-                shown[chosen],
-                s=size,
-                marker=marker,
-                color=unit_rgb(colour),
-                alpha=0.75,
-                linewidths=0,
-            )
-        mean = max(float(values.mean()), least)
-        axes.axhline(mean, color=INK, lw=0.8, ls=":")
-        write_note(axes, f"mean {values.mean():.3g}")
-        axes.set_ylabel(label, color=INK, fontsize=7.5)
-        axes.set_ylim(shown.min() / 1.6, shown.max() * 1.8)
-    lower.set_xlabel("seconds since the first relation", color=INK, fontsize=7.5)
-    return to_png(figure)
-
-
-def revisit_legend() -> tuple[LegendEntry, ...]:
-    """Return what the colours of ``relations_picture`` mean."""
-    return (
-        LegendEntry("moments of one visit", INK_RGB),
-        LegendEntry(f"revisit, over {REVISIT_S:g} s apart", DISAGREEMENT_RGB),
-    )
-
-
 # --- parts ---------------------------------------------------------------------------------------
-
-
-def _stacked() -> tuple[Figure, Sequence[Axes]]:
-    """Return two axes above each other with one x axis."""
-    figure = Figure(figsize=(WIDTH_IN, 3.2), dpi=DPI)
-    upper = figure.add_axes((0.155, 0.57, 0.825, 0.37))
-    lower = figure.add_axes((0.155, 0.125, 0.825, 0.37), sharex=upper)
-    upper.tick_params(labelbottom=False)
-    return figure, (upper, lower)
 
 
 def _others_rgb(name: str) -> Rgb:
@@ -332,7 +238,7 @@ def closures_picture(
     grid: OccupancyGrid,
     normalize: NormalizeConfig,
     colours: Sequence[Rgb],
-) -> bytes:
+) -> Figure:
     """Draw a path, a dot where a closure was found, a line to where that has the robot.
 
     Args:
@@ -373,7 +279,7 @@ def closures_picture(
             scaley=False,
         )
     draw_marks(axes, path.poses)
-    return to_png(figure)
+    return figure
 
 
 def closure_pictures(

@@ -1,4 +1,4 @@
-"""The pictures of maps, each as the bytes of a PNG file; see ``canvas`` for their look."""
+"""The figures of maps; see ``canvas`` for their look."""
 
 from __future__ import annotations
 
@@ -35,15 +35,15 @@ from slamfusion.palette import (
     Rgb,
 )
 from slamfusion.report.canvas import (
-    DPI,
     INK,
-    WIDTH_IN,
+    SMALL_PT,
     Classes,
+    LegendEntry,
     crop_box,
     cut_cells,
+    label_axes,
     pool_cells,
-    style_axes,
-    to_png,
+    stacked_axes,
     unit_rgb,
 )
 from slamfusion.report.map_axes import cells_extent, draw_cells, map_axes
@@ -59,13 +59,19 @@ DIFFERENCE_COLOURS: dict[int, tuple[str, Rgb]] = {
     MISSING_WALL: ("missing wall", MISSING_WALL_RGB),
 }
 
+MAP_LEGEND = (
+    LegendEntry("wall", WALL_RGB),
+    LegendEntry("free", FREE_RGB),
+    LegendEntry("unknown", UNKNOWN_RGB),
+)
+
 # Share of votes for the winner: white for all, through yellow to red for hardly any.
 _AGREEMENT_MAP = "YlOrRd"
 
 
 def map_picture(
     cells: Classes, resolution: float, origin: Pose2, box: CellBox | None = None
-) -> bytes:
+) -> Figure:
     """Draw one map: walls dark, free white, unknown grey; cropped to what is known.
 
     Args:
@@ -74,7 +80,7 @@ def map_picture(
         origin: pose of the lower-left corner of cell [0, 0]; its yaw turns the picture.
         box: cells to show; default: what is known, with a small margin.
     """
-    return _codes_png(cells, (UNKNOWN_RGB, FREE_RGB, WALL_RGB), resolution, origin, box)
+    return _codes_figure(cells, (UNKNOWN_RGB, FREE_RGB, WALL_RGB), resolution, origin, box)
 
 
 def overlay_picture(
@@ -83,7 +89,7 @@ def overlay_picture(
     resolution: float,
     origin: Pose2,
     box: CellBox | None = None,
-) -> bytes:
+) -> Figure:
     """Lay the walls of several maps over each other; see ``overlay_rgb``.
 
     Args:
@@ -95,7 +101,7 @@ def overlay_picture(
     box = box or crop_box(np.any([layer != -1 for layer in stack], axis=0))
     pooled = [pool_cells(cut_cells(layer, box), origin) for layer in stack]
     rgb = overlay_rgb([classes for classes, _ in pooled], colours)
-    return _map_png(rgb, pooled[0][1] * resolution, box_origin(origin, resolution, box))
+    return _map_figure(rgb, pooled[0][1] * resolution, box_origin(origin, resolution, box))
 
 
 def overlay_rgb(layers: Sequence[Classes], colours: Sequence[Rgb]) -> npt.NDArray[np.uint8]:
@@ -120,7 +126,7 @@ def overlay_rgb(layers: Sequence[Classes], colours: Sequence[Rgb]) -> npt.NDArra
 
 def agreement_picture(
     agreement: Classes, resolution: float, origin: Pose2, box: CellBox | None = None
-) -> bytes:
+) -> Figure:
     """Draw the share of votes for the winner of each cell, light where all agree.
 
     Args:
@@ -130,7 +136,7 @@ def agreement_picture(
     # The worst cell of a block counts: disagreement must not vanish in a small picture.
     disagreement = np.where(agreement < 0, -1, 100 - agreement.astype(np.int16)).astype(np.int8)
     colours = [UNKNOWN_RGB, *(agreement_colour(100 - step) for step in range(101))]
-    return _codes_png(disagreement, colours, resolution, origin, box)
+    return _codes_figure(disagreement, colours, resolution, origin, box)
 
 
 def dissent_picture(
@@ -140,7 +146,7 @@ def dissent_picture(
     origin: Pose2,
     *,
     box: CellBox | None = None,
-) -> bytes:
+) -> Figure:
     """Draw where one input was outvoted, over a faint fused map.
 
     Args:
@@ -150,10 +156,10 @@ def dissent_picture(
     """
     codes = np.where(dissent, np.int8(2), fused)
     colours = (UNKNOWN_RGB, FREE_RGB, AGREED_WALL_RGB, DISAGREEMENT_RGB)
-    return _codes_png(codes, colours, resolution, origin, box)
+    return _codes_figure(codes, colours, resolution, origin, box)
 
 
-def difference_picture(difference: Classes, resolution: float, origin: Pose2) -> bytes:
+def difference_picture(difference: Classes, resolution: float, origin: Pose2) -> Figure:
     """Draw the difference to the truth in the colours of ``DIFFERENCE_COLOURS``.
 
     Args:
@@ -165,10 +171,10 @@ def difference_picture(difference: Classes, resolution: float, origin: Pose2) ->
     rank[order] = np.arange(len(order), dtype=np.int8)
     colours = [colour for _, colour in DIFFERENCE_COLOURS.values()]
     whole = CellBox(0, 0, *difference.shape)
-    return _codes_png(rank[difference] - np.int8(1), colours, resolution, origin, whole)
+    return _codes_figure(rank[difference] - np.int8(1), colours, resolution, origin, whole)
 
 
-def yaw_picture(alignment: Alignment) -> bytes:
+def yaw_picture(alignment: Alignment) -> Figure:
     """Draw the best coarse score over yaw, with the answer and its rival marked.
 
     A single sharp peak is a place that looks like itself under one yaw only.
@@ -180,45 +186,31 @@ def yaw_picture(alignment: Alignment) -> bytes:
     order = np.argsort(profile[:, 0])
     yaw_deg, score = np.rad2deg(profile[order, 0]), profile[order, 1]
 
-    figure = Figure(figsize=(WIDTH_IN, 2.1), dpi=DPI)
-    axes = figure.add_axes((0.125, 0.21, 0.85, 0.65))
+    figure, (axes,) = stacked_axes(1, 1.5)
     axes.fill_between(yaw_deg, score, min(0.0, float(score.min())), color=INK, alpha=0.16, lw=0)
     axes.plot(yaw_deg, score, color=INK, lw=1.1)
-    marks = [(alignment.transform, "answer", unit_rgb(WALL_RGB), "o")]
+    marks = [(alignment.transform, "answer", WALL_RGB, "o")]
     if alignment.runner_up is not None:
         ratio = f"runner-up, {alignment.runner_up.ratio:.2f} of it"
-        marks.append((alignment.runner_up.transform, ratio, unit_rgb(DISAGREEMENT_RGB), "D"))
-    for pose, label, colour, marker in marks:
+        marks.append((alignment.runner_up.transform, ratio, DISAGREEMENT_RGB, "D"))
+    for pose, label, rgb, marker in marks:
         angle = math.degrees(math.remainder(pose.yaw_rad, 2 * math.pi))
+        look = {"color": unit_rgb(rgb), "marker": marker, "ms": 5, "ls": "none"}
+        axes.axvline(angle, color=unit_rgb(rgb), lw=1.0, ls=":")
         height = float(np.interp(angle, yaw_deg, score))
-        axes.axvline(angle, color=colour, lw=1.0, ls=":")
-        axes.plot(
-            [angle],
-            [height],
-            marker=marker,
-            color=colour,
-            ms=5,
-            ls="none",
-            label=f"{label} ({angle:.1f}°)",
-        )
-    axes.set_xlabel("yaw in degrees", color=INK, fontsize=7.5)
-    axes.set_ylabel("coarse score", color=INK, fontsize=7.5)
+        axes.plot([angle], [height], label=f"{label} ({angle:.1f}°)", **look)
+    label_axes(axes, x="yaw [°]", y="coarse score")
     axes.margins(x=0)
-    axes.set_ylim(top=float(score.max()) * 1.08 + 1e-9)
-    axes.legend(
-        loc="lower left",
-        bbox_to_anchor=(0, 1.0),
-        ncols=2,
-        frameon=False,
-        fontsize=7.5,
-        labelcolor=INK,
-        borderaxespad=0.2,
-        handletextpad=0.3,
-    )
+    axes.set_ylim(top=float(score.max()) * 1.35 + 1e-9)
+    axes.legend(loc="upper left", ncols=2, frameon=False, fontsize=SMALL_PT, labelcolor=INK)
     if yaw_deg[-1] - yaw_deg[0] > 300:
         axes.set_xticks(range(-180, 181, 45))
-    style_axes(axes)
-    return to_png(figure)
+    return figure
+
+
+def agreement_legend() -> tuple[LegendEntry, ...]:
+    """Return the colours of some shares of votes."""
+    return tuple(LegendEntry(f"{share} %", agreement_colour(share)) for share in (100, 75, 50, 25))
 
 
 def agreement_colour(percent: int) -> Rgb:
@@ -229,22 +221,22 @@ def agreement_colour(percent: int) -> Rgb:
     return round(255 * r), round(255 * g), round(255 * b)
 
 
-def _codes_png(
+def _codes_figure(
     codes: Classes,
     colours: Sequence[Rgb],
     resolution: float,
     origin: Pose2,
     box: CellBox | None,
-) -> bytes:
+) -> Figure:
     """Draw cells by their codes, from -1 on; of a block of cells the largest code shows."""
     box = box or crop_box(codes != -1)
     pooled, factor = pool_cells(cut_cells(codes, box), origin)
     rgb = np.array(colours, dtype=np.uint8)[pooled.astype(np.int16) + 1]
-    return _map_png(rgb, factor * resolution, box_origin(origin, resolution, box))
+    return _map_figure(rgb, factor * resolution, box_origin(origin, resolution, box))
 
 
-def _map_png(rgb: npt.NDArray[np.uint8], resolution: float, corner: Pose2) -> bytes:
+def _map_figure(rgb: npt.NDArray[np.uint8], resolution: float, corner: Pose2) -> Figure:
     """Return the picture of an image of cells; see ``draw_cells``."""
     figure, axes = map_axes(cells_extent(rgb.shape, resolution, corner), margin_m=0.0)
     draw_cells(axes, rgb, resolution, corner)
-    return to_png(figure)
+    return figure

@@ -1,4 +1,4 @@
-"""The picture of a producer's own quantities over the time of its run."""
+"""The figure of quantities over the time of a drive."""
 
 from __future__ import annotations
 
@@ -8,21 +8,10 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure  # noqa: TID251
 
-from slamfusion.palette import Rgb
-from slamfusion.report.canvas import (
-    DPI,
-    INK,
-    WIDTH_IN,
-    plain_text,
-    style_axes,
-    to_png,
-    unit_rgb,
-    write_note,
-)
+from slamfusion.palette import INK_RGB, Rgb
+from slamfusion.report.canvas import INK, label_axes, stacked_axes, unit_rgb, write_note
 from slamfusion.slam.common.mapper import Series
 
-# Heights of one pair of axes, of the name above it, and of the lettering below the last.
-_AXES_IN, _HEAD_IN, _FOOT_IN = 1.05, 0.25, 0.4
 # Half the columns of a picture: each shows the least and the greatest of what falls on it.
 _COLUMNS = 400
 _SHADE = 0.25
@@ -51,68 +40,52 @@ def broken(
 def series_picture(
     series: Sequence[Series],
     *,
-    colour: Rgb | None = None,
+    colours: Sequence[Rgb] = (),
     start_s: float | None = None,
     shaded: Mapping[str, Sequence[tuple[float, float]]] | None = None,
-) -> bytes:
-    """Draw quantities over time, one pair of axes above the other on one axis of time.
+) -> Figure:
+    """Draw quantities over time, axes above each other; series of one name share axes.
 
-    A limit is a dotted line, said in words beside the name. What is not finite leaves a gap.
+    A limit is a dotted line. A value that is not finite leaves a gap.
 
     Args:
-        series: at least one of them ``drawable``; the others are left out.
-        colour: of the lines; default: that of a quantity of no one path.
-        start_s: stamp that counts as 0 s, where the axis of time begins; default: the earliest of
-            all series.
+        series: at least one, each ``drawable``.
+        colours: of the line of each series; default: the same for all.
+        start_s: stamp that counts as 0 s; default: the earliest of all series.
         shaded: times that are shaded behind the line of a series, by its name: two stamps each.
-
-    Returns:
-        The bytes of a PNG file.
     """
-    shown = drawable(series)
-    if not shown:
-        message = "none of the series has a value to draw"
-        raise ValueError(message)
-    first_s = min(float(item.stamps_s[0]) for item in shown)
+    first_s = min(float(item.stamps_s[0]) for item in series)
     begin = first_s if start_s is None else start_s
-    end_s = max(float(item.stamps_s[-1]) for item in shown) - begin
+    end_s = max(float(item.stamps_s[-1]) for item in series) - begin
     from_s = min(0.0, first_s - begin)
     room_s = 0.01 * (end_s - from_s) or 1.0
-    row_in = _HEAD_IN + _AXES_IN
-    tall_in = len(shown) * row_in + _FOOT_IN
-    figure = Figure(figsize=(WIDTH_IN, tall_in), dpi=DPI)
-    first = None
-    drawn = INK if colour is None else unit_rgb(colour)
-    for row, item in enumerate(shown):
-        bottom_in = _FOOT_IN + row_in * (len(shown) - 1 - row)
-        box = (0.155, bottom_in / tall_in, 0.825, _AXES_IN / tall_in)
-        axes = figure.add_axes(box, sharex=first)
-        first = first or axes
+    names = list(dict.fromkeys(item.name for item in series))
+    figure, axes = stacked_axes(len(names), 1.05)
+    for item, colour in zip(series, colours or [INK_RGB] * len(series), strict=True):
+        place, drawn = axes[names.index(item.name)], unit_rgb(colour)
         since, values = thinned(item.stamps_s - begin, item.values)
         marker = "o" if len(values) <= _FEW else ""  # one value alone makes no line
-        axes.plot(since, values, color=drawn, lw=0.9, marker=marker, ms=2.0)
+        place.plot(since, values, color=drawn, lw=0.9, marker=marker, ms=2.0)
         for one_s, other_s in (shaded or {}).get(item.name, ()):
-            axes.axvspan(one_s - begin, other_s - begin, color=INK, alpha=_SHADE, lw=0)
+            place.axvspan(one_s - begin, other_s - begin, color=INK, alpha=_SHADE, lw=0)
         if item.limit is not None:
-            axes.axhline(item.limit, color=INK, lw=0.8, ls=":")
-            write_note(axes, f"limit {item.limit:.4g}")
-        axes.set_title(plain_text(item.name), loc="left", color=INK, fontsize=7.5, pad=3)
-        axes.set_ylabel(plain_text(item.unit), color=INK, fontsize=7.5)
-        axes.set_ylim(*_span(item))
-        axes.set_xlim(from_s - room_s, end_s + room_s)
-        style_axes(axes)
-        axes.tick_params(labelbottom=row == len(shown) - 1)
-    axes.set_xlabel("seconds since the start", color=INK, fontsize=7.5)
-    return to_png(figure)
+            place.axhline(item.limit, color=drawn, lw=0.8, ls=":")
+            write_note(place, f"limit {item.limit:.4g}" if len(series) == len(names) else "")
+    for place, name in zip(axes, names, strict=True):
+        own = [item for item in series if item.name == name]
+        unit = own[0].unit
+        label_axes(place, name, y=f"[{unit}]" if unit else "")
+        place.set_ylim(*_span(own))
+        place.set_xlim(from_s - room_s, end_s + room_s)
+    label_axes(axes[-1], x="time since the start [s]")
+    return figure
 
 
-def _span(item: Series) -> tuple[float, float]:
-    """Return the limits of the y axis: from 0 where nothing is negative, the limit in sight."""
-    values = item.values[np.isfinite(item.values)]
-    low, high = float(values.min()), float(values.max())
-    if item.limit is not None:
-        low, high = min(low, item.limit), max(high, item.limit)
-    low = min(low, 0.0)
+def _span(series: Sequence[Series]) -> tuple[float, float]:
+    """Return the limits of the y axis: from 0 unless a value is negative, the limits in sight."""
+    values = np.concatenate([item.values[np.isfinite(item.values)] for item in series])
+    limits = [item.limit for item in series if item.limit is not None]
+    low, high = min([0.0, *limits, float(values.min())]), max([*limits, float(values.max())])
     room = 0.06 * (high - low) or 1.0
     return low - (room if low < 0.0 else 0.0), high + room
 

@@ -9,7 +9,7 @@ from slamfusion.config import RunConfig
 from slamfusion.evaluation import RelationErrors, trajectory_errors
 from slamfusion.io.files import AtomicFiles
 from slamfusion.palette import colours_of
-from slamfusion.report import paths
+from slamfusion.report.errors import MeasuredPath, error_facts, errors_section
 from slamfusion.report.layers import map_layers
 from slamfusion.report.maps import input_picture, statistics_table
 from slamfusion.report.page import (
@@ -23,12 +23,7 @@ from slamfusion.report.page import (
 )
 from slamfusion.report.paths import closure_pictures
 from slamfusion.report.series import drawable, series_picture
-from slamfusion.report.trajectory_report import (
-    error_facts,
-    path_pictures,
-    relations_section,
-    truth_section,
-)
+from slamfusion.report.trajectory_report import path_pictures
 from slamfusion.slam.common.runner import ProducerRun
 from slamfusion.trajectory import Trajectory
 
@@ -68,9 +63,14 @@ def write_slam_report(
     pictures = [
         input_picture(grid, normalize),
         *path_pictures(
-            trajectory, config=config, grid=grid, errors=errors, truth=truth, odometry=run.odometry
+            trajectory,
+            config=config,
+            grid=grid,
+            errors=errors,
+            truth=truth,
+            odometry=run.odometry,
+            others=run.other_paths,
         ),
-        *_other_paths_pictures(run, config),
         *closure_pictures(
             trajectory,
             run.other_paths[0] if run.other_paths else None,
@@ -81,41 +81,20 @@ def write_slam_report(
     ]
     tables_of_map = [statistics_table([grid], normalize)]
     layers = map_layers(grid, trajectory)
-    sections = [Section("Map and path", "map-and-path", "", pictures, tables_of_map, layers=layers)]
-    if errors is not None:
-        sections.append(truth_section(errors, config=config, grid=grid))
-    if relations is not None:
-        sections.append(relations_section(relations))
+    sections = [Section("Map and path", "", pictures, tables_of_map, layers=layers)]
+    measured = MeasuredPath(run.name, trajectory, errors, relations)
+    sections += errors_section([measured], colours_of([run.name]))
     over_time = _series_pictures(run)
     if tables or over_time:
-        health = Section("Health and time", "health", pictures=over_time, tables=tables)
+        health = Section("Health and time", pictures=over_time, tables=tables)
         sections.append(health)
-    judged = "its map may be wrong" if warnings else "nothing in the run speaks against its map"
+    judged = "its map may be wrong" if warnings else "no warning from its run"
     size = f"{len(trajectory)} poses, {trajectory.path_length_m():.1f} m"
-    # That nothing was noticed is no proof: the truth alone would be.
     lines = [(f"{run.name}:", sentence) for sentence in warnings]
     banner = Banner("warn" if warnings else "plain", f"{run.name}: {judged} ({size})", lines)
-    shown = [*facts, *error_facts(relations, errors)]
+    shown = [*error_facts(measured), *facts]
     page = Page("SLAMfusion run", banner, shown, sections, config, device)
     return write_page(page, directory, files)
-
-
-def _other_paths_pictures(run: ProducerRun, config: RunConfig) -> list[Picture]:
-    """Return the path over what else it may have been; nothing where there is nothing else."""
-    if not run.other_paths:
-        return []
-    path, others, lines = run.trajectory, run.other_paths, [paths.estimate_line(run.trajectory)]
-    return [
-        Picture(
-            "other-paths",
-            paths.paths_picture(
-                lines, path, others=others, grid=run.grid, normalize=config.fusion.normalize
-            ),
-            "The path and what else it may have been",
-            "Where the faint paths leave the estimate, the producer is not of one mind.",
-            legend=paths.paths_legend(lines, others),
-        )
-    ]
 
 
 def _series_pictures(run: ProducerRun) -> list[Picture]:
@@ -125,5 +104,5 @@ def _series_pictures(run: ProducerRun) -> list[Picture]:
         return []
     names, path = ", ".join(item.name for item in shown), run.trajectory
     colour = colours_of([path.name])[path.name]
-    png = series_picture(shown, colour=colour, start_s=float(path.stamps_s[0]))
-    return [Picture("over-time", png, "Over the run", f"From the top: {names}.")]
+    figure = series_picture(shown, colours=[colour] * len(shown), start_s=float(path.stamps_s[0]))
+    return [Picture("over-time", figure, "Over the run", f"From the top: {names}.")]

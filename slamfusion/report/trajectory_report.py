@@ -1,78 +1,78 @@
-"""The report of a trajectory against the truth or known relations, and its parts."""
+"""The report of one or several paths against the truth or known relations, and its parts."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from itertools import zip_longest
 from pathlib import Path
 
 from slamfusion.config import RunConfig
-from slamfusion.evaluation import (
-    ErrorStatistics,
-    RelationErrors,
-    TrajectoryErrors,
-    error_kinds,
-)
+from slamfusion.evaluation import TrajectoryErrors
 from slamfusion.fusion.path_check import moved_path
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.files import AtomicFiles
-from slamfusion.palette import colours_of
+from slamfusion.palette import Rgb, colours_of
 from slamfusion.report import paths
+from slamfusion.report.errors import MeasuredPath, error_facts, errors_section
 from slamfusion.report.map_axes import mark_legend
-from slamfusion.report.page import (
-    Banner,
-    Cell,
-    Fact,
-    Page,
-    Picture,
-    Section,
-    Table,
-    number,
-    write_page,
-)
+from slamfusion.report.page import Banner, Fact, Page, Picture, Section, write_page
 from slamfusion.trajectory import Trajectory
-
-FIGURES = ("mean", "std", "rmse", "median", "min", "max")
 
 
 def write_trajectory_report(
     directory: str | Path,
+    cases: Mapping[str, Sequence[MeasuredPath]],
     *,
-    trajectory: Trajectory,
     config: RunConfig,
-    relations: RelationErrors | None = None,
-    errors: TrajectoryErrors | None = None,
-    truth: Trajectory | None = None,
+    truths: Mapping[str, Trajectory],
     odometry: Trajectory | None = None,
     grid: OccupancyGrid | None = None,
     files: AtomicFiles | None = None,
 ) -> Path:
-    """Write the errors of a trajectory as one self-contained page with its pictures beside it.
+    """Write the errors of paths as one self-contained page with its pictures in the same folder.
 
     Args:
         directory, files: see ``write_page``, also for what is returned and raised.
-        trajectory: the estimate, at least one pose.
+        cases: by case its paths, at least one.
         config: the settings in effect.
-        relations: its errors on known relations.
-        errors: its errors against ``truth``.
-        truth: the true path, drawn dashed where ``errors`` says how it lies to the estimate.
-        odometry: where the wheels alone would have gone, laid on the estimate's start.
-        grid: a map in the frame of the estimate, drawn under it.
+        truths: the true path of each case that has one.
+        odometry: of a single path, where the wheels alone would have gone.
+        grid: a map in the frame of a single path, drawn under it.
     """
-    shown = path_pictures(
-        trajectory, config=config, grid=grid, errors=errors, truth=truth, odometry=odometry
-    )
-    sections = [Section("Path", "path", "", shown)]
-    if errors is not None:
-        sections.append(truth_section(errors, config=config, grid=grid))
-    if relations is not None:
-        sections.append(relations_section(relations))
-    facts = [
-        *error_facts(relations, errors),
-        Fact(f"{len(trajectory)}", "poses"),
-        Fact(f"{trajectory.path_length_m():.1f} m", "travelled by the estimate"),
-    ]
-    headline = f"{trajectory.name}: {_judged(relations, errors)}"
-    banner = Banner("plain", headline, _how_counted(relations, errors))
+    sections, facts, lines = [], [], []
+    is_one = len(cases) == 1
+    colours = colours_of(item.name for own in cases.values() for item in own)
+    for case, measured in cases.items():
+        truth = truths.get(case)
+        if len(measured) == 1:
+            (item,) = measured
+            pictures = path_pictures(
+                item.path,
+                config=config,
+                grid=grid,
+                errors=item.truth,
+                truth=truth,
+                odometry=odometry,
+            )
+        else:
+            pictures = [_paths_over_truth(case, measured, truth, colours)]
+        title = f"The path{'s' if len(measured) > 1 else ''}"
+        sections.append(Section(title if is_one else f"{case}: {title}", "", pictures))
+        sections += errors_section(measured, colours, "" if is_one else case)
+        facts += [error_facts(item) for item in measured]
+        words: dict[str, list[str]] = {}
+        for item in measured:
+            words.setdefault(_how_counted(item), []).append(item.name)
+        lines += [(f"{case}, {', '.join(names)}:", text) for text, names in words.items()]
+    # The leading error of each path comes first.
+    facts = [fact for row in zip_longest(*facts) for fact in row if fact is not None]
+    measured = [item for own in cases.values() for item in own]
+    if len(measured) == 1:
+        facts += [
+            Fact(f"{len(measured[0].path)}", "poses"),
+            Fact(f"{measured[0].path.path_length_m():.1f} m", "travelled by the estimate"),
+        ]
+    banner = Banner("plain", _headline(cases), lines)
     page = Page("SLAMfusion trajectory", banner, facts, sections, config, "none needed")
     return write_page(page, directory, files)
 
@@ -85,8 +85,9 @@ def path_pictures(
     errors: TrajectoryErrors | None = None,
     truth: Trajectory | None = None,
     odometry: Trajectory | None = None,
+    others: Sequence[Trajectory] = (),
 ) -> list[Picture]:
-    """Return the path by time, and where there are others, beside them.
+    """Return the path by time, by its error, and with the truth and raw odometry.
 
     Args:
         trajectory: the estimate, in the frame of ``grid``.
@@ -94,7 +95,8 @@ def path_pictures(
         grid: the map; None: none.
         errors: says how the truth lies to the estimate; without it the truth is left out.
         truth: the true path, in its own frame.
-        odometry: raw odometry, in its own frame; it is laid on the estimate's start.
+        odometry: raw odometry, in its own frame; it is aligned with the estimate's start.
+        others: alternatives that the SLAM still considered.
     """
     normalize = config.fusion.normalize
     pictures = [
@@ -111,141 +113,91 @@ def path_pictures(
         lines.insert(0, paths.odometry_line(paths.laid_on_start(odometry, trajectory)))
     if truth is not None and errors is not None:
         lines.append(paths.truth_line(moved_path(truth, errors.pose_truth_estimate.inverse())))
-    if len(lines) > 1:
+    if len(lines) > 1 or others:
         pictures.append(
             Picture(
                 "paths",
-                paths.paths_picture(lines, trajectory, grid=grid, normalize=normalize),
-                "The path beside the others",
-                "The truth is laid on the estimate as a whole, raw odometry on its start; drift "
-                "far beyond the picture is cut off.",
-                legend=paths.paths_legend(lines),
+                paths.paths_picture(
+                    lines, trajectory, others=others, grid=grid, normalize=normalize
+                ),
+                "The path and others",
+                "The truth is aligned with the whole estimate, raw odometry with its start; drift "
+                "far beyond the picture is cut off. Faint: alternatives of the SLAM.",
+                legend=paths.paths_legend(lines, others),
             )
         )
+    if errors is not None:
+        aligned = Trajectory(errors.stamps_s, errors.aligned, errors.name)
+        figure = paths.path_picture(
+            moved_path(aligned, errors.pose_truth_estimate.inverse()),
+            grid=grid,
+            normalize=normalize,
+            values=errors.translation_m,
+        )
+        caption = "The estimated path, coloured by the distance from the true place."
+        where = Picture("error-on-path", figure, "Where the error is", caption)
+        pictures.append(where)
     return pictures
 
 
-def truth_section(
-    errors: TrajectoryErrors, *, config: RunConfig, grid: OccupancyGrid | None = None
-) -> Section:
-    """Return the errors against the truth: along the path, on the map, and as a table."""
-    aligned = Trajectory(errors.stamps_s, errors.aligned, errors.name)
-    matched = moved_path(aligned, errors.pose_truth_estimate.inverse())
-    pictures = [
-        Picture(
-            "error-along-path",
-            paths.error_picture(errors, colours_of([errors.name])[errors.name]),
-            "Error along the path",
-            "Distance of each place from the true one, and difference of the headings, over the "
-            "metres that were truly travelled.",
-        ),
-        Picture(
-            "error-on-path",
-            paths.path_picture(
-                matched,
-                grid=grid,
-                normalize=config.fusion.normalize,
-                values=errors.translation_m,
-            ),
-            "Where the error is",
-            "The estimated path, coloured by the distance from the true place.",
-            legend=mark_legend(),
-        ),
-    ]
-    return Section(
-        "Error against the truth",
-        "truth",
-        "ATE: of each pose alone, after the best rigid motion of the whole (where asked for). "
-        "RPE: of the motion between two poses, whatever came before.",
-        pictures,
-        [_table(f"Against {errors.truth}", error_kinds(errors, None))],
-    )
-
-
-def relations_section(errors: RelationErrors) -> Section:
-    """Return what is left of each relation, over time and as a table."""
-    revisits = errors.is_revisit()
-    picture = Picture(
-        "relations",
-        paths.relations_picture(errors),
-        "Error of each relation",
-        f"{errors.relations_used} of {errors.relations_total} relations, "
-        f"{int(revisits.sum())} of them revisits. A slip shows at the relations across it and "
-        "nowhere else.",
-        legend=paths.revisit_legend(),
-    )
-    kinds = error_kinds(None, errors)
-    if revisits.any():
-        own = ErrorStatistics.of(errors.translation_m[revisits])
-        kinds.append(("revisits, translation m", own, 4))
-    return Section(
-        "Error on known relations",
-        "relations",
-        "The motion between two times, as it should be, taken off the motion that the trajectory "
-        "made between them [K09]. No common frame is needed.",
-        [picture],
-        [_table(f"On {errors.relations}", kinds)],
-    )
-
-
-def error_facts(relations: RelationErrors | None, errors: TrajectoryErrors | None) -> list[Fact]:
-    """Return the numbers of the headline."""
-    facts = []
-    if relations is not None:
-        part = f"{relations.relations_used} of {relations.relations_total}"
-        facts += [
-            Fact(f"{relations.translation.mean:.4f} m", f"mean error of {part} relations"),
-            Fact(f"{relations.rotation_deg.mean:.2f}°", "mean rotation error of the relations"),
-        ]
-    if errors is not None:
-        facts.append(Fact(f"{errors.ate.rmse:.4f} m", "ATE, root mean square"))
-        if errors.rpe is not None:
-            pair = f"{errors.rpe_delta:g} {errors.rpe_unit}"
-            facts.append(Fact(f"{errors.rpe.rmse:.4f} m", f"RPE over {pair}, root mean square"))
-    return facts
-
-
-def figure_cells(statistics: ErrorStatistics | None, digits: int) -> list[Cell]:
-    """Return the ``FIGURES`` of an error as cells; dashes where there are none."""
-    values = [None if statistics is None else getattr(statistics, name) for name in FIGURES]
-    return [number(value, digits) for value in values]
-
-
-def _judged(relations: RelationErrors | None, errors: TrajectoryErrors | None) -> str:
-    """Return the error in words; how much is good is for the reader to say."""
-    if errors is not None:
-        return f"{errors.ate.rmse:.3f} m from the truth (ATE, root mean square)"
-    if relations is not None:
-        return f"{relations.translation.mean:.4f} m off a relation, in the mean"
-    return "nothing was measured"
-
-
-def _how_counted(
-    relations: RelationErrors | None, errors: TrajectoryErrors | None
-) -> Sequence[tuple[str, str]]:
-    """Say what the numbers rest on."""
+def _paths_over_truth(
+    case: str,
+    measured: Sequence[MeasuredPath],
+    truth: Trajectory | None,
+    colours: Mapping[str, Rgb],
+) -> Picture:
+    """Draw all paths of a case, each aligned with the truth as its errors are."""
     lines = []
-    if relations is not None:
-        counted = (
-            f"{relations.relations_used} of {relations.relations_total} of "
-            f"{relations.relations}, poses within {relations.tolerance_s:g} s of both times."
-        )
-        lines.append(("Relations:", counted))
-    if errors is not None:
-        aligned = "aligned" if errors.alignment.kind == "se2" else "not aligned"
-        counted = (
-            f"{errors.poses_matched} of {errors.poses} poses met one of {errors.truth} "
-            f"within {errors.tolerance_s:g} s; {aligned}."
-        )
-        lines.append(("Truth:", counted))
-    return lines
-
-
-def _table(title: str, rows: Sequence[tuple[str, ErrorStatistics | None, int]]) -> Table:
-    """Return a table of figures, dashes where there are none."""
-    return Table(
-        title,
-        ("error", *FIGURES),
-        [[Cell(name), *figure_cells(figures, digits)] for name, figures, digits in rows],
-        "std is that of the population; min and max are the best and the worst.",
+    for item in measured:
+        path = item.path
+        if item.truth is not None:
+            path = moved_path(path, item.truth.pose_truth_estimate)
+        lines.append(paths.Line(path, item.name, colours[item.name], 1.0))
+    marked = lines[0].path
+    if truth is not None:
+        lines.append(paths.truth_line(truth))
+        marked = truth
+    return Picture(
+        f"{case}-paths",
+        paths.paths_picture(lines, marked),
+        f"{case}: all paths" + (" over the truth" if truth is not None else ""),
+        "Each path is aligned with the truth as a whole." if truth is not None else "",
+        legend=paths.paths_legend(lines),
     )
+
+
+def _headline(cases: Mapping[str, Sequence[MeasuredPath]]) -> str:
+    """Name the path with the smallest error; of several cases the number of paths."""
+    measured = [item for own in cases.values() for item in own]
+    for kind, error_m in (
+        ("from the truth (ATE rmse)", lambda item: item.truth and item.truth.ate.rmse),
+        (
+            "off the relations (mean)",
+            lambda item: item.relations and item.relations.translation.mean,
+        ),
+    ):
+        found = [item for item in measured if error_m(item) is not None]
+        if len(cases) == 1 and found:
+            best = min(found, key=error_m)
+            place = f", the nearest of {len(found)}" if len(found) > 1 else ""
+            return f"{best.name}: {error_m(best):.4f} m {kind}{place}"
+    return f"{len(measured)} paths of {len(cases)} cases"
+
+
+def _how_counted(item: MeasuredPath) -> str:
+    """Return which poses and relations the numbers rest on."""
+    words = []
+    if item.relations is not None:
+        own = item.relations
+        words.append(
+            f"{own.relations_used} of {own.relations_total} of {own.relations}, poses within "
+            f"{own.tolerance_s:g} s of both times."
+        )
+    if item.truth is not None:
+        errors = item.truth
+        aligned = "aligned" if errors.alignment.kind == "se2" else "not aligned"
+        words.append(
+            f"{errors.poses_matched} of {errors.poses} poses have one of {errors.truth} within "
+            f"{errors.tolerance_s:g} s; {aligned}."
+        )
+    return " ".join(words)

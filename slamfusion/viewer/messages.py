@@ -4,7 +4,7 @@
 
 - ``layer``: a map's lattice, place and colours, and whether it is shown at first.
 - ``status``: inputs, votes, poses and figures, as they were given; ``stamp_s``.
-- ``trail``: ``name`` and new ``points`` (x, y in the frame of the map of that name).
+- ``trail``: ``name`` and new ``points``: x, y in the frame of the map of that name, time in s.
 - ``event``: ``stamp_s``, ``level``, ``text``.
 
 A tile is bytes: the header's length (uint16, little endian), the header as JSON (``layer``,

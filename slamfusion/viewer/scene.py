@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
 import math
 import secrets
@@ -13,11 +14,11 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.geometry import Pose2
 from slamfusion.grid import UNKNOWN, OccupancyGrid
 from slamfusion.palette import AGREED_WALL_RGB, DISAGREEMENT_RGB, FREE_RGB, Rgb, colours_of
+from slamfusion.trajectory import Trajectory
 from slamfusion.viewer.messages import (
     FASTEST,
     TILE,
@@ -34,6 +35,8 @@ _LOG = logging.getLogger(__name__)
 # the winner (0 to 100).
 Kind = Literal["input", "fused", "agreement"]
 Message = str | bytes
+# Of a path: the number of the point, x and y in metres, and its time in seconds.
+_Point = tuple[int, float, float, float]
 
 # What the front end calls the maps that are no input's.
 FUSED, AGREEMENT, TRUTH = "fused", "agreement", "truth"
@@ -125,7 +128,7 @@ class Scene:
         self._status: tuple[int, Mapping[str, Any]] | None = None
         self._votes: dict[str, tuple[bool, str]] = {}
         self._events: deque[tuple[int, Mapping[str, Any]]] = deque(maxlen=EVENTS)
-        self._trails: dict[str, deque[tuple[int, float, float]]] = {}
+        self._trails: dict[str, deque[_Point]] = {}
 
     # -- what comes -------------------------------------------------------------------------------
 
@@ -179,7 +182,7 @@ class Scene:
         self.on_change()
 
     def put_status(self, inputs: Sequence[Mapping[str, Any]], **figures: Any) -> None:
-        """Take how the inputs are; an input that got or lost its vote becomes an event.
+        """Take how the inputs are; live, an input that got or lost its vote becomes an event.
 
         Args:
             inputs: of each ``name``, ``votes`` (None: it was not asked), ``reason``, ``transform``
@@ -188,7 +191,7 @@ class Scene:
             figures: whatever else the page shows.
         """
         for item in inputs:
-            if item["votes"] is None:
+            if item["votes"] is None or not self.is_live:
                 continue
             name, now = item["name"], (bool(item["votes"]), str(item["reason"]))
             before = self._votes.get(name)
@@ -199,29 +202,38 @@ class Scene:
         with self._lock:
             self._name(item["name"] for item in inputs)
             status = {"inputs": list(inputs), **figures, "colours": self._colours}
+            status["place_rgb"] = DISAGREEMENT_RGB
             self._status = self._next(), {**status, "stamp_s": self._clock()}
         self.on_change()
 
-    def put_event(self, level: Literal["ok", "warn", "error"], text: str) -> None:
-        """Take something for the log of events."""
+    def put_event(
+        self, level: Literal["ok", "warn", "error"], text: str, stamp_s: float | None = None
+    ) -> None:
+        """Take something for the log of events; default: it happened now."""
         with self._lock:
-            event = {"stamp_s": self._clock(), "level": level, "text": text}
+            stamp_s = self._clock() if stamp_s is None else stamp_s
+            event = {"stamp_s": stamp_s, "level": level, "text": text}
             self._events.append((self._next(), event))
         self.on_change()
 
-    def put_point(self, name: str, x_m: float, y_m: float) -> None:
-        """Take where a path goes on, in the frame of the map of that name; small steps are left."""
+    def put_point(self, name: str, x_m: float, y_m: float, stamp_s: float | None = None) -> None:
+        """Take the next point of a path, in the frame of the map of that name; default time: now.
+
+        A step below ``STEP_M`` is left out.
+        """
         with self._lock:
             trail = self._trails.setdefault(name, deque(maxlen=POINTS))
-            if trail and math.dist(trail[-1][1:], (x_m, y_m)) < STEP_M:
+            if trail and math.dist(trail[-1][1:3], (x_m, y_m)) < STEP_M:
                 return
-            trail.append((self._next(), x_m, y_m))
+            stamp_s = self._clock() if stamp_s is None else stamp_s
+            trail.append((self._next(), x_m, y_m, stamp_s))
         self.on_change()
 
-    def put_path(self, name: str, poses: npt.NDArray[np.float64]) -> None:
-        """Take the points of poses (N, 3), x and y in metres and yaw in radians, in order."""
-        for x_m, y_m, _ in poses:
-            self.put_point(name, float(x_m), float(y_m))
+    def put_path(self, name: str, path: Trajectory, start_s: float | None = None) -> None:
+        """Take a whole path; its times count from ``start_s``, default its first pose."""
+        start_s = float(path.stamps_s[0]) if start_s is None else start_s
+        for stamp_s, (x_m, y_m, _) in zip(path.stamps_s, path.poses, strict=True):
+            self.put_point(name, float(x_m), float(y_m), float(stamp_s) - start_s)
 
     def _name(self, names: Iterable[str]) -> None:
         """Give layers that are new their colours; those of the others stay."""
@@ -241,8 +253,7 @@ class Scene:
                 texts.append(to_text("status", self._status[1]))
             texts += [to_text("event", event) for number, event in self._events if number > seq]
             for name, trail in self._trails.items():
-                points = _newer(trail, seq)
-                if points:
+                if points := _newer(trail, seq):
                     texts.append(to_text("trail", {"name": name, "points": points}))
             texts += [
                 to_text("layer", _described(name, layer, self._colours))
@@ -258,14 +269,10 @@ class Scene:
             return [*texts, *(data for _, data in tiles)], self._seq
 
 
-def _newer(trail: deque[tuple[int, float, float]], seq: int) -> list[tuple[float, float]]:
-    """Return the points of a path after a number, in order; they stand at its end."""
-    points = []
-    for number, x_m, y_m in reversed(trail):
-        if number <= seq:
-            break
-        points.append((round(x_m, 3), round(y_m, 3)))
-    return points[::-1]
+def _newer(trail: deque[_Point], seq: int) -> list[tuple[float, float, float]]:
+    """Return x, y and time of the points of a path after a number, in order."""
+    after = itertools.takewhile(lambda point: point[0] > seq, reversed(trail))
+    return [(round(x_m, 3), round(y_m, 3), round(at_s, 1)) for _, x_m, y_m, at_s in after][::-1]
 
 
 def _described(name: str, layer: _Layer, colours: Mapping[str, Rgb]) -> dict[str, Any]:

@@ -78,8 +78,8 @@ CASES: dict[str, Case] = {
         "t-2.csv",
         "--table t.csv",
     ),
-    "the report of a path of many": (
-        "trajectory one/b.tum one/c.tum --truth one.tum --config r/one/b/report.html --report r",
+    "the report of many paths": (
+        "trajectory one/b.tum one/c.tum --truth one.tum --config r/report.html --report r",
         "report.html",
         "--report r",
     ),
@@ -154,7 +154,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "grey.pgm").unlink()
     for name in ("d.log", "e.log", "drive.yaml", "bag/metadata.yaml", "bag/bag.db3"):
         (folder / name).write_text(LOG, encoding="utf-8")
-    for name in ("x.json", "run/fused.json", "here/trials/one.json", "r/one/b/report.html"):
+    for name in ("x.json", "run/fused.json", "here/trials/one.json", "r/report.html"):
         (folder / name).write_text("{}", encoding="utf-8")
     (folder / "t.csv").write_text("{}", encoding="utf-8")
     poses = (

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from slamfusion.compute import open_device
@@ -16,16 +15,15 @@ from slamfusion.config import (
     from_mapping,
 )
 from slamfusion.errors import ConfigError
-from slamfusion.evaluation import Row, result_rows
+from slamfusion.evaluation import result_rows
 from slamfusion.experiments.drives import ATE
 from slamfusion.experiments.page import Experiment
 from slamfusion.experiments.runs import Setup
 from slamfusion.experiments.tinyslam import (
     PAIRS,
     case_of,
-    model_sentences,
+    method_sentences,
     sweep_estimators,
-    verdicts,
 )
 from tests.experiments.drives import room_files
 
@@ -78,54 +76,11 @@ def test_estimators_are_swept_over_cell_sizes_and_drives(tmp_path: Path) -> None
         == 4
     )
     starts = [sentence.split(":")[0] for sentence in found.sentences()]
-    assert starts == [
-        "room, cells of 0.4 m, relations m",
-        "room, cells of 0.4 m, ATE rmse m",
-        "hall, cells of 0.4 m, ATE rmse m",
-    ]
+    of_room = [f"{case}, {error}" for case in cases[:2] for error in ("relations m", "ATE rmse m")]
+    assert starts == [*of_room, *(f"{case}, ATE rmse m" for case in cases[2:])]
     again = sweep_estimators(drives[:1], [], Setup(CONFIG, open_device(), tmp_path / "b"))
     same = again.table[again.table["figure"] == ATE]["value"]
     assert list(same) == list(table["value"][: len(same)])
-
-
-def drawn(factor: float, spread: float = 0.05, runs: int = 10, seed: int = 1) -> list[Row]:
-    """Errors of 0.1 m on fine and 1 m on coarse cells; on these ``area`` has ``factor`` of it."""
-    rng = np.random.default_rng(seed)
-    rows: list[Row] = []
-    for size_m, error in ((0.1, 0.1), (0.4, 1.0), (0.6, 3.0)):
-        for method in ("constant", "area"):
-            share = factor if method == "area" and size_m >= 0.4 else 1.0
-            for number in range(runs):
-                value = error * share * (1.0 + spread * rng.standard_normal())
-                rows += result_rows(case_of("hall", size_m), str(number), method, {ATE: value})
-    return rows
-
-
-def verdict(rows: list[Row], sizes_m: tuple[float, ...] = (0.1, 0.4, 0.6)) -> list[str]:
-    return verdicts(Experiment("t", "t", rows, (ATE,)), sizes_m)
-
-
-@pytest.mark.parametrize(
-    ("factor", "words"),
-    [
-        (0.7, "the estimator helps; the error is 2"),
-        (1.4, "the estimator does harm; the error is 4"),
-        (1.0, "no effect of the estimator can be shown"),
-    ],
-)
-def test_the_verdict_is_of_the_coarse_cells(factor: float, words: str) -> None:
-    (sentence,) = verdict(drawn(factor))
-    assert sentence.startswith("hall, cells of 0.4, 0.6 m, ATE rmse m: ")
-    assert words in sentence
-
-
-def test_what_cannot_be_tested_has_no_verdict_or_no_p_value() -> None:
-    (sentence,) = verdict(drawn(0.5, runs=1))
-    assert "no effect of the estimator can be shown" in sentence
-    assert sentence.endswith("p -.")
-    # Without coarse cells, or where the error is 0.
-    assert verdict(drawn(0.5), (0.1,)) == []
-    assert verdict([(*row[:4], 0.0, *row[5:]) for row in drawn(1.0)]) == []
 
 
 def test_the_better_model_is_named_with_its_p_value() -> None:
@@ -136,7 +91,7 @@ def test_the_better_model_is_named_with_its_p_value() -> None:
         for row in result_rows("hall", str(seed), method, {ATE: error + 0.001 * seed})
     ]
     experiment = Experiment("t", "t", rows, (ATE,), {ATE: PAIRS}, is_paired=False)
-    (sentence,) = model_sentences(experiment)
+    (sentence,) = method_sentences(experiment)
     assert sentence == (
         "hall, ATE rmse m: tinyslam mean is better of tinyslam base and tinyslam mean (difference "
         "0.3000, p <0.001)."

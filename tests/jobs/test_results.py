@@ -28,6 +28,7 @@ from slamfusion.jobs.results import (
     write_results_file,
 )
 from slamfusion.json_values import plain
+from slamfusion.report.result_plots import running
 from tests.cli.command import MAPS
 from tests.support.documents import check_document
 
@@ -401,13 +402,11 @@ def test_the_plot_is_drawn_alike_each_time_and_names_as_they_are_written(tmp_pat
     assert all(f">{words}<" in text for words in ("$one", "_two$", "a$b_{c}$", "ATE m"))
 
 
-@pytest.mark.parametrize(("worst", "is_log"), [(0.2, False), (40.0, True), (-40.0, False)])
-def test_one_large_error_does_not_hide_the_others(
-    tmp_path: Path, worst: float, is_log: bool
-) -> None:
-    """A logarithmic axis has powers of ten as its ticks."""
-    errors = {"ate_m": series([*np.linspace(0.08, 0.12, 50), worst])}
-    rows = result_rows("intel", "", "x", {"ate_rmse_m": 1.0}, errors)
-    found = compare_results([save(tmp_path / f"{name}.zip", rows) for name in "ab"])
-    write_comparison_plot(found, tmp_path / "plot.svg")
-    assert ("10^" in (tmp_path / "plot.svg").read_text(encoding="utf-8")) == is_log
+def test_one_large_error_does_not_move_the_running_median() -> None:
+    at, values = np.arange(100.0), np.full(100, 0.1)
+    values[37] = 40.0
+    middles, (low, median, high) = running(at, values)
+    assert list(middles[:2]) == [2.0, 7.0]  # windows of five errors
+    assert (low == 0.1).all()
+    assert (median == 0.1).all()
+    assert np.flatnonzero(high > 0.1).tolist() == [7]

@@ -22,7 +22,7 @@ from slamfusion.jobs.map_log import LogFiles, ProducerResult
 from slamfusion.jobs.partial import Layers
 from slamfusion.jobs.records import DoubledWalls, Evaluation
 from slamfusion.jobs.run import LogRun
-from slamfusion.jobs.run_page import write_run_page
+from slamfusion.jobs.run_page import run_page, write_run_page
 from slamfusion.jobs.trajectory import Measures
 from slamfusion.palette import NAMED, OTHERS
 from slamfusion.slam.common.runner import ProducerRun, run_producer
@@ -134,7 +134,7 @@ def test_every_part_is_on_the_one_page(page: Path) -> None:
         "Agreement",
         "The paths over the fused map",
         "Distance between the paths in the fused map",
-        "Health over time",
+        "Over the drive",
         "Where each input was outvoted",
         "Alignment to room 0",
         "ATE, translation m",
@@ -153,7 +153,12 @@ def test_every_part_is_on_the_one_page(page: Path) -> None:
 
 def test_a_name_has_one_colour_on_all_of_the_page(page: Path) -> None:
     html = page.read_text(encoding="utf-8")
-    legends = re.findall(r'<li><i style="background: (rgb\([^)]*\))"></i>([^<]*)</li>', html)
+    legends = [
+        (f"rgb{entry.rgb}", entry.text)
+        for section in run_page(everything()).sections
+        for picture in section.pictures
+        for entry in picture.legend
+    ]
     recorded = re.search(r'id="recorded">(.*?)</script>', html, re.DOTALL)
     assert recorded is not None
     messages = json.loads(recorded[1])["messages"]
@@ -176,11 +181,11 @@ def test_the_fused_path_is_drawn_and_measured_beside_those_it_was_made_of(page: 
     text = read(page).text
     moved_m = float(np.hypot(*np.diff(produced(NAMES[0]).trajectory.poses[:2, :2], axis=0)[0]))
     html = page.read_text(encoding="utf-8")
-    assert f"<b>{moved_m:.4f} m</b><span>fused path: error of relations</span>" in html
+    assert f"{moved_m:.4f} m" in html
+    assert "error of relations, mean, fused path" in html
     assert "relations, translation m" in text
-    assert "1 of 1 relations." in text
-    assert "fused path: error along the path" in text
-    assert "fused path: error of each relation" in text
+    assert "Error against the truth, distribution" in text
+    assert "Error on known relations over the drive" in text
 
 
 def test_names_run_nothing_and_nothing_is_loaded(page: Path) -> None:

@@ -73,6 +73,9 @@ def write_run(folder: Path, **changes: Any) -> None:
             "confidence": "medium",
             "check": [{"from_s": 1, "to_s": 3.0, "x": 2.0, "y": -1.0, "what": "walls stand twice"}],
         },
+        "partial_votes": [
+            {"name": "b", "excluded_spans": [{"from_s": 2.0, "to_s": 4.5, "ground": "outvoted"}]}
+        ],
         "saved_maps": [],
         **changes,
     }
@@ -95,12 +98,18 @@ def test_a_run_is_shown_as_its_record_says(tmp_path: Path) -> None:
     (status,) = texts(messages, "status")
     assert status["headline"] == "Use the fused map and its path, but check 1 place first"
     assert (status["level"], status["figures"]["single SLAM"]) == ("warn", "a")
-    events = [item["text"] for item in texts(messages, "event")]
-    assert "check 1 to 3 s, near (2.0, -1.0) m: walls stand twice" in events
+    assert status["places"] == [[2.0, -1.0]]
+    events = [(item["stamp_s"], item["text"]) for item in texts(messages, "event")]
+    # In the order of the drive, with its times.
+    assert events == [
+        (1.0, "place 1 to check: walls stand twice"),
+        (2.0, "b loses its vote: outvoted"),
+        (4.5, "b votes again"),
+    ]
     places = {item["name"]: item["transform"] for item in status["inputs"]}
     assert places == {"a": [0, 0, 0], "b": [1, 2, 0.5], "c": None, "drawn": [0, 0, 0]}
     assert texts(messages, "trail") == [
-        {"type": "trail", "name": "a", "points": [[0.0, 0.0], [1.0, 2.0]]}
+        {"type": "trail", "name": "a", "points": [[0.0, 0.0, 0.0], [1.0, 2.0, 1.0]]}
     ]
 
 
@@ -113,7 +122,7 @@ def test_the_path_of_a_saved_map_is_shown_and_a_damaged_one_named(tmp_path: Path
     (tmp_path / "a.tum").write_text("nonsense\n", encoding="utf-8")
     messages, _ = read_finished(tmp_path).scene.since(0)
     assert texts(messages, "trail") == [
-        {"type": "trail", "name": "b", "points": [[3.0, 0.0], [4.0, 0.0]]}
+        {"type": "trail", "name": "b", "points": [[3.0, 0.0, 0.0], [4.0, 0.0, 1.0]]}
     ]
     events = [item["text"] for item in texts(messages, "event")]
     assert any(text.startswith("the path of a is not shown: ") for text in events)

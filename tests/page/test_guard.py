@@ -76,7 +76,7 @@ def test_tokens() -> None:
         ({"type": "hello", "token": "t", "scene": "s", "seq": 4}, Hello("t", "s", 4)),
         ({"type": "hello"}, Hello("", "", 0)),
         ({"type": "seen", "seq": 9}, Seen(9)),
-        ({"type": "command", "id": 1, "name": "save"}, Command(1, "save")),
+        ({"type": "command", "id": 1, "name": "save"}, Command("save", 1)),
     ],
 )
 def test_pages_say(said: dict[str, object], wanted: object) -> None:

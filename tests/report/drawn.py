@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 from typing import Any
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -18,6 +19,7 @@ from slamfusion.align.records import (
 )
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
+from slamfusion.report.canvas import Figure, to_form
 from slamfusion.slam.common.runner import ProducerRun, run_producer
 from slamfusion.trajectory import Trajectory
 from slamfusion.vote.tiles import GridLayer
@@ -25,6 +27,14 @@ from tests.support.producers import DeadReckoning, room_drive
 
 NASTY = "<script>alert('$x_1$')</script>/../../é机"
 REASON = "its runner-up at 180° scores 0.97 & <b>more</b>"
+
+
+def pixels(figure: Figure) -> npt.NDArray[np.uint8]:
+    """RGB of a figure, (H, W, 3), row 0 at the top."""
+    png = np.frombuffer(to_form(figure, "png"), dtype=np.uint8)
+    image = cv2.imdecode(png, cv2.IMREAD_COLOR)
+    assert image is not None
+    return np.asarray(image[..., ::-1], dtype=np.uint8)
 
 
 def room(name: str, seed: int, *, height: int = 40, width: int = 60) -> OccupancyGrid:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -10,9 +9,11 @@ from slamfusion.config import NormalizeConfig
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.palette import DISAGREEMENT_RGB, NAMED, OTHERS, Rgb
+from slamfusion.report.canvas import Figure
 from slamfusion.report.paths import closure_pictures, closures_picture
 from slamfusion.slam.common.mapper import Closure
 from slamfusion.trajectory import Trajectory
+from tests.report.drawn import pixels
 
 NORMALIZE = NormalizeConfig()
 COLOURS = (NAMED["graph"], OTHERS[0], DISAGREEMENT_RGB)
@@ -27,15 +28,13 @@ def straight(end_m: float) -> Trajectory:
     return Trajectory(np.arange(11.0), poses, "graph")
 
 
-def painted(png: bytes, colour: Rgb) -> npt.NDArray[np.intp]:
+def painted(figure: Figure, colour: Rgb) -> npt.NDArray[np.intp]:
     """Return columns of the pixels of about a colour."""
-    image = cv2.imdecode(np.frombuffer(png, dtype=np.uint8), cv2.IMREAD_COLOR)
-    assert image is not None
-    near = (np.abs(image[..., ::-1].astype(int) - colour) < 40).all(axis=2)
+    near = (np.abs(pixels(figure).astype(int) - colour) < 40).all(axis=2)
     return np.nonzero(near)[1]
 
 
-def picture(path: Trajectory, weight: float) -> bytes:
+def picture(path: Trajectory, weight: float) -> Figure:
     closure = Closure(0.0, 8.0, Pose2(3.2, 0.0, 0.0), weight)
     return closures_picture(path, [closure], grid=GRID, normalize=NORMALIZE, colours=COLOURS)
 

@@ -65,7 +65,7 @@ def test_layers_hold_every_map_where_it_was_laid() -> None:
     places = {item["name"]: item["transform"] for item in status["inputs"]}
     assert places["room 0"] == [0, 0, 0]
     assert places["room 1"] == [0.1, -0.2, 0.01]
-    points = [[0, 0], [1, 0], [1, 2]]
+    points = [[0, 0, 0], [1, 0, 1], [1, 2, 2]]
     assert {trail["name"]: trail["points"] for trail in messages["trail"]} == {
         "room 1": points,
         "fused": points,

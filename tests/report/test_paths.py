@@ -2,40 +2,38 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 import pytest
 
-from slamfusion.config import RunConfig, TrajectoryConfig
+from slamfusion.config import ReportConfig, RunConfig, TrajectoryConfig
 from slamfusion.evaluation import RelationErrors, trajectory_errors
 from slamfusion.geometry import compose_poses
 from slamfusion.grid import OccupancyGrid
 from slamfusion.palette import END_RGB, NAMED, OTHERS, START_RGB, Rgb
-from slamfusion.report import Fact, paths, write_slam_report, write_trajectory_report
+from slamfusion.report import (
+    Fact,
+    MeasuredPath,
+    paths,
+    write_slam_report,
+    write_trajectory_report,
+)
+from slamfusion.report.errors import distribution_figure
 from slamfusion.report.page import Cell, Table
 from slamfusion.slam.common.mapper import Series
 from slamfusion.trajectory import Trajectory
-from tests.report.drawn import NASTY, room, run_of
+from tests.report.drawn import NASTY, pixels, room, run_of
 
 pytestmark = pytest.mark.once
 
 CONFIG = RunConfig()
 # The colour of a path that nobody knows by its name, and of what else it may have been.
 ESTIMATE, OTHER = OTHERS[:2]
-
-
-def pixels(png: bytes) -> npt.NDArray[np.uint8]:
-    """RGB of a picture on white, (H, W, 3), row 0 at the top."""
-    image = cv2.imdecode(np.frombuffer(png, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
-    assert image is not None
-    opacity = image[..., 3:] / 255.0
-    return np.asarray(
-        np.rint(image[..., 2::-1] * opacity + 255.0 * (1.0 - opacity)), dtype=np.uint8
-    )
 
 
 def near(image: npt.NDArray[np.uint8], rgb: Rgb, slack: int = 12) -> npt.NDArray[np.bool_]:
@@ -166,18 +164,18 @@ def test_the_report_of_a_run_has_all_parts(tmp_path: Path) -> None:
         "stopped at the deadline",
         "low scores",
         "The path over the map",
-        "The path beside the others",
-        "Error along the path",
+        "The path and others",
+        "Error against the truth over the drive",
+        "Error against the truth, distribution",
         "Where the error is",
-        "Error of each relation",
-        "ATE, root mean square",
-        "2 of 99 relations",
+        "Error on known relations over the drive",
+        "ATE rmse",
         "a device",
         "its map may be wrong (60 poses",
     ):
         assert words in page
     assert "<script>alert" not in page
-    assert page.index("stopped at the deadline") < page.index("1.25 ms") < page.index("ATE")
+    assert page.index("stopped at the deadline") < page.index("ATE rmse") < page.index("1.25 ms")
 
 
 def test_the_report_of_a_run_without_truth_has_the_map_and_the_path(tmp_path: Path) -> None:
@@ -185,9 +183,9 @@ def test_the_report_of_a_run_without_truth_has_the_map_and_the_path(tmp_path: Pa
         tmp_path, run_of("tinyslam", own_map(), in_room()), config=CONFIG
     ).read_text(encoding="utf-8")
     assert "The path over the map" in page
-    assert "tinyslam: nothing in the run speaks against its map (60 poses" in page
+    assert "tinyslam: no warning from its run (60 poses" in page
     assert 'class="banner plain"' in page
-    for words in ("Error", "ATE", "beside the others", "Health"):
+    for words in ("Error", "ATE", "The path and others", "Health"):
         assert words not in page
     assert sorted(path.name for path in tmp_path.iterdir()) == [
         "01-input-room.png",
@@ -213,25 +211,46 @@ def test_the_report_of_a_run_shows_its_series_and_other_paths(tmp_path: Path) ->
         ),
         config=CONFIG,
     ).read_text(encoding="utf-8")
-    assert "The path and what else it may have been" in page
-    assert "2 other paths, faint" in page
     assert "From the top: effective particles, map." in page
-    assert page.index("other paths, faint") < page.index("Over the run")
+    assert page.index("The path and others") < page.index("Over the run")
     names = sorted(path.name for path in tmp_path.glob("*.png"))
-    assert names[2:] == ["03-other-paths.png", "04-over-time.png"]
+    assert names[2:] == ["03-paths.png", "04-over-time.png"]
+
+
+def measured(name: str, wrong: float) -> MeasuredPath:
+    path, truth = in_room(wrong=wrong), in_room()
+    errors = trajectory_errors(path, truth, TrajectoryConfig(alignment="none"))
+    return MeasuredPath(name, path, errors, relations_of_round())
 
 
 def test_the_report_of_a_trajectory_says_what_its_numbers_rest_on(tmp_path: Path) -> None:
-    errors = trajectory_errors(in_room(wrong=0.1), in_room(), TrajectoryConfig(alignment="none"))
-    page = write_trajectory_report(
-        tmp_path,
-        trajectory=in_room(wrong=0.1),
-        config=CONFIG,
-        relations=relations_of_round(),
-        errors=errors,
-        truth=in_room(),
-    ).read_text(encoding="utf-8")
-    assert "60 of 60 poses met one of round within 0.01 s; not aligned." in page
+    cases = {"round": [measured("graph", 0.1)]}
+    truths = {"round": in_room()}
+    page = write_trajectory_report(tmp_path, cases, config=CONFIG, truths=truths).read_text("utf-8")
+    assert "60 of 60 poses have one of round within 0.01 s; not aligned." in page
     assert "2 of 99 of b, poses within 0.01 s of both times." in page
     assert "revisits, translation m" in page
-    assert "raw odometry" not in page.split("How it was made")[0].replace("raw odometry on its", "")
+
+
+def test_several_paths_share_their_figures_and_the_nearest_leads(tmp_path: Path) -> None:
+    """One page: all paths over the truth, their errors in one figure, and their distribution."""
+    cases = {"round": [measured("far", 0.3), measured(NASTY, 0.1)]}
+    config = replace(CONFIG, report=ReportConfig(("svg",)))
+    page = write_trajectory_report(tmp_path, cases, config=config, truths={"round": in_room()})
+    text = page.read_text("utf-8")
+    assert re.search(r"<h1>&lt;script.*the nearest of 2</h1>", text)
+    stems = ["error", "error-distribution", "relations", "relations-distribution"]
+    assert [path.stem for path in sorted(tmp_path.glob("*.svg"))] == [
+        f"{number:02d}-{stem}" for number, stem in enumerate(["round-paths", *stems], start=1)
+    ]
+    for path in tmp_path.glob("*.svg"):
+        assert ">far<" in path.read_text("utf-8"), path
+
+
+def test_a_distribution_shows_the_bulk_and_a_box_for_each_path() -> None:
+    errors = {"a": np.append(np.linspace(0.0, 1.0, 999), 50.0), "b": np.linspace(1.0, 2.0, 100)}
+    colours = {"a": NAMED["graph"], "b": NAMED["gmapping"]}
+    above, below = distribution_figure(errors, colours, "error [m]").axes
+    assert above.get_xlim()[1] == pytest.approx(1.05 * 1.99)  # not the one error of 50 m
+    assert [label.get_text() for label in below.get_yticklabels()] == ["a", "b"]
+    assert below.get_xlim() == above.get_xlim()

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 import pytest
 
 from slamfusion.palette import Rgb
+from slamfusion.report.canvas import Figure
 from slamfusion.report.series import broken, drawable, series_picture
 from slamfusion.slam.common.mapper import Series
+from tests.report.drawn import pixels
 
 pytestmark = pytest.mark.once
 
@@ -23,23 +24,13 @@ def series(values: list[float] | npt.NDArray[np.float64], **more: object) -> Ser
     return Series("particles", "", stamps, numbers, **more)
 
 
-def pixels(png: bytes) -> npt.NDArray[np.uint8]:
-    """RGB of a picture on white, (H, W, 3), row 0 at the top."""
-    image = cv2.imdecode(np.frombuffer(png, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
-    assert image is not None
-    opacity = image[..., 3:] / 255.0
-    return np.asarray(
-        np.rint(image[..., 2::-1] * opacity + 255.0 * (1.0 - opacity)), dtype=np.uint8
-    )
-
-
-def line(png: bytes, slack: int = 40) -> npt.NDArray[np.bool_]:
+def line(png: Figure, slack: int = 40) -> npt.NDArray[np.bool_]:
     """Where the line is."""
     return np.asarray((np.abs(pixels(png).astype(int) - COLOUR) <= slack).all(axis=2))
 
 
 def test_a_rising_quantity_rises_to_the_right() -> None:
-    rows, cols = np.nonzero(line(series_picture([series(list(range(100)))], colour=COLOUR)))
+    rows, cols = np.nonzero(line(series_picture([series(list(range(100)))], colours=[COLOUR])))
     assert rows[cols < np.quantile(cols, 0.1)].mean() > rows[cols > np.quantile(cols, 0.9)].mean()
     assert np.corrcoef(rows, cols)[0, 1] < -0.99
 
@@ -48,7 +39,7 @@ def test_a_rising_quantity_rises_to_the_right() -> None:
 def test_one_moment_in_a_long_run_stays_in_the_picture(value: float) -> None:
     values = np.full(50_000, 1.0)
     values[31_337] = value
-    drawn = line(series_picture([series(values)], colour=COLOUR))
+    drawn = line(series_picture([series(values)], colours=[COLOUR]))
     rows, cols = np.nonzero(drawn)
     lonely = [row for row in np.unique(rows) if np.ptp(cols[rows == row]) < 10]
     assert len(lonely) > 50
@@ -59,7 +50,7 @@ def test_one_moment_in_a_long_run_stays_in_the_picture(value: float) -> None:
 def test_what_is_not_known_leaves_a_gap() -> None:
     values = np.full(1000, 4.0)
     values[400:600] = np.nan
-    _, cols = np.nonzero(line(series_picture([series(values)], colour=COLOUR)))
+    _, cols = np.nonzero(line(series_picture([series(values)], colours=[COLOUR])))
     gap = np.diff(np.unique(cols)).max()
     assert gap / np.ptp(cols) == pytest.approx(0.2, abs=0.01)
 
@@ -70,7 +61,9 @@ def test_a_line_is_broken_over_a_pause_also_where_it_is_thinned() -> None:
     times_s, shown = broken(stamps_s, values)
     assert np.isnan(shown).sum() == 1
     assert times_s[np.isnan(shown)] == pytest.approx(449.9, abs=0.2)
-    _, cols = np.nonzero(line(series_picture([Series("gap", "m", times_s, shown)], colour=COLOUR)))
+    _, cols = np.nonzero(
+        line(series_picture([Series("gap", "m", times_s, shown)], colours=[COLOUR]))
+    )
     pause = np.diff(np.unique(cols)).max()
     assert pause / np.ptp(cols) == pytest.approx(100.0 / 900.0, abs=0.01)
 
@@ -88,15 +81,10 @@ def test_a_line_is_broken_over_a_pause_also_where_it_is_thinned() -> None:
     ],
 )
 def test_odd_values_can_be_drawn(values: list[float]) -> None:
-    assert line(series_picture([series(values)], colour=COLOUR)).any()
+    assert line(series_picture([series(values)], colours=[COLOUR])).any()
 
 
 def test_what_has_no_value_is_left_out() -> None:
     kept = series([1.0, 2.0])
     nothing = [series([]), series([float("nan")] * 3)]
     assert drawable([*nothing, kept]) == [kept]
-    assert series_picture([nothing[0], kept, nothing[1]], colour=COLOUR) == series_picture(
-        [kept], colour=COLOUR
-    )
-    with pytest.raises(ValueError, match="none of the series"):
-        series_picture(nothing)

@@ -102,11 +102,11 @@ def test_a_vote_that_changes_is_an_event(scene: Scene) -> None:
 
 def test_a_path_goes_on_where_it_was(scene: Scene) -> None:
     for x_m in (0.0, 0.01, 1.0):
-        scene.put_point("a", x_m, 0.0)
+        scene.put_point("a", x_m, 0.0, 10.0 * x_m)
     messages, seq = scene.since(0)
-    assert texts(messages, "trail")[0]["points"] == [[0.0, 0.0], [1.0, 0.0]]
-    scene.put_point("a", 2.0, 0.0)
-    assert texts(scene.since(seq)[0], "trail")[0]["points"] == [[2.0, 0.0]]
+    assert texts(messages, "trail")[0]["points"] == [[0.0, 0.0, 0.0], [1.0, 0.0, 10.0]]
+    scene.put_point("a", 2.0, 0.0, 30.0)
+    assert texts(scene.since(seq)[0], "trail")[0]["points"] == [[2.0, 0.0, 30.0]]
 
 
 def test_a_map_that_is_taken_away_is_told_and_may_come_again(scene: Scene) -> None:

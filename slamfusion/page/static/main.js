@@ -2,10 +2,12 @@
 
 import { Connection } from "./connection.js";
 import { css } from "./maps.js";
-import { Inputs, addEvent, clock, showFigures } from "./panels.js";
+import { Inputs, addEvent, showFigures } from "./panels.js";
 import { Stage, byId } from "./stage.js";
+import { TimeSlider } from "./time.js";
 
 const stage = new Stage();
+const slider = new TimeSlider(stage, true, () => showStatus(stage.status));
 const inputs = new Inputs(byId("inputs"));
 
 // -- what the server tells ------------------------------------------------------------------------
@@ -14,7 +16,8 @@ const HANDLERS = {
   hello(message) {
     document.title = byId("headline").dataset.title = message.title;
     byId("commands").hidden = !message.may_command;
-    byId("time").hidden = !message.is_live;
+    slider.isLive = message.is_live;
+    byId("report").hidden = !message.has_report;
     if (!message.isAnother) return;
     stage.empty();
     byId("events").replaceChildren();
@@ -24,12 +27,12 @@ const HANDLERS = {
     inputs.remember(message);
   },
   event(message) {
-    addEvent(byId("events"), message);
+    addEvent(byId("events"), message, slider.clock(message.stamp_s));
   },
   end() {
     document.body.dataset.batches = String(Number(document.body.dataset.batches ?? 0) + 1);
     if (stage.past === null && stage.statuses.length > 0) showStatus(stage.newest);
-    showTime();
+    slider.show();
     stage.view.drawSoon();
   },
 };
@@ -48,63 +51,12 @@ const connection = new Connection(
   (data) => stage.maps.take(data),
   (state) => {
     const line = byId("connection");
-    const words = { open: "connected", lost: "not connected: trying again" };
+    const words = { open: slider.isLive ? "connected" : "finished run", lost: "not connected: trying again" };
     line.textContent = words[state];
     line.className = state === "open" ? "good" : "bad";
     document.body.dataset.connected = String(state === "open");
   },
 );
-
-// -- time -----------------------------------------------------------------------------------------
-
-const slider = byId("slider");
-
-function showTime() {
-  const { maps, newest, past } = stage;
-  if (maps.firstS === null) return;
-  const isAtEnd = past === null;
-  slider.min = String(maps.firstS);
-  slider.max = String(Math.max(newest.stamp_s ?? 0, maps.lastS));
-  if (isAtEnd) slider.value = slider.max;
-  const text = isAtEnd ? "now" : clock(past.stamp);
-  byId("when").textContent = text;
-  slider.setAttribute("aria-valuetext", text);
-  byId("now").disabled = isAtEnd;
-}
-
-let wanted = null; // the newest request for a time, while an older one is being made
-
-async function goTo(stamp) {
-  const isAsked = wanted !== null;
-  wanted = stamp;
-  if (isAsked) return;
-  while (wanted !== null) {
-    const now = wanted;
-    const rasters = await stage.maps.at(now);
-    const status = stage.statuses.findLast((item) => item.stamp_s <= now) ?? stage.statuses[0] ?? stage.newest;
-    if (wanted === now) {
-      stage.past = { stamp: now, rasters, status };
-      wanted = null;
-    }
-  }
-  if (stage.past === null) return; // somebody went back to now meanwhile
-  showStatus(stage.past.status);
-  showTime();
-  stage.view.drawSoon();
-}
-
-function goToNow() {
-  [stage.past, wanted] = [null, null];
-  showStatus(stage.newest);
-  showTime();
-  stage.view.drawSoon();
-}
-
-slider.addEventListener("input", () => {
-  if (Number(slider.value) >= Number(slider.max)) goToNow();
-  else goTo(Number(slider.value));
-});
-byId("now").addEventListener("click", goToNow);
 
 // -- commands -------------------------------------------------------------------------------------
 

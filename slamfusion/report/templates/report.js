@@ -1,6 +1,7 @@
-// The maps of a report: what a scene told when the report was written, told again.
+// The maps of a report: the messages that a scene had when the report was written.
 
 import { Stage, byId } from "./stage.js";
+import { TimeSlider } from "./time.js";
 
 const told = JSON.parse(byId("recorded").textContent);
 byId("viewer").hidden = false;
@@ -14,6 +15,7 @@ async function takeTiles() {
     await stage.maps.take(Uint8Array.from(atob(packed), (letter) => letter.charCodeAt(0)).buffer);
   }
   document.body.dataset.drawn = "true";
+  new TimeSlider(stage, false).show();
   stage.view.drawSoon();
 }
 

@@ -11,8 +11,6 @@ const element = (name, text = "", kind = "") => {
   return made;
 };
 
-export const clock = (stamp) => new Date(1000 * stamp).toLocaleTimeString([], { hour12: false });
-
 /** One line for each input: whether it votes, why, and its score over time. */
 export class Inputs {
   constructor(list) {
@@ -170,9 +168,9 @@ export function showFigures(list, figures) {
 const EVENT_WORDS = { ok: "", warn: "⚠ ", error: "✗ " };
 const MOST_EVENTS = 500;
 
-export function addEvent(list, event) {
+export function addEvent(list, event, time) {
   const item = element("li");
-  item.append(element("time", clock(event.stamp_s)), element("span", EVENT_WORDS[event.level] + event.text, event.level === "error" ? "bad" : event.level === "warn" ? "warn" : ""));
+  item.append(element("time", time), element("span", EVENT_WORDS[event.level] + event.text, event.level === "error" ? "bad" : event.level === "warn" ? "warn" : ""));
   list.prepend(item);
   while (list.children.length > MOST_EVENTS) list.lastChild.remove();
 }

@@ -71,12 +71,7 @@ export class Stage {
       this.statuses.push(message);
       if (this.statuses.length > MOST_STATUSES) this.statuses.shift();
     } else if (message.type === "trail") {
-      const trail = this.trails.get(message.name) ?? { points: [], stamps: [] };
-      for (const point of message.points) {
-        trail.points.push(point);
-        trail.stamps.push(this.newest.stamp_s ?? 0);
-      }
-      this.trails.set(message.name, trail);
+      this.trails.set(message.name, [...(this.trails.get(message.name) ?? []), ...message.points]);
     }
   }
 
@@ -99,10 +94,17 @@ export class Stage {
   }
 
   /** A path as far as it went at the time that is shown. */
-  pointsOf({ points, stamps }) {
+  pointsOf(points) {
     if (this.past === null) return points;
-    const after = stamps.findIndex((stamp) => stamp > this.past.stamp);
+    const after = points.findIndex(([, , stamp]) => stamp > this.past.stamp);
     return after < 0 ? points : points.slice(0, after);
+  }
+
+  /** The first and the last time that anything is known of; null while nothing is. */
+  get times() {
+    if (this.maps.firstS === null) return null;
+    const ends = [...this.trails.values()].map((points) => points.at(-1)[2]);
+    return [this.maps.firstS, Math.max(this.newest.stamp_s ?? 0, this.maps.lastS, ...ends)];
   }
 
   drawn(name) {
@@ -125,6 +127,8 @@ export class Stage {
       trails: !showsPaths ? [] : [...this.trails]
         .map(([name, trail]) => ({ points: this.pointsOf(trail), place: this.transformOf(name), rgb: this.colourOf(name) }))
         .filter((trail) => trail.place !== null),
+      places: this.status.places ?? [],
+      placeRgb: this.status.place_rgb,
       robots: !showsPaths ? [] : (this.status.poses ?? []).map(({ name, pose }) => ({ pose, rgb: this.colourOf(name) })),
     };
   }

@@ -88,11 +88,12 @@ export class View {
 
   // -- what one sees -----------------------------------------------------------------------------
 
-  /** Show all of the layers that are shown. */
+  /** Show all of the fused map, or of the layers that are shown without it. */
   fit() {
     const { layers } = this.scene();
     const shown = layers.filter((item) => item.isShown);
-    const corners = (shown.length > 0 ? shown : layers).flatMap(({ layer, raster, place }) =>
+    const fused = shown.filter((item) => item.layer.kind === "fused"); // stray beams of an input do not count
+    const corners = [fused, shown, layers].find((found) => found.length > 0 || found === layers).flatMap(({ layer, raster, place }) =>
       this.corners(layer, raster, place),
     );
     this.isFitted = true;
@@ -221,6 +222,8 @@ export class View {
     context.globalAlpha = 1;
     for (const { points, place, rgb } of scene.trails) this.drawTrail(points, place, rgb);
     for (const { pose, rgb } of scene.robots) this.drawRobot(pose, rgb);
+    for (const [index, place] of scene.places.entries()) this.drawPlace(place, String(index + 1), css(scene.placeRgb));
+    this.drawScale();
     if (this.hasCross) this.drawCross();
   }
 
@@ -306,12 +309,57 @@ export class View {
     context.strokeStyle = css(rgb);
     context.lineWidth = 2 * (window.devicePixelRatio || 1);
     context.beginPath();
+    let end = null;
     for (const [index, point] of points.entries()) {
-      const [px, py] = this.toPixel(compose(place, [...point, 0]));
+      const [px, py] = this.toPixel(compose(place, [point[0], point[1], 0]));
       if (index === 0) context.moveTo(px, py);
       else context.lineTo(px, py);
+      if (index === points.length - 1) end = [px, py];
     }
     context.stroke();
+    if (end !== null) this.drawDot(end, 5, css(rgb));
+  }
+
+  drawDot([x, y], radius, colour) {
+    const { context } = this;
+    const ratio = window.devicePixelRatio || 1;
+    context.beginPath();
+    context.arc(x, y, radius * ratio, 0, 2 * Math.PI);
+    context.fillStyle = colour;
+    context.fill();
+    context.lineWidth = 1.5 * ratio;
+    context.strokeStyle = "white";
+    context.stroke();
+  }
+
+  /** Number a place to check. */
+  drawPlace(place, text, colour) {
+    const at = this.toPixel(place);
+    this.drawDot(at, 10, colour);
+    this.write(text, at, "white", "center");
+  }
+
+  write(text, [x, y], colour, align) {
+    const { context } = this;
+    context.font = `600 ${12 * (window.devicePixelRatio || 1)}px system-ui, sans-serif`;
+    [context.textAlign, context.textBaseline, context.fillStyle] = [align, "middle", colour];
+    context.fillText(text, x, y);
+  }
+
+  /** Draw a bar of a round length at the lower right. */
+  drawScale() {
+    const { context, canvas } = this;
+    const ratio = window.devicePixelRatio || 1;
+    const most = (130 * ratio) / this.scale;
+    const unit = 10 ** Math.floor(Math.log10(most));
+    const length = unit * (most >= 5 * unit ? 5 : most >= 2 * unit ? 2 : 1);
+    const [right, y] = [canvas.width - 14 * ratio, canvas.height - 16 * ratio];
+    const left = right - length * this.scale;
+    context.fillStyle = "rgb(255 255 255 / 75%)";
+    context.fillRect(left - 6 * ratio, y - 20 * ratio, right - left + 12 * ratio, 28 * ratio);
+    context.fillStyle = "black";
+    context.fillRect(left, y, right - left, 3 * ratio);
+    this.write(`${Number(length.toPrecision(1))} m`, [(left + right) / 2, y - 9 * ratio], "black", "center");
   }
 
   drawRobot(pose, rgb) {

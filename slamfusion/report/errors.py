@@ -1,0 +1,231 @@
+"""The errors of paths: over the drive, as boxes, as cumulative distributions, and in a table."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes  # noqa: TID251
+from matplotlib.figure import Figure  # noqa: TID251
+
+from slamfusion.evaluation import (
+    REVISIT_S,
+    ErrorStatistics,
+    RelationErrors,
+    TrajectoryErrors,
+    error_kinds,
+)
+from slamfusion.evaluation.relations import RelationErrorsAtScans
+from slamfusion.palette import Rgb
+from slamfusion.report.canvas import (
+    INK,
+    LegendEntry,
+    label_axes,
+    plain_text,
+    stacked_axes,
+    unit_rgb,
+    write_note,
+)
+from slamfusion.report.page import Cell, Fact, Picture, Section, Table, number
+from slamfusion.report.series import thinned
+from slamfusion.trajectory import Trajectory
+
+F64 = npt.NDArray[np.float64]
+
+FIGURES = ("mean", "std", "rmse", "median", "min", "max")
+# Distributions are drawn up to this share of the errors: the few beyond would hide the others.
+_BULK = 0.99
+# Errors below this are drawn here: a logarithmic axis has no zero.
+_LEAST = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredPath:
+    """A path and its errors; None where they were not measured.
+
+    Attributes:
+        name: in tables and legends.
+        path: at least one pose.
+        truth: errors against the true path.
+        relations: errors on known relations.
+        at_scans: those between poses of the path itself.
+    """
+
+    name: str
+    path: Trajectory
+    truth: TrajectoryErrors | None = None
+    relations: RelationErrors | None = None
+    at_scans: RelationErrorsAtScans | None = None
+
+
+def errors_section(
+    measured: Sequence[MeasuredPath], colours: Mapping[str, Rgb], case: str = ""
+) -> list[Section]:
+    """Return the errors of paths of one drive as figures and a table; empty if none was measured.
+
+    Args:
+        measured: the paths.
+        colours: of each path by name.
+        case: the drive, where a page has several; empty: it has one.
+    """
+    rows, pictures = [], []
+    for item in measured:
+        kinds = error_kinds(item.truth, item.relations, item.at_scans)
+        if item.relations is not None and (revisits := item.relations.is_revisit()).any():
+            own = ErrorStatistics.of(item.relations.translation_m[revisits])
+            kinds.append(("revisits, translation m", own, 4))
+        for kind, statistics, digits in kinds:
+            rows.append([Cell(item.name), Cell(kind), *figure_cells(statistics, digits)])
+    if not rows:
+        return []
+    truth = {item.name: item.truth for item in measured if item.truth is not None}
+    known = {item.name: item.relations for item in measured if item.relations is not None}
+    of = f"{case}: " if case else ""
+    for errors, stem, what, caption in (
+        (truth, "error", "Error against the truth", ""),
+        (
+            known,
+            "relations",
+            "Error on known relations",
+            f"Large dots: revisits, where the two times are over {REVISIT_S:g} s apart.",
+        ),
+    ):
+        if errors:
+            legend = tuple(LegendEntry(name, colours[name]) for name in errors)
+            values = {name: own.translation_m for name, own in errors.items()}
+            drawn = (
+                (stem, _over_time(errors, colours), f"{of}{what} over the drive", caption),
+                (
+                    f"{stem}-distribution",
+                    distribution_figure(values, colours, "error [m]"),
+                    f"{of}{what}, distribution",
+                    "Box: quartiles and median; whiskers: 5 % and 95 %.",
+                ),
+            )
+            pictures += [
+                Picture(f"{case}-{stem}" if case else stem, figure, title, text, legend=legend)
+                for stem, figure, title, text in drawn
+            ]
+    text = (
+        "ATE: error of each pose after one rigid alignment of the whole path (if asked for). RPE: "
+        "error of the motion between two poses. Relations [K09]: error of the motion between two "
+        "times against the known one; no common frame is needed."
+    )
+    table = Table("Errors of the paths", ("path", "error", *FIGURES), rows)
+    title = f"{case}: errors of the paths" if case else "Errors of the paths"
+    return [Section(title, text, pictures, [table])]
+
+
+def error_facts(item: MeasuredPath) -> list[Fact]:
+    """Return the leading errors of a path as numbers of the headline."""
+    facts = []
+    if item.truth is not None:
+        facts.append(Fact(f"{item.truth.ate.rmse:.4f} m", f"ATE rmse, {item.name}"))
+        if item.truth.rpe is not None:
+            pair = f"{item.truth.rpe_delta:g} {item.truth.rpe_unit}"
+            facts.append(Fact(f"{item.truth.rpe.rmse:.4f} m", f"RPE rmse, {pair}, {item.name}"))
+    if item.relations is not None:
+        mean = item.relations.translation.mean
+        facts.append(Fact(f"{mean:.4f} m", f"error of relations, mean, {item.name}"))
+    return facts
+
+
+def figure_cells(statistics: ErrorStatistics | None, digits: int) -> list[Cell]:
+    """Return the ``FIGURES`` of an error as cells; dashes where there are none."""
+    values = [None if statistics is None else getattr(statistics, name) for name in FIGURES]
+    return [number(value, digits) for value in values]
+
+
+# --- figures -------------------------------------------------------------------------------------
+
+
+def _over_time(
+    errors: Mapping[str, TrajectoryErrors | RelationErrors], colours: Mapping[str, Rgb]
+) -> Figure:
+    """Draw the errors of place and of heading over time; those of relations as dots."""
+    figure, axes = stacked_axes(2, 1.45)
+    start_s = min(float(own.stamps_s.min()) for own in errors.values())
+    for name, own in errors.items():
+        since_s = own.stamps_s.reshape(len(own.stamps_s), -1).min(axis=1) - start_s
+        colour = unit_rgb(colours[name])
+        for place, values in zip(
+            axes, (own.translation_m, np.rad2deg(own.rotation_rad)), strict=True
+        ):
+            if isinstance(own, TrajectoryErrors):
+                place.plot(*thinned(since_s, values), color=colour, lw=0.9)
+                rmse = float(np.sqrt(np.mean(values**2)))
+                place.axhline(rmse, color=colour, lw=0.7, ls=":")
+                continue
+            sizes = np.where(own.is_revisit(), 9.0, 1.5)
+            shown = np.maximum(values, _LEAST)
+            place.scatter(since_s, shown, s=sizes, color=colour, alpha=0.7, linewidths=0)
+            place.axhline(max(float(values.mean()), _LEAST), color=colour, lw=0.7, ls=":")
+            place.set_yscale("log")
+    is_truth = isinstance(next(iter(errors.values())), TrajectoryErrors)
+    for place, unit in zip(axes, ("m", "°"), strict=True):
+        label_axes(place, y=f"error [{unit}]")
+        write_note(place, f"dotted: {'rmse' if is_truth else 'mean'}")
+        place.margins(x=0.01)
+        if is_truth:
+            place.set_ylim(bottom=0.0)
+    label_axes(axes[-1], x="time since the start [s]")
+    return figure
+
+
+def distribution_figure(
+    values: Mapping[str, F64], colours: Mapping[str, Rgb], label: str
+) -> Figure:
+    """Draw the share of errors below each value, and a box for each path on the same axis.
+
+    Args:
+        values: (N,) float64 errors by path, at least one each.
+        colours: of each path by name.
+        label: name and unit of the error.
+    """
+    figure, (above, below) = stacked_axes(2, (1.5, 0.2 + 0.2 * len(values)))
+    draw_shares(above, list(values.items()), colours)
+    draw_boxes(below, list(values.items()), colours)
+    label_axes(above, y="share of errors below")
+    label_axes(below, x=label)
+    return figure
+
+
+def draw_shares(
+    axes: Axes, values: Sequence[tuple[str, F64]], colours: Mapping[str, Rgb], style: str = "-"
+) -> None:
+    """Draw the share of errors below each value, up to the bulk of them; the names may repeat."""
+    for name, own in values:
+        share = np.arange(1, len(own) + 1) / len(own)
+        axes.step(
+            *thinned(np.sort(own), share),
+            where="post",
+            color=unit_rgb(colours[name]),
+            lw=1.0,
+            ls=style,
+        )
+    most = max(float(np.quantile(own, _BULK)) for _, own in values)
+    least = min(0.0, *(float(own.min()) for _, own in values))
+    axes.set_xlim(least, most + 0.05 * (most - least) or 1.0)
+    axes.set_ylim(0.0, 1.02)
+    write_note(axes, f"shown up to the {_BULK:.0%} quantile")
+
+
+def draw_boxes(axes: Axes, values: Sequence[tuple[str, F64]], colours: Mapping[str, Rgb]) -> None:
+    """Draw a box for each path, the first at the top."""
+    drawn = axes.boxplot(
+        [own for _, own in values],
+        orientation="horizontal",
+        whis=(5.0, 95.0),
+        showfliers=False,
+        widths=0.6,
+        patch_artist=True,
+        medianprops={"color": "white", "lw": 1.2},
+        whiskerprops={"color": INK, "lw": 0.8},
+        capprops={"color": INK, "lw": 0.8},
+    )
+    for box, (name, _) in zip(drawn["boxes"], values, strict=True):
+        box.set(facecolor=unit_rgb(colours[name]), edgecolor=INK, linewidth=0.6)
+    axes.set_yticks(range(1, len(values) + 1), [plain_text(name)[:14] for name, _ in values])
+    axes.invert_yaxis()
