@@ -185,7 +185,8 @@ def stacked_axes(count: int, tall_in: float | Sequence[float]) -> tuple[Figure, 
     heights = [tall_in] * count if isinstance(tall_in, (int, float)) else list(tall_in)
     head, foot = 0.24, 0.38
     whole = sum(heights) + head * count + foot
-    figure, axes, top = Figure(figsize=(WIDTH_IN, whole), dpi=DPI), [], whole
+    figure, top = Figure(figsize=(WIDTH_IN, whole), dpi=DPI), whole
+    axes: list[Axes] = []
     for height in heights:
         top -= head + height
         box = (0.155, top / whole, 0.815, height / whole)

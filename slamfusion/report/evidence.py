@@ -104,8 +104,8 @@ def strip_picture(
             extent = [(span.from_s, span.to_s - span.from_s)]
             axes.broken_barh(extent, (row - 0.3, 0.6), facecolor=unit_rgb(colour))
         spans = [(from_s, to_s - from_s) for from_s, to_s in no_vote.get(path.name, ())]
-        look = {"facecolor": "none", "edgecolor": "white", "hatch": "////", "linewidth": 0.0}
-        axes.broken_barh(spans, (row - 0.3, 0.6), **look)
+        hatched = axes.broken_barh(spans, (row - 0.3, 0.6), facecolor="none", linewidth=0.0)
+        hatched.set(edgecolor="white", hatch="////")
     for nth, place in enumerate(answer.check, start=1):
         axes.axvspan(place.from_s, place.to_s, color=INK, alpha=0.2, lw=0)
         middle_s = 0.5 * (place.from_s + place.to_s)

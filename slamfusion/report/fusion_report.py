@@ -244,8 +244,7 @@ def fused_section(
             legend=plots.agreement_legend(),
         )
     )
-    layers = fusion_layers(result, paths, places)
-    return Section("Fused map", "", pictures, layers=layers)
+    return Section("Fused map", "", pictures, layers=fusion_layers(result, paths, places))
 
 
 def group_sections(result: FusionResult) -> list[Section]:

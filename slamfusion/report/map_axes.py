@@ -115,12 +115,12 @@ def _draw_scale(axes: Axes) -> None:
     unit = 10.0 ** math.floor(math.log10(most))
     length = max(step * unit for step in (1.0, 2.0, 5.0) if step * unit <= most)
     x, y = left + 0.04 * (right - left), bottom + 0.04 * (top - bottom)
-    ends = {"color": INK, "lw": 1.6, "marker": "|", "ms": 5.0, "zorder": 5.0}
+    ends: dict[str, Any] = {"color": INK, "lw": 1.6, "marker": "|", "ms": 5.0, "zorder": 5.0}
     axes.plot([x, x + length], [y, y], scalex=False, scaley=False, **ends)
     ground = {"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.8}
-    look = {"color": INK, "fontsize": SMALL_PT, "ha": "center", "va": "bottom", "zorder": 5.0}
+    look: dict[str, Any] = {"color": INK, "fontsize": SMALL_PT, "bbox": ground, "zorder": 5.0}
     up = y + 0.02 * (top - bottom)
-    axes.text(x + 0.5 * length, up, f"{length:g} m", bbox=ground, **look)
+    axes.text(x + 0.5 * length, up, f"{length:g} m", ha="center", va="bottom", **look)
 
 
 def draw_grid(axes: Axes, grid: OccupancyGrid, normalize: NormalizeConfig) -> None:

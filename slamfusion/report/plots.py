@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -195,7 +196,7 @@ def yaw_picture(alignment: Alignment) -> Figure:
         marks.append((alignment.runner_up.transform, ratio, DISAGREEMENT_RGB, "D"))
     for pose, label, rgb, marker in marks:
         angle = math.degrees(math.remainder(pose.yaw_rad, 2 * math.pi))
-        look = {"color": unit_rgb(rgb), "marker": marker, "ms": 5, "ls": "none"}
+        look: dict[str, Any] = {"color": unit_rgb(rgb), "marker": marker, "ms": 5, "ls": "none"}
         axes.axvline(angle, color=unit_rgb(rgb), lw=1.0, ls=":")
         height = float(np.interp(angle, yaw_deg, score))
         axes.plot([angle], [height], label=f"{label} ({angle:.1f}°)", **look)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
-from matplotlib.artist import Artist  # noqa: TID251
 from matplotlib.axes import Axes  # noqa: TID251
 from matplotlib.figure import Figure  # noqa: TID251
+from matplotlib.layout_engine import ConstrainedLayoutEngine  # noqa: TID251
 
 from slamfusion.evaluation import figure_of
 from slamfusion.palette import Rgb, colours_of
@@ -95,11 +96,11 @@ def _plot(
     panel_in = max(LEAST_CASE_IN, METHOD_IN * len(names)) * len(cases) + FRAME_IN
     legend_in = LEGEND_IN * -(-len(names) // LEGEND_COLUMNS)
     heights = [PATH_IN] * len(paths) + [panel_in] * len(figures)
-    sheet = Figure(figsize=(WIDTH_IN, sum(heights) + legend_in), dpi=DPI, layout="constrained")
     bottom = legend_in / (sum(heights) + legend_in)
-    sheet.get_layout_engine().set(rect=(0.0, bottom, 1.0, 1.0 - bottom))
+    layout = ConstrainedLayoutEngine(rect=(0.0, bottom, 1.0, 1.0 - bottom))
+    sheet = Figure(figsize=(WIDTH_IN, sum(heights) + legend_in), dpi=DPI, layout=layout)
     grid = sheet.add_gridspec(len(heights), 2, height_ratios=heights)
-    handles: dict[str, Artist] = {}
+    handles: dict[str, Any] = {}
     for row, own in enumerate(paths):
         _draw_path(
             sheet.add_subplot(grid[row, 0]), sheet.add_subplot(grid[row, 1]), own, colours, handles
@@ -124,7 +125,7 @@ def _draw_path(
     below: Axes,
     errors: pd.DataFrame,
     colours: Mapping[str, Rgb],
-    handles: dict[str, Artist],
+    handles: dict[str, Any],
 ) -> None:
     """Draw the single errors of a case along the path, and the share of them below each value."""
     start, most = errors["at"].min(), 0.0
@@ -153,7 +154,7 @@ def _draw_cases(
     figure: str,
     cases: Sequence[str],
     colours: Mapping[str, Rgb],
-    handles: dict[str, Artist],
+    handles: dict[str, Any],
 ) -> None:
     """Draw one figure: a row for each case, a mark with its deviation for each method."""
     own = summaries.xs(figure, level=1)

@@ -39,7 +39,7 @@ def write_trajectory_report(
         odometry: of a single path, where the wheels alone would have gone.
         grid: a map in the frame of a single path, drawn under it.
     """
-    sections, facts, lines = [], [], []
+    sections, by_path, lines = [], [], []
     is_one = len(cases) == 1
     colours = colours_of(item.name for own in cases.values() for item in own)
     for case, measured in cases.items():
@@ -59,13 +59,13 @@ def write_trajectory_report(
         title = f"The path{'s' if len(measured) > 1 else ''}"
         sections.append(Section(title if is_one else f"{case}: {title}", "", pictures))
         sections += errors_section(measured, colours, "" if is_one else case)
-        facts += [error_facts(item) for item in measured]
+        by_path += [error_facts(item) for item in measured]
         words: dict[str, list[str]] = {}
         for item in measured:
             words.setdefault(_how_counted(item), []).append(item.name)
         lines += [(f"{case}, {', '.join(names)}:", text) for text, names in words.items()]
     # The leading error of each path comes first.
-    facts = [fact for row in zip_longest(*facts) for fact in row if fact is not None]
+    facts = [fact for row in zip_longest(*by_path) for fact in row if fact is not None]
     measured = [item for own in cases.values() for item in own]
     if len(measured) == 1:
         facts += [
@@ -169,19 +169,19 @@ def _paths_over_truth(
 def _headline(cases: Mapping[str, Sequence[MeasuredPath]]) -> str:
     """Name the path with the smallest error; of several cases the number of paths."""
     measured = [item for own in cases.values() for item in own]
-    for kind, error_m in (
-        ("from the truth (ATE rmse)", lambda item: item.truth and item.truth.ate.rmse),
-        (
-            "off the relations (mean)",
-            lambda item: item.relations and item.relations.translation.mean,
-        ),
-    ):
-        found = [item for item in measured if error_m(item) is not None]
-        if len(cases) == 1 and found:
-            best = min(found, key=error_m)
-            place = f", the nearest of {len(found)}" if len(found) > 1 else ""
-            return f"{best.name}: {error_m(best):.4f} m {kind}{place}"
-    return f"{len(measured)} paths of {len(cases)} cases"
+    truth = {item.name: item.truth.ate.rmse for item in measured if item.truth is not None}
+    known = {
+        item.name: item.relations.translation.mean
+        for item in measured
+        if item.relations is not None
+    }
+    if len(cases) > 1 or not (truth or known):
+        return f"{len(measured)} paths of {len(cases)} cases"
+    errors_m = truth or known
+    best = min(errors_m, key=errors_m.__getitem__)
+    kind = "from the truth (ATE rmse)" if truth else "off the relations (mean)"
+    place = f", the nearest of {len(errors_m)}" if len(errors_m) > 1 else ""
+    return f"{best}: {errors_m[best]:.4f} m {kind}{place}"
 
 
 def _how_counted(item: MeasuredPath) -> str:
