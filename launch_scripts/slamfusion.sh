@@ -113,9 +113,9 @@ if [ -z "${FASTRTPS_DEFAULT_PROFILES_FILE:-}${FASTDDS_BUILTIN_TRANSPORTS:-}" ] &
     export FASTRTPS_DEFAULT_PROFILES_FILE="$root/launch_scripts/fastdds-large-maps.xml"
 fi
 
-# name -> process; when it was started, or is to be; how often it has ended soon after its start,
-# one time after the other; whether it has ever run for longer
-declare -A pid started due quick has_run
+# name -> process; when it is to be started again; how often it has ended before its start was over
+# or soon after, one time after the other; whether it has ever run for longer
+declare -A pid due quick has_run
 GRACE_S=10 SOON_S=10 MOST_QUICK=3 LONGEST_PAUSE_S=30
 # Kernels that were never compiled on this machine take their time.
 START_TIMEOUT_S=300
@@ -134,9 +134,9 @@ start() {
                 -p "save:=$out" -p "start_timeout_s:=$START_TIMEOUT_S.0" "${pace[@]}")
             ;;
     esac
-    "$slamfusion" node "$name" --ros-args ${arguments[@]+"${arguments[@]}"} &
+    rm -f "$session/started-$name"
+    SLAMFUSION_STARTED="$session/started-$name" "$slamfusion" node "$name" --ros-args ${arguments[@]+"${arguments[@]}"} &
     pid[$name]=$!
-    started[$name]=$SECONDS
 }
 
 # A fusion that is started again goes on in its frame; the next session begins another one, unless
@@ -185,7 +185,8 @@ say "running: $producers fusion${log:+ player}; Ctrl-C ends them all"
 
 # Note that a node has ended, and when it is to be started again.
 take_end() {
-    local name="$1" code="$2" ran=$((SECONDS - started[$1])) pause=0
+    local name="$1" code="$2" ran=0 pause=0 mark="$session/started-$1"
+    [ ! -e "$mark" ] || ran=$(($(date +%s) - $(stat -c %Y "$mark")))
     unset "pid[$name]"
     if [ "$ran" -ge "$SOON_S" ]; then
         quick[$name]=0 has_run[$name]=yes

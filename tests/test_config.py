@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from slamfusion.config import (
     EvaluateConfig,
     FailuresConfig,
     FusionConfig,
+    FusionNodeConfig,
     GraphConfig,
     LogConfig,
     MatcherConfig,
@@ -167,3 +169,24 @@ def test_a_bare_no_in_yaml_is_the_choice_no() -> None:
     assert from_mapping(LogConfig, yaml.safe_load("deskew: no")).deskew == "no"
     with pytest.raises(ConfigError, match="laser: wanted as-given or mirrored or backward"):
         from_mapping(LogConfig, yaml.safe_load("laser: no"))
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"fused_frame": ""}, "fused_frame: wanted the name of a frame, found ''"),
+        ({"odom_frame": "/"}, "odom_frame: wanted the name of a frame, found '/'"),
+        ({"discover": "*/map,"}, "discover: no topic can fit ''"),
+        ({"discover": "robot 1/map"}, "discover: no topic can fit 'robot 1/map'"),
+        ({"discover": "robot*//map"}, "discover: no topic can fit 'robot*//map'"),
+        ({"discover": "[ab/map"}, "discover: no topic can fit"),
+        ({"discover": "1/map"}, "discover: no topic can fit"),
+    ],
+)
+def test_a_frame_without_a_name_and_a_pattern_that_fits_nothing_are_refused(
+    values: dict[str, str], words: str
+) -> None:
+    with pytest.raises(ConfigError, match=re.escape(words)):
+        FusionNodeConfig(**values)
+    found = FusionNodeConfig(discover="*/map, /**/map,robot[!12]_?/*")
+    assert found.patterns == ("*/map", "/**/map", "robot[!12]_?/*")

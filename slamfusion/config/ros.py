@@ -2,15 +2,34 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import Literal
 
 from slamfusion.config.core import Checked, option
 from slamfusion.config.run import Deskew, LaserMounting, deskew_option, sweep_option
+from slamfusion.errors import ConfigError
+
+# A word of a topic's name with wildcards: at least one name fits it.
+_PART = r"\[!?[^]/]+\]"
+_WORD = re.compile(rf"([A-Za-z_*?]|{_PART})([A-Za-z0-9_*?]|{_PART})*")
 
 
 @dataclass(frozen=True)
-class ProducerNodeConfig(Checked):
+class NodeConfig(Checked):
+    """A node's settings, in which every frame has a name."""
+
+    def __post_init__(self) -> None:
+        """Refuse values outside the declared range, and frames without a name."""
+        super().__post_init__()
+        for name, value in vars(self).items():
+            if name.endswith("_frame") and value is not None and not value.strip("/ "):
+                message = f"{name}: wanted the name of a frame, found {value!r}"
+                raise ConfigError(message)
+
+
+@dataclass(frozen=True)
+class ProducerNodeConfig(NodeConfig):
     """The ROS node of a producer; not part of ``RunConfig``, whose sections it has beside these."""
 
     odometry_source: Literal["topic", "tf", "none"] = option(
@@ -79,7 +98,7 @@ class ProducerNodeConfig(Checked):
 
 
 @dataclass(frozen=True)
-class FusionNodeConfig(Checked):
+class FusionNodeConfig(NodeConfig):
     """The ROS node of the fusion; not part of ``RunConfig``, whose sections it has beside these."""
 
     fused_frame: str = option("fused_map", "frame of the fused map")
@@ -137,9 +156,25 @@ class FusionNodeConfig(Checked):
         8642, "the page is served on this port; 0: any that is free", low=0, high=65535
     )
 
+    def __post_init__(self) -> None:
+        """Refuse patterns that no topic can fit, too."""
+        super().__post_init__()
+        for pattern in self.patterns:
+            if not all(_WORD.fullmatch(word) for word in pattern.removeprefix("/").split("/")):
+                message = (
+                    f"discover: no topic can fit {pattern!r}; wanted a name such as */map or "
+                    "/robot*/map, or several with commas"
+                )
+                raise ConfigError(message)
+
+    @property
+    def patterns(self) -> tuple[str, ...]:
+        """The patterns of ``discover``."""
+        return tuple(part.strip() for part in self.discover.split(",")) if self.discover else ()
+
 
 @dataclass(frozen=True)
-class PlayerNodeConfig(Checked):
+class PlayerNodeConfig(NodeConfig):
     """The ROS node that plays a log; not part of ``RunConfig``."""
 
     file: str | None = option(None, "the log or bag")

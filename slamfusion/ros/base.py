@@ -6,6 +6,7 @@ what takes long; the compute device; jumps of the clock; a clean end.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import logging
 import os
@@ -28,7 +29,7 @@ from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.exceptions import NameValidationException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from rclpy.qos import qos_policy_name_from_kind
+from rclpy.qos import QoSCompatibility, qos_check_compatible, qos_policy_name_from_kind
 from rclpy.signals import SignalHandlerOptions
 
 from slamfusion.compute import ComputeDevice, open_device
@@ -51,6 +52,8 @@ SHOWN_S = 10.0
 # A folder for as long as nodes that were started together run, so that one of them says what holds
 # for all; ``slamfusion.sh`` makes one.
 SESSION_VARIABLE = "SLAMFUSION_SESSION"
+# A file that a node makes when its start is over, where ``slamfusion.sh`` asks for it.
+STARTED_VARIABLE = "SLAMFUSION_STARTED"
 # Whose warnings stay true while a node runs and cost it time: NumPy in place of OpenCL, kernels
 # that are built at each start. That the wheel's PoCL was changed costs nothing.
 DEVICE_LOGGERS = ("slamfusion.compute", "slamfusion.compute.pocl_cache")
@@ -332,6 +335,8 @@ class NodeBase:
         self.diagnostics = Diagnostics(self.log)
         self.is_stopped = False
         self.exit_code = 0
+        # How topics are read on which a writer was found that offers less.
+        self._mismatched: dict[str, Any] = {}
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._diagnostics = self.node.create_publisher(
             DiagnosticArray, DIAGNOSTICS_TOPIC, qos.STREAM
@@ -390,14 +395,17 @@ class NodeBase:
     ) -> Any:
         """Return a subscription whose callback cannot bring the node down.
 
-        A writer whose quality of service does not fit is named in the diagnostics.
+        A writer whose quality of service does not fit is named in the diagnostics while it is
+        there, and until the topic is read another way.
         """
-        key = f"qos {topic}"
+        if topic in self._mismatched:
+            self._mismatched[topic] = profile
 
         def on_mismatch(event: Any) -> None:
             policy = qos_policy_name_from_kind(event.last_policy_kind).lower()
+            self._mismatched[topic] = profile
             self.diagnostics.add(
-                key,
+                f"qos {topic}",
                 Level.WARN,
                 f"a writer on {self.node.resolve_topic_name(topic)!r} offers less than is asked "
                 f"for ({policy}); nothing is heard from it",
@@ -425,6 +433,7 @@ class NodeBase:
     def publish_diagnostics(self) -> None:
         """Publish one DiagnosticArray on ``/diagnostics``."""
         self._name_namesakes()
+        self._forget_mismatches()
         message = DiagnosticArray()
         message.header.stamp = self.node.get_clock().now().to_msg()
         message.status = [self._status(item) for item in self.statuses()]
@@ -440,6 +449,15 @@ class NodeBase:
             "-r __node:=NAME (one that was killed is known for half a minute)"
         )
         self.diagnostics.say("namesake", text if count > 1 else None)
+
+    def _forget_mismatches(self) -> None:
+        """Name no more the topics every writer of which can be heard now."""
+        for topic, profile in list(self._mismatched.items()):
+            infos = self.node.get_publishers_info_by_topic(topic)
+            found = [qos_check_compatible(info.qos_profile, profile)[0] for info in infos]
+            if QoSCompatibility.ERROR not in found:
+                del self._mismatched[topic]
+                self.diagnostics.clear(f"qos {topic}")
 
     def _status(self, status: Status) -> DiagnosticStatus:
         return DiagnosticStatus(
@@ -509,6 +527,9 @@ def run_node(make: Callable[[], NodeBase], arguments: Sequence[str] | None = Non
         raise ConfigError(message) from error
     try:
         base = _made(make)
+        if mark := os.environ.get(STARTED_VARIABLE):
+            with contextlib.suppress(OSError):  # who asked for it is gone
+                Path(mark).touch()
         for sentence in unknown_parameters(base.node):
             base.log.warning(sentence)
         before = {

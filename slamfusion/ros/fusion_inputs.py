@@ -234,8 +234,7 @@ class FusionInputs:
         self._looked_s = now_s
         node = self._base.node
         space = str(node.get_namespace()).rstrip("/") + "/"
-        patterns = [part.strip() for part in settings.discover.split(",")]
-        patterns = [part if part.startswith("/") else space + part for part in patterns]
+        patterns = [part if part[0] == "/" else space + part for part in settings.patterns]
         known = {*self._topics(self.entries), *self._unwanted}
         known |= {str(node.resolve_topic_name(name)) for name in self._outputs}
         # As relative as can be: robots are called by their own namespaces.

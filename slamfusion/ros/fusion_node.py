@@ -97,6 +97,7 @@ class FusionNode(NodeBase):
             changeable=[name for name in parameter_names(LiveConfig) if name != "extent"],
             on_change=self._on_live,
         )
+        self._least = live.minimum_inputs
         config = RunConfig(
             fusion=declare(node, FusionConfig(), "fusion"),
             live=live,
@@ -104,6 +105,8 @@ class FusionNode(NodeBase):
             map_files=declare(node, MapFileConfig()),
             start=declare_starts(node, names, may_come=is_open),
         )
+        # First of what may fail: a start with a wrong token or a taken port takes no time.
+        self._page = LivePage(self, self.settings, self._carry_out) if self.settings.page else None
         self._clocks = Clocks(self.clock_s, self.diagnostics)
         # Before the inputs: of what has come the odometry is heard first, and then the poses.
         self._frames = FusedFrames(self, self.settings)
@@ -137,8 +140,7 @@ class FusionNode(NodeBase):
             on_vote=self._on_vote,
             is_heard=lambda: self._agreement_topic.get_subscription_count() > 0,
         )
-        carry_out = FusionServices(self).carry_out
-        self._page = LivePage(self, self.settings, carry_out) if self.settings.page else None
+        self._services = FusionServices(self)
         self._writers = Writers(self, MAP_TOPIC)
         self._keeper = StateKeeper(self, self._fusion, self.settings.state_path, names)
         if (kept := self._keeper.restored) is not None:
@@ -244,6 +246,7 @@ class FusionNode(NodeBase):
             source.ask(settings.lost_after_s)
 
     def _on_live(self, live: LiveConfig) -> None:
+        self._least = live.minimum_inputs
         self._session.ask_settings(live)
         self._wake()
 
@@ -252,6 +255,10 @@ class FusionNode(NodeBase):
         if delta_s < 0.0:
             self._clocks.forget()
             self._frames.on_time_jump(self.clock_s())
+
+    def _carry_out(self, name: str) -> tuple[bool, str]:
+        """Do what the page asks for."""
+        return self._services.carry_out(name)
 
     def nothing_fused(self) -> str:
         """Say why no input votes."""
@@ -333,15 +340,19 @@ class FusionNode(NodeBase):
         level, wrong = self.diagnostics.worst("")
         out = [line.name.removeprefix(PREFIX) for line in lines if line.level != Level.OK]
         voters = len(lines) - len(out)
+        votes = "votes" if voters == 1 else "vote"
         if not voters:
             words = self.nothing_fused()
             is_worse = self.published is not None and not self._keeper.is_unconfirmed
             level = max(level, Level.ERROR if is_worse else Level.WARN)
         elif out:
-            words = f"{voters} of {len(lines)} inputs vote; not: {', '.join(out)}"
+            words = f"{voters} of {len(lines)} inputs {votes}; not: {', '.join(out)}"
             level = max(level, Level.WARN)
         else:
-            words = f"all {voters} inputs vote"
+            words = f"all {voters} inputs vote" if voters > 1 else "1 input votes"
+        if voters == 1 and self._least > 1:
+            words += "; it goes on alone, and no other confirms it"
+            level = max(level, Level.WARN)
         snapshot, sent = self._session.snapshot, self._session.sent
         update, published = snapshot.update, self.published
         grid = None if published is None else published[1]

@@ -16,7 +16,6 @@ from typing import Any
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import OccupancyGrid
 from rclpy.event_handler import SubscriptionEventCallbacks, UnsupportedEventTypeError
-from rclpy.qos import DurabilityPolicy
 
 from slamfusion.errors import GridError, TrajectoryError
 from slamfusion.geometry import Pose2
@@ -200,7 +199,9 @@ class Clocks:
     """Compares the clocks of the inputs' machines with each other and with this one's.
 
     A stamp is as far ahead of the node's clock as the sender's clock is, less the time that the
-    message took: of an input's last stamps one of those farthest ahead tells its clock best. The
+    message took: of an input's last stamps one of those farthest ahead tells its clock best. Inputs
+    whose poses have stamps in common map the scans of one sensor, so they have one clock, and the
+    later one has a queue. The
     clock that most have, this machine's among them, is taken for the right one, so that a log that
     is played without simulated time is not named. No input is refused for its clock: alignment and
     votes go by when a map came. A single stamp is refused that is far ahead of the node's clock
@@ -259,10 +260,16 @@ class Clocks:
         Inputs that sent too little to tell are left out; without two there is nothing to compare.
         """
         ahead_s: dict[str, float] = {}
+        stamps: dict[str, set[float]] = {}
         for (name, _), heard in self._heard.items():
             if len(heard) >= LEAST and heard[-1][0] - heard[0][0] >= SPAN_S:
                 own_s = sorted(ahead for _, ahead in heard)[-1 - int(UPPER * len(heard))]
                 ahead_s[name] = max(own_s, ahead_s.get(name, own_s))
+                stamps.setdefault(name, set()).update(stamp for stamp, _ in heard)
+        ahead_s = {
+            name: max(ahead_s[other] for other, theirs in stamps.items() if own & theirs)
+            for name, own in stamps.items()
+        }
         if len(ahead_s) < 2:
             return {}
         ordered = sorted([0.0, *ahead_s.values()])
@@ -368,11 +375,11 @@ class HeardPose:
 class MapSource:
     """A map topic and the pose topic beside it: ``NAME/pose`` for ``NAME/map``.
 
-    The map is read with the durability that is offered: a reader that asks for kept maps never
-    hears a writer that keeps none. ``MAP_updates`` (map_msgs/OccupancyGridUpdate), which some SLAMs
-    and costmaps send for the part that changed, are put into the last whole map. Stamps far ahead
-    of all else are named and not used, nor are poses that have them. In the executor's thread,
-    apart from ``read``.
+    The map is read with the quality that is offered: a reader that asks for kept or for reliable
+    maps never hears a writer that offers less. ``MAP_updates`` (map_msgs/OccupancyGridUpdate),
+    which some SLAMs and costmaps send for the part that changed, are put into the last whole map.
+    Stamps far ahead of all else are named and not used, nor are poses that have them. In the
+    executor's thread, apart from ``read``.
 
     Args:
         topic: of its maps.
@@ -412,7 +419,7 @@ class MapSource:
         self._clocks = clocks
         self._lost_after_s = lost_after_s
         self._on_map, self._on_pose = on_map, on_pose
-        self._durability: DurabilityPolicy | None = None
+        self._profile = qos.MAP
         # The last map, which updates are put into.
         self._last: Any = None
         self._others: list[Any] = []
@@ -464,23 +471,20 @@ class MapSource:
             self._heartbeat.close()
 
     def _listen(self) -> Any:
-        profile = qos.map_qos(self._durability)
-        return self._base.subscribe(OccupancyGrid, self.topic, self._take_map, profile)
+        return self._base.subscribe(OccupancyGrid, self.topic, self._take_map, self._profile)
 
     def look(self) -> None:
         """See who publishes the map, and read it and its signs of life as they are offered."""
         if self._heartbeat is not None:
             self._heartbeat.look()
-        durability = qos.offered_durability(self._base.node, self.topic)
-        if durability is None:
+        profile = qos.map_qos(self._base.node, self.topic)
+        if profile is None:
             if self.silent_since_s is None:
                 self.silent_since_s = time.monotonic()
             return
         self.silent_since_s = None
-        was_latched = self._durability != DurabilityPolicy.VOLATILE
-        is_latched = durability != DurabilityPolicy.VOLATILE
-        self._durability = durability
-        if was_latched != is_latched:
+        if profile != self._profile:
+            self._profile = profile
             self._base.node.destroy_subscription(self._subscription)
             self._subscription = self._listen()
 

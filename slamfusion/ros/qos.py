@@ -67,32 +67,23 @@ def heartbeat(lease_s: float) -> QoSProfile:
     return _profile(1, reliable=False, latched=False, lease_s=lease_s)
 
 
-def map_qos(durability: DurabilityPolicy | None) -> QoSProfile:
-    """Return how to read a map topic.
+def map_qos(node: Any, topic: str) -> QoSProfile | None:
+    """Return how to read a map topic, so that every writer of it is heard.
 
     Args:
-        durability: what its writers offer, see ``offered_durability``; None: not known yet, asked
-            for as ours are offered (transient local).
-    """
-    is_latched = durability != DurabilityPolicy.VOLATILE
-    return _profile(1, reliable=True, latched=is_latched)
-
-
-def offered_durability(node: Any, topic: str) -> DurabilityPolicy | None:
-    """Return the durability that every writer of a topic offers.
-
-    Args:
+        node: an rclpy node.
         topic: as for a subscription: relative names and remapping rules hold.
 
     Returns:
-        Volatile as soon as one writer is (a volatile reader hears both kinds, but gets no map from
-        before it came); transient local when all are; None while nobody writes.
+        Reliable as far as all writers are; transient local as far as all are, or else no map from
+        before the reader came is heard. None while the topic has no writer.
     """
-    offered = [
-        info.qos_profile.durability
-        for info in node.get_publishers_info_by_topic(topic)  # applies remappings
-    ]
-    if not offered:
+    infos = node.get_publishers_info_by_topic(topic)  # applies remappings
+    if not infos:
         return None
-    is_latched = all(item == DurabilityPolicy.TRANSIENT_LOCAL for item in offered)
-    return DurabilityPolicy.TRANSIENT_LOCAL if is_latched else DurabilityPolicy.VOLATILE
+    profiles = [info.qos_profile for info in infos]
+    return _profile(
+        1,
+        reliable=all(one.reliability == ReliabilityPolicy.RELIABLE for one in profiles),
+        latched=all(one.durability == DurabilityPolicy.TRANSIENT_LOCAL for one in profiles),
+    )

@@ -175,6 +175,16 @@ def test_a_node_that_cannot_start_ends_all(domain: int, processes: Processes, tm
     assert nodes_in(domain) == {}
 
 
+@pytest.mark.full
+def test_a_node_whose_start_takes_long_and_fails_ends_all(processes: Processes, tmp_path: Path):
+    command = tmp_path / "slamfusion"
+    command.write_text("#!/bin/sh\nsleep 11\nexit 3\n")
+    command.chmod(0o755)
+    script = processes.start("slamfusion.sh", [SCRIPT], {"SLAMFUSION": str(command)})
+    assert script.wait(60.0) == 1
+    assert "has ended with 3 3 times in a row" in script.text()
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [

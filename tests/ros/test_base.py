@@ -157,7 +157,7 @@ def test_jumps_of_simulated_time_are_told(spun: Spun, observer: Observer):
 
 
 def test_a_writer_that_offers_too_little_is_named(spun: Spun, observer: Observer):
-    observer.publisher(String, "words", qos.SENSOR)
+    writer = observer.publisher(String, "words", qos.SENSOR)
     _, words = wait(
         observer,
         spun,
@@ -167,6 +167,8 @@ def test_a_writer_that_offers_too_little_is_named(spun: Spun, observer: Observer
     assert words == (
         "a writer on '/words' offers less than is asked for (reliability); nothing is heard from it"
     )
+    observer.node.destroy_publisher(writer)
+    wait(observer, spun, lambda: not spun.base.diagnostics.is_on("qos words"), "its end")
 
 
 def test_a_node_of_the_same_name_is_named_until_it_ends(spun: Spun, observer: Observer):

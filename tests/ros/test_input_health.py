@@ -88,6 +88,17 @@ def test_a_kept_map_of_long_ago_is_no_clock() -> None:
     assert robots.told() == "all is well"
 
 
+def test_who_maps_the_same_scans_later_has_a_queue_and_no_wrong_clock() -> None:
+    robots = Robots(a=0.0, c=0.0)
+    stamps_s = [robots.now_s + 0.1 * count for count in range(60)]
+    for robots.now_s, earlier_s in zip(stamps_s[30:], stamps_s, strict=False):
+        for name, stamp_s in (("a", robots.now_s), ("b", earlier_s), ("c", robots.now_s)):
+            robots.clocks.hear(name, "pose", stamp_s)
+        robots.clocks.hear("a", "map", earlier_s)
+    robots.ahead_s["b"] = 0.0
+    assert robots.told() == "all is well"
+
+
 def test_what_most_have_is_right() -> None:
     # A log that is played without simulated time, with and without a robot that lives.
     robots = Robots(a=-1e8, b=-1e8)

@@ -20,12 +20,14 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 from slamfusion.config import FusionNodeConfig
+from slamfusion.errors import ConfigError
 from slamfusion.fusion.live import LiveInput, State
 from slamfusion.fusion.live.session import FusedMap, FusionState
 from slamfusion.geometry import Pose2
 from slamfusion.palette import FREE_RGB, UNKNOWN_RGB, WALL_RGB
 from slamfusion.ros import messages, qos
 from slamfusion.ros.base import Level, Status
+from slamfusion.ros.fusion_node import FusionNode
 from slamfusion.ros.input_health import HeardPose
 from slamfusion.ros.live_page import LivePage
 from tests.page.test_server import batch, say
@@ -110,6 +112,15 @@ def address(node: Process, observer: Observer) -> str:
 def votes(page: Any, name: str, wanted: str, timeout_s: float) -> None:
     selector = f'#inputs li[data-name="{name}"][data-votes="{wanted}"]'
     page.wait_for_selector(selector, timeout=1e3 * timeout_s)
+
+
+def test_a_wrong_token_is_refused_before_the_device_is_opened(
+    observer: Observer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SLAMFUSION_PAGE_TOKEN", "short")
+    words = ["--ros-args", "-p", "page:=true", "-p", "device:=absent"]
+    with pytest.raises(ConfigError, match="SLAMFUSION_PAGE_TOKEN: wanted 24 or more"):
+        FusionNode(context=observer.node.context, arguments=words)
 
 
 def test_the_page_shows_what_the_nodes_publish(

@@ -12,25 +12,16 @@ from tests.ros.live import Observer
 
 pytestmark = pytest.mark.ros
 
-VOLATILE, LATCHED = DurabilityPolicy.VOLATILE, DurabilityPolicy.TRANSIENT_LOCAL
+BEST_EFFORT = ReliabilityPolicy.BEST_EFFORT
 
 
-def test_the_offered_durability_is_that_of_the_weakest_writer(domain: int, observer: Observer):
-    assert qos.offered_durability(observer.node, "map") is None
-    with Observer(domain, "writer") as other:
-        other.publisher(String, "map", qos.MAP)
-        observer.wait(lambda: qos.offered_durability(observer.node, "map") == LATCHED)
-        other.publisher(String, "map", qos.STREAM)
-        observer.wait(lambda: qos.offered_durability(observer.node, "map") == VOLATILE)
-    observer.wait(lambda: qos.offered_durability(observer.node, "map") is None)
-
-
-@pytest.mark.parametrize("offered", [qos.MAP, qos.STREAM])
+@pytest.mark.parametrize("offered", [qos.MAP, qos.STREAM, qos.SENSOR])
 def test_a_map_is_heard_as_it_is_offered(domain: int, observer: Observer, offered: object):
+    assert qos.map_qos(observer.node, "map") is None
     with Observer(domain, "writer") as other:
         writer = other.publisher(String, "map", offered)
-        durability = observer.wait(lambda: qos.offered_durability(observer.node, "map"))
-        heard = observer.collect(String, "map", qos.map_qos(durability))
+        profile = observer.wait(lambda: qos.map_qos(observer.node, "map"))
+        heard = observer.collect(String, "map", profile)
         observer.wait(writer.get_subscription_count, what="the reader")
 
         def is_heard() -> bool:
@@ -38,10 +29,13 @@ def test_a_map_is_heard_as_it_is_offered(domain: int, observer: Observer, offere
             return bool(heard)
 
         observer.wait(is_heard, what="the map")
-    assert heard[0].data == "here"
+        assert heard[0].data == "here"
+        # Of several writers the one that offers least counts.
+        other.publisher(String, "map", qos.SENSOR)
 
+        def is_asked_for_less() -> bool:
+            asked = qos.map_qos(observer.node, "map")
+            wanted = DurabilityPolicy.VOLATILE, BEST_EFFORT
+            return asked is not None and (asked.durability, asked.reliability) == wanted
 
-def test_a_map_topic_is_asked_for_as_ours_are_offered():
-    assert qos.map_qos(None).durability == LATCHED
-    assert qos.map_qos(VOLATILE).durability == VOLATILE
-    assert qos.map_qos(VOLATILE).reliability == ReliabilityPolicy.RELIABLE
+        observer.wait(is_asked_for_less, what="the second writer")

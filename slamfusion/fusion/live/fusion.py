@@ -66,6 +66,8 @@ from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, OccupancyGrid
 from slamfusion.vote.tiles import check_votes
 
+SAVED = "give a map that never changes as file:PATH, so that it keeps its vote"
+
 
 @dataclass(frozen=True, eq=False)
 class LiveInput:
@@ -336,7 +338,7 @@ class LiveFusion:
         An input is stale when its last message is older than another's by ``live.stale_after_s``,
         and not older than now: when the robot stands still all fall silent together.
         """
-        removed, fresh, received = self._mailbox.take()
+        removed, fresh = self._mailbox.take()
         for name in removed:
             self._inputs.pop(name, None)
             self._aligner.remove(name)
@@ -351,11 +353,14 @@ class LiveFusion:
             elif reason := self._take(track, item):
                 self._mailbox.count_rejected(name)
                 track.refuse_map(reason)
-        newest = max(received.values(), default=now_s)
-        for name, came_s in received.items():
-            stale = self._inputs.get(name)
-            if stale is not None and stale.is_live and newest - came_s > self._live.stale_after_s:
-                stale.lose(f"no map for {now_s - came_s:.0f} s")
+        came = {name: item for name, item in self._mailbox.counts().items() if not item.is_saved}
+        newest_s = max((item.received_s for item in came.values()), default=now_s)
+        for name, item in came.items():
+            one = self._inputs.get(name)
+            is_stale = newest_s - item.received_s > self._live.stale_after_s
+            if one is not None and one.is_live and is_stale:
+                only = f", and one ever; {SAVED}" if item.maps == 1 else ""
+                one.lose(f"no map for {now_s - item.received_s:.0f} s{only}")
         since_s = [
             item.waits_since_s
             for item in fresh.values()

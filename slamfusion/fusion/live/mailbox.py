@@ -126,22 +126,18 @@ class Mailbox:
         with self._lock:
             return name in self._received and self._received[name].maps > 0
 
-    def take(self) -> tuple[list[str], dict[str, InputMessage], dict[str, float]]:
+    def take(self) -> tuple[list[str], dict[str, InputMessage]]:
         """Return what came since the last call, as of one moment.
 
         Returns:
-            The inputs that were removed, which is older than all else; what is new, by name; and
-            when each input's last message came, but of those read from a file.
+            The inputs that were removed, which is older than all else; and what is new, by name.
         """
         with self._lock:
             removed, self._removed = self._removed, []
             fresh = {name: replace(item) for name, item in self._received.items() if item.is_new}
             for item in self._received.values():
                 item.is_new, item.grid, item.waits_since_s = False, None, None
-            came = {
-                name: item.received_s for name, item in self._received.items() if not item.is_saved
-            }
-        return removed, fresh, came
+        return removed, fresh
 
     def counts(self) -> dict[str, InputMessage]:
         """Return a copy of what came of each input, by name."""
