@@ -43,7 +43,6 @@ LONGEST = (
     "ros/test_fusion_faults.py",
     "cli/test_several.py",
     "launch/test_slamfusion_sh.py",
-    "cli/test_own_producer.py",
     "ros/test_fusion_node.py",
     "cli/test_commands.py",
     "slam/graph/test_lost_robot.py",

@@ -1,14 +1,16 @@
-"""Wheel and sdist, installed into an environment of their own: the commands run from there."""
+"""Wheel and sdist, installed beside a package with a producer of its own: commands run there."""
 
 from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 import sysconfig
 import tarfile
 import venv
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +18,9 @@ import pytest
 
 from slamfusion import __version__
 from slamfusion.io import write_carmen
+from slamfusion.slam.registry import BUILT_IN
 from tests.slam.drives import drive
+from tests.support.own_producer import NAME, PACKAGE
 
 ROOT = Path(__file__).resolve().parents[1]
 SAMPLE = ROOT / "data" / "sample"
@@ -69,32 +73,45 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The command, from the wheel; what it stands on is that of the tests' environment."""
     python = environment(tmp_path_factory.mktemp("fresh") / "venv")
     install(python, "--no-deps", "--no-index", str(wheel))
-    (site,) = python.parents[1].glob("lib/python*/site-packages")
-    (site / "tests_environment.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    (site_of(python) / "tests_environment.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    install(python, "--no-deps", "--no-build-isolation", str(PACKAGE))
     return python.with_name("slamfusion")
 
 
-def run(command: Path, folder: Path, *words: str | Path) -> dict[str, Any]:
-    """Run a command in a folder, without the checkout, and return its JSON document."""
+def site_of(python: Path) -> Path:
+    """Return the folder that an environment's packages are installed into."""
+    (site,) = python.parents[1].glob("lib/python*/site-packages")
+    return site
+
+
+def printed(command: Path, folder: Path, *words: str | Path) -> str:
+    """Run a command in a folder, without the checkout, and return what it printed."""
     kept = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     done = subprocess.run(
-        [command, *words, "--json"],
+        [command, *words],
         cwd=folder,
-        env=kept,
+        env={**kept, "COLUMNS": "200"},
         check=False,
         capture_output=True,
         text=True,
         timeout=180,
     )
     assert done.returncode == 0, done.stderr
-    document: dict[str, Any] = json.loads(done.stdout)
+    assert "slamfusion: error" not in done.stderr
+    return done.stdout
+
+
+def run(command: Path, folder: Path, *words: str | Path) -> dict[str, Any]:
+    """Run a command and return its JSON document."""
+    document: dict[str, Any] = json.loads(printed(command, folder, *words, "--json"))
     return document
 
 
-def drive_and_fuse(command: Path, folder: Path, producers: str) -> None:
+def drive_and_fuse(command: Path, folder: Path, producers: str, *options: str) -> None:
     """Run a log of some scans, which fuses its maps, and look at the installation."""
     write_carmen(folder / "flat.log", drive(30)[0])
-    ran = run(command, folder, "run", "flat.log", "-o", "out", "--producers", producers)
+    ran = run(command, folder, "run", "flat.log", "-o", "out", "--producers", producers, *options)
+    assert [item["name"] for item in ran["inputs"]] == producers.split(",")
     assert ran["fused_count"] == len(producers.split(","))
     assert (folder / "out" / "report" / "report.html").is_file()
     found = run(command, folder, "doctor")
@@ -124,7 +141,38 @@ def test_the_code_is_that_of_the_wheel(installed: Path, tmp_path: Path):
 
 
 def test_the_main_commands_run_from_the_wheel(installed: Path, tmp_path: Path):
-    drive_and_fuse(installed, tmp_path, "tinyslam,graph")
+    """The producer of another package takes part by its name alone."""
+    settings = tmp_path / "run.yaml"
+    settings.write_text(f"producers: {{{NAME}: {{usable_range_m: 8.0}}}}\n", encoding="utf-8")
+    drive_and_fuse(installed, tmp_path, f"tinyslam,{NAME}", "--config", str(settings))
+    assert (tmp_path / "out" / f"{NAME}.yaml").is_file()
+
+
+@pytest.fixture
+def broken(installed: Path) -> Iterator[str]:
+    """The installed entry point of a package that cannot be imported."""
+    folder = site_of(installed) / "broken_producer-1.0.dist-info"
+    folder.mkdir()
+    about = "Metadata-Version: 2.1\nName: broken-producer\nVersion: 1.0\n"
+    (folder / "METADATA").write_text(about, encoding="utf-8")
+    points = "[slamfusion.producers]\nbroken = no_such_package:PRODUCER\n"
+    (folder / "entry_points.txt").write_text(points, encoding="utf-8")
+    yield "broken"
+    shutil.rmtree(folder)
+
+
+def test_help_names_producers_of_other_packages_and_broken_ones(
+    installed: Path, broken: str, tmp_path: Path
+):
+    listed = printed(installed, tmp_path, "slam", "--help")
+    said = f"{broken} BROKEN: the producer 'broken' cannot be loaded from no_such_package:PRODUCER"
+    assert said in " ".join(listed.split())
+    for name in (*BUILT_IN, NAME):
+        assert f"\n  {name} " in listed
+    own = printed(installed, tmp_path, "slam", NAME, "--help-all")
+    assert "scans drawn where the odometry says they are" in " ".join(own.split())
+    assert "--usable-range-m" in own
+    assert "--save-state" not in own
 
 
 @pytest.mark.full
