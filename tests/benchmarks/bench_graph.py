@@ -1,4 +1,4 @@
-"""Measure the graph SLAM, part by part: accuracy, time, more buildings, loops, events.
+"""Measure the graph SLAM, part by part: accuracy, time, more buildings, loops.
 
     python -m tests.benchmarks.bench_graph --part recordings --seeds 5 --maps out/bench_graph
 
@@ -9,7 +9,6 @@ logs: gmapping-corrected logs of more buildings, driven by their reconstructed o
 a map and a report of each, to be looked at: there is no truth.
 floors: simulated loops of 100 m and 300 m and places that look alike; closures that join what is
 over 0.5 m or 0.1 rad apart are false.
-events: an hour without a scan, a robot that is carried away, a log that starts in mid-loop.
 
 A simulated part drives another course with every seed. With --maps the first seed's maps are
 written as PNG, to be looked at: --first-seed chooses which. --config takes a YAML file of settings,
@@ -18,7 +17,7 @@ as the command line does.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
@@ -28,9 +27,6 @@ import numpy.typing as npt
 
 from slamfusion.config import RunConfig
 from slamfusion.evaluation import (
-    MapError,
-    TrajectoryErrors,
-    compare_to_truth,
     doubled_wall_share,
     errors_at_scans,
     mean_interval,
@@ -39,9 +35,8 @@ from slamfusion.evaluation import (
 from slamfusion.experiments.drives import RELATIONS
 from slamfusion.experiments.drives import Drive as RecordedDrive
 from slamfusion.geometry import Pose2, compose_poses, invert_poses, wrap_angles
-from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan, open_log, read_trajectory
-from slamfusion.sim import Course, Recording, named_course, simulate
+from slamfusion.sim import named_course
 from slamfusion.slam.common.runner import ProducerRun, run_producer, skipped_scans
 from slamfusion.slam.graph import GraphSlam
 from slamfusion.slam.registry import settings_of, with_settings
@@ -83,38 +78,6 @@ class ClosureLike(Protocol):
     def weight(self) -> float: ...
 
 
-def with_pause(drive: Drive, first: int, pause_s: float) -> Drive:
-    """Return a drive with nothing recorded for a while before one of its scans."""
-    scans, truth = drive
-    late = tuple(
-        replace(item, scan=replace(item.scan, stamp_s=item.scan.stamp_s + pause_s))
-        for item in scans[first:]
-    )
-    stamps_s = truth.stamps_s + np.where(np.arange(len(truth)) >= first, pause_s, 0.0)
-    return scans[:first] + late, Trajectory(stamps_s, truth.poses, truth.name)
-
-
-def begun_later(drive: Drive, first: int) -> Drive:
-    """Return a drive without the scans before one; stamps and odometry stay as they are."""
-    scans, truth = drive
-    return scans[first:], Trajectory(truth.stamps_s[first:], truth.poses[first:], truth.name)
-
-
-def with_odometry_set_to_zero(drive: Drive, first: int) -> Drive:
-    """Return a drive whose odometry begins anew, at zero, with one of its scans."""
-    scans, truth = drive
-    start = scans[first].odometry
-    if start is None:
-        message = f"scan {scans[first].line} has no odometry"
-        raise ValueError(message)
-    again = tuple(
-        replace(item, odometry=start.inverse().compose(pose))
-        for item in scans[first:]
-        if (pose := item.odometry)
-    )
-    return scans[:first] + again, truth
-
-
 def closure_errors(closures: Sequence[ClosureLike], truth: Trajectory) -> npt.NDArray[np.float64]:
     """Return how far closures are from the truth, (N, 2): metres, radians.
 
@@ -147,32 +110,6 @@ def loops(closures: Iterable[ClosureLike]) -> list[ClosureLike]:
 def is_false(errors: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
     """Return which closures are false, (N,), from their errors (N, 2) in metres and radians."""
     return np.asarray((errors[:, 0] > FALSE_M) | (errors[:, 1] > FALSE_RAD))
-
-
-def joined(recordings: Sequence[Recording]) -> tuple[tuple[LogScan, ...], Trajectory]:
-    """Set simulated drives one after the other; each begins where the one before ended.
-
-    Args:
-        recordings: with one laser.
-
-    Returns:
-        The scans, odometry going on from one drive to the next, and the true path.
-    """
-    scans: list[LogScan] = []
-    stamps_s: list[npt.NDArray[np.float64]] = []
-    shift_s = 0.0
-    for recording in recordings:
-        moved = Pose2()
-        if scans:
-            shift_s += 1.0 / recording.course.lidar.rate_hz
-            moved = _odometry(scans[-1]).compose(_odometry(recording.scans[0]).inverse())
-        stamps_s.append(shift_s + recording.truth.stamps_s)
-        for item in recording.scans:
-            scan = replace(item.scan, stamp_s=shift_s + item.scan.stamp_s)
-            scans.append(LogScan(scan, moved.compose(_odometry(item)), len(scans) + 1))
-        shift_s = float(stamps_s[-1][-1])
-    poses = np.concatenate([recording.truth.poses for recording in recordings])
-    return tuple(scans), Trajectory(np.concatenate(stamps_s), poses, "truth")
 
 
 def _odometry(item: LogScan) -> Pose2:
@@ -392,27 +329,7 @@ def _report(folder: Path, run: ProducerRun, corrected: Trajectory, config: RunCo
     write_slam_report(folder, shown, config=config)
 
 
-def half_an_office(bench: Bench, seed: int) -> tuple[Recording, Course]:
-    """Simulate the first half of an office drive; return it and the course of the second half.
-
-    That one begins where the first ends, and wants another seed: else laser and odometry err twice
-    in the same way.
-    """
-    course = replace(named_course("office", seed), people=0)
-    course = replace(course, world=replace(course.world, seed=seed))
-    stops = simulate(replace(course, lidar=replace(course.lidar, beams=1)), bench.device)
-    waypoints = stops.course.waypoints or ()
-    half = len(waypoints) // 2
-    there = simulate(replace(course, waypoints=waypoints[:half]), bench.device)
-    return there, replace(course, start=there.truth.pose(-1), waypoints=waypoints[half:])
-
-
 FLOORS = ("ring-100", "ring-300", "wings", "pillars", "rooms", "corridor", "office")
-STAND_S = 3600.0
-# A log that starts in mid-loop lacks this share of its scans.
-LATER_SHARE = 0.35
-# A pose that is so far off is that of a robot elsewhere.
-AWAY_M = 1.0
 
 
 @dataclass(frozen=True)
@@ -492,144 +409,17 @@ def floors(bench: Bench, only: Sequence[str] = ()) -> None:
     bench.console.print(table)
 
 
-@dataclass(frozen=True)
-class _Event:
-    """A drive to which something happens.
-
-    Attributes:
-        name: of the event.
-        drive: the whole of it.
-        first: index of the first scan after the event.
-        world: the true map.
-    """
-
-    name: str
-    drive: Drive
-    first: int
-    world: OccupancyGrid
-
-
-def events(bench: Bench, only: Sequence[str] = ()) -> None:
-    """Stand an hour, be carried to another room, begin in mid-loop: what map and record say.
-
-    Path and map after the event are held against the truth where the path before it lies on it;
-    the map of the drive up to the event shows what the old map was worth.
-    """
-    table = bench.table(
-        "office: ATE before the event, distances to the truth after it, metres",
-        *("event", "before", "median after", "s over 1 m off", "at the end"),
-        *("F1 before", "F1 after", "precision before", "after", "doubled % before", "after"),
-        *("closures", "false", "restarts", "times the record names it"),
-    )
-    rows: dict[str, list[tuple[float, ...]]] = {}
-    for seed in bench.seeds:
-        for event in _events(bench, seed):
-            if chosen((event.name,), only):
-                rows.setdefault(event.name, []).append(_event_row(bench, event, seed))
-    for name, found in rows.items():
-        means = np.nanmean(np.array(found), axis=0)
-        counts = np.nansum(np.array(found)[:, -4:], axis=0)
-        table.add_row(
-            name,
-            *(shown(float(value)) for value in means[:-4]),
-            *(f"{count:.0f}" for count in counts),
-        )
-    bench.console.print(table)
-
-
-def _events(bench: Bench, seed: int) -> Iterator[_Event]:
-    """Simulate the office and let things happen in it."""
-    there, back, elsewhere = _stretches(bench, seed)
-    first, world = len(there.scans), there.world.grid
-    drive = joined((there, back))
-    yield _Event("none", drive, first, world)
-    yield _Event("an hour standing", with_pause(drive, first, STAND_S), first, world)
-    carried = joined((there, elsewhere))
-    yield _Event("carried, odometry goes on", carried, first, world)
-    zero = with_odometry_set_to_zero(carried, first)
-    yield _Event("carried, odometry at zero", zero, first, world)
-    later = round(LATER_SHARE * len(drive[0]))
-    yield _Event("begun in mid-loop", begun_later(drive, later), first - later, world)
-
-
-def _stretches(bench: Bench, seed: int) -> tuple[Recording, Recording, Recording]:
-    """Simulate half an office drive, and the other half from its end or from another room."""
-    there, rest = half_an_office(bench, seed)
-    back = simulate(replace(rest, seed=seed + 1_000_000), bench.device)
-    # The room that was seen first and lies farthest away.
-    end, waypoints = there.truth.pose(-1), there.course.waypoints or ()
-    seen = waypoints[: len(waypoints) // 2 + 1]
-    x, y = max(seen, key=lambda stop: float(np.hypot(stop[0] - end.x, stop[1] - end.y)))
-    start = Pose2(x, y, end.yaw_rad + 2.0)
-    elsewhere = simulate(replace(rest, seed=seed + 2_000_000, start=start), bench.device)
-    return there, back, elsewhere
-
-
-def _event_row(bench: Bench, event: _Event, seed: int) -> tuple[float, ...]:
-    """Run on the drive up to the event and on all of it."""
-    scans, truth = event.drive
-    before, _ = run_graph(bench, (scans[: event.first], truth), seed)
-    run, seen = run_graph(bench, event.drive, seed)
-    bench.keep_map(run.grid, seed, event.name)
-    parts = [np.s_[: event.first], np.s_[event.first :]]
-    old, new = (_part(run.trajectory, part) for part in parts)
-    errors = trajectory_errors(old, _part(truth, parts[0]), bench.config.trajectory)
-    placed = errors.pose_truth_estimate
-    away = np.hypot(*(placed.transform(new.poses[:, :2]) - truth.poses[parts[1], :2]).T)
-    alone = trajectory_errors(before.trajectory, truth, bench.config.trajectory)
-    walls = [
-        _walls(bench, item.grid, event.world, found)
-        for item, found in ((before, alone), (run, errors))
-    ]
-    graph = run.health.to_json().get("graph", {})
-    said = skipped_scans(run.health)
-    line = f"{event.name}, seed {seed}: {graph}; {'; '.join((*said, *run.warnings())) or 'no word'}"
-    bench.console.print(line, highlight=False, soft_wrap=True)
-    figures = [getattr(item, name) for name in ("wall_f1", "wall_precision") for item in walls]
-    return (
-        alone.ate.rmse,
-        float(np.median(away)),
-        float(np.count_nonzero(away > AWAY_M) * np.median(np.diff(truth.stamps_s))),
-        float(away[-1]),
-        *(np.nan if value is None else float(value) for value in figures),
-        *(100.0 * doubled_wall_share(item.grid) for item in (before, run)),
-        float(seen.believed),
-        float(seen.false),
-        float(graph.get("restarts", 0)),
-        float(len(said)),
-    )
-
-
-def _part(path: Trajectory, part: slice) -> Trajectory:
-    return Trajectory(path.stamps_s[part], path.poses[part], path.name)
-
-
-def _walls(
-    bench: Bench, grid: OccupancyGrid, truth: OccupancyGrid, found: TrajectoryErrors
-) -> MapError:
-    return compare_to_truth(
-        grid,
-        truth,
-        found.pose_truth_estimate,
-        normalize=bench.config.fusion.normalize,
-        tolerance_m=bench.config.evaluate.tolerance_m,
-    )
-
-
 PRODUCER = "graph"
 PARTS: Parts = {
     "recordings": (recordings, 5),
     "logs": (logs, 1),
     "floors": (floors, 5),
-    "events": (events, 3),
 }
 
 
 def main() -> None:
-    parser = parser_of(PARTS, __doc__, "5; events 3, logs 1")
-    parser.add_argument(
-        "--only", action="append", metavar="NAME", help="drive, log, floor or event"
-    )
+    parser = parser_of(PARTS, __doc__, "5; logs 1")
+    parser.add_argument("--only", action="append", metavar="NAME", help="drive, log or floor")
     options = parser.parse_args()
     measure(PARTS, options, PRODUCER, 230, options.only or ())
 
