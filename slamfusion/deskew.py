@@ -97,9 +97,6 @@ class Deskewing:
 class Deskewer:
     """Deskews the scans of one laser.
 
-    Args:
-        config: ``deskew`` and ``sweep_s`` are used.
-
     Attributes:
         done: what was done so far.
         learned_s: how long a sweep takes, found out by ``learn`` against what the scans say,
@@ -127,10 +124,6 @@ class Deskewer:
     def learn(self, scan: LaserScan, odometry: Pose2) -> bool:
         """Find out how long a sweep takes, or whether it is what the scan says; see ``SkewTest``.
 
-        Args:
-            scan: the next one.
-            odometry: at its stamp.
-
         Returns:
             Whether it is known now.
         """
@@ -157,7 +150,6 @@ class Deskewer:
         """Return the scan with the robot's motion at each beam; as it is where that is too little.
 
         Args:
-            scan: the sweep.
             poses: (K, 3) of the base in any fixed frame at ``times``; fewer: they end before the
                 sweep; None: there is no odometry.
         """
@@ -187,11 +179,7 @@ class Deskewer:
         return replace(scan, motion=interpolate_poses(beams, known, motion))
 
     def matched(self, first: LaserScan, second: LaserScan) -> F64 | None:
-        """Return the motion between the stamps of two scans, (3,), found by matching them.
-
-        Args:
-            first, second: one after the other, those of the last call or the next ones.
-        """
+        """Return the motion between the stamps of two scans, (3,), found by matching them."""
         for scan in (first, second):
             if scan.stamp_s > self._laser_motion.stamp_s:
                 self._laser_motion.follow(scan, self._sweep(scan))

@@ -96,7 +96,6 @@ def interpolate_poses(
     """Return poses at times, linear between those that are known, and as these beyond the ends.
 
     Args:
-        times_s: (...), seconds.
         stamps_s: (N,), increasing.
         poses: (N, 3) x, y, yaw at the stamps.
 
@@ -165,7 +164,6 @@ class Pose2:
     yaw_rad: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse NaN and infinity: a pose that is no place must never reach a map."""
         if not (math.isfinite(self.x) and math.isfinite(self.y) and math.isfinite(self.yaw_rad)):
             message = f"pose ({self.x}, {self.y}, {self.yaw_rad}) must be finite"
             raise ValueError(message)

@@ -145,10 +145,6 @@ def known_box(cells: npt.NDArray[np.int8]) -> CellBox | None:
 def trinary_cells(cells: npt.NDArray[np.int8], thresholds: NormalizeConfig) -> npt.NDArray[np.int8]:
     """Return the classes of cells: -1 unknown, 0 free, 1 occupied.
 
-    Args:
-        cells: any shape int8, -1 unknown or 0..100 percent; between the thresholds is unknown.
-        thresholds: in percent, both inclusive; the resolution is not used.
-
     Source: [F16], the normalisation step (100 becomes 1).
     """
     least_occupied = math.ceil(thresholds.occupied_percent)
@@ -182,7 +178,6 @@ class OccupancyGrid:
     name: str = "map"
 
     def __post_init__(self) -> None:
-        """Check once, then freeze the cells."""
         cells = self.cells
         if not isinstance(cells, np.ndarray) or cells.dtype != np.int8 or cells.ndim != 2:
             found = f"{getattr(cells, 'dtype', type(cells).__name__)} {getattr(cells, 'shape', '')}"

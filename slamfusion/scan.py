@@ -52,7 +52,6 @@ class LaserScan:
     motion: npt.NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
-        """Check once, then freeze the readings."""
         ranges = np.ascontiguousarray(self.ranges, dtype=np.float32)
         if ranges.ndim != 1 or ranges.size == 0:
             message = f"a scan needs a row of at least one range, found shape {ranges.shape}"
@@ -78,7 +77,6 @@ class LaserScan:
         object.__setattr__(self, "ranges", ranges)
 
     def __len__(self) -> int:
-        """Beams."""
         return int(self.ranges.size)
 
     def angles(self) -> npt.NDArray[np.float64]:

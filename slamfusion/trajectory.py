@@ -24,7 +24,6 @@ def nearest_stamps(
 
     Args:
         stamps_s: (N,) seconds, never decreasing, N at least 1.
-        wanted_s: any shape, seconds.
     """
     wanted = np.asarray(wanted_s, dtype=np.float64)
     last = len(stamps_s) - 1
@@ -76,7 +75,6 @@ class Trajectory:
     name: str = "trajectory"
 
     def __post_init__(self) -> None:
-        """Check once, then freeze."""
         stamps = np.array(self.stamps_s, dtype=np.float64)
         poses = np.array(self.poses, dtype=np.float64).reshape(-1, 3)
         if stamps.ndim != 1 or len(stamps) != len(poses):
@@ -95,7 +93,6 @@ class Trajectory:
         object.__setattr__(self, "poses", poses)
 
     def __len__(self) -> int:
-        """Poses."""
         return len(self.stamps_s)
 
     def later(self, seconds: float) -> Trajectory:

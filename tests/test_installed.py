@@ -131,7 +131,7 @@ def test_the_sources_carry_what_a_packager_needs(sdist: Path):
 
 def test_the_code_is_that_of_the_wheel(installed: Path, tmp_path: Path):
     kept = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    code = "import slamfusion, slamfusion.compute.program as p; print(slamfusion.__file__); "
+    code = "import slamfusion, slamfusion.compute.opencl as p; print(slamfusion.__file__); "
     command = [installed.with_name("python"), "-c", f"{code}print(p.kernel_folder())"]
     done = subprocess.run(
         command, cwd=tmp_path, env=kept, check=True, capture_output=True, text=True

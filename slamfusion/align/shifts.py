@@ -21,9 +21,8 @@ from slamfusion.align.features import GridFeatures, Level, spread_sample
 from slamfusion.align.pair import Pair
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.arrays import DeviceArray
-from slamfusion.compute.lattice import fixed_poses
+from slamfusion.compute.lattice import fixed_poses, grouped, shift_spans
 from slamfusion.compute.layout import SHIFT_LANES
-from slamfusion.compute.shift_spans import grouped, shift_spans
 
 F64 = npt.NDArray[np.float64]
 I32 = npt.NDArray[np.int32]

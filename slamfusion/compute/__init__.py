@@ -89,7 +89,7 @@ def pocl_state() -> PoclState | None:
     """Say whether the wheel's PoCL knows this processor; None if pyopencl is missing."""
     find_cache()
     try:
-        from slamfusion.compute import device  # noqa: PLC0415 - optional at run time
+        from slamfusion.compute import pocl  # noqa: PLC0415 - optional at run time
     except ImportError:
         return None
-    return device.pocl_state()
+    return pocl.name_processor()

@@ -22,10 +22,8 @@ from slamfusion.compute.layout import (
     FACINGS,
     FACINGS_ALIKE,
     MARK_REACH_MAX,
-    TILE,
-    WALK_SHIFT,
-    WALK_TO_BEAM_SHIFT,
 )
+from slamfusion.compute.tiles import tile_places, walk_cells
 from slamfusion.errors import DeviceError
 
 
@@ -42,15 +40,6 @@ def check_mark_reach(reach: int) -> None:
 
 # Beams that are walked at once: each step of each is a row of some arrays.
 BATCH = 4096
-
-
-def _places(pages: I32, row: I64, col: I64) -> tuple[I64, I64, I64]:
-    """Return the index into a pool of cells; beyond the window, of a cell of the empty tile."""
-    height, width = pages.shape[0] * TILE, pages.shape[1] * TILE
-    inside = (row >= 0) & (col >= 0) & (row < height) & (col < width)
-    row, col = np.where(inside, row, 0), np.where(inside, col, 0)
-    tiles = np.where(inside, pages[row // TILE, col // TILE], 0)
-    return tiles.astype(np.int64), row % TILE, col % TILE
 
 
 def _mark(pool: U32, places: tuple[I32 | I64, ...], bits: U32) -> None:
@@ -93,25 +82,17 @@ class ChunkMarkDevice(ArrayDevice):
                 count,
             )  # fmt: skip
             return
-        hits, seen, pages = host(hits), host(seen), host(pages)
+        hits, seen, pages = host(hits), host(seen), host(pages)[None]
         beams, facings, bits = host(beams), host(facings), host(bits)
         end = beams[:, 1].astype(np.int64) >> BEAM_SHIFT, beams[:, 0].astype(np.int64) >> BEAM_SHIFT
-        tile, row, col = _places(pages, *end)
+        tile, row, col = tile_places(pages, 0, *end)
         side = FACINGS_ALIKE // 2
         for turn in range(-side, side + 1):
             _mark(hits, (tile, (facings + turn) % FACINGS, row, col), bits)
         for first in range(0, len(beams), BATCH):
             some = beams[first : first + BATCH].astype(np.int64)
-            dx, dy = some[:, 2] - some[:, 0], some[:, 3] - some[:, 1]
-            longest = np.maximum(np.maximum(np.abs(dx), np.abs(dy)), 1)
-            step_x = np.abs(dx) * (1 << WALK_SHIFT) // longest * np.where(dx < 0, -1, 1)
-            step_y = np.abs(dy) * (1 << WALK_SHIFT) // longest * np.where(dy < 0, -1, 1)
-            counts = (longest >> BEAM_SHIFT) + 1
-            beam = np.repeat(np.arange(len(some)), counts)
-            i = np.arange(len(beam)) - np.repeat(np.cumsum(counts) - counts, counts)
-            col = ((some[beam, 0] << WALK_TO_BEAM_SHIFT) + i * step_x[beam]) >> WALK_SHIFT
-            row = ((some[beam, 1] << WALK_TO_BEAM_SHIFT) + i * step_y[beam]) >> WALK_SHIFT
-            _mark(seen, _places(pages, row, col), bits[first : first + BATCH][beam])
+            beam, row, col = walk_cells((some[:, 0], some[:, 1]), (some[:, 2], some[:, 3]))
+            _mark(seen, tile_places(pages, 0, row, col), bits[first : first + BATCH][beam])
 
     def nearest_marks(
         self,
@@ -149,7 +130,7 @@ class ChunkMarkDevice(ArrayDevice):
                 left_out, count, reach, out,
             )  # fmt: skip
             return self.download(out)
-        hits, seen, pages = host(hits), host(seen), host(pages)
+        hits, seen, pages = host(hits), host(seen), host(pages)[None]
         beams, facings, left_out = host(beams), host(facings), host(left_out)
         x, y = beams[:, 0].astype(np.int64), beams[:, 1].astype(np.int64)
         col, row = x >> BEAM_SHIFT, y >> BEAM_SHIFT
@@ -159,12 +140,12 @@ class ChunkMarkDevice(ArrayDevice):
         nearest = np.full(len(beams), none, dtype=np.int64)
         for dy in range(-reach, reach + 1):
             for dx in range(-reach, reach + 1):
-                tile, in_row, in_col = _places(pages, row + dy, col + dx)
+                tile, in_row, in_col = tile_places(pages, 0, row + dy, col + dx)
                 is_hit = hits[tile, facings, in_row, in_col] & counted != 0
                 gap_x = ((col + dx) << BEAM_SHIFT) + BEAM_HALF - x
                 gap_y = ((row + dy) << BEAM_SHIFT) + BEAM_HALF - y
                 squared = np.where(is_hit, gap_x * gap_x + gap_y * gap_y, none)
                 np.minimum(nearest, squared, out=nearest)
-        is_seen = seen[_places(pages, row, col)] & counted != 0
+        is_seen = seen[tile_places(pages, 0, row, col)] & counted != 0
         found = np.stack((np.where(nearest == none, -1, nearest), is_seen), axis=1)
         return np.asarray(found, dtype=np.int32)

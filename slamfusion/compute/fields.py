@@ -250,7 +250,6 @@ class FieldDevice(ArrayDevice):
             cells: (H, W) int8 (or uint8).
             poses: (K, 4) int64 fixed poses, output lattice to input lattice.
             shape: (h, w) of the output.
-            fill: value outside the input.
 
         Returns:
             (K, h, w), dtype of ``cells``.

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from slamfusion.compute.arrays import F32, I32, I64, U8, U32, ArrayDevice, DeviceArray, host
+from slamfusion.compute.arrays import F32, I64, U8, U32, ArrayDevice, DeviceArray, host
 from slamfusion.compute.layout import (
     BEAM_ONE,
     BEAM_SHIFT,
@@ -39,9 +39,8 @@ from slamfusion.compute.layout import (
     TABLE_LAST,
     TILE,
     VISITS_MASK,
-    WALK_SHIFT,
-    WALK_TO_BEAM_SHIFT,
 )
+from slamfusion.compute.tiles import tile_places, walk_cells
 from slamfusion.errors import DeviceError
 
 if TYPE_CHECKING:
@@ -143,36 +142,14 @@ def _walks(scan: BeamScan, shape: tuple[int, ...]) -> _Walks:
     """Walk each beam from its end to the laser, one cell of the longer axis a step."""
     end_x, end_y = _placed(scan, scan.ends, shape)
     laser_x, laser_y = _placed(scan, scan.laser[None], shape)
-    dx, dy = (laser_x - end_x).ravel(), (laser_y - end_y).ravel()
-    longest = np.maximum(np.maximum(np.abs(dx), np.abs(dy)), 1)
-    step_x = np.abs(dx) * (1 << WALK_SHIFT) // longest * np.where(dx < 0, -1, 1)
-    step_y = np.abs(dy) * (1 << WALK_SHIFT) // longest * np.where(dy < 0, -1, 1)
-    counts = (longest >> BEAM_SHIFT) + 1
-    beam = np.repeat(np.arange(len(counts)), counts)
-    i = np.arange(len(beam)) - np.repeat(np.cumsum(counts) - counts, counts)
-    col = ((end_x.ravel()[beam] << WALK_TO_BEAM_SHIFT) + i * step_x[beam]) >> WALK_SHIFT
-    row = ((end_y.ravel()[beam] << WALK_TO_BEAM_SHIFT) + i * step_y[beam]) >> WALK_SHIFT
+    laser_x, laser_y = np.broadcast_arrays(laser_x, laser_y, end_x)[:2]
+    lasers = laser_x.ravel(), laser_y.ravel()
+    beam, row, col = walk_cells((end_x.ravel(), end_y.ravel()), lasers)
     return _Walks(beam // max(1, len(scan.ends)), row, col)
 
 
-def _places(pages: I32, maps: I64, row: I64, col: I64) -> tuple[I64, I64, I64]:
-    """Return the index into a pool of cells of maps; beyond the window, the empty tile."""
-    height, width = pages.shape[1] * TILE, pages.shape[2] * TILE
-    inside = (row >= 0) & (col >= 0) & (row < height) & (col < width)
-    row, col = np.where(inside, row, 0), np.where(inside, col, 0)
-    tiles = np.where(inside, pages[maps, row // TILE, col // TILE], 0)
-    return tiles, row % TILE, col % TILE
-
-
 def _field_of(counts: U32, sums: U32, offset: tuple[int, int], rule: FieldRule) -> I64:
-    """Return what cells give the field of those from which they lie at an offset.
-
-    Args:
-        counts: of the cells, in any shape.
-        sums: likewise.
-        offset: x and y from a cell whose field is asked for to these, in cells.
-        rule: see ``FieldRule``.
-    """
+    """Return what cells give the field of those from which they lie at an offset."""
     hits, visits = (counts >> HITS_SHIFT).astype(np.int64), (counts & VISITS_MASK).astype(np.int64)
     occupied = (hits >= rule.least_hits) & (hits * SHARE_ONE > rule.occupied * visits)
     halves = (sums >> SUM_SHIFT).astype(np.int64), (sums & SUM_MASK).astype(np.int64)
@@ -302,14 +279,14 @@ class HitCountDevice(ArrayDevice):
             return bool(full[0])
         counts, sums, pages = host(counts), host(sums), host(pages)
         w = _walks(scan, pages.shape)
-        places = _places(pages, *w)
+        places = tile_places(pages, *w)
         places = tuple(part[places[0] != 0] for part in places)
         sum_at = np.subtract.at if take_back else np.add.at
         sum_at(counts, places, np.uint32(1))
 
         x, y = (part[:, scan.is_hit != 0] for part in _placed(scan, scan.ends, pages.shape))
         maps = np.broadcast_to(np.arange(len(x))[:, None], x.shape)
-        hit = _places(pages, maps, y >> BEAM_SHIFT, x >> BEAM_SHIFT)
+        hit = tile_places(pages, maps, y >> BEAM_SHIFT, x >> BEAM_SHIFT)
         has_tile = hit[0] != 0
         hit = tuple(part[has_tile] for part in hit)
         sum_at(counts, hit, np.uint32(1 << HITS_SHIFT))
@@ -357,15 +334,15 @@ class HitCountDevice(ArrayDevice):
         counts, sums, field = host(counts), host(sums), host(field)
         pages = host(pages)
         w = _walks(scan, pages.shape)
-        is_changed = counts[_places(pages, *w)] >> HITS_SHIFT > 0
+        is_changed = counts[tile_places(pages, *w)] >> HITS_SHIFT > 0
         changed = np.unique(np.stack(w, axis=1)[is_changed], axis=0)
         around = [changed + (0, dy, dx) for dx, dy in _square(rule.reach)]  # noqa: RUF005 - a sum
         maps, row, col = np.unique(np.concatenate(around), axis=0).T
 
-        targets = _places(pages, maps, row, col)
+        targets = tile_places(pages, maps, row, col)
         best = np.zeros(len(maps), dtype=np.int64)
         for dx, dy in _square(rule.reach):
-            places = _places(pages, maps, row + dy, col + dx)
+            places = tile_places(pages, maps, row + dy, col + dx)
             field_there = _field_of(counts[places], sums[places], (dx, dy), rule)
             np.maximum(best, field_there, out=best)
         has_tile = targets[0] != 0

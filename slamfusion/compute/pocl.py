@@ -166,14 +166,7 @@ def _library() -> Path | None:
 
 
 def _replace(path: Path, function: Any) -> str:
-    """Replace the function that names the processor.
-
-    Returns:
-        The name that it returns from now on.
-
-    Raises:
-        _RefusedError: why it was not done; the library is then as it was.
-    """
+    """Replace the function that names the processor."""
     if os.environ.get(SWITCH) == OFF:
         message = f"{SWITCH}={OFF} says so"
         raise _RefusedError(message)
@@ -211,11 +204,7 @@ def _returning(name: str) -> bytes:
 
 
 def _overwrite(address: int, code: bytes, before: bytes) -> None:
-    """Write code over the first bytes of a function, which are ``before`` and at least as many.
-
-    Raises:
-        _RefusedError: the pages cannot be opened, or not be closed again; then ``before`` is back.
-    """
+    """Write code over the first bytes of a function, which are ``before`` and at least as many."""
     if len(code) > len(before):
         message = "what was checked of its function is shorter than what would be replaced"
         raise _RefusedError(message)

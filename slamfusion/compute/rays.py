@@ -45,7 +45,6 @@ class RayDevice(ArrayDevice):
             cells: (H, W) uint8: 0 open, 1 wall, 2 glass.
             rays: (N, 4) float32: x and y in cells (cell [r, c] covers [c, c + 1) x [r, r + 1)), cos
                 and sin of the direction, a unit vector.
-            reach_cells: rays end after this distance.
 
         Returns:
             (N, 4) float32: distance in cells to the first wall or glass, infinite for none; its

@@ -130,7 +130,6 @@ class ScanMatchDevice(ArrayDevice):
             hypotheses: (K, 7) float32: x, y, yaw, the weights of their squares, its own loss.
             starts: (G, 5) float32: x, y in cells of the window, yaw, cos, sin.
             steps: (R, G, 5) float32: dx, dy, dyaw, cos and sin of dyaw. R at least 1.
-            scale: from a sum to a score.
 
         Returns:
             (G, 6) float32: x, y, yaw, cos, sin and the value of where each climber ended.
@@ -191,7 +190,6 @@ class ScanMatchDevice(ArrayDevice):
             starts: (N, 5) float32: x, y in cells of the window, yaw, cos, sin.
             sizes: (S, 4) float32: cells, radians, their cos and sin; largest first.
             tries: steps tried in all, at most; at least 1.
-            scale: from a sum to a score.
 
         Returns:
             (N, 6) float32: x, y, yaw, cos, sin and the value of where each climb ended.

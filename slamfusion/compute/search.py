@@ -280,7 +280,6 @@ class SearchDevice(ArrayDevice):
             starts: (G, 2, N) int32: rows, then columns of the points' windows for shift 0.
             classes: (N,) uint8: the pooled field that a point reads.
             fields: (C, H, W) uint8; outside counts as ``fill``.
-            fill: value outside.
             least: a sum at or below it is of no use.
 
         Returns:
@@ -311,7 +310,6 @@ class SearchDevice(ArrayDevice):
         Args:
             forward: (K, SH, SW) int32 from 0 to 2^26; only the first ``width`` columns count.
             backward: same shape, read at (SH - 1 - i, width - 1 - j).
-            width: shifts along a row.
 
         Returns:
             values: (K, TY, TX) int32 by tiles of ``SHIFT_TILE`` a side, and places: same shape,
@@ -416,8 +414,6 @@ class SearchDevice(ArrayDevice):
         weight Geman and McClure's 1 / (1 + (d / scale)^2)^2.
 
         Args:
-            forward: points of the moving grid on the reference's distances.
-            backward: points of the reference on the moving grid's.
             scales: (P,) float32 of each pose, cells.
             centre: x and y in cells of the reference.
 

@@ -14,10 +14,48 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute.arrays import I32, ArrayDevice, DeviceArray, host
-from slamfusion.compute.layout import COPIED_BYTES, TAKEN_BYTES, TILE, TILE_CELLS
+from slamfusion.compute.arrays import I32, I64, ArrayDevice, DeviceArray, host
+from slamfusion.compute.layout import (
+    BEAM_SHIFT,
+    COPIED_BYTES,
+    TAKEN_BYTES,
+    TILE,
+    TILE_CELLS,
+    WALK_SHIFT,
+    WALK_TO_BEAM_SHIFT,
+)
 
 Scalar = TypeVar("Scalar", bound=np.generic)
+
+
+def walk_cells(ends: tuple[I64, I64], lasers: tuple[I64, I64]) -> tuple[I64, I64, I64]:
+    """Walk beams from their ends to the laser, one cell of the longer axis a step.
+
+    Args:
+        ends, lasers: x and y, (B,) each, in 1/1024 cell.
+
+    Returns:
+        Beam, row and column of every step, flat.
+    """
+    dx, dy = lasers[0] - ends[0], lasers[1] - ends[1]
+    longest = np.maximum(np.maximum(np.abs(dx), np.abs(dy)), 1)
+    step_x = np.abs(dx) * (1 << WALK_SHIFT) // longest * np.where(dx < 0, -1, 1)
+    step_y = np.abs(dy) * (1 << WALK_SHIFT) // longest * np.where(dy < 0, -1, 1)
+    counts = (longest >> BEAM_SHIFT) + 1
+    beam = np.repeat(np.arange(len(counts)), counts)
+    i = np.arange(len(beam)) - np.repeat(np.cumsum(counts) - counts, counts)
+    col = ((ends[0][beam] << WALK_TO_BEAM_SHIFT) + i * step_x[beam]) >> WALK_SHIFT
+    row = ((ends[1][beam] << WALK_TO_BEAM_SHIFT) + i * step_y[beam]) >> WALK_SHIFT
+    return beam, row, col
+
+
+def tile_places(pages: I32, maps: I64 | int, row: I64, col: I64) -> tuple[I64, I64, I64]:
+    """Return the index into a pool of cells of maps (N, PH, PW); beyond the window, tile 0."""
+    height, width = pages.shape[1] * TILE, pages.shape[2] * TILE
+    inside = (row >= 0) & (col >= 0) & (row < height) & (col < width)
+    row, col = np.where(inside, row, 0), np.where(inside, col, 0)
+    tiles = np.where(inside, pages[maps, row // TILE, col // TILE], 0)
+    return tiles.astype(np.int64), row % TILE, col % TILE
 
 
 class TileDevice(ArrayDevice):

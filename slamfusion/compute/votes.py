@@ -59,12 +59,7 @@ CHUNK_CELLS = 4096
 
 @cache
 def _majority_shares(count: int, *, unknown_votes: bool) -> npt.NDArray[np.uint64]:
-    """Return the share of the winner in percent for every split of up to ``count`` votes.
-
-    Returns:
-        (S, 3) uint64: votes for the winner, votes for others (at least 1), percent rounded half
-        up, each in all eight lanes of the word.
-    """
+    """Return the share of the winner in percent for every split of up to ``count`` votes."""
     splits = [
         (cast - others, others, (200 * (cast - others) + cast) // (2 * cast))
         for cast in ((count,) if unknown_votes else range(2, count + 1))
@@ -77,15 +72,7 @@ def _majority_shares(count: int, *, unknown_votes: bool) -> npt.NDArray[np.uint6
 def _votes(
     winner: I64, own: I64 | I32, cast: I64 | I32, outvoted: Mask, phantom_cells: int
 ) -> Votes:
-    """Return the outcome of a vote.
-
-    Args:
-        winner: (H, W) in {-1, 0, 1}.
-        own: (H, W), weight of the votes for it.
-        cast: (H, W), weight of all votes that count.
-        outvoted: (N, H, W), input n voted otherwise.
-        phantom_cells: cells that are occupied and in no input.
-    """
+    """Return the outcome of a vote."""
     percent = (200 * own + cast) // np.maximum(2 * cast, 1)
     agreement = np.where(cast > 0, percent, -1).astype(np.int8)
     dissent = np.zeros((-(-len(outvoted) // 8), *winner.shape), dtype=np.uint8)

@@ -143,8 +143,6 @@ def checked_value(info: FieldInfo, value: Any, where: str) -> Any:
     """Return a value as a field's type, or say by a name of the caller's what is wrong with it.
 
     Args:
-        info: the field.
-        value: as read from YAML or given by ROS.
         where: what the messages call it, e.g. ``node graph: graph.matcher.beams``.
 
     Raises:
@@ -181,7 +179,6 @@ class Checked:
     """Checks every field against its declared range and choices after construction."""
 
     def __post_init__(self) -> None:
-        """Refuse values outside the declared range, by name."""
         for info in field_infos(type(self)):
             _check_value(f"{type(self).__name__}.{info.name}", info, getattr(self, info.name))
 

@@ -36,7 +36,6 @@ class NormalizeConfig(Checked):
     )
 
     def __post_init__(self) -> None:
-        """Refuse thresholds that cross."""
         super().__post_init__()
         if self.free_percent >= self.occupied_percent:
             message = (

@@ -29,7 +29,6 @@ class OccupancyEstimatorConfig(Checked):
     floors: int = option(1, "simulated office floors, drawn by the seeds from 1", low=0, high=100)
 
     def __post_init__(self) -> None:
-        """Refuse an empty list of cell sizes."""
         super().__post_init__()
         if not self.resolutions:
             message = (
@@ -108,7 +107,6 @@ def checked_start(given: Any, where: str) -> tuple[float, ...]:
     Args:
         given: numbers, or a text of them with commas between, as in a file or a parameter. The yaw
             may be in degrees: ``46.4deg``.
-        where: what the messages call it.
 
     Raises:
         StartError: not so many numbers, one that is not finite, or a tolerance below 0.
@@ -285,7 +283,6 @@ class TrajectoryConfig(Checked):
     )
 
     def __post_init__(self) -> None:
-        """Refuse an offset that is no number."""
         super().__post_init__()
         try:
             is_known = self.time_offset == "auto" or math.isfinite(float(self.time_offset))
@@ -368,6 +365,5 @@ class RunConfig(Checked):
     start: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Refuse what is out of range, and starts that are none."""
         super().__post_init__()
         object.__setattr__(self, "start", checked_starts(self.start))

@@ -208,7 +208,6 @@ class ActionConfig(Checked):
     wait_s: float = option(0.0, "stand still", unit="s", low=0.0, high=3600.0)
 
     def __post_init__(self) -> None:
-        """Refuse a command that is none, or more than one."""
         super().__post_init__()
         given = [name for name in ("turn_deg", "forward_m", "wait_s") if getattr(self, name)]
         if len(given) != 1:

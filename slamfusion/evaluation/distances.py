@@ -44,8 +44,6 @@ def sample_on_lattice(
     Args:
         classes: (H, W) int8, one value per cell of ``grid``.
         grid: gives resolution and origin of ``classes``; origin yaw is honoured.
-        lattice: gives resolution and origin of the lattice; its cells are not read.
-        box: the cells of the lattice to fill.
         transform: maps a point of ``grid``'s map frame into ``lattice``'s, metres.
 
     Returns:
@@ -77,7 +75,6 @@ def wall_centres(
 
     Args:
         classes: (H, W) int8 in {-1, 0, 1}, one per cell of ``grid``.
-        grid: gives resolution and origin of ``classes``.
         transform: maps a point of ``grid``'s map frame into the frame of the answer, metres.
 
     Returns:

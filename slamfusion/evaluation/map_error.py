@@ -178,7 +178,6 @@ def compare_to_truth(
 
     Args:
         grid: the map; any resolution and origin.
-        truth: decides lattice and box.
         transform: maps a point of the map's frame into the truth's, metres; the identity takes
             both frames for the same.
         normalize: the thresholds, in percent, for both maps.
@@ -281,12 +280,6 @@ def _mean_ssim(expected: npt.NDArray[np.int8], found: npt.NDArray[np.int8]) -> f
     The image is mirrored at its border, so that also a map smaller than the window has a value;
     the authors' program leaves the border out.
 
-    Args:
-        expected: (H, W) int8 in {-1, 0, 1}.
-        found: same shape and values.
-
-    Returns:
-        -1..1, 1 for equal images.
     Source: Wang, Bovik, Sheikh and Simoncelli, "Image quality assessment: from error visibility to
         structural similarity", IEEE TIP 13(4), 2004, eq. 13 with K1 = 0.01, K2 = 0.03, L = 1 and
         the Gaussian window of 11 x 11 cells, sigma 1.5. doi:10.1109/TIP.2003.819861

@@ -104,7 +104,6 @@ def result_rows(
     Args:
         case: what it was measured against: a place, a log or a truth.
         seed: number of the repetition of this method in this case; empty for a single one.
-        method: what made it.
         figures: by name; None: not defined.
         series: by name (N, 3) float64, single errors: value, ``at`` and ``to``; see ``Row``.
     """

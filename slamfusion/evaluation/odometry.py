@@ -141,8 +141,6 @@ def poses_by_odometry(
     Args:
         estimate: poses at scans, in any frame.
         scan_odometry: raw odometry of the scans of the estimate's log; None where it is unknown.
-        odometry: every row of the raw odometry of the run.
-        tolerance_s: an estimated pose belongs to a scan (or row) of that time within this.
         tolerance_m: see ``match_odometry``.
 
     Raises:
@@ -226,12 +224,6 @@ def _refined_stamps(
     """Return the rows' stamps with those of the scans put in where both agree.
 
     The scans' stamps are the finer ones, and the rows between keep their side of them.
-
-    Args:
-        stamps_s: (N,) of the rows, rising.
-        rows: (M,) the rows of scans, rising.
-        exact_s: (M,) the scans' own stamps.
-        tolerance_s: a scan's stamp further off than this is not believed.
     """
     agree = np.abs(stamps_s[rows] - exact_s) <= tolerance_s
     low, high = np.full(len(stamps_s), -np.inf), np.full(len(stamps_s), np.inf)

@@ -47,7 +47,6 @@ class Relations:
     name: str = "relations"
 
     def __post_init__(self) -> None:
-        """Check once, then freeze."""
         stamps = np.array(self.stamps_s, dtype=np.float64).reshape(-1, 2)
         motions = np.array(self.motions, dtype=np.float64).reshape(-1, 3)
         if len(stamps) != len(motions):
@@ -62,7 +61,6 @@ class Relations:
         object.__setattr__(self, "motions", motions)
 
     def __len__(self) -> int:
-        """Relations."""
         return len(self.stamps_s)
 
     def span_s(self) -> tuple[float, float]:
@@ -138,9 +136,6 @@ def read_relations(path: str | Path) -> Relations:
     Lines that start with ``#`` and empty lines are passed over. The motion is planar: z, roll and
     pitch are dropped.
 
-    Args:
-        path: plain or gzip.
-
     Returns:
         The relations in the order of the file, named after it.
 
@@ -189,7 +184,6 @@ def relation_errors(
 
     Args:
         trajectory: the estimate, in any frame.
-        relations: the known motions.
         tolerance_s: seconds.
 
     Returns:
@@ -224,7 +218,6 @@ def errors_at_scans(scans: Trajectory, relations: Relations) -> RelationErrorsAt
 
     Args:
         scans: the estimate's poses, one a scan, with the stamps of the scans.
-        relations: the known motions.
     """
     try:
         found = relation_errors(scans, relations, AT_SCAN_S)

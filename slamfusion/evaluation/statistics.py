@@ -80,7 +80,6 @@ def difference_test(first: npt.ArrayLike, second: npt.ArrayLike, *, paired: bool
     Args:
         first: (N,) the figure of one method, in each case or repetition.
         second: (M,) of the other; paired: (N,), in the same order.
-        paired: whether the values are pairs.
 
     Returns:
         All NaN for fewer than two values of either; equal values have no p-value.

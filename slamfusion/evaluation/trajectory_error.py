@@ -42,7 +42,6 @@ def on_clock(path: Trajectory, reference: Trajectory | None, offset: str) -> Tra
     """Return a path with its times on the clock of another path.
 
     Args:
-        path: on a clock of its own.
         reference: of the same drive; None: there is none.
         offset: seconds to add to the times of ``path``, or ``auto``: found by the motion.
 
@@ -214,7 +213,6 @@ def trajectory_errors(
     """Compare an estimate with the truth.
 
     Args:
-        estimate: poses of the robot's base.
         truth: poses of the same body.
         config: tolerance, alignment, and what one pair of the relative error spans. Pairs follow
             each other without overlap from the first matched pose on; metres are counted along
@@ -285,7 +283,6 @@ def associate(
 
     Args:
         first: with at least one pose, like ``second``.
-        second: the other one.
         tolerance_s: pairs further apart do not count.
 
     Returns:
@@ -302,12 +299,7 @@ def associate(
 def _pairs(
     progress: npt.NDArray[np.float64], delta: float
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Return the ends of the pairs: each ends where at least ``delta`` was made since its start.
-
-    Args:
-        progress: (M,) float64, never falling.
-        delta: same unit, above 0.
-    """
+    """Return the ends of the pairs: each ends where at least ``delta`` was made since its start."""
     ends = [0]
     for index, value in enumerate(progress):
         if value - progress[ends[-1]] >= delta * (1.0 - _ROUNDING):

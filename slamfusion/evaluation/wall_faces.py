@@ -168,7 +168,6 @@ def compare_faces(
         classes: (H, W) int8 in {-1, 0, 1}, the cells of ``grid``.
         grid: gives resolution and origin of ``classes``.
         transform: maps a point of the map's frame into the truth's, metres.
-        true_classes: likewise of the truth.
         truth: gives resolution and origin of ``true_classes``.
     """
     found = _centres(face_cells(classes), grid, transform)
@@ -197,7 +196,6 @@ def wall_thickness(
     a straight one by more than its steps, and a wall's length does not count.
 
     Args:
-        grid: the map.
         normalize: which cells are walls, and which free.
 
     Returns:
@@ -240,7 +238,6 @@ def outside_area(
         classes: (H, W) int8 in {-1, 0, 1}, the cells of ``grid``.
         grid: gives resolution and origin of ``classes``.
         transform: maps a point of the map's frame into the truth's, metres.
-        true_classes: likewise of the truth.
         truth: gives resolution and origin of ``true_classes``.
         margin_m: a cell this near to the outline does not count, at least 0.
     """
@@ -268,16 +265,7 @@ def _centres(
 
 
 def _run_behind(walls: npt.NDArray[np.bool_], row_step: int, col_step: int) -> npt.NDArray[np.int_]:
-    """Return of each wall cell how many follow it without a gap in one direction, itself counted.
-
-    Args:
-        walls: (H, W) bool.
-        row_step: -1, 0 or 1.
-        col_step: likewise; one of the two is not 0.
-
-    Returns:
-        (H, W) int, 0 off the walls.
-    """
+    """Return for each wall cell the length of the unbroken run from it in one direction, cells."""
     if row_step == 0:
         return _run_behind(walls.T, col_step, 0).T
     runs = walls.astype(np.int_)

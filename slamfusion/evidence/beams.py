@@ -61,7 +61,6 @@ class JudgedScans:
     hits_total: int
 
     def __len__(self) -> int:
-        """Scans."""
         return len(self.stamps_s)
 
     def odometry_path(self) -> Trajectory | None:
@@ -264,7 +263,6 @@ def no_common_time(name: str, path: Trajectory, stamps_s: F64) -> TrajectoryErro
     """Return the error that a path has no pose at the time of any scan.
 
     Args:
-        name: of the path.
         path: at least one pose.
         stamps_s: (N,) times of the scans, seconds, N at least 1.
     """

@@ -57,7 +57,6 @@ def compare_sums(
         first, second: (N,) float64, sums of each scan.
         beams: (N,) int64, judged hits of each scan.
         is_judged: (N,) bool, scans that were judged.
-        blocks: that are drawn, of equal numbers of judged scans.
     """
     judged = np.flatnonzero(is_judged)
     block = np.arange(len(judged)) * blocks // len(judged)

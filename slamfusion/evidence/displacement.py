@@ -67,13 +67,7 @@ class Displacement:
 def find_displacements(
     evidence: PathEvidence, name: str, device: ComputeDevice
 ) -> tuple[Displacement, ...]:
-    """Return the chunks of a drive that are surely displaced, in the order of time.
-
-    Args:
-        evidence: of the path and maybe of others.
-        name: of the path.
-        device: looks up.
-    """
+    """Return the chunks of a drive that are surely displaced, in the order of time."""
     scans, score = evidence.scans, evidence.scores[name]
     model = replace(score.model, reach_cells=REACH_CELLS)
     drawn = DrawnChunks.of(name, score.path, scans, evidence.is_judged, device, model)
@@ -118,11 +112,6 @@ def contradicted_share(evidence: PathEvidence, name: str, device: ComputeDevice)
     What the laser and the place allow is what the scans of just before and after explain; of these
     hits those count in places that were seen at other times.
 
-    Args:
-        evidence: of the path and maybe of others.
-        name: of the path.
-        device: looks up.
-
     Returns:
         Share of hits, 0 to 1; 0 if nothing was seen at another time.
     """
@@ -153,11 +142,7 @@ def _other_side(split: float) -> U32:
 
 
 def _p_values(gains: F64) -> F64:
-    """Return of each chunk how likely its gain is where no place is better than its own, (CHUNKS,).
-
-    Args:
-        gains: (S, CHUNKS, BLOCKS) what each motion gains, log-likelihood of a hit.
-    """
+    """Return (CHUNKS,) how likely each gain is if no place is better than the chunk's own."""
     tested = np.empty(gains.shape[1:])
     for half in (0, 1):
         chosen = gains[:, :, half::2].sum(axis=2).argmax(axis=0)

@@ -89,11 +89,7 @@ class DrawnScan:
 
 
 def drawn_scans(scans: Iterable[LogScan]) -> list[DrawnScan]:
-    """Return the scans of a log as they are drawn; those without a hit are left out.
-
-    Args:
-        scans: of a log.
-    """
+    """Return the scans of a log as they are drawn; those without a hit are left out."""
     drawn = []
     for item in scans:
         ends = item.scan.points()
@@ -117,20 +113,12 @@ def draw_map(
     """Draw the map of a drive.
 
     Args:
-        scans: of the drive; those at whose time the path has no pose are left out.
-        path: poses of the robot's base.
-        device: draws.
         resolution: metres per cell.
         origin: of the lattice: a corner of a cell, and the direction of the rows, in the frame of
             the path.
-        model: what makes a wall.
-        name: of the map.
 
     Returns:
         Cells in {-1, 0, 100}, cropped to what is known, in the frame of the path.
-
-    Raises:
-        TrajectoryError: no scan has a pose.
     """
     placed, poses = _with_poses(scans, path, origin)
     beams = _Beams.of(placed, poses, resolution)
@@ -201,11 +189,7 @@ def _with_poses(
 def _count(
     beams: _Beams, ends: F64, is_hit: npt.NDArray[np.bool_], device: ComputeDevice
 ) -> tuple[npt.NDArray[np.uint32], npt.NDArray[np.int64]]:
-    """Count hits and visits of every cell.
-
-    Returns:
-        (H, W) uint32, hits above 16 bits of visits, and the (2,) column and row of its first cell.
-    """
+    """Count hits and visits of every cell."""
     maps = SharedTileMaps(device, 1, {"counts": np.uint32, "sums": np.uint32})
     here = np.array([[0.0, 0.0, 1.0, 0.0]], dtype=np.float32)
     low = np.minimum(ends.min(axis=0), beams.lasers.min(axis=0))
@@ -231,12 +215,6 @@ def _pages_crossed(
 
     Of the beams of a scan that end on one page one is followed to the middle of that page; the
     others run less than a page beside it.
-
-    Args:
-        lasers: (N, 2) cells of the window.
-        ends: (B, 2) likewise.
-        firsts: (N + 1,) the beams of each scan.
-        shape: pages of the window.
     """
     crossed = np.zeros(shape, dtype=np.bool_)
     of = np.repeat(np.arange(len(lasers)), np.diff(firsts))
@@ -316,20 +294,13 @@ def fuse_with_drawn(
     map is the fused one.
 
     Args:
-        result: of fusing the maps of a drive: says which fit and how they lie.
         drawn: in the map frame of its fused map, cells in {-1, 0, 100}.
-        saved: names of inputs that no producer of the drive made.
-        config: thresholds.
-        device: computes.
 
     Returns:
         On the lattice of ``drawn``, over all that it and the voting saved maps know. The agreement
         of a cell is the share of the maps that know it, the drawn one among them, which say what
         the fused one says; an input dissents where it knows a cell and says otherwise. ``weights``
         has those that voted.
-
-    Raises:
-        GridError: no cell of ``drawn`` is known.
     """
     layer = normalize_grid(drawn, drawn.resolution, config.normalize, device)
     inputs = {
@@ -389,15 +360,7 @@ def fuse_with_drawn(
 
 
 def _agreement(fused: I8, maps: list[I8]) -> I8:
-    """Return the share of the maps that know a cell which say what the fused one says.
-
-    Args:
-        fused: (H, W) int8 in {-1, 0, 1}.
-        maps: likewise, one or more.
-
-    Returns:
-        (H, W) int8, percent, rounded half up; -1 where the fused map knows nothing.
-    """
+    """Return the share of the maps that know a cell which say what the fused one says."""
     known = np.zeros(fused.shape, dtype=np.int16)
     same = np.zeros(fused.shape, dtype=np.int16)
     for cells in maps:

@@ -117,7 +117,6 @@ class Exclusions:
         """Return whether a path has a vote at times, (T,) bool: as at the judged scan next to each.
 
         Args:
-            name: of the path.
             stamps_s: (T,) seconds.
         """
         return np.asarray(~self.excluded[name][nearest_stamps(self.stamps_s, stamps_s)])
@@ -191,11 +190,7 @@ def parted(gap_m: F64, stamps_s: F64) -> B8:
 
 
 def _in_largest_group(apart: B8) -> B8:
-    """Return which paths are in a largest group of which no two have parted, (K, M) bool.
-
-    Args:
-        apart: (K, K, M) bool, whether two paths have parted.
-    """
+    """Return which paths are in a largest group of which no two have parted, (K, M) bool."""
     count = len(apart)
     patterns, at = np.unique(apart.reshape(count * count, -1), axis=1, return_inverse=True)
     found = np.zeros((count, patterns.shape[1]), dtype=np.bool_)
@@ -273,15 +268,7 @@ class _Drive:
         )
 
     def _judge_minorities(self, grounds: npt.NDArray[np.int8]) -> list[_Unsettled]:
-        """Take the vote of whoever is in no largest group, or of those in it whom it belies.
-
-        Args:
-            grounds: (K, M), is told who has no vote.
-
-        Returns:
-            What the scans cannot tell: they bear a path out better than a group together, but not
-            than one of it.
-        """
+        """Take the vote of whoever is in no largest group, or of those in it whom it belies."""
         sums = np.stack([score.sums[self.judged] for score in self.evidence.scores.values()])
         members = self.in_majority.sum(axis=0)
         of_group = np.where(self.in_majority, sums, 0.0).sum(axis=0) / members
@@ -303,14 +290,7 @@ class _Drive:
         return unsettled
 
     def _judge_rivals(self, grounds: npt.NDArray[np.int8]) -> list[_Unsettled]:
-        """Let the scans decide between paths of equal groups that have parted.
-
-        Args:
-            grounds: (K, M), is told who has no vote.
-
-        Returns:
-            What they cannot tell.
-        """
+        """Let the scans decide between paths of equal groups that have parted."""
         unsettled = []
         names, decided = tuple(self.evidence.scores), grounds > 0
         for a, b in itertools.combinations(range(len(names)), 2):
@@ -342,12 +322,7 @@ class _Drive:
         return is_open
 
     def _without(self, a: int, b: int, left_out: B8) -> PathEvidence:
-        """Return what the scans say of two paths where some of the judged ones are left out.
-
-        Args:
-            a, b: of the paths.
-            left_out: (M,) bool, scans that are neither drawn nor judged.
-        """
+        """Return what the scans say of two paths where some of the judged ones are left out."""
         if self.device is None or not left_out.any() or not self.beams[~left_out].any():
             return self.evidence
         scans = np.zeros(len(self.evidence.scans), dtype=np.bool_)

@@ -137,7 +137,6 @@ def fuse_paths(
             default: 1. See ``trust_in_paths``.
         sharing_fault: names of paths that drift alike, those of SLAMs that close no loops: over
             long spans they count together as much as the best of them alone.
-        name: of the new path.
 
     Returns:
         A path at the stamps of the path with most poses. Of one path alone: that path.
@@ -167,13 +166,7 @@ def _counted_once(laid: LaidPaths, names: Collection[str]) -> LaidPaths:
 
 
 def _optimized(laid: LaidPaths, over_long: LaidPaths, poses: F64) -> F64:
-    """Return (N, 3) poses that the motions of the paths bear out best, found from a start.
-
-    Args:
-        laid: the paths, as they count over short spans.
-        over_long: the same as they count between visits and in the common frame.
-        poses: (N, 3), the start.
-    """
+    """Return (N, 3) poses that the motions of the paths bear out best, found from a start."""
     measured = _all_motions(laid, over_long, poses)
     edges = np.stack((measured.starts, measured.ends), axis=1)
     deviations = measured.deviations
@@ -260,13 +253,7 @@ def _between(laid: LaidPaths, starts: I64, ends: I64) -> _Motions:
 
 
 def _agreement(told: F64, trust: F64, scale_m: float) -> F64:
-    """Return how much motions are believed beside each other, (K, M); the best of each has 1.
-
-    Args:
-        told: (K, M, 3) the same motions as each path tells them; NaN where it does not.
-        trust: (K, M) how much the paths are believed.
-        scale_m: how far apart they are where nothing is wrong.
-    """
+    """Return how much motions are believed beside each other, (K, M); the best of each has 1."""
     has = np.isfinite(told[..., 0])
     believed = np.where(has, np.maximum(trust, LEAST_WEIGHT), 0.0)
     known = has.any(axis=0)
@@ -280,11 +267,7 @@ def _agreement(told: F64, trust: F64, scale_m: float) -> F64:
 
 
 def _spread(told: F64) -> F64:
-    """Return the deviations of motions, (2,) metres and radians, from how paths differ in them.
-
-    Args:
-        told: (K, M, 3) the same motions as each path tells them; NaN where it does not.
-    """
+    """Return the deviations of motions, (2,) metres and radians, from how paths differ in them."""
     variances = []
     for a in range(len(told)):
         for b in range(a + 1, len(told)):

@@ -133,7 +133,6 @@ class KnownMotions:
         Args:
             poses: (N, 3) of the scans, today.
             calibration: (2,) likewise.
-            number: of the round, from 0; in the first one all odometry counts that is sound.
         """
         if number == 0:
             return self.is_sound.astype(np.float64)
@@ -222,12 +221,7 @@ def _over(steps: F64, span: int) -> F64:
 
 
 def _usual_calibration(path_m: F64, wheels_m: F64) -> F64:
-    """Return what turns and scales most ways of the wheels into those of the path, (2,).
-
-    Args:
-        path_m, wheels_m: (M, 2), metres; those of the wheels shorter than a quarter of ``WAY_M`` do
-            not count, and without others there is no calibration: zeros.
-    """
+    """Return what turns and scales most ways of the wheels into those of the path, (2,)."""
     squares = (wheels_m**2).sum(axis=1)
     long = squares > (0.25 * WAY_M) ** 2
     if not long.any():

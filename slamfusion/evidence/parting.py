@@ -45,11 +45,6 @@ class Span:
 def path_spans(evidence: PathEvidence, name: str, other: str) -> tuple[Span, ...]:
     """Return the spans of a drive in which a path agrees with another one, and in which not.
 
-    Args:
-        evidence: of both paths.
-        name: the path.
-        other: what it is compared with; the same name gives one span that agrees.
-
     Returns:
         Spans in the order of time that together cover the judged part of the drive.
     """
@@ -105,7 +100,6 @@ def long_runs(flags: B8, stamps_s: F64) -> Iterator[slice]:
     """Yield where flags, (N,), are set without a break for ``LEAST_S`` at least.
 
     Args:
-        flags: in the order of time.
         stamps_s: (N,) seconds; a run lasts until the first time after it.
     """
     for here in flag_runs(flags):

@@ -46,7 +46,6 @@ class LaidPaths:
     weights: F64
 
     def __len__(self) -> int:
-        """Scans."""
         return len(self.stamps_s)
 
 
@@ -60,10 +59,6 @@ def lay_paths(
             poses, and poses of others at other times are not used.
         weights: how much a path is believed, in [0, 1], by name: one number, or (poses,) of them;
             default, also for paths that are not named: 1.
-
-    Raises:
-        TrajectoryError: no path, a path without a pose, one that has no pose at the time of
-            another's, or weights that do not fit.
     """
     if not paths:
         message = "there is no path to fuse; give at least one"
@@ -111,7 +106,6 @@ def fit_onto(path: Trajectory, others: Iterable[Trajectory]) -> Pose2 | None:
     """Return the motion that lays most of a path on others; None where no times meet.
 
     Args:
-        path: may be sparse.
         others: all in one frame, of at least one pose each, on the clock of the path.
     """
     moving, still = [np.empty((0, 3))], [np.empty((0, 3))]
@@ -235,7 +229,6 @@ def find_modes(poses: F64, weights: F64, least_m: float, most_m: float) -> F64:
         poses: (K, N, 3) K answers to each of N questions, poses or motions, metres and radians; NaN
             where there is none, but one of K is there.
         weights: (K, N) how much each is believed, 0 to 1.
-        least_m, most_m: how far apart answers are that are one, in metres of ``pose_distances``.
 
     Returns:
         (N, 3) float64, yaw in [-pi, pi).

@@ -125,7 +125,6 @@ class PathScore:
 
         Args:
             groups: (N,) int64, the group of each scan, 0 to ``count`` - 1.
-            count: groups.
         """
         sums = np.bincount(groups, self.sums, count).astype(np.float64)
         beams = np.bincount(groups, self.beams, count).astype(np.int64)
@@ -168,7 +167,6 @@ class PathEvidence:
         """Return a path's score over the drive.
 
         Args:
-            name: of the path.
             groups: parts of the drive, of equal numbers of scans.
 
         Returns:
@@ -186,7 +184,6 @@ class PathEvidence:
         """Return of each part of the drive the share of its hits that other parts have seen too.
 
         Args:
-            name: of the path.
             groups: parts of the drive, of equal numbers of scans.
 
         Returns:
@@ -213,8 +210,6 @@ def score_paths(
     Args:
         scans: see ``judged_scans``.
         paths: by name, each in a frame of its own, on the clock of the scans; may be sparse.
-        device: draws and looks up.
-        model: how likely a hit is.
 
     Returns:
         Scores of all paths on the same hits: those of the scans that every path has a pose for.
@@ -242,7 +237,6 @@ def with_path(
         evidence: of the other paths, one at least.
         name: of the path; no other one has it.
         path: in a frame of its own, on the clock of the scans; may be sparse.
-        device: draws and looks up.
 
     Returns:
         Scores of all paths, this one last. The others are scored again only where it has no pose
@@ -270,16 +264,10 @@ def without_scans(
     """Score some paths of a drive on fewer scans, by the same model.
 
     Args:
-        evidence: of these paths and of others.
-        names: the paths.
         left_out: (N,) bool, scans that neither draw nor are judged.
-        device: draws and looks up.
 
     Returns:
         Scores of these paths.
-
-    Raises:
-        TrajectoryError: no judged scan is left.
     """
     scans, is_judged = evidence.scans, evidence.is_judged & ~left_out
     if not is_judged[scans.hit_scans].any():
@@ -397,8 +385,6 @@ class DrawnChunks:
         """Return how likely hits are under what other chunks drew.
 
         Args:
-            picked: the hits that are asked.
-            moved_m: the hits are moved by this first, metres along the lattice of the map.
             among: (CHUNKS,) uint32, for each chunk the bits of those that are asked; default: all
                 that are neither it nor next to it.
 
@@ -432,7 +418,6 @@ def log_likelihoods(found: npt.NDArray[np.int32], model: HitModel) -> tuple[F64,
 
     Args:
         found: (B, 2) int32, of ``nearest_marks``.
-        model: how likely a hit is.
 
     Returns:
         (B,) float64 and (B,) bool.

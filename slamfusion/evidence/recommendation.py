@@ -190,7 +190,6 @@ def recommend(
 
     Args:
         evidence: of the paths of the SLAMs, and of the one fused of them, if any.
-        slams: names of the paths that are a SLAM's own.
         exclusions: when the paths have parted, and who votes.
         device: looks up where walls are displaced.
         fused: name of the path that was fused of them; None, or unknown: there is none.
@@ -231,12 +230,7 @@ def choose_path(
 
 
 def distance_m(evidence: PathEvidence, name: str, other: str) -> float:
-    """Return the root mean square distance between two aligned paths, metres.
-
-    Args:
-        evidence: of both; judged are scans at which both have a pose.
-        name, other: of the paths.
-    """
+    """Return the root mean square distance between two aligned paths, metres."""
     poses, still = (evidence.scores[one].path.poses[evidence.is_judged] for one in (name, other))
     aligned = moved_poses(fit_motion(poses, still), poses)
     return float(np.sqrt(np.mean(np.sum((aligned[:, :2] - still[:, :2]) ** 2, axis=1))))

@@ -75,7 +75,6 @@ def refine_path(scans: JudgedScans, path: Trajectory) -> Trajectory:
     """Return a path that lays the scans of a drive on each other.
 
     Args:
-        scans: of the drive.
         path: near the right one: walls that it draws further apart than ``REACH_M`` stay so.
 
     Returns:
@@ -113,7 +112,6 @@ def carried_along(path: Trajectory, stamps_s: F64, before: F64, poses: F64) -> T
     """Return a path each pose of which is carried along by the scan nearest to it.
 
     Args:
-        path: of before.
         stamps_s: (N,) of scans, seconds, N at least 1.
         before: (N, 3) where the path has them.
         poses: (N, 3) where they are now.
@@ -216,13 +214,7 @@ class _Patches:
 
 
 def _sorted(places: F64, facings_rad: F64, number: int) -> tuple[I64, I64]:
-    """Return the patch of each hit, (B,), and how many each has, (P,), on the lattice of a round.
-
-    Args:
-        places: (B, 2), metres.
-        facings_rad: (B,) what each hit faces, in the same frame.
-        number: of the round.
-    """
+    """Return the patch of each hit, (B,), and hits of each patch, (P,), on a round's lattice."""
     cells = np.floor(places / PATCH_M + number % MOVES / MOVES).astype(np.int64)
     cells -= cells.min(axis=0)
     side = np.rint(facings_rad * FACINGS / (2.0 * np.pi) + number % TURNS / TURNS).astype(np.int64)
@@ -238,12 +230,7 @@ def _means(of: I64, sizes: I64, values: F64) -> F64:
 
 
 def _spreads_m(away_m: F64, kinds: I64) -> F64:
-    """Return how far hits of each kind spread about their patches, (KINDS,) metres.
-
-    Args:
-        away_m: (M,) how far hits lie from them, M at least 1.
-        kinds: (M,) of the hits.
-    """
+    """Return how far hits of each kind spread about their patches, (KINDS,) metres."""
     far_m = np.abs(away_m)
     usual_m = np.full(KINDS, np.median(far_m))
     for kind in np.flatnonzero(np.bincount(kinds, minlength=KINDS) >= LEAST_OF_KIND):
@@ -283,17 +270,7 @@ def _line_inverses(of: I64, count: int, sides_m: F64, weights: F64) -> F64:
 
 
 def _step(hits: _Hits, poses: F64, equations: MotionEquations, number: int) -> tuple[F64, F64]:
-    """Return the step of one round towards the least sum of squares.
-
-    Args:
-        hits: of the scans.
-        poses: (N, 3) of the scans, today.
-        equations: of their motions.
-        number: of the round.
-
-    Returns:
-        (N, 3) of the poses, and (2,) of the calibration.
-    """
+    """Return the step of one round towards the least sum of squares."""
     patches = _Patches.at(hits, poses, number)
     diagonal, slope = equations.diagonal.copy(), equations.slope.copy()
     count = len(poses)

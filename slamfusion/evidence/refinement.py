@@ -78,8 +78,6 @@ def refine_borne_out(
 
     Args:
         evidence: of other paths of the drive; none has the name of ``path``.
-        path: near the right one.
-        device: scores both.
 
     Raises:
         TrajectoryError: see ``score_paths``.
@@ -119,13 +117,7 @@ def refine_borne_out(
 def _from_odometry(
     evidence: PathEvidence, path: Trajectory, device: ComputeDevice
 ) -> tuple[Trajectory, PathEvidence] | None:
-    """Lay the scans on each other along the odometry; None where they speak against it.
-
-    Args:
-        evidence: of ``path``, too.
-        path: at whose stamps the odometry is told, and in whose frame.
-        device: scores.
-    """
+    """Lay the scans on each other along the odometry; None where they speak against it."""
     wheels = _odometry_at(evidence.scans, path)
     if wheels is None:
         return None
@@ -151,16 +143,7 @@ def _odometry_at(scans: JudgedScans, path: Trajectory) -> Trajectory | None:
 def _settled(
     evidence: PathEvidence, path: Trajectory, told: float, device: ComputeDevice
 ) -> tuple[Trajectory, PathEvidence]:
-    """Lay scans on each other along a path, and along what came of it while that gains.
-
-    Args:
-        evidence: of other paths.
-        path: the start, by which a hit has the log-likelihood ``told``.
-        device: scores.
-
-    Returns:
-        The refined path, and the evidence with it.
-    """
+    """Lay scans on each other along a path, and along what came of it while that gains."""
     refined = refine_path(evidence.scans, path)
     both = with_path(evidence, _REFINED, refined, device)
     for _ in range(1, MOST_ROUNDS):

@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 import slamfusion
 from slamfusion.compute import ComputeDevice
-from slamfusion.compute.program import kernel_folder
+from slamfusion.compute.opencl import kernel_folder
 from slamfusion.config import RunConfig, to_mapping
 from slamfusion.errors import FleetError, MapFileError, SlamFusionError
 from slamfusion.evaluation import Row, maps_of_differences, result_rows

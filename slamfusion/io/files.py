@@ -44,7 +44,6 @@ def check_memory(
         bytes_needed: the peak of the work, in bytes.
         what: the work, as the subject of a sentence: ``a 30000 x 30000 map``.
         where: the file, topic or option that asked for it.
-        fix: what to do.
 
     Raises:
         MemoryBudgetError: with the needed and the available amount; nothing was allocated.
@@ -88,16 +87,7 @@ _KINDS = (
 
 
 def open_regular(path: Path, error: type[SlamFusionError]) -> BufferedReader:
-    """Open a file for reading; what would make the reader wait or never end is refused.
-
-    Args:
-        path: the file, links followed.
-        error: raised for a folder, pipe, socket or device.
-
-    Raises:
-        SlamFusionError: ``error``; it names the file and what was found.
-        OSError: the file cannot be opened.
-    """
+    """Open a file for reading; what would make the reader wait or never end is refused."""
     _check_regular(path, path.stat().st_mode, error)
     # What was a file a moment ago may be a pipe by now: opening must not wait for its writer.
     descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
@@ -110,17 +100,7 @@ def open_regular(path: Path, error: type[SlamFusionError]) -> BufferedReader:
 
 
 def read_small(path: Path, error: type[SlamFusionError], what: str) -> bytes:
-    """Return the bytes of a file that a person may have written, at most ``SMALL_BYTES``.
-
-    Args:
-        path: the file.
-        error: raised where it is no regular file, or larger.
-        what: the file should be, with its article.
-
-    Raises:
-        SlamFusionError: ``error``.
-        OSError: the file cannot be read.
-    """
+    """Return the bytes of a file that a person may have written, at most ``SMALL_BYTES``."""
     with open_regular(path, error) as file:
         data = file.read(SMALL_BYTES + 1)
     if len(data) > SMALL_BYTES:
@@ -149,12 +129,8 @@ def refuse_overwriting(
     hard links, or names that differ in letters which the file system does not tell apart.
 
     Args:
-        reads: inputs as they were given, each with a file that is read for it.
         writes: outputs as they were asked for, in words, each with a file that may be written or
             removed for it.
-
-    Raises:
-        SlamFusionError: names the input and the output.
     """
     taken: dict[Hashable, str] = {}
     for given, file in reads:
@@ -290,8 +266,6 @@ def write_atomic(
     """Write one file whole or not at all; see ``AtomicFiles`` for the rules and errors.
 
     Args:
-        path: the file.
-        data: all of it.
         files: add the file to these, to appear together with them; default: write it now.
     """
     if files is not None:

@@ -50,10 +50,6 @@ def read_image(path: Path) -> Pixels:
 
     A colour picture with 16 bits per channel, and a PGM whose maximum is below 255, are read with 8
     bits. Palettes become colours, and a transparent colour an alpha channel.
-
-    Raises:
-        MapFileError: the file is missing, unreadable, damaged or of another format.
-        MemoryBudgetError: the picture and its map would not fit into memory.
     """
     with _opened(path) as file:
         stream: BufferedReader | io.BytesIO = file
@@ -99,7 +95,6 @@ def encode_image(pixels: npt.NDArray[np.uint8], image_format: str) -> memoryview
 
     Args:
         pixels: (H, W) grey, (H, W, 3) colour or (H, W, 4) with alpha; row 0 is the top.
-        image_format: ``pgm``, ``png`` or ``bmp``.
     """
     data = io.BytesIO()
     kind = "PPM" if image_format == "pgm" else image_format
@@ -109,11 +104,7 @@ def encode_image(pixels: npt.NDArray[np.uint8], image_format: str) -> memoryview
 
 @contextmanager
 def _opened(path: Path) -> Iterator[BufferedReader]:
-    """Open a picture for reading.
-
-    Raises:
-        MapFileError: opening, or reading within the ``with`` block, failed; names the file.
-    """
+    """Open a picture for reading."""
     try:
         with open_regular(path, MapFileError) as file:
             yield file

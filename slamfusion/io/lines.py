@@ -30,7 +30,6 @@ class TextLines:
     """The lines of a file; each iteration reads from the start and takes constant memory.
 
     Args:
-        path: the file.
         kept_bytes: what the caller keeps of each line: where that would not fit into memory, the
             file is refused while it is read.
         if_cut_off: the error that ends an iteration over packed data that end early or are
@@ -56,13 +55,7 @@ class TextLines:
         self.is_cut_off = False
 
     def __iter__(self) -> Iterator[tuple[int, bytes]]:
-        """Yield line number, from 1, and line.
-
-        Raises:
-            LogError: no regular file, or a line that is too long to be text.
-            MemoryBudgetError: what the caller keeps would not fit into memory.
-            SlamFusionError: of the kind asked for, where packed data are cut off.
-        """
+        """Yield line number, from 1, and line."""
         self.fraction_read, self.is_cut_off = 0.0, False
         number = 0
         with open_regular(self.path, LogError) as file:
@@ -92,12 +85,7 @@ class TextLines:
 
 
 def read_head(path: Path, count: int = _BUFFER_BYTES) -> bytes:
-    """Return the first bytes of a file, unpacked where it is gzip; less where it is damaged.
-
-    Raises:
-        LogError: no regular file.
-        OSError: the file cannot be opened.
-    """
+    """Return the first bytes of a file, unpacked where it is gzip; less where it is damaged."""
     with open_regular(path, LogError) as file:
         stream = _unpacked(file.raw)
         head = bytearray()

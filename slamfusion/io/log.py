@@ -113,9 +113,6 @@ class Continuity:
     The laser is mounted as the settings say (``LaserScan.remounted``), and the scans are deskewed.
 
     Args:
-        skips: where refused scans are counted.
-        warnings: where gaps and jumps are counted.
-        config: how the log is read.
         track: gives the odometry within a sweep; default: it is that of two scans, and between.
 
     Attributes:

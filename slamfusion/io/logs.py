@@ -110,11 +110,7 @@ def _timed(opened: Callable[[LogConfig], ScanLog], config: LogConfig) -> ScanLog
 
 
 def bag_at(path: Path) -> Path | None:
-    """Return the bag that ``open_log`` reads at a path; None where it is another log.
-
-    Raises:
-        LogError, OSError: see ``open_log``.
-    """
+    """Return the bag that ``open_log`` reads at a path; None where it is another log."""
     where = _place(path)
     return where if _reader(where) is BagLog else None
 

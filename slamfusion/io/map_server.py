@@ -105,8 +105,6 @@ def cells_from_image(
 
     Args:
         pixels: (H, W), (H, W, 3) or (H, W, 4), uint8 or uint16, top row first.
-        rules: of its YAML.
-        legacy_unknown: read those cells as unknown.
 
     Returns:
         (H, W) int8, bottom row first, read-only; and the count, the same with and without
@@ -149,8 +147,6 @@ def with_settled_edges(cells: Cells, pixels: Pixels, rules: Rules) -> Cells:
 
     Args:
         cells: (H, W) int8, as ``cells_from_image`` returns them.
-        pixels: the picture that they come from.
-        rules: of its YAML.
     """
     percent = cells
     if rules.mode == "trinary":
@@ -226,9 +222,6 @@ def pixels_from_cells(
 
     Args:
         cells: (H, W) int8, -1 unknown, 0..100 percent; bottom row first.
-        rules: the mode.
-        image_format: ``png`` has an alpha channel in scale mode, other formats have none.
-        classes: in trinary mode, the thresholds in percent.
     """
     # The table is indexed with the cell's byte, so unknown (-1) stands at 255.
     table = np.full(256, UNKNOWN_GREY, dtype=np.uint8)
@@ -297,7 +290,6 @@ def load_map(
         legacy_unknown: read such cells as unknown.
         settle_edges: read grey cells between a wall and free ground as one of both, so that walls
             of drawings have their faces (``with_settled_edges``); nav2 reads them as unknown.
-        warn: told in a sentence what is doubtful about the map.
 
     Raises:
         MapFileError: a file is missing, damaged or breaks the format's rules.

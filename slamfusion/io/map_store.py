@@ -44,17 +44,8 @@ class MapStore:
         """Begin a store.
 
         Args:
-            path: of the store; nothing may be there.
-            names: of its arrays.
-            shape: rows and columns of each.
-            chunk: cells on a side of a chunk.
             resolution: metres a cell.
             origin: pose of the lower-left corner of cell [0, 0] in the map frame.
-            attributes: further ones of the group; JSON.
-
-        Raises:
-            MapFileError: something is there, nothing can be written there, or Zarr is not
-                installed.
         """
         self.path = Path(path)
         check_store(self.path)
@@ -87,12 +78,7 @@ class MapStore:
             self._arrays = {name: group[name] for name in names}
 
     def write(self, name: str, box: CellBox, cells: npt.NDArray[np.int8]) -> None:
-        """Write a box of cells of an array; whole chunks are written without being read.
-
-        Raises:
-            GridError: the cells are others than those of the box.
-            MapFileError: they cannot be written.
-        """
+        """Write a box of cells of an array; whole chunks are written without being read."""
         if cells.shape != (box.height, box.width):  # which Zarr would cut, and say nothing
             found = " x ".join(map(str, cells.shape))
             message = f"{self.path}: wanted {box.height} x {box.width} cells, found {found}"
@@ -135,11 +121,7 @@ class MapStore:
 
 
 def check_store(path: Path) -> None:
-    """Refuse to write a store where something is, or without Zarr, before any work.
-
-    Raises:
-        MapFileError: something is there, or Zarr is not installed.
-    """
+    """Refuse to write a store where something is, or without Zarr, before any work."""
     if os.path.lexists(path):
         message = f"{path} exists, and a store is not written over; remove it or name another"
         raise MapFileError(message)
@@ -150,12 +132,7 @@ def read_stored_map(path: str | Path, name: str, box: CellBox | None = None) -> 
     """Read a map, or a box of its cells, from a store.
 
     Args:
-        path: of the store.
-        name: of the array.
         box: of its cells; None: all of them.
-
-    Raises:
-        MapFileError: there is no such store, array or box, or Zarr is not installed.
     """
     zarr, _ = _zarr()
     try:

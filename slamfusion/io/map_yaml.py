@@ -101,11 +101,7 @@ class MapFile:
 
 
 def read_map_yaml(path: Path) -> MapFile:
-    """Read and check a map's YAML.
-
-    Raises:
-        MapFileError: it is none, which names what it is, or breaks the format's rules.
-    """
+    """Read and check a map's YAML."""
     kind = _NO_MAPS.get(path.suffix.lower())
     if kind is not None:
         message = f"{path}: wanted a map's YAML or picture, found {kind}"

@@ -42,19 +42,10 @@ class ScanOdometry:
     logged: npt.NDArray[np.float64] | None = None
 
     def __len__(self) -> int:
-        """Laser lines."""
         return len(self.poses)
 
     def check_count(self, log: Path, lines: int) -> None:
-        """Refuse a file that has not one row for each laser line.
-
-        Args:
-            log: named in the message.
-            lines: laser lines of the log.
-
-        Raises:
-            LogError: rows are missing, or there are too many.
-        """
+        """Refuse a file that has not one row for each laser line."""
         if len(self) != lines:
             message = (
                 f"{self.path}: wanted a row for each of the {lines} laser lines of {log}, found "
@@ -66,12 +57,7 @@ class ScanOdometry:
         """Return the odometry of a laser line.
 
         Args:
-            index: of the laser line, from 0.
-            log: named in the message.
             logged: the pose that the line itself carries; metres, radians.
-
-        Raises:
-            LogError: the file was made for a log with another pose there.
         """
         if self.logged is not None:
             own = self.logged[index]
@@ -95,10 +81,6 @@ def read_scan_odometry(path: str | Path) -> ScanOdometry:
             the log, from 0, without a gap), ``odom_x``, ``odom_y`` (metres), ``odom_theta``
             (radians), and where known ``corrected_x``, ``corrected_y``, ``corrected_theta``, the
             pose in the log's line; others are passed over.
-
-    Raises:
-        LogError: a column or a row is missing, or a line is damaged (its number is given).
-        OSError: the file cannot be opened.
     """
     where = Path(path)
     columns: list[str] = []
@@ -130,14 +112,7 @@ def read_scan_odometry(path: str | Path) -> ScanOdometry:
 
 
 def _row(fields: list[str], columns: list[str], index: int, where: str) -> list[float]:
-    """Return the numbers of one line; only those of the index and the pose need to be finite.
-
-    Args:
-        fields: of the line.
-        columns: their names.
-        index: that the row must have.
-        where: for messages.
-    """
+    """Return the numbers of one line; only those of the index and the pose need to be finite."""
     try:
         values = [float(field) for field in fields]
     except ValueError:

@@ -67,9 +67,7 @@ class StampGate(Generic[T]):
     An item that is a little older than the newest one passes: whoever uses it leaves it out.
 
     Args:
-        back_s: see above, seconds.
         is_same: whether two items of one stamp are the same one, sent again; default: never.
-        ahead_s: see above, seconds.
 
     Attributes:
         back_s: may be changed.
@@ -117,8 +115,6 @@ class StampGate(Generic[T]):
         """Take one more item.
 
         Args:
-            stamp_s: its time, seconds.
-            item: what is handed out again.
             arrived_s: real time of its arrival, seconds; the same each time where that says
                 nothing.
             agrees: asked with the newest stamp before the jump and the newest after it, once

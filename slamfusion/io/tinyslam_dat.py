@@ -54,10 +54,6 @@ class TinySlamDat:
     The odometry starts at (0, 0, 0) and follows the wheels along exact arcs. Counters of ticks and
     time that wrap at 16 or 32 bits are unwrapped. ``line`` is the line in the file, from 1.
 
-    Args:
-        path: the file.
-        config: ``no_return_m`` replaces the laser's rated 4 m.
-
     Attributes:
         path, skips, warnings, notes, has_stamps, fraction_read, deskewing: see ``ScanLog``.
 
@@ -87,7 +83,6 @@ class TinySlamDat:
         self.skips, self.fraction_read = Skips(), 0.0
 
     def __iter__(self) -> Iterator[LogScan]:
-        """Yield the scans; stamps strictly increase."""
         self.skips, self.warnings = Skips(), Skips()
         continuity = Continuity(self.skips, self.warnings, self._config)
         self.deskewing = continuity.deskewer.done
@@ -159,11 +154,6 @@ class TinySlamDat:
 def drive_arc(start: Pose2, left_m: float, right_m: float) -> Pose2:
     """Return the pose after the wheels rolled so far, at a constant ratio: a circular arc.
 
-    Args:
-        start: pose of the middle of the axle.
-        left_m: way of the left wheel, metres; negative backward.
-        right_m: way of the right wheel.
-
     Source: Siegwart and Nourbakhsh, Introduction to Autonomous Mobile Robots, section 5.2.4.
     """
     turn_rad = (right_m - left_m) / (2.0 * _HALF_AXLE_M)
@@ -185,11 +175,7 @@ _TICK_TURNS = (2.0**16, 2.0**32)
 
 
 class _Unwrapped:
-    """Follows a counter across its wraps.
-
-    Args:
-        turns: the counts after which it may wrap, ascending.
-    """
+    """Follows a counter across its wraps."""
 
     def __init__(self, turns: tuple[float, ...]) -> None:
         self._turns = turns

@@ -67,10 +67,8 @@ def read_trajectory(
 
     Args:
         path: the file, plain or gzip, or a ROS 2 bag's folder.
-        config: how logs and bags are read.
         pose_topic: of a bag, a topic of poses or ``tf``; default: the odometry of its scans, and of
             a bag without scans its only topic of poses, else its transforms.
-        warn: told in a sentence which of the poses in a bag are taken.
 
     Returns:
         The poses in the order of time, named after the file.
@@ -155,13 +153,7 @@ def _fields(line: bytes) -> list[bytes]:
 
 
 def _rows(where: Path, first: list[bytes], columns: list[int] | None) -> Iterator[list[float]]:
-    """Yield time in seconds, x, y and yaw of every line, or what a TUM file has.
-
-    Args:
-        where: the file.
-        first: the fields of its first line.
-        columns: where these stand; None: in this order.
-    """
+    """Yield time in seconds, x, y and yaw of every line, or what a TUM file has."""
     if columns is None:
         if len(first) not in {_PLANAR, _TUM} or not _is_number(first[0]):
             shown = " ".join(item.decode("ascii", "replace") for item in first)[:60]
@@ -248,11 +240,7 @@ def _printable(text: str) -> str:
 
 
 def _in_plane(where: Path, rows: F64, config: LogConfig) -> F64:
-    """Return time, x, y and yaw, (N, 4), of rows ``t x y z qx qy qz qw``, (N, 8).
-
-    Raises:
-        TrajectoryError: the path does not lie in the plane.
-    """
+    """Return time, x, y and yaw, (N, 4), of rows ``t x y z qx qy qz qw``, (N, 8)."""
     poses = _robot_poses(rows, config.quaternion, config.axes)
     problem = _out_of_plane(poses)
     # Of several files the options are meant for those that need them.
@@ -348,13 +336,7 @@ def _read_graph(where: Path, name: str) -> Trajectory | None:
 
 
 def _vertex_row(vertex: list[float], tail: list[bytes]) -> Row:
-    """Return a vertex with the time of its scan; NaN where the scan's line does not end well.
-
-    Args:
-        vertex: x, y, yaw as its own line says them.
-        tail: the scan's line before its last 11 fields, and these: the robot's pose, 5 settings
-            and speeds, time, host, logger's time.
-    """
+    """Return a vertex with the time of its scan; NaN where the scan's line does not end well."""
     try:
         robot = [float(item) for item in tail[1:4]]
         stamp_s = float(tail[9])

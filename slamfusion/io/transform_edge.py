@@ -135,12 +135,7 @@ class Edge:
         return rows[before], rows[after], shares
 
     def near(self, wanted_s: float, hold_s: float) -> Around:
-        """Return the same of one time, or raise ``TransformError`` where it is not known.
-
-        Args:
-            wanted_s: the time.
-            hold_s: so far outside of what is known the nearest one is taken.
-        """
+        """Return the same of one time, or raise ``TransformError`` where it is not known."""
         if self.is_static:
             return self.rows[-1], self.rows[-1], 0.0
         stamps = self.stamps_s

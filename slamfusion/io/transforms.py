@@ -86,9 +86,6 @@ class TransformTree:
     edges in either direction, by the edge that was named first where two are equally short; a ring
     of frames is no harm. A leading ``/`` of a frame's name means nothing. Not safe between threads.
 
-    Args:
-        keep_s: see above, seconds.
-
     Attributes:
         strays: live transforms left out for their stamps, far from those before and after them.
     """
@@ -130,9 +127,7 @@ class TransformTree:
         Args:
             parent: frame that the transform leads to.
             child: frame of the points.
-            stamp_s: its time, seconds.
             row: (7,) x, y, z in metres, then the quaternion x, y, z, w of any length but 0.
-            is_static: it holds at every time.
             arrived_s: real time of its arrival, seconds; the same each time where that is not
                 known. Only what is sent live needs it.
 
@@ -224,9 +219,6 @@ class TransformTree:
 
         Returns:
             (N, 4, 4): a point p of the source frame is M p in the target frame, metres.
-
-        Raises:
-            TransformError: nothing connects the frames.
         """
         way = self._known_way(target, source)
         times = np.atleast_1d(np.asarray(stamps_s, dtype=np.float64))
@@ -238,10 +230,6 @@ class TransformTree:
         Args:
             target: the frame the pose is in.
             source: the frame whose pose it is.
-            time_s: seconds.
-
-        Raises:
-            TransformError: see ``mount``.
         """
         return self.mount(target, source, time_s).pose
 
@@ -251,12 +239,6 @@ class TransformTree:
         Args:
             target: the frame the pose is in.
             source: the frame whose pose it is.
-            time_s: seconds.
-            hold_s: so far outside of what is known the nearest transform is taken.
-
-        Raises:
-            TransformError: not connected; tilted by more than 60 degrees; or not at that time:
-                farther outside of what is known, or more than ``REACH_S`` from either neighbour.
         """
         way = self._known_way(target, source)
         found = [edge.near(time_s, hold_s) for edge, _ in reversed(way)]
@@ -330,11 +312,6 @@ def _chained(way: Sequence[Step], found: Sequence[Around], count: int) -> Floats
     """Return the poses (N, 4, 4) along a way.
 
     All edges at once: what takes time is making SciPy's objects, not what they hold.
-
-    Args:
-        way: E steps.
-        found: of each of them the transforms before and after N times, and the shares.
-        count: N.
     """
     from scipy.spatial.transform import Rotation  # noqa: PLC0415  (who reads maps needs none)
 

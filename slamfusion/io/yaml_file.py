@@ -75,18 +75,7 @@ class _Texts(_Counted, yaml.BaseLoader):
 def read_yaml(
     path: str | Path, error: type[SlamFusionError], what: str, *, as_text: bool = False
 ) -> Any:
-    """Return what a YAML file holds: nested plain values, None (texts: empty) where it is empty.
-
-    Args:
-        path: the file.
-        error: raised for everything that is wrong with it.
-        what: the file should be, with its article, for messages.
-        as_text: leave every scalar as the text that it is written in.
-
-    Raises:
-        SlamFusionError: ``error``: no regular file, too large, no UTF-8, no YAML, or too much.
-        OSError: the file cannot be read.
-    """
+    """Return what a YAML file holds: nested plain values, None (texts: empty) where it is empty."""
     data = read_small(Path(path), error, what)
     try:
         loader: Any = _Texts if as_text else _Values

@@ -58,7 +58,6 @@ def find_consensus(measured: Measurements, may_be_outlier: npt.NDArray[np.bool_]
     """Find the possible outliers that bear each other out.
 
     Args:
-        measured: M edges; those between consecutive poses that cannot be outliers are the odometry.
         may_be_outlier: (M,) bool; C of them are.
 
     Returns:
@@ -115,14 +114,7 @@ class _Odometry:
     def of(
         cls, edges: Indices, motions: Array, covariances: Array, is_trusted: npt.NDArray[np.bool_]
     ) -> _Odometry:
-        """Take the first trusted edge between each two consecutive poses, whichever way it points.
-
-        Args:
-            edges: (M, 2), from and to.
-            motions: (M, 3).
-            covariances: (M, 3, 3), in the frame of the measured pose.
-            is_trusted: (M,) bool.
-        """
+        """Take the first trusted edge between each two consecutive poses, in either direction."""
         count = int(edges.max()) + 1
         steps, noises = np.zeros((count, 3)), np.zeros((count, 3, 3))
         acts_at = np.arange(count)
@@ -146,16 +138,7 @@ class _Odometry:
         return cls(poses, np.cumsum(~is_measured), np.cumsum(noises, axis=0))
 
     def covariance(self, start: Indices, end: Indices, point: Array) -> Array:
-        """Return the covariance of the way between poses at a point that goes with one of them.
-
-        Args:
-            start: (K,) poses.
-            end: (K,) poses of the same pieces, before or after.
-            point: (K, 2 or more), x and y in the frame of ``poses``.
-
-        Returns:
-            (K, 3, 3) in the axes of that frame.
-        """
+        """Return the covariance of the way between poses at a point that goes with one of them."""
         first, last = np.minimum(start, end), np.maximum(start, end)
         return moved(self.sums[last] - self.sums[first], point)
 
@@ -186,14 +169,7 @@ class _Closures:
         return cls(edges.min(axis=1), edges.max(axis=1), motion, covariances, is_forward)
 
     def noise(self, which: Indices, first: Array, last: Array, point: Array) -> Array:
-        """Return the covariances at points that go with the later pose, in the world's axes.
-
-        Args:
-            which: (K,) closures.
-            first: (K, 3) where the earlier pose is.
-            last: (K, 3) where the later pose is.
-            point: (K, 2 or more).
-        """
+        """Return the covariances at points that go with the later pose, in the world's axes."""
         acts_at = np.where(self.is_forward[which, None], last, first)
         own = turned(self.covariance[which], acts_at[:, 2])
         return moved(own, point[:, :2] - acts_at[:, :2])
@@ -204,14 +180,6 @@ def _loop_errors(odometry: _Odometry, closures: _Closures, pairs: Indices) -> Ar
 
     The later pose of a pair's one closure is placed twice in the frame of the odometry: by that
     closure, and by way of the other. Infinite where odometry does not lead from end to end.
-
-    Args:
-        odometry: the way.
-        closures: C of them.
-        pairs: (K, 2) indices of closures.
-
-    Returns:
-        (K,).
     """
     one, other = pairs.T
     poses = odometry.poses

@@ -111,9 +111,7 @@ def write_g2o(
 
     Args:
         path: the file; packed when its name ends in ``.gz``.
-        graph: what to write.
         ids: (N,) names of the poses; default: their indices.
-        fixed: indices of the poses that FIX holds.
         files: stage the file here, to appear together with others; default: write it now.
 
     Raises:

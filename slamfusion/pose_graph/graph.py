@@ -37,7 +37,6 @@ class PoseGraph:
     is_closure: npt.NDArray[np.bool_]
 
     def __post_init__(self) -> None:
-        """Check once, then freeze."""
         poses = np.array(self.poses, np.float64).reshape(-1, 3)
         edges = np.array(self.edges, np.int64).reshape(-1, 2)
         motions = np.array(self.motions, np.float64).reshape(-1, 3)
@@ -64,7 +63,6 @@ class PoseGraph:
             object.__setattr__(self, name, array)
 
     def __len__(self) -> int:
-        """Poses."""
         return len(self.poses)
 
     def with_poses(self, poses: npt.NDArray[np.float64]) -> PoseGraph:
@@ -88,7 +86,6 @@ def loop_closing(edges: npt.NDArray[np.int64], count: int) -> npt.NDArray[np.boo
 
     Args:
         edges: (M, 2), from and to.
-        count: poses.
 
     Returns:
         (M,) bool.
@@ -109,7 +106,6 @@ def joining(
     Args:
         edges: (M, 2), from and to.
         is_closure: (M,) bool.
-        count: poses.
 
     Returns:
         (K,) int64, rising.
@@ -135,9 +131,6 @@ def chained_poses(graph: PoseGraph, root: int = 0) -> npt.NDArray[np.float64]:
 
     Returns:
         (N, 3) float64.
-
-    Raises:
-        GraphError: the graph is in more than one part.
     """
     parts, _ = part_labels(graph.edges, len(graph))
     if parts > 1:

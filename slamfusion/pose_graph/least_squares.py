@@ -56,7 +56,6 @@ class Measurements:
         self.upper = np.stack([information[:, row, column] for row, column in triangle])
 
     def __len__(self) -> int:
-        """Edges."""
         return len(self.edges)
 
     def chosen(self, which: npt.NDArray[np.bool_] | npt.NDArray[np.int64]) -> Measurements:
@@ -127,15 +126,8 @@ PANEL_SIZE = 4
 def factorise(matrix: scipy.sparse.csc_matrix, order: str = "NATURAL") -> Any:
     """Factorise a symmetric positive definite sparse matrix without pivoting.
 
-    Args:
-        matrix: whole, not only a triangle.
-        order: of the columns, in SuperLU's words; natural where they are in a good one already.
-
     Returns:
         SciPy's ``SuperLU``.
-
-    Raises:
-        RuntimeError: the matrix is singular.
     """
     # Its types know neither complex matrices nor the order as a name.
     solve: Any = scipy.sparse.linalg.splu
@@ -153,7 +145,6 @@ def elimination_order(edges: Indices, count: int) -> Indices:
 
     Args:
         edges: (M, 2) between nodes.
-        count: nodes.
 
     Returns:
         (count,) nodes, first the one to be eliminated first.
@@ -183,7 +174,6 @@ class NormalEquations:
     """
 
     def __init__(self, measurements: Measurements, count: int, fixed: Sequence[int]) -> None:
-        """Find the pattern for edges between ``count`` poses."""
         self.measurements = measurements
         self.fixed = tuple(fixed)
         self._count = count
@@ -248,15 +238,9 @@ class NormalEquations:
     def step(self, damping: float = 0.0) -> tuple[Array, float]:
         """Solve for the step that takes the linearised errors to their least squares.
 
-        Args:
-            damping: of Levenberg and Marquardt; 0 is Gauss and Newton's step.
-
         Returns:
             (N, 3) to be added to the poses, and by how much the weighted sum of squares would fall
             if the errors were linear.
-
-        Raises:
-            RuntimeError: the matrix is singular.
         """
         matrix = self.matrix(damping)
         moved = -factorise(matrix).solve(self.gradient)
@@ -357,15 +341,11 @@ def rotations_first(
     Then poses and yaws together, where the way along each edge is taken as measured.
 
     Args:
-        equations: the graph.
         poses: (N, 3); only the fixed ones count.
         weights: (M,) by which the information is multiplied; default: 1.
 
     Returns:
         (N, 3) float64, not wrapped.
-
-    Raises:
-        RuntimeError: the free poses do not all hang together with a fixed one.
     """
     turned = np.array(poses, np.float64)
     turned[equations.free, 2] = _yaws(equations, turned[:, 2], weights)
@@ -444,10 +424,8 @@ def descend(
     """Descend to the nearest least weighted sum of squared errors.
 
     Args:
-        equations: the graph.
         poses: (N, 3), the start.
         weights: (M,) by which the information is multiplied; default: 1.
-        max_iterations: steps to solve for at most.
         tolerance: stop after a step that promised to lower the sum by less than this share.
     """
     walk = _Walk(equations, poses, weights)

@@ -87,7 +87,6 @@ def optimize(
 
     Args:
         graph: poses and measurements, all joined.
-        fixed: pose or poses that are held.
         robust: how closures that may be false are found; ``none`` believes all of them. See
             ``slamfusion.pose_graph.robust``.
         start: where to descend from: the graph's own poses (``given``), those along the odometry,
@@ -98,7 +97,6 @@ def optimize(
             closures fit that were no outliers there.
         tolerated: with ``gnc`` it stands as well where at most this number of these do not fit,
             which are then left out too.
-        max_iterations: of each descent.
         tolerance: a descent ends after a step that promised to lower chi-square by less than this
             share.
 
@@ -150,7 +148,6 @@ def chi2_of(graph: PoseGraph, poses: Array | None = None) -> Array:
     """Return the squared error of each edge in its deviations, (M,).
 
     Args:
-        graph: the measurements.
         poses: (N, 3); default: the graph's own.
     """
     measured = Measurements(graph.edges, graph.motions, graph.information)

@@ -147,7 +147,6 @@ def consensus(problem: Problem, start: Array | None = None) -> InlierSet:
     """Start from closures that bear each other out and grow from there.
 
     Args:
-        problem: the graph.
         start: (N, 3) poses to descend from; default: found from the edges.
     """
     if start is not None and problem.was_outlier is not None:
@@ -180,7 +179,6 @@ def gnc(problem: Problem, start: Array | None = None) -> InlierSet:
     """Believe what fits given poses and what agrees with that; or harden all closures.
 
     Args:
-        problem: the graph.
         start: (N, 3) poses to descend from; default: along the odometry, where nothing fits yet.
 
     All closures are hardened from the odometry even if there are given poses: from these, what was
@@ -224,7 +222,6 @@ def truncated_weights(squares: Array, hardness: float, limit: float) -> Array:
     Args:
         squares: (K,) squared errors.
         hardness: above 0, mu of the paper.
-        limit: of a squared error.
     """
     low, high = hardness / (hardness + 1.0) * limit, (hardness + 1.0) / hardness * limit
     between = np.sqrt(limit * hardness * (hardness + 1.0) / np.clip(squares, low, high)) - hardness
@@ -262,16 +259,7 @@ class _Search:
         return InlierSet(self.poses, weights, self._iterations, self._is_converged)
 
     def propose(self, closures: Mask, start: Array | None, *, at_once: bool = True) -> bool:
-        """Fit some closures, leave out those that do not go with the rest, keep what is better.
-
-        Args:
-            closures: (M,) bool.
-            start: (N, 3) poses to descend from; default: found from the edges.
-            at_once: try them all together first.
-
-        Returns:
-            Whether it is better than what was there.
-        """
+        """Fit some closures, leave out those that do not go with the rest, keep what is better."""
         if at_once or start is None:
             descent = self._fit(closures, start)
             squares = self._problem.measured.squared_errors(descent.poses)
@@ -300,11 +288,7 @@ class _Search:
         return self._fit(np.zeros_like(self.used), start).poses
 
     def is_strained(self, scale: float) -> bool:
-        """Whether closures had to be left out or weigh far more on the graph than they should.
-
-        Args:
-            scale: of the loops that closures make with each other.
-        """
+        """Whether closures had to be left out or weigh far more on the graph than they should."""
         within = float(self._squares[self._trusted | self.used].sum())
         return self._is_thinned or bool(within > STRAIN * scale * 3.0 * self.used.sum())
 
@@ -321,13 +305,7 @@ class _Search:
             self._keep_better(descent, squares, self._problem.may_be_outlier)
 
     def grow(self, agreement: float, alone: Mask | None = None) -> None:
-        """Let in closures that agree with the graph, the best first, until none is left that does.
-
-        Args:
-            agreement: squared error, in the deviations of closure and graph together, up to which
-                they agree.
-            alone: (M,) bool, closures that also have to agree better than by chance; default: none.
-        """
+        """Let in closures that agree with the graph, the best first, until none does."""
         fitting = self._outside() & (self._squares <= self._limit)
         if fitting.any() and not self.propose(self.used | fitting, self.poses):
             return
@@ -368,11 +346,7 @@ class _Search:
         return gates(uncertainty, self.poses, self._problem.measured.chosen(asked))
 
     def _graduate(self, closures: Mask, poses: Array) -> tuple[Descent, Array, Mask]:
-        """Harden the weights of closures from nearly equal pull to all or nothing.
-
-        Returns:
-            The last descent, the squared errors of all edges after it, and the closures it used.
-        """
+        """Harden the weights of closures from nearly equal pull to all or nothing."""
         measured = self._problem.measured
         squares = measured.squared_errors(poses)
         worst = float(squares[closures].max(initial=0.0))
@@ -400,15 +374,7 @@ class _Search:
     def _equations_of(
         self, used: Mask, superfluous: float = SUPERFLUOUS
     ) -> tuple[Mask, NormalEquations]:
-        """Return normal equations with some edges in them, those of the last time where they do.
-
-        Args:
-            used: (M,) bool, edges that have to be there.
-            superfluous: share of the edges that may be there without need.
-
-        Returns:
-            The (M,) edges that are there, and the equations.
-        """
+        """Return normal equations with some edges in them, those of the last time where they do."""
         if self._equations is not None:
             there, _ = self._equations
             needless = there & ~used

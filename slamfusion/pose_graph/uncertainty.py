@@ -94,12 +94,8 @@ class Uncertainty:
         """Linearise and factorise.
 
         Args:
-            equations: the graph; its last linearisation is replaced.
             poses: (N, 3), where the sum of squares is least.
             weights: (M,) by which the information is multiplied; default: 1.
-
-        Raises:
-            RuntimeError: a pose hangs on nothing.
         """
         equations.linearise(poses, weights)
         self._place, self._poses = equations.place, poses
@@ -152,9 +148,7 @@ def gates(uncertainty: Uncertainty, poses: Array, candidates: Measurements) -> G
     """Ask edges how they agree with a graph.
 
     Args:
-        uncertainty: of the graph without the edges.
         poses: (N, 3), of the same graph.
-        candidates: the edges, K of them.
     """
     if len(candidates) == 0:
         return Gates(np.zeros(0), np.zeros(0))

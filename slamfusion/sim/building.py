@@ -67,8 +67,6 @@ class Canvas:
             centre: metres.
             size: length along its own x and y, metres; at least a cell and a half, so that a thin
                 turned wall has no holes.
-            yaw_rad: of its x axis, counter-clockwise.
-            value: of the cells.
         """
         x, y = self._offsets(centre)
         along = np.abs(math.cos(yaw_rad) * x + math.sin(yaw_rad) * y)
@@ -104,7 +102,6 @@ def draw_building(
     wall: no turn of the building looks like another. Walls are 0.1 m thick (at least one cell).
 
     Args:
-        rng: source of every random choice.
         width_m: outer size along x, at least 6 m.
         height_m: outer size along y, at least 6 m.
         resolution: metres per cell.
@@ -260,7 +257,6 @@ def draw_ring(
     """Draw a ring of corridor with doors, rooms and pillars at random.
 
     Args:
-        rng: source of every random choice.
         length_m: of the middle line once around, at least 60 m.
         resolution: metres per cell.
 
@@ -284,7 +280,6 @@ def draw_pillars(
     """Draw a ring of 80 m whose pillars and doors are all ``PERIOD_M`` apart, on every side.
 
     Args:
-        rng: how deep the doors and how thick the pillars are; all of them alike.
         resolution: metres per cell.
 
     Returns:
@@ -307,7 +302,6 @@ def draw_wings(
     """Draw two wings, each a copy of the other, on one side of a plain hallway.
 
     Args:
-        rng: furniture of the wing.
         resolution: metres per cell.
 
     Returns:
@@ -349,7 +343,6 @@ def draw_rooms(
     """Draw eight rooms in a row, each a copy of the others, along a plain corridor.
 
     Args:
-        rng: furniture of the room.
         resolution: metres per cell.
 
     Returns:

@@ -174,7 +174,6 @@ class Course:
     folder: Path = Path()
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be driven or written."""
         if not self.name or self.name.startswith(".") or set(self.name) & set("/\\\0\n"):
             message = (
                 f"a course's name must be a plain file name, found {shown(self.name)}; change it"
@@ -205,7 +204,6 @@ def load_course(path: str | Path, seed: int = 0) -> Course:
     """Read a course file.
 
     Args:
-        path: the YAML.
         seed: where the file has none.
 
     Raises:

@@ -163,16 +163,7 @@ def run_script(
     """Do what a script says with the wheels, whatever the ground makes of it.
 
     Args:
-        world: where.
-        space: of that world, for the robot's disc.
-        drive: the robot.
         start: map frame.
-        actions: in order; the last pose lasts until the next sweep.
-        period_s: from sweep to sweep.
-
-    Raises:
-        SimulationError: a bicycle is told to turn on the spot, the robot meets a wall, or the
-            script lasts too long.
     """
     lasts_s = sum(action.duration_s for action in actions)
     if lasts_s > LONGEST_S:
@@ -221,15 +212,8 @@ def follow_ways(
     """Drive along ways, one after the other, never nearer to a wall than the radius.
 
     Args:
-        world: where.
-        space: of that world, for the robot's disc.
-        drive: the robot.
         start: map frame; the first way begins there.
         ways: (N, 2) points each, metres, close together.
-        period_s: from sweep to sweep; the drive lasts a whole number of them.
-
-    Raises:
-        StuckError: the robot cannot follow a way.
 
     Source: Coulter, Implementation of the Pure Pursuit Path Tracking Algorithm, CMU 1992.
     """
@@ -378,11 +362,6 @@ def read_odometry(motion: Motion, drive: DriveConfig, rng: np.random.Generator) 
 
     Errors are normal with a variance that grows with the way and with the turn, so they do not
     depend on the step; the biases are shares of both.
-
-    Args:
-        motion: what the wheels did.
-        drive: noise and biases.
-        rng: source of the noise.
 
     Returns:
         (N, 3) float64 x, y, yaw, one row a step; the first is the first true pose.

@@ -45,16 +45,7 @@ class Walks(NamedTuple):
 
 
 def draw_people(space: FreeSpace, count: int, rng: np.random.Generator) -> tuple[Person, ...]:
-    """Draw people with two places each between which they walk.
-
-    Args:
-        space: of a disc of ``PERSON_RADIUS_M``.
-        count: people.
-        rng: source of every random choice.
-
-    Raises:
-        SimulationError: there is no room for anyone.
-    """
+    """Draw people with two places each between which they walk."""
     people = []
     for _ in range(count):
         pairs = [(space.any_place(rng), space.any_place(rng)) for _ in range(8)]
@@ -68,17 +59,11 @@ def walk(people: Sequence[Person], space: FreeSpace, robot: F64, step_s: float) 
     """Walk people along their ways while a robot drives by.
 
     Args:
-        people: their waypoints are joined by the shortest ways around walls.
-        space: of a disc of ``PERSON_RADIUS_M``.
         robot: (N, 2) where the robot is, metres, one row a step; nobody steps nearer to it than
             their distance, so that who is in its way waits.
-        step_s: seconds from row to row.
 
     Returns:
         Places and discs at each row.
-
-    Raises:
-        SimulationError: a waypoint is no place to be, or cannot be reached.
     """
     places, discs, radii = [], [], []
     for number, person in enumerate(people, start=1):

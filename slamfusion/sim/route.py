@@ -33,11 +33,6 @@ class FreeSpace:
     """The free cells of a place, as a disc that keeps off everything else may use them.
 
     Unknown cells and the outside of the grid are no place to be.
-
-    Args:
-        grid: trinary.
-        radius_m: of the disc.
-        margin_m: what ways keep from walls beside the radius.
     """
 
     def __init__(
@@ -109,10 +104,6 @@ class FreeSpace:
 
         Args:
             point: metres, map frame.
-            what: what the message calls it.
-
-        Raises:
-            SimulationError: the disc cannot stand there.
         """
         if len(self._places) and float(self.clearance_m(point)) >= self.radius_m:
             away = np.hypot(*(self._places - point).T)
@@ -127,11 +118,7 @@ class FreeSpace:
         raise SimulationError(message)
 
     def any_place(self, rng: np.random.Generator) -> Point:
-        """Draw a place from the largest connected part.
-
-        Raises:
-            SimulationError: there is none.
-        """
+        """Draw a place from the largest connected part."""
         _, parts = scipy.sparse.csgraph.connected_components(self._graph, directed=False)
         if not parts.size:
             message = (
@@ -149,13 +136,9 @@ class FreeSpace:
         Args:
             start: metres, map frame.
             end: metres, map frame.
-            what: what messages call the end.
 
         Returns:
             (N, 2) points about 0.05 m apart, from start to end.
-
-        Raises:
-            SimulationError: an end is no place to be, or nothing leads there.
         """
         first, last = self.place(start, "the start"), self.place(end, what)
         costs, befores = scipy.sparse.csgraph.dijkstra(
@@ -194,8 +177,6 @@ class FreeSpace:
 
         Args:
             start: where the tour begins and ends; metres, map frame.
-            spacing_m: no place is farther on foot from a stop.
-            most: stops at most.
 
         Returns:
             The stops in order, the last of them the start.
@@ -244,11 +225,7 @@ def _respaced(points: F64, step_m: float) -> F64:
 
 
 def _short_round_trip(costs: F64) -> Sequence[int]:
-    """Order places into a short round trip from place 0: nearest neighbour, then 2-opt.
-
-    Args:
-        costs: (N, N) from place to place.
-    """
+    """Order places into a short round trip from place 0: nearest neighbour, then 2-opt."""
     left = set(range(1, len(costs)))
     order = [0]
     while left:

@@ -85,8 +85,6 @@ def simulate(course: Course, device: ComputeDevice, progress: Progress | None = 
 
     Args:
         course: what the seed may choose is chosen here.
-        device: casts the rays.
-        progress: told the scans that are done.
 
     Raises:
         SimulationError: the course cannot be driven: a wall, no way, a robot too large.

@@ -54,7 +54,6 @@ class World:
     obstacles: tuple[ObstacleConfig, ...] = ()
 
     def __post_init__(self) -> None:
-        """Check that glass is wall, then freeze."""
         glass = np.array(self.glass, dtype=np.bool_)
         if glass.shape != self.grid.cells.shape or (self.grid.cells[glass] != OCCUPIED).any():
             message = (
@@ -96,7 +95,6 @@ def zone_place(
     """Return how far across a ground obstacle points are, and whether they are on it.
 
     Args:
-        obstacle: the strip on the floor.
         points: (..., 2) metres, map frame.
 
     Returns:
@@ -115,7 +113,6 @@ def tilt_of(world: World, poses: npt.NDArray[np.float64]) -> npt.NDArray[np.floa
     it is down.
 
     Args:
-        world: with its obstacles.
         poses: (N, 3) x, y, yaw of the robot in the map frame.
 
     Returns:
@@ -228,13 +225,9 @@ def sweep_ranges(
     """Read one sweep from each pose on.
 
     Args:
-        world: walls, glass and ground obstacles; its people are given by ``people``.
-        lidar: the laser.
         poses: (N, B, 3) true x, y, yaw of the robot's base in the map frame at each beam, or
             (N, 1, 3) where all beams of a sweep are of one time.
         people: (N, D, 2) centres and (D,) radii of discs, from ``people.walk``.
-        device: casts the rays.
-        rng: source of every error; the draws do not depend on the device.
 
     Yields:
         (B,) float32 metres for each pose, by REP-117: +inf nothing seen or reading failed, -inf
@@ -259,14 +252,7 @@ class _Sight:
         self.angles: F64 = np.asarray(first + step * np.arange(lidar.beams), dtype=np.float64)
 
     def see(self, poses: F64, centres: F64, radii: F64, rng: np.random.Generator) -> F64:
-        """Return the true ranges (N, B), metres; infinite where nothing is in reach.
-
-        Args:
-            poses: (N, B, 3) or (N, 1, 3) of the base.
-            centres: (N, D, 2) of people.
-            radii: (D,) of people.
-            rng: decides which beams glass sends back.
-        """
+        """Return the true ranges (N, B), metres; infinite where nothing is in reach."""
         mount = mount_of(self.lidar)
         laser = compose_poses(poses, (mount.x, mount.y, mount.yaw_rad))
         directions = laser[..., 2] + self.angles

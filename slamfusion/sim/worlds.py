@@ -48,17 +48,7 @@ class Floor:
 
 
 def draw_floor(config: WorldConfig, rng: np.random.Generator, folder: Path) -> Floor:
-    """Draw a place, or load the map that is taken for one.
-
-    Args:
-        config: which place; glass is not drawn here.
-        rng: source of every random choice.
-        folder: a relative map file is looked for here.
-
-    Raises:
-        SimulationError: the world ``map`` without a map file, or a map file without that world.
-        MapFileError: the map file cannot be read.
-    """
+    """Draw a place, or load the map that is taken for one."""
     if (config.name == "map") != (config.map is not None):
         message = f"world {config.name!r} and map file {config.map!r}: give both or neither"
         raise SimulationError(message)
@@ -71,11 +61,6 @@ def pick_glass(
     grid: OccupancyGrid, share: float, rng: np.random.Generator
 ) -> npt.NDArray[np.bool_]:
     """Turn parts of thin straight walls into glass.
-
-    Args:
-        grid: trinary.
-        share: of the occupied cells; less is made where no thin straight wall is left.
-        rng: source of every random choice.
 
     Returns:
         (H, W) bool, a subset of the occupied cells.

@@ -85,7 +85,6 @@ class Producer:
     prefers_small_kernels: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse a name that is none of a topic, a parameter and a file."""
         if not (self.name.isascii() and self.name.isidentifier() and self.name[0] != "_"):
             message = (
                 f"a producer's name must be letters, digits and underscores, found {self.name!r}"
@@ -115,12 +114,7 @@ def producer_names() -> tuple[str, ...]:
 
 
 def producer(name: str) -> Producer:
-    """Return a producer's record.
-
-    Raises:
-        SlamFusionError: there is none of this name, and the known ones are named; or the package
-            that offers it cannot be imported, or offers something else.
-    """
+    """Return a producer's record."""
     if name in _PLACES:
         found = pkgutil.resolve_name(_PLACES[name])
     elif name in _others():
@@ -173,7 +167,6 @@ def load_config(path: str | Path, base: RunConfig | None = None) -> RunConfig:
     version 0.1, they are still read, with a warning.
 
     Args:
-        path: the file.
         base: holds what the file does not say; default: the defaults.
 
     Raises:
@@ -209,12 +202,7 @@ def load_config(path: str | Path, base: RunConfig | None = None) -> RunConfig:
 
 
 def open_producer_device(name: str, config: RunConfig) -> ComputeDevice:
-    """Return the device for a producer that has a process to itself.
-
-    Raises:
-        SlamFusionError: there is no producer of this name; the known ones are named.
-        DeviceError: see ``open_device``.
-    """
+    """Return the device for a producer that has a process to itself."""
     return open_device(config.device.device, small_kernels=producer(name).prefers_small_kernels)
 
 
@@ -228,19 +216,7 @@ def make_producer(name: str, config: RunConfig, device: ComputeDevice) -> Mapper
 
 
 def resume_producer(name: str, path: Path, config: RunConfig, device: ComputeDevice) -> Resumable:
-    """Return a producer in the state that a file holds.
-
-    Args:
-        name: the producer.
-        path: written by its ``save_state``.
-        config: with the settings and the seed that the state was made with.
-        device: where it computes from now on.
-
-    Raises:
-        SlamFusionError: there is no such producer, it cannot go on from a file, or the file is
-            damaged or made with other settings.
-        OSError: the file cannot be read.
-    """
+    """Return a producer in the state that a file holds."""
     load = producer(name).load
     if load is None:
         able = ", ".join(other for other in producer_names() if producer(other).load is not None)

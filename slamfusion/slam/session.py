@@ -201,12 +201,8 @@ class ProducerSession:
     """Feeds scans to a producer, begins new maps when time goes back, and reads maps.
 
     Args:
-        kind: a producer of the registry; another one has its kernels compiled and run first.
-        config: of the run.
-        device: of the producer.
         open_drawing: gives a device for the thread that draws maps, for a device's queue is one
             thread's; called only where the producer lets its map be drawn aside.
-        wants_odometry: whether scans before the first odometry are left out.
         clock: seconds, growing.
 
     Attributes:
@@ -279,11 +275,7 @@ class ProducerSession:
         self.snapshot = replace(self.snapshot, **made)  # type: ignore[arg-type]
 
     def _feed(self, item: QueuedScan) -> Answer | None:
-        """Feed a scan.
-
-        Raises:
-            LeftOutError: it cannot be.
-        """
+        """Feed a scan."""
         if item.generation != self._producer_generation:
             self._producer = self._make()
             self._producer_generation, self._job = item.generation, None
@@ -334,12 +326,7 @@ class ProducerSession:
         return self._clock() - self.snapshot.map_at_s >= interval_s
 
     def read_map(self, *, is_path_heard: bool, is_paused: bool) -> UndrawnMap | None:
-        """Read the map and the path; None where there is none, or nothing new in it.
-
-        Args:
-            is_path_heard: whether somebody listens to the path.
-            is_paused: no scan has come for a while: there is time to solve all closures for it.
-        """
+        """Read the map and the path; None where there is none, or nothing new in it."""
         begun_s = self._clock()
         self._change(map_at_s=begun_s)
         before = self.snapshot
@@ -370,11 +357,7 @@ class ProducerSession:
         return tuple(contradictions(odometry, path))
 
     def _grid(self, *, is_paused: bool) -> tuple[OccupancyGrid | MapJob, bool]:
-        """Return the map, or what it is drawn from, and whether that is known to be as before.
-
-        Raises:
-            SlamFusionError: no scan has been used yet.
-        """
+        """Return the map, or what it is drawn from, and whether that is known to be as before."""
         producer = self._producer
         if not isinstance(producer, DrawsAside):
             return producer.grid(), False

@@ -93,12 +93,6 @@ class SideBySide:
     The first producers start at once, so that the caller can prepare what comes after them; the
     others follow in ``wait``.
 
-    Args:
-        names: of the registry, each once.
-        log: what each of them reads, for itself.
-        config: their settings; ``config.run`` says how many run at once and for how long.
-        scan_odometry: see ``open_log``.
-
     Attributes:
         config: the same, with the settings of all of them, defaults included.
 
@@ -128,7 +122,6 @@ class SideBySide:
         self._outcomes: dict[str, Outcome] = {}
 
     def __enter__(self) -> SideBySide:  # noqa: PYI034  typing.Self needs Python 3.11
-        """Start as many as may run at once."""
         try:
             self._start()
         except BaseException:
@@ -137,7 +130,6 @@ class SideBySide:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Stop what still runs."""
         for job in self._jobs:
             _stop(job)
         self._jobs.clear()
@@ -147,11 +139,7 @@ class SideBySide:
         return next((job.process.pid for job in self._jobs if job.name == name), None)
 
     def wait(self, progress: Progress | None = None) -> tuple[Outcome, ...]:
-        """Return what became of each producer, in the order given, when the last one has ended.
-
-        Args:
-            progress: told of each producer, now and then.
-        """
+        """Return what became of each producer, in the order given, when the last one has ended."""
         while self._jobs:
             ready = connection.wait([job.answers for job in self._jobs], self._patience_s())
             for job in list(self._jobs):
@@ -222,11 +210,7 @@ def _sealed(run: ProducerRun) -> ProducerRun:
 
 
 def _check_names(names: Sequence[str]) -> None:
-    """Refuse what is no list of producers.
-
-    Raises:
-        ConfigError: no producer, an unknown one, or one given twice.
-    """
+    """Refuse what is no list of producers."""
     names_known = producer_names()
     known = ", ".join(names_known)
     unknown = [name for name in names if name not in names_known]

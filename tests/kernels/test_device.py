@@ -13,7 +13,7 @@ import pyopencl as cl  # noqa: TID251 - device types
 import pytest
 
 from slamfusion.compute import device as device_module
-from slamfusion.compute import list_devices, open_device, program
+from slamfusion.compute import list_devices, open_device, opencl
 from slamfusion.compute.device import NO_DEVICE, choose_device
 from slamfusion.errors import DeviceError
 from tests.kernels.conftest import POCL, SIMULATOR, WHEELS_EXIST
@@ -31,7 +31,7 @@ def fake(name: str, kind: int, platform: str = "Maker", *, available: bool = Tru
     )
 
 
-FAMILIES = sorted(path.stem for path in program.kernel_folder().glob("*.cl"))
+FAMILIES = sorted(path.stem for path in opencl.kernel_folder().glob("*.cl"))
 SIMULATED = fake("Oclgrind Simulator", GPU | CPU, "Oclgrind")
 Machine = Callable[..., None]
 
@@ -161,7 +161,7 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An installed package without kernels."""
     compute = tmp_path / "site" / "slamfusion" / "compute"
     compute.mkdir(parents=True)
-    monkeypatch.setattr(program, "__file__", str(compute / "program.py"))
+    monkeypatch.setattr(opencl, "__file__", str(compute / "opencl.py"))
     return compute.parent
 
 
@@ -170,7 +170,7 @@ def test_kernels_are_found_in_the_wheel_and_beside_a_checkout(package: Path, pla
     folder = package.parent / place
     folder.mkdir()
     (folder / "common.h").touch()
-    assert program.kernel_folder() == folder
+    assert opencl.kernel_folder() == folder
 
 
 @needs_wheels
@@ -183,7 +183,7 @@ def test_source_that_does_not_build_is_one_error_with_its_place(
             '/* first */\n#include "common.h"\n__kernel void broken( {' if family == "votes" else ""
         )
         (tmp_path / f"{family}.cl").write_text(text, encoding="utf-8")
-    monkeypatch.setattr(program, "kernel_folder", lambda: tmp_path)
+    monkeypatch.setattr(opencl, "kernel_folder", lambda: tmp_path)
     with pytest.raises(DeviceError, match="do not build on") as caught:
         open_device(POCL)
     assert "\n" not in str(caught.value)

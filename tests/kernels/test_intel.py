@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from slamfusion.compute import intel
+from slamfusion.compute import device as devices
 from tests.kernels.conftest import WHEELS_EXIST
 
 VENDORS = "OCL_ICD_VENDORS"
 needs_intel = pytest.mark.skipif(
-    intel.intel_library() is None,
+    devices.intel_library() is None,
     reason="Intel's OpenCL is not installed: pip install '.[intel]' (225 MB)",
 )
 
@@ -24,7 +24,7 @@ def library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A file where the extra would have its library; no variable says what to show."""
     path = tmp_path / "libintelocl.so"
     path.touch()
-    monkeypatch.setattr(intel, "intel_library", lambda: path)
+    monkeypatch.setattr(devices, "intel_library", lambda: path)
     monkeypatch.delenv(VENDORS, raising=False)
     return path
 
@@ -36,7 +36,7 @@ def test_the_loader_sees_what_it_saw_and_intel(
     usual.mkdir()
     (usual / "maker.icd").write_text("libmaker.so.1\n", encoding="utf-8")
     monkeypatch.setenv("OPENCL_VENDOR_PATH", str(usual))
-    with intel.intel_shown():
+    with devices.intel_shown():
         folder = Path(os.environ[VENDORS])
         shown = {entry.read_text(encoding="utf-8").strip() for entry in folder.glob("*.icd")}
     assert shown == {"libmaker.so.1", str(library)}

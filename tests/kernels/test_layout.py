@@ -10,8 +10,7 @@ import pytest
 
 from slamfusion.compute import layout
 from slamfusion.compute.compute_device import ComputeDevice, NumpyDevice
-from slamfusion.compute.opencl import OpenCLDevice
-from slamfusion.compute.program import kernel_folder
+from slamfusion.compute.opencl import OpenCLDevice, kernel_folder
 from tests.kernels.checks import CHECKS
 
 pytestmark = pytest.mark.once

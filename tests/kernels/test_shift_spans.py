@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from slamfusion.compute import NumpyDevice
+from slamfusion.compute.lattice import grouped, shift_spans
 from slamfusion.compute.layout import SHIFT_POINTS
-from slamfusion.compute.shift_spans import grouped, shift_spans
 
 BASE = 6
 

@@ -69,7 +69,7 @@ def test_the_files_are_where_ros2_launch_looks(workspace: Path):
 @pytest.mark.full
 def test_the_library_of_the_workspace_is_used_with_all_its_files(workspace: Path):
     code = (
-        "import slamfusion.report, pathlib; from slamfusion.compute.program import kernel_folder; "
+        "import slamfusion.report, pathlib; from slamfusion.compute.opencl import kernel_folder; "
         "from slamfusion.jobs.records import load_schema; from importlib.metadata import version; "
         "folder = pathlib.Path(slamfusion.__file__).parent; "
         "print(version('slamfusion'), load_schema('fuse')['$ref'], folder, kernel_folder(), "

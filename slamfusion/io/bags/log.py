@@ -51,9 +51,6 @@ def joined_sweeps(scans: Iterable[tuple[int, LaserScan]]) -> Iterator[tuple[int,
 
     Scans whose first beam follows the last beam of the scan before belong to one sweep, up to a
     whole turn. It has the stamp and the number of its first part.
-
-    Args:
-        scans: with the numbers of their messages.
     """
     sweep: tuple[int, LaserScan] | None = None
     for number, scan in scans:
@@ -129,7 +126,6 @@ class BagLog:
             self.notes.append("the scans have no time stamps; used instead: when each was recorded")
 
     def __iter__(self) -> Iterator[LogScan]:
-        """Yield the scans; stamps strictly increase."""
         self.skips, self.warnings, self.fraction_read = Skips(), Skips(), 0.0
         track = None if self._odometry is None else self._odometry.track
         continuity = Continuity(self.skips, self.warnings, self._config, track)
@@ -179,11 +175,7 @@ class BagLog:
         )
 
     def _first_messages(self, bag: OpenBag) -> list[Any]:
-        """Return the first readable scans.
-
-        Raises:
-            LogError: there is none, or their ranges are in another unit.
-        """
+        """Return the first readable scans."""
         readable = (message for _, _, message in bag.messages(self._scan_topic) if message)
         first = list(islice(readable, FIRST_MESSAGES))
         if not first:

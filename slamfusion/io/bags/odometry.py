@@ -95,22 +95,13 @@ class OdometrySurvey:
     notes: list[str] = field(default_factory=list)
 
     def read(self, bag: OpenBag) -> None:
-        """Take in the bag.
-
-        Raises:
-            LogError: several odometry topics to choose from, or a topic or frame asked for that is
-                not there.
-        """
+        """Take in the bag."""
         self._read_transforms(bag)
         self.odometry = self._find_odometry(bag)
         self.base_frame = self._find_base_frame()
 
     def check_frames(self) -> None:
-        """Refuse a base frame that was asked for and is nowhere.
-
-        Raises:
-            LogError: it is in no transform and in no message of the odometry.
-        """
+        """Refuse a base frame that was asked for and is nowhere."""
         wanted = self.config.base_frame
         if wanted is None or wanted.lstrip("/") in self.tree.frames:
             return
@@ -252,9 +243,6 @@ class OdometrySurvey:
 
         Returns:
             (N, 8) t x y z qx qy qz qw, at the times that transforms were sent.
-
-        Raises:
-            LogError: no transforms move the robot.
         """
         from scipy.spatial.transform import Rotation  # noqa: PLC0415  (who reads maps needs none)
 
@@ -290,18 +278,13 @@ def read_poses(
     """Return a path of a bag, with or without scans.
 
     Args:
-        path: of the bag.
         config: ``base_frame`` is used for transforms.
         wanted: a topic of poses, or ``tf`` for the robot's base frame in the outermost frame of the
             transforms; None: the only such topic, else tf.
-        notes: sentences for the user are added.
 
     Returns:
         (N, 8) t x y z qx qy qz qw in the order of time; None: of a bag with scans no topic was
         asked for, and the odometry of its scans is its path.
-
-    Raises:
-        LogError: not such a bag, or nothing in it that was asked for.
     """
     with open_bag(path, notes) as bag:
         others = bag.topics(_POSE_TYPES)
@@ -325,11 +308,7 @@ def read_poses(
 
 
 def _topic_poses(bag: OpenBag, topic: str, notes: list[str]) -> tuple[Floats, Any]:
-    """Return the poses of a topic, and its first usable message; None where there is none.
-
-    Returns:
-        (N, 8) t x y z qx qy qz qw, at increasing times.
-    """
+    """Return the poses of a topic, and its first usable message; None where there is none."""
     rows, first, unusable = [], None, 0
     for _, _, message in bag.messages(topic):
         row: list[float] = []

@@ -50,14 +50,7 @@ class BagMessage(NamedTuple):
 
 
 class OpenBag:
-    """A bag that is open; ``open_bag`` makes it.
-
-    Args:
-        path: of the bag, for errors.
-        storages: its files.
-        decode: returns a message of a type from its bytes.
-        notes: sentences for the user are added: what was not read.
-    """
+    """A bag that is open; ``open_bag`` makes it."""
 
     def __init__(
         self,
@@ -84,13 +77,7 @@ class OpenBag:
         """Return the topic that was asked for, or the only one of its type.
 
         Args:
-            types: message types that will do, the one to name in errors first.
             wanted: the topic that was asked for; None: any with messages.
-            key: the setting that asks for it, such as ``scan_topic``.
-            sibling: a topic; of several ones those in its namespace are taken.
-
-        Raises:
-            LogError: there is none, or there are several and none was asked for.
         """
         topics = sorted({item.topic for item in self._connections if _kind(item) in types})
         filled = self.topics(types, sibling)
@@ -129,12 +116,7 @@ class OpenBag:
         return filled[0]
 
     def topics(self, types: Sequence[str], sibling: str = "") -> list[str]:
-        """Return the topics of these types that have messages, in order.
-
-        Args:
-            types: of messages.
-            sibling: a topic; only those in its namespace are returned, if there are any.
-        """
+        """Return the topics of these types that have messages, in order."""
         found = sorted(
             {item.topic for item in self._connections if _kind(item) in types and item.msgcount}
         )
@@ -178,15 +160,7 @@ class OpenBag:
 
 @contextmanager
 def open_bag(path: Path, notes: list[str]) -> Iterator[OpenBag]:
-    """Open a bag; whatever the library stumbles over is damage of the bag.
-
-    Args:
-        path: a .bag, .db3 or .mcap file, as it is or packed, or a ROS 2 bag's folder.
-        notes: sentences for the user are added: what was not read.
-
-    Raises:
-        LogError: not a readable bag, or ``rosbags`` is not installed.
-    """
+    """Open a bag; whatever the library stumbles over is damage of the bag."""
     try:
         import rosbags.typesys  # noqa: F401, PLC0415  (an extra, and slow to load)
 

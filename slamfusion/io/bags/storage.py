@@ -234,16 +234,7 @@ _KINDS: dict[bytes, Callable[[Path], Storage]] = {
 
 
 def open_storage(path: Path, stack: ExitStack) -> Storage:
-    """Open a storage file; a packed one is unpacked to a temporary folder.
-
-    Args:
-        path: a .bag, .db3 or .mcap file, as it is or packed (.zstd).
-        stack: closes the file.
-
-    Raises:
-        LogError: no regular file.
-        Exception: not such a file; ``rosbags`` and SQLite raise many.
-    """
+    """Open a storage file; a packed one is unpacked to a temporary folder."""
     _adapt_rosbags()
     with open_regular(path, LogError) as file:
         head = file.peek(20)
@@ -282,16 +273,7 @@ def _adapt_rosbags() -> None:
 
 
 def decode(encoding: str, kind: str, raw: bytes) -> Any:
-    """Return a message.
-
-    Args:
-        encoding: ``cdr`` or ``ros1``.
-        kind: its type, as ROS 2 spells it; a standard one.
-        raw: its bytes.
-
-    Raises:
-        Exception: they are no such message; ``rosbags`` raises many.
-    """
+    """Return a message."""
     return _decoder(encoding)(raw, kind)
 
 

@@ -117,11 +117,7 @@ class MountEstimate:
         self.farthest_m = max(self.farthest_m, abs(robot[0]), abs(robot[1]))
 
     def result(self, offset_m: float) -> tuple[Pose2, list[str]]:
-        """Return the mount, and notes where it is not simply what the lines say.
-
-        Args:
-            offset_m: what the log's settings say: the laser is so far ahead of the robot's origin.
-        """
+        """Return the mount, and notes where it is not simply what the lines say."""
         setting = f"{OFFSET_PARAM} {offset_m:g} m"
         if self.scans == 0:
             note = f"the lines have no laser pose; the laser sits by the setting {setting}"
@@ -312,7 +308,6 @@ class CarmenLog:
     odometry is the robot's pose in the scan's own line. ``line`` is the line in the file, from 1.
 
     Args:
-        path: the file.
         config: ``no_return_m`` overrides what is found; ``index_period_s`` is the time from scan
             to scan where stamps are broken or absent.
         odometry: taken instead of the poses in the log, by the number of the laser line; for a

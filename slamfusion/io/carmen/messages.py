@@ -90,11 +90,8 @@ def read_messages(
     """Yield line number and scan of every readable laser line; count the unreadable ones.
 
     Args:
-        lines: of the log.
-        skips: where unreadable lines are counted.
         seen: where laser lines are counted by their first word, unreadable ones too, each before
             its scan is yielded.
-        on_other: told the first word and the line of everything that is no laser line.
     """
     pose: PoseRow | None = None
     number = 0

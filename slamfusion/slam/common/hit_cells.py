@@ -25,10 +25,6 @@ def halve_counts(device: ComputeDevice, pools: dict[str, DeviceArray[Any]]) -> N
     """Halve the counts of every busy cell before they overflow; means and shares stay.
 
     Of few counts the halves would be something else: those of other cells are left.
-
-    Args:
-        device: where the pools live.
-        pools: with ``counts`` and ``sums``; both are replaced.
     """
     counts = device.download(pools["counts"])
     is_busy = (counts >= FULL_HITS // 2 << 16) | (counts & 0xFFFF >= FULL_VISITS // 2)
@@ -57,7 +53,6 @@ def percent_of_counts(
     Args:
         counts: (H, W) uint32, hits above 16 bits of visits.
         threshold: a cell is a wall when more than this share of its visits were hits, 0 to 1.
-        least_visits: a cell visited less often is unknown.
     """
     percent = np.empty(counts.shape, dtype=np.int8)
     for start in range(0, len(counts), ROWS_AT_ONCE):

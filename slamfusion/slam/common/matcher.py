@@ -130,8 +130,6 @@ class ScanOnTiles:
         """Bring the hits to the device.
 
         Args:
-            device: where the map lives.
-            walls: the map.
             points: (P, 2) hits in the robot's frame, metres.
             most_points: if there are more, every second (third, ...) counts.
         """
@@ -179,7 +177,6 @@ class ScanOnTiles:
         Args:
             starts: (G, 3) poses.
             steps: (R, G, CLIMBERS, 3) in metres and radians.
-            hypotheses: where leaving costs something.
             weights: (3,) loss one spread beside a hypothesis, along x, y and yaw.
 
         Returns:
@@ -247,11 +244,7 @@ def search_pose(
     """Search around some hypotheses.
 
     Args:
-        scan: what is matched against what.
         hypotheses: at least one; the first look draws as many poses around each.
-        config: numbers of draws and the weights of a hypothesis.
-        rng: where the draws come from.
-        trust: times what leaving the place of a hypothesis costs.
     """
     centres = np.array([one.pose for one in hypotheses])
     sigmas = np.array([one.spread.sigmas() for one in hypotheses])
@@ -311,7 +304,6 @@ def response_information(scan: ScanOnTiles, pose: F64) -> F64:
     """Return (3, 3) the information of a match along the axes of the map it was matched on.
 
     Args:
-        scan: over the map.
         pose: (3,) the match, metres and radians.
     """
     return information_of(response_hessian(scan, pose))
@@ -352,7 +344,6 @@ def response_hessian(scan: ScanOnTiles, pose: F64) -> F64:
     parabola, and across it differences along other axes see a curvature where there is none.
 
     Args:
-        scan: over the map.
         pose: (3,) the match, metres and radians.
     """
     flat = _hessian_along(scan, pose, np.eye(3), _FLAT)
@@ -363,13 +354,7 @@ def response_hessian(scan: ScanOnTiles, pose: F64) -> F64:
 
 
 def _hessian_along(scan: ScanOnTiles, pose: F64, axes: F64, stencil: _Stencil) -> F64:
-    """Return the same by differences along the columns of ``axes``, (3, 3).
-
-    Args:
-        scan, pose: see ``response_hessian``.
-        axes: (3, 3).
-        stencil: ``_FULL``, or ``_FLAT``: then only derivatives by x and y are right.
-    """
+    """Return the same by differences along the columns of ``axes``, (3, 3)."""
     scores = scan.scores(pose + stencil.steps @ axes.T)
     local = -(stencil.weights @ scores).reshape(3, 3)
     return np.asarray(axes @ local @ axes.T)

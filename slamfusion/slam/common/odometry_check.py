@@ -65,12 +65,7 @@ class OdometryFit:
 
 
 def fit_odometry(odometry: Trajectory, path: Trajectory) -> OdometryFit:
-    """Compare the steps of a path with those of raw odometry.
-
-    Args:
-        odometry: raw, of the scans.
-        path: what a producer made of them.
-    """
+    """Compare the steps of a path with those of raw odometry."""
     steps = _steps(odometry, path)
     wheels, scans = steps[:, 0], steps[:, 1]
     turning = np.abs(wheels[:, 2]) >= TURNING_RAD
@@ -113,12 +108,7 @@ def _steps(odometry: Trajectory, path: Trajectory) -> F64:
 
 
 def contradictions(odometry: Trajectory, path: Trajectory) -> Iterator[str]:
-    """Yield a sentence for each way in which raw odometry and a path contradict each other.
-
-    Args:
-        odometry: raw, of the scans.
-        path: what a producer made of them.
-    """
+    """Yield a sentence for each way in which raw odometry and a path contradict each other."""
     began_s = float(path.stamps_s[0])
     span = frozen_span(odometry, path)
     if span is not None:
@@ -196,10 +186,6 @@ def _laser_faults(fit: OdometryFit) -> Iterator[str]:
 
 def frozen_span(odometry: Trajectory, path: Trajectory) -> tuple[float, float] | None:
     """Return the longest time in which raw odometry stands still and the path does not.
-
-    Args:
-        odometry: raw, of the scans.
-        path: what a producer made of them.
 
     Returns:
         (from, to), seconds of their stamps; None where the odometry goes along.

@@ -207,16 +207,8 @@ def run_producer(
     Args:
         mapper: fresh or resumed; it keeps its map afterwards. What a resumed one was fed before
             is not fed again.
-        scans: in the order of time; one is enough.
-        log: where they come from: its counts join the record.
-        progress: told the number of scans that are done.
         deadline_s: seconds after which it stops before the next scan; default: never.
         limit: scans after which it stops, at least 1; default: none.
-
-    Raises:
-        SlamFusionError: no scan could be used; the counted reasons are named. Or a resumed
-            producer had been fed every scan before.
-        LogError: the log is damaged beyond a line.
     """
     source = _Source(scans, mapper.last_stamp_s if isinstance(mapper, Resumable) else None)
     feed_s: list[float] = []

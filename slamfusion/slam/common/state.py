@@ -54,12 +54,7 @@ class Stateful:
         return {name: _state_of(getattr(self, name)) for name in self.STATE}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Take over what ``to_state`` returned; records and generators stay the same objects.
-
-        Raises:
-            KeyError: an attribute is missing.
-            TypeError: an attribute is of another type than that of a new object.
-        """
+        """Take over what ``to_state`` returned; records and generators stay the same objects."""
         for name in self.STATE:
             own, value = getattr(self, name), state[name]
             if hasattr(own, "to_state"):
@@ -105,17 +100,7 @@ class SavedMapper(Stateful):
     def load_state(  # noqa: PYI019 - typing.Self needs Python 3.11
         cls: type[M], path: Path, config: Any, device: ComputeDevice, seed: int = 0
     ) -> M:
-        """Return the mapper that ``save_state`` has written.
-
-        Args:
-            path: the file.
-            config, seed: must be what the state was made with.
-            device: where the maps are to live.
-
-        Raises:
-            SlamFusionError: no such state, one of another mapper or version, one made with other
-                settings or another seed, or a damaged one.
-        """
+        """Return the mapper that ``save_state`` has written."""
         make: Any = cls
         made: M = make(config, device, seed)
         state, arrays = _read(path, made.owner())
@@ -156,13 +141,7 @@ def pack(state: Any) -> tuple[Any, Arrays]:
 
 
 def unpack(packed: Any, arrays: Arrays, kinds: Mapping[str, type]) -> Any:
-    """Return the state that ``pack`` was given.
-
-    Raises:
-        KeyError: an array is missing, or a dataclass is none of ``kinds``.
-        ValueError: an array is too short or too long, or of another dtype.
-        TypeError: a dataclass has other fields.
-    """
+    """Return the state that ``pack`` was given."""
     rest = dict(arrays)
     state = _unpacked(packed, rest, kinds)
     if any(name != array.dtype.name or array.size for name, array in rest.items()):
@@ -230,11 +209,7 @@ class _NoFileError(SlamFusionError):
 
 
 def _read(path: Path, owner: dict[str, Any]) -> tuple[Any, Arrays]:
-    """Return the packed state of a file, which must be of this owner.
-
-    Raises:
-        SlamFusionError: see ``SavedMapper.load_state``.
-    """
+    """Return the packed state of a file, which must be of this owner."""
     try:
         arrays = _arrays(path)
         digest = arrays.pop(DIGEST, np.zeros(0, dtype=np.uint8)).tobytes()
@@ -269,13 +244,7 @@ def _read(path: Path, owner: dict[str, Any]) -> tuple[Any, Arrays]:
 
 
 def _arrays(path: Path) -> Arrays:
-    """Return the arrays of a file, which together are not larger than it.
-
-    Raises:
-        SlamFusionError: no regular file, or more than fits into memory.
-        OSError: the file cannot be read.
-        Exception: it is no such file.
-    """
+    """Return the arrays of a file, which together are not larger than it."""
     with open_regular(path, _NoFileError) as file:
         size = os.fstat(file.fileno()).st_size
         check_memory(2 * size, "a state", str(path))
@@ -319,12 +288,8 @@ def check_shapes(arrays: Mapping[str, Array], wanted: Mapping[str, str]) -> dict
     """Return the length that each letter stands for.
 
     Args:
-        arrays: by name.
         wanted: by name too, sides parted by blanks: a number, or a letter that is the same length
             wherever it stands, ``N 3`` for example; empty for a single value.
-
-    Raises:
-        ValueError: an array has another shape; it is named.
     """
     lengths: dict[str, int] = {}
     for name, text in wanted.items():
@@ -341,11 +306,7 @@ def check_shapes(arrays: Mapping[str, Array], wanted: Mapping[str, str]) -> dict
 
 
 def check_kinds(arrays: Mapping[str, Array], wanted: Mapping[str, npt.DTypeLike]) -> None:
-    """Refuse arrays of other dtypes.
-
-    Raises:
-        ValueError: one is; it is named.
-    """
+    """Refuse arrays of other dtypes."""
     for name, kind in wanted.items():
         if arrays[name].dtype != kind:
             message = f"{name}: wanted {np.dtype(kind)}, found {arrays[name].dtype}"
@@ -353,11 +314,7 @@ def check_kinds(arrays: Mapping[str, Array], wanted: Mapping[str, npt.DTypeLike]
 
 
 def check_indices(name: str, indices: npt.ArrayLike, count: int, *, first: int = 0) -> None:
-    """Refuse indices outside ``first`` to ``count - 1``.
-
-    Raises:
-        ValueError: one is outside.
-    """
+    """Refuse indices outside ``first`` to ``count - 1``."""
     found = np.asarray(indices)
     if found.dtype.kind not in "iu" and found.size:
         message = f"{name}: wanted whole numbers, found {found.dtype}"

@@ -40,18 +40,7 @@ def check_tiles(
     pages: str,
     *others: str,
 ) -> int:
-    """Return how many tiles each saved pool holds.
-
-    Args:
-        arrays: what was saved of a map of tiles.
-        pools: the map's own, whose cells are of the same kinds.
-        pages: shape of the page tables, see ``check_shapes``.
-        others: names of arrays with a value for each tile.
-
-    Raises:
-        ValueError: arrays that do not fit each other or the pools, or pages of tiles that are not
-            there.
-    """
+    """Return how many tiles each saved pool holds."""
     shapes = {f"pool_{name}": f"T {TILE} {TILE}" for name in pools}
     shapes |= {"pages": pages, "corner": "2", **dict.fromkeys(others, "T")}
     lengths = check_shapes(arrays, shapes)
@@ -76,15 +65,11 @@ def grown_window(
 
     Args:
         corner: (2,) column and row of the present window's lower-left page.
-        shape: its height and width in pages.
         low: (2,) x and y of the box, cells from the anchor.
         high: (2,) its other corner.
 
     Returns:
         The corner and shape of a window that holds the present one too; None where that one does.
-
-    Raises:
-        MemoryBudgetError: the page table alone would be absurdly large.
     """
     size = np.array(shape[::-1], dtype=np.int64)
     first = np.floor(low / TILE).astype(np.int64) - MARGIN
@@ -117,7 +102,6 @@ def joined_tiles(
     Of a pool that many maps share only these tiles are fetched.
 
     Args:
-        device: where the pool lives.
         pool: (T, TILE, TILE) handle.
         pages: (PH, PW) int32.
         corner: (2,) column and row of the window's lower-left page, counted from the anchor.
@@ -152,12 +136,7 @@ class TileMap:
     def __init__(
         self, device: ComputeDevice, pools: Mapping[str, tuple[npt.DTypeLike, int]]
     ) -> None:
-        """Make pools with their empty tile.
-
-        Args:
-            device: where they live.
-            pools: by name, the dtype and the value of an unseen cell.
-        """
+        """Make pools with their empty tile."""
         self._device = device
         self._fills = {name: fill for name, (_, fill) in pools.items()}
         self._cell_bytes = {name: np.dtype(kind).itemsize for name, (kind, _) in pools.items()}
@@ -191,9 +170,6 @@ class TileMap:
         Args:
             low: (2,) x and y of the box, cells from the anchor.
             high: (2,) its other corner.
-
-        Raises:
-            MemoryBudgetError: the page table alone would be absurdly large.
         """
         window = grown_window(self.corner, self.pages.shape, low, high)
         if window is None:
@@ -234,11 +210,7 @@ class TileMap:
         return {"pages": self.pages, "corner": self.corner, "tiles": tiles, **pools}
 
     def restore(self, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
-        """Take over what ``to_arrays`` returned, with the pools that it has.
-
-        Raises:
-            ValueError: arrays that do not fit each other, or pages of tiles that are not there.
-        """
+        """Take over what ``to_arrays`` returned, with the pools that it has."""
         kept = {name: pool for name, pool in self.pools.items() if f"pool_{name}" in arrays}
         check_shapes(arrays, {"tiles": ""})
         check_kinds(arrays, {"tiles": np.int64})
@@ -283,13 +255,7 @@ class SharedTileMaps:
     def __init__(
         self, device: ComputeDevice, count: int, pools: Mapping[str, npt.DTypeLike]
     ) -> None:
-        """Make empty maps.
-
-        Args:
-            device: where they live.
-            count: how many.
-            pools: by name, the dtype of a cell.
-        """
+        """Make empty maps."""
         self._device = device
         self._cell_bytes = sum(np.dtype(kind).itemsize for kind in pools.values())
         self.pools: dict[str, DeviceArray[Any]] = {
@@ -416,12 +382,7 @@ class SharedTileMaps:
         }
 
     def restore(self, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
-        """Take over what ``to_state`` returned.
-
-        Raises:
-            ValueError: arrays that do not fit each other, pages of tiles that are not there, or
-                room for far more tiles than there are.
-        """
+        """Take over what ``to_state`` returned."""
         tiles = check_tiles(arrays, self.pools, "N H W", "users")
         check_shapes(arrays, {"capacity": ""})
         check_kinds(arrays, {"capacity": np.int64})

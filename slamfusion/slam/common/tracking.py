@@ -128,7 +128,6 @@ class Tracker(Stateful):
         """Search around the hypotheses; where little fits once more, wider, if it is to.
 
         Args:
-            walls: the map.
             points: (P, 2) hits in the robot's frame, metres; at least one.
             hypotheses: at least one.
         """
@@ -194,11 +193,7 @@ class Tracker(Stateful):
         return [found[first], *found[:first], *found[first + 1 :]]
 
     def _trust(self, step: Pose2) -> float:
-        """Return how many times more leaving the odometry costs than on a map of many scans.
-
-        Args:
-            step: since the last scan, by odometry; no more than lets standing cost enough.
-        """
+        """Return how many times more leaving the odometry costs than on a map of many scans."""
         if not self.doubts_young_map:
             return 1.0
         spreads = math.hypot(step.x, step.y) / self._spread(step, 1.0).xy_m

@@ -54,12 +54,7 @@ class Beams:
 
 
 def beams_of(scan: LaserScan, config: Any) -> Beams:
-    """Return the beams of a scan that count.
-
-    Args:
-        scan: the sweep.
-        config: a ``GmappingConfig``.
-    """
+    """Return the beams of a scan that count."""
     most = config.maxRange or scan.range_max_m
     usable = config.maxUrange or min(DEFAULT_USABLE_M, USABLE_SHARE * scan.range_max_m)
     usable = min(usable, most)
@@ -117,7 +112,6 @@ class Particles:
         return cls(np.zeros((count, 3)), np.zeros(count), np.zeros(count))
 
     def __len__(self) -> int:
-        """N."""
         return len(self.poses)
 
     @property
@@ -132,12 +126,7 @@ class Particles:
         self.path_weights = self.path_weights + log_evidence
 
     def weigh(self, stamp_s: float, gain: float) -> tuple[F64, float]:
-        """Return (N,) normalised weights, and how many particles are effective.
-
-        Args:
-            stamp_s: time of the filter step, under which that is kept.
-            gain: gmapping's ``ogain``.
-        """
+        """Return (N,) normalised weights, and how many particles are effective."""
         shares = normalised_weights(self.log_weights, gain)
         n_eff = effective_particles(shares)
         self.n_eff.append((stamp_s, n_eff))
@@ -199,13 +188,7 @@ class ParticleMaps(Stateful):
     STATE = ("anchor", "tiles")
 
     def __init__(self, config: Any, device: ComputeDevice, count: int) -> None:
-        """Start empty.
-
-        Args:
-            config: a ``GmappingConfig`` with nothing left open.
-            device: where the maps live.
-            count: N.
-        """
+        """Start empty."""
         self.anchor = np.zeros(2)
         pools = {"counts": np.uint32, "sums": np.uint32, "field": np.uint8}
         self.tiles = SharedTileMaps(device, count, pools)
@@ -253,9 +236,7 @@ class ParticleMaps(Stateful):
         """Integrate a scan into the maps of some particles.
 
         Args:
-            beams: of the scan.
             poses: (N, 3) of all particles.
-            alive: indices of those that write.
         """
         config, maps, device = self._config, self.tiles, self._device
         cell = config.delta
@@ -309,7 +290,6 @@ class ParticlePaths(Stateful):
     STATE = ("_poses", "_parents", "_entropies", "_stamps", "_nodes", "_motions")
 
     def __init__(self, count: int) -> None:
-        """Start without a node."""
         self._count = count
         self._poses: list[F64] = []
         self._parents: list[npt.NDArray[np.int32]] = []

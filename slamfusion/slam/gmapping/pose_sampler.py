@@ -48,7 +48,6 @@ class DifferentialModel:
     """Errors grow with the distance and with the turn, alike in every direction."""
 
     def __init__(self, srr: float, srt: float, translation_per_turn: float, stt: float) -> None:
-        """Take gmapping's ``srr``, ``srt``, ``str`` and ``stt``: error per metre and radian."""
         self._srr, self._srt, self._str, self._stt = srr, srt, translation_per_turn, stt
 
     def draw(self, step: Pose2, count: int, rng: np.random.Generator) -> F64:
@@ -74,7 +73,6 @@ class BicycleModel:
     """
 
     def __init__(self, srr: float, steering_sigma: float, wheel_base: float) -> None:
-        """Take the error of the distance per metre, of the steering in radians, and L in metres."""
         self._srr, self._steering, self._base = srr, steering_sigma, wheel_base
 
     def draw(self, step: Pose2, count: int, rng: np.random.Generator) -> F64:
@@ -213,13 +211,7 @@ class PoseSampler:
     """Samples the particles' poses."""
 
     def __init__(self, config: Any, device: ComputeDevice, maps: ParticleMaps) -> None:
-        """Make the tables.
-
-        Args:
-            config: a ``GmappingConfig`` with nothing left open.
-            device: where the maps live.
-            maps: of the particles.
-        """
+        """Make the tables."""
         self._config = config
         self._device = device
         self._maps = maps
@@ -239,7 +231,6 @@ class PoseSampler:
             expected: (N, 3) where the motion model expects each particle.
             drawn: (N, 3) where it has drawn it.
             sigmas: (3,) its standard deviations.
-            rng: where the poses are drawn from.
         """
         config, cell = self._config, self._config.delta
         hits = (points / cell).astype(np.float32)
@@ -271,14 +262,7 @@ class PoseSampler:
     def _hill_climb(
         self, hits: npt.NDArray[np.float32], expected: F64, drawn: F64, sigmas: F64
     ) -> tuple[F64, F64]:
-        """Return (N, 3) where hill climbing from the drawn poses ends, and (N,) mean scores.
-
-        Args:
-            hits: (K, 2) cells, in the robot's frame.
-            expected: (N, 3), leaving it costs ``climb_loss``.
-            drawn: (N, 3) the starts.
-            sigmas: (3,) of the motion model.
-        """
+        """Return (N, 3) where hill climbing from the drawn poses ends, and (N,) mean scores."""
         config, cell, corner = self._config, self._config.delta, self._maps.corner
         looked_at = self._device.upload(hits)
 

@@ -122,7 +122,6 @@ class Gmapping(SavedMapper):
         Args:
             config: see ``GmappingConfig``.
             device: where the maps live.
-            seed: of every draw.
         """
         self.health: FilterHealth = FilterHealth()
         self.last_stamp_s: float | None = None

@@ -77,14 +77,9 @@ def search_window(
     """Search a window for the pose at which a scan's hits lie on the greatest sum of the field.
 
     Args:
-        device: where the pyramid lives.
-        pyramid: of the submap.
         points: (P, 2) hits in the robot's frame, metres; at least one.
         centre: (3,) middle of the window in the submap's frame.
-        half_m: shifts along x and y reach so far, rounded up to whole cells.
-        half_rad: so far reaches the yaw.
         resolution: metres per cell.
-        least: a score that is of no use; nothing at or below it is looked for.
         beside: (3,) a pose in the submap's frame; what lies within ``BESIDE_M`` and
             ``BESIDE_RAD`` of it is passed over: is there another place that fits?
 
@@ -245,7 +240,6 @@ class ClosureSearch:
     def __init__(
         self, config: GraphConfig, device: ComputeDevice, rng: np.random.Generator
     ) -> None:
-        """Take the settings, the place of the maps, and where the search draws from."""
         self._config = config
         self._device = device
         self._rng = rng
@@ -259,10 +253,8 @@ class ClosureSearch:
         """Search where the robot is expected.
 
         Args:
-            submap: an old one, finished.
             points: (P, 2) hits in the robot's frame, metres.
             expected: (3,) pose in the submap's frame.
-            drift_m: how far off that may be.
             mean_score: running mean score of the tracker, 0 to 1.
 
         Returns:
@@ -301,11 +293,9 @@ class ClosureSearch:
         """Search the growing submap far around a pose for a robot that tracking may have lost.
 
         Args:
-            submap: the growing one.
             points: (P, 2) hits in the robot's frame, metres.
             expected: (3,) pose in the submap's frame.
             mean_score: running mean score of the tracker, 0 to 1.
-            by_odometry: whether the pose is more than that the robot goes on as it went.
 
         Returns:
             A pose (3,), and whether it may be trusted: the scan fits there about as well as on

@@ -48,13 +48,7 @@ class LocalMap(Stateful):
     STATE = ("components", "active", "node_pose", "_begun")
 
     def __init__(self, config: GraphConfig, device: ComputeDevice, health: GraphHealth) -> None:
-        """Start empty.
-
-        Args:
-            config: cell size, and how many nodes a submap holds.
-            device: where the submaps live.
-            health: where submaps and map components are counted.
-        """
+        """Start empty."""
         self.submaps: list[Submap] = []
         self.components: list[int] = []
         self.active = 0
@@ -119,7 +113,6 @@ class LocalMap(Stateful):
 
         Args:
             points: (P, 2) hits in the robot's frame, metres.
-            match: of them on the active submap.
             mean_score: running mean score of the matches before; None: there are none.
 
         Returns:
@@ -137,13 +130,7 @@ class LocalMap(Stateful):
     # -- how it grows --------------------------------------------------------------------------
 
     def begin(self, number: int, node: Node, component: int) -> None:
-        """Begin a submap that no other overlaps, at a node; those before grow no more.
-
-        Args:
-            number: of the node, its anchor.
-            node: the node.
-            component: that it belongs to.
-        """
+        """Begin a submap that no other overlaps, at a node; those before grow no more."""
         for submap in self.submaps[self.active :]:
             submap.finish()
         begun = self._append(number, component)
@@ -157,9 +144,7 @@ class LocalMap(Stateful):
         """Return what a match tells of a node and the anchors of the growing submaps.
 
         Args:
-            number: of the node.
             points: (P, 2) its hits in the robot's frame, metres.
-            local: its pose in the active submap.
             hessian: (3, 3) negative Hessian of the response there; None: not measured yet.
         """
         active = self.active_submap
@@ -179,11 +164,6 @@ class LocalMap(Stateful):
 
     def insert(self, number: int, node: Node, local: Pose2) -> Pose2:
         """Write a node into the growing submaps, and begin the next one where it is due.
-
-        Args:
-            number: of the node.
-            node: the node.
-            local: its pose in the active submap.
 
         Returns:
             Its pose in the submap that is the active one then.
@@ -206,10 +186,6 @@ class LocalMap(Stateful):
 
     def join(self, other: int, node_count: int) -> tuple[npt.NDArray[np.bool_], bool]:
         """Make one component of the robot's and another one: the later joins the earlier.
-
-        Args:
-            other: the component.
-            node_count: nodes of the graph.
 
         Returns:
             (N,) whether each node was in the component that joins; whether that is the robot's.

@@ -47,12 +47,6 @@ class TrackingQuality:
     def judge(self, number: int, fit: float, *, is_sure: bool, has_jumped: bool) -> TrackingStatus:
         """Take how a scan fitted, and return what that says of the robot.
 
-        Args:
-            number: of the scan.
-            fit: what its match is worth, in the running mean score.
-            is_sure: whether its place may be trusted.
-            has_jumped: whether odometry has just been reset.
-
         Returns:
             ``kidnapped`` where it is no longer where the local map is; ``failed`` where it may be,
             but its place to what was before is not known; ``unsure`` for a scan that only dead
@@ -124,16 +118,7 @@ class Localizer(Stateful):
         search: ClosureSearch,
         health: GraphHealth,
     ) -> None:
-        """Start without a pose.
-
-        Args:
-            config: of the matcher.
-            device: where the maps live.
-            rng: of the matcher's draws.
-            local_map: that scans are matched on.
-            search: of a robot that the matcher may have lost.
-            health: where match scores are written.
-        """
+        """Start without a pose."""
         self._local_map = local_map
         self._search = search
         self._health = health

@@ -66,14 +66,12 @@ class PendingClosures(Stateful):
     STATE = ("closures",)
 
     def __init__(self) -> None:
-        """Start with none."""
         self.closures: list[PendingClosure] = []
 
     def confirmed(self, closure: PendingClosure, pose: Pose2) -> list[PendingClosure]:
         """Return the closures that may be believed now, this one among them; often none.
 
         Args:
-            closure: a new one, not found ``anywhere``.
             pose: of its node in the map frame, before any correction.
         """
         number = closure.constraint.end
@@ -156,7 +154,6 @@ class RelocalizationHypotheses(Stateful):
     STATE = ("kept",)
 
     def __init__(self) -> None:
-        """Start with none."""
         self.kept: list[RelocalizationHypothesis] = []
 
     def to_test(self) -> list[RelocalizationHypothesis]:
@@ -167,7 +164,6 @@ class RelocalizationHypotheses(Stateful):
         """Take a closure as a hit of the hypothesis that says the same, or of a new one.
 
         Args:
-            hit: the closure.
             pose: of its node in the map frame, before any correction.
         """
         place = hit.correction.compose(pose)
@@ -239,7 +235,6 @@ class Relocalization(Stateful):
     STATE = ("hypotheses", "_searched", "_failed_searches", "_kidnapped_m")
 
     def __init__(self) -> None:
-        """Start with nothing searched."""
         self.hypotheses = RelocalizationHypotheses()
         # How often submaps of other components were searched all over.
         self._searched: dict[int, int] = {}
@@ -262,8 +257,6 @@ class Relocalization(Stateful):
         """Return the submaps that a kidnapped robot is searched in at a node.
 
         Args:
-            graph: with the node as its last.
-            local_map: the submaps.
             pose: of the robot if it were where odometry alone has it, in the map frame.
         """
         if local_map.component_count < 2:
@@ -306,9 +299,7 @@ class Relocalization(Stateful):
         """Return the closures found anywhere that may be believed now; often none.
 
         Args:
-            closure: a new one, found ``anywhere``.
             pose: of its node in the map frame, before any correction.
-            local_map: the submaps.
         """
         self.hypotheses.add(closure, pose)
         winner = self.hypotheses.winner()
@@ -357,15 +348,7 @@ class LoopClosure(Stateful):
         search: ClosureSearch,
         health: GraphHealth,
     ) -> None:
-        """Take what it works on.
-
-        Args:
-            config: where closures are looked for.
-            graph: that closures are added to.
-            local_map: its submaps are searched.
-            search: of one submap.
-            health: where closures are counted.
-        """
+        """Take what it works on."""
         self.relocalization = Relocalization()
         self._config = config
         self._graph = graph
@@ -393,7 +376,6 @@ class LoopClosure(Stateful):
         """Search older submaps for a node, and solve the graph where that is due.
 
         Args:
-            number: of the node, the last one.
             points: (P, 2) its hits in the robot's frame, metres.
             mean_score: running mean score of the tracker, 0 to 1.
         """
@@ -503,12 +485,7 @@ class LoopClosure(Stateful):
             self._relocalize(self._local_map.components[candidate.index], closure.correction)
 
     def _relocalize(self, other: int, correction: Pose2) -> None:
-        """Join the robot's map component and another one, now that it is known how they lie.
-
-        Args:
-            other: the component where the robot was found.
-            correction: what moves the robot's component, in the map frame.
-        """
+        """Join the robot's map component and another one, now that it is known how they lie."""
         graph, local_map = self._graph, self._local_map
         is_joining, is_own = local_map.join(other, len(graph.nodes))
         graph.move_nodes(is_joining, correction if is_own else correction.inverse())

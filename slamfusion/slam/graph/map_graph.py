@@ -59,7 +59,6 @@ def solve_constraints(
         constraints: together they join all nodes; at least one.
         weights: of the first of them by the last solution: its outliers are not tried again from
             the start.
-        tolerated: closures that may be new outliers before all of them are re-evaluated.
     """
     motions = np.array([one.motion for one in constraints])
     information = np.array([one.information for one in constraints])
@@ -113,8 +112,6 @@ class DrivenPath(Stateful):
         """Add a scan.
 
         Args:
-            stamp_s: its time.
-            node: the last one before it; ``NO_NODE`` for none.
             moved: pose of the robot in the node's frame, or in that of the start.
         """
         self._scans.append((stamp_s, node, (moved.x, moved.y, moved.yaw_rad)))
@@ -307,11 +304,7 @@ class MapGraph(Stateful):
     )
 
     def __init__(self, health: GraphHealth) -> None:
-        """Start empty.
-
-        Args:
-            health: where nodes and solutions are counted.
-        """
+        """Start empty."""
         # It loads slowly: here, not while the robot drives.
         importlib.import_module("scipy.sparse.linalg")
         self.nodes: list[Node] = []
@@ -363,7 +356,6 @@ class MapGraph(Stateful):
         """Tie a node to the one before it by odometry, unless a match says something else.
 
         Args:
-            number: of the node.
             matched: its pose in the frame of the one before it, as matches have it.
         """
         node, before = self.nodes[number], self.nodes[number - 1]
@@ -383,7 +375,6 @@ class MapGraph(Stateful):
         """Add a node that no match ties to the one before it, only odometry; return its number.
 
         Args:
-            node: the node.
             moved: its pose in the frame of the one before it.
         """
         number = self.add_node(node, self.pose(len(self.nodes) - 1).compose(moved))
@@ -430,11 +421,7 @@ class MapGraph(Stateful):
         return solve_constraints(self.poses, self.constraints, weights)
 
     def solve_if_due(self, number: int) -> None:
-        """Solve the graph if there are closures to be solved for, and enough nodes since or need.
-
-        Args:
-            number: of the last node.
-        """
+        """Solve the graph if closures wait for it and enough nodes have come or it is urgent."""
         is_due = number - self._solved_at >= SOLVE_NODES
         if self._unsolved and (is_due or self._is_urgent):
             self.solve()

@@ -58,12 +58,7 @@ class NodeMap:
     """Draws maps of one graph, one after another."""
 
     def __init__(self, config: GraphConfig, device: ComputeDevice) -> None:
-        """Start with nothing drawn.
-
-        Args:
-            config: cell size and what makes a wall.
-            device: where the map lives.
-        """
+        """Start with nothing drawn."""
         self._config = config
         self._device = device
         self._maps = self._empty()
@@ -78,11 +73,7 @@ class NodeMap:
         return self._maps.memory_bytes
 
     def draw(self, job: MapJob) -> OccupancyGrid:
-        """Return the map of a graph that has grown, or whose poses have moved, since the last one.
-
-        Args:
-            job: of the same graph as before, with the same nodes first.
-        """
+        """Return the map of a graph that has grown or moved since the last one."""
         cell = self._config.resolution
         anchor = np.floor(job.poses[0, :2] / cell)
         wanted = np.rint(

@@ -74,7 +74,6 @@ class GraphSlam(SavedMapper):
         Args:
             config: see ``GraphConfig``.
             device: where the maps live.
-            seed: of the matcher's draws.
         """
         self.health: GraphHealth = GraphHealth()
         self.last_stamp_s: float | None = None

@@ -104,9 +104,7 @@ class Pyramid:
         """Pool the field of a submap; what lies beyond it is no wall.
 
         Args:
-            device: where the fields are to live.
             values: (H, W) uint8.
-            corner: of its first cell.
         """
         pad = self.windows[0] - 1
         padded = np.pad(values, ((pad, 0), (pad, 0)))
@@ -137,8 +135,6 @@ class Submap:
         """Start empty.
 
         Args:
-            device: where it lives.
-            anchor: see above.
             resolution: metres per cell.
             sigma_m: standard deviation of the likelihood around a hit, metres, above 0.
         """
@@ -219,11 +215,7 @@ class Submap:
         return {"own": own, "low": self.low, "high": self.high, **self._tiles.to_arrays()}
 
     def restore(self, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
-        """Take over what ``to_arrays`` returned.
-
-        Raises:
-            ValueError: arrays of other shapes or kinds; see also ``TileMap.restore``.
-        """
+        """Take over what ``to_arrays`` returned."""
         check_shapes(arrays, {"own": "3", "low": "2", "high": "2"})
         check_kinds(arrays, {"own": np.int64, "low": np.float64, "high": np.float64})
         check_indices("own", arrays["own"][2], 2)
@@ -249,7 +241,6 @@ def seen_score(score: float, unseen_share: float) -> float:
     """Return the mean score, 0 to 1, of the hits that fall where a submap has seen something.
 
     Args:
-        score: mean over all hits.
         unseen_share: share of the hits that fall elsewhere, below 1.
     """
     return (score - unseen_share * UNSEEN_WALL / 255.0) / (1.0 - unseen_share)

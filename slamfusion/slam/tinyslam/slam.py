@@ -90,11 +90,6 @@ def area_behind(offset_x: npt.ArrayLike, offset_y: npt.ArrayLike, angle_rad: npt
     The wall is taken to stand at the hit, normal to the beam; what of the unit square is farther
     along the beam is wall. All arguments broadcast.
 
-    Args:
-        offset_x: hit from the middle of the cell, in cells, -0.5 to 0.5.
-        offset_y: the same along y.
-        angle_rad: direction in which the beam flies, counter-clockwise from x.
-
     Returns:
         float64 shares, 0 to 1: exact areas.
 
@@ -156,7 +151,6 @@ class TinySlam:
         Args:
             config: see ``TinySlamConfig``.
             device: where the map lives.
-            seed: of the matcher's draws.
         """
         self.health = Health()
         self._config = config

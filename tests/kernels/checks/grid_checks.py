@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.compute.compute_device import ComputeDevice
-from slamfusion.compute.lattice import fixed_poses
+from slamfusion.compute.lattice import fixed_poses, shift_spans
 from slamfusion.compute.layout import (
     DISTANCE2_MAX,
     DISTANCE_MAX,
@@ -23,7 +23,6 @@ from slamfusion.compute.layout import (
     WALL_SIDES,
 )
 from slamfusion.compute.search import FitSide, ScoredSide
-from slamfusion.compute.shift_spans import shift_spans
 from slamfusion.compute.votes import Votes
 from tests.kernels.checks.sample import NUMPY, Arrays, Check, Sample, fetch
 
