@@ -1,52 +1,29 @@
 """Fuse maps that arrive again and again; the fused frame never moves.
 
-The rules, for a robot that drives by the fused map:
+The rules, for a robot that drives by the fused map, are those of docs/concepts/live_fusion.md. What
+they ask of the code:
 
-* **Frame.** The first fusion needs two inputs that agree (``live.minimum_inputs``); one map alone
-  has nobody to check it, and its frame would bind all others. The reference of that fusion gives
-  the frame, the lattice and its phase, which then stay until ``reset``, whatever becomes of it.
-* **Held transforms.** An input's transform belongs to its map frame, not to its map: while most
-  of its old walls still stand where they stood, it is held. Changed walls are tracked from the
-  last transform against the reference. A better fit by less than ``live.hold_cells`` moves nothing.
-* **Starts.** An input with a start is looked for around it until it has a place in the fused frame;
-  from then on its last transform counts. ``reset`` lets starts count again.
-* **Search.** An input is searched everywhere when it is new, or when its tracked score and what the
-  ground in common says both fall below a share of what the search last gave: the maps of two robots
-  may grow away from each other. A search that finds it elsewhere is believed when the next
-  map's search finds the same. Where the map does not change (the robot stands) it is searched once
-  more after ``live.confirm_s``, or at its second equal message, in another way: against another
-  voter, or with the roles swapped. Until then the input does not vote.
-* **Walls.** What votes matches: an input whose walls match the reference's no more loses its vote
-  until a search, or a third, says which of the two is right. One that fits clearly better mirrored
-  never votes (``fusion.mirror``).
-* **Poses.** Inputs of one robot whose poses contradict the others' lose their vote while that lasts
-  (``live.poses``); where nobody can say who is right, all of these do, and the last map stays.
-* **Limits.** Numbers that no place has, noise and maps that are all occupied are refused before
-  anything is done with them (``live.limits``); a map that is not believed takes no room in the
-  fused one. A search in vain is followed by a long pause, and a long one is put off while maps of
-  others wait, so that one bad map does not silence the others.
-* **Leaving.** An input that is removed takes its vote, its place and its layer with it at once; one
-  that comes under its name later is a new input.
-* **Reference.** It is the input that others are aligned to. It hands over when it is lost or
-  removed, when its walls moved, or when two others agree with each other and not with it; never
-  because another looks better.
-* **Growth.** Inputs that come back by the last fused map are young; while it knows more than they
-  do the reference is laid onto it again as it grows, so that the frame stays (``live.anchor``).
-  What a restarted map does not know yet is no vote, so that two of them take nothing from
-  the robot's map that the third knows; ``unknown`` of the vote forces another rule.
-* **Doubt.** A map that is not believed does not vote, and neither does the older one before it.
-  One healthy input goes on alone and is called so. Where two inputs disagree, both steady, a third
-  decides, or else the last fused map; where both still fit it, since both drew it, what the last
-  majority decided: the one that still fits goes on. Where both do, or none, nobody can say who is
-  right: both are named and nothing new is published, so that the robot keeps that last map, until
-  a third has come back and agrees with one, or a search finds both to agree in another place.
+* **Frame.** The reference of the first fusion gives the frame, the lattice and its phase, which
+  then stay until ``reset``, whatever becomes of it. One map alone has no other to check it, and its
+  frame would bind all others, so the first fusion needs ``live.minimum_inputs``.
+* **Transforms** belong to an input's map frame, not to its map: while most of its old walls stand
+  where they stood, it is held. Starts count until an input has a place.
+* **Search.** The maps of two robots may grow away from each other: an input is searched everywhere
+  when its tracked score and the ground in common both fall below a share of what the search gave.
+  An unchanged map that jumped is searched once more in another way: with another voter, or with the
+  roles swapped. A search in vain is followed by a long pause, and a long one is put off while maps
+  of others wait, so that one bad map does not silence the others.
+* **Reference.** It hands over when it is lost, when its walls moved, or when two others agree with
+  each other and not with it; never because another looks better.
+* **Doubt.** A map in doubt does not vote, and neither does the older one before it. It takes no
+  room in the fused map.
 """
 
 from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from slamfusion.align.starts import place_starts
@@ -66,7 +43,7 @@ from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, OccupancyGrid
 from slamfusion.vote.tiles import check_votes
 
-SAVED = "give a map that never changes as file:PATH, so that it keeps its vote"
+SAVED = "since its only one; name a map that never changes as file:PATH in inputs"
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,11 +110,11 @@ class LiveUpdate:
     arrived_s: float | None = None
 
 
-class LiveFusion:
+class LiveFusion(Mailbox):
     """Fuse maps that arrive again and again; the fused frame never moves.
 
-    ``put``, ``drop``, ``recall``, ``remove`` and ``hear`` are quick and may be called from any
-    thread; ``update`` and the others from one, which does the work.
+    ``hear`` and what a ``Mailbox`` takes are quick and may be called from any thread; ``update``
+    and the others from one, which does the work.
     """
 
     def __init__(
@@ -154,12 +131,12 @@ class LiveFusion:
             StartError: a start names no input, or there is one alone that says nothing.
             ConfigError: the mode is no vote.
         """
+        super().__init__()
         check_votes(config.fusion.vote)
         self._live = config.live
         self._config = config.fusion
         self._starts = place_starts(config.start, inputs, config.fusion.reference)
         self._device = device
-        self._mailbox = Mailbox()
         # Poses come from any thread.
         self._poses_lock = threading.Lock()
         self._clear()
@@ -170,7 +147,7 @@ class LiveFusion:
             self._live,
             self._device,
             self._starts,
-            is_wanted=lambda: self._mailbox.has_new,
+            is_wanted=lambda: self.has_new,
         )
         self._layers = FusedLayers(self._config, self._live, self._device)
         self._supervisor = InputSupervisor(self._aligner, self._layers)
@@ -179,39 +156,7 @@ class LiveFusion:
             self._poses = PoseWatch(self._live)
         self._restored: dict[str, Pose2] = {}
 
-    # -- what comes -------------------------------------------------------------------------------
-
-    def put(
-        self,
-        name: str,
-        grid: OccupancyGrid | Callable[[], OccupancyGrid],
-        received_s: float,
-        *,
-        is_saved: bool = False,
-    ) -> None:
-        """Take the newest map of an input; one that waits is replaced.
-
-        Args:
-            grid: its map, in its own frame; whatever it is called, it goes by the input's name. Or
-                what reads it in the thread of updates; where that raises a SlamFusionError the
-                input votes no more until one can be read.
-            received_s: when it came, on the clock of ``update``.
-            is_saved: read from a file: it never grows stale.
-        """
-        self._mailbox.put(name, grid, received_s, is_saved=is_saved)
-
-    def drop(self, name: str, reason: str) -> None:
-        """Take an input for lost; it votes no more and comes back with its next map."""
-        self._mailbox.drop(name, reason)
-
-    @property
-    def has_news(self) -> bool:
-        """Whether anything came that no update has seen; quick."""
-        return self._mailbox.has_new
-
-    def has_come(self, name: str) -> bool:
-        """Whether an input has sent a map."""
-        return self._mailbox.has_come(name)
+    # -- what comes, beside maps ------------------------------------------------------------------
 
     def hear(self, name: str, stamp_s: float, pose: Pose2) -> None:
         """Take a pose that an input tells; see ``live.poses`` for what it is compared with.
@@ -223,18 +168,9 @@ class LiveFusion:
         with self._poses_lock:
             self._poses.hear(name, stamp_s, pose)
 
-    def recall(self, name: str) -> None:
-        """Take an input that was dropped for present again, with the last map that it sent."""
-        track = self._inputs.get(name)
-        self._mailbox.recall(name, None if track is None else track.grid)
-
-    def remove(self, name: str) -> None:
-        """Forget an input, its vote and its place; under its name a new one may come."""
-        self._mailbox.remove(name)
-
     def reset(self) -> None:
         """Forget the fused frame; every input's newest map starts the next one."""
-        self._mailbox.refill({t.name: t.grid for t in self._inputs.values() if t.is_live})
+        self.refill({t.name: t.grid for t in self._inputs.values() if t.is_live})
         self._clear()
 
     def configure(self, live: LiveConfig) -> None:
@@ -338,7 +274,7 @@ class LiveFusion:
         An input is stale when its last message is older than another's by ``live.stale_after_s``,
         and not older than now: when the robot stands still all fall silent together.
         """
-        removed, fresh = self._mailbox.take()
+        removed, fresh = self.take()
         for name in removed:
             self._inputs.pop(name, None)
             self._aligner.remove(name)
@@ -351,15 +287,15 @@ class LiveFusion:
             if item.gone is not None:
                 track.lose(item.gone)
             elif reason := self._take(track, item):
-                self._mailbox.count_rejected(name)
+                self.count_rejected(name)
                 track.refuse_map(reason)
-        came = {name: item for name, item in self._mailbox.counts().items() if not item.is_saved}
+        came = {name: item for name, item in self.counts().items() if not item.is_saved}
         newest_s = max((item.received_s for item in came.values()), default=now_s)
         for name, item in came.items():
             one = self._inputs.get(name)
             is_stale = newest_s - item.received_s > self._live.stale_after_s
             if one is not None and one.is_live and is_stale:
-                only = f", and one ever; {SAVED}" if item.maps == 1 else ""
+                only = f" {SAVED}" if item.maps == 1 else ""
                 one.lose(f"no map for {now_s - item.received_s:.0f} s{only}")
         since_s = [
             item.waits_since_s
@@ -373,7 +309,8 @@ class LiveFusion:
         resolution, thresholds = self._layers.resolution, self._config.normalize
         was_live = track.is_live
         try:
-            grid = item.read()
+            # One that was dropped and is back goes on with the last map that it sent.
+            grid = item.read() or track.grid
             if grid is None:
                 return None
             grid = grid if grid.name == track.name else grid.with_name(track.name)
@@ -403,7 +340,7 @@ class LiveFusion:
     def inputs(self, now_s: float) -> tuple[LiveInput, ...]:
         """Return the inputs as they stand; from the thread of updates."""
         out = []
-        counts = self._mailbox.counts()
+        counts = self.counts()
         for name, track in self._inputs.items():
             came = counts.get(name) or InputMessage()  # removed, and not yet noticed
             is_reference = name == self._supervisor.reference and track.votes

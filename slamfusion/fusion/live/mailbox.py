@@ -1,4 +1,4 @@
-"""``Mailbox``: what came of each input and was not looked at yet, from any thread."""
+"""``Mailbox``: what came of each input and was not fused yet, from any thread."""
 
 from __future__ import annotations
 
@@ -51,11 +51,7 @@ class InputMessage:
             self.waits_since_s = received_s
 
     def read(self) -> OccupancyGrid | None:
-        """Return the map that waits.
-
-        Raises:
-            SlamFusionError: it cannot be read.
-        """
+        """Return the map that waits; raises a SlamFusionError where it cannot be read."""
         return self.grid() if callable(self.grid) else self.grid
 
 
@@ -74,29 +70,38 @@ class Mailbox:
         grid: OccupancyGrid | Callable[[], OccupancyGrid],
         received_s: float,
         *,
-        is_saved: bool,
+        is_saved: bool = False,
     ) -> None:
-        """Take the newest map of an input; one that waits is replaced."""
+        """Take the newest map of an input; one that waits is replaced.
+
+        Args:
+            name: the input.
+            grid: its map, in its own frame, whatever it is called; or what reads it when its turn
+                has come. Where that raises a SlamFusionError the input votes no more until one can
+                be read.
+            received_s: when it came, on the clock of ``LiveFusion.update``.
+            is_saved: read from a file: it never grows stale.
+        """
         with self._lock:
             item = self._received.setdefault(name, InputMessage())
             item.count(received_s)
             item.grid, item.gone, item.is_saved, item.is_new = grid, None, is_saved, True
 
     def drop(self, name: str, reason: str) -> None:
-        """Take an input for lost until its next map."""
+        """Take an input for lost; it votes no more and comes back with its next map."""
         with self._lock:
             item = self._received.setdefault(name, InputMessage())
             item.grid, item.gone, item.is_new = None, reason, True
 
-    def recall(self, name: str, grid: OccupancyGrid | None) -> None:
+    def recall(self, name: str) -> None:
         """Take an input that was dropped for present again, with the last map that it sent."""
         with self._lock:
             item = self._received.get(name)
             if item is not None and item.gone is not None:
-                item.grid, item.gone, item.is_new = grid, None, True
+                item.gone, item.is_new = None, True
 
     def remove(self, name: str) -> None:
-        """Forget an input and its map that waits; under its name a new one may come."""
+        """Forget an input, its vote and its place; under its name a new one may come."""
         with self._lock:
             self._received.pop(name, None)
             self._removed.append(name)

@@ -10,7 +10,7 @@ map did.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from slamfusion.align.features import GridFeatures
 from slamfusion.align.normalize import normalize_grid
@@ -134,64 +134,127 @@ class Anchor:
             moved.append(held.transform.compose(pair.transform))
         return (None if self._aligner.is_jump(reference, *moved) else moved[0]), True
 
+    # -- when no input is left to align to ---------------------------------------------------------
 
-@dataclass(frozen=True, eq=False)
-class Recovery:
-    """What a recovery gave.
+    def recover(self, inputs: Sequence[Input]) -> tuple[Input | None, str | None]:
+        """Let inputs vote again that fit the last fused map.
 
-    Attributes:
-        reference: the input that others are aligned to from now on; None without.
-        held: the fused map that it fits; None without.
-        problem: why no input votes, one line; None: as before.
-    """
+        Inputs that fit it and each other come back together; one that fits it, when no other does.
+        Where several fit it and not each other, it may be wrong as they are: they drew it. Then the
+        one goes on that alone fits what a majority last decided; else all stay in doubt until a
+        search finds two that agree. One that fits nowhere is searched, once with each of its maps,
+        as soon as it may be.
 
-    reference: Input | None = None
-    held: AnchorMap | None = None
-    problem: str | None = None
+        Args:
+            inputs: those that are not LOST.
 
-
-def recover(inputs: Sequence[Input], aligner: Aligner, layers: FusedLayers) -> Recovery:
-    """Let inputs vote again that fit the last fused map.
-
-    Inputs that fit it and each other come back together; one that fits it, when no other does.
-    Where several fit it and not each other, it may be wrong as they are: they drew it. Then the
-    one goes on that alone fits what a majority last decided; else all stay in doubt until a search
-    finds two that agree. One that fits nowhere is searched, once with each of its maps, as soon as
-    it may be.
-
-    Args:
-        inputs: those that are not LOST.
-        aligner: aligns, and knows the time.
-        layers: have the last fused map, and what a majority last decided.
-    """
-    names = "/".join(one.name for one in inputs)
-    if not _is_due(inputs, names, aligner):
-        return Recovery()
-    last = hold_map(layers.last_fused(), LAST_FUSED, aligner)
-    if last is None:
-        return Recovery(problem=_doubt(inputs, f"{LAST_FUSED} has too few walls to go by"))
-    _doubt(inputs, f"does not fit {LAST_FUSED}")
-    for one in inputs:
-        if not _is_in_vain(one, names):
-            one.tried = (one.version, names, WAITING)
-    found = _fitting([one for one in inputs if one.transform is not None], last, aligner)
-    group = _largest_group([one for one, _, _ in found.values()], aligner)
-    if len(group) == 1 and len(found) > 1:
-        kept = hold_map(layers.agreed, LAST_AGREED, aligner)
-        rivals = [one for one, _, _ in found.values()]
-        fits = {} if kept is None else _fitting(rivals, kept, aligner)
-        if kept is None or len(fits) != 1:
-            return _dispute(inputs, names, found, aligner)
-        last, found, group = kept, fits, [one for one, _, _ in fits.values()]
-    for one in group:
-        _, pair, moved = found[one.name]
-        aligner.accept(one, moved, pair, is_tracked=True)
-    if group:
+        Returns:
+            The input that others are aligned to from now on, None without; and why no input votes,
+            None where nothing new could be tried.
+        """
+        aligner = self._aligner
+        names = "/".join(one.name for one in inputs)
+        if not self._is_due(inputs, names):
+            return None, None
+        last = hold_map(self._layers.last_fused(), LAST_FUSED, aligner)
+        if last is None:
+            return None, _doubt(inputs, f"{LAST_FUSED} has too few walls to go by")
+        _doubt(inputs, f"does not fit {LAST_FUSED}")
+        for one in inputs:
+            if not _is_in_vain(one, names):
+                one.tried = (one.version, names, WAITING)
+        found = self._fitting([one for one in inputs if one.transform is not None], last)
+        group = self._largest_group([one for one, _, _ in found.values()])
+        if len(group) == 1 and len(found) > 1:
+            kept = hold_map(self._layers.agreed, LAST_AGREED, aligner)
+            rivals = [one for one, _, _ in found.values()]
+            fits = {} if kept is None else self._fitting(rivals, kept)
+            if kept is None or len(fits) != 1:
+                return self._dispute(inputs, names, found)
+            last, found, group = kept, fits, [one for one, _, _ in fits.values()]
+        for one in group:
+            _, pair, moved = found[one.name]
+            aligner.accept(one, moved, pair, is_tracked=True)
+        if not group and self._search_one(inputs, lambda _: last, names) is None:
+            return None, f"no input fits {LAST_FUSED}"
+        self.keep(last)
+        if not group:
+            return None, None
         _doubt([one for one in inputs if one not in group], f"does not fit {last.name}")
-        return Recovery(max(group, key=lambda one: one.walls), last)
-    if _search_one(inputs, lambda _: last, names, aligner) is not None:
-        return Recovery(held=last)
-    return Recovery(problem=f"no input fits {LAST_FUSED}")
+        return max(group, key=lambda one: one.walls), None
+
+    def _fitting(self, inputs: Sequence[Input], held: AnchorMap) -> dict[str, Placed]:
+        """Return the inputs that fit a map where they stand, by name."""
+        fits = {one.name: (one, self._aligner.fit(one, held)) for one in inputs}
+        return {name: (one, *fit) for name, (one, fit) in fits.items() if fit is not None}
+
+    def _is_due(self, inputs: Sequence[Input], names: str) -> bool:
+        """Whether anything can be tried that was not: drawing the last fused map takes time."""
+        aligner = self._aligner
+        return any(
+            one.tried not in {(one.version, names, mark) for mark in (IN_VAIN, WAITING)}
+            or (
+                aligner.may_search(one)
+                and (aligner.may_confirm(one) or not _is_in_vain(one, names))
+            )
+            for one in inputs
+        )
+
+    def _dispute(
+        self, inputs: Sequence[Input], names: str, found: Mapping[str, Placed]
+    ) -> tuple[Input | None, str | None]:
+        """Look for two that agree where those that fit the last fused map do not fit each other.
+
+        An input that fits nowhere, as one that has come back, is searched on one of them; without
+        any, the one whose place was looked for last. Where it is found both go on.
+        """
+        problem = _doubt(inputs, f"{', '.join(found)} disagree and nobody can say who is right")
+        rivals = [one for one, _, _ in found.values()]
+        absent = [one for one in inputs if one not in rivals]
+        wanted = absent or [max(rivals, key=lambda one: one.pace.last_s)]
+
+        def rival(one: Input) -> Input:
+            others = [other for other in rivals if other is not one]
+            # Twice on each: where it jumped there its next map must confirm it.
+            return others[one.pace.count // 2 % len(others)]
+
+        partners = {one.name: rival(one) for one in wanted}
+        chosen = self._search_one(wanted, lambda one: self._aligner.held(partners[one.name]), names)
+        for one in inputs:
+            if one not in wanted:
+                one.tried = (one.version, names, IN_VAIN)
+        if chosen is None:
+            return None, problem
+        partner, pair, moved = found[partners[chosen.name].name]
+        self._aligner.accept(partner, moved, pair, is_tracked=True)
+        return partner, None
+
+    def _search_one(
+        self, inputs: Sequence[Input], held: Callable[[Input], AnchorMap], names: str
+    ) -> Input | None:
+        """Search the input that waited longest, before all one that jumped; return a voter."""
+        aligner = self._aligner
+        able = [one for one in inputs if aligner.may_search(one)]
+        jumped = [one for one in able if aligner.may_confirm(one)]
+        waiting = [one for one in able if not _is_in_vain(one, names)]
+        chosen = min(jumped or waiting, key=lambda one: one.pace.last_s, default=None)
+        if chosen is None:
+            return None
+        where = held(chosen)
+        is_done = not aligner.confirm(chosen, [where]) if jumped else aligner.search(chosen, where)
+        if is_done and not chosen.votes:
+            chosen.tried = (chosen.version, names, IN_VAIN)
+        return chosen if chosen.votes else None
+
+    def _largest_group(self, inputs: Sequence[Input]) -> list[Input]:
+        """Return the most inputs that fit one of them where they stand, that one first."""
+        best: list[Input] = []
+        for seed in inputs:
+            others = [one for one in inputs if one is not seed]
+            fit = [one for one in others if self._aligner.fit(one, self._aligner.held(seed))]
+            if len(fit) >= len(best):
+                best = [seed, *fit]
+        return best
 
 
 def _doubt(inputs: Iterable[Input], problem: str) -> str:
@@ -200,77 +263,6 @@ def _doubt(inputs: Iterable[Input], problem: str) -> str:
     return problem
 
 
-def _fitting(inputs: Sequence[Input], held: AnchorMap, aligner: Aligner) -> dict[str, Placed]:
-    """Return the inputs that fit a map where they stand, by name."""
-    return {one.name: (one, *fit) for one in inputs if (fit := aligner.fit(one, held)) is not None}
-
-
 def _is_in_vain(one: Input, names: str) -> bool:
     """Whether all was tried in vain with an input's newest map, among the same inputs."""
     return one.tried == (one.version, names, IN_VAIN)
-
-
-def _is_due(inputs: Sequence[Input], names: str, aligner: Aligner) -> bool:
-    """Whether anything can be tried that was not: drawing the last fused map takes time."""
-    return any(
-        one.tried not in {(one.version, names, mark) for mark in (IN_VAIN, WAITING)}
-        or (aligner.may_search(one) and (aligner.may_confirm(one) or not _is_in_vain(one, names)))
-        for one in inputs
-    )
-
-
-def _dispute(
-    inputs: Sequence[Input], names: str, found: Mapping[str, Placed], aligner: Aligner
-) -> Recovery:
-    """Look for two that agree where those that fit the last fused map do not fit each other.
-
-    An input that fits nowhere, as one that has come back, is searched on one of them; without any,
-    the one whose place was looked for last. Where it is found both go on.
-    """
-    problem = _doubt(inputs, f"{', '.join(found)} disagree and nobody can say who is right")
-    rivals = [one for one, _, _ in found.values()]
-    absent = [one for one in inputs if one not in rivals]
-    wanted = absent or [max(rivals, key=lambda one: one.pace.last_s)]
-
-    def rival(one: Input) -> Input:
-        others = [other for other in rivals if other is not one]
-        # Twice on each: where it jumped there its next map must confirm it.
-        return others[one.pace.count // 2 % len(others)]
-
-    partners = {one.name: rival(one) for one in wanted}
-    chosen = _search_one(wanted, lambda one: aligner.held(partners[one.name]), names, aligner)
-    for one in inputs:
-        if one not in wanted:
-            one.tried = (one.version, names, IN_VAIN)
-    if chosen is None:
-        return Recovery(problem=problem)
-    partner, pair, moved = found[partners[chosen.name].name]
-    aligner.accept(partner, moved, pair, is_tracked=True)
-    return Recovery(partner)
-
-
-def _search_one(
-    inputs: Sequence[Input], held: Callable[[Input], AnchorMap], names: str, aligner: Aligner
-) -> Input | None:
-    """Search the input that waited longest, before all one that jumped; return it if it votes."""
-    able = [one for one in inputs if aligner.may_search(one)]
-    jumped = [one for one in able if aligner.may_confirm(one)]
-    waiting = [one for one in able if not _is_in_vain(one, names)]
-    chosen = min(jumped or waiting, key=lambda one: one.pace.last_s, default=None)
-    if chosen is None:
-        return None
-    where = held(chosen)
-    is_done = not aligner.confirm(chosen, [where]) if jumped else aligner.search(chosen, where)
-    if is_done and not chosen.votes:
-        chosen.tried = (chosen.version, names, IN_VAIN)
-    return chosen if chosen.votes else None
-
-
-def _largest_group(inputs: Sequence[Input], aligner: Aligner) -> list[Input]:
-    """Return the most inputs that fit one of them where they stand, that one first."""
-    best: list[Input] = []
-    for seed in inputs:
-        others = [one for one in inputs if one is not seed and aligner.fit(one, aligner.held(seed))]
-        if len(others) >= len(best):
-            best = [seed, *others]
-    return best

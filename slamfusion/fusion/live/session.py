@@ -216,7 +216,7 @@ class FusionSession:
                 break
         for _ in range(ROUNDS):
             now_s = self._clock()
-            if not self._live.has_news:
+            if not self._live.has_new:
                 self.send()
                 if self.waiting is not None:
                     return  # what could wait is not begun while a fused map waits for its turn
@@ -224,8 +224,8 @@ class FusionSession:
             if update is not None:
                 self._note(update)
             if self.waiting is not None and not self._may_gather():
-                self.send(with_agreement=not self._live.has_news)
-            if update is None and not self._live.has_news:
+                self.send(with_agreement=not self._live.has_new)
+            if update is None and not self._live.has_new:
                 break
         self.send()  # however many maps come
 
@@ -257,7 +257,7 @@ class FusionSession:
         """Whether the map that waits goes on waiting for maps that came while it was made."""
         arrived_s = None if self.waiting is None else self.waiting.arrived_s
         is_young = arrived_s is not None and self._clock() - arrived_s < GATHER_S
-        return is_young and self._live.has_news
+        return is_young and self._live.has_new
 
     def _reset(self) -> None:
         self._live.reset()

@@ -15,7 +15,7 @@ from slamfusion.fusion.live.align import Aligner
 from slamfusion.fusion.live.inputs import RESTARTED_SHARE, Input
 from slamfusion.fusion.live.layers import Change
 from slamfusion.fusion.live.limits import too_large
-from slamfusion.fusion.live.recovery import Anchor, recover
+from slamfusion.fusion.live.recovery import Anchor
 from slamfusion.fusion.live.voting import FusedLayers
 from slamfusion.vote.lattice import Lattice
 
@@ -43,7 +43,6 @@ class InputSupervisor:
         self.anchor = Anchor(aligner, layers)
         self._aligner = aligner
         self._tried: tuple[float, tuple[tuple[str, int], ...]] = (NEVER, ())
-        self._layers = layers
 
     @property
     def voters(self) -> list[Input]:
@@ -287,12 +286,10 @@ class InputSupervisor:
         if not self._live:
             self.problem = "no input is left"
             return
-        found = recover(self._live, self._aligner, self._layers)
-        self.problem = self.problem if found.problem is None else found.problem
-        if found.held is not None:
-            self.anchor.keep(found.held)
-        if found.reference is not None:
-            self._hand_over(found.reference)
+        reference, problem = self.anchor.recover(self._live)
+        self.problem = problem or self.problem
+        if reference is not None:
+            self._hand_over(reference)
 
     def _is_due(self, one: Input, reference: Input) -> bool:
         """Whether an input has to be aligned in this round."""

@@ -17,16 +17,12 @@ from slamfusion.io import files
 from tests.fusion.live.maps import Drive, live_fusion, noise, started, three, touched
 
 
-def put(box: Mailbox, name: str, grid: OccupancyGrid, received_s: float) -> None:
-    box.put(name, grid, received_s, is_saved=False)
-
-
 def test_the_newest_map_waits_and_is_taken_once() -> None:
     box = Mailbox()
     assert not box.has_new
     assert not box.has_come("x")
-    put(box, "x", three()["a"], 1.0)
-    put(box, "x", three()["b"], 3.0)
+    box.put("x", three()["a"], 1.0)
+    box.put("x", three()["b"], 3.0)
     box.put("y", lambda: three()["c"], 2.0, is_saved=True)
     assert box.has_new
     assert box.has_come("x")
@@ -44,7 +40,7 @@ def test_no_message_of_many_threads_is_lost() -> None:
 
     def send(name: str) -> None:
         for number in range(200):
-            put(box, name, three()["a"], float(number))
+            box.put(name, three()["a"], float(number))
 
     threads = [threading.Thread(target=send, args=(name,)) for name in "xyz"]
     for thread in threads:
@@ -92,7 +88,7 @@ def test_an_input_is_stale_only_against_another_and_a_saved_one_never(
     reason = drive.input("b").reason
     assert reason.startswith("no map for 10")
     # A map server sends one map, and no more.
-    assert "give a map that never changes as file:PATH" in reason
+    assert "name a map that never changes as file:PATH" in reason
     drive.step(three()["b"])
     assert drive.accepted() == "abc"
     drive.now_s += 100.0
