@@ -25,7 +25,7 @@ FEW = 2
 
 # Examples of each property: in every run, under --full, and where NumPy and OpenCV are looked at
 # alone. A busy machine is no fault of the code.
-PROFILES = {"suite": 20, "full": FULL, "brief": 10}
+PROFILES = {"suite": 12, "full": FULL, "brief": 10}
 for profile, count in PROFILES.items():
     settings.register_profile(
         profile,

@@ -10,6 +10,7 @@ import sys
 import sysconfig
 import tarfile
 import venv
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -127,6 +128,17 @@ def test_the_sources_carry_what_a_packager_needs(sdist: Path):
     ):
         assert (sdist / name).is_file(), name
     assert sdist.name == f"slamfusion-{__version__}"
+
+
+def test_the_wheel_carries_kernels_types_and_pages(wheel: Path):
+    with zipfile.ZipFile(wheel) as archive:
+        inside = set(archive.namelist())
+    kernels = {f"slamfusion/kernels/{path.name}" for path in (ROOT / "kernels").iterdir()}
+    assert kernels
+    data = ("py.typed", "__init__.pyi", "jobs/schema.json", "viewer/static/stage.js")
+    assert kernels | {f"slamfusion/{name}" for name in data} <= inside
+    assert "slamfusion/page/static/index.html" in inside
+    assert not any(name.startswith("tests/") for name in inside)
 
 
 def test_the_code_is_that_of_the_wheel(installed: Path, tmp_path: Path):

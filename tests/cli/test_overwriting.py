@@ -227,7 +227,7 @@ def test_the_line_names_the_input_that_was_given_and_its_file(
 @pytest.mark.parametrize(
     "words",
     [
-        "fuse run b.yaml c.yaml -o run/other --report run/report --table run/other.csv",
+        "fuse run b.yaml c.yaml -o run/other --table run/other.csv",
         "graph optimize linked/cube.g2o -o cube.tum",
     ],
 )

@@ -123,6 +123,7 @@ def own_words(stderr: str) -> str:
     return without_progress(stderr).removeprefix("1 error generated.\n")
 
 
+@pytest.mark.full  # files that are half written: tests/io/test_killed.py; an interrupt: below
 @pytest.mark.parametrize("stage", ["report"])
 def test_an_interrupt_is_one_line_and_leaves_the_earlier_results(
     at_once: tuple[Path, dict[str, dict[str, Any]]],

@@ -30,7 +30,7 @@ FAST = [name for name, entry in ENTRIES.items() if entry.is_fast]
 @pytest.fixture(scope="module")
 def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     with mock.patch.dict(os.environ, ENVIRONMENT):
-        return dict(run_entries(FAST, tmp_path_factory.mktemp("golden"), workers=2))
+        return dict(run_entries(FAST, tmp_path_factory.mktemp("golden"), workers=1))
 
 
 @pytest.mark.parametrize("name", FAST)
