@@ -218,7 +218,7 @@ def test_the_line_names_the_input_that_was_given_and_its_file(
     del place
     assert run_program(["fuse", "floor.yaml", "b.yaml", "c.yaml", "-o", "sub/../map"]) == 2
     assert capsys.readouterr().err == (
-        "slamfusion: error: Invalid value: -o sub/../map would replace the input map.pgm (of "
+        "slamfusion: error: -o sub/../map would replace the input map.pgm (of "
         "floor.yaml) with sub/../map.pgm; choose another name\n"
     )
 
