@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -31,17 +31,20 @@ _NO_SPREAD_M = 1e-9
 _LEVER_M = 3.0
 
 
+F64: TypeAlias = npt.NDArray[np.float64]
+
+
 def wrap_angle(angle_rad: float) -> float:
     """Wrap an angle to [-pi, pi)."""
     return (angle_rad + math.pi) % (2.0 * math.pi) - math.pi
 
 
-def wrap_angles(angles_rad: npt.ArrayLike) -> npt.NDArray[np.float64]:
+def wrap_angles(angles_rad: npt.ArrayLike) -> F64:
     """Wrap angles to [-pi, pi), any shape."""
     return np.asarray((np.asarray(angles_rad, np.float64) + math.pi) % (2.0 * math.pi) - math.pi)
 
 
-def compose_poses(a: npt.ArrayLike, b: npt.ArrayLike) -> npt.NDArray[np.float64]:
+def compose_poses(a: npt.ArrayLike, b: npt.ArrayLike) -> F64:
     """Compose many poses at once, as ``Pose2.compose`` does one.
 
     Args:
@@ -64,7 +67,7 @@ def compose_poses(a: npt.ArrayLike, b: npt.ArrayLike) -> npt.NDArray[np.float64]
     )
 
 
-def invert_poses(poses: npt.ArrayLike) -> npt.NDArray[np.float64]:
+def invert_poses(poses: npt.ArrayLike) -> F64:
     """Invert many poses at once, as ``Pose2.inverse`` does one; (..., 3) to (..., 3) float64."""
     given = np.asarray(poses, np.float64)
     cos, sin = np.cos(given[..., 2]), np.sin(given[..., 2])
@@ -73,10 +76,10 @@ def invert_poses(poses: npt.ArrayLike) -> npt.NDArray[np.float64]:
 
 
 def blend_poses(
-    first: npt.NDArray[np.float64],
-    second: npt.NDArray[np.float64],
-    share: npt.NDArray[np.float64],
-) -> npt.NDArray[np.float64]:
+    first: F64,
+    second: F64,
+    share: F64,
+) -> F64:
     """Return poses between two, (M, 3): on the straight way, turning at one rate the short way.
 
     Args:
@@ -89,10 +92,10 @@ def blend_poses(
 
 
 def interpolate_poses(
-    times_s: npt.NDArray[np.float64],
-    stamps_s: npt.NDArray[np.float64],
-    poses: npt.NDArray[np.float64],
-) -> npt.NDArray[np.float64]:
+    times_s: F64,
+    stamps_s: F64,
+    poses: F64,
+) -> F64:
     """Return poses at times, linear between those that are known, and as these beyond the ends.
 
     Args:
@@ -106,16 +109,16 @@ def interpolate_poses(
     return np.stack([np.interp(times_s, stamps_s, column) for column in columns], axis=-1)
 
 
-def moved_poses(motion: Pose2, poses: npt.ArrayLike) -> npt.NDArray[np.float64]:
+def moved_poses(motion: Pose2, poses: npt.ArrayLike) -> F64:
     """Return many poses in the frame that a motion carries theirs into; (..., 3) float64."""
     return compose_poses((motion.x, motion.y, motion.yaw_rad), poses)
 
 
 def transform_points(
-    poses: npt.NDArray[np.float64],
-    points: npt.NDArray[np.float64],
+    poses: F64,
+    points: F64,
     of: npt.NDArray[np.int64] | None = None,
-) -> npt.NDArray[np.float64]:
+) -> F64:
     """Map points by many poses at once, as ``Pose2.transform`` does by one.
 
     Args:
@@ -133,7 +136,7 @@ def transform_points(
     return np.stack((poses[:, 0] + cos * x - sin * y, poses[:, 1] + sin * x + cos * y), axis=1)
 
 
-def travelled(places: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def travelled(places: F64) -> F64:
     """Return the length of a way up to each of its places.
 
     Args:
@@ -186,7 +189,7 @@ class Pose2:
             wrap_angle(-self.yaw_rad),
         )
 
-    def transform(self, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    def transform(self, points: npt.ArrayLike) -> F64:
         """Map points of this frame into the parent frame.
 
         Args:
@@ -210,7 +213,7 @@ class Pose2:
         return Pose2(self.x * factor, self.y * factor, self.yaw_rad)
 
 
-def with_levers(poses: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def with_levers(poses: F64) -> F64:
     """Return poses a lever before and behind each of some, so that fits of places heed headings.
 
     Args:
@@ -227,9 +230,9 @@ def with_levers(poses: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
 
 
 def fit_motion(
-    moving: npt.NDArray[np.float64],
-    still: npt.NDArray[np.float64],
-    weights: npt.NDArray[np.float64] | None = None,
+    moving: F64,
+    still: F64,
+    weights: F64 | None = None,
 ) -> Pose2:
     """Return the rigid motion that brings paired poses together: least squares of their places.
 
@@ -261,9 +264,35 @@ def fit_motion(
     return Pose2(float(x), float(y), yaw_rad)
 
 
-def _mean(values: npt.NDArray[Any], share: npt.NDArray[np.float64] | None) -> npt.NDArray[Any]:
+def _mean(values: npt.NDArray[Any], share: F64 | None) -> npt.NDArray[Any]:
     """Return the mean along the first axis, weighted by shares that sum to 1 if given."""
     if share is None:
         return np.asarray(values.mean(axis=0))
     # The product is rounded by how the values lie in memory: always in one way.
     return np.asarray(share @ np.ascontiguousarray(values))
+
+
+def pose_of(row: F64) -> Pose2:
+    """Return the pose of a row; its yaw in [-pi, pi)."""
+    x, y, yaw = (float(value) for value in row)
+    return Pose2(x, y, wrap_angle(yaw))
+
+
+def row_of(pose: Pose2) -> F64:
+    """Return a pose as a row; its yaw as it is."""
+    return np.array([pose.x, pose.y, pose.yaw_rad])
+
+
+def wrapped_row_of(pose: Pose2) -> F64:
+    """Return a pose as a row; its yaw in [-pi, pi)."""
+    return np.array([pose.x, pose.y, wrap_angle(pose.yaw_rad)])
+
+
+def quaternion_yaw_rad(x: float, y: float, z: float, w: float) -> float:
+    """Return where the x axis of a quaternion points, in plan.
+
+    The quaternion may have any length; 0, which is no rotation, gives NaN.
+    """
+    if x == y == z == w == 0.0:
+        return math.nan
+    return math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)

@@ -26,7 +26,7 @@ import scipy
 from slamfusion.compute import ComputeDevice
 from slamfusion.evidence.beams import CHUNKS
 from slamfusion.evidence.comparison import SURE
-from slamfusion.evidence.parting import PART_M
+from slamfusion.evidence.exclusion import PART_M
 from slamfusion.evidence.predictive import NEIGHBOURS, OTHERS, DrawnChunks, PathEvidence
 
 F64 = npt.NDArray[np.float64]

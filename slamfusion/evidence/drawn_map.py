@@ -25,7 +25,7 @@ import scipy
 from slamfusion.align.normalize import NormalizedGrid, normalize_grid
 from slamfusion.align.records import FusionResult
 from slamfusion.compute import ComputeDevice
-from slamfusion.compute.hit_counts import BeamScan
+from slamfusion.compute.hit_counts import BeamScan, halve_counts
 from slamfusion.compute.layout import MOST_BEAMS, OPEN, TILE, WALL
 from slamfusion.config import FusionConfig
 from slamfusion.errors import TrajectoryError
@@ -34,7 +34,6 @@ from slamfusion.fusion.lattice_vote import wall_agreement_of, warp_onto, weights
 from slamfusion.geometry import Pose2, moved_poses, transform_points
 from slamfusion.grid import FREE, IDENTITY, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, known_box
 from slamfusion.io import LogScan
-from slamfusion.slam.common.hit_cells import halve_counts
 from slamfusion.slam.common.tile_map import SharedTileMaps
 from slamfusion.trajectory import Trajectory
 from slamfusion.vote.boxes import hull

@@ -24,8 +24,7 @@ import numpy as np
 from slamfusion.compute import ComputeDevice
 from slamfusion.evidence.beams import CHUNKS
 from slamfusion.evidence.displacement import contradicted_share, find_displacements
-from slamfusion.evidence.exclusion import Exclusions
-from slamfusion.evidence.parting import PART_M, Span, path_gap_m, path_spans
+from slamfusion.evidence.exclusion import PART_M, Exclusions, Span, path_gap_m, path_spans
 from slamfusion.evidence.predictive import PathEvidence
 from slamfusion.geometry import fit_motion, moved_poses
 from slamfusion.trajectory import Trajectory, nearest_stamps

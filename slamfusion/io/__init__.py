@@ -21,8 +21,7 @@ from slamfusion.io.files import (
 from slamfusion.io.log import LogScan, ScanLog, Skips
 from slamfusion.io.logs import open_log
 from slamfusion.io.map_server import load_map, save_map
-from slamfusion.io.trajectories import read_trajectory
-from slamfusion.io.tum import write_tum
+from slamfusion.io.trajectories import read_trajectory, write_tum
 
 __all__ = [
     "AtomicFiles",

@@ -15,7 +15,6 @@ from slamfusion.config import LogConfig
 from slamfusion.deskew import Deskewer, Deskewing, Track
 from slamfusion.geometry import Pose2
 from slamfusion.io.stamps import StampGate
-from slamfusion.io.transform_edge import REACH_S
 from slamfusion.scan import LaserScan
 
 F64 = npt.NDArray[np.float64]
@@ -25,6 +24,8 @@ FARTHEST_M = 1e9
 
 _DEFAULT_CONFIG = LogConfig()
 
+# Between two known poses a time must be this near to one of them, seconds.
+REACH_S = 0.5
 LINES_KEPT = 5
 # Between two neighbouring scans, more than this is worth a word to the user.
 GAP_S = 3600.0

@@ -14,12 +14,13 @@ import numpy.typing as npt
 
 from slamfusion.config import LogConfig
 from slamfusion.errors import TrajectoryError
+from slamfusion.geometry import quaternion_yaw_rad, wrap_angle
 from slamfusion.io.bags.odometry import read_poses
 from slamfusion.io.carmen import CARMEN_WORDS
-from slamfusion.io.lines import ROW_BYTES, TextLines, read_head, strip_gz
+from slamfusion.io.files import AtomicFiles, write_atomic
+from slamfusion.io.lines import ROW_BYTES, TextLines, packed_by_name, read_head, strip_gz
 from slamfusion.io.logs import BAG_SUFFIXES, bag_at, open_log
 from slamfusion.io.tinyslam_dat import FIELDS
-from slamfusion.io.tum import quaternion_yaw_rad
 from slamfusion.trajectory import Trajectory
 
 F64 = npt.NDArray[np.float64]
@@ -388,3 +389,35 @@ def _log_odometry(where: Path, config: LogConfig, name: str) -> Trajectory:
 def _warn(where: Path, count: int, what: str) -> None:
     if count:
         _LOGGER.warning("%s: %d %s", where, count, what)
+
+
+_HEADER = "# timestamp tx ty tz qx qy qz qw\n"
+
+
+def write_tum(
+    path: str | Path, trajectory: Trajectory, *, files: AtomicFiles | None = None
+) -> None:
+    """Write a trajectory as a TUM file; the same poses give the same bytes.
+
+    Times are seconds with nine decimals, lengths metres; z, roll and pitch are 0.
+
+    Args:
+        path: the file; packed when its name ends in ``.gz``.
+        trajectory: what to write; without a pose the file has only its heading.
+        files: stage the file here, to appear together with others; default: write it now.
+
+    Raises:
+        MapFileError: the file cannot be written.
+    """
+    target = Path(path)
+    lines = [_HEADER]
+    for stamp_s, (x, y, yaw_rad) in zip(
+        trajectory.stamps_s.tolist(), trajectory.poses.tolist(), strict=True
+    ):
+        # Half of a wrapped angle keeps qw at or above 0, so each pose has one spelling.
+        half_rad = 0.5 * wrap_angle(yaw_rad)
+        lines.append(
+            f"{stamp_s:.9f} {x:.9f} {y:.9f} 0 0 0 "
+            f"{math.sin(half_rad):.12f} {math.cos(half_rad):.12f}\n"
+        )
+    write_atomic(target, packed_by_name(target, "".join(lines).encode()), files=files)

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.figure import Figure  # noqa: TID251
 
-from slamfusion.evidence.parting import PART_M, path_gap_m
+from slamfusion.evidence.exclusion import PART_M, path_gap_m
 from slamfusion.evidence.predictive import PathEvidence
 from slamfusion.evidence.recommendation import Recommendation
 from slamfusion.palette import DISAGREEMENT_RGB, NAMED, Rgb, colours_of

@@ -18,8 +18,7 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Transform, TransformStamped
 
 from slamfusion.geometry import Pose2
-from slamfusion.io.transform_edge import TransformError
-from slamfusion.io.transforms import KEEP_S, Mount, TransformTree
+from slamfusion.io.transforms import KEEP_S, Mount, TransformError, TransformTree
 from slamfusion.ros import qos
 from slamfusion.ros.base import is_first_to_say
 from slamfusion.ros.messages import stamp_s, transform_to_message

@@ -13,7 +13,7 @@ from slamfusion.config import FusionNodeConfig
 from slamfusion.errors import TrajectoryError
 from slamfusion.fusion.live.session import FusionState
 from slamfusion.geometry import Pose2
-from slamfusion.io.transform_edge import TransformError
+from slamfusion.io.transforms import TransformError
 from slamfusion.ros import messages, qos
 from slamfusion.ros.base import SHOWN_S, Level, NodeBase
 from slamfusion.ros.frames import TransformInput, TransformOutput, TransformStore

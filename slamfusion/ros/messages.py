@@ -19,9 +19,8 @@ from sensor_msgs.msg import LaserScan
 from slamfusion import grid as grids
 from slamfusion import scan as scans
 from slamfusion.errors import GridError, ScanError, TrajectoryError
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import Pose2, quaternion_yaw_rad
 from slamfusion.grid import IDENTITY
-from slamfusion.io.tum import quaternion_yaw_rad
 from slamfusion.trajectory import Trajectory
 
 NS = 10**9

@@ -15,8 +15,7 @@ from slamfusion.errors import ScanError, TrajectoryError
 from slamfusion.geometry import Pose2
 from slamfusion.io.log import FARTHEST_M
 from slamfusion.io.stamps import Passed, StampGate
-from slamfusion.io.transform_edge import TransformError
-from slamfusion.io.transforms import Mount
+from slamfusion.io.transforms import Mount, TransformError
 from slamfusion.ros import messages, qos
 from slamfusion.ros.base import SHOWN_S, Level, NodeBase
 from slamfusion.ros.frames import TransformInput, TransformStore

@@ -19,7 +19,7 @@ from slamfusion.io.carmen import write_carmen
 from slamfusion.io.files import AtomicFiles
 from slamfusion.io.log import LogScan, deskewed_scans
 from slamfusion.io.map_server import save_map
-from slamfusion.io.tum import write_tum
+from slamfusion.io.trajectories import write_tum
 from slamfusion.scan import LaserScan
 from slamfusion.sim.courses import Course, course_to_mapping
 from slamfusion.sim.drive import Motion, StuckError, follow_ways, read_odometry, run_script

@@ -35,7 +35,7 @@ from slamfusion.evidence import (
     judged_scans,
     score_paths,
 )
-from slamfusion.evidence.parting import PART_M
+from slamfusion.evidence.exclusion import PART_M
 from slamfusion.evidence.predictive import HitModel
 from slamfusion.geometry import compose_poses, invert_poses
 from slamfusion.io import LogScan

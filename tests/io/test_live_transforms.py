@@ -9,8 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from slamfusion.geometry import Pose2
-from slamfusion.io.transform_edge import TransformError
-from slamfusion.io.transforms import KEEP_S, TransformTree
+from slamfusion.io.transforms import KEEP_S, TransformError, TransformTree
 
 numbers = st.floats(-20.0, 20.0)
 poses = st.builds(Pose2, numbers, numbers, st.floats(-3.1, 3.1))

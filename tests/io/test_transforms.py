@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
-from slamfusion.io.transform_edge import TransformError
-from slamfusion.io.transforms import TransformTree
+from slamfusion.io.transforms import TransformError, TransformTree
 
 Row = tuple[float, ...]
 

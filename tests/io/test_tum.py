@@ -10,9 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slamfusion.geometry import wrap_angles
+from slamfusion.geometry import quaternion_yaw_rad, wrap_angles
 from slamfusion.io import read_trajectory, write_tum
-from slamfusion.io.tum import quaternion_yaw_rad
 from slamfusion.trajectory import Trajectory
 
 TWO = Trajectory([1.5, 2.0], [(1.0, -2.0, math.pi / 2.0), (3.0, 4.0, -math.pi / 3.0)])

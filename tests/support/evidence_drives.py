@@ -20,7 +20,7 @@ from slamfusion.experiments.trials import FAILURES, FAULTS, Trial, failure_trial
 from slamfusion.geometry import Pose2
 from slamfusion.io import LogScan, read_trajectory
 from slamfusion.io.map_server import save_map
-from slamfusion.io.tum import write_tum
+from slamfusion.io.trajectories import write_tum
 from slamfusion.scan import LaserScan
 from slamfusion.sim.simulate import simulate
 from slamfusion.slam.registry import BUILT_IN

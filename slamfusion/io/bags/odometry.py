@@ -12,12 +12,10 @@ import numpy.typing as npt
 
 from slamfusion.config import LogConfig
 from slamfusion.errors import LogError
-from slamfusion.geometry import Pose2, compose_poses, wrap_angle
+from slamfusion.geometry import Pose2, compose_poses, quaternion_yaw_rad, wrap_angle
 from slamfusion.io.bags.reader import SCAN_TYPES, TRANSFORM_TYPES, OpenBag, open_bag, stamp_s
-from slamfusion.io.log import FARTHEST_M
-from slamfusion.io.transform_edge import HOLD_S, REACH_S
-from slamfusion.io.transforms import TransformTree, plan_poses
-from slamfusion.io.tum import quaternion_yaw_rad
+from slamfusion.io.log import FARTHEST_M, REACH_S
+from slamfusion.io.transforms import HOLD_S, TransformTree, plan_poses
 
 Floats = npt.NDArray[np.float64]
 

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import MatcherConfig
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import Pose2, row_of
 from slamfusion.grid import IDENTITY
 from slamfusion.slam.common.mapper import Health
 from slamfusion.slam.common.matcher import (
@@ -28,7 +28,6 @@ from slamfusion.slam.common.matcher import (
     response_hessian,
     search_pose,
 )
-from slamfusion.slam.common.pose_rows import row_of
 from slamfusion.slam.common.state import Stateful
 
 # Share of the running mean score below which a match is low: while tracking holds that is rare.

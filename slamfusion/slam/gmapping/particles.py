@@ -11,15 +11,13 @@ import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.arrays import DeviceArray
-from slamfusion.compute.hit_counts import BeamScan, FieldRule
+from slamfusion.compute.hit_counts import BeamScan, FieldRule, halve_counts, percent_of_counts
 from slamfusion.compute.layout import MOST_BEAMS
-from slamfusion.geometry import Pose2, compose_poses, wrap_angles
+from slamfusion.geometry import Pose2, compose_poses, pose_of, wrap_angles
 from slamfusion.grid import OccupancyGrid
 from slamfusion.scan import LaserScan
-from slamfusion.slam.common.hit_cells import halve_counts, percent_of_counts
 from slamfusion.slam.common.mapper import Series
 from slamfusion.slam.common.matcher import FieldMap, pose_table
-from slamfusion.slam.common.pose_rows import pose_of
 from slamfusion.slam.common.state import Stateful
 from slamfusion.slam.common.tile_map import SharedTileMaps
 from slamfusion.trajectory import Trajectory

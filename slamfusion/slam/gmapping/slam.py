@@ -24,12 +24,11 @@ import numpy.typing as npt
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import GmappingConfig
 from slamfusion.errors import SlamFusionError
-from slamfusion.geometry import Pose2, compose_poses, wrap_angle
+from slamfusion.geometry import Pose2, compose_poses, pose_of, row_of, wrap_angle
 from slamfusion.grid import IDENTITY, OccupancyGrid
 from slamfusion.scan import LaserScan
 from slamfusion.slam.common.mapper import Health, Series, Step
 from slamfusion.slam.common.matcher import PoseHypothesis
-from slamfusion.slam.common.pose_rows import pose_of, row_of
 from slamfusion.slam.common.state import SavedMapper
 from slamfusion.slam.common.tracking import Tracker
 from slamfusion.slam.gmapping.particles import (

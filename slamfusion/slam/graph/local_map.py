@@ -10,10 +10,9 @@ import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import GraphConfig
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import Pose2, wrapped_row_of
 from slamfusion.grid import IDENTITY
 from slamfusion.slam.common.matcher import Match, ScanOnTiles, information_of, response_information
-from slamfusion.slam.common.pose_rows import wrapped_row_of
 from slamfusion.slam.common.state import Stateful
 from slamfusion.slam.graph.map_graph import BELIEVED_SHARE, Constraint, GraphHealth, turned
 from slamfusion.slam.graph.node_map import Node

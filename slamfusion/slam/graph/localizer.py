@@ -10,11 +10,10 @@ import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import GraphConfig
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import Pose2, pose_of
 from slamfusion.grid import IDENTITY
 from slamfusion.scan import LaserScan
 from slamfusion.slam.common.matcher import PoseHypothesis
-from slamfusion.slam.common.pose_rows import pose_of
 from slamfusion.slam.common.state import Stateful
 from slamfusion.slam.common.tracking import Tracker
 from slamfusion.slam.graph.closure_search import ClosureSearch

@@ -17,8 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.config import GraphConfig
-from slamfusion.geometry import Pose2, wrap_angle
-from slamfusion.slam.common.pose_rows import pose_of, wrapped_row_of
+from slamfusion.geometry import Pose2, pose_of, wrap_angle, wrapped_row_of
 from slamfusion.slam.common.state import Stateful
 from slamfusion.slam.graph.closure_search import LOW_RESPONSE, ClosureSearch, Found
 from slamfusion.slam.graph.local_map import LocalMap

@@ -14,11 +14,10 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.geometry import Pose2, compose_poses, wrap_angle
+from slamfusion.geometry import Pose2, compose_poses, pose_of, row_of, wrap_angle, wrapped_row_of
 from slamfusion.grid import IDENTITY
 from slamfusion.pose_graph import Optimized, PoseGraph, optimize
 from slamfusion.slam.common.mapper import Health, Series
-from slamfusion.slam.common.pose_rows import pose_of, row_of, wrapped_row_of
 from slamfusion.slam.common.state import Stateful
 from slamfusion.slam.graph.node_map import Node
 from slamfusion.slam.records import HealthJson

@@ -14,12 +14,11 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.compute.hit_counts import BeamScan
+from slamfusion.compute.hit_counts import BeamScan, halve_counts, percent_of_counts
 from slamfusion.compute.layout import MOST_BEAMS
 from slamfusion.config import GraphConfig
 from slamfusion.geometry import Pose2
 from slamfusion.grid import UNKNOWN, OccupancyGrid
-from slamfusion.slam.common.hit_cells import halve_counts, percent_of_counts
 from slamfusion.slam.common.mapper import MapJob
 from slamfusion.slam.common.tile_map import SharedTileMaps
 

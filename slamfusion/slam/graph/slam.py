@@ -19,12 +19,11 @@ import numpy as np
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import GraphConfig
 from slamfusion.errors import SlamFusionError
-from slamfusion.geometry import Pose2, wrap_angle
+from slamfusion.geometry import Pose2, pose_of, wrap_angle
 from slamfusion.grid import IDENTITY, OccupancyGrid
 from slamfusion.scan import LaserScan
 from slamfusion.slam.common.mapper import Closure, MapJob, Series, Step
 from slamfusion.slam.common.matcher import PoseHypothesis
-from slamfusion.slam.common.pose_rows import pose_of
 from slamfusion.slam.common.runner import FIRST_REPORTED
 from slamfusion.slam.common.state import SavedMapper
 from slamfusion.slam.graph.closure_search import ClosureSearch

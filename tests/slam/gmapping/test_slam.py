@@ -13,14 +13,13 @@ import numpy.typing as npt
 import pytest
 
 from slamfusion.compute import ComputeDevice, NumpyDevice
-from slamfusion.compute.hit_counts import full_field
+from slamfusion.compute.hit_counts import full_field, percent_of_counts
 from slamfusion.compute.layout import FULL_VISITS
 from slamfusion.config import GmappingConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.io.log import LogScan
 from slamfusion.scan import LaserScan
-from slamfusion.slam.common.hit_cells import percent_of_counts
 from slamfusion.slam.common.tile_map import SharedTileMaps
 from slamfusion.slam.gmapping import particles
 from slamfusion.slam.gmapping.particles import beams_of
