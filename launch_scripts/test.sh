@@ -12,16 +12,22 @@ venv="$root/.venv"
 jazzy="$root/.venv-jazzy"
 constraints="$root/launch_scripts/constraints-jazzy.txt"
 
-# Four test processes, since those with nodes mostly wait, and PoCL threads that share the cores.
+# One test process more than cores, since those with nodes mostly wait, and PoCL threads that share
+# the cores.
 cores="$(nproc)"
-workers=$((cores < 2 ? 1 : 4))
+workers=$((cores < 2 ? 1 : cores < 8 ? cores + 1 : 8))
 threads=$((cores < workers ? 1 : cores / workers))
 export POCL_MAX_PTHREAD_COUNT="${POCL_MAX_PTHREAD_COUNT:-$threads}"
 # Hundreds of tests start a command, which would compile the whole package each time.
 unset PYTHONDONTWRITEBYTECODE
+# pip compiles nothing ahead (a false value says so): what is imported is a small part of it.
+export PIP_NO_COMPILE=0
 
 install_all() {
     make_venv "$venv"
+    make_venv "$jazzy"
+    install_into "$jazzy" test "$constraints" "$root/launch_scripts/lock-jazzy.txt" &
+    local of_jazzy=$!
     if [ -n "${ROS_DISTRO:-}" ]; then
         say "ROS_DISTRO is set: its rclpy is used, the ros extra is not installed"
         install_into "$venv" dev "$constraints"
@@ -33,8 +39,7 @@ install_all() {
         "$root/launch_scripts/build_messages.sh" "$venv/bin/python" ||
             say "no tf2_msgs, no map_msgs: the tests of /tf and of map updates are skipped"
     fi
-    make_venv "$jazzy"
-    install_into "$jazzy" test "$constraints" "$root/launch_scripts/lock-jazzy.txt"
+    wait "$of_jazzy" || die "the environment of the Jazzy constraints cannot be made"
     if ! command -v chromium >/dev/null && ! command -v google-chrome >/dev/null; then
         if can_install_packages && apt_install chromium; then
             return
