@@ -15,7 +15,7 @@ from tests.fuzz.run import Counts, OverTimeError, limits, run_mutants, run_one, 
 from tests.support.examples import examples
 
 pytestmark = pytest.mark.once
-EVERY_RUN = 400
+EVERY_RUN = 200
 FULL_RUN = 100_000
 
 

@@ -115,6 +115,7 @@ def test_a_node_that_dies_is_started_later_each_time_and_ctrl_c_ends_the_whole_g
     assert "gmapping" not in script.text()
 
 
+@pytest.mark.full
 def test_ctrl_c_in_mid_log_saves_what_there_is(
     domain: int, processes: Processes, observer: Observer, tmp_path: Path
 ):

@@ -16,7 +16,8 @@ from tests.ros.drives import write_log
 from tests.ros.live import Observer, Processes
 from tests.support.own_producer import NAME, with_own_producer
 
-pytestmark = pytest.mark.ros
+# That it is found by its name: tests/test_installed.py; a node's parameters: test_parameters.py.
+pytestmark = [pytest.mark.ros, pytest.mark.full]
 
 
 def test_it_is_a_node_with_its_own_parameters(

@@ -135,7 +135,7 @@ def test_odometry_that_drifts_is_corrected(name: str, settings: dict[str, Any]) 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_without_odometry_the_map_frame_begins_at_the_first_pose(name: str) -> None:
-    scans, truth = drive(120)
+    scans, truth = drive(80)
     start = truth[0].inverse()
     mapper = run(name, without_odometry(scans))
     assert max(errors(mapper, [start.compose(pose) for pose in truth])) < NEAR_M[name]
@@ -150,7 +150,7 @@ def test_odometry_that_is_not_to_be_used_is_not_used(name: str) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_odometry_that_stalls_and_catches_up(name: str) -> None:
-    scans, truth = drive(90)
+    scans, truth = drive(75)
     assert errors(run(name, stalled(scans)), truth)[0] < NEAR_M[name]
 
 
