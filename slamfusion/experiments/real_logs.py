@@ -209,6 +209,7 @@ def other_slams(
 def _compare_on_log(folder: Path, name: str, setup: Setup, saved: SavedMaps) -> RunResult:
     """Return the maps of one drive."""
     config, device, files = setup.config, setup.device, REAL_LOGS[name]
+    normalize = config.fusion.normalize
     scans = tuple(open_log(folder / files.log, config.log))
     trajectory = read_trajectory(folder / files.reference, config.log)
     reference, count = reference_map(scans, trajectory, config, device)
@@ -245,21 +246,18 @@ def _compare_on_log(folder: Path, name: str, setup: Setup, saved: SavedMaps) -> 
             figures = {
                 **map_figures(found),
                 "map_to_truth_p95_m": None if there is None else there.p95,
-                "doubled_wall_share": _doubled(grid, config),
+                "doubled_wall_share": doubled_wall_share(grid, normalize=normalize),
                 "ate_rmse_m": errors.get(method),
             }
             rows += result_rows(name, "", method, figures)
             differences[method] = found.difference
-    rows += result_rows(name, "", REFERENCE, {"doubled_wall_share": _doubled(reference, config)})
+    doubled = doubled_wall_share(reference, normalize=normalize)
+    rows += result_rows(name, "", REFERENCE, {"doubled_wall_share": doubled})
     remark = f"the reference map is drawn by {count} of {len(scans)} scans at {files.source}"
     if made.choice:
         remark += f"; the scans support the path of {made.choice} best"
     maps = packed_maps(differences, reference.resolution)
     return RunResult(rows, made.notes, maps, f"{name}: {remark}.")
-
-
-def _doubled(grid: OccupancyGrid, config: RunConfig) -> float:
-    return doubled_wall_share(grid, normalize=config.fusion.normalize)
 
 
 def reference_map(

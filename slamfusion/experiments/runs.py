@@ -1,7 +1,4 @@
-"""The runs of an experiment: each one that is done is kept as a file, and is not run again.
-
-Of runs that are shown, the maps against the truth are kept, too.
-"""
+"""The runs of an experiment: a finished one is kept as a file, with the maps of an example."""
 
 from __future__ import annotations
 

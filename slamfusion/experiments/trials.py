@@ -4,10 +4,8 @@
 over the obstacle where there is one, and turns by 360 degrees again, with a Kinect's narrow view.
 One seed gives the same errors of odometry and laser, and the same producers, with and without it.
 
-``failures`` drives each course with each laser; with a Kinect most of them in a small place. A
-fault of the drive befalls all producers; broken odometry and a laser upside down one of them.
-
-Trials do not depend on each other: many run at once, each in a process of its own.
+``failures`` drives each course with each laser; with a Kinect most of them in a small place.
+Broken odometry and a laser upside down affect one producer, other faults all of them.
 
 Source: Fernandes and Alexandre, *SLAMfusion: Fusing SLAM Methods for Improved Robustness*, 2016.
 """
@@ -17,7 +15,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -116,37 +113,19 @@ FAILURES: dict[str, Failure] = {
 
 
 def obstacle_trials(config: RunConfig) -> list[Trial]:
-    """Return every drive of ``ground-obstacle``; the first of each condition is the example.
+    """Return every drive of ``ground-obstacle``; the first of each condition is the example."""
+    trials: list[Trial] = []
+    for condition, is_over in {"no obstacle": False, "obstacle": True}.items():
 
-    Args:
-        config: drives and worlds in ``experiment.ground_obstacle``; the first seed.
-    """
-    settings = config.experiment.ground_obstacle
-    return [
-        trial
-        for condition, over in {"no obstacle": False, "obstacle": True}.items()
-        for trial in _repeated(
-            condition,
-            config,
-            settings,
-            partial(_atrium, over),
-        )
-    ]
+        def course(seed: int, is_over: bool = is_over) -> Course:  # noqa: FBT001  (of the loop)
+            return replace(named_course("f16", seed), obstacles=is_over)
 
-
-def _atrium(has_obstacle: bool, seed: int) -> Course:  # noqa: FBT001  (for partial)
-    return replace(named_course("f16", seed), obstacles=has_obstacle)
+        trials += _repeated(condition, config, config.experiment.ground_obstacle, course)
+    return trials
 
 
 def failure_trials(config: RunConfig) -> list[Trial]:
-    """Return every drive of ``failures``.
-
-    Args:
-        config: drives, worlds, courses and lasers in ``experiment.failures``; the first seed.
-
-    Raises:
-        ConfigError: an unknown course.
-    """
+    """Return every drive of ``failures``; ConfigError: an unknown course."""
     settings = config.experiment.failures
     names = tuple(FAILURES) if settings.courses == ("all",) else dict.fromkeys(settings.courses)
     for name in names:
@@ -210,11 +189,7 @@ def compare_with_obstacle(setup: Setup) -> Experiment:
 
 
 def compare_failures(setup: Setup) -> Experiment:
-    """Run ``failures``; see ``run_trials``.
-
-    Raises:
-        ConfigError: an unknown course.
-    """
+    """Run ``failures``; see ``run_trials``. ConfigError: an unknown course."""
     settings, trials = setup.config.experiment.failures, failure_trials(setup.config)
     return run_trials("failures", "Fusion where something fails", trials, settings, setup)
 
@@ -252,10 +227,6 @@ def fusion_experiment(
     the producers' paths; the faces of the drawn map, or else of the vote of ``run``, with those of
     the producers' maps.
 
-    Args:
-        name, title: see ``Experiment``.
-        results: condition and result of each trial.
-        draws: whether maps were drawn.
     """
     best = [CHOICE, HINDSIGHT]
     drawn = [*map(drawn_at, (*BUILT_IN, HINDSIGHT))]

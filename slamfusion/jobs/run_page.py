@@ -26,7 +26,6 @@ from slamfusion.report.evidence import (
 )
 from slamfusion.report.fusion_report import (
     alignment_section,
-    dissent_section,
     doubtful_lines,
     fused_section,
     inputs_section,
@@ -105,9 +104,7 @@ def run_page(run: LogRun) -> Page:
     if run.recommendation is not None and run.evidence is not None:
         sections.append(evidence_section(run.recommendation, run.evidence, _colours(run)))
     if result is not None:
-        if any(record.dissent is not None for record in result.accepted):
-            sections.append(dissent_section(result, shown_box(result)))
-        sections.append(alignment_section(result, only_doubtful=True))
+        sections.append(alignment_section(result))
     elif run.fusion.pairs:
         sections.append(pairs_section(run.grids, run.fusion.pairs, normalize))
     sections += errors_section(_measured_paths(run), _colours(run))

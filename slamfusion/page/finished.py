@@ -35,35 +35,22 @@ MOST_NAMED = 8
 
 @dataclass(frozen=True, eq=False)
 class ShownMap:
-    """A map of the page.
+    """A map of the page: the name of its layer, its kind, its file or its cells.
 
-    Attributes:
-        name: of its layer.
-        kind: see ``Scene``.
-        source: its file, or its cells.
-        is_shown: whether one sees it at first.
-        resolution: metres per cell of a bare image.
-        legacy_unknown: how its file is read; see ``load_map``.
+    ``is_shown`` at first; ``options`` of ``load_map``.
     """
 
     name: str
     kind: Kind
     source: Path | OccupancyGrid
     is_shown: bool = True
-    resolution: float | None = None
-    legacy_unknown: bool = False
+    options: Mapping[str, Any] = field(default_factory=dict)
 
     def load(self) -> OccupancyGrid:
         """Return its cells."""
         if isinstance(self.source, OccupancyGrid):
             return self.source
-        return load_map(
-            self.source,
-            name=self.name,
-            resolution=self.resolution,
-            legacy_unknown=self.legacy_unknown,
-            warn=lambda _: None,
-        )
+        return load_map(self.source, name=self.name, warn=lambda _: None, **self.options)
 
 
 @dataclass
@@ -119,11 +106,7 @@ def read_finished(place: Path, drive: str = "") -> Finished:
 
 
 def _record_of(place: Path) -> Path | None:
-    """Return the record of a run or of the only fusion in a folder, or of the map that is named.
-
-    Raises:
-        MapFileError: the folder has several fusions, or the map no record.
-    """
+    """Return the record of a run or of the only fusion in a folder, or of the map that is named."""
     if place.is_file():
         path = place.with_suffix(".json")
         if not path.exists():
@@ -240,15 +223,12 @@ def _maps_of(
     files = [*made, *(_found(path, stem) for path in given)]
     settings = (record.get("config") or {}).get("map_files") or {}
     for item, path in zip(inputs, files, strict=False):
-        is_image = path.suffix not in {".yaml", ".yml"} and not path.is_dir()
-        yield ShownMap(
-            layer_name(str(item.get("name"))),
-            "input",
-            path / f"{FUSED}.yaml" if path.is_dir() else path,
-            bool(item.get("accepted")),
-            record.get("resolution") if is_image else None,
-            bool(settings.get("legacy_unknown")),
-        )
+        options: dict[str, Any] = {"legacy_unknown": bool(settings.get("legacy_unknown"))}
+        if path.suffix not in {".yaml", ".yml"} and not path.is_dir():
+            options["resolution"] = record.get("resolution")
+        source = path / f"{FUSED}.yaml" if path.is_dir() else path
+        name = layer_name(str(item.get("name")))
+        yield ShownMap(name, "input", source, bool(item.get("accepted")), options)
 
 
 def _paths_of(
@@ -270,7 +250,7 @@ def _paths_of(
 def _made(
     record: Mapping[str, Any], inputs: Sequence[Mapping[str, Any]]
 ) -> Sequence[Mapping[str, Any]]:
-    """Return the inputs that producers made; the maps that were given stand after them."""
+    """Return the inputs that producers made; the given maps come after them."""
     return inputs[: max(len(inputs) - len(record.get("saved_maps", ())), 0)]
 
 
@@ -333,11 +313,7 @@ def _read_maps(folder: Path, files: Mapping[str, Path]) -> Finished:
 
 
 def _read_drive(folder: Path, drive: str) -> Finished:
-    """Read the maps of one drive of an experiment, over the truth.
-
-    Raises:
-        MapFileError: there are none, or none of that name.
-    """
+    """Read the maps of one drive of an experiment, over the truth."""
     from slamfusion.experiments.runs import (  # noqa: PLC0415  (the SLAMs load slowly)
         kept_maps,
         kept_runs,

@@ -53,8 +53,24 @@ def write_evaluation_report(
     if searched:
         tables = alignment_table("Alignment to the truth", searched)
         sections.append(Section("Alignment", "", yaw_pictures(searched), tables))
-    banner = _banner(evaluations, searched)
-    page = Page("SLAMfusion evaluation", banner, _facts(evaluations), sections, config, device)
+    lost = [
+        (f"{alignment.moving} could not be aligned:", alignment.reason)
+        for alignment in searched
+        if not alignment.accepted
+    ]
+    best, truth = min(evaluations, key=lambda item: item.error), evaluations[0].truth
+    is_one = len(evaluations) == 1
+    headline = f"{best.name} against {truth}" if is_one else f"{best.name} is nearest to {truth}"
+    facts = [
+        Fact(
+            f"{item.error:.2f}",
+            f"error of {item.name} [F16]",
+            "good" if item.error == best.error and not is_one else "plain",
+        )
+        for item in evaluations
+    ]
+    banner = Banner("warn" if lost else "good", headline, lost)
+    page = Page("SLAMfusion evaluation", banner, facts, sections, config, device)
     return write_page(page, directory, files)
 
 
@@ -78,31 +94,3 @@ def write_difference_image(
         raise MapFileError(message)
     picture = difference_picture(evaluation, None)
     write_atomic(path, to_form(picture.figure, form), files=files)
-
-
-def _banner(evaluations: Sequence[MapError], searched: Sequence[Alignment]) -> Banner:
-    """Say which map is nearest to the truth, and first which could not be aligned with it."""
-    lost = [
-        (f"{alignment.moving} could not be aligned:", alignment.reason)
-        for alignment in searched
-        if not alignment.accepted
-    ]
-    truth = evaluations[0].truth
-    best = min(evaluations, key=lambda item: item.error)
-    headline = f"{best.name} is nearest to {truth}"
-    if len(evaluations) == 1:
-        headline = f"{best.name} against {truth}"
-    return Banner("warn" if lost else "good", headline, lost)
-
-
-def _facts(evaluations: Sequence[MapError]) -> list[Fact]:
-    """Return the error of each map, the smallest marked."""
-    best = min(item.error for item in evaluations)
-    return [
-        Fact(
-            f"{item.error:.2f}",
-            f"error of {item.name} [F16]",
-            "good" if item.error == best and len(evaluations) > 1 else "plain",
-        )
-        for item in evaluations
-    ]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +22,6 @@ from slamfusion.report.maps import (
     error_section,
     input_colours,
     input_picture,
-    layer_legend,
     pair_overlay,
     pairs_section,
     statistics_table,
@@ -64,8 +62,6 @@ def write_fusion_report(
     box = shown_box(result)
     sections = [fused_section(result, box), *group_sections(result)]
     sections.append(inputs_section(result, config))
-    if any(record.dissent is not None for record in result.accepted):
-        sections.append(dissent_section(result, box))
     if evaluations:
         sections.append(error_section(evaluations))
     sections.append(alignment_section(result))
@@ -232,7 +228,7 @@ def fused_section(
                 "The aligned inputs over each other",
                 "A wall has the colour of its map; it is darker where more maps have it, and black "
                 "where all do. A coloured copy next to a black wall shows a slip.",
-                legend=layer_legend([record.name for record in aligned], colours),
+                legend=tuple(LegendEntry(own.name, colours[own.name]) for own in aligned),
             )
         )
     pictures.append(
@@ -277,56 +273,38 @@ def shown_box(result: FusionResult) -> CellBox:
 
 
 def inputs_section(result: FusionResult, config: RunConfig) -> Section:
-    """Return every input, aligned if it votes, and of a rejected one its best alignment."""
-    normalize = config.fusion.normalize
+    """Return every input: one that votes aligned, a rejected one also at its best alignment."""
+    normalize, fused = config.fusion.normalize, result.fused
     grids = {record.name: record.grid for record in result.inputs}
-    colours = input_colours(list(grids))
-    pictures: list[Picture] = []
+    colours, box = input_colours(list(grids)), shown_box(result)
+    pictures: list[Picture | None] = []
     for record in result.inputs:
-        role = "Reference." if record.name == result.reference else ""
+        alignment = record.alignment
         if record.copy_of is not None:
             continue
-        caption = role if record.accepted else f"Rejected: {record.reason}"
-        grid, box = record.grid, None
         if record.aligned is not None:
-            cells = np.where(record.aligned > 0, np.int8(100), record.aligned)
-            grid = replace(result.fused.with_name(grid.name), cells=cells)
-            box = shown_box(result)
-        pictures.append(
-            input_picture(grid, normalize, caption=caption, accepted=record.accepted, box=box)
-        )
-        alignment = record.alignment
-        if not record.accepted and alignment is not None and alignment.reference in grids:
-            overlay = pair_overlay(
-                grids[alignment.reference], record.grid, alignment, normalize, colours
+            drawn = plots.map_picture(
+                record.aligned, fused.resolution, fused.origin, box, record.dissent
             )
-            if overlay is not None:
-                pictures.append(overlay)
-    text = "The inputs that vote, aligned with the fused map; a rejected one lies in its own frame."
-    return Section("Inputs", text, pictures)
-
-
-def dissent_section(result: FusionResult, box: CellBox) -> Section:
-    """Return where each input was outvoted."""
-    fused, classes = result.fused, _classes(result.fused)
-    where = fused.resolution, fused.origin
-    pictures = [
-        Picture(
-            f"outvoted-{record.name}",
-            plots.dissent_picture(classes, record.dissent, *where, box=box),
-            record.name,
-            f"Outvoted in {_outvoted(record)}.",
-            legend=(LegendEntry("outvoted", DISAGREEMENT_RGB),),
+            role = "Reference. " if record.name == result.reference else ""
+            caption = f"{role}Outvoted in {_outvoted(record)}."
+            legend = (*plots.MAP_LEGEND, LegendEntry("outvoted", DISAGREEMENT_RGB))
+            stem, title = f"input-{record.name}", f"{record.name}, aligned"
+            pictures.append(Picture(stem, drawn, title, caption, legend=legend))
+            continue
+        caption = "" if record.accepted else f"Rejected: {record.reason}"
+        pictures.append(
+            input_picture(record.grid, normalize, caption=caption, accepted=record.accepted)
         )
-        for record in result.accepted
-        if record.dissent is not None
-    ]
-    return Section(
-        "Where each input was outvoted",
-        "Cells in which the other maps decided against this one. Scattered cells are noise; at a "
-        "whole wall in colour this map or all others are wrong.",
-        pictures,
+        if not record.accepted and alignment is not None and alignment.reference in grids:
+            reference = grids[alignment.reference]
+            pictures.append(pair_overlay(reference, record.grid, alignment, normalize, colours))
+    text = (
+        "The inputs that vote, aligned with the fused map; a rejected one lies in its own frame. "
+        "Scattered outvoted cells are noise; at a whole outvoted wall this map or all others are "
+        "wrong."
     )
+    return Section("Inputs", text, [picture for picture in pictures if picture is not None])
 
 
 def _outvoted(record: InputRecord) -> str:
@@ -342,13 +320,8 @@ def _outvoted(record: InputRecord) -> str:
     return f"{cells} cells; {share:.1f} % of those it knows"
 
 
-def alignment_section(result: FusionResult, *, only_doubtful: bool = False) -> Section:
-    """Return transforms, scores over yaw, and the table of all pairs.
-
-    Args:
-        result: the fusion.
-        only_doubtful: draw the scores over yaw of rejected pairs alone.
-    """
+def alignment_section(result: FusionResult) -> Section:
+    """Return transforms, the table of all pairs, and the scores over yaw of rejected ones."""
     to_reference = [
         record.alignment
         for record in result.inputs
@@ -362,8 +335,7 @@ def alignment_section(result: FusionResult, *, only_doubtful: bool = False) -> S
         *alignment_table(f"Alignment to {result.reference}", to_reference),
         *alignment_table("All other pairs", others, folded=True),
     ]
-    drawn = [item for item in (*to_reference, *others) if not (only_doubtful and item.accepted)]
-    curves = yaw_pictures(drawn)
+    curves = yaw_pictures([item for item in (*to_reference, *others) if not item.accepted])
     return Section("Alignment", _YAW_TEXT if curves else "", curves, tables)
 
 

@@ -33,19 +33,14 @@ _MOST_OVERLAYS = 12
 
 
 def input_picture(
-    grid: OccupancyGrid,
-    normalize: NormalizeConfig,
-    *,
-    caption: str = "",
-    accepted: bool = True,
-    box: CellBox | None = None,
+    grid: OccupancyGrid, normalize: NormalizeConfig, *, caption: str = "", accepted: bool = True
 ) -> Picture:
-    """Return one input, framed and marked if it was rejected; default box: what is known."""
+    """Return one input in its own frame, framed and marked if it was rejected."""
     classes = trinary_cells(grid.cells, normalize)
     size = f"{grid.width} x {grid.height} cells of {grid.resolution:g} m"
     return Picture(
         f"input-{grid.name}",
-        plots.map_picture(classes, grid.resolution, grid.origin, box),
+        plots.map_picture(classes, grid.resolution, grid.origin),
         grid.name,
         f"{size}. {caption}" if caption else size,
         tone="plain" if accepted else "bad",
@@ -62,11 +57,6 @@ def input_colours(names: Sequence[str]) -> dict[str, Rgb]:
     """
     layers = colours_of(layer_name(name) for name in names)
     return {name: layers[layer_name(name)] for name in names}
-
-
-def layer_legend(names: Sequence[str], colours: Mapping[str, Rgb]) -> tuple[LegendEntry, ...]:
-    """Return the colours of an overlay's layers with their names."""
-    return tuple(LegendEntry(name, colours[name]) for name in names)
 
 
 def pair_overlay(
@@ -104,7 +94,7 @@ def pair_overlay(
         f"The best alignment found. {alignment.reason}",
         tone="plain" if alignment.accepted else "bad",
         badge="" if alignment.accepted else "rejected",
-        legend=layer_legend((reference.name, moving.name), colours),
+        legend=tuple(LegendEntry(grid.name, colours[grid.name]) for grid in (reference, moving)),
     )
 
 
@@ -154,14 +144,14 @@ def yaw_pictures(alignments: Sequence[Alignment]) -> list[Picture]:
 def alignment_table(
     title: str, alignments: Sequence[Alignment], *, folded: bool = False
 ) -> list[Table]:
-    """Return the transforms with their measures, and the decision's own numbers, folded."""
+    """Return a table of the transforms with their measures; none without alignments."""
     if not alignments:
         return []
     note = (
         "A transform maps a point of the moving map's frame into the reference's. Runner-up: score "
         "of the best distinct rival over the answer's; near 1, the place looks alike under both."
     )
-    tables = [
+    return [
         Table.of(
             title,
             alignments,
@@ -187,16 +177,6 @@ def alignment_table(
             folded=folded,
         )
     ]
-    with_numbers = [item for item in alignments if item.statistics]
-    if with_numbers:
-        keys = sorted({key for item in with_numbers for key in item.statistics})
-        heads = ("number", *(f"{item.moving} on {item.reference}" for item in with_numbers))
-        rows = [
-            [Cell(key), *(_statistic(item.statistics.get(key)) for item in with_numbers)]
-            for key in keys
-        ]
-        tables.append(Table(f"{title}: the numbers of the decision", heads, rows, folded=True))
-    return tables
 
 
 def accepted_cell(alignment: Alignment) -> Cell:
@@ -359,8 +339,3 @@ def _common_box(
         max(own.row1, int(rows.max()) + 1),
         max(own.col1, int(cols.max()) + 1),
     )
-
-
-def _statistic(value: float | None) -> Cell:
-    """Return a number of unknown scale."""
-    return Cell("-" if value is None else f"{value:.4g}", is_number=True)

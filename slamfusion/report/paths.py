@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -228,7 +229,7 @@ def _part(colours: Colormap, span: tuple[float, float]) -> Colormap:
 # --- the pose graph -------------------------------------------------------------------------------
 
 
-BELIEVED_FROM = 0.5
+USED_FROM = 0.5
 
 
 def closures_picture(
@@ -237,88 +238,50 @@ def closures_picture(
     *,
     grid: OccupancyGrid,
     normalize: NormalizeConfig,
-    colours: Sequence[Rgb],
-) -> Figure:
-    """Draw a path, a dot where a closure was found, a line to where that has the robot.
+) -> Picture:
+    """Draw a path, a dot where a closure was found, a line to where the closure has the robot.
 
     Args:
         path: in the frame of the map; at least one pose.
-        closures: of the graph; times beyond the path's count as its ends.
+        closures: of the graph, at least one; times beyond the path's count as its ends.
         grid: the map under them.
         normalize: what counts as wall and as free in it.
-        colours: of the path, of closures that hold, and of those that do not.
     """
     figure, axes = map_axes(path_extent(path.poses).grown(grid_extent(grid, normalize)))
     draw_grid(axes, grid, normalize)
-    x, y = path.poses[:, 0], path.poses[:, 1]
-    own, believed, outlier = colours
-    axes.plot(x, y, color=unit_rgb(own), lw=0.8, scalex=False, scaley=False)
-    for colour, is_shown in ((believed, True), (outlier, False)):
-        chosen = [one for one in closures if (one.weight >= BELIEVED_FROM) == is_shown]
+    own, used, outlier = (*colours_of((path.name, "closures")).values(), DISAGREEMENT_RGB)
+    still: dict[str, Any] = {"scalex": False, "scaley": False}
+    axes.plot(*path.poses[:, :2].T, color=unit_rgb(own), lw=0.8, **still)
+    outliers = [one for one in closures if one.weight < USED_FROM]
+    for colour, chosen in (
+        (used, [one for one in closures if one.weight >= USED_FROM]),
+        (outlier, outliers),
+    ):
         if not chosen:
             continue
         stamps = np.array([(one.start_s, one.end_s) for one in chosen])
         starts, ends = np.clip(np.searchsorted(path.stamps_s, stamps), 0, len(path) - 1).T
         motions = np.array([(m.x, m.y, m.yaw_rad) for m in (one.motion for one in chosen)])
-        told = compose_poses(path.poses[starts], motions)[:, :2]
+        there = compose_poses(path.poses[starts], motions)[:, :2]
         here = path.poses[ends, :2]
         lines = LineCollection(
-            list(np.stack((here, told), axis=1)),
+            list(np.stack((here, there), axis=1)),
             colors=[unit_rgb(colour)],
             linewidths=0.8,
             zorder=3.0,  # above the path
         )
         axes.add_collection(lines, autolim=False)
-        axes.plot(
-            *here.T,
-            color=unit_rgb(colour),
-            marker=".",
-            ms=2.0,
-            ls="none",
-            scalex=False,
-            scaley=False,
-        )
+        axes.plot(*here.T, color=unit_rgb(colour), marker=".", ms=2.0, ls="none", **still)
     draw_marks(axes, path.poses)
-    return figure
-
-
-def closure_pictures(
-    final: Trajectory,
-    first_reported: Trajectory | None,
-    closures: Sequence[Closure],
-    *,
-    grid: OccupancyGrid,
-    normalize: NormalizeConfig,
-) -> list[Picture]:
-    """Return the graph before and after its closures; nothing where it has none."""
-    if not closures:
-        return []
-    outliers = sum(one.weight < BELIEVED_FROM for one in closures)
-    texts = ("path", f"{len(closures) - outliers} closures", f"outliers, not used: {outliers}")
-    colours = (*colours_of((final.name, "closures")).values(), DISAGREEMENT_RGB)
-    legend = (*map(LegendEntry, texts, colours), *mark_legend())
-    shown = [
-        (
-            "graph-before",
-            first_reported,
-            "The graph before its closures",
-            "The path as first reported. A line leads to where a recognised place has the robot.",
-        ),
-        (
-            "graph-after",
-            final,
-            "The graph after its closures",
-            "The path of today. A long blue line would be a closure that does not hold.",
-        ),
-    ]
-    return [
-        Picture(
-            name,
-            closures_picture(path, closures, grid=grid, normalize=normalize, colours=colours),
-            title,
-            text,
-            legend=legend,
-        )
-        for name, path, title, text in shown
-        if path is not None and len(path)
-    ]
+    texts = (
+        "path",
+        f"closures used: {len(closures) - len(outliers)}",
+        f"outliers, not used: {len(outliers)}",
+    )
+    return Picture(
+        "closures",
+        figure,
+        "The loop closures",
+        "A line leads to where a closure has the robot; a long one contradicts the path.",
+        legend=(*map(LegendEntry, texts, (own, used, outlier)), *mark_legend()),
+    )

@@ -24,7 +24,6 @@ from slamfusion.evaluation import (
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, box_origin
 from slamfusion.palette import (
-    AGREED_WALL_RGB,
     DISAGREEMENT_RGB,
     EXTRA_FREE_RGB,
     EXTRA_WALL_RGB,
@@ -71,7 +70,11 @@ _AGREEMENT_MAP = "YlOrRd"
 
 
 def map_picture(
-    cells: Classes, resolution: float, origin: Pose2, box: CellBox | None = None
+    cells: Classes,
+    resolution: float,
+    origin: Pose2,
+    box: CellBox | None = None,
+    outvoted: npt.NDArray[np.bool_] | None = None,
 ) -> Figure:
     """Draw one map: walls dark, free white, unknown grey; cropped to what is known.
 
@@ -80,8 +83,11 @@ def map_picture(
         resolution: metres per cell.
         origin: pose of the lower-left corner of cell [0, 0]; its yaw turns the picture.
         box: cells to show; default: what is known, with a small margin.
+        outvoted: (H, W) bool, cells that are marked; default: none.
     """
-    return _codes_figure(cells, (UNKNOWN_RGB, FREE_RGB, WALL_RGB), resolution, origin, box)
+    codes = cells if outvoted is None else np.where(outvoted, np.int8(2), cells)
+    colours = (UNKNOWN_RGB, FREE_RGB, WALL_RGB, DISAGREEMENT_RGB)
+    return _codes_figure(codes, colours, resolution, origin, box)
 
 
 def overlay_picture(
@@ -138,26 +144,6 @@ def agreement_picture(
     disagreement = np.where(agreement < 0, -1, 100 - agreement.astype(np.int16)).astype(np.int8)
     colours = [UNKNOWN_RGB, *(agreement_colour(100 - step) for step in range(101))]
     return _codes_figure(disagreement, colours, resolution, origin, box)
-
-
-def dissent_picture(
-    fused: Classes,
-    dissent: npt.NDArray[np.bool_],
-    resolution: float,
-    origin: Pose2,
-    *,
-    box: CellBox | None = None,
-) -> Figure:
-    """Draw where one input was outvoted, over a faint fused map.
-
-    Args:
-        fused: (H, W) int8 in {-1, 0, 1}.
-        dissent: (H, W) bool.
-        resolution, origin, box: see ``map_picture``.
-    """
-    codes = np.where(dissent, np.int8(2), fused)
-    colours = (UNKNOWN_RGB, FREE_RGB, AGREED_WALL_RGB, DISAGREEMENT_RGB)
-    return _codes_figure(codes, colours, resolution, origin, box)
 
 
 def difference_picture(difference: Classes, resolution: float, origin: Pose2) -> Figure:

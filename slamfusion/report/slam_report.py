@@ -9,6 +9,7 @@ from slamfusion.config import RunConfig
 from slamfusion.evaluation import RelationErrors, trajectory_errors
 from slamfusion.io.files import AtomicFiles
 from slamfusion.palette import colours_of
+from slamfusion.report import paths
 from slamfusion.report.errors import MeasuredPath, error_facts, errors_section
 from slamfusion.report.layers import map_layers
 from slamfusion.report.maps import input_picture, statistics_table
@@ -21,7 +22,6 @@ from slamfusion.report.page import (
     Table,
     write_page,
 )
-from slamfusion.report.paths import closure_pictures
 from slamfusion.report.series import drawable, series_picture
 from slamfusion.report.trajectory_report import path_pictures
 from slamfusion.slam.common.runner import ProducerRun
@@ -71,14 +71,11 @@ def write_slam_report(
             odometry=run.odometry,
             others=run.other_paths,
         ),
-        *closure_pictures(
-            trajectory,
-            run.other_paths[0] if run.other_paths else None,
-            run.closures,
-            grid=grid,
-            normalize=normalize,
-        ),
     ]
+    if run.closures:
+        pictures.append(
+            paths.closures_picture(trajectory, run.closures, grid=grid, normalize=normalize)
+        )
     tables_of_map = [statistics_table([grid], normalize)]
     layers = map_layers(grid, trajectory)
     sections = [Section("Map and path", "", pictures, tables_of_map, layers=layers)]

@@ -108,12 +108,16 @@ def path_pictures(
             legend=mark_legend(),
         )
     ]
-    lines = [paths.estimate_line(trajectory)]
+    lines, captions = [paths.estimate_line(trajectory)], []
     if odometry is not None and len(odometry):
         lines.insert(0, paths.odometry_line(paths.laid_on_start(odometry, trajectory)))
+        captions.append("Raw odometry is aligned with the start; its far drift is cut off.")
     if truth is not None and errors is not None:
         lines.append(paths.truth_line(moved_path(truth, errors.pose_truth_estimate.inverse())))
-    if len(lines) > 1 or others:
+        captions.append("The truth is aligned with the whole estimate.")
+    if others:
+        captions.append("Faint: alternatives of the SLAM; where they spread, it is uncertain.")
+    if captions:
         pictures.append(
             Picture(
                 "paths",
@@ -121,8 +125,7 @@ def path_pictures(
                     lines, trajectory, others=others, grid=grid, normalize=normalize
                 ),
                 "The path and others",
-                "The truth is aligned with the whole estimate, raw odometry with its start; drift "
-                "far beyond the picture is cut off. Faint: alternatives of the SLAM.",
+                " ".join(captions),
                 legend=paths.paths_legend(lines, others),
             )
         )

@@ -71,10 +71,10 @@ def test_a_stopped_run_says_so_and_is_no_doubt(parts: Path) -> None:
 
 def test_the_report_plots_the_filter_and_the_other_paths(parts: Path) -> None:
     page = (parts / "half_report" / "report.html").read_text(encoding="utf-8")
-    for words in ("Over the run", "effective particles", "2 other paths, faint", "estimate"):
+    for words in ("Over the run", "effective particles", "Faint: alternatives"):
         assert words in page
     pictures = {path.name.split("-", 1)[1] for path in (parts / "half_report").glob("*.png")}
-    assert {"over-time.png", "other-paths.png"} <= pictures
+    assert {"over-time.png", "paths.png"} <= pictures
 
 
 @pytest.mark.parametrize(("log", "known"), [("room.log", HALF), ("rest.log", 0)])
@@ -94,7 +94,7 @@ def test_parts_give_the_bytes_of_one_run(parts: Path, state: Path, log: str, kno
     assert done.stderr == (said if known else "")
     # Raw odometry is drawn where its start is known.
     page = (state / "rep" / "report.html").read_text(encoding="utf-8")
-    assert ("The path beside the others" in page) == bool(known)
+    assert ("Raw odometry is aligned" in page) == bool(known)
 
 
 @pytest.mark.parametrize(

@@ -125,7 +125,7 @@ def test_the_report_shows_the_drive_and_the_errors(drive: Path, tmp_path: Path) 
     found = judge_paths(drive / "drive.log", files, truth=drive / "truth.tum")
     page = write_judgement(found, tmp_path / "report")
     assert page == tmp_path / "report" / "report.html"
-    assert (tmp_path / "report" / "01-evidence.png").exists()
+    assert (tmp_path / "report" / "02-evidence.png").exists()
     text = page.read_text(encoding="utf-8")
     assert f"<h1>{found.recommendation.headline}</h1>" in text
     assert "<strong>Single SLAM:</strong> elsewhere" in text

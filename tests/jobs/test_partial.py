@@ -257,7 +257,7 @@ def test_the_main_job_on_a_drive_on_which_one_producer_goes_wrong(tmp_path: Path
     check_document(plain(saved.document), "run")
     assert plain(saved.document)["partial_votes"] == [plain(vote)]
     page = (tmp_path / "out" / "report" / "report.html").read_text(encoding="utf-8")
-    assert vote.sentence() in page
+    assert "Who was off when" in page
     # Its own map is kept as it was made; the layer that voted is another one.
     own, layer = run.grids[0], run.layers.grids[0]
     kept = load_map(tmp_path / "out" / "tinyslam.yaml")

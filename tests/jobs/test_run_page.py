@@ -135,7 +135,7 @@ def test_every_part_is_on_the_one_page(page: Path) -> None:
         "The paths over the fused map",
         "Distance between the paths in the fused map",
         "Over the drive",
-        "Where each input was outvoted",
+        "room 1, aligned",
         "Alignment to room 0",
         "ATE, translation m",
         "Errors of the paths",

@@ -64,11 +64,11 @@ def test_full_agreement_is_white_and_the_worst_cell_of_a_block_shows() -> None:
     assert plots.agreement_colour(100) == (255, 255, 255)
 
 
-def test_dissent_is_drawn_over_the_fused_map() -> None:
+def test_outvoted_cells_are_drawn_over_the_map() -> None:
     fused = np.zeros((30, 30), dtype=np.int8)
     dissent = np.zeros((30, 30), dtype=np.bool_)
     dissent[20:25, 20:25] = True
-    image = pixels(plots.dissent_picture(fused, dissent, 0.1, Pose2()))
+    image = pixels(plots.map_picture(fused, 0.1, Pose2(), outvoted=dissent))
     x, y = centre_of(image, DISAGREEMENT_RGB)
     assert x > 0.5
     assert y < 0.5

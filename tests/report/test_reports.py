@@ -140,7 +140,7 @@ def test_every_part_of_the_fusion_is_shown(report: Path) -> None:
         "Fused map",
         "The aligned inputs over each other",
         "Agreement",
-        "Where each input was outvoted",
+        "room 1, aligned",
         "Error against the truth",
         "Alignment to room 0",
         "phantom cells",

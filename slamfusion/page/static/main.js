@@ -18,6 +18,7 @@ const HANDLERS = {
     byId("commands").hidden = !message.may_command;
     slider.isLive = message.is_live;
     byId("report").hidden = !message.has_report;
+    if (!message.is_live) byId("connection").textContent = "finished run";
     if (!message.isAnother) return;
     stage.empty();
     byId("events").replaceChildren();
@@ -51,7 +52,7 @@ const connection = new Connection(
   (data) => stage.maps.take(data),
   (state) => {
     const line = byId("connection");
-    const words = { open: slider.isLive ? "connected" : "finished run", lost: "not connected: trying again" };
+    const words = { open: "connected", lost: "not connected: trying again" };
     line.textContent = words[state];
     line.className = state === "open" ? "good" : "bad";
     document.body.dataset.connected = String(state === "open");
