@@ -15,7 +15,6 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.compute.lattice import fixed_poses
 from slamfusion.compute.layout import FIXED_ONE
 from slamfusion.config import NormalizeConfig
-from slamfusion.fusion.live.limits import bands
 from slamfusion.geometry import Pose2
 from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid, known_box
 from slamfusion.vote.boxes import hull, moved, overlap, padded, slices
@@ -177,78 +176,43 @@ def compare(old: Layer, new: Layer, thresholds: NormalizeConfig, device: Compute
         new: the map now; on another lattice it is resampled first, and all of it counts as changed.
         thresholds: what is a wall, and what is free.
     """
-    walls = old.walls
-    if new.lattice == old.lattice:
+    walls, is_same = old.walls, new.lattice == old.lattice
+    occupied = math.ceil(thresholds.occupied_percent)
+    box: CellBox | None = old.box
+    if is_same:
         box = _changed_box(old, new)
         if box is None:
             return Change(None, 0, walls, 0, walls, walls, is_lost=False)
         near = padded(box, 1)
         if near.area > SPARE_SHARE * (old.box.area + new.box.area):
-            return _replaced(new, box, walls, thresholds)
+            total = int(np.count_nonzero(new.cells >= occupied))
+            return Change(box, walls + total, 0, 0, walls, total)  # nothing stands
         before, after = old.window(near), new.window(near)
-        is_lost = bool(((before >= 0) & (after < 0)).any())
     else:
-        box = old.box
-        before = old.cells
-        after = carry(new, Pose2(), old.lattice, box, device)
-        is_lost = True
-    occupied = math.ceil(thresholds.occupied_percent)
+        before, after = old.cells, carry(new, Pose2(), old.lattice, old.box, device)
+    is_lost = not is_same or bool(((before >= 0) & (after < 0)).any())
     was, now = (before >= occupied).view(np.uint8), (after >= occupied).view(np.uint8)
-    near_now = cv2.dilate(now, NEIGHBOURS)
+    gone = (was != 0) & (cv2.dilate(now, NEIGHBOURS) == 0)
     free = (after >= 0) & (after <= thresholds.free_percent)
-    gone = (was != 0) & (near_now == 0)
-    lost = int(np.count_nonzero(gone))
-    differ = int(np.count_nonzero(was != now))
-    total = None
-    if new.lattice == old.lattice:
-        total = walls - int(np.count_nonzero(was)) + int(np.count_nonzero(now))
-    contradicted = int(np.count_nonzero(gone & free))
-    return Change(box, differ, walls - lost, contradicted, walls, total, is_lost)
-
-
-def _replaced(new: Layer, box: CellBox, walls: int, thresholds: NormalizeConfig) -> Change:
-    """Return what a map changed that lies far from the one before: nothing stands.
-
-    No array of the cells between both is made: for maps 10 km apart it would take gigabytes.
-    """
-    occupied = math.ceil(thresholds.occupied_percent)
-    after = int(np.count_nonzero(new.cells >= occupied))
-    return Change(box, walls + after, 0, 0, walls, after)
+    return Change(
+        box,
+        int(np.count_nonzero(was != now)),
+        walls - int(np.count_nonzero(gone)),
+        int(np.count_nonzero(gone & free)),
+        walls,
+        walls - int(np.count_nonzero(was)) + int(np.count_nonzero(now)) if is_same else None,
+        is_lost,
+    )
 
 
 def _changed_box(old: Layer, new: Layer) -> CellBox | None:
-    """Return the box of cells that differ; outside of a layer all is unknown."""
-    common = overlap(old.box, new.box)
-    boxes = []
-    if common is None:
-        boxes = [_known(old, old.box), _known(new, new.box)]
-    else:
-        found = _differing(old.window(common), new.window(common))
-        if found is not None:
-            boxes.append(moved(found, common.row0, common.col0))
-        for layer in (old, new):
-            boxes += [_known(layer, strip) for strip in _around(layer.box, common)]
-    out: CellBox | None = None
-    for box in boxes:
-        if box is not None:
-            out = box if out is None else hull(out, box)
-    return out
-
-
-def _differing(a: I8, b: I8) -> CellBox | None:
-    """Return the box of cells that differ, None without any; two arrays of one shape."""
-    out: CellBox | None = None
-    for band in bands(*a.shape):
-        differs = a[band] != b[band]
-        if not differs.any():
-            continue
-        rows, cols = (np.flatnonzero(differs.any(axis=axis)) for axis in (1, 0))
-        top = band.start
-        found = CellBox(
-            top + int(rows[0]), int(cols[0]), top + int(rows[-1]) + 1, int(cols[-1]) + 1
-        )
-        out = found if out is None else hull(out, found)
-    return out
+    """Return the box of cells that differ; where maps lie far apart, of all cells of both."""
+    whole = hull(old.box, new.box)
+    if whole.area > SPARE_SHARE * (old.box.area + new.box.area):
+        return whole  # maps 10 km apart: the cells between them would take gigabytes
+    differs = old.window(whole) != new.window(whole)
+    found = known_box(differs.view(np.int8) - np.int8(1))
+    return None if found is None else moved(found, whole.row0, whole.col0)
 
 
 def measured(
@@ -271,17 +235,6 @@ def measured(
         found = _known(layer, overlap(box, layer.box) or box)
         known = found if old is None else old if found is None else hull(old, found)
     return replace(layer, known=known, walls=change.after)
-
-
-def _around(outer: CellBox, inner: CellBox) -> list[CellBox]:
-    """Return the strips of a box around one inside of it."""
-    strips = [
-        CellBox(outer.row0, outer.col0, inner.row0, outer.col1),
-        CellBox(inner.row1, outer.col0, outer.row1, outer.col1),
-        CellBox(inner.row0, outer.col0, inner.row1, inner.col0),
-        CellBox(inner.row0, inner.col1, inner.row1, outer.col1),
-    ]
-    return [strip for strip in strips if strip.height > 0 and strip.width > 0]
 
 
 def _known(layer: Layer, box: CellBox) -> CellBox | None:

@@ -7,18 +7,14 @@ nothing, or that no memory holds, costs the other inputs no time.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.align.decide import WALLS_MIN
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import MemoryBudgetError
 from slamfusion.grid import OccupancyGrid, implausible
 from slamfusion.io.files import check_memory
-
-I8 = npt.NDArray[np.int8]
 
 # Cells that are looked at together, few enough for the processor's cache.
 BAND_CELLS = 1 << 18
@@ -77,46 +73,33 @@ def _meaningless(grid: OccupancyGrid, thresholds: NormalizeConfig) -> str | None
     """Return in words why the walls of a map say nothing of a place, or None."""
     every = bands(grid.height, grid.width)
     stride = -(-len(every) // SAMPLE_BANDS)
-    if stride > 1 and _verdict(_count(grid.cells, every[::stride], thresholds)) is None:
+    if stride > 1 and _verdict(grid, every[::stride], thresholds) is None:
         return None
-    return _verdict(_count(grid.cells, every, thresholds))
+    return _verdict(grid, every, thresholds)
 
 
-@dataclass
-class _Texture:
-    """Counts of a map's cells; steps are pairs of neighbours, one a wall and one not."""
+def _verdict(grid: OccupancyGrid, rows: list[slice], thresholds: NormalizeConfig) -> str | None:
+    """Return in words what is wrong with some bands of rows of a map, or None.
 
-    walls: int = 0
-    free: int = 0
-    cells: int = 0
-    steps_to_free: int = 0
-    steps: int = 0
-
-
-def _count(cells: I8, rows: list[slice], thresholds: NormalizeConfig) -> _Texture:
-    """Count the cells and steps of some bands of rows."""
-    occupied, out = math.ceil(thresholds.occupied_percent), _Texture()
+    Steps are pairs of neighbours, one a wall and one not.
+    """
+    occupied = math.ceil(thresholds.occupied_percent)
+    walls = free = cells = steps = to_free = 0
     for band in rows:
-        wall = cells[band] >= occupied
-        free = (cells[band] >= 0) & (cells[band] <= thresholds.free_percent)
-        out.walls += int(np.count_nonzero(wall))
-        out.free += int(np.count_nonzero(free))
-        out.cells += wall.size
+        part = grid.cells[band]
+        is_wall, is_free = part >= occupied, (part >= 0) & (part <= thresholds.free_percent)
+        walls += int(np.count_nonzero(is_wall))
+        free += int(np.count_nonzero(is_free))
+        cells += part.size
         for a, b in ((np.s_[1:], np.s_[:-1]), (np.s_[:, 1:], np.s_[:, :-1])):
-            out.steps += int(np.count_nonzero(wall[a] != wall[b]))
-            to_free = (wall[a] & free[b]) | (free[a] & wall[b])
-            out.steps_to_free += int(np.count_nonzero(to_free))
-    return out
-
-
-def _verdict(found: _Texture) -> str | None:
-    """Return in words what is wrong with the counts of a map, or None."""
-    steps, known = found.steps_to_free, found.walls + found.free
-    if found.free < FREE_MIN * found.walls:
-        steps, known = found.steps, found.cells
-    if steps < max(WALLS_MIN, EDGE_MIN * found.walls):
+            steps += int(np.count_nonzero(is_wall[a] != is_wall[b]))
+            both = (is_wall[a] & is_free[b]) | (is_free[a] & is_wall[b])
+            to_free += int(np.count_nonzero(both))
+    is_all_walls = free < FREE_MIN * walls
+    steps, known = (steps, cells) if is_all_walls else (to_free, walls + free)
+    if steps < max(WALLS_MIN, EDGE_MIN * walls):
         return (
-            f"says nothing of a place: hardly any of its {found.walls} occupied cells lies beside "
+            f"says nothing of a place: hardly any of its {walls} occupied cells lies beside "
             "another cell; is it all occupied?"
         )
     if steps > STEPS_MAX * known:
