@@ -19,7 +19,7 @@ from slamfusion.align.records import (
 )
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
-from slamfusion.report.canvas import Figure, to_form
+from slamfusion.report.canvas import to_form
 from slamfusion.slam.common.runner import ProducerRun, run_producer
 from slamfusion.trajectory import Trajectory
 from slamfusion.vote.tiles import GridLayer
@@ -29,7 +29,7 @@ NASTY = "<script>alert('$x_1$')</script>/../../é机"
 REASON = "its runner-up at 180° scores 0.97 & <b>more</b>"
 
 
-def pixels(figure: Figure) -> npt.NDArray[np.uint8]:
+def pixels(figure: Any) -> npt.NDArray[np.uint8]:
     """RGB of a figure, (H, W, 3), row 0 at the top."""
     png = np.frombuffer(to_form(figure, "png"), dtype=np.uint8)
     image = cv2.imdecode(png, cv2.IMREAD_COLOR)

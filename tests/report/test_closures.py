@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
@@ -9,7 +11,6 @@ from slamfusion.config import NormalizeConfig
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.palette import DISAGREEMENT_RGB, NAMED, OTHERS, Rgb
-from slamfusion.report.canvas import Figure
 from slamfusion.report.paths import closures_picture
 from slamfusion.slam.common.mapper import Closure
 from slamfusion.trajectory import Trajectory
@@ -28,14 +29,14 @@ def straight(end_m: float) -> Trajectory:
     return Trajectory(np.arange(11.0), poses, "graph")
 
 
-def painted(figure: Figure, colour: Rgb) -> npt.NDArray[np.intp]:
+def painted(figure: Any, colour: Rgb) -> npt.NDArray[np.intp]:
     """Return columns of the pixels of about a colour, without the legend below."""
     image = pixels(figure)
     near = (np.abs(image[: round(0.85 * len(image))].astype(int) - colour) < 40).all(axis=2)
     return np.nonzero(near)[1]
 
 
-def picture(path: Trajectory, weight: float) -> Figure:
+def picture(path: Trajectory, weight: float) -> Any:
     closure = Closure(0.0, 8.0, Pose2(3.2, 0.0, 0.0), weight)
     return closures_picture(path, [closure], grid=GRID, normalize=NORMALIZE).figure
 

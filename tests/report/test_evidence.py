@@ -15,7 +15,7 @@ TRUTH = circuit()
 NEAR = Trajectory(TRUTH.stamps_s, TRUTH.poses + np.array([0.0, 0.0, 0.001]))
 
 
-def test_the_fused_path_has_its_colour_and_the_slams_theirs():
+def test_the_fused_path_has_its_colour_and_the_slams_theirs() -> None:
     device = open_device()
     evidence = score_paths(
         judged_scans(recorded(TRUTH)), {"graph": NEAR, "fused": TRUTH, "gmapping": NEAR}, device

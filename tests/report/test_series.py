@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 import pytest
 
 from slamfusion.palette import Rgb
-from slamfusion.report.canvas import Figure
 from slamfusion.report.series import broken, drawable, series_picture
 from slamfusion.slam.common.mapper import Series
 from tests.report.drawn import pixels
@@ -17,16 +18,16 @@ pytestmark = pytest.mark.once
 COLOUR: Rgb = (28, 126, 214)
 
 
-def series(values: list[float] | npt.NDArray[np.float64], **more: object) -> Series:
+def series(values: list[float] | npt.NDArray[np.float64], **more: Any) -> Series:
     """One value a second."""
     numbers = np.asarray(values, dtype=np.float64)
     stamps = np.arange(len(numbers), dtype=np.float64)
     return Series("particles", "", stamps, numbers, **more)
 
 
-def line(png: Figure, slack: int = 40) -> npt.NDArray[np.bool_]:
+def line(figure: Any, slack: int = 40) -> npt.NDArray[np.bool_]:
     """Where the line is."""
-    return np.asarray((np.abs(pixels(png).astype(int) - COLOUR) <= slack).all(axis=2))
+    return np.asarray((np.abs(pixels(figure).astype(int) - COLOUR) <= slack).all(axis=2))
 
 
 def test_a_rising_quantity_rises_to_the_right() -> None:
