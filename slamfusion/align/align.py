@@ -119,10 +119,11 @@ def align_pair(
     is_cut = found.coarse is not None and found.coarse.is_cut
     found = replace(found, image_after=() if is_finer or is_cut else image_after)
     answer = conclude(pair, config, found, expected, pairs, began)
-    if answer.accepted or not is_finer:
+    is_good = answer.evidence is not None and answer.evidence.reading == "good"
+    if (answer.accepted and is_good) or not is_finer:
         return answer
 
-    # A pair that is refused is searched once more on a finer level.
+    # A pair that is refused, or is read as bent or changed, is searched on a finer level, too.
     found = replace(search_finer(pair, config, window, found), image_after=image_after)
     return conclude(pair, config, found, expected, pairs, began)
 

@@ -1,4 +1,4 @@
-"""Judge what a search found: measure it, hold it against its rivals, decide, write the record."""
+"""Judge what a search found: hold it against its rivals, measure it, decide, write the record."""
 
 from __future__ import annotations
 
@@ -10,33 +10,33 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.align.cancel import check_cancelled
-from slamfusion.align.common_walls import NEAR_CELLS_MIN, NEAR_M, beside_lines_m, held_by
 from slamfusion.align.decide import (
-    EXPECTED_WRONG_MAX,
-    GROUND_ONE_GOOD_M2,
+    CUT_TRIALS,
     GROUND_ONE_M2,
-    SHARE_MIN,
-    SHARP_MATCH,
-    SHARP_WHOLE,
-    Evidence,
+    MOST,
+    TRIALS,
+    WALLS_MIN,
+    Decision,
+    MatchEvidence,
     decide,
-    wrong_in_job,
+    decide_fit,
 )
 from slamfusion.align.features import FINE_TABLE, spread_sample
 from slamfusion.align.hypotheses import (
+    APART_RAD,
     DISTINCT_CELLS,
-    DISTINCT_YAW_RAD,
-    PLAIN_SHARE,
     SURE_SHARE,
-    PairScores,
+    Answer,
+    Chances,
+    best_answer,
     estimate_scale,
     mirror_gain,
-    scored_answer,
+    weigh,
 )
-from slamfusion.align.pair import Pair, displacement, invert, to_lattice
-from slamfusion.align.records import Alignment, MatchEvidence, RunnerUp
+from slamfusion.align.pair import Pair, invert, to_lattice
+from slamfusion.align.records import Alignment, RunnerUp
 from slamfusion.align.refine import climbed, narrow_fits, refine
-from slamfusion.align.scores import rank, wall_pieces
+from slamfusion.align.scores import rank
 from slamfusion.align.search import CoarseSearch, SearchResult, meeting_cells, prior_within, search
 from slamfusion.align.shifts import SearchWindow
 from slamfusion.compute.lattice import fixed_poses
@@ -45,17 +45,13 @@ from slamfusion.geometry import Pose2, wrap_angle
 
 F64 = npt.NDArray[np.float64]
 
-# Less than this of either map's walls meets: a bent map's, whose fit is spread over the whole map.
-BENT_MATCH = 0.45
-BENT_SCALES = (24.0,)
-# Where walls fade from a map they are known to a cell less, and chance fits so many times as often
-# as that of good maps: the map of a lost SLAM on a depot, of which 20 m met, would count 5.7.
-FADED_TRIALS = 2.0
-# What the walls give there, by a wide width, as a share of what they gave before: with less the
-# wide fit has lost the place.
-SPREAD_LEAST = 0.5
 # A mirror image that gives more times as much is not told from one that gives this.
 GAIN_MAX = 100.0
+# A bent map whose walls meet less than this share of the other's is fitted as a whole, by a wide
+# scale in cells.
+BENT_MATCH, BENT_SCALES = 0.45, (24.0,)
+# Tolerances in metres, and the least they are in cells where cells are coarse.
+NEAR_M, NEAR_CELLS_MIN = 0.15, 1.5
 CLASH_M, CLASH_CELLS_MIN = 0.4, 3.0
 FAR_CLASH_M, FAR_CLASH_CELLS_MIN = 1.0, 5.0
 MEASURED_POINTS = 4096
@@ -79,223 +75,145 @@ def conclude(
         pairs: pairs of maps in the job.
         began: ``time.perf_counter()`` when the work on this pair began.
     """
-    stand = scored_answer(pair, found, pairs)
-    others = stand.others
-    is_likely = stand.wrong(pairs, found.prior) < EXPECTED_WRONG_MAX
-    best, statistics = _placed(pair, found, stand, is_likely=is_likely)
-    overlap, error = statistics.pop("overlap"), statistics.pop("error")
-    shown = [best] if not others else [best, stand.motions[others[0]]]
-    scores = rank(pair, np.array(shown), 1, FINE_TABLE)
-    score = float(scores[0])
+    chances = _chances(pair, found, start, pairs)
+    answer = best_answer(pair, found, chances)
+    best, statistics = _placed(pair, found, answer)
+    overlap, error = statistics["overlap"], statistics.pop("error")
     transform = pair.transform_of(best)
+    shown = np.concatenate((best[None], answer.others[:1]))
+    scores = [float(score) for score in rank(pair, shown, 1, FINE_TABLE)]
     runner_up = None
-    if others:
-        ratio = float(scores[1]) / score if score > 0 else 1.0
-        runner_up = RunnerUp(pair.transform_of(shown[1]), float(scores[1]), max(0.0, ratio))
-    prior = found.prior
-    if start is not None and found.search == "full" and _near_start(pair, transform, start):
-        prior = prior_within(pair, DISTINCT_CELLS, DISTINCT_YAW_RAD)
-    if found.coarse is not None:
-        prior *= ground_prior(pair, is_plain=stand.is_plain)
-    evidence = _evidence(
-        pair, stand, runner_up, statistics, found=found, pairs=pairs, prior=prior, overlap=overlap
+    if len(shown) > 1:
+        ratio = max(0.0, scores[1] / scores[0]) if scores[0] > 0 else 1.0
+        runner_up = RunnerUp(pair.transform_of(shown[1]), scores[1], ratio)
+    evidence, decision = _decided(
+        pair, config, found, answer, chances, statistics=statistics, runner_up=runner_up
     )
-    decision = decide(evidence)
-    if found.search in {"full", "window"} and decision.accepted:
-        evidence = replace(
-            evidence,
-            held_m=held_by(pair, best),
-            # Near a start it does not matter which other corners look alike.
-            beside_lines_m=beside_lines_m(pair, best) if found.search == "full" else None,
-        )
-        decision = decide(evidence)
-    if found.search in {"full", "window"} and (decision.accepted or decision.kind == "bent"):
-        evidence = _looked_closer(evidence, pair, config, stand, best)
-        decision = decide(evidence)
-    if (
-        found.search == "full"
-        and not decision.accepted
-        and decision.kind not in {"mirrored", "other scale"}
-        and decision.kind in found.image_after
-    ):
-        evidence = _looked_at_image(evidence, pair, config, stand, pairs)
-        decision = decide(evidence)
-    match = MatchEvidence(
-        pieces=evidence.witnesses,
-        better=evidence.better,
-        share=evidence.share,
-        common_m=evidence.common_m,
-        rival_ratio=evidence.ratio,
-        expected_wrong=wrong_in_job(evidence),
-        mirrored=evidence.mirrored,
-        scale=evidence.scale,
-        scaled_share=None if evidence.scale is None else evidence.scaled_share,
-        rival_share=evidence.clean_share,
-        held_m=evidence.held_m,
-        beside_lines_m=evidence.beside_lines_m,
-        good_maps=evidence.is_plain,
-        sharp_maps=evidence.is_sharp,
-    )
+    statistics.pop("overlap")
     return Alignment(
         pair.reference.grid.name,
         pair.moving.grid.name,
         transform,
         decision.accepted,
         decision.reason,
-        score,
+        scores[0],
         overlap,
         error,
         runner_up,
         time.perf_counter() - began,
         statistics,
         None if found.coarse is None else _profile(pair, found.coarse),
-        match,
+        evidence,
         decision.kind,
     )
 
 
-def _placed(
-    pair: Pair, found: SearchResult, stand: PairScores, *, is_likely: bool
-) -> tuple[F64, dict[str, float]]:
-    """Return the answer as finely as the maps allow (3,), and its numbers (see ``measure``).
+def _chances(pair: Pair, found: SearchResult, start: Pose2 | None, pairs: int) -> Chances:
+    """Return how many wrong answers there are, before any wall has spoken.
 
-    An answer that may be believed as that of bent maps is tried as one of good maps, too, which may
-    lie some degrees beside it.
+    More where the ground is large, or walls fill the cells that were searched
+    (``CoarseSearch.is_cut``); fewer near a start.
     """
-    narrow, broad = pair.widths
-    found_at = best = stand.motions[0]
-    is_bent = stand.share < PLAIN_SHARE or stand.sigma > narrow
-    if found.coarse is not None and (is_likely or not is_bent):
-        best = narrow_fits(pair, found_at[None])[0]
-        best = climbed(pair, best)
-        if is_bent:
-            both = wall_pieces(pair, np.array([found_at, best]), narrow)
-            is_bent = not (both.total[1] > both.total[0] and both.share()[1] >= PLAIN_SHARE)
-            best = found_at if is_bent else best
+    if found.coarse is None:
+        return Chances(pairs)
+    ground_m2 = meeting_cells(pair) * pair.resolution**2
+    cut = CUT_TRIALS if found.coarse.is_cut else 1.0
+    trials = pairs * cut * max(1.0, ground_m2 / GROUND_ONE_M2)
+    if found.search == "full" and start is not None:
+        prior = prior_within(pair, DISTINCT_CELLS, APART_RAD)
+        return Chances(trials, pair.motion_of(start), prior)
+    return Chances(trials, prior=found.prior)
+
+
+def _decided(
+    pair: Pair,
+    config: AlignConfig,
+    found: SearchResult,
+    answer: Answer,
+    chances: Chances,
+    *,
+    statistics: dict[str, float],
+    runner_up: RunnerUp | None,
+) -> tuple[MatchEvidence, Decision]:
+    """Return the evidence for an answer, and what to believe."""
+    # Where a start says what ground is common there are not as many places.
+    is_anywhere = chances.prior >= 1.0
+    patches = max(1.0, MOST / max(statistics["overlap"], 1e-3)) if is_anywhere else 1.0
+    evidence = MatchEvidence(
+        answer.reading,
+        answer.against["no relation"],
+        answer.against[answer.nearest],
+        answer.nearest,
+        answer.weight,
+        answer.share,
+        answer.common_m,
+        answer.ratio,
+        patches * (answer.wrong if answer.weight > 0.0 else TRIALS * chances.trials),
+    )
+    walls = min(len(pair.reference.wall_points), len(pair.moving.wall_points))
+    if walls < WALLS_MIN:
+        words = f"too few walls to judge: {walls} of the {WALLS_MIN} needed"
+        return evidence, Decision(False, "too little in common", words)
+    if found.search not in {"full", "window"}:
+        return evidence, decide_fit(evidence, statistics, found.search)
+    rival = None
+    if runner_up is not None:
+        pose = runner_up.transform
+        rival = f"at {pose.x:.2f}, {pose.y:.2f} m, {math.degrees(pose.yaw_rad):.0f} deg"
+    trials = TRIALS * patches * answer.trials[0]
+    decision = decide(evidence, statistics, rival, trials)
+    mirrored = scale = None
+    if decision.accepted:
+        if min(answer.share / SURE_SHARE, statistics["explained"] / MOST) < 1.0:
+            mirrored = mirror_gain(pair, answer.motion, config, answer.reading)
+        scale = estimate_scale(pair, answer.motion, answer.reading)
+    elif found.search == "full" and decision.kind in found.image_after:
+        mirrored = _image_gain(pair, config, answer, chances.trials)
+    if mirrored is not None or scale is not None:
+        evidence = replace(evidence, mirrored=mirrored, scale=scale)
+        decision = decide(evidence, statistics, rival, trials)
+    if found.coarse is not None and found.coarse.is_cut:
+        said = (
+            "; walls fill the cells that were searched at every yaw; on finer ones only yaws with "
+            "parallel walls were"
+        )
+        decision = replace(decision, reason=decision.reason + said)
+    return evidence, decision
+
+
+def _image_gain(pair: Pair, config: AlignConfig, answer: Answer, trials: float) -> float | None:
+    """Return the evidence for the mirror image over that for an answer that is not believed.
+
+    None where the image would not be believed, or speaks less for itself than the answer does.
+    """
+    image = pair.mirrored()
+    coarse, motions, _ = search(image, config, SearchWindow())
+    if not len(motions):
+        return None
+    other = best_answer(image, SearchResult(motions, coarse, "full"), Chances(trials))
+    if not other.is_believed or other.wrong >= answer.wrong:
+        return None
+    own = float(weigh(pair, answer.motion[None], other.reading).total[0])
+    return GAIN_MAX if own * GAIN_MAX <= other.total else other.total / own
+
+
+def _placed(pair: Pair, found: SearchResult, answer: Answer) -> tuple[F64, dict[str, float]]:
+    """Return the answer as finely as the maps allow (3,), and its numbers (see ``measure``)."""
+    best = answer.motion
+    if found.coarse is not None and answer.reading != "bent":
+        best = climbed(pair, narrow_fits(pair, best[None])[0])
     statistics = measure(pair, best)
-    if is_bent and _met(statistics) < BENT_MATCH:
-        # Both maps mostly miss each other's walls. A narrow fit locks one part of a bent map and
-        # leaves the rest; the wide one spreads the misfit over the whole map.
-        spread = refine(pair, best[None], 1, BENT_SCALES, iterations=8, everywhere=True)[0]
-        both = wall_pieces(pair, np.array([best, spread]), broad)
-        if both.total[1] >= SPREAD_LEAST * both.total[0]:
-            best = spread
-            statistics = measure(pair, best)
+    if answer.reading == "bent" and _met(statistics) < BENT_MATCH:
+        # A narrow fit locks one part of a bent map and leaves the rest; a wide one spreads the
+        # misfit over the whole map.
+        best = refine(pair, best[None], 1, BENT_SCALES, iterations=8, everywhere=True)[0]
+        statistics = measure(pair, best)
     return best, statistics
 
 
 def _met(statistics: dict[str, float]) -> float:
     """Return the share of one map's walls that meet the other's, of the map that has more."""
     return max(statistics["wall_match_moving"], statistics["wall_match_reference"])
-
-
-def _evidence(
-    pair: Pair,
-    stand: PairScores,
-    runner_up: RunnerUp | None,
-    statistics: dict[str, float],
-    *,
-    found: SearchResult,
-    pairs: int,
-    prior: float,
-    overlap: float,
-) -> Evidence:
-    """Return what speaks for the answer, and for the best of the others."""
-    pieces, others = stand.pieces, stand.others
-    total, witnesses = pieces.total, pieces.witnesses(0)
-    rival = None
-    if runner_up is not None:
-        pose = runner_up.transform
-        rival = f"at {pose.x:.2f}, {pose.y:.2f} m, {math.degrees(pose.yaw_rad):.0f} deg"
-    highest = max((float(total[k]) for k in others), default=0.0)
-    return Evidence(
-        walls=min(len(pair.reference.wall_points), len(pair.moving.wall_points)),
-        common_m=float(pieces.seen_m[0]),
-        common_ground=overlap,
-        share=stand.share,
-        witnesses=witnesses,
-        better=stand.better,
-        clean_share=stand.clean_share,
-        better_inside=stand.better_inside,
-        is_plain=stand.is_plain,
-        is_sharp=statistics["wall_match"] >= SHARP_MATCH and pieces.whole() >= SHARP_WHOLE,
-        is_cut=found.coarse is not None and found.coarse.is_cut,
-        ratio=max(0.0, highest / float(total[0])) if total[0] > 0 else 1.0,
-        rival=rival,
-        pairs=pairs,
-        prior=prior,
-        statistics=statistics,
-        search=found.search,
-    )
-
-
-def _looked_closer(
-    evidence: Evidence, pair: Pair, config: AlignConfig, stand: PairScores, best: F64
-) -> Evidence:
-    """Add what would explain the walls better than the answer: another scale, a mirror image."""
-    motion, mirrored, narrow = stand.motions[0], None, pair.widths[0]
-    if evidence.share < SURE_SHARE:
-        mirrored = mirror_gain(pair, motion, config, stand.sigma, doubt=stand.pieces.doubt)
-    # Where little is in common another scale leaves little unexplained: it is always looked for.
-    if stand.is_plain:
-        fit = estimate_scale(pair, motion, (stand.sigma, narrow))
-    else:
-        # A part of what is bent fits, by one width or the other, where the answer was found or at
-        # its last fit, and that need not be the part about which the scale turns.
-        places = (motion,) if np.array_equal(motion, best) else (motion, best)
-        fit = max(
-            (
-                estimate_scale(pair, at, (width, narrow), is_far=True)
-                for at in places
-                for width in pair.widths
-            ),
-            key=lambda found: found.share,
-        )
-    return replace(evidence, mirrored=mirrored, scale=fit.scale, scaled_share=fit.share)
-
-
-def _looked_at_image(
-    evidence: Evidence, pair: Pair, config: AlignConfig, stand: PairScores, pairs: int
-) -> Evidence:
-    """Add the mirror image where it would be believed, though the map itself is not."""
-    image = pair.mirrored()
-    coarse, motions, _ = search(image, config, SearchWindow())
-    if not len(motions):
-        return evidence
-    other = scored_answer(image, SearchResult(motions, coarse, "full"), pairs)
-    # A half of a place that is nearly its own image may fit both ways.
-    least = EXPECTED_WRONG_MAX * min(1.0, stand.wrong(pairs))
-    if other.share < SHARE_MIN or other.wrong(pairs) >= least:
-        return evidence
-    # By one width, and by no sides of walls: like is held against like.
-    own, gained = (
-        float(wall_pieces(of, motion[None], other.sigma).evidence[0].sum())
-        for of, motion in ((pair, stand.motions[0]), (image, other.motions[0]))
-    )
-    gain = GAIN_MAX if own * GAIN_MAX <= gained else gained / own
-    return replace(evidence, mirrored=gain)
-
-
-def ground_prior(pair: Pair, *, is_plain: bool) -> float:
-    """Return how many times more wrong answers there are than on the ground of ``decide``, or 1.
-
-    So many times as many places there are, and of good maps that fade each fits more often.
-    """
-    ground_m2 = meeting_cells(pair) * pair.resolution**2
-    places = max(1.0, ground_m2 / (GROUND_ONE_GOOD_M2 if is_plain else GROUND_ONE_M2))
-    return (
-        FADED_TRIALS * places
-        if is_plain and (pair.reference.fades or pair.moving.fades)
-        else places
-    )
-
-
-def _near_start(pair: Pair, transform: Pose2, start: Pose2) -> bool:
-    """Whether the answer agrees with the start frame that producers of one robot share."""
-    a = pair.motion_of(transform)
-    b = pair.motion_of(start)
-    shift, turn = displacement(a, b)
-    return shift <= DISTINCT_CELLS and turn <= DISTINCT_YAW_RAD
 
 
 def _profile(pair: Pair, coarse: CoarseSearch) -> F64:

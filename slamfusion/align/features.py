@@ -158,7 +158,6 @@ class GridFeatures:
             memory: releases them where many maps hold too many; None: they are kept.
         """
         self.given, self.grid = grid, _without_rims(grid)
-        self.fades = self.grid is not grid
         self.device, self._memory = device, memory
         self._levels: dict[int, Level] = {}
         self._fields: dict[tuple[int, str], DeviceArray[Any]] = {}

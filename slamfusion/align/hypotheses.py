@@ -1,301 +1,386 @@
-"""What else may explain a pair: other motions, shifts along walls, a mirror image, another scale.
+"""Hold an answer against what else may explain two maps, in three readings of the maps.
 
-An answer is weighed in one of two ways. Of two good maps of one place it leaves little unexplained,
-and so must its rivals: then what is left unexplained counts against each (see ``scores``), and
-walls that were seen from different sides are not one (see ``features``). Of maps of which one is
-bent any answer leaves much, and only what is explained counts.
+See ``decide`` for what the readings and hypotheses are, and for what is made of the numbers.
 
 A search keeps peaks that lie apart; what slides along a wall, a corridor or a row of desks is one
-long ridge and leaves no second peak. So the shifts around an answer are looked at on their own, and
-the best of them are rivals. A mirrored map of a place with many right angles fits the right one at
-a third of its walls; its mirror image fits better still. A wrong resolution shows as a scale that
-fits better.
+long ridge and leaves no second peak. So the shifts around an answer of two good maps are hypotheses
+of their own. Of maps of which one is bent any answer leaves much unexplained, and only what is
+explained counts. A mirrored map of a place with many right angles fits the right one at a third of
+its walls; its mirror image fits better still. A wrong resolution shows as a scale that fits better.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.align.common_walls import common_middle
-from slamfusion.align.decide import EXPECTED_WRONG_MAX, SHARE_MIN, expected_wrong
-from slamfusion.align.pair import Pair, displacement, distinct, watched
-from slamfusion.align.refine import narrow_fits
-from slamfusion.align.scores import GOOD_DOUBT, WallPieces, score_motions, wall_pieces
+from slamfusion.align.cancel import check_cancelled
+from slamfusion.align.decide import (
+    EXPECTED_WRONG_MAX,
+    GOOD_MOST,
+    MOST,
+    OBSERVED_M,
+    ODDS_ONE,
+    SAME_TIME_SHARE,
+    START_WRONG,
+    STOREYS_SHARE,
+    TRIALS,
+    Hypothesis,
+    Reading,
+    expected_wrong,
+    odds,
+)
+from slamfusion.align.features import GridFeatures, spread_sample
+from slamfusion.align.likelihood import likeness
+from slamfusion.align.pair import Pair, displacement, invert, to_lattice, watched
+from slamfusion.align.refine import common_walls, narrow_fits
+from slamfusion.align.scores import (
+    GOOD_DOUBT,
+    SCORED_POINTS,
+    WallPieces,
+    pieces_for,
+    score_motions,
+    wall_pieces,
+)
 from slamfusion.align.search import SearchResult, search
 from slamfusion.align.shifts import SearchWindow
+from slamfusion.compute.lattice import fixed_cells, fixed_poses
 from slamfusion.config import AlignConfig
 
 F64 = npt.NDArray[np.float64]
 
+# Points of walls by which shifts and scales are compared, and how many shifts are kept.
+POINTS, SHIFTS_KEPT = 1024, 12
+# Poses are others where they are so many widths of a wall apart, or so far turned; shifts of an
+# answer are looked at up to so many widths away.
+APART_WIDTHS, APART_RAD, FARTHEST_WIDTHS = 4.0, math.radians(10.0), 12.0
+# Directions in which an answer is slid; what pieces say less than this of, as a share of the square
+# of a typical one, is rounding.
+SLIDES, SLIDE_NOISE = 16, 0.1
+# What is another place for a robot on its way: cells.
 DISTINCT_CELLS = 20.0
-DISTINCT_YAW_RAD = math.radians(10.0)
-# A bent map fits its place in several ways a metre or two apart; they are one answer.
-BENT_CELLS = 60.0
-# Less of what the common ground could give than this, and one of the maps is bent: a wider width of
-# a wall may tell more, and the fit is spread over the whole map.
-PLAIN_SHARE = 0.75
-# Less than this, and its fits a metre or two apart are one answer.
-BENT_SHARE = 0.5
-# Answers that explain so much may be those of two good maps, and are fitted narrowly: as many, the
-# best. Of right halves that were refused before the wide fit of the search gave 0.75 to 0.8.
-NARROWED_SHARE, NARROWED = 0.6, 8
-# Of the answers that give this much of the most evidence the one with the highest share may be
-# right.
-NOTED_RATIO = 0.7
-# Both maps' pieces of a metre of wall: no metre of common wall has more witnesses, though it lie in
-# the corners of several pieces.
-WITNESSES_A_METRE = 2.0
-# Pieces that speak for an answer whose rivals on the backs of walls were left out, however well it
-# fits: of 90 right halves that share a tenth one 0.85 m off had 3.4.
-SIDED_MIN = 3.5
-# A wide width speaks only where the narrow one says the same by so many pieces.
-NARROW_MIN = 2.0
-# How far the farthest is, in distances of the nearest.
-SLIDE_REACH = 2.5
-# Wall points of each map that judge them, and how many are kept.
-SLIDE_POINTS = 512
-SLIDES_KEPT = 3
+# Answers that are fitted narrowly, since they may be those of two good maps: the best by each of
+# two readings, and of both together, which explain this share of the common walls.
+NARROWED, NARROWED_MOST, NARROWED_SHARE = 5, 8, 0.6
+# Shares of the walls of one map that the other shows again, which are tried.
+HIT_SHARES = np.linspace(0.01, 0.99, 50)
 # An answer that is so much of what the common ground could give needs no look at a mirror image.
 SURE_SHARE = 0.9
-# Scales that are tried, coarse and then around the best.
-COARSE_SCALES = np.linspace(-0.12, 0.12, 25)
-FINE_SCALES = np.linspace(-0.0075, 0.0075, 7)
-# Shifts that go with them, in widths of a wall.
-SCALE_SHIFTS = np.array([(x, y, 0.0) for y in (-1.0, 0.0, 1.0) for x in (-1.0, 0.0, 1.0)])
-# ... of an answer that is bent: a part of it fits, and is not the part about which the scale turns.
-FAR_SCALE_SHIFTS = np.array([(float(x), float(y), 0.0) for y in range(-4, 5) for x in range(-4, 5)])
-SCALE_POINTS = 1024
-# So many pieces of wall must say that the other scale is better, as an answer needs.
-BETTER_MIN = 6.0
+# Scales that are tried, coarse and then around the best, with shifts in widths of a wall and turns:
+# a pose that fits a part of a map of another scale is not the one that fits all of it.
+COARSE_SCALES, FINE_SCALES = np.linspace(-0.12, 0.12, 25), np.linspace(-0.0075, 0.0075, 7)
+SCALE_REACH: dict[Reading, int] = {"good": 1, "changed": 4, "bent": 4}
+SCALE_TURNS = np.radians(np.linspace(-3.0, 3.0, 13))
+# Pieces that say that another scale is better.
+SCALE_PIECES = 1.5
+
+
+class How(NamedTuple):
+    """How a reading weighs pieces of wall.
+
+    Attributes:
+        widths: of a wall, in narrow ones (``Pair.widths``).
+        sided: see ``wall_pieces``.
+        doubt: see ``WallPieces``.
+        slide: how far the answer is slid, in widths of this wall: good maps hold it by each wall
+            that runs another way, of others the whole place has to.
+    """
+
+    widths: float
+    sided: bool
+    doubt: float
+    slide: float
+
+
+READINGS: dict[Reading, How] = {
+    "good": How(1.0, True, GOOD_DOUBT, 3.0),
+    "changed": How(1.0, False, 0.0, 9.0),
+    "bent": How(2.0, False, 0.0, 9.0),
+}
+
+
+def weigh(pair: Pair, motions: F64, reading: Reading) -> WallPieces:
+    """Return what the pieces of wall say of motions (P, 3) in a reading."""
+    how = READINGS[reading]
+    pieces = wall_pieces(pair, motions, how.widths * pair.widths[0], sided=how.sided)
+    return replace(pieces, doubt=how.doubt)
 
 
 @dataclass(frozen=True, eq=False)
-class PairScores:
-    """How an answer stands against its rivals, by one width of a wall.
+class Answer:
+    """The best pose in one reading of the maps, and how it stands against each hypothesis.
 
     Attributes:
-        sigma: the width, cells.
-        motions: (P, 3) the answer, then its rivals.
-        others: which of them are other answers, best first.
-        pieces: what the pieces of wall say of them.
-        inside: those of the others that lie in the window.
+        reading: of the maps.
+        motion: (3,) the pose.
+        others: (K, 3) other poses, best first.
+        against: pieces of wall that say that it is better than each hypothesis.
+        total: evidence, less what contradicts.
+        ratio: that of the best other pose over its own.
+        share, common_m: see ``MatchEvidence``.
+        hit: share of walls that lie beside each other by the broad width; 0 where another width is
+            likelier.
+        trials: pairs in the job times the prior: of any pose, and of one away from the start.
     """
 
-    sigma: float
-    motions: F64
-    others: list[int]
-    pieces: WallPieces
-    inside: list[int]
+    reading: Reading
+    motion: F64
+    others: F64
+    against: dict[Hypothesis, float]
+    total: float
+    ratio: float
+    share: float
+    common_m: float
+    trials: tuple[float, float]
+    hit: float = 0.0
 
     @property
-    def is_plain(self) -> bool:
-        """Whether it is weighed as that of two good maps of one place."""
-        return self.pieces.doubt > 0.0
+    def weight(self) -> float:
+        """What a piece counts; 0 where the maps cannot be read so."""
+        if self.reading == "bent":
+            return self.hit
+        is_good = self.reading == "good"
+        if self.share < (SAME_TIME_SHARE if is_good else MOST):
+            return 0.0
+        return min(odds(self.share) / ODDS_ONE, GOOD_MOST if is_good else 1.0)
+
+    def score(self, hypothesis: Hypothesis) -> float:
+        """Return what speaks for it against a hypothesis, see ``decide``."""
+        # What stays unexplained says nothing of a slide: what matters is whether walls hold it. And
+        # what is better than the answer is so however the answer is weighed.
+        pieces, weight = self.against[hypothesis], self.weight
+        if hypothesis == "a shift of itself" or pieces < 0.0:
+            weight = max(weight, 1.0)
+        return min(pieces * weight, self.total / OBSERVED_M)
+
+    def expected(self, hypothesis: Hypothesis) -> float:
+        """Return how often a hypothesis is to be expected to be right though this looks so good."""
+        near, away = self.trials
+        trials = {
+            "another pose": TRIALS * near,
+            "no relation": TRIALS * max(near, away),
+            "a shift of itself": near,
+            "a pose away from the start": away,
+        }
+        return expected_wrong(self.score(hypothesis), trials[hypothesis])
 
     @property
-    def better_inside(self) -> float:
-        """The same of the others in the window alone."""
-        return self._better_than(self.inside)
-
-    @cached_property
-    def better(self) -> float:
-        """Pieces that say that the answer is better than any other, and than none."""
-        return self._better_than(self.others)
-
-    def wrong(self, pairs: int = 1, prior: float = 1.0) -> float:
-        """Return the wrong answers to be expected to look as good; see ``expected_wrong``."""
-        return expected_wrong(self.better, self.share, pairs, prior, is_plain=self.is_plain)
-
-    def _better_than(self, others: list[int]) -> float:
-        """Return the pieces for the answer against the best of some others, or against none."""
-        pieces = self.pieces
-        found = [pieces.witnesses(0), *(pieces.against(k) for k in others)]
-        if self.is_plain:
-            found.append(WITNESSES_A_METRE * float(pieces.seen_m[0]))
-        return min(found)
+    def nearest(self) -> Hypothesis:
+        """The hypothesis that comes nearest to it."""
+        return max(self.against, key=self.expected)
 
     @property
-    def clean_share(self) -> float:
-        """The highest share of another answer that gives at least 0.7 as much."""
-        total, share = self.pieces.total, self.pieces.share()
-        noted = [float(share[k]) for k in self.others if total[k] >= NOTED_RATIO * total[0]]
-        return max(noted, default=0.0)
+    def wrong(self) -> float:
+        """Wrong answers to be expected to look as good, see ``expected_wrong``."""
+        return self.expected(self.nearest)
 
     @property
-    def share(self) -> float:
-        """Evidence as a share of what the common ground could give."""
-        return float(self.pieces.share()[0])
+    def is_related(self) -> bool:
+        """Whether the maps can be read so, and are not laid on each other by chance."""
+        return self.weight > 0.0 and self.expected("no relation") < EXPECTED_WRONG_MAX
+
+    @property
+    def is_believed(self) -> bool:
+        """Whether it beats every hypothesis."""
+        return self.weight > 0.0 and self.wrong < EXPECTED_WRONG_MAX
 
 
-def scored_answer(pair: Pair, found: SearchResult, pairs: int) -> PairScores:
-    """Return the answer and its rivals, weighed as two good maps, or as maps that are bent."""
-    narrow, broad = pair.widths
-    good = _believed_by_sides(pair, found, pairs)
-    if good is not None:
-        return good
-    pieces = wall_pieces(pair, found.motions, narrow)
-    stand = _standing(found, narrow, pieces)
-    if found.coarse is None:
-        return stand
-    # Maps that draw one wall thick and thin have no sides to tell, and may be good ones yet.
-    plain = _plain_standing(pair, found, pieces, pairs, sided=False)
-    if _is_believed(plain, found, pairs):
-        return plain
-    if plain.share >= PLAIN_SHARE and _gives_as_much(plain, stand):
-        if is_distinct(plain.motions[0], stand.motions[0]):
-            return plain
-        return min(plain, stand, key=PairScores.wrong)
-    pieces = wall_pieces(pair, found.motions, broad)
-    wide = _standing(found, broad, pieces)
-    is_same = not is_distinct(stand.motions[0], wide.motions[0], BENT_CELLS)
-    if not is_same or stand.better < NARROW_MIN or stand.share < SHARE_MIN:
-        return stand
-    return min(stand, wide, key=PairScores.wrong)
+@dataclass(frozen=True, eq=False)
+class Chances:
+    """How many wrong answers there are before any wall has spoken, see ``decide``.
 
-
-def _believed_by_sides(pair: Pair, found: SearchResult, pairs: int) -> PairScores | None:
-    """Return the answer weighed as that of two good maps, by the sides of their walls; None: none.
-
-    As it was found, or where that is not believed, as it and its rivals are fitted narrowly: of
-    maps that are bent a narrow fit locks one part and leaves the rest.
+    Attributes:
+        trials: pairs in the job, more where there is more ground.
+        start: (3,) where the answer is expected; None: nowhere, or within a window.
+        prior: how much fewer poses there are near the start, or in the window, than of all.
     """
-    if found.coarse is None:
-        return None
-    plain = _sided_standing(pair, found, pairs)
-    if plain.better >= SIDED_MIN and _is_believed(plain, found, pairs):
-        return plain
-    # Without a window any of them may be the answer; slides stand behind these.
-    rows = range(len(found.motions)) if found.candidates is None else (0, *plain.inside)
-    fitted = _narrow_rows(pair, plain, rows)
-    if not len(fitted):
-        return None
-    limit = None if found.candidates is None else found.candidates + len(fitted)
-    motions = np.concatenate((fitted, found.motions))
-    found = replace(found, motions=motions, candidates=limit)
-    plain = _sided_standing(pair, found, pairs)
-    is_believed = plain.better >= SIDED_MIN and _is_believed(plain, found, pairs)
-    return plain if is_believed else None
+
+    trials: float
+    start: F64 | None = None
+    prior: float = 1.0
 
 
-def _sided_standing(pair: Pair, found: SearchResult, pairs: int) -> PairScores:
-    narrow = pair.widths[0]
-    pieces = wall_pieces(pair, found.motions, narrow, sided=True)
-    return _plain_standing(pair, found, pieces, pairs, sided=True)
-
-
-def _narrow_rows(pair: Pair, plain: PairScores, rows: Iterable[int]) -> F64:
-    """Return narrow fits (K, 3) of those of some rows that may be the answer of two good maps."""
-    share = plain.pieces.share()
-    good = [k for k in rows if share[k] >= NARROWED_SHARE][:NARROWED]
-    return narrow_fits(pair, plain.motions[good])
-
-
-def _plain_standing(
-    pair: Pair, found: SearchResult, pieces: WallPieces, pairs: int, *, sided: bool
-) -> PairScores:
-    """Return the answer weighed as that of two good maps; its slides too where it is believed.
+def best_answer(pair: Pair, found: SearchResult, chances: Chances) -> Answer:
+    """Return the answer in the reading that speaks most for it.
 
     Args:
-        pieces: of all motions, by the narrow width.
-        sided: whether these are, see ``wall_pieces``.
+        pair: the two maps.
+        found: at least one motion.
+        chances: of wrong answers.
     """
-    narrow = pair.widths[0]
-    plain = _standing(found, narrow, replace(pieces, doubt=GOOD_DOUBT))
-    if not _is_believed(plain, found, pairs):
-        return plain
-    return _with_slides(pair, plain, sided=sided)
+    motions = found.motions
+    plain = weigh(pair, motions, "changed")
+    if found.coarse is None:
+        return _answer(motions, "changed", plain, None, pair.widths[0], chances)
+    sided = weigh(pair, motions, "good")
+    best = [np.argsort(-by.total, kind="stable")[:NARROWED] for by in (sided, plain)]
+    share = np.maximum(sided.share(), plain.share())
+    # The best of all is always one of them.
+    share[best[1][0]] = 1.0
+    rows = np.array(
+        [k for k in dict.fromkeys(np.concatenate(best).tolist()) if share[k] >= NARROWED_SHARE]
+    )[:NARROWED_MOST]
+    fits = narrow_fits(pair, motions[rows])
+    motions = np.concatenate((motions, fits))
+    inside = None
+    if found.candidates is not None:
+        inside = np.concatenate((np.arange(len(found.motions)), rows)) < found.candidates
+    rest = inside, pair.widths[0], chances
+    good = _answer(motions, "good", sided.joined(weigh(pair, fits, "good")), *rest)
+    if good.is_believed:
+        good = _with_shifts(pair, good)
+        if good.is_believed:
+            return good
+    changed = _answer(motions, "changed", plain.joined(weigh(pair, fits, "changed")), *rest)
+    bent = _answer(motions, "bent", weigh(pair, motions, "bent"), *rest)
+    bent = replace(bent, hit=hit_share(pair, bent.motion))
+    changed, bent = (
+        _with_shifts(pair, answer) if answer.is_believed else answer for answer in (changed, bent)
+    )
+    readings = [answer for answer in (good, changed, bent) if answer.is_related]
+    return min(readings, key=lambda answer: answer.wrong, default=changed)
 
 
-def _is_believed(plain: PairScores, found: SearchResult, pairs: int) -> bool:
-    """Whether an answer that is weighed as that of two good maps is one."""
-    return plain.share >= PLAIN_SHARE and plain.wrong(pairs, found.prior) < EXPECTED_WRONG_MAX
-
-
-def _standing(found: SearchResult, sigma: float, pieces: WallPieces) -> PairScores:
-    """Return the best candidate by what the pieces say of all, and its rivals, best first.
+def _answer(
+    motions: F64,
+    reading: Reading,
+    pieces: WallPieces,
+    inside: npt.NDArray[np.bool_] | None,
+    narrow: float,
+    chances: Chances,
+) -> Answer:
+    """Return the best of the motions in the window, against all others.
 
     Args:
-        found: the motions.
-        sigma: the width of a wall by which the pieces were weighed, cells.
+        motions: (P, 3).
+        reading: of the maps.
         pieces: of all motions.
+        inside: (P,) which of them lie in the window; None: there is none.
+        narrow: width of a wall, cells.
+        chances: see ``best_answer``.
     """
     total = pieces.total
-    best = int(np.argmax(total[: found.candidates]))
+    best = int(np.argmax(total if inside is None else np.where(inside, total, -np.inf)))
+    apart = APART_WIDTHS * READINGS[reading].widths * narrow
     order = np.argsort(-total, kind="stable")
-    order = np.concatenate(([best], order[order != best]))
-    motions, pieces = found.motions[order], pieces.take(order)
-    is_bent = float(pieces.share()[0]) < BENT_SHARE
-    others = _others(motions, BENT_CELLS if is_bent else DISTINCT_CELLS)
-    limit = len(order) if found.candidates is None else found.candidates
-    inside = [k for k in others if order[k] < limit]
-    return PairScores(sigma, motions, others, pieces, inside)
-
-
-def _gives_as_much(plain: PairScores, kind: PairScores) -> bool:
-    """Whether two good maps of one place explain the walls nearly as well as bent ones could.
-
-    Args:
-        plain: the best answer where what it leaves unexplained speaks against it.
-        kind: the best answer where that weighs little.
-    """
-    return float(plain.pieces.evidence[0].sum()) >= NOTED_RATIO * float(kind.pieces.total[0])
-
-
-def _with_slides(pair: Pair, stand: PairScores, *, sided: bool) -> PairScores:
-    """Return the same with the best shifts of the answer among its rivals."""
-    further = slides(pair, stand.motions[0], stand.sigma, DISTINCT_CELLS)
-    pieces = wall_pieces(pair, further, stand.sigma, sided=sided)
-    pieces = stand.pieces.joined(pieces)
-    total = pieces.total
-    new = range(len(stand.motions), len(stand.motions) + len(further))
-    others = sorted([*stand.others, *new], key=lambda k: -total[k])
-    motions = np.concatenate((stand.motions, further))
-    return replace(stand, motions=motions, pieces=pieces, others=others)
-
-
-def _others(motions: F64, cells: float) -> list[int]:
-    """Return the motions that are another answer than the first: farther, or turned."""
-    return [k for k in range(1, len(motions)) if is_distinct(motions[k], motions[0], cells)]
+    others = [int(k) for k in order if is_distinct(motions[k], motions[best], apart)]
+    if inside is None and chances.start is not None:
+        inside = np.array([not is_distinct(motion, chances.start) for motion in motions])
+    is_near = inside is not None and bool(inside[best])
+    own = pieces.weighed[best]
+    against: dict[Hypothesis, float] = {"no relation": float(pieces_for(own))}
+    ratios = np.clip(total[others] / max(float(total[best]), 1e-9), 0.0, 1.0)
+    leads = pieces_for(own - pieces.weighed[others])
+    leads *= np.where(leads > 0.0, np.minimum((1.0 - ratios) / MOST, 1.0), 1.0)
+    better = dict(zip(others, leads.tolist(), strict=True))
+    away = {k for k in others if is_near and inside is not None and not inside[k]}
+    if away:
+        against["a pose away from the start"] = min(better[k] for k in away)
+    if set(others) - away:
+        against["another pose"] = min(better[k] for k in others if k not in away)
+    return Answer(
+        reading,
+        motions[best],
+        motions[others],
+        against,
+        float(total[best]),
+        float(ratios.max(initial=0.0)),
+        float(pieces.share()[best]),
+        float(pieces.seen_m[best]),
+        (chances.trials * (chances.prior if is_near else 1.0), chances.trials * START_WRONG),
+    )
 
 
 def is_distinct(a: F64, b: F64, cells: float = DISTINCT_CELLS) -> bool:
     """Whether two motions are different answers rather than the same one found twice."""
     shift, turn = displacement(a, b)
-    return shift > cells or turn > DISTINCT_YAW_RAD
+    return shift > cells or turn > APART_RAD
 
 
-def slides(pair: Pair, motion: F64, sigma: float, nearest: float) -> F64:
-    """Return the best shifts of an answer, apart from it and from each other.
+def _with_shifts(pair: Pair, answer: Answer) -> Answer:
+    """Return the same, held against shifts of itself.
+
+    An answer is slid every way. Walls that run one way hold it across them and leave it free along
+    them: there no piece of wall tells it from its slide but at the ends of the common ground, and
+    what a slide leaves unseen says nothing. Of two good maps farther shifts are looked at as they
+    are, by whole widths of a wall: rows of doors or desks.
+    """
+    slid = slides(pair, answer.motion, answer.reading)
+    pieces = weigh(pair, np.concatenate((answer.motion[None], slid)), answer.reading)
+    own, seen = pieces.weighed[0], pieces.most[0]
+    unseen = np.maximum(seen - pieces.most[1:], 0.0) / np.maximum(seen, 1e-9)
+    typical = float((seen * seen).sum() / max(float(seen.sum()), 1e-9))
+    lost = own - pieces.weighed[1:] - unseen * own
+    least = float(pieces_for(lost, SLIDE_NOISE * typical**2).min())
+    if answer.reading == "good":
+        shifted = weigh(pair, shifts(pair, answer.motion), "good").weighed
+        least = min(least, float(pieces_for(own - shifted).min()))
+    return replace(answer, against=answer.against | {"a shift of itself": least})
+
+
+def slides(pair: Pair, motion: F64, reading: Reading) -> F64:
+    """Return (K, 3) a motion, slid every way."""
+    how = READINGS[reading]
+    angles = np.arange(SLIDES) * (2.0 * math.pi / SLIDES)
+    way = np.stack((np.cos(angles), np.sin(angles), np.zeros(SLIDES)), axis=1)
+    return np.asarray(motion + how.slide * how.widths * pair.widths[0] * way)
+
+
+def shifts(pair: Pair, motion: F64) -> F64:
+    """Return (K, 3) the best shifts of a motion by whole widths of a wall that are other poses."""
+    steps = np.arange(-FARTHEST_WIDTHS, FARTHEST_WIDTHS + 1.0)
+    x, y = (axis.ravel() for axis in np.meshgrid(steps, steps))
+    far = np.hypot(x, y)
+    kept = (far >= APART_WIDTHS) & (far <= FARTHEST_WIDTHS)
+    width = pair.widths[0]
+    moved = motion + np.stack((x, y, np.zeros_like(x)), axis=1)[kept] * (width, width, 1.0)
+    scores = score_motions(pair, moved, 1, sigma=width, points=POINTS, doubt=GOOD_DOUBT)
+    return np.asarray(moved[np.argsort(-scores, kind="stable")[:SHIFTS_KEPT]])
+
+
+def hit_share(pair: Pair, motion: F64) -> float:
+    """Return the share of walls that lie beside walls of the other map by the broad width.
+
+    The others lie anywhere on ground that the other map knows. Of three widths of a wall the broad
+    one must make the distances likeliest; 0 where a narrower one does.
 
     Args:
         pair: the two maps.
-        motion: (3,) the answer: where the moving centre lands, cells, and yaw.
-        sigma: width of a wall, cells; shifts are so far apart that no wall is missed.
-        nearest: how far the nearest is, cells.
-
-    Returns:
-        (R, 3) motions, best first.
+        motion: (3,).
     """
-    farthest = SLIDE_REACH * nearest
-    steps = np.arange(-np.floor(farthest / sigma), np.floor(farthest / sigma) + 1.0) * sigma
-    x, y = (axis.ravel() for axis in np.meshgrid(steps, steps))
-    far = np.hypot(x, y)
-    kept = (far > nearest) & (far <= farthest)
-    motions = motion + np.stack((x[kept], y[kept], np.zeros(int(kept.sum()))), axis=1)
-    scores = score_motions(pair, motions, 1, sigma=sigma, points=SLIDE_POINTS)
-    order = np.argsort(-scores, kind="stable")
-    return distinct(motions[order], nearest, 1.0, SLIDES_KEPT)
+    lattice = to_lattice(motion[None], pair.moving.centre)
+    sides = ((pair.moving, pair.reference, lattice), (pair.reference, pair.moving, invert(lattice)))
+    met = [(other, _distances2(own, other, way)) for own, other, way in sides]
+    best = []
+    for widths in (0.5, 1.0, READINGS["bent"].widths):
+        sigma = widths * pair.widths[0]
+        likely = np.zeros(len(HIT_SHARES))
+        for other, counts in met:
+            gain = likeness(sigma)[: len(counts)] / other.chance(1, sigma)
+            likely += np.log(1.0 + HIT_SHARES[:, None] * (gain - 1.0)) @ counts
+        best.append((float(likely.max()), float(HIT_SHARES[likely.argmax()])))
+    return best[-1][1] if max(best)[0] == best[-1][0] else 0.0
+
+
+def _distances2(own: GridFeatures, other: GridFeatures, lattice: F64) -> npt.NDArray[np.int64]:
+    """Return (N,) walls on ground that the other map knows, by squared distance to its walls."""
+    check_cancelled()
+    x, y = spread_sample(own.level(1).points, SCORED_POINTS).astype(np.int64).T
+    rows, cols = fixed_cells(fixed_poses(lattice)[0], x, y)
+    height, width = other.shape
+    inside = (rows >= 0) & (cols >= 0) & (rows < height) & (cols < width)
+    at = rows[inside], cols[inside]
+    distance2 = other.device.download(other.level(1).distance2)
+    return np.bincount(distance2[at][other.grid.cells[at] >= 0], minlength=1)
 
 
 @watched
 def mirror_gain(
-    pair: Pair, motion: F64, config: AlignConfig, sigma: float, *, doubt: float = 0.0
+    pair: Pair, motion: F64, config: AlignConfig, reading: Reading = "changed"
 ) -> float | None:
     """Return the evidence for the best fit of the moving map's image over that for a motion.
 
@@ -303,76 +388,58 @@ def mirror_gain(
         pair: the two maps.
         motion: (3,) of the map as it is: where its centre lands, cells, and yaw.
         config: settings of the search; everywhere, since no start holds for an image.
-        sigma: width of a wall, cells.
-        doubt: how much speaks against both what they leave unexplained, see ``WallPieces``.
+        reading: of the maps.
 
     Returns:
         None where nothing speaks for the motion.
     """
-    pieces = wall_pieces(pair, motion[None], sigma)
-    own = float(replace(pieces, doubt=doubt).total[0])
+    own = float(weigh(pair, motion[None], reading).total[0])
     if own <= 0.0:
         return None
     image = pair.mirrored()
     _, motions, _ = search(image, config, SearchWindow())
     if not len(motions):
         return 0.0
-    pieces = wall_pieces(image, motions, sigma)
-    return max(0.0, float(replace(pieces, doubt=doubt).total.max())) / own
+    return max(0.0, float(weigh(image, motions, reading).total.max())) / own
 
 
-@dataclass(frozen=True)
-class ScaleFit:
-    """The scale at which two maps fit best.
-
-    Attributes:
-        scale: size of the moving map's metre in the reference's; 1.0 unless another is better.
-        share: evidence there as a share of what the common ground could give, by the narrow width.
-    """
-
-    scale: float
-    share: float
-
-
-def estimate_scale(
-    pair: Pair, motion: F64, widths: tuple[float, float], *, is_far: bool = False
-) -> ScaleFit:
-    """Return the scale at which two maps fit best, and how well they do.
+def estimate_scale(pair: Pair, motion: F64, reading: Reading) -> float:
+    """Return the scale at which two maps fit best; 1.0 unless another is better.
 
     Args:
         pair: the two maps.
         motion: (3,) where the moving centre lands, cells, and yaw: right in the common ground.
-        widths: of a wall in cells: the one by which the scale is looked for, and the narrow one.
-        is_far: look farther from the answer, as of one that leaves much unexplained.
+        reading: of the maps.
     """
-    wide, narrow = widths
-    shifts = FAR_SCALE_SHIFTS if is_far else SCALE_SHIFTS
-    middle = common_middle(pair, motion, wide)
+    narrow = pair.widths[0]
+    wide = READINGS[reading].widths * narrow
+    walls = common_walls(pair, motion, wide)
+    if not len(walls):
+        return 1.0
+    middle, reach = walls.mean(axis=0), math.sqrt(float(walls.var(axis=0).sum()))
+    steps = np.arange(-SCALE_REACH[reading], SCALE_REACH[reading] + 1.0)
     scale, at = 1.0, motion
-    for offsets, sigma in ((COARSE_SCALES, wide), (FINE_SCALES, wide), (FINE_SCALES, narrow)):
-        scales = scale + offsets
-        motions = np.concatenate(
-            [_scaled_about(at, middle, s / scale) + shifts * (sigma, sigma, 1.0) for s in scales]
+    for offsets, turns, sigma in (
+        (COARSE_SCALES, np.zeros(1), wide),
+        (FINE_SCALES, SCALE_TURNS, wide),
+        (FINE_SCALES, SCALE_TURNS / 6.0, narrow),
+    ):
+        grid = np.meshgrid(scale + offsets, turns, sigma * steps, sigma * steps, indexing="ij")
+        scales, turn, dy, dx = (axis.ravel() for axis in grid)
+        cos, sin = np.array((np.cos(turn), np.sin(turn))) * (scales / scale)
+        x, y = at[:2] - middle
+        motions = np.stack(
+            (
+                middle[0] + cos * x - sin * y + dx,
+                middle[1] + sin * x + cos * y + dy,
+                at[2] + turn,
+            ),
+            axis=1,
         )
-        each = np.repeat(scales, len(shifts))
-        found = score_motions(
-            pair, motions, 1, sigma=sigma, points=SCALE_POINTS, scales=each)  # fmt: skip
+        found = score_motions(pair, motions, 1, sigma=sigma, points=POINTS, scales=scales)
         best = int(np.argmax(found))
-        scale, at = float(each[best]), motions[best]
-    both = wall_pieces(
-        pair, np.stack((at, motion)), wide, scales=np.array([scale, 1.0]),
-    )  # fmt: skip
-    if not _is_better(both):
-        scale, at = 1.0, motion
-    fit = wall_pieces(pair, at[None], narrow, scales=np.array([scale]))
-    return ScaleFit(scale, float(fit.share()[0]))
-
-
-def _is_better(both: WallPieces) -> bool:
-    return both.better(0, 1) >= BETTER_MIN
-
-
-def _scaled_about(motion: F64, middle: F64, scale: float) -> F64:
-    """Return (1, 3) the motion whose moving map, larger by ``scale``, keeps ``middle`` in place."""
-    moved = middle + scale * (motion[:2] - middle)
-    return np.array([[moved[0], moved[1], motion[2]]])
+        scale, at = float(scales[best]), motions[best]
+    both = wall_pieces(pair, np.stack((at, motion)), narrow, scales=np.array([scale, 1.0]))
+    is_better = both.better(0, 1) >= SCALE_PIECES and both.share()[0] >= STOREYS_SHARE
+    # A scale that moves common walls by less than half their width cannot be told from 1.
+    return scale if is_better and abs(scale - 1.0) * reach >= 0.5 * narrow else 1.0

@@ -9,7 +9,7 @@ from typing import TypedDict
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.align.decide import DecisionKind, Strength, strength_of
+from slamfusion.align.decide import DecisionKind, MatchEvidence, Strength, strength_of
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.vote.tiles import GridLayer
@@ -48,40 +48,6 @@ class RunnerUp:
         object.__setattr__(self, "dx_m", self.transform.x)
         object.__setattr__(self, "dy_m", self.transform.y)
         object.__setattr__(self, "yaw_rad", self.transform.yaw_rad)
-
-
-@dataclass(frozen=True)
-class MatchEvidence:
-    """How much speaks for an alignment, counted in independent pieces of wall."""
-
-    pieces: float
-    """Pieces of wall of equal weight that speak for it."""
-    better: float
-    """Pieces of equal weight that say that it is better than the best answer elsewhere."""
-    share: float
-    """Evidence as a share of what the common ground could give, at most 1."""
-    common_m: float
-    """Wall that lies where the other map has seen something, metres."""
-    rival_ratio: float
-    """The evidence for the best answer elsewhere over that for this one."""
-    expected_wrong: float
-    """Wrong answers of the whole job that would look as good; accepted below 0.01."""
-    mirrored: float | None
-    """The evidence for the mirror image over that for the answer; null: not looked for."""
-    scale: float | None
-    """The moving map's metre in the reference's; null: not estimated."""
-    scaled_share: float | None = None
-    """The share at that scale; null: not estimated."""
-    rival_share: float = 0.0
-    """The highest share of another answer that gives at least 0.7 of its evidence."""
-    held_m: float | None = None
-    """Wall that holds it in the direction in which the least does, metres; null: not asked."""
-    beside_lines_m: float | None = None
-    """Common wall beside the two straight lines with most of it, metres; null: not asked."""
-    good_maps: bool = False
-    """Whether answers are compared as of two good maps: what is unexplained speaks against them."""
-    sharp_maps: bool = False
-    """Whether walls meet so well, or not at all, that neither map can be bent."""
 
 
 class AlignmentJson(TypedDict):

@@ -13,7 +13,6 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.align.cancel import check_cancelled
-from slamfusion.align.common_walls import common_middle, common_walls
 from slamfusion.align.features import spread_sample
 from slamfusion.align.pair import Pair, both_ways, invert, to_lattice, turned_about
 from slamfusion.align.scores import GOOD_DOUBT, score_motions
@@ -271,3 +270,23 @@ def climbed(pair: Pair, motion: F64) -> F64:
 def _by_thin_walls(pair: Pair, motions: F64) -> F64:
     """Return the evidence (P,) of thin walls for motions."""
     return score_motions(pair, motions, 1, sigma=THIN_CELLS, doubt=GOOD_DOUBT)
+
+
+def common_middle(pair: Pair, motion: F64, sigma: float) -> F64:
+    """Return (2,) the mean place of ``common_walls``; where the moving centre lands without any."""
+    walls = common_walls(pair, motion, sigma)
+    return walls.mean(axis=0) if len(walls) else motion[:2]
+
+
+def common_walls(pair: Pair, motion: F64, sigma: float) -> F64:
+    """Return (N, 2) moving walls that lie on walls of the reference, x and y in its cells."""
+    points = pair.moving.level(1).points / 2.0 - np.array(pair.moving.centre)
+    cos, sin = np.cos(motion[2]), np.sin(motion[2])
+    x = cos * points[:, 0] - sin * points[:, 1] + motion[0]
+    y = sin * points[:, 0] + cos * points[:, 1] + motion[1]
+    height, width = pair.reference.shape
+    inside = (x >= 0) & (y >= 0) & (x < width) & (y < height)
+    x, y = x[inside], y[inside]
+    distance2 = pair.device.download(pair.reference.level(1).distance2)
+    near = distance2[y.astype(np.int64), x.astype(np.int64)] <= sigma * sigma
+    return np.column_stack((x[near], y[near]))

@@ -16,7 +16,6 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.align.cancel import check_cancelled
-from slamfusion.align.decide import RIVAL_RATIO
 from slamfusion.align.features import GridFeatures, spread_sample
 from slamfusion.align.likelihood import ScoreTable
 from slamfusion.align.pair import Pair, fixed_similarities, invert, to_lattice
@@ -37,8 +36,6 @@ SCORED_POINTS = 4096
 # holds a small right one back (of 90 halves that share a fifth 60 are believed, with 2 and with 3
 # about 70); the highest counts of 156 wrong answers between recorded maps were 0.9, 1.8 and 3.5.
 GOOD_DOUBT = 2.0
-# A piece fits whole where it gives this share of what it could.
-WHOLE = 0.7
 FIELD_TOP = 255
 
 
@@ -77,16 +74,6 @@ class WallPieces:
         """(P,) what is weighed, of all pieces: nats times metres, the mean of both maps' walls."""
         return np.asarray(self.weighed.sum(axis=1))
 
-    def take(self, order: npt.NDArray[np.intp]) -> WallPieces:
-        """Return the same of some motions, in another order."""
-        return replace(
-            self,
-            evidence=self.evidence[order],
-            most=self.most[order],
-            share_most=self.share_most[order],
-            seen_m=self.seen_m[order],
-        )
-
     def joined(self, other: WallPieces) -> WallPieces:
         """Return the same of further motions, of the same pieces."""
         return replace(
@@ -102,42 +89,27 @@ class WallPieces:
         most = np.maximum(self.share_most.sum(axis=1), 1e-9)
         return np.asarray(self.evidence.sum(axis=1) / most)
 
-    def whole(self, k: int = 0) -> float:
-        """Return the share of what common ground could give motion k in pieces that fit whole.
-
-        Of sharp maps a piece fits or it does not; of maps that are bent most fit in part.
-        """
-        most = self.most[k]
-        fits = self.evidence[k] >= WHOLE * most
-        return float(most[fits].sum() / max(float(most.sum()), 1e-9))
-
     def witnesses(self, k: int = 0) -> float:
         """Return how many pieces of equal weight would say what the pieces say of motion k."""
-        return _witnesses(self.weighed[k])
+        return float(pieces_for(self.weighed[k]))
 
     def better(self, k: int, other: int) -> float:
         """Return how many pieces of equal weight would say that k is better than the other."""
-        weighed = self.weighed
-        return _witnesses(weighed[k] - weighed[other])
-
-    def against(self, rival: int) -> float:
-        """Return how many pieces the first motion has for it against a rival, as a judge counts.
-
-        Where the maps are taken for good ones (``doubt``) and the rival gives more than
-        ``RIVAL_RATIO`` of the evidence, fewer than ``better``; none where both give the same.
-        """
-        better, total = self.better(0, rival), self.total
-        if self.doubt == 0.0 or better <= 0.0 or total[0] <= 0.0:
-            return better
-        lead = 1.0 - max(0.0, float(total[rival] / total[0]))
-        return better * min(1.0, lead / (1.0 - RIVAL_RATIO))
+        return float(pieces_for(self.weighed[k] - self.weighed[other]))
 
 
-def _witnesses(values: F64) -> float:
-    """Return (sum)^2 / sum of squares, with the sign of the sum."""
-    squares = float(np.sum(values * values))
-    total = float(values.sum())
-    return 0.0 if squares == 0.0 else total * abs(total) / squares
+def pieces_for(values: F64, noise: float = 0.0) -> F64:
+    """Return how many pieces of equal weight would say what pieces say, with the sign of their sum.
+
+    Args:
+        values: (..., B) what each piece says.
+        noise: added to the sum of squares, so that little that many say is not much.
+
+    Returns:
+        (...,) (sum)^2 / sum of squares.
+    """
+    squares, total = np.sum(values * values, axis=-1) + noise, values.sum(axis=-1)
+    return np.asarray(total * np.abs(total) / np.where(squares > 0.0, squares, 1.0))
 
 
 def wall_pieces(

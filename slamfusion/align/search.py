@@ -382,7 +382,7 @@ class SearchResult:
         motions: (P, 3) what the search ends with.
         coarse: outcome of the coarse stages; None where there was no search.
         search: ``full``, ``window``, ``fixed step`` or ``tracked``.
-        prior: see ``Evidence.prior``.
+        prior: how much fewer poses there are in the window than of all.
         candidates: how many of the motions, the first, may be the answer; None: all. The others are
             rivals only.
         image_after: kinds of refusals after which the mirror image is searched.

@@ -15,9 +15,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from slamfusion.align.align import track_pair
-from slamfusion.align.decide import CLASH_MAX, EXPECTED_WRONG_MAX, SHARE_MIN, expected_wrong
+from slamfusion.align.decide import CLASH_MAX, EXPECTED_WRONG_MAX, expected_wrong
 from slamfusion.align.features import GridFeatures
-from slamfusion.align.hypotheses import DISTINCT_CELLS, DISTINCT_YAW_RAD, is_distinct
+from slamfusion.align.hypotheses import APART_RAD, DISTINCT_CELLS, is_distinct
 from slamfusion.align.pair import Pair
 from slamfusion.align.records import Alignment
 from slamfusion.align.search import prior_within
@@ -29,6 +29,8 @@ CLOSURE_YAW_RAD = math.radians(3.0)
 PATH_GAP = "path_gap_m"
 # Ground that both maps know, as a share of the smaller one's: on less their walls need not meet.
 MUCH_GROUND = 0.3
+# Share of the common walls that the maps must explain there.
+SHARE_MIN = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +97,7 @@ def largest_group(
                 continue
             if not _stands(members, pairs, implied):
                 continue
-            group = MapGroup(members, _sum_of_scores(inside))
+            group = MapGroup(members, math.fsum(pair.score for pair in inside.values()))
             if best is None or group.score > best.score:
                 best = group
         if best is not None:
@@ -138,11 +140,6 @@ def _stands(
         if over is not None and not implied.look(pair.reference, pair.moving, over).stands:
             return False
     return True
-
-
-def _sum_of_scores(pairs: dict[frozenset[str], Alignment]) -> float:
-    """Return the sum, rounded once: the same in whatever order the pairs come."""
-    return math.fsum(pair.score for pair in pairs.values())
 
 
 def rank_of(group: MapGroup, names: Sequence[str]) -> tuple[int, float, list[int]]:
@@ -236,8 +233,8 @@ class ImpliedPairs:
         evidence = found.evidence
         if evidence is None:
             return Implied(found, bool(little), little or "no walls")
-        prior = prior_within(pair, DISTINCT_CELLS, DISTINCT_YAW_RAD)
-        wrong = expected_wrong(evidence.pieces, evidence.share, self.pairs, prior)
+        prior = prior_within(pair, DISTINCT_CELLS, APART_RAD)
+        wrong = expected_wrong(evidence.pieces * evidence.share, self.pairs * prior)
         fits = found.accepted or (
             evidence.share >= SHARE_MIN
             and wrong < EXPECTED_WRONG_MAX

@@ -24,7 +24,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from slamfusion.align.answer import conclude
-from slamfusion.align.decide import DecisionKind
 from slamfusion.align.features import GridFeatures
 from slamfusion.align.pair import Pair, displacement
 from slamfusion.align.records import Alignment
@@ -211,14 +210,15 @@ class _Search:
         ]
         words = dict.fromkeys(unused, "taken back: loops over other maps put it elsewhere")
         words |= self.words | self.graph.false
-        return [
-            pair
-            if key not in words
-            else replace(
-                pair, accepted=False, reason=words[key], decision=_refused(pair, words[key])
-            )
-            for key, pair in pairs.items()
-        ]
+        told = []
+        for key, pair in pairs.items():
+            why = words.get(key)
+            if why is not None:
+                kind = "different place" if why.startswith("taken back") else pair.decision
+                told.append(replace(pair, accepted=False, reason=why, decision=kind))
+            else:
+                told.append(pair)
+        return told
 
     def _aligned(self, item: Candidate) -> Alignment:
         if item.key not in self.found:
@@ -325,11 +325,6 @@ class _Ground:
         inside = (row >= 0) & (row < height) & (col >= 0) & (col < width)
         known = self.cells[row[inside], col[inside]] >= 0
         return float(np.count_nonzero(known)) / len(moving.points)
-
-
-def _refused(pair: Alignment, words: str) -> DecisionKind:
-    """Return the decision of a pair with a reason of its own."""
-    return "different place" if words.startswith("taken back") else pair.decision
 
 
 # The names of two maps.

@@ -50,11 +50,10 @@ def test_the_image_of_a_mirrored_map_is_the_map(device: ComputeDevice) -> None:
     """What it gains is what the right pair loses by its own image."""
     a, b = features_of(trio()["a"], device), features_of(trio()["b"], device)
     wrong = features_of(mirrored(trio()["b"]), device)
-    sigma = Pair(a, a).widths[0]
     gains = []
     for moving in (b, wrong):
         _, motions, _ = search(Pair(a, moving), CONFIG, SearchWindow())
-        gain = mirror_gain(Pair(a, moving), motions[0], CONFIG, sigma)
+        gain = mirror_gain(Pair(a, moving), motions[0], CONFIG)
         assert gain is not None
         gains.append(gain)
     assert gains[0] < 0.8

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import get_args
+
 import numpy as np
 import pytest
 
 from slamfusion.align.align import align_pair
+from slamfusion.align.decide import Reading
 from slamfusion.align.hypotheses import SURE_SHARE, estimate_scale
 from slamfusion.align.pair import Pair
 from slamfusion.align.records import Alignment
@@ -89,10 +92,24 @@ def test_a_scale_is_estimated_about_the_common_ground(device: ComputeDevice) -> 
     a, b = features_of(truth, device), features_of(moving, device)
     found = align_pair(Pair(a, b), CONFIG)
     motion = Pair(a, b).motion_of(found.transform)
-    sigma = Pair(a, a).widths[0]
-    fit = estimate_scale(Pair(a, b), motion, (sigma, sigma))
-    assert fit.scale == pytest.approx(1.0 / 1.02, abs=0.003)
-    assert fit.share > 0.9
+    for reading in get_args(Reading):
+        scale = estimate_scale(Pair(a, b), motion, reading)
+        assert scale == pytest.approx(1.0 / 1.02, abs=0.003), reading
     # Elsewhere nothing is better at another scale by as much as an answer needs.
     away = motion + np.array([0.0, 0.0, 1.0])
-    assert estimate_scale(Pair(a, b), away, (sigma, sigma)).scale == 1.0
+    assert estimate_scale(Pair(a, b), away, "good") == 1.0
+
+
+@pytest.mark.parametrize("degrees", [0.0, 2.0])
+def test_a_scale_is_found_though_the_answer_is_turned(
+    device: ComputeDevice, degrees: float
+) -> None:
+    """A part of a map of another scale fits best a little turned, and the rest does not fit."""
+    truth = building(2, 40.0, 30.0, 0.1)
+    rows, cols = ((np.arange(round(1.08 * n)) / 1.08).astype(int) for n in truth.cells.shape)
+    moving = OccupancyGrid(truth.cells[np.ix_(rows, cols)], 0.1, name="larger")
+    pair = Pair(features_of(truth, device), features_of(moving, device))
+    motion = np.array([*pair.reference.centre, np.radians(degrees)])
+    for reading in get_args(Reading):
+        scale = estimate_scale(pair, motion, reading)
+        assert scale == pytest.approx(1.0 / 1.08, abs=0.005), reading

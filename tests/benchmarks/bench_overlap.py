@@ -2,7 +2,6 @@
 
     python -m tests.benchmarks.bench_overlap --processes 2 --jsonl out/overlap.jsonl
     python -m tests.benchmarks.bench_overlap --limit 3 --only one-map --only cross-slam
-    python -m tests.benchmarks.bench_overlap --cross-validate out/overlap.jsonl
     python -m tests.benchmarks.bench_overlap --from out/overlap.jsonl
 
 Of pairs with a right answer each cell of the table counts: accepted and right / accepted and wrong
@@ -31,15 +30,7 @@ from rich.progress import track
 from rich.table import Table
 
 from slamfusion.align.align import align_pair
-from slamfusion.align.decide import (
-    EXPECTED_WRONG_MAX,
-    RATE,
-    RIVAL_RATIO,
-    SHARE_FLOOR,
-    TRIALS,
-)
 from slamfusion.align.features import GridFeatures
-from slamfusion.align.hypotheses import WITNESSES_A_METRE
 from slamfusion.align.normalize import common_resolution, normalize_grid
 from slamfusion.align.pair import Pair
 from slamfusion.align.records import AlignmentJson
@@ -47,7 +38,6 @@ from slamfusion.compute import open_device
 from slamfusion.config import FusionConfig
 from slamfusion.grid import OccupancyGrid
 from slamfusion.json_values import plain
-from tests.benchmarks.overlap_folds import load_counted, print_folds
 from tests.benchmarks.record import add_record_option, console_for
 from tests.support.datasets import ABSENT, MAPS
 from tests.support.overlap import (
@@ -79,12 +69,8 @@ SETS: dict[str, Callable[[int], tuple[Draft, ...]]] = {
 KEPT_FEATURES = 24
 BLOCK_MAPS = 10
 OUTCOMES = ("accepted right", "accepted wrong", "found, rejected", "not found")
-# Pieces of wall that have to speak for a pair whose maps may be bent, whatever they leave
-# unexplained; two good maps that fit need fewer.
-PIECES_ENOUGH = math.log(TRIALS / EXPECTED_WRONG_MAX) / (RATE * SHARE_FLOOR)
-# Metres of wall, 10, that have as many though a rival takes off half: one that explains more than
-# half as much may be the place as well.
-WALL_ENOUGH_M = math.ceil(PIECES_ENOUGH / (WITNESSES_A_METRE * (1.0 - RIVAL_RATIO)))
+# Metres of wall in common, counted by cells, with which a pair should be believed.
+WALL_ENOUGH_M = 10
 
 
 @dataclass(frozen=True)
@@ -328,13 +314,6 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--device", default="auto")
     parser.add_argument(
-        "--cross-validate",
-        type=Path,
-        nargs="+",
-        metavar="JSONL",
-        help="align nothing: decide records of half of the places with odds fitted on the other",
-    )
-    parser.add_argument(
         "--from",
         dest="kept",
         type=Path,
@@ -343,9 +322,6 @@ def main() -> None:
     )
     add_record_option(parser)
     arguments = parser.parse_args()
-    if arguments.cross_validate:
-        print_folds(load_counted(arguments.cross_validate), Console(width=160))
-        return
     if arguments.kept:
         if arguments.record:
             parser.error("kept results do not say at which commit they were made: no --record")

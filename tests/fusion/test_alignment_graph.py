@@ -14,7 +14,7 @@ PLACES = {name: Pose2(3.0 * index, 0.5 * index, 0.3 * index) for index, name in 
 def link(a: str, b: str, better: float = 20.0, off: Pose2 | None = None) -> Alignment:
     """Return an alignment of b to a as the places have it, or off by a motion."""
     transform = PLACES[a].inverse().compose(PLACES[b]).compose(off or Pose2())
-    evidence = MatchEvidence(better, better, 0.9, 30.0, 0.1, 1e-6, None, None)
+    evidence = MatchEvidence("good", better, better, "another pose", 1.0, 0.9, 30.0, 0.1, 1e-6)
     return Alignment(a, b, transform, True, "", 0.5, 0.5, 0.0, None, 0.0, evidence=evidence)
 
 

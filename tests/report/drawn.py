@@ -53,14 +53,15 @@ def room(name: str, seed: int, *, height: int = 40, width: int = 60) -> Occupanc
 def explains(share: float) -> MatchEvidence:
     """Evidence of an alignment that explains this share of the common walls."""
     return MatchEvidence(
+        reading="changed",
         pieces=60.0,
         better=50.0,
+        nearest="another pose",
+        weight=1.0,
         share=share,
         common_m=40.0,
         rival_ratio=0.4,
         expected_wrong=0.001,
-        mirrored=None,
-        scale=None,
     )
 
 

@@ -104,7 +104,7 @@ MIRROR_SHARE = 0.9
 # Messages, besides, after which an unchanged map that jumped is looked at once more.
 CONFIRM_MAPS = 2
 # A mirrored map fits nowhere, or two places of it are alike; that it is mirrored has to be told.
-MAY_BE_IMAGE: tuple[DecisionKind, ...] = ("ambiguous", "different place")
+MAY_BE_IMAGE: tuple[DecisionKind, ...] = ("ambiguous", "different place", "bent")
 # Seconds of a first search for which maps of others wait; each that is given up doubles them.
 PATIENCE_S = 1.0
 # A search longer than that which found nothing is followed by a pause this many times as long.
@@ -403,7 +403,7 @@ class Aligner:
         own = self.features(track, cancel)
         maps = Pair(reference, own, cancel)
         motion = maps.motion_of(pair.transform)
-        gain = mirror_gain(maps, motion, self.config.align, maps.widths[0])
+        gain = mirror_gain(maps, motion, self.config.align)
         refused = decide_mirrored(gain)
         if refused is None:
             return fit

@@ -256,7 +256,7 @@ def is_contradicted(reason: str) -> bool:
     """Whether a reason says that walls are not where others have them."""
     words = (
         "walls do not match",
-        "maps do not fit each other",
+        "maybe here",
         "do not show the same place",
         "ambiguous",
         "too little in common",

@@ -1,0 +1,66 @@
+"""Pairs of recorded and simulated maps are decided as they were, by all of the code.
+
+``recorded_pairs.csv`` names pairs of ``tests.support.overlap`` of each kind, and what is decided;
+none of them is near the decision. Of those with a right answer, none that is wrong is believed.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable
+from functools import cache, partial
+from pathlib import Path
+
+import pytest
+
+from slamfusion.compute import ComputeDevice
+from slamfusion.fusion import align_grids
+from tests.fusion.drawings import fusion_config
+from tests.support.overlap import (
+    Draft,
+    cross_slam_pairs,
+    different_places,
+    disjoint_halves,
+    half_pairs,
+    mirrored,
+    scaled,
+    simulated,
+)
+
+pytestmark = [pytest.mark.datasets, pytest.mark.once]
+
+SETS: dict[str, Callable[[int], tuple[Draft, ...]]] = {
+    "one map cut in two": half_pairs,
+    "cross-SLAM": cross_slam_pairs,
+    "simulated": simulated,
+    "different places": different_places,
+    "disjoint halves": disjoint_halves,
+    "mirrored": mirrored,
+    "scaled 1.1": partial(scaled, factor=1.1),
+    "scaled 1.05": partial(scaled, factor=1.05),
+}
+with Path(__file__).with_name("recorded_pairs.csv").open(encoding="utf-8", newline="") as table:
+    PAIRS = list(csv.DictReader(table))
+
+
+@cache
+def drafts(what: str, seed: int) -> dict[str, Draft]:
+    """Return the drafts of a kind by name."""
+    return {draft.name: draft for draft in SETS[what](seed)}
+
+
+@pytest.mark.parametrize("pair", PAIRS, ids=lambda pair: f"{pair['name']} {pair['decision']}")
+def test_recorded_pairs_are_decided_as_they_were(
+    device: ComputeDevice, pair: dict[str, str]
+) -> None:
+    case = drafts(pair["kind"], int(pair["seed"]))[pair["name"]].draw()
+    assert case is not None
+    found = align_grids(case.reference, case.moving, fusion_config(), device)
+    assert found.accepted == (pair["decision"] == "accepted"), found.reason
+    assert not found.accepted or case.is_right(found.transform), found.reason
+
+
+def test_the_record_holds_pairs_of_every_kind_and_decision() -> None:
+    assert {pair["kind"] for pair in PAIRS} == set(SETS)
+    for decision in ("accepted", "refused"):
+        assert sum(pair["decision"] == decision for pair in PAIRS) >= 20
