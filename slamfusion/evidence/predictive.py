@@ -120,16 +120,6 @@ class PathScore:
         price = (self.beams_judged - seen) * np.log(self.model.unknown)
         return float((self.sums.sum() - price) / seen) if seen else float("nan")
 
-    def by_group(self, groups: I64, count: int) -> tuple[F64, I64]:
-        """Return sums and judged hits of groups of scans.
-
-        Args:
-            groups: (N,) int64, the group of each scan, 0 to ``count`` - 1.
-        """
-        sums = np.bincount(groups, self.sums, count).astype(np.float64)
-        beams = np.bincount(groups, self.beams, count).astype(np.int64)
-        return sums, beams
-
 
 @dataclass(frozen=True, eq=False)
 class PathEvidence:
@@ -163,40 +153,23 @@ class PathEvidence:
         best, *others = self.ranking()
         return (best, *(name for name in others if self.compare(best, name).verdict != "better"))
 
-    def over_time(self, name: str, groups: int = CHUNKS) -> tuple[F64, F64, I64]:
-        """Return a path's score over the drive.
-
-        Args:
-            groups: parts of the drive, of equal numbers of scans.
+    def over_time(self, name: str) -> tuple[F64, F64, I64, F64]:
+        """Return a path's score over the chunks of the drive.
 
         Returns:
-            (G,) time of the middle of each part in seconds, (G,) its mean log-likelihood of a hit,
-            NaN where none was judged, and (G,) the hits judged.
+            (CHUNKS,) mean time of each chunk's scans in seconds, its mean log-likelihood of a hit,
+            the hits judged, and the share of these that other chunks have seen too, 0 to 1; NaN
+            where no hit was judged.
         """
-        group = self._parts(groups)
-        sums, beams = self.scores[name].by_group(group, groups)
-        per_group = np.maximum(np.bincount(group, minlength=groups), 1)
-        times_s = np.bincount(group, self.scans.stamps_s, groups) / per_group
-        mean = np.where(beams > 0, sums / np.maximum(beams, 1), np.nan)
-        return times_s, mean, beams
-
-    def seen_over_time(self, name: str, groups: int = CHUNKS) -> F64:
-        """Return of each part of the drive the share of its hits that other parts have seen too.
-
-        Args:
-            groups: parts of the drive, of equal numbers of scans.
-
-        Returns:
-            (G,) 0 to 1; NaN where no hit was judged.
-        """
-        score, group = self.scores[name], self._parts(groups)
-        beams = np.bincount(group, score.beams, groups)
-        seen = np.bincount(group, score.seen, groups)
-        return np.asarray(np.where(beams > 0, seen / np.maximum(beams, 1), np.nan))
-
-    def _parts(self, groups: int) -> I64:
-        """Return the part of the drive that each scan is in, (N,)."""
-        return np.arange(len(self.scans), dtype=np.int64) * groups // len(self.scans)
+        score, chunks = self.scores[name], self.scans.chunks
+        beams = np.bincount(chunks, score.beams, CHUNKS).astype(np.int64)
+        scans = np.maximum(np.bincount(chunks, minlength=CHUNKS), 1)
+        times_s = np.bincount(chunks, self.scans.stamps_s, CHUNKS) / scans
+        mean, seen = (
+            np.where(beams > 0, np.bincount(chunks, part, CHUNKS) / np.maximum(beams, 1), np.nan)
+            for part in (score.sums, score.seen)
+        )
+        return times_s, mean, beams, seen
 
 
 def score_paths(

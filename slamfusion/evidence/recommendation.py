@@ -316,7 +316,7 @@ def _ranked(evidence: PathEvidence, name: str, best: str, from_fused_m: float | 
     score = evidence.scores[name]
     found = None if name == best else evidence.compare(best, name)
     start_s = float(evidence.scans.stamps_s[0])
-    parts = zip(*evidence.over_time(name), evidence.seen_over_time(name), strict=True)
+    parts = zip(*evidence.over_time(name), strict=True)
     return RankedPath(
         name=name,
         consistency=score.consistency,

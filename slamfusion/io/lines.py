@@ -84,13 +84,13 @@ class TextLines:
             raise self._if_cut_off(message)
 
 
-def read_head(path: Path, count: int = _BUFFER_BYTES) -> bytes:
+def read_head(path: Path) -> bytes:
     """Return the first bytes of a file, unpacked where it is gzip; less where it is damaged."""
     with open_regular(path, LogError) as file:
         stream = _unpacked(file.raw)
         head = bytearray()
         try:
-            while len(head) < count and (part := stream.read1(count - len(head))):
+            while (left := _BUFFER_BYTES - len(head)) and (part := stream.read1(left)):
                 head += part
         except _DAMAGE:
             pass

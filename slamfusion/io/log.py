@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Protocol, TypedDict
+from typing import TypedDict
 
 import numpy as np
 import numpy.typing as npt
@@ -86,10 +87,10 @@ class Skips:
         """Things counted."""
         return sum(self.counts.values())
 
-    def sentences(self) -> tuple[str, ...]:
-        """Return one sentence a reason, with its first line numbers."""
+    def sentences(self, what: str = "line") -> tuple[str, ...]:
+        """Return one sentence a reason, with the numbers of the first lines, or scans."""
         return tuple(
-            f"{count} x {reason} (line {', '.join(map(str, self.lines[reason]))}"
+            f"{count} x {reason} ({what} {', '.join(map(str, self.lines[reason]))}"
             f"{', ...' if count > len(self.lines[reason]) else ''})"
             for reason, count in sorted(self.counts.items())
         )
@@ -235,7 +236,7 @@ def deskewed_scans(scans: Iterable[LogScan]) -> Iterator[LogScan]:
     yield from continuity.rest()
 
 
-class ScanLog(Protocol):
+class ScanLog(ABC):
     """A log or bag, read as a stream; each iteration reads from the start.
 
     Attributes:
@@ -248,14 +249,23 @@ class ScanLog(Protocol):
         deskewing: how many scans the last iteration has deskewed so far.
     """
 
-    path: Path
-    skips: Skips
-    warnings: Skips
-    notes: list[str]
-    has_stamps: bool
-    fraction_read: float
-    deskewing: Deskewing
+    def __init__(self, path: str | Path, config: LogConfig) -> None:
+        self.path = Path(path)
+        self.skips, self.warnings = Skips(), Skips()
+        self.notes: list[str] = []
+        self.has_stamps = True
+        self.fraction_read = 0.0
+        self.deskewing = Deskewing()
+        self._config = config
 
+    def _begin(self, track: Track | None = None) -> Continuity:
+        """Start to count for one more iteration; return what its scans pass through."""
+        self.skips, self.warnings, self.fraction_read = Skips(), Skips(), 0.0
+        continuity = Continuity(self.skips, self.warnings, self._config, track)
+        self.deskewing = continuity.deskewer.done
+        return continuity
+
+    @abstractmethod
     def __iter__(self) -> Iterator[LogScan]:
         """Yield the scans; stamps strictly increase.
 

@@ -17,11 +17,10 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.config import LogConfig
-from slamfusion.deskew import Deskewing
 from slamfusion.errors import LogError
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.io.lines import TextLines
-from slamfusion.io.log import FARTHEST_M, Continuity, LogScan, Skips
+from slamfusion.io.log import FARTHEST_M, LogScan, ScanLog, Skips
 from slamfusion.scan import LaserScan
 
 _DEFAULT_CONFIG = LogConfig()
@@ -48,30 +47,19 @@ _COUNT_MAX = 2.0**53
 CUT_OFF_FILE = "the packed file ends early or is damaged; nothing after this was read"
 
 
-class TinySlamDat:
+class TinySlamDat(ScanLog):
     """A tinySLAM recording, plain or gzip; each iteration reads from the start (see ``ScanLog``).
 
     The odometry starts at (0, 0, 0) and follows the wheels along exact arcs. Counters of ticks and
     time that wrap at 16 or 32 bits are unwrapped. ``line`` is the line in the file, from 1.
-
-    Attributes:
-        path, skips, warnings, notes, has_stamps, fraction_read, deskewing: see ``ScanLog``.
 
     Raises:
         LogError: no line of the file is such a scan.
     """
 
     def __init__(self, path: str | Path, config: LogConfig = _DEFAULT_CONFIG) -> None:
-        self.path = Path(path)
-        self.skips = Skips()
-        self.warnings = Skips()
-        self.notes: list[str] = [
-            f"{_HIDDEN} beams at each side are left out: the robot's body hides them"
-        ]
-        self.has_stamps = True
-        self.fraction_read = 0.0
-        self.deskewing = Deskewing()
-        self._config = config
+        super().__init__(path, config)
+        self.notes.append(f"{_HIDDEN} beams at each side are left out: the robot's body hides them")
         self._range_max_m = config.no_return_m or _RANGE_MAX_M
         if next(iter(self), None) is None:
             reasons = "; ".join(self.skips.sentences()) or "the file is empty"
@@ -83,9 +71,7 @@ class TinySlamDat:
         self.skips, self.fraction_read = Skips(), 0.0
 
     def __iter__(self) -> Iterator[LogScan]:
-        self.skips, self.warnings = Skips(), Skips()
-        continuity = Continuity(self.skips, self.warnings, self._config)
-        self.deskewing = continuity.deskewer.done
+        continuity = self._begin()
         lines = TextLines(self.path)
         clock_us = _Unwrapped(_CLOCK_TURNS)
         left, right = _Unwrapped(_TICK_TURNS), _Unwrapped(_TICK_TURNS)

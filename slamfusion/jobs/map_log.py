@@ -26,7 +26,6 @@ from slamfusion.slam.common.runner import (
     ProducerRun,
     Resumable,
     run_producer,
-    skipped_scans,
 )
 from slamfusion.slam.registry import make_producer, open_producer_device, resume_producer
 from slamfusion.trajectory import Trajectory
@@ -164,7 +163,7 @@ class MappedLog:
             sentences.append(
                 f"passed over {run.known_scans} scans of {log} that {self.resumed_from} knows"
             )
-        if run.stopped_by == "limit":
+        if not run.is_complete:
             sentences.append(
                 f"stopped after {len(run.feed_s)} scans, as asked for; the rest of {log} is "
                 "not in the map"
@@ -260,7 +259,7 @@ def _run(
 
 def run_remarks(run: ProducerRun) -> list[tuple[str, str]]:
     """Return what was left out, what is odd, and what the log says, each with its place."""
-    remarks = [(f"left out by {run.name}", item) for item in skipped_scans(run.health)]
+    remarks = [(f"left out by {run.name}", item) for item in run.health.skips.sentences("scan")]
     if run.log is not None:
         remarks += [("left out of the log", item) for item in run.log.skipped.sentences()]
         remarks += [("odd in the log", item) for item in run.log.warnings.sentences()]

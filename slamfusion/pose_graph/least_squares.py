@@ -333,7 +333,6 @@ class NormalEquations:
 def rotations_first(
     equations: NormalEquations,
     poses: npt.NDArray[np.float64],
-    weights: npt.NDArray[np.float64] | None = None,
 ) -> npt.NDArray[np.float64]:
     """Return a start that needs no guess: two linear problems, both solved exactly.
 
@@ -342,14 +341,13 @@ def rotations_first(
 
     Args:
         poses: (N, 3); only the fixed ones count.
-        weights: (M,) by which the information is multiplied; default: 1.
 
     Returns:
         (N, 3) float64, not wrapped.
     """
     turned = np.array(poses, np.float64)
-    turned[equations.free, 2] = _yaws(equations, turned[:, 2], weights)
-    equations.linearise(turned, weights, by_measured_ways=True)
+    turned[equations.free, 2] = _yaws(equations, turned[:, 2])
+    equations.linearise(turned, by_measured_ways=True)
     step, _ = equations.step()
     return turned + step
 
@@ -357,14 +355,11 @@ def rotations_first(
 def _yaws(
     equations: NormalEquations,
     yaws: npt.NDArray[np.float64],
-    weights: npt.NDArray[np.float64] | None,
 ) -> npt.NDArray[np.float64]:
     """Return the yaws of the free poses from those of the fixed ones, (F,)."""
     measured = equations.measurements
     start, end = measured.start, measured.end
     weight = _yaw_information(measured.upper)
-    if weights is not None:
-        weight = weight * weights
     turn = np.exp(1j * measured.motion[2])
     count, free = len(yaws), equations.free
     rows = np.concatenate((start, end, end, start))
@@ -402,7 +397,7 @@ class Descent:
 
     Attributes:
         poses: (N, 3) where it ended.
-        costs: weighted sums of squares, of the start and after each accepted step; never rising.
+        costs: sums of squares, of the start and after each accepted step; never rising.
         iterations: steps solved for, kept or not.
         is_converged: it ended because another step would change next to nothing.
     """
@@ -416,19 +411,17 @@ class Descent:
 def descend(
     equations: NormalEquations,
     poses: Array,
-    weights: Array | None = None,
     *,
     max_iterations: int = 100,
     tolerance: float = 1e-5,
 ) -> Descent:
-    """Descend to the nearest least weighted sum of squared errors.
+    """Descend to the nearest least sum of squared errors.
 
     Args:
         poses: (N, 3), the start.
-        weights: (M,) by which the information is multiplied; default: 1.
         tolerance: stop after a step that promised to lower the sum by less than this share.
     """
-    walk = _Walk(equations, poses, weights)
+    walk = _Walk(equations, poses)
     for iteration in range(1, max_iterations + 1):
         step, promised = walk.next_step()
         cost = walk.cost_at(walk.poses + step)
@@ -457,21 +450,20 @@ class _Walk:
         risen: steps since ``best``, each of them for the worse.
     """
 
-    def __init__(self, equations: NormalEquations, poses: Array, weights: Array | None) -> None:
-        self._equations, self._weights = equations, weights
+    def __init__(self, equations: NormalEquations, poses: Array) -> None:
+        self._equations = equations
         self.best = self.poses = poses
         self.costs = [self.cost_at(poses)]
         self.damping = 0.0
         self.risen, self._patience = 0, PATIENCE
 
     def cost_at(self, poses: Array) -> float:
-        """Return the weighted sum of squares."""
-        squares = self._equations.measurements.squared_errors(poses)
-        return float(squares.sum() if self._weights is None else np.dot(self._weights, squares))
+        """Return the sum of squares."""
+        return float(self._equations.measurements.squared_errors(poses).sum())
 
     def next_step(self) -> tuple[Array, float]:
         """Return the step from here and what it promises; not a number, and infinity, if none."""
-        self._equations.linearise(self.poses, self._weights)
+        self._equations.linearise(self.poses)
         try:
             return self._equations.step(self.damping)
         except RuntimeError:  # singular in this arithmetic; damping mends it

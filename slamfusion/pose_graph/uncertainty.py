@@ -88,16 +88,9 @@ class Uncertainty:
     The factor is made once; each pair then costs three solutions with it.
     """
 
-    def __init__(
-        self, equations: NormalEquations, poses: Array, weights: Array | None = None
-    ) -> None:
-        """Linearise and factorise.
-
-        Args:
-            poses: (N, 3), where the sum of squares is least.
-            weights: (M,) by which the information is multiplied; default: 1.
-        """
-        equations.linearise(poses, weights)
+    def __init__(self, equations: NormalEquations, poses: Array) -> None:
+        """Linearise and factorise at poses (N, 3), where the sum of squares is least."""
+        equations.linearise(poses)
         self._place, self._poses = equations.place, poses
         self._factor = factorise(equations.matrix())
 

@@ -134,7 +134,7 @@ def evidence_picture(
     start_s = float(evidence.scans.stamps_s[0])
     colours = {name: unit_rgb(colour) for name, colour in rgb.items()}
     for name, colour in colours.items():
-        times_s, mean, _ = evidence.over_time(name)
+        times_s, mean, _, _ = evidence.over_time(name)
         axes[0].plot(times_s - start_s, mean, color=colour, lw=1.1, marker="o", ms=2.0)
     label_axes(axes[0], "log-likelihood of a hit")
     if others:

@@ -37,7 +37,7 @@ from slamfusion.experiments.drives import Drive as RecordedDrive
 from slamfusion.geometry import Pose2, compose_poses, invert_poses, wrap_angles
 from slamfusion.io import LogScan, open_log, read_trajectory
 from slamfusion.sim import named_course
-from slamfusion.slam.common.runner import ProducerRun, run_producer, skipped_scans
+from slamfusion.slam.common.runner import ProducerRun, run_producer
 from slamfusion.slam.graph import GraphSlam
 from slamfusion.slam.registry import settings_of, with_settings
 from slamfusion.trajectory import Trajectory
@@ -282,7 +282,7 @@ def _log_row(bench: Bench, item: CorrectedLog, seed: int) -> list[str]:
         _report(bench.maps / item.name, run, corrected, config)
     graph = run.health.to_json()["graph"]
     bench.console.print(f"{item.name}: {graph}", highlight=False, soft_wrap=True)
-    for sentence in (*skipped_scans(run.health), *run.warnings()):
+    for sentence in (*run.health.skips.sentences("scan"), *run.warnings()):
         bench.console.print(f"{item.name}: {sentence}", highlight=False, soft_wrap=True)
 
     def away(path: Trajectory | None, *, farthest: bool = False) -> str:

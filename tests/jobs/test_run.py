@@ -83,7 +83,7 @@ def assert_all_that_is_doubtful_is_told(run: LogRun, saved: SavedRun) -> None:
     ]
     fusion = replace(run.fusion, result=replace(run.usable, inputs=left_out))
     results = {
-        name: replace(result, run=replace(result.run, stopped_by="deadline"))
+        name: replace(result, run=replace(result.run, low_in_a_row=8))
         for name, result in run.results.items()
     }
     less = replace(
@@ -99,7 +99,7 @@ def assert_all_that_is_doubtful_is_told(run: LogRun, saved: SavedRun) -> None:
     found = RunOfLog.of(Path("flat.log"), less, saved, ["flat.yaml: it is odd"])
     assert found.not_measured == less.not_measured
     assert (found.recommendation, found.error) == (run.recommendation, None)
-    (stopped,) = [text for text in found.warnings if "stopped at the deadline" in text]
+    (stopped,) = [text for text in found.warnings if "tracking may be lost" in text]
     assert stopped.startswith("tinyslam, graph: ")
     assert [text for text in found.warnings if text != stopped] == [
         "flat.yaml: it is odd",

@@ -150,7 +150,7 @@ def test_the_report_of_a_run_has_all_parts(tmp_path: Path) -> None:
             own_map(),
             in_room(wrong=0.1),
             odometry=in_room(wrong=0.3),
-            stopped_by="deadline",
+            low_in_a_row=8,
         ),
         config=CONFIG,
         facts=[Fact("1.25 ms", "mean time a scan")],
@@ -161,7 +161,7 @@ def test_the_report_of_a_run_has_all_parts(tmp_path: Path) -> None:
     ).read_text(encoding="utf-8")
     for words in (
         "1.25 ms",
-        "stopped at the deadline",
+        "tracking may be lost",
         "low scores",
         "The path over the map",
         "The path and others",
@@ -175,7 +175,7 @@ def test_the_report_of_a_run_has_all_parts(tmp_path: Path) -> None:
     ):
         assert words in page
     assert "<script>alert" not in page
-    assert page.index("stopped at the deadline") < page.index("ATE rmse") < page.index("1.25 ms")
+    assert page.index("tracking may be lost") < page.index("ATE rmse") < page.index("1.25 ms")
 
 
 def test_the_report_of_a_run_without_truth_has_the_map_and_the_path(tmp_path: Path) -> None:

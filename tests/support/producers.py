@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from slamfusion.deskew import Deskewing
+from slamfusion.config import LogConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
-from slamfusion.io.log import LogScan, Skips
+from slamfusion.io.log import LogScan, ScanLog
 from slamfusion.scan import LaserScan
 from slamfusion.slam.common.mapper import Health, Series, Step
 from slamfusion.trajectory import Trajectory
@@ -107,16 +107,11 @@ class ResumableReckoning(DeadReckoning):
         return made
 
 
-class ListLog:
+class ListLog(ScanLog):
     """A ``ScanLog`` over scans in memory."""
 
     def __init__(self, scans: list[LogScan], path: str = "drive.log") -> None:
-        self.path = Path(path)
-        self.skips, self.warnings = Skips(), Skips()
-        self.notes: list[str] = []
-        self.has_stamps = True
-        self.fraction_read = 0.0
-        self.deskewing = Deskewing()
+        super().__init__(path, LogConfig())
         self._scans = scans
 
     def __iter__(self) -> Iterator[LogScan]:

@@ -13,11 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.config import LogConfig
-from slamfusion.deskew import Deskewing
 from slamfusion.errors import LogError, ScanError
 from slamfusion.io.bags.odometry import OdometrySurvey
 from slamfusion.io.bags.reader import SCAN_TYPES, OpenBag, open_bag, stamp_s
-from slamfusion.io.log import Continuity, LogScan, Skips
+from slamfusion.io.log import LogScan, ScanLog
 from slamfusion.io.transforms import TILT_MAX_RAD, Mount
 from slamfusion.scan import LaserScan
 
@@ -71,7 +70,7 @@ def joined_sweeps(scans: Iterable[tuple[int, LaserScan]]) -> Iterator[tuple[int,
         yield sweep
 
 
-class BagLog:
+class BagLog(ScanLog):
     """The scans of a bag; each iteration reads from the start (see ``ScanLog``).
 
     Time is the scan's header stamp. Odometry comes from a nav_msgs/Odometry topic or, where there
@@ -86,23 +85,13 @@ class BagLog:
         path: a .bag, .db3 or .mcap file, or a ROS 2 bag's folder.
         config: topics, frames, and ``no_return_m`` as an upper limit of the scans' own.
 
-    Attributes:
-        path, skips, warnings, notes, has_stamps, fraction_read, deskewing: see ``ScanLog``.
-
     Raises:
         LogError: not a readable bag, no laser in it, several topics to choose from, a topic or
             frame asked for that is not there, or ``rosbags`` is not installed.
     """
 
     def __init__(self, path: str | Path, config: LogConfig = _DEFAULT_CONFIG) -> None:
-        self.path = Path(path)
-        self.skips = Skips()
-        self.warnings = Skips()
-        self.notes: list[str] = []
-        self.has_stamps = True
-        self.fraction_read = 0.0
-        self.deskewing = Deskewing()
-        self._config = config
+        super().__init__(path, config)
         self._mounts: dict[str, Mount] = {}
         with open_bag(self.path, self.notes) as bag:
             self._scan_topic = bag.choose_topic(SCAN_TYPES, config.scan_topic, "scan_topic")
@@ -126,10 +115,7 @@ class BagLog:
             self.notes.append("the scans have no time stamps; used instead: when each was recorded")
 
     def __iter__(self) -> Iterator[LogScan]:
-        self.skips, self.warnings, self.fraction_read = Skips(), Skips(), 0.0
-        track = None if self._odometry is None else self._odometry.track
-        continuity = Continuity(self.skips, self.warnings, self._config, track)
-        self.deskewing = continuity.deskewer.done
+        continuity = self._begin(None if self._odometry is None else self._odometry.track)
         is_any_used, out_s = False, []
         with open_bag(self.path, self.notes) as bag:
             for number, scan in joined_sweeps(self._scans(bag)):

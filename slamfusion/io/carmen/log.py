@@ -17,7 +17,6 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.config import LogConfig
-from slamfusion.deskew import Deskewing
 from slamfusion.errors import LogError, ScanError
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.grid import IDENTITY
@@ -36,7 +35,7 @@ from slamfusion.io.carmen.messages import (
     read_messages,
 )
 from slamfusion.io.lines import TextLines
-from slamfusion.io.log import AHEAD_S, FARTHEST_M, Continuity, LogScan, Skips
+from slamfusion.io.log import AHEAD_S, FARTHEST_M, LogScan, ScanLog, Skips
 from slamfusion.io.scan_odometry import ScanOdometry
 from slamfusion.io.stamps import StampGate
 from slamfusion.scan import LaserScan
@@ -390,7 +389,7 @@ _ABOVE_LARGEST = 1.001
 _FALLBACK_RANGE_M = 100.0
 
 
-class CarmenLog:
+class CarmenLog(ScanLog):
     """A CARMEN log, plain or gzip; each iteration reads from the start (see ``ScanLog``).
 
     Readings at or above the no-return value become +inf; 0 and negative readings become NaN. The
@@ -402,9 +401,6 @@ class CarmenLog:
         odometry: taken instead of the poses in the log, by the number of the laser line; for a
             log whose own poses are the answer of a SLAM. Default: the log's own.
 
-    Attributes:
-        path, skips, warnings, notes, has_stamps, fraction_read, deskewing: see ``ScanLog``.
-
     Raises:
         LogError: there is no readable laser scan in the file, or the odometry is of another one.
     """
@@ -415,12 +411,7 @@ class CarmenLog:
         config: LogConfig = _DEFAULT_CONFIG,
         odometry: ScanOdometry | None = None,
     ) -> None:
-        self.path = Path(path)
-        self.skips = Skips()
-        self.warnings = Skips()
-        self.fraction_read = 0.0
-        self.deskewing = Deskewing()
-        self._config = config
+        super().__init__(path, config)
         self._odometry = odometry
         self._survey = take_survey(self.path)
         if odometry is not None:
@@ -437,14 +428,7 @@ class CarmenLog:
             self.notes.append(f"odometry is that of {odometry.path}, not the poses in the log")
 
     def __iter__(self) -> Iterator[LogScan]:
-        """Yield the scans; stamps strictly increase.
-
-        Raises:
-            LogError: the odometry was made for other scans.
-        """
-        self.skips, self.warnings = Skips(), Skips()
-        continuity = Continuity(self.skips, self.warnings, self._config)
-        self.deskewing = continuity.deskewer.done
+        continuity = self._begin()
         lines = TextLines(self.path)
         kinds = self._survey.kinds()
         index = 0

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Any, Protocol, runtime_checkable
+from dataclasses import dataclass, field, fields
+from typing import Any, Protocol, cast, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -76,14 +76,15 @@ class Health:
 
     def to_json(self) -> HealthJson:
         """Return the record for a JSON document."""
+        figures = {item.name: getattr(self, item.name) for item in fields(Health)}
+        skipped = figures.pop("skips").to_json()
+        return cast("HealthJson", {**figures, "skipped": skipped})
+
+    def own_figures(self) -> dict[str, Any]:
+        """Return what a kind of producer counts of its own, by name."""
+        common = {item.name for item in fields(Health)}
         return {
-            "scans": self.scans,
-            "scans_used": self.scans_used,
-            "match_score": self.match_score,
-            "mean_match_score": self.mean_match_score,
-            "low_scores": self.low_scores,
-            "n_eff": self.n_eff,
-            "skipped": self.skips.to_json(),
+            item.name: getattr(self, item.name) for item in fields(self) if item.name not in common
         }
 
 

@@ -69,7 +69,7 @@ class ProducerRun:
         low_in_a_row: most matches one after the other whose score was below half of the mean.
         peak_memory_bytes: of map and filter together, host and device.
         process_peak_memory_bytes: of the whole process so far, as the system counts it.
-        stopped_by: ``deadline`` or ``limit``; None where the scans came to their end.
+        is_complete: whether the scans came to their end, before the limit.
         known_scans: of the log, that a resumed producer had been fed before and that were passed
             over; ``scans`` counts all that it was fed in any run.
         series: the producer's own quantities over time, to be plotted.
@@ -90,17 +90,12 @@ class ProducerRun:
     low_in_a_row: int
     peak_memory_bytes: int
     process_peak_memory_bytes: int
-    stopped_by: str | None = None
+    is_complete: bool = True
     known_scans: int = 0
     series: tuple[Series, ...] = ()
     other_paths: tuple[Trajectory, ...] = ()
     closures: tuple[Closure, ...] = ()
     match_scores: npt.NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
-
-    @property
-    def is_complete(self) -> bool:
-        """Whether the scans came to their end."""
-        return self.stopped_by is None
 
     @property
     def scans(self) -> int:
@@ -151,17 +146,11 @@ class ProducerRun:
         if skipped > MANY_SKIPPED_SHARE * health.scans:
             sentences.append(
                 f"tracking may be lost: {skipped} of {health.scans} scans could not be used "
-                f"({'; '.join(skipped_scans(health))}); there its pose is dead reckoning"
+                f"({'; '.join(health.skips.sentences('scan'))}); there its pose is dead reckoning"
             )
         if self.odometry is not None:
             sentences += contradictions(self.odometry, self.trajectory)
-        sentences += health.warnings()
-        if self.stopped_by == "deadline":
-            sentences.append(
-                f"stopped at the deadline after {health.scans} scans: the rest of the log is "
-                "not in the map"
-            )
-        return tuple(sentences)
+        return (*sentences, *health.warnings())
 
     def to_json(self) -> ProducerRunJson:
         """Return the record for a JSON document; times in s and ms, memory in MB of 10^6 bytes."""
@@ -199,7 +188,6 @@ def run_producer(
     *,
     log: ScanLog | None = None,
     progress: Callable[[int], None] | None = None,
-    deadline_s: float | None = None,
     limit: int | None = None,
 ) -> ProducerRun:
     """Feed scans to a producer and return its map, its path and its record.
@@ -207,21 +195,17 @@ def run_producer(
     Args:
         mapper: fresh or resumed; it keeps its map afterwards. What a resumed one was fed before
             is not fed again.
-        deadline_s: seconds after which it stops before the next scan; default: never.
         limit: scans after which it stops, at least 1; default: none.
     """
     source = _Source(scans, mapper.last_stamp_s if isinstance(mapper, Resumable) else None)
     feed_s: list[float] = []
     scores: list[float] = []
     memory = row = longest_row = 0
-    stopped_by = None
+    is_complete = True
     begun_s = time.perf_counter()
     for item in source:
         if limit is not None and len(feed_s) >= limit:
-            stopped_by = "limit"
-        elif deadline_s is not None and feed_s and time.perf_counter() - begun_s >= deadline_s:
-            stopped_by = "deadline"
-        if stopped_by is not None:
+            is_complete = False
             break
         before_s = time.perf_counter()
         step = mapper.feed(item.scan, item.odometry)
@@ -252,7 +236,7 @@ def run_producer(
         low_in_a_row=longest_row,
         peak_memory_bytes=max(memory, mapper.memory_bytes()),
         process_peak_memory_bytes=_process_peak_bytes(),
-        stopped_by=stopped_by,
+        is_complete=is_complete,
         known_scans=source.known_scans,
         series=mapper.series(),
         other_paths=mapper.other_paths(),
@@ -304,16 +288,6 @@ class _Source:
         )
 
 
-def skipped_scans(health: Health) -> tuple[str, ...]:
-    """Return a sentence for each reason for which a producer left scans out, with the first."""
-    skips = health.skips
-    return tuple(
-        f"{count} x {reason} (scan {', '.join(map(str, skips.lines[reason]))}"
-        f"{', ...' if count > len(skips.lines[reason]) else ''})"
-        for reason, count in sorted(skips.counts.items())
-    )
-
-
 def _is_low(step: Step, health: Health) -> bool:
     """Return whether a scan was matched badly, by the record up to it."""
     score, mean = step.match_score, health.mean_match_score
@@ -323,7 +297,7 @@ def _is_low(step: Step, health: Health) -> bool:
 def _nothing_used(mapper: Mapper, record: LogRecord | None, fed: int) -> str:
     """Say why there is no map."""
     where = "" if record is None else f"{record.path}: "
-    reasons = list(skipped_scans(mapper.health)) if fed else []
+    reasons = list(mapper.health.skips.sentences("scan")) if fed else []
     if record is not None:
         reasons += [f"{sentence} in the log" for sentence in record.skipped.sentences()]
     why = f": {'; '.join(reasons)}" if reasons else ""

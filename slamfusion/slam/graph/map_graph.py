@@ -10,6 +10,7 @@ import importlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import cast
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +21,7 @@ from slamfusion.pose_graph import Optimized, PoseGraph, optimize
 from slamfusion.slam.common.mapper import Health, Series
 from slamfusion.slam.common.state import Stateful
 from slamfusion.slam.graph.node_map import Node
-from slamfusion.slam.records import HealthJson
+from slamfusion.slam.records import GraphJson, HealthJson
 from slamfusion.trajectory import Trajectory
 
 F64 = npt.NDArray[np.float64]
@@ -175,37 +176,21 @@ NEW_OUTLIERS, NEW_OUTLIERS_SHARE = 3, 1.0 / 6.0
 CONSTRAINT_BYTES = 112
 
 
+# What JSON calls figures that have another name here.
+PUBLISHED = {
+    "kidnappings": "restarts",
+    "tracking_failures": "breaks",
+    "relocalizations": "refound",
+    "map_components": "parts",
+    "closure_outliers": "closures_doubted",
+}
 # Time without a scan, seconds, from which on the pause is named: the robot may have been moved.
 PAUSE_S = 60.0
 
 
 @dataclass
 class GraphHealth(Health):
-    """How well the graph is doing.
-
-    Attributes:
-        nodes: scans that became nodes.
-        submaps: of which each holds some of them.
-        kidnappings: times that the robot was taken to be kidnapped and a map component of its own
-            began; ``restarts`` in JSON.
-        tracking_failures: times that scans fitted badly for a while, and only odometry tells how
-            what came after lies to what was before, until a closure does; ``breaks`` in JSON.
-        relocalizations: times that a kidnapped robot was found on submaps of before; ``refound``
-            in JSON.
-        map_components: of the map, that nothing but odometry holds together; 1 for a whole one;
-            ``parts`` in JSON.
-        closures_tried: searches of an older submap.
-        closures_accepted: of these, the ones that became an edge.
-        closures_rejected: by reason.
-        closure_outliers: edges outside the inlier set of the last solution; ``closures_doubted``
-            in JSON.
-        largest_correction_m: how far a closure has moved the robot at most.
-        pauses: times that no scan came for more than ``PAUSE_S``.
-        longest_pause_s: the longest of them.
-        chi2: of the graph after the last solution.
-        solutions: how often it was solved.
-        solve_s: duration of the last solution.
-    """
+    """How well the graph is doing; ``GraphJson`` explains the figures, some under other names."""
 
     nodes: int = 0
     submaps: int = 0
@@ -226,27 +211,8 @@ class GraphHealth(Health):
 
     def to_json(self) -> HealthJson:
         """Return the record for a JSON document."""
-        return {
-            **super().to_json(),
-            "graph": {
-                "nodes": self.nodes,
-                "submaps": self.submaps,
-                "restarts": self.kidnappings,
-                "breaks": self.tracking_failures,
-                "refound": self.relocalizations,
-                "parts": self.map_components,
-                "closures_tried": self.closures_tried,
-                "closures_accepted": self.closures_accepted,
-                "closures_rejected": self.closures_rejected,
-                "closures_doubted": self.closure_outliers,
-                "largest_correction_m": self.largest_correction_m,
-                "pauses": self.pauses,
-                "longest_pause_s": self.longest_pause_s,
-                "chi2": self.chi2,
-                "solutions": self.solutions,
-                "solve_s": self.solve_s,
-            },
-        }
+        own = {PUBLISHED.get(name, name): value for name, value in self.own_figures().items()}
+        return {**super().to_json(), "graph": cast("GraphJson", own)}
 
     def warnings(self) -> tuple[str, ...]:
         """Return what speaks against the map; see ``Health.warnings``."""
