@@ -18,7 +18,7 @@ from slamfusion.cli.options import (
     with_config,
     with_starts,
 )
-from slamfusion.cli.output import notice, print_json, print_table
+from slamfusion.cli.output import is_verbose, notice, print_json, print_table
 from slamfusion.cli.paths import MAP
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError
@@ -93,17 +93,13 @@ def _print_alignment(found: Alignment, device: str) -> None:
         ["reason", found.reason],
         ["score", number(found.score)],
         ["overlap", number(found.overlap)],
-        ["error [F16]", number(found.error, 2)],
     ]
-    if found.runner_up is not None:
-        rows.append(
-            [
-                "runner-up ratio",
-                _where(found.runner_up.transform, found.runner_up.ratio),
-            ]
-        )
-    rows.append(["time", f"{number(found.time_s)} s"])
-    title = f"{found.moving} onto {found.reference}, on {device}"
+    if is_verbose():
+        rows.append(["error [F16]", number(found.error, 2)])
+        if found.runner_up is not None:
+            rows.append(["runner-up", _where(found.runner_up.transform, found.runner_up.ratio)])
+        rows += [["time", f"{number(found.time_s)} s"], ["device", device]]
+    title = f"{found.moving} in the frame of {found.reference}"
     print_table((" ", " "), rows, title=title, header=False)
 
 

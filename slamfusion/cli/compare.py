@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -91,11 +90,14 @@ def _print_figures(found: ComparedResults) -> None:
         [
             figure_of(item["figure"]).label,
             *([item["first"], item["second"]] if has_names else []),
-            " and ".join(map(str, dict.fromkeys((item["count_first"], item["count_second"])))),
-            *_numbers(item["mean_first"], item["std_first"]),
-            *_numbers(item["mean_second"], item["std_second"]),
-            *_tests(item),
+            *_numbers(item["mean_first"], item["mean_second"], item["difference"]),
+            p_text(item["p_t"]),
+            *([p_text(item["p_holm"])] if has_names else []),
             item["better"] or NOTHING,
+            _interval(item),
+            p_text(item["p_rank"]),
+            *_numbers(item["std_first"], item["std_second"]),
+            " and ".join(map(str, dict.fromkeys((item["count_first"], item["count_second"])))),
         ]
         for item in found.document["figures"]
     ]
@@ -104,14 +106,16 @@ def _print_figures(found: ComparedResults) -> None:
         paired = ("pairs", "p paired t", "p Wilcoxon")
         tests = paired if True in found.is_paired else ("items", "p Welch", "p Mann-Whitney")
     names = ("first ", "second ") if has_names else ()
-    means = ("mean first", "std first", "mean second", "std second", "difference", "95 %")
-    columns = ("figure ", *names, tests[0], *means, *tests[1:], "better ")
-    title = f"{found.results[0].name} (first) against {found.results[1].name} (second)"
+    means = ("mean first", "mean second", "difference")
+    p_values = (tests[1], *(["p after Holm"] if has_names else []))
+    columns = ("figure ", *names, *means, *p_values, "better ", "95 % interval", tests[2])
+    title = f"{found.results[0].name} (first) and {found.results[1].name} (second)"
     if has_names:
-        title = f"Every two of {len(found.results)} results; p of the t-test after Holm"
+        title = f"Every two of {len(found.results)} results; better: p after Holm below 0.05"
     sentences = found.document["pairings"]
     same = {sentence.partition(": ")[2] for sentence in sentences} if has_names else set()
     title = "; ".join((title, *(same if len(same) == 1 else sentences)))
+    columns = (*columns, "std first", "std second", tests[0])
     print_table(columns, rows, title=title, names=1 + len(names))
 
 
@@ -128,15 +132,17 @@ def _print_series(found: ComparedResults) -> None:
             item["case"],
             *([item["first"], item["second"]] if has_names else []),
             figure_of(item["figure"]).label,
+            *_numbers(item["mean_first"], item["mean_second"], item["difference"]),
+            p_text(item["p_t"]),
+            _interval(item),
+            p_text(item["p_rank"]),
             str(item["count_first"]),
-            *_numbers(item["mean_first"], item["mean_second"]),
-            *_tests(item),
         ]
         for item in series
     ]
     names = ("case ", *(("first ", "second ") if has_names else ()), "errors ")
-    means = ("mean first", "mean second", "difference", "95 %")
-    columns = (*names, "common", *means, "p paired t", "p Wilcoxon")
+    means = ("mean first", "mean second", "difference")
+    columns = (*names, *means, "p paired t", "95 % interval", "p Wilcoxon", "common")
     title = "Errors along the paths; the pairs of the tests are means over spans of neighbours"
     print_table(columns, rows, title=title, names=len(names))
 
@@ -146,9 +152,7 @@ def _numbers(*values: float | None) -> list[str]:
     return [number(value, DIGITS) for value in values]
 
 
-def _tests(item: ComparisonJson) -> Sequence[str]:
-    """Return the difference, its interval and the p-values as cells; a dash where there is none."""
+def _interval(item: ComparisonJson) -> str:
+    """Return the interval of the difference as a cell; a dash where there is none."""
     low, high = _numbers(item["low"], item["high"])
-    interval = NOTHING if low == NOTHING else f"{low} to {high}"
-    p_values = p_text(item["p_t"]), p_text(item["p_rank"])
-    return [*_numbers(item["difference"]), interval, *p_values]
+    return NOTHING if low == NOTHING else f"{low} to {high}"

@@ -22,7 +22,7 @@ from slamfusion.cli.options import (
     report_option,
     with_config,
 )
-from slamfusion.cli.output import notice, print_json, print_table, progress_bar
+from slamfusion.cli.output import is_verbose, notice, print_json, print_table, progress_bar
 from slamfusion.cli.paths import CASE_MAP
 from slamfusion.cli.results import (
     print_items,
@@ -287,9 +287,9 @@ def _compare(request: _Request, config: RunConfig) -> int:
         for item in items
     ]
     print_table(
-        ("map ", "walls that agree %", "bent ", "worst at x m", "y m"),
+        ("map ", "walls that agree [%]", "bent ", "worst at x [m]", "y [m]"),
         rows,
-        notes=[item["reason"] for item in items],
+        notes=["" if item["accepted"] and not is_verbose() else item["reason"] for item in items],
         title=f"Agreement of the maps with each other, in the frame of {result.reference}",
     )
     return 0
@@ -315,7 +315,7 @@ def tell_unaligned(evaluations: Sequence[Evaluation]) -> None:
 
 
 def print_evaluations(evaluations: Sequence[Evaluation]) -> None:
-    """Print the errors of each map, then the figures that reward no thickness."""
+    """Print the errors of each map; ``--verbose`` adds figures that do not reward thick walls."""
     from slamfusion.evaluation import face_figures, shown_figures  # noqa: PLC0415  (loads slowly)
 
     first = evaluations[0]
@@ -323,14 +323,15 @@ def print_evaluations(evaluations: Sequence[Evaluation]) -> None:
         ("map ", "aligned "),
         [(item.name, "yes" if item.aligned else "NO") for item in evaluations],
         list(map(shown_figures, evaluations)),
-        f"Error against {first.truth} (walls within {first.tolerance_m:g} m)",
+        f"Errors against {first.truth} (walls within {first.tolerance_m:g} m)",
     )
-    _print_figures(
-        ("map ",),
-        [(item.name,) for item in evaluations],
-        list(map(face_figures, evaluations)),
-        "Faces of walls (wall cells beside free ones), which reward no thickness",
-    )
+    if is_verbose():
+        _print_figures(
+            ("map ",),
+            [(item.name,) for item in evaluations],
+            list(map(face_figures, evaluations)),
+            "Faces of walls: wall cells next to free cells, so that thick walls gain nothing",
+        )
 
 
 def _print_figures(
@@ -360,11 +361,11 @@ def _print_distances(comparison: DistanceComparison) -> None:
         ]
         for row in comparison.rows
     ]
-    columns = ("distance ", "measured m", "map m", "error m", "error %")
+    columns = ("distance ", "measured [m]", "map [m]", "error [m]", "error [%]")
     print_table(
         columns,
         rows,
         notes=[row.reason for row in comparison.rows],
         title=f"Measured distances in {comparison.name}",
     )
-    print(f"mean absolute error: {number(comparison.mean_absolute_error_m)} m")
+    print(f"mean absolute error: {number(comparison.mean_absolute_error_m)} m\n")

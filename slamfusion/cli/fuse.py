@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from slamfusion.cli.evaluate import print_evaluations, tell_unaligned
-from slamfusion.cli.fused import print_alignments, print_frames, print_pairs, tell_left_out
+from slamfusion.cli.fused import print_fusion, print_pairs, tell_left_out
 from slamfusion.cli.help import Command
 from slamfusion.cli.options import (
     GivenStarts,
@@ -28,7 +28,14 @@ from slamfusion.cli.options import (
     with_config,
     with_starts,
 )
-from slamfusion.cli.output import notice, print_json, print_next_steps, progress_bar
+from slamfusion.cli.output import (
+    is_verbose,
+    map_server_facts,
+    notice,
+    print_facts,
+    print_json,
+    progress_bar,
+)
 from slamfusion.cli.paths import MAP
 from slamfusion.cli.results import table_option
 from slamfusion.config import RunConfig
@@ -185,35 +192,30 @@ def command(
 
 def _print_result(fused: FusedMaps, stem: Path, report_dir: Path | None) -> None:
     """Print the alignments, the evaluation and where everything went."""
-    from slamfusion.jobs.fuse_documents import fusion_sentences  # noqa: PLC0415
-
-    print_alignments(fused.result)
-    for sentence in fusion_sentences(fused.result, fused.doubled):
-        print(sentence)
-    print_frames(fused.result, fused.config.fusion.reference)
+    print_fusion(fused.result, fused.doubled, fused.config.fusion.reference)
+    print()
     for path, own in zip(fused.stores, fused.stems, strict=True):
-        print(f"fused map: {path}" + ("" if own is None else f", {own}.yaml"))
+        print_facts(("fused map", path if own is None else f"{path}, {own}.yaml"))
     if fused.stores:
         return
     if fused.evaluations:
-        print()
         tell_unaligned(fused.evaluations)
         print_evaluations(fused.evaluations)
-    print(f"fused map: {stem}.yaml")
-    print(f"agreement: {stem}{AGREEMENT_END}.yaml")
     others = fused.result.others
     _, *stems = group_stems(stem, 1 + len(others))
-    for number, (other, own) in enumerate(zip(others, stems, strict=True), start=2):
-        names = ", ".join(record.name for record in other.accepted)
-        print(f"group {number}:   {own}.yaml ({names})")
-    if report_dir is not None:
-        print(f"report:    {report_dir / PAGE}")
-    steps = [f"open {report_dir / PAGE} in a browser"] if report_dir is not None else []
     quoted = shlex.quote(f"{stem}.yaml")
-    steps.append(f"slamfusion show {quoted}")
-    if not fused.evaluations:
-        steps.append(f"slamfusion evaluate {quoted} --truth TRUE_MAP.yaml")
-    print_next_steps(Path(f"{stem}.yaml"), steps)
+    print_facts(
+        ("fused map", f"{stem}.yaml"),
+        *[("agreement", f"{stem}{AGREEMENT_END}.yaml")] * is_verbose(),
+        *(
+            (f"group {number}", f"{own}.yaml ({', '.join(item.name for item in other.accepted)})")
+            for number, (other, own) in enumerate(zip(others, stems, strict=True), start=2)
+        ),
+        *([] if report_dir is None else [("report", report_dir / PAGE)]),
+        *map_server_facts(Path(f"{stem}.yaml")),
+        ("next", f"slamfusion show {quoted}"),
+        *[("", f"slamfusion evaluate {quoted} --truth TRUE_MAP.yaml")] * (not fused.evaluations),
+    )
 
 
 def _report_failure(

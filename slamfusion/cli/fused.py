@@ -7,7 +7,7 @@ import shlex
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from slamfusion.cli.output import notice, print_table
+from slamfusion.cli.output import is_verbose, notice, print_table, say
 from slamfusion.jobs.documents import number
 
 if TYPE_CHECKING:
@@ -18,48 +18,53 @@ if TYPE_CHECKING:
         InputRecord,
         StoredFusion,
     )
+    from slamfusion.jobs.records import DoubledWalls
 
 PAIR_COLUMNS = (
     "reference ",
     "input ",
     "accepted ",
-    "dx m",
-    "dy m",
-    "yaw deg",
+    "dx [m]",
+    "dy [m]",
+    "yaw [deg]",
     "score",
     "overlap",
     "runner-up ratio",
 )
 
 
-def print_alignments(result: Fusion) -> None:
-    """Print how each input lies to the reference."""
-    print_table(
-        PAIR_COLUMNS[1:],
-        [_row(record, result.reference) for record in result.inputs],
-        notes=[record.reason for record in result.inputs],
-        title=f"Alignment to {result.reference}, on {result.device}",
-    )
+def print_fusion(
+    result: FusionResult | StoredFusion, doubled: DoubledWalls | None, wanted: str | None
+) -> None:
+    """Print how each input lies to the reference, how many were fused and in whose frame.
 
-
-def print_frames(result: FusionResult | StoredFusion, wanted: str | None) -> None:
-    """Print in whose frame each fused map is, and where its inputs are in it, ready to paste.
+    ``--verbose`` adds why each was accepted, and where the inputs are, ready to paste.
 
     Args:
         result: of the fusion.
+        doubled: its doubled walls; None: not measured.
         wanted: the setting ``fusion.reference``.
     """
-    from slamfusion.jobs.fuse_documents import frame_words  # noqa: PLC0415  (loads slowly)
+    from slamfusion.jobs.fuse_documents import fusion_sentences  # noqa: PLC0415  (loads slowly)
 
-    groups = (result, *result.others)
-    print(f"frame:     {frame_words(result, wanted)}")
-    for place, group in enumerate(groups[1:], start=2):
-        print(f"frame of group {place}: {group.reference}")
-    print("where the inputs are, as starts:")
-    for group in groups:
+    print_table(
+        PAIR_COLUMNS[1:],
+        [_row(record, result.reference) for record in result.inputs],
+        notes=[
+            "" if record.accepted and not is_verbose() else record.reason
+            for record in result.inputs
+        ],
+        title=f"Alignment to {result.reference}" + (f", on {result.device}" * is_verbose()),
+    )
+    fused, added = fusion_sentences(result, doubled, wanted)
+    say(fused)
+    if not is_verbose():
+        return
+    say(added)
+    for group in (result, *result.others):
+        print(f"poses of the inputs in the frame of {group.reference}, as starts:")
         print("   " + "".join(f" {_start_words(pair)}" for pair in _alignments(group)))
-    print("and as transforms:")
-    for group in groups:
+        print("and as transforms:")
         for pair in _alignments(group):
             if pair.moving != pair.reference:
                 print(f"    {_transform_words(pair)}")
@@ -105,7 +110,7 @@ def print_pairs(pairs: Sequence[Alignment], device: str) -> None:
         PAIR_COLUMNS,
         [[pair.reference, *_cells(pair, _accepted(pair))] for pair in pairs],
         notes=[pair.reason for pair in pairs],
-        title=f"Nothing was fused, on {device}",
+        title=f"Nothing was fused (on {device})",
     )
 
 

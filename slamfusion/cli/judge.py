@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +22,15 @@ from slamfusion.cli.options import (
     report_option,
     with_config,
 )
-from slamfusion.cli.output import fitted, notice, print_json, print_table, progress_bar
+from slamfusion.cli.output import (
+    notice,
+    print_facts,
+    print_json,
+    print_table,
+    progress_bar,
+    say,
+    wrapped,
+)
 from slamfusion.cli.paths import CASE_FILE
 from slamfusion.cli.results import (
     print_items,
@@ -200,8 +209,8 @@ def _print(found: JudgedPaths) -> None:
     answer = found.recommendation
     by_truth, by_relations = found.ranking_by_truth(), found.ranking_by_relations()
     columns = _columns(answer)
-    columns += ["ATE m", "rank"] if by_truth else []
-    columns += ["relations m", "rank"] if by_relations else []
+    columns += ["ATE rmse [m]", "rank"] if by_truth else []
+    columns += ["relations mean [m]", "rank"] if by_relations else []
     rows = []
     for path in answer.paths:
         measures = found.measures.get(path.name)
@@ -218,7 +227,7 @@ def _print(found: JudgedPaths) -> None:
         rows.append(row)
     print_table(columns, rows, title=f"Paths of {found.files.log}, the recommended one first")
     if found.files.fused is not None:
-        print(f"fused path: {found.files.fused}")
+        print_facts(("fused path", found.files.fused))
     print_recommendation(answer)
 
 
@@ -232,15 +241,16 @@ def print_reasons(answer: Recommendation) -> None:
 def print_recommendation(answer: Recommendation) -> None:
     """Print what to use and what to check; green, amber or red on a terminal."""
     colour = {"good": "green", "warn": "yellow", "bad": "red"}.get(answer.tone)
-    click.secho(fitted(f"{answer.headline}."), fg=colour, bold=True)
+    click.secho(wrapped(f"{answer.headline}.", sys.stdout), fg=colour, bold=True)
     for subject, text in answer.lines():
-        click.echo(fitted(f"{subject:<13}{text}", indent=13))
+        say(f"{subject:<13}{text}", indent=13)
 
 
 def _columns(answer: Recommendation) -> list[str]:
     """Return the names of the figures of a path."""
-    columns = ["path ", "log-likelihood a hit", "behind", "95 % interval", "apart s", "by m"]
-    return [*columns, "from fused m"] if _has_fused(answer) else columns
+    columns = ["path ", "log-likelihood per hit, mean", "behind the best", "95 % interval"]
+    columns += ["apart from it [s]", "at most [m]"]
+    return [*columns, "from fused, rms [m]"] if _has_fused(answer) else columns
 
 
 def _has_fused(answer: Recommendation) -> bool:

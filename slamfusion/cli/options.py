@@ -344,7 +344,7 @@ def map_resolution_option(function: F) -> F:
 
 
 def common_options(function: F) -> F:
-    """Give a command ``--json`` (as ``as_json``) and ``--debug``, and check its paths."""
+    """Give a command ``--json`` (as ``as_json``), ``-v`` and ``--debug``; check its paths."""
 
     @functools.wraps(function)
     def wrapper(*args: Any, **values: Any) -> Any:
@@ -360,6 +360,18 @@ def common_options(function: F) -> F:
         context.ensure_object(Settings).json = value
         return value
 
+    def remember_verbose(context: click.Context, _: click.Parameter, value: bool) -> None:
+        context.ensure_object(Settings).verbose = value
+
+    verbose = click.option(
+        "-v",
+        "--verbose",
+        is_flag=True,
+        is_eager=True,
+        expose_value=False,
+        callback=remember_verbose,
+        help="Print all columns, reasons and warnings.",
+    )
     debug = click.option(
         "--debug",
         is_flag=True,
@@ -376,7 +388,7 @@ def common_options(function: F) -> F:
         callback=remember_json,
         help="Print one JSON document instead of tables.",
     )
-    return as_json(debug(typing.cast("F", wrapper)))
+    return as_json(verbose(debug(typing.cast("F", wrapper))))
 
 
 class _List(click.ParamType):  # type: ignore[type-arg]  # generic from click 8.3 on

@@ -13,7 +13,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 import click
 
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 LEAST_WIDTH = 40
 # Where nobody watches, a line tells this often how far a long stage is, seconds.
 TOLD_EVERY_S = 10.0
+# A stage with up to this many steps shows their number, too: pairs, maps, logs.
+MOST_COUNTED = 500
 
 
 @dataclass
@@ -33,7 +35,7 @@ class Settings:
     """What the common options of a run say; the error handler reads them.
 
     Attributes:
-        debug, json: as asked.
+        debug, json, verbose: as asked.
         printed: whether the JSON document was.
         tables: where tables that are printed are kept, too; None: nowhere.
         arguments: the whole command line, without the program.
@@ -41,6 +43,7 @@ class Settings:
 
     debug: bool = False
     json: bool = False
+    verbose: bool = False
     printed: bool = False
     tables: list[Table] | None = None
     arguments: tuple[str, ...] = ()
@@ -56,9 +59,52 @@ def print_json(document: Mapping[str, Any]) -> None:
         context.ensure_object(Settings).printed = True
 
 
+def is_verbose() -> bool:
+    """Whether the running command has ``--verbose``."""
+    context = click.get_current_context(silent=True)
+    return context is not None and context.ensure_object(Settings).verbose
+
+
 def notice(text: str) -> None:
-    """Print one line about this run to stderr."""
-    print(f"slamfusion: {one_line(text)}", file=sys.stderr)
+    """Print one sentence about this run to stderr."""
+    print(wrapped(f"slamfusion: {one_line(text)}", sys.stderr), file=sys.stderr)
+
+
+def say(text: str, indent: int = 0) -> None:
+    """Print a sentence to stdout; a terminal breaks it between words, further lines indented."""
+    print(wrapped(text, sys.stdout, indent))
+
+
+def wrapped(text: str, stream: TextIO, indent: int = 0) -> str:
+    """Break a line between words where a terminal ends; paths stay whole, files unchanged."""
+    if not stream.isatty():
+        return text
+    return textwrap.fill(
+        text,
+        _width(),
+        subsequent_indent=" " * indent,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+
+
+def _width() -> int:
+    return max(LEAST_WIDTH, shutil.get_terminal_size().columns)
+
+
+def print_facts(*facts: tuple[str, object]) -> None:
+    """Print a line for each subject: a file, or a command to use next."""
+    for subject, text in facts:
+        print(f"{f'{subject}:' if subject else '':<12}{text}")
+
+
+def map_server_facts(map_file: Path) -> list[tuple[str, object]]:
+    """Return how nav2 and RViz load a map from its YAML file, for ``print_facts``."""
+    where = shlex.quote(f"yaml_filename:={map_file.absolute()}")
+    return [
+        ("nav2, RViz", f"ros2 run nav2_map_server map_server --ros-args -p {where}"),
+        ("", "(then: ros2 run nav2_util lifecycle_bringup map_server)"),
+    ]
 
 
 def print_table(
@@ -77,67 +123,70 @@ def print_table(
     if kept is not None and header:
         kept.append(table)
     if sys.stdout.isatty():
-        text = table.fitted(max(LEAST_WIDTH, shutil.get_terminal_size().columns))
+        text = table.fitted(_width(), is_whole=is_verbose())
     else:
         text = "\n".join(table.tabbed())
     print(f"{text}\n")
 
 
-def fitted(text: str, indent: int = 0) -> str:
-    """Break a line where the terminal ends, further lines indented; unchanged for a file."""
-    if not sys.stdout.isatty():
-        return text
-    width = max(LEAST_WIDTH, shutil.get_terminal_size().columns)
-    return textwrap.fill(text, width, subsequent_indent=" " * indent)
-
-
 @contextlib.contextmanager
 def progress_bar() -> Iterator[Progress]:
-    """Give a callback (stage, done, total): bars on a terminal's stderr, else lines."""
+    """Give a callback (stage, done, total): bars on a terminal's stderr, else lines.
+
+    A bar has the stage, its share, and the time that it has taken and will take. One whose share is
+    not known yet moves.
+    """
     if not sys.stderr.isatty():
         yield _Lines()
         return
     from rich.console import Console  # noqa: PLC0415
+    from rich.progress import (  # noqa: PLC0415
+        BarColumn,
+        TaskID,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
     from rich.progress import Progress as Bar  # noqa: PLC0415
-    from rich.progress import TaskID  # noqa: PLC0415
 
     tasks: dict[str, TaskID] = {}
-    with Bar(console=Console(stderr=True), transient=True) as bar:
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=20),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TimeElapsedColumn(),
+        TextColumn("left:"),
+        TimeRemainingColumn(),
+    )
+    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
 
         def report(stage: str, done: int, total: int) -> None:
             if stage not in tasks:
-                tasks[stage] = bar.add_task(stage, total=total)
-            bar.update(tasks[stage], completed=done, total=total)
+                tasks[stage] = bar.add_task(stage, total=None)
+            count = f": {done} of {total}" if 1 < total <= MOST_COUNTED else ""
+            total_known = total if done else None
+            bar.update(tasks[stage], description=stage + count, completed=done, total=total_known)
 
         yield report
 
 
 class _Lines:
-    """Tells progress in lines on stderr; what is done soon says nothing."""
+    """Prints progress as lines on stderr; short stages print nothing."""
 
     def __init__(self) -> None:
         self._told_s = time.monotonic()
+        self._begun_s: dict[str, float] = {}
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         now_s = time.monotonic()
+        taken_s = now_s - self._begun_s.setdefault(stage, now_s)
         if now_s - self._told_s >= TOLD_EVERY_S:
             self._told_s = now_s
-            notice(f"{stage}: {100 * done // max(total, 1)} %")
-
-
-def print_next_steps(map_file: Path, steps: Sequence[str]) -> None:
-    """Print how nav2 and RViz load a map, and what can be done now.
-
-    Args:
-        map_file: its YAML.
-        steps: each what for and a command or file, e.g. ``look: out/report/report.html``.
-    """
-    where = shlex.quote(f"yaml_filename:={map_file.absolute()}")
-    server = f"ros2 run nav2_map_server map_server --ros-args -p {where}"
-    print(f"nav2, RViz: {server}")
-    print("            (then: ros2 run nav2_util lifecycle_bringup map_server)")
-    for number, step in enumerate(steps):
-        print(f"{'' if number else 'next:':<12}{step}")
+            share = f"{100 * done // max(total, 1)} %, " if done else ""
+            left = (
+                f", about {taken_s * (total - done) / done:.0f} s left" if 0 < done < total else ""
+            )
+            notice(f"{stage}: {share}{taken_s:.0f} s{left}")
 
 
 # --- tables ---------------------------------------------------------------------------------------
@@ -172,7 +221,8 @@ class Table:
     """Rows of cells under heads, each row with a note of any length.
 
     Attributes:
-        columns: heads with their units; a name that ends in a space is of text, aligned left.
+        columns: heads with their units, the most important first; a name that ends in a space is of
+            text, aligned left.
         rows: as many cells each; the first names the row.
         notes: one for each row, e.g. a reason; empty where there is nothing to say.
         title: a line above; empty for none.
@@ -206,11 +256,15 @@ class Table:
             yield "\t".join(self.heads)
         yield from ("\t".join(row) for row in self.cells())
 
-    def fitted(self, width: int) -> str:
+    def fitted(self, width: int, *, is_whole: bool = False) -> str:
         """Return the table in at most ``width`` places, drawn by rich.
 
-        Columns that hold nothing are left out. Heads and text are wrapped; if that is not enough,
-        the table is cut into several, each with the names. Notes are below, with the row's name.
+        Columns that hold nothing are left out; heads and text are wrapped. If that is not enough,
+        the last columns are left out and named. Notes are below, with the row's name.
+
+        Args:
+            width: of the terminal.
+            is_whole: columns that do not fit go to further tables, each with the names.
         """
         from rich.console import Console  # noqa: PLC0415  (a pipe needs none)
 
@@ -218,13 +272,17 @@ class Table:
         console = Console(file=file, width=width, color_system=None, highlight=False)
         if self.title:
             console.print(one_line(self.title), markup=False)
-        for number, part in enumerate(self._parts(cells, width)):
+        parts = self._parts(cells, width)
+        for number, part in enumerate(parts if is_whole else parts[:1]):
             if number:
                 console.print()
-            console.print(self._drawn(cells, part))
+            console.print(self._drawn(cells, part, width))
         for row, note in zip(cells, self.notes, strict=bool(self.notes)):
             if note:
                 console.print(f" {row[0]}: {one_line(note)}", markup=False)
+        left = [self.columns[place] for part in parts[1:] for place, _, _ in part[self.names :]]
+        if left and not is_whole:
+            console.print(f" --verbose also shows: {', '.join(map(str.strip, left))}", markup=False)
         return "\n".join(line.rstrip() for line in file.getvalue().splitlines())
 
     def _parts(self, cells: list[list[str]], width: int) -> list[list[_Column]]:
@@ -239,7 +297,8 @@ class Table:
             words = max(map(cell_len, name.split()), default=1)
             most = max(map(cell_len, own), default=1)
             least = min(most, LEAST_TEXT) if name.endswith(" ") else most
-            columns.append((place, max(words, least, 1), max(words, most, 1)))
+            head = cell_len(name.strip()) if self.has_head else 1
+            columns.append((place, max(words, least, 1), max(head, most, 1)))
         parts = [columns[: self.names]]
         for column in columns[self.names :]:
             taken = sum(least + GAP for _, least, _ in (*parts[-1], column))
@@ -248,8 +307,8 @@ class Table:
             parts[-1] = [*parts[-1], column]
         return parts
 
-    def _drawn(self, cells: list[list[str]], part: list[_Column]) -> RichTable:
-        """Return some columns as a table of rich."""
+    def _drawn(self, cells: list[list[str]], part: list[_Column], width: int) -> RichTable:
+        """Return some columns as a table of rich; heads are in one line where they fit."""
         from rich.box import SIMPLE_HEAD  # noqa: PLC0415  (a pipe needs none)
         from rich.table import Table as RichTable  # noqa: PLC0415
         from rich.text import Text  # noqa: PLC0415
@@ -258,12 +317,14 @@ class Table:
         drawn = RichTable(
             box=SIMPLE_HEAD, show_edge=False, padding=padding, show_header=self.has_head
         )
+        is_wide = sum(most + GAP for _, _, most in part) <= width
         for place, least, most in part:
             name = self.columns[place]
             if name.endswith(" "):
-                drawn.add_column(name.strip(), min_width=least, max_width=most, overflow="fold")
+                head = Text(name.strip())
+                drawn.add_column(head, min_width=least, max_width=most, overflow="fold")
             else:
-                drawn.add_column(name, width=least, justify="right")
+                drawn.add_column(Text(name), width=most if is_wide else least, justify="right")
         for row in cells:
             drawn.add_row(*(Text(row[place]) for place, _, _ in part))
         return drawn

@@ -89,7 +89,8 @@ def print_items(rows: Sequence[Row], what: str, leading: Sequence[str]) -> None:
     means = means_of(by_case, ["method"])
     cases = by_case.groupby(level="method", sort=False).size()
     means.index = [(f"mean of {cases[method]}", "", method) for method in means.index]
-    count = f"{len(figures)} {what}s in {figures.index.unique('case').size} cases"
+    in_cases = figures.index.unique("case").size
+    count = f"{len(figures)} {what}s in {in_cases} case{'s' * (in_cases != 1)}"
     _print_figures([figures, *_repetitions(figures), means[(cases > 1).to_numpy()]], what, count)
     print_by_case(figures, what, leading)
     in_cases = figures.reset_index().groupby("method")["case"].agg(frozenset)
@@ -194,7 +195,7 @@ def table_option(function: F) -> F:
         "table_path",
         files=_files,
         metavar="FILE",
-        help="Also write the tables: .csv (FILE.csv, FILE-2.csv ...), .md or .tex.",
+        help="Also write all tables: .csv (FILE.csv, FILE-2.csv ...), .md or .tex.",
     )
 
     @functools.wraps(function)
@@ -210,7 +211,7 @@ def table_option(function: F) -> F:
         import slamfusion.jobs.results  # noqa: F401, PLC0415  (says what to install)
 
         settings = click.get_current_context().ensure_object(Settings)
-        settings.tables = []
+        settings.tables, settings.verbose = [], True
         try:
             return function(*arguments, **given)
         finally:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from slamfusion.cli.evaluate import print_evaluations, tell_unaligned
-from slamfusion.cli.fused import print_alignments, print_pairs
+from slamfusion.cli.fused import print_fusion, print_pairs
 from slamfusion.cli.help import Command
 from slamfusion.cli.judge import print_reasons, print_recommendation
 from slamfusion.cli.options import (
@@ -31,11 +31,14 @@ from slamfusion.cli.options import (
 )
 from slamfusion.cli.output import (
     Settings,
+    is_verbose,
+    map_server_facts,
     notice,
+    print_facts,
     print_json,
-    print_next_steps,
     print_table,
     progress_bar,
+    say,
 )
 from slamfusion.cli.paths import CASE_FILE, FILE, MAP
 from slamfusion.cli.results import table_option
@@ -57,12 +60,13 @@ from slamfusion.jobs.outputs import (
 )
 
 if TYPE_CHECKING:
-    from slamfusion.jobs.fused_path import DrivePath
     from slamfusion.jobs.run import LogRun
     from slamfusion.jobs.run_files import SavedRun
     from slamfusion.jobs.run_many import RunOfLog
     from slamfusion.jobs.trajectory import Measures
 
+# Columns of the table of SLAMs without --verbose.
+BRIEF = 7
 # Suffixes of what may follow an option's value as one more; no log has such a name.
 MORE = {
     "--inputs": {".yaml", ".yml", ".pgm", ".png", ".bmp", ".pnm"},
@@ -241,14 +245,15 @@ def _run(
             prepare=load_report,
             **asked,
         )
-    saved = save_run(run, out, probabilities=probabilities)
-    for sentence in run.sentences():
-        notice(sentence)
+        progress(REPORT, 0, 1)
+        saved = save_run(run, out, probabilities=probabilities)
     if click.get_current_context().ensure_object(Settings).debug:
         for outcome in run.failed:
             if outcome.detail:
                 print(f"{outcome.name}: {outcome.detail}", file=sys.stderr)
     if as_json:
+        for sentence in run.sentences():
+            notice(sentence)
         print_json(saved.document)
     else:
         _print(run, saved)
@@ -261,117 +266,106 @@ def _run(
 
 
 def _print(run: LogRun, saved: SavedRun) -> None:
-    """Print the producers, the alignment, the errors, the files, and last what to use."""
-    _print_producers(run)
-    _print_alignments(run)
+    """Print what to use, one table of the SLAMs, the files and what to do next."""
+    answer = run.recommendation
+    if answer is not None:
+        print_recommendation(answer)
+        print()
+    _print_slams(run)
+    if is_verbose():
+        _print_details(run, saved)
+    files: list[tuple[str, object]] = []
+    if run.usable is not None:
+        files.append(("fused map", f"{saved.folder / FUSED}.yaml ({run.fused_mode})"))
+    if run.fused_path is not None:
+        files.append(("fused path", saved.folder / FUSED_PATH))
+    if run.drawn is not None:
+        files.append(("drawn map", f"{saved.folder / DRAWN}.yaml"))
+    print_facts(*files, ("report", saved.folder / REPORT / PAGE))
+    if run.usable is not None:
+        print_facts(("next", f"slamfusion show {shlex.quote(str(saved.folder))}"))
+    warnings = run.sentences()
+    for sentence in warnings if is_verbose() else ():
+        notice(sentence)
+    if warnings and not is_verbose():
+        count = f"{len(warnings)} warning{'s' * (len(warnings) > 1)}"
+        notice(f"{count} in the report; --verbose prints them")
+
+
+def _print_slams(run: LogRun) -> None:
+    """Print a row for each SLAM, saved path and fused result: its vote, its errors, its effort."""
+    from slamfusion.jobs.trajectory import Measures  # noqa: PLC0415  (loads slowly)
+
+    errors = {item.name: item for item in run.evaluations}
+    accepted = {item.name for item in (run.usable.accepted if run.usable is not None else ())}
+    shares = {vote.name: 1.0 - vote.excluded_share for vote in run.layers.partial}
+    voted = {name: f"{100.0 * shares.get(name, 1.0):.0f}" for name in accepted}
+    names = [item.name for item in run.outcomes]
+    names += [grid.name for grid in run.grids if grid.name not in names]
+    measures = {name: item.measures for name, item in run.results.items()}
+    measures |= {name: item.measures for name, item in run.saved_paths.items()}
+    if run.usable is not None:
+        names.append(FUSED)
+        if run.fused_path is not None:
+            measures[FUSED] = run.fused_path.measures
+    rows, notes = [], []
+    for name in names:
+        own, found = measures.get(name, Measures()), run.results.get(name)
+        row = [name, voted.get(name, "-" if name == FUSED else "0")]
+        row += _path_cells(own)
+        row.append(number(errors[name].error if name in errors else None, 1))
+        row.append(number(errors[name].wall_f1 if name in errors else None))
+        if found is None:
+            rows.append([*row, *["-"] * 6])
+        else:
+            made, ms = found.run, found.run.time_per_scan_ms()
+            row += [number(made.time_s, 1), number(ms["mean"], 1), number(ms["p95"], 1)]
+            row += [str(made.scans_used), number(made.peak_memory_bytes / 1e6, 1)]
+            rows.append([*row, number(made.health.mean_match_score)])
+        failed = next((item for item in run.failed if item.name == name), None)
+        notes.append("" if failed is None else f"NO MAP: {failed.reason}")
+    columns = ["SLAM ", "vote [%]", "ATE rmse [m]", "relations mean [m]", "map error", "wall F1"]
+    columns += ["time [s]", "scan mean [ms]", "scan 95 % [ms]", "scans used", "memory [MB]"]
+    columns.append("match score, mean")
+    shown = len(columns) if is_verbose() else BRIEF
+    print_table(columns[:shown], [row[:shown] for row in rows], notes=notes)
+
+
+def _path_cells(measures: Measures) -> list[str]:
+    """Return the errors of a path as cells: ATE rmse and relations mean, metres."""
+    truth, relations = measures.truth, measures.relations
+    return [
+        number(None if truth is None else truth.ate.rmse, 3),
+        number(None if relations is None else relations.translation.mean, 4),
+    ]
+
+
+def _print_details(run: LogRun, saved: SavedRun) -> None:
+    """Print the alignment, the gaps between the paths, all errors, the evidence and the times."""
+    for sentence in run.log_notes():
+        say(f"the log: {sentence}")
+    if run.usable is not None:
+        print_fusion(run.usable, run.doubled, run.config.fusion.reference)
+        for gap in run.fusion.gaps:
+            say(f"paths in the fused map: {gap.sentence()}")
+        print()
+    elif run.fusion.pairs:
+        print_pairs(run.fusion.pairs, run.device)
     if run.evaluations:
         tell_unaligned(run.evaluations)
         print_evaluations(run.evaluations)
     if run.recommendation is not None:
         print_reasons(run.recommendation)
-    stages = ", ".join(f"{name} {seconds:.1f}" for name, seconds in saved.stages.items())
-    print(f"time:      {saved.document['time_s']:.1f} s ({stages})")
-    if run.usable is not None:
-        print(f"fused map: {saved.folder / FUSED}.yaml ({run.fused_mode})")
-        print(f"agreement: {saved.folder / AGREEMENT}.yaml")
     if run.fused_path is not None:
-        print(f"fused path: {saved.folder / FUSED_PATH}{_path_words(run.fused_path)}")
-    if run.drawn is not None:
-        print(f"drawn map: {saved.folder / DRAWN}.yaml")
-    print(f"report:    {saved.folder / REPORT / PAGE}")
-    answer = run.recommendation
-    if run.usable is not None and answer is not None:
-        page = saved.folder / REPORT / PAGE
-        steps = [f"open {page} in a browser", f"slamfusion show {shlex.quote(str(saved.folder))}"]
-        # The map of another SLAM lies elsewhere.
-        name = answer.use if answer.use in run.results else FUSED
-        print_next_steps(saved.folder / f"{name}.yaml", steps)
-    if answer is not None:
-        print()
-        print_recommendation(answer)
-
-
-def _print_alignments(run: LogRun) -> None:
-    """Print how the maps lie to each other, and what came of their vote."""
-    from slamfusion.jobs.fuse_documents import fusion_sentences  # noqa: PLC0415
-
-    if run.usable is not None and run.doubled is not None:
-        print_alignments(run.usable)
-        for sentence in fusion_sentences(run.usable, run.doubled):
-            print(sentence)
-        for gap in run.fusion.gaps:
-            print(f"paths in the fused map: {gap.sentence()}")
-        print()
-    elif run.fusion.pairs:
-        print_pairs(run.fusion.pairs, run.device)
-
-
-def _path_words(path: DrivePath) -> str:
-    """Return the errors of the fused path, and how far each path was believed, for its line."""
-    relations, truth = path.measures.relations, path.measures.truth
-    words = []
-    if relations is not None:
-        words.append(f"relations {number(relations.translation.mean, 4)} m")
-    if truth is not None:
-        words.append(f"ATE {number(truth.ate.rmse, 4)} m")
-    believed = ", ".join(f"{name} {share:.2f}" for name, share in path.trust.items())
-    words.append(f"paths believed: {believed}")
-    return f" ({'; '.join(words)})"
-
-
-def _path_errors(measures: Measures, with_relations: bool, with_truth: bool) -> list[str]:
-    """Return the errors of a path as cells of the columns that there are."""
-    relations, truth = measures.relations, measures.truth
-    cells = []
-    if with_relations:
-        cells += [
-            number(None if relations is None else relations.translation.mean, 4),
-            number(None if relations is None else relations.rotation_deg.mean, 3),
-        ]
-    if with_truth:
-        cells += [
-            number(None if truth is None else truth.ate.rmse, 4),
-            number(None if truth is None else truth.ate_rotation_deg.rmse, 3),
-        ]
-    return cells
-
-
-def _print_producers(run: LogRun) -> None:
-    """Print a row for each producer, with the errors that are known."""
-    measured = [item.measures for item in run.results.values()]
-    measured += [saved.measures for saved in run.saved_paths.values()]
-    with_relations = any(measures.relations for measures in measured)
-    with_truth = any(measures.truth for measures in measured)
-    columns = ["producer ", "scans", "used", "s", "ms a scan", "95 % ms", "MB", "match score"]
-    columns += ["relations m", "relations deg"] if with_relations else []
-    columns += ["ATE m", "ATE deg"] if with_truth else []
-    rows, notes = [], []
-    for outcome in run.outcomes:
-        result = run.results.get(outcome.name)
-        notes.append("" if result is not None else f"NO MAP: {outcome.reason}")
-        if result is None:
-            rows.append([outcome.name, *["-"] * (len(columns) - 1)])
-            continue
-        made, measures = result.run, result.measures
-        time_ms = made.time_per_scan_ms()
-        row = [
-            made.name,
-            str(made.scans),
-            str(made.scans_used),
-            number(made.time_s, 1),
-            number(time_ms["mean"], 2),
-            number(time_ms["p95"], 2),
-            number(made.peak_memory_bytes / 1e6, 1),
-            number(made.health.mean_match_score),
-        ]
-        rows.append([*row, *_path_errors(measures, with_relations, with_truth)])
-    for name, saved in run.saved_paths.items():
-        errors = _path_errors(saved.measures, with_relations, with_truth)
-        rows.append([name, *["-"] * (len(columns) - 1 - len(errors)), *errors])
-        notes.append("saved map with its path")
-    print_table(columns, rows, notes=notes, title=f"Producers on {run.files.log}")
-    notes = run.log_notes()
-    print("".join(f"the log: {sentence}\n" for sentence in notes) + "\n" * bool(notes), end="")
+        trust = ", ".join(f"{name} {share:.2f}" for name, share in run.fused_path.trust.items())
+        say(f"weights in the fused path: {trust}")
+    stages = ", ".join(f"{name} {seconds:.1f}" for name, seconds in saved.stages.items())
+    say(f"time: {saved.document['time_s']:.1f} s ({stages})")
+    if run.usable is not None:
+        print_facts(
+            ("agreement", f"{saved.folder / AGREEMENT}.yaml"),
+            *map_server_facts(saved.folder / f"{FUSED}.yaml"),
+        )
 
 
 # --- several logs ---------------------------------------------------------------------------------
@@ -446,7 +440,7 @@ def _refuse_files_of_one_log(config: RunConfig, asked: Mapping[str, Any]) -> Non
 def _print_logs(runs: Sequence[RunOfLog]) -> None:
     """Print a row for each log, and where the reports lie."""
     print_table(
-        ("log ", "fused", "use ", "s", "fused map "),
+        ("log ", "maps fused", "use ", "time [s]", "fused map "),
         [
             [
                 run.log.name,
@@ -462,4 +456,4 @@ def _print_logs(runs: Sequence[RunOfLog]) -> None:
     )
     for run in runs:
         if run.report is not None:
-            print(f"report:    {run.report / PAGE}")
+            print_facts(("report", run.report / PAGE))

@@ -18,7 +18,7 @@ from slamfusion.cli.options import (
     report_option,
     with_config,
 )
-from slamfusion.cli.output import notice, print_json, print_table
+from slamfusion.cli.output import notice, print_json, print_table, say
 from slamfusion.cli.paths import CASE_FILE, MAP
 from slamfusion.cli.results import print_items, results_option, save_results, table_option
 from slamfusion.config import RunConfig
@@ -215,7 +215,7 @@ def print_measures(estimate: Trajectory, measures: Measures) -> None:
     title = f"{estimate.name}: {len(estimate)} poses, {estimate.path_length_m():.1f} m"
     print_table(("error ", *FIGURES), rows, title=title)
     for note in notes:
-        print(note)
+        say(note)
 
 
 def _how(dense: DensePoses | None, tolerance_s: float) -> str:

@@ -49,33 +49,33 @@ _FIGURES = {
     "wall_f1": Figure("F1", larger_is_better=True),
     "iou_occupied": Figure("IoU wall", larger_is_better=True),
     "iou_free": Figure("IoU free", larger_is_better=True),
-    "map_to_truth_mean_m": Figure("to truth m"),
-    "map_to_truth_p95_m": Figure("95 % m"),
-    "truth_to_map_mean_m": Figure("from truth m"),
-    "faces_f1": Figure("faces F1 0.1 m", larger_is_better=True),
-    "wall_thickness_mean_m": Figure("thickness m", larger_is_better=None),
+    "map_to_truth_mean_m": Figure("to truth, mean [m]"),
+    "map_to_truth_p95_m": Figure("to truth, 95 % [m]"),
+    "truth_to_map_mean_m": Figure("from truth, mean [m]"),
+    "faces_f1": Figure("faces F1 (0.1 m)", larger_is_better=True),
+    "wall_thickness_mean_m": Figure("thickness, mean [m]", larger_is_better=None),
     "doubled_wall_share": Figure("doubled"),
-    "outside_m2": Figure("outside m2", 1),
+    "outside_m2": Figure("outside [m2]", 1),
     "ssim": Figure("SSIM", larger_is_better=True),
     "coverage": Figure("coverage", larger_is_better=True),
-    "ate_rmse_m": Figure("ATE rmse m", 4),
-    "ate_mean_m": Figure("ATE mean m", 4),
-    "ate_rotation_mean_deg": Figure("ATE deg"),
-    "rpe_mean_m": Figure("RPE m", 4),
-    "rpe_rotation_mean_deg": Figure("RPE deg"),
-    "relations_mean_m": Figure("relations m", 4),
-    "relations_rotation_mean_deg": Figure("relations deg"),
-    "consistency": Figure("log-likelihood a hit", 4, larger_is_better=True),
-    "seen_share": Figure("seen again", larger_is_better=None),
-    "distance_error_mean_m": Figure("distances m"),
+    "ate_rmse_m": Figure("ATE rmse [m]", 4),
+    "ate_mean_m": Figure("ATE mean [m]", 4),
+    "ate_rotation_mean_deg": Figure("ATE mean [deg]"),
+    "rpe_mean_m": Figure("RPE mean [m]", 4),
+    "rpe_rotation_mean_deg": Figure("RPE mean [deg]"),
+    "relations_mean_m": Figure("relations mean [m]", 4),
+    "relations_rotation_mean_deg": Figure("relations mean [deg]"),
+    "consistency": Figure("log-likelihood per hit, mean", 4, larger_is_better=True),
+    "seen_share": Figure("seen again, share", larger_is_better=None),
+    "distance_error_mean_m": Figure("distances mean [m]"),
     # Series of single errors.
-    "ate_m": Figure("ATE m", 4),
-    "ate_rotation_deg": Figure("ATE deg"),
-    "rpe_m": Figure("RPE m", 4),
-    "relations_m": Figure("relations m", 4),
-    "relations_rotation_deg": Figure("relations deg"),
+    "ate_m": Figure("ATE [m]", 4),
+    "ate_rotation_deg": Figure("ATE [deg]"),
+    "rpe_m": Figure("RPE [m]", 4),
+    "relations_m": Figure("relations [m]", 4),
+    "relations_rotation_deg": Figure("relations [deg]"),
     # Of experiments.
-    "time_per_scan_ms": Figure("ms a scan", 2),
+    "time_per_scan_ms": Figure("time per scan [ms]", 2),
     "value": Figure("value of the cell", larger_is_better=None),
 }
 # Those of a table of errors.
@@ -147,7 +147,7 @@ def face_figures(error: MapError) -> list[tuple[Figure, float | None]]:
     """Return the figures of a map that reward no thickness of walls, in order."""
     faces, known = error.faces, map_figures(error)
     found: list[tuple[Figure, float | None]] = [
-        (Figure(f"faces F1 {own.tolerance_m:g} m", larger_is_better=True), own.f1)
+        (Figure(f"faces F1 ({own.tolerance_m:g} m)", larger_is_better=True), own.f1)
         for own in faces.agreements
     ]
     for name, distance in (
@@ -175,16 +175,17 @@ def error_kinds(
     for errors, where in ((relations, ""), (at_scans, " at scans")):
         if errors is not None:
             kinds += [
-                (f"relations{where}, translation m", errors.translation, 4),
-                (f"relations{where}, rotation deg", errors.rotation_deg, 3),
+                (f"relations{where}, translation [m]", errors.translation, 4),
+                (f"relations{where}, rotation [deg]", errors.rotation_deg, 3),
             ]
     if truth is not None:
-        pair = f"RPE over {truth.rpe_delta:g} {truth.rpe_unit}"
+        unit = truth.rpe_unit.removesuffix("s") if truth.rpe_delta == 1.0 else truth.rpe_unit
+        pair = f"{truth.rpe_delta:g} {unit or truth.rpe_unit}"
         kinds += [
-            ("ATE, translation m", truth.ate, 4),
-            ("ATE, rotation deg", truth.ate_rotation_deg, 3),
-            (f"{pair}, translation m", truth.rpe, 4),
-            (f"{pair}, rotation deg", truth.rpe_rotation_deg, 3),
+            ("ATE, translation [m]", truth.ate, 4),
+            ("ATE, rotation [deg]", truth.ate_rotation_deg, 3),
+            (f"RPE, translation [m], {pair}", truth.rpe, 4),
+            (f"RPE, rotation [deg], {pair}", truth.rpe_rotation_deg, 3),
         ]
     return kinds
 

@@ -190,7 +190,7 @@ class _Aligner:
     def align(self, a: str, b: str) -> Alignment:
         """Align two inputs by name, and take what else is known of them into account."""
         pair, start = self._pair(a, b)
-        self.tell(f"{pair.moving.grid.name} to {pair.reference.grid.name}", self.done)
+        self.tell("aligning pairs", self.done)
         self.done += 1
         if self.tasks is not None:
             found = self.tasks.result(pair, start)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
@@ -67,14 +68,16 @@ class ComparisonJson(TypedDict):
     high: float | None
     """High end of it."""
     p_t: float | None
-    """P-value of the paired t-test, or of Welch's; after Holm where several are compared.
-    Null where nothing can be tested."""
+    """P-value of the paired t-test, or of Welch's; it goes with the interval. Null where nothing
+    can be tested."""
+    p_holm: float | None
+    """The same after Holm's correction for every two of several results."""
     p_rank: float | None
     """P-value of Wilcoxon's signed-rank test, or of Mann and Whitney's; not corrected."""
     p_pooled: float | None
     """P-value of Student's t-test of unpaired values with one variance, the test of [F16]."""
     better: str | None
-    """The results that are better beyond chance (p_t below 0.05); null: neither."""
+    """The results that are better beyond chance (p_holm below 0.05); null: neither."""
 
 
 class CompareDocument(TypedDict):
@@ -170,7 +173,7 @@ def compare_results(files: Sequence[str | Path]) -> ComparedResults:
         "pairings": pairings,
         "figures": figures,
         "series": series,
-        "notes": list(dict.fromkeys([*apart, *notes])),
+        "notes": list(dict.fromkeys([*apart, *notes, *_too_few(figures, is_paired)])),
         "versions": versions(),
     }
     return ComparedResults(tuple(results), document, frozenset(is_paired))
@@ -274,6 +277,7 @@ def compare_values(
         "low": tested.low,
         "high": tested.high,
         "p_t": tested.p_t,
+        "p_holm": tested.p_t,
         "p_rank": tested.p_rank,
         "p_pooled": tested.p_pooled,
         "better": None,
@@ -289,13 +293,22 @@ def _correct(figures: Sequence[ComparisonJson]) -> None:
     for name in {item["figure"] for item in figures}:
         own = [item for item in figures if item["figure"] == name]
         larger = figure_of(name).larger_is_better
-        for item, p_t in zip(
-            own, correct_by_holm([item["p_t"] or 0.0 for item in own]), strict=True
-        ):
-            item["p_t"] = p_t
-            if larger is not None and p_t < SIGNIFICANT:
+        corrected = correct_by_holm([item["p_t"] or 0.0 for item in own])
+        for item, p_holm in zip(own, corrected, strict=True):
+            item["p_holm"] = p_holm
+            if larger is not None and p_holm < SIGNIFICANT:
                 is_first = (item["difference"] > 0.0) == larger
                 item["better"] = item["first"] if is_first else item["second"]
+
+
+def _too_few(figures: Sequence[ComparisonJson], is_paired: Collection[bool]) -> list[str]:
+    """Say so where the rank test of pairs cannot be significant: its least p is 2 / 2**pairs."""
+    pairs = min(item["count_first"] for item in figures)
+    if is_paired != {True} or 2.0 / 2**pairs < SIGNIFICANT:
+        return []
+    wanted = math.ceil(math.log2(2.0 / SIGNIFICANT))
+    count = f"{pairs} pair{'s' * (pairs > 1)}"
+    return [f"{count}: Wilcoxon's test needs {wanted} for p below {SIGNIFICANT:g}"]
 
 
 def _compare_paths(
@@ -328,7 +341,8 @@ def _compare_paths(
         spans = max(1, min(SPANS, len(errors) // SPAN_ERRORS))
         ends = -(-np.arange(1, spans) * len(errors) // spans)
         means = [part.mean(axis=0) for part in np.array_split(errors.to_numpy(), ends)]
-        found.append({**compared, **difference_test(*np.transpose(means), paired=True)._asdict()})
+        tested = difference_test(*np.transpose(means), paired=True)
+        found.append({**compared, **tested._asdict(), "p_holm": tested.p_t})
     return found
 
 

@@ -122,24 +122,30 @@ def failure_document(
 
 
 def fusion_sentences(
-    result: FusionResult | StoredFusion, doubled: DoubledWalls | None
-) -> tuple[str, ...]:
-    """Say how many inputs were fused, what became of the others, and what the vote added."""
-    text = f"fused {len(result.accepted)} of {len(result.inputs)} inputs"
-    if result.rejected:
-        reasons = ", ".join(f"{record.name}: {record.reason}" for record in result.rejected)
-        text += f"; rejected: {reasons}"
-    for record in result.copies:
-        text += f"; {record.name}: {record.reason}"
-    if result.others:
-        text += f"; {further_groups(result)}"
-    share = (
-        ""
-        if doubled is None
-        else f"{doubled.added_by_fusion:.1%} of the walls doubled by the fusion, "
-    )
-    added = f"{result.phantom_cells} phantom cells, {share}{result.time_s:.2f} s"
-    return text, added
+    result: FusionResult | StoredFusion, doubled: DoubledWalls | None, wanted: str | None
+) -> tuple[str, str]:
+    """Say how many inputs were fused in whose frame; and what the vote added.
+
+    Args:
+        result: of the fusion.
+        doubled: its doubled walls; None: not measured.
+        wanted: the setting ``fusion.reference``.
+    """
+    names = [record.name for record in result.inputs]
+    before = names[: names.index(result.reference)]
+    why = "the first map given"
+    if wanted is not None:
+        why = f"--reference {wanted}"
+    elif before:
+        why = f"the first map that fits; before it: {', '.join(before)}"
+    text = f"Fused {len(result.accepted)} of {len(names)} maps in the frame of {result.reference}"
+    text += f" ({why})."
+    for other in result.others:
+        apart = ", ".join(record.name for record in other.accepted)
+        text += f" Fused apart from these, in the frame of {other.reference}: {apart}."
+    share = "" if doubled is None else f"{doubled.added_by_fusion:.1%} of the walls doubled, "
+    cells = f"{result.phantom_cells} cell{'s' * (result.phantom_cells != 1)} occupied in no input"
+    return text, f"The vote: {cells}, {share}{result.time_s:.1f} s."
 
 
 def left_out_sentences(result: FusionResult | StoredFusion) -> list[str]:
@@ -156,28 +162,6 @@ def left_out_sentences(result: FusionResult | StoredFusion) -> list[str]:
     ]
     bent = [words for group in (result, *result.others) for words in group.bent_sentences]
     return rejected + copies + bent + cuts
-
-
-def frame_words(result: Fusion, wanted: str | None) -> str:
-    """Say in whose frame the fused map is, and why.
-
-    Args:
-        result: of the fusion.
-        wanted: the setting ``fusion.reference``.
-    """
-    if wanted is not None:
-        return f"{result.reference} (--reference {wanted})"
-    names = [record.name for record in result.inputs]
-    before = names[: names.index(result.reference)]
-    if not before:
-        return f"{result.reference}, the first map given"
-    return f"{result.reference}, the first map that was fused; before it: {', '.join(before)}"
-
-
-def further_groups(result: FusionResult | StoredFusion) -> str:
-    """Say which inputs are fused apart from the largest group."""
-    groups = [", ".join(record.name for record in other.accepted) for other in result.others]
-    return "fused apart from these: " + "; ".join(groups)
 
 
 def group_document(result: Fusion, stem: Path | None, store: Path | None = None) -> FusedGroupJson:

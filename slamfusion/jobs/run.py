@@ -232,7 +232,7 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
     starts = place_starts(
         config.start, (*names, *saved.names), config.fusion.reference, drive=names
     )
-    stages = _Stages()
+    stages = _Stages(progress)
 
     # Run the SLAMs side by side. Read all else meanwhile: a bad file ends the run at once.
     with (
@@ -396,16 +396,20 @@ class _Stages:
         troubles: a sentence each.
     """
 
-    def __init__(self) -> None:
-        self.begun_s = time.perf_counter()
+    def __init__(self, progress: Progress | None = None) -> None:
+        self.begun_s, self.progress = time.perf_counter(), progress
         self.times_s: dict[str, float] = {}
         self.troubles: list[str] = []
 
     @contextmanager
     def timed(self, name: str) -> Iterator[None]:
-        """Add the time of a block to that of a stage."""
+        """Add the time of a block to that of a stage, and report that it begins and ends."""
         began_s = time.perf_counter()
+        if self.progress is not None:
+            self.progress(name, 0, 1)
         yield
+        if self.progress is not None:
+            self.progress(name, 1, 1)
         self.times_s[name] = self.times_s.get(name, 0.0) + time.perf_counter() - began_s
 
     def attempt(

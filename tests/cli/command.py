@@ -80,7 +80,12 @@ def _without_progress(
 
 def without_progress(text: str) -> str:
     """Return what was said on stderr without the lines of progress."""
-    return re.sub(r"^slamfusion: [^:\n]+: \d+ %\n", "", text, flags=re.MULTILINE)
+    return re.sub(
+        r"^slamfusion: [^:\n]+: (?:\d+ %, )?\d+ s(?:, about \d+ s left)?\n",
+        "",
+        text,
+        flags=re.MULTILINE,
+    )
 
 
 @functools.cache

@@ -113,8 +113,8 @@ def test_transforms_are_printed_ready_to_paste(tmp_path: Path) -> None:
         shutil.copy(path, tmp_path)
     odd = (tmp_path / "map_b.yaml").rename(tmp_path / "map b's.yaml")
     maps = (MAPS[0], odd)
-    first = run("fuse", *maps, "-o", tmp_path / "first")
-    assert "\nframe:     map_a, the first map given\n" in first.stdout
+    first = run("fuse", *maps, "-o", tmp_path / "first", "--verbose")
+    assert "\nFused 2 of 2 maps in the frame of map_a (the first map given).\n" in first.stdout
     (starts,) = (shlex.split(line) for line in first.stdout.splitlines() if "--start" in line)
     (transform,) = (shlex.split(line) for line in first.stdout.splitlines() if "--yaw" in line)
     document = json_of(run("fuse", *maps, "-o", tmp_path / "again", *starts, "--json"))
@@ -132,7 +132,7 @@ def test_transforms_are_printed_ready_to_paste(tmp_path: Path) -> None:
 
 def test_the_frame_is_that_of_the_first_map_that_is_fused(tmp_path: Path, stranger: Path) -> None:
     done = run("fuse", stranger, *MAPS[:2], "-o", tmp_path / "out")
-    assert "\nframe:     map_a, the first map that was fused; before it: stranger\n" in done.stdout
+    assert "in the frame of map_a (the first map that fits; before it: stranger)." in done.stdout
 
 
 def test_like_paper_names_what_the_box_of_the_smallest_map_leaves_out(tmp_path: Path) -> None:

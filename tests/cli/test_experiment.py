@@ -76,7 +76,7 @@ def test_cell_models_trajectories_on_logs(drive: LogFiles, tmp_path: Path) -> No
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert "tinyslam base" in done.stdout
-    assert "room#2, relations m: " in done.stdout
+    assert "room#2, relations mean [m]: " in done.stdout
     with (tmp_path / "cell-models-trajectories.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert list(dict.fromkeys(row["case"] for row in rows)) == ["room", "room#2"]
@@ -105,7 +105,7 @@ def test_ground_obstacle_small(tmp_path: Path) -> None:
     assert {f"ground-obstacle.{kind}" for kind in ("csv", "md", "png")} < set(files)
     text = (tmp_path / "ground-obstacle.md").read_text(encoding="utf-8")
     assert "p pooled t [F16]" in text
-    assert "faces F1 0.1 m, mean" in text
+    assert "faces F1 (0.1 m), mean" in text
     for example in ("no-obstacle-w1-s0", "obstacle-w1-s0"):
         assert len(kept_maps(tmp_path, example)[1]) == len(methods)
     # All of it is there: nothing is driven again, and everything is the same.

@@ -63,7 +63,7 @@ def test_a_fused_path_is_written_and_told(drive: Path, tmp_path: Path) -> None:
     out = tmp_path / "new" / "fused.tum"
     done = run("judge", *files, "--fused", out, "--report", tmp_path / "report")
     assert done.returncode == 0, done.stderr
-    assert "from fused m" in done.stdout
+    assert "from fused, rms [m]" in done.stdout
     assert f"\nfused path: {out}\n" in done.stdout
     assert done.stdout.endswith("\nSingle SLAM: good\n")
     assert len(read_trajectory(out)) == len(TRUTH)

@@ -232,7 +232,9 @@ def test_progress_of_long_work_is_told_in_lines_where_nobody_watches(
     with progress_bar() as progress:
         for done in range(1, 5):
             progress("graph", done, 4)
-    assert stream.getvalue() == "slamfusion: graph: 50 %\nslamfusion: graph: 100 %\n"
+    assert stream.getvalue() == (
+        "slamfusion: graph: 50 %, 10 s, about 10 s left\nslamfusion: graph: 100 %, 21 s\n"
+    )
 
 
 def test_a_path_may_begin_with_the_home_folder(monkeypatch: pytest.MonkeyPatch) -> None:

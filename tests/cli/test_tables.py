@@ -21,11 +21,26 @@ def errors(cells: int) -> Table:
 @pytest.mark.parametrize("cells", [1, 4, 12])
 @pytest.mark.parametrize("width", [60, 80, 200])
 def test_no_table_is_wider_than_the_terminal_and_no_value_is_lost(width: int, cells: int) -> None:
-    text = errors(cells).fitted(width)
+    text = errors(cells).fitted(width, is_whole=True)
     assert max(map(cell_len, text.splitlines())) <= width
     assert text.count("1234.5678") == 3 * cells
     for name in ("tinyslam", "SIGKILL", "indeed"):
         assert name in text
+
+
+def test_columns_that_do_not_fit_are_named_and_left_out_from_the_last_one() -> None:
+    text = errors(12).fitted(80)
+    assert max(map(cell_len, text.splitlines())) <= 80
+    shown = text.count("1234.5678") // 3
+    assert 0 < shown < 12
+    said = " ".join(text.split())
+    assert f"--verbose also shows: RPE over {shown} frames, deg, " in said
+    assert said.endswith("RPE over 11 frames, deg")
+
+
+def test_a_unit_in_brackets_is_no_markup_and_heads_stay_whole_where_they_fit() -> None:
+    table = Table(("path ", "ATE rmse [m]"), (("graph", "0.1"),))
+    assert table.fitted(80).splitlines()[0] == " path   ATE rmse [m]"
 
 
 def test_a_row_in_a_pipe_is_a_line_with_its_note() -> None:

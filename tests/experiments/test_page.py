@@ -186,7 +186,7 @@ def test_repeated_runs_are_summed_up_by_hand() -> None:
     assert list(tests["p_t"]) == pytest.approx([welch] * 3)
     assert list(tests["p_rank"]) == pytest.approx([0.1] * 3)  # 2 of 20 orders
     titles = [title for title, *_ in experiment.text_tables(details=False)]
-    assert titles == ["relations m, mean ± deviation", "ATE rmse m, mean ± deviation"]
+    assert titles == ["relations mean [m], mean ± deviation", "ATE rmse [m], mean ± deviation"]
     _, heads, rows = experiment.text_tables(details=False)[1]
     assert list(heads) == ["case", "runs", "old", "new"]
     assert rows[1] == ["yard", "3", "1.0200 ± 0.0100", "0.5200 ± 0.0100"]

@@ -76,8 +76,8 @@ def test_estimators_are_swept_over_cell_sizes_and_drives(tmp_path: Path) -> None
         == 4
     )
     starts = [sentence.split(":")[0] for sentence in found.sentences()]
-    of_room = [f"{case}, {error}" for case in cases[:2] for error in ("relations m", "ATE rmse m")]
-    assert starts == [*of_room, *(f"{case}, ATE rmse m" for case in cases[2:])]
+    of_room = [f"{case}, {error}" for case in cases[:2] for error in ("relations mean [m]", "ATE rmse [m]")]
+    assert starts == [*of_room, *(f"{case}, ATE rmse [m]" for case in cases[2:])]
     again = sweep_estimators(drives[:1], [], Setup(CONFIG, open_device(), tmp_path / "b"))
     same = again.table[again.table["figure"] == ATE]["value"]
     assert list(same) == list(table["value"][: len(same)])
@@ -93,6 +93,6 @@ def test_the_better_model_is_named_with_its_p_value() -> None:
     experiment = Experiment("t", "t", rows, (ATE,), {ATE: PAIRS}, is_paired=False)
     (sentence,) = method_sentences(experiment)
     assert sentence == (
-        "hall, ATE rmse m: tinyslam mean is better of tinyslam base and tinyslam mean (difference "
-        "0.3000, p <0.001)."
+        "hall, ATE rmse [m]: tinyslam mean is better of tinyslam base and tinyslam mean "
+        "(difference 0.3000, p <0.001)."
     )

@@ -137,7 +137,7 @@ def test_every_part_is_on_the_one_page(page: Path) -> None:
         "Over the drive",
         "room 1, aligned",
         "Alignment to room 0",
-        "ATE, translation m",
+        "ATE, translation [m]",
         "Errors of the paths",
         "Error against the truth",
         "Timings and memory",
@@ -183,7 +183,7 @@ def test_the_fused_path_is_drawn_and_measured_beside_those_it_was_made_of(page: 
     html = page.read_text(encoding="utf-8")
     assert f"{moved_m:.4f} m" in html
     assert "error of relations, mean, fused path" in html
-    assert "relations, translation m" in text
+    assert "relations, translation [m]" in text
     assert "Error against the truth, distribution" in text
     assert "Error on known relations over the drive" in text
 
