@@ -25,6 +25,7 @@ from slamfusion.version import __version__
 COMMANDS = {
     "run": ("run:command", "Map a log with several SLAMs, fuse their maps, write a report."),
     "fuse": ("fuse:command", "Align saved maps of one place and fuse them by vote."),
+    "info": ("info:command", "Describe a log, a bag, a map or a run."),
     "show": ("show:command", "Show the maps of a run in the browser."),
     "slam": ("slam:command", "Map a log with one SLAM."),
     "judge": ("judge:command", "Rank the paths of a log by its scans, without ground truth."),

@@ -187,6 +187,7 @@ FAILURES: dict[str, tuple[str, ...]] = {
     "compare": ("compare", "absent.zip", "other.zip"),
     "graph optimize": ("graph", "optimize", "absent.g2o"),
     "show": ("show", "absent"),
+    "info": ("info", "absent"),
     # There is no such node, or no ROS.
     **{f"live {name}": ("live", name, "--timeout", "0.1") for name in LIVE},
     "live set": ("live", "set", "max_publish_rate_hz", "1.0", "--timeout", "0.1"),

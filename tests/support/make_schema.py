@@ -32,6 +32,7 @@ from slamfusion.evaluation import RelationErrors, TrajectoryErrors
 from slamfusion.experiments.page import ExperimentDocument
 from slamfusion.jobs import compare as comparisons
 from slamfusion.jobs import records as jobs
+from slamfusion.jobs.info import InfoDocument
 from slamfusion.slam.records import HealthJson
 
 __all__ = ["DOCUMENTS", "PATH", "make_schema", "to_text"]
@@ -55,6 +56,7 @@ DOCUMENTS: dict[str, tuple[type, ...]] = {
     "slam": (jobs.SlamDocument,),
     "trajectory": (jobs.TrajectoryDocument, jobs.TrajectoriesDocument),
     "judge": (jobs.JudgeDocument, jobs.JudgementsDocument),
+    "info": (InfoDocument,),
     "compare": (comparisons.CompareDocument,),
     "graph optimize": (jobs.GraphOptimizeDocument,),
     "devices": (jobs.DevicesDocument,),

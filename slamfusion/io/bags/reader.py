@@ -124,6 +124,11 @@ class OpenBag:
         own = [topic for topic in found if topic.rpartition("/")[0] == namespace]
         return own if sibling and own else found
 
+    def described_topics(self) -> list[str]:
+        """Return each topic with its type and the number of its messages, in order."""
+        kinds = {item.topic: _kind(item) for item in self._connections}
+        return [f"{topic} ({kinds[topic]}, {self.count(topic)})" for topic in sorted(kinds)]
+
     def count(self, topic: str) -> int:
         """Return how many messages a topic has."""
         return sum(item.msgcount for item in self._connections if item.topic == topic)

@@ -1,0 +1,59 @@
+"""``slamfusion info``: what a log, a bag, a map or a run holds."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import click
+
+from slamfusion.cli.help import Command
+from slamfusion.cli.options import common_options, with_config
+from slamfusion.cli.output import print_json, print_table, progress_bar, say
+from slamfusion.cli.paths import FILE
+from slamfusion.config import RunConfig
+from slamfusion.json_values import plain
+
+UNITS = {"s": "s", "m": "m", "m2": "m2", "hz": "Hz", "deg": "deg", "percent": "%"}
+
+
+@click.command(
+    "info",
+    cls=Command,
+    examples=["info drive.log.gz", "info drive.bag --json", "info out/fused.yaml", "info out"],
+)
+@click.argument("path", metavar="LOG|BAG|MAP|RUN", type=FILE)
+@with_config("log", "map_files")
+@common_options
+def command(path: Path, config: RunConfig, as_json: bool) -> int:
+    """Describe a log, a bag, a map or a run.
+
+    Shows duration, scans, laser, odometry and topics of a log or bag, size and area of a map, and
+    the recommendation of a run; then what is odd, and what to do.
+    """
+    from slamfusion.jobs.info import describe  # noqa: PLC0415  (loads slowly)
+
+    with progress_bar() as progress:
+        found = describe(path, config, progress)
+    if as_json:
+        print_json(plain(found))
+        return 0
+    (record,) = (item for item in (found.log, found.map, found.run) if item is not None)
+    rows = [_row(field.name, getattr(record, field.name)) for field in fields(record)]
+    print_table((" ", " "), [row for row in rows if row[1]], title=str(path), header=False)
+    for sentence in found.remarks:
+        say(f"- {sentence}", indent=2)
+    return 0
+
+
+def _row(name: str, value: Any) -> list[str]:
+    """Return a key of a record and its value as people read them: ``duration_s`` in seconds."""
+    words, _, unit = name.rpartition("_")
+    if words and unit in UNITS:
+        name = f"{words} [{UNITS[unit]}]"
+    if isinstance(value, float):
+        value = f"{value:.4g}"
+    if isinstance(value, (list, tuple)):
+        value = "; ".join(map(str, value))
+    return [name.replace("_", " "), "none" if value is None else str(value)]

@@ -1,0 +1,239 @@
+"""What a log, a bag, a map or a run holds, before anything is done with it."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from slamfusion.config import RunConfig
+from slamfusion.errors import LogError, MapFileError
+from slamfusion.evidence.recommendation import Recommendation
+from slamfusion.grid import OCCUPIED, UNKNOWN
+from slamfusion.io import open_log
+from slamfusion.jobs.inputs import Progress, load_maps, map_file
+from slamfusion.jobs.outputs import RUN_RECORD
+
+# A pause between two scans that is this many times as long as usual is a gap.
+GAP_PERIODS = 5.0
+SHARES = 100
+MAP_SUFFIXES = {".yaml", ".yml", ".pgm", ".png", ".bmp", ".pnm"}
+BAG_SUFFIXES = {".bag", ".db3", ".mcap", ".active", ".zstd"}
+
+
+@dataclass(frozen=True)
+class LogInfo:
+    """A log or bag, read once."""
+
+    scans: int
+    """Scans that can be used."""
+    duration_s: float
+    """From the first to the last, seconds."""
+    rate_hz: float | None
+    """Scans per second, by the median time between two; null for one scan."""
+    gaps: int
+    """Pauses of more than five times that."""
+    longest_gap_s: float
+    """The longest time between two scans, seconds."""
+    beams: str
+    """Beams of a scan; several numbers if they change."""
+    field_of_view_deg: float
+    """From the first to the last beam, degrees."""
+    range_max_m: float
+    """Longest range of the laser, metres."""
+    returns_percent: float
+    """Share of the beams that hit something, percent."""
+    odometry_m: float | None
+    """Length of the path by odometry, metres; null: the log has none."""
+    without_odometry: int
+    """Scans without odometry."""
+    deskewed: int
+    """Scans whose beams are moved to the stamp of the scan."""
+    topics: Sequence[str]
+    """Of a bag, each topic with its type and number of messages."""
+
+
+@dataclass(frozen=True)
+class MapInfo:
+    """A saved map."""
+
+    width: int
+    """Cells in x."""
+    height: int
+    """Cells in y."""
+    resolution_m: float
+    """Size of a cell, metres."""
+    origin_x_m: float
+    """Lower left corner in the map frame, metres."""
+    origin_y_m: float
+    """Its y, metres."""
+    origin_yaw_deg: float
+    """Its direction, degrees."""
+    known_m2: float
+    """Area of known cells, square metres."""
+    walls_m2: float
+    """Area of occupied cells, square metres."""
+
+
+@dataclass(frozen=True)
+class RunInfo:
+    """The result of ``slamfusion run``."""
+
+    log: str
+    """The log."""
+    slams: Sequence[str]
+    """Each SLAM with its scans, or why it made no map."""
+    maps_fused: int
+    """Maps that voted."""
+    fused_mode: str | None
+    """How the fused map was made; null: there is none."""
+    recommendation: str | None
+    """Which map and path to use, in a sentence; null if no map was made."""
+    time_s: float
+    """Time of the run, seconds."""
+    report: str
+    """The page of the report."""
+
+
+@dataclass(frozen=True)
+class InfoDocument:
+    """``slamfusion info``; one of ``log``, ``map`` and ``run`` is there."""
+
+    file: Path
+    """What is described."""
+    log: LogInfo | None = None
+    """A log or bag; null if it is none, or has no single laser."""
+    map: MapInfo | None = None
+    """A map."""
+    run: RunInfo | None = None
+    """A run."""
+    remarks: Sequence[str] = ()
+    """What is odd and what to do, a sentence each."""
+
+
+def describe(
+    path: str | Path, config: RunConfig | None = None, progress: Progress | None = None
+) -> InfoDocument:
+    """Describe a log, a bag, a map or a run.
+
+    Args:
+        path: of a file, or the folder of a bag or run.
+        config: ``log`` and ``map_files`` say how it is read; default: the defaults.
+        progress: called with the share of a log that is read.
+
+    Raises:
+        LogError: it is no log that can be read.
+        MapFileError: it is no map that can be read.
+        OSError: it cannot be opened.
+    """
+    path, config = Path(path), config or RunConfig()
+    if (path / RUN_RECORD).exists():
+        return _run_info(path)
+    is_bag_folder = (path / "metadata.yaml").exists()
+    has_maps = path.is_dir() and not is_bag_folder and any(path.glob("*.yaml"))
+    if path.suffix.lower() in MAP_SUFFIXES or has_maps:
+        return _map_info(map_file(path), config)
+    return _log_info(path, config, progress)
+
+
+def _log_info(path: Path, config: RunConfig, progress: Progress | None) -> InfoDocument:
+    """Read all scans of a log."""
+    remarks: list[str] = []
+    topics: list[str] = []
+    if path.is_dir() or path.suffix.lower() in BAG_SUFFIXES:
+        from slamfusion.io.bags.reader import open_bag  # noqa: PLC0415  (an extra)
+
+        with open_bag(path, remarks) as bag:
+            topics = bag.described_topics()
+    try:
+        log = open_log(path, config.log)
+    except LogError as error:
+        if not topics:
+            raise
+        words = (f"{path}: topics {', '.join(topics)}", str(error))
+        raise LogError("; ".join(words)) from error
+    stamps, beams, poses = [], set(), []
+    hits = readings = 0
+    for item in log:
+        scan = item.scan
+        stamps.append(scan.stamp_s)
+        beams.add(len(scan.ranges))
+        hits += int(np.isfinite(scan.ranges).sum())
+        readings += len(scan.ranges)
+        if item.odometry is not None:
+            poses.append((item.odometry.x, item.odometry.y))
+        if progress is not None:
+            progress("reading", round(SHARES * log.fraction_read), SHARES)
+    if not stamps:
+        message = f"{path}: no scan in it can be used; {'; '.join(log.skips.sentences())}"
+        raise LogError(message)
+    steps_s = np.diff(stamps)
+    period_s = float(np.median(steps_s)) if len(steps_s) else math.nan
+    moves_m = np.diff(np.reshape(poses, (-1, 2)), axis=0)
+    found = LogInfo(
+        scans=len(stamps),
+        duration_s=stamps[-1] - stamps[0],
+        rate_hz=1.0 / period_s if period_s > 0.0 else None,
+        gaps=int((steps_s > GAP_PERIODS * period_s).sum()),
+        longest_gap_s=float(steps_s.max(initial=0.0)),
+        beams=", ".join(map(str, sorted(beams))),
+        field_of_view_deg=math.degrees(abs(scan.angle_increment_rad) * (len(scan.ranges) - 1)),
+        range_max_m=scan.range_max_m,
+        returns_percent=100.0 * hits / readings,
+        odometry_m=float(np.hypot(*moves_m.T).sum()) if poses else None,
+        without_odometry=len(stamps) - len(poses),
+        deskewed=log.deskewing.scans,
+        topics=topics,
+    )
+    remarks += [f"left out: {text}" for text in log.skips.sentences()]
+    remarks += [f"odd: {text}" for text in log.warnings.sentences()]
+    remarks += [*log.deskewing.sentences(), *log.notes]
+    if not log.has_stamps:
+        remarks.append("no time stamps: --index-period-s sets the time between scans")
+    return InfoDocument(path, log=found, remarks=list(dict.fromkeys(remarks)))
+
+
+def _map_info(path: Path, config: RunConfig) -> InfoDocument:
+    """Load a map."""
+    remarks: list[str] = []
+    (grid,) = load_maps([path], None, config.map_files, remarks.append)
+    cell_m2 = grid.resolution**2
+    origin = grid.origin
+    known, walls = (grid.cells != UNKNOWN).sum(), (grid.cells == OCCUPIED).sum()
+    if not walls:
+        remarks.append("no wall in it: it aligns with no other map")
+    found = MapInfo(
+        grid.width, grid.height, grid.resolution, origin.x, origin.y,
+        math.degrees(origin.yaw_rad), float(known * cell_m2), float(walls * cell_m2),
+    )  # fmt: skip
+    return InfoDocument(path, map=found, remarks=remarks)
+
+
+def _run_info(folder: Path) -> InfoDocument:
+    """Read the record of a run."""
+    path = folder / RUN_RECORD
+    try:
+        record: Mapping[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        answer = record["recommendation"]
+        found = RunInfo(
+            log=record["log"],
+            slams=[
+                f"{item['name']}: {item['failed'] or str(item['scans_used']) + ' scans'}"
+                for item in record["producers"]
+            ],
+            maps_fused=record["fused_count"],
+            fused_mode=record["fused_mode"],
+            recommendation=None if answer is None else Recommendation.from_json(answer).headline,
+            time_s=record["time_s"],
+            report=record["report"],
+        )
+        remarks = [*record["not_measured"], *filter(None, [record["why_voted"]])]
+    except (ValueError, KeyError, TypeError) as error:
+        message = f"{path}: wanted the record of a run, found a damaged one ({error!r}); run again"
+        raise MapFileError(message) from error
+    return InfoDocument(folder, run=found, remarks=remarks)

@@ -1,0 +1,82 @@
+"""``slamfusion info``: logs, maps and runs in a screen."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from slamfusion.cli.program import run_program
+from slamfusion.errors import LogError, MapFileError
+from slamfusion.io import write_carmen
+from slamfusion.io.log import LogScan
+from slamfusion.jobs.info import describe
+from tests.cli.command import SAMPLE
+from tests.slam.drives import drive
+from tests.support.documents import check_document
+
+pytestmark = pytest.mark.once
+
+
+def test_a_log_has_its_rate_its_gaps_and_its_odometry(tmp_path: Path) -> None:
+    scans = drive(20)[0]
+    late = [
+        LogScan(replace(item.scan, stamp_s=item.scan.stamp_s + 3.0), item.odometry, item.line)
+        for item in scans[10:]
+    ]
+    write_carmen(tmp_path / "drive.log", [*scans[:10], *late])
+    found = describe(tmp_path / "drive.log").log
+    assert found is not None
+    step_s = scans[1].scan.stamp_s - scans[0].scan.stamp_s
+    assert (found.scans, found.gaps, found.without_odometry) == (20, 1, 0)
+    assert found.rate_hz == pytest.approx(1.0 / step_s, rel=1e-3)
+    assert found.longest_gap_s == pytest.approx(3.0 + step_s)
+    assert found.duration_s == pytest.approx(19 * step_s + 3.0)
+    assert found.beams == str(len(scans[0].scan.ranges))
+    first, last = scans[0].odometry, scans[-1].odometry
+    assert first is not None
+    assert last is not None
+    assert found.odometry_m is not None
+    assert found.odometry_m > 0.0
+
+
+def test_a_map_has_its_size_and_area(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_program(["info", str(SAMPLE / "map_a.yaml"), "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    check_document(document, "info")
+    assert (document["log"], document["run"]) == (None, None)
+    assert (document["map"]["width"], document["map"]["resolution_m"]) == (332, 0.05)
+    assert run_program(["info", str(SAMPLE / "map_a.yaml")]) == 0
+    assert "\nresolution [m]\t0.05\n" in capsys.readouterr().out
+
+
+def test_a_run_has_its_recommendation_and_a_damaged_record_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    answer: dict[str, object] = {
+        "use": "fused", "path": "fused", "best_single": "graph", "confidence": "high",
+        "check": [], "laser_fault": None,
+    }  # fmt: skip
+    slam = {"name": "graph", "scans_used": 64, "failed": None}
+    record = {
+        "log": "a.log", "producers": [slam, {"name": "tinyslam", "failed": "killed"}],
+        "fused_count": 2, "fused_mode": "drawn", "recommendation": answer, "time_s": 3.0,
+        "report": "report.html", "not_measured": ["no truth"], "why_voted": None,
+    }  # fmt: skip
+    (tmp_path / "fused.json").write_text(json.dumps(record), encoding="utf-8")
+    assert run_program(["info", str(tmp_path)]) == 0
+    out = capsys.readouterr().out
+    assert "recommendation\tUse the fused map and its path: no scan contradicts it\n" in out
+    assert "slams\tgraph: 64 scans; tinyslam: killed\n" in out
+    assert out.endswith("- no truth\n")
+    (tmp_path / "fused.json").write_text("{}", encoding="utf-8")
+    with pytest.raises(MapFileError, match="wanted the record of a run"):
+        describe(tmp_path)
+
+
+def test_what_is_none_of_these_is_named(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("nothing", encoding="utf-8")
+    with pytest.raises(LogError, match=r"notes\.txt"):
+        describe(tmp_path / "notes.txt")
