@@ -555,6 +555,39 @@ def _checked(_: click.Context, __: click.Parameter, where: str | None) -> str | 
     return where
 
 
+# --- --seeds --------------------------------------------------------------------------------------
+
+
+class _Seeds(click.ParamType):  # type: ignore[type-arg]  # generic from click 8.3 on
+    """Seeds as ``0-9``, or parted by commas."""
+
+    name = "seeds"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[int, ...]:
+        """Return the seeds in the order given, each once."""
+        found: dict[int, None] = {}
+        for part in value.split(",") if isinstance(value, str) else value:
+            first, dash, last = str(part).partition("-")
+            if not first.strip().isdecimal() or (dash and not last.strip().isdecimal()):
+                self.fail(f"wanted seeds like 0-9 or 1,2,5, found {value!r}", param, ctx)
+            found |= dict.fromkeys(range(int(first), int(last if dash else first) + 1))
+        return tuple(found)
+
+
+def seeds_option(places: str) -> Callable[[F], F]:
+    """Return the option ``--seeds`` of a command; ``places`` says where the results go."""
+    return click.option(
+        "--seeds",
+        "seeds",
+        type=_Seeds(),
+        default=(),
+        metavar="0-9",
+        help=f"Run with each of these seeds (0-9 or 1,2,5) and compare them: {places}.",
+    )
+
+
 # --- --start --------------------------------------------------------------------------------------
 
 

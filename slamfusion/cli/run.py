@@ -24,6 +24,7 @@ from slamfusion.cli.options import (
     map_resolution_option,
     output_option,
     scheduler_option,
+    seeds_option,
     start_errors,
     start_option,
     with_config,
@@ -41,10 +42,9 @@ from slamfusion.cli.output import (
     say,
 )
 from slamfusion.cli.paths import CASE_FILE, FILE, MAP
-from slamfusion.cli.results import table_option
+from slamfusion.cli.results import print_items, results_option, save_results, table_option
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
-from slamfusion.jobs.cases import CaseFile
 from slamfusion.jobs.documents import number
 from slamfusion.jobs.inputs import RUN_DEFAULTS
 from slamfusion.jobs.outputs import (
@@ -105,7 +105,12 @@ def _files(out: Path, given: Mapping[str, Any]) -> list[Path]:
         message = f"-o {out} is not a folder; name one for the maps and the report"
         raise click.UsageError(message)
     logs = given["logs"]
-    runs = [out] if len(logs) == 1 else [task.folder for task in log_tasks(logs, out)]
+    seeds = given["seeds"]
+    runs = (
+        [out]
+        if len(logs) == 1 and not seeds
+        else [task.folder for task in log_tasks(logs, out, seeds=seeds)]
+    )
     folders = [folder for run in runs for folder in (run, run / FAILED)]
     return [
         file
@@ -164,7 +169,8 @@ def _files(out: Path, given: Mapping[str, Any]) -> list[Path]:
 )
 @drive_options("paths")
 @map_resolution_option
-@scheduler_option("several logs")
+@scheduler_option("several logs or seeds")
+@seeds_option("DIR/LOG/seed-N")
 @with_config(
     "run",
     "fusion",
@@ -181,12 +187,15 @@ def _files(out: Path, given: Mapping[str, Any]) -> list[Path]:
     base=RUN_DEFAULTS,
 )
 @common_options
+@results_option
 @table_option
 def command(
     logs: tuple[Path, ...],
     out: Path,
     starts: GivenStarts,
     scheduler: str | None,
+    seeds: tuple[int, ...],
+    results_path: Path | None,
     config: RunConfig,
     as_json: bool,
     **asked: Any,
@@ -203,28 +212,27 @@ def command(
     # The import takes longer than the look: it is made while the producers are at work.
     if importlib.util.find_spec("matplotlib") is None:
         import slamfusion.report  # noqa: F401, PLC0415  (says what to install)
-    if len(logs) > 1:
-        with start_errors(starts):
-            config = with_starts(config, starts)
-        return run_many(logs, out, config, scheduler, asked, as_json=as_json)
-    if scheduler is not None:
-        message = "--scheduler does several logs; the producers on one run side by side anyway"
-        raise click.UsageError(message)
     check_odometry(asked["odometry"], asked["relations"])
     with start_errors(starts):
-        return _run(logs[0], out, with_starts(config, starts), as_json=as_json, **asked)
+        config = with_starts(config, starts)
+        if len(logs) > 1 or seeds:
+            return run_many(
+                logs, out, config, scheduler, asked,
+                seeds=seeds, results_path=results_path, as_json=as_json,
+            )  # fmt: skip
+        if scheduler is not None:
+            message = "--scheduler does several logs or seeds; the SLAMs of one log run in parallel"
+            raise click.UsageError(message)
+        return _run(logs[0], out, config, results_path, as_json=as_json, **asked)
 
 
 def _run(
     log: Path,
     out: Path,
     config: RunConfig,
+    results_path: Path | None,
     *,
     as_json: bool,
-    maps: tuple[Path, ...],
-    paths: tuple[CaseFile, ...],
-    truth: Path | None,
-    truth_trajectory: Path | None,
     probabilities: bool,
     **asked: Any,
 ) -> int:
@@ -236,14 +244,10 @@ def _run(
         run = run_log(
             log,
             config,
-            saved_maps=maps,
-            saved_paths=paths,
-            truth=truth_trajectory,
-            truth_map=truth,
+            **_run_options(asked),
             progress=progress,
             warn=notice,
             prepare=load_report,
-            **asked,
         )
         progress(REPORT, 0, 1)
         saved = save_run(run, out, probabilities=probabilities)
@@ -251,6 +255,11 @@ def _run(
         for outcome in run.failed:
             if outcome.detail:
                 print(f"{outcome.name}: {outcome.detail}", file=sys.stderr)
+    if results_path is not None:
+        from slamfusion.jobs.run_many import run_rows  # noqa: PLC0415
+
+        rows = run_rows(run, log.stem)
+        save_results(results_path, saved.document, rows, lambda: _inputs([log], asked))
     if as_json:
         for sentence in run.sentences():
             notice(sentence)
@@ -263,6 +272,13 @@ def _run(
         message = f"{reason} (what was made lies in {saved.folder}{earlier})"
         raise SlamFusionError(message)
     return 0
+
+
+def _run_options(asked: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the arguments of ``run_log`` that the command's options give."""
+    names = {"maps": "saved_maps", "paths": "saved_paths", "truth": "truth_map"}
+    names["truth_trajectory"] = "truth"
+    return {names.get(name, name): value for name, value in asked.items()}
 
 
 def _print(run: LogRun, saved: SavedRun) -> None:
@@ -382,16 +398,21 @@ def run_many(
     scheduler: str | None,
     asked: Mapping[str, Any],
     *,
+    seeds: Sequence[int],
+    results_path: Path | None,
     as_json: bool,
 ) -> int:
-    """Run the main job on each log, and print the outcome of each."""
+    """Run the main job on each log with each seed, and print the outcome of each."""
     from slamfusion.fleet import executor_for  # noqa: PLC0415
     from slamfusion.jobs.run_many import log_tasks, run_logs, runs_document  # noqa: PLC0415
 
-    _refuse_files_of_one_log(config, asked)
-    tasks = log_tasks(
-        logs, out, asked["maps"], asked["resolution"], probabilities=asked["probabilities"]
-    )
+    if len(logs) > 1:
+        _refuse_files_of_one_log(config, asked)
+    probabilities = asked["probabilities"]
+    options = _run_options({key: asked[key] for key in asked if key != "probabilities"})
+    # Workers have another working folder.
+    options["saved_maps"] = tuple(path.absolute() for path in options["saved_maps"])
+    tasks = log_tasks(logs, out, options, seeds=seeds, probabilities=probabilities)
     with (
         executor_for(scheduler, device=config.device.device) as executor,
         progress_bar() as progress,
@@ -399,14 +420,30 @@ def run_many(
         runs = run_logs(tasks, config, executor, progress)
     for run in runs:
         for sentence in run.warnings:
-            notice(f"{run.log.name}: {sentence}")
+            notice(f"{_name(run)}: {sentence}")
+    document, rows = runs_document(runs, config), [row for run in runs for row in run.rows]
+    save_results(results_path, document, rows, lambda: _inputs(logs, asked))
     if as_json:
-        print_json(runs_document(runs, config))
+        print_json(document)
     else:
         _print_logs(runs)
+        if rows and seeds:
+            print_items(rows, "path", ("ate_rmse_m", "relations_mean_m", "error"))
     if reason := _failure(runs):
         raise SlamFusionError(reason)
     return 0
+
+
+def _name(run: RunOfLog) -> str:
+    """Return what a run is called: its log, and its seed."""
+    return run.log.name if run.seed is None else f"{run.log.name} seed {run.seed}"
+
+
+def _inputs(logs: Sequence[Path], asked: Mapping[str, Any]) -> list[tuple[str, str, Path]]:
+    """Return role, case and path of the files that runs read."""
+    roles = ("truth", "relations", "odometry", "scan_odometry", "truth_trajectory")
+    read = [(role.replace("_", " "), "", asked[role]) for role in roles if asked[role] is not None]
+    return [*(("log", log.stem, log) for log in logs), *read]
 
 
 def _failure(runs: Sequence[RunOfLog]) -> str:
@@ -415,10 +452,10 @@ def _failure(runs: Sequence[RunOfLog]) -> str:
     unmeasured = [run for run in runs if run.error is None and run.not_measured]
     reasons = []
     if failed:
-        words = "; ".join(f"{run.log.name}: {run.error}" for run in failed)
+        words = "; ".join(f"{_name(run)}: {run.error}" for run in failed)
         reasons.append(f"{len(failed)} of {len(runs)} logs have no fused map ({words})")
     if unmeasured:
-        words = "; ".join(f"{run.log.name}: {', '.join(run.not_measured)}" for run in unmeasured)
+        words = "; ".join(f"{_name(run)}: {', '.join(run.not_measured)}" for run in unmeasured)
         reasons.append(
             f"of {len(unmeasured)} of {len(runs)} logs not all could be measured ({words})"
         )
@@ -443,7 +480,7 @@ def _print_logs(runs: Sequence[RunOfLog]) -> None:
         ("log ", "maps fused", "use ", "time [s]", "fused map "),
         [
             [
-                run.log.name,
+                _name(run),
                 str(run.fused_count) if run.fused_count else "-",
                 (run.recommendation and run.recommendation.use) or "-",
                 number(run.time_s, 1),
@@ -452,7 +489,7 @@ def _print_logs(runs: Sequence[RunOfLog]) -> None:
             for run in runs
         ],
         notes=["" if run.error is None else f"NO FUSED MAP: {run.error}" for run in runs],
-        title=f"{len(runs)} logs",
+        title=f"{len(runs)} runs",
     )
     for run in runs:
         if run.report is not None:

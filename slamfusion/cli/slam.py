@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,10 +19,19 @@ from slamfusion.cli.options import (
     file_option,
     output_option,
     report_option,
+    seeds_option,
     with_config,
 )
-from slamfusion.cli.output import notice, one_line, print_json, print_table, progress_bar
+from slamfusion.cli.output import (
+    notice,
+    one_line,
+    print_facts,
+    print_json,
+    print_table,
+    progress_bar,
+)
 from slamfusion.cli.paths import FILE, MAP
+from slamfusion.cli.results import print_items, table_option
 from slamfusion.cli.trajectory import print_measures
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
@@ -79,8 +89,17 @@ def _stem(out: Path) -> Path:
     return out.with_suffix("") if out.suffix in SUFFIXES else out
 
 
+def _stems(stem: Path, seeds: Sequence[int]) -> dict[int | None, Path]:
+    """Return the stem of the files of each seed; without seeds that of the only run."""
+    if not seeds:
+        return {None: stem}
+    return {seed: stem.with_name(f"{stem.name}_seed-{seed}") for seed in seeds}
+
+
 def _files(out: Path, given: Mapping[str, Any]) -> list[Path]:
-    return output_files(_stem(out), probabilities=given["probabilities"])
+    stems = _stems(_stem(out), given["seeds"]).values()
+    found = [output_files(stem, probabilities=given["probabilities"]) for stem in stems]
+    return [file for files in found for file in files]
 
 
 def _state_options(function: Any) -> Any:
@@ -125,6 +144,7 @@ def _make_command(name: str) -> click.Command:
         metavar="OUT",
         help="Write the map OUT.yaml, OUT.pgm, the path OUT.tum and the record OUT.json.",
     )
+    @seeds_option("OUT_seed-N")
     @drive_options("path")
     @file_option("--truth", "truth", "FILE", "The true trajectory. Adds the errors of the path.")
     @file_option("--truth-map", "truth_map", "MAP", "The true map. Adds the map errors.", MAP)
@@ -141,8 +161,11 @@ def _make_command(name: str) -> click.Command:
         base=base,
     )
     @common_options
-    def run(log: Path, out: Path, **asked: Any) -> int:
-        return _run(name, log, _stem(out), **asked)
+    @table_option
+    def run(log: Path, out: Path, seeds: tuple[int, ...], **asked: Any) -> int:
+        if not seeds:
+            return _run(name, log, _stem(out), **asked)
+        return _run_seeds(name, log, _stems(_stem(out), seeds), **asked)
 
     run.help = (
         f"Map a log with {record.summary}.\n\n"
@@ -203,6 +226,49 @@ def _run(
             print(path)
     if report is not None:
         print(report / PAGE)
+    return 0
+
+
+def _run_seeds(
+    name: str,
+    log: Path,
+    stems: Mapping[int | None, Path],
+    config: RunConfig,
+    *,
+    as_json: bool,
+    probabilities: bool,
+    **asked: Any,
+) -> int:
+    """Run with each seed, write the files of each, and print one table with their means."""
+    from slamfusion.evaluation import map_figures, path_figures, result_rows  # noqa: PLC0415
+    from slamfusion.jobs.map_log import map_log, save_mapped_log  # noqa: PLC0415
+
+    for option in ("report", "resume", "state"):
+        if asked.pop(option, None) is not None:
+            message = "--report, --resume and --save-state belong to one run; leave out --seeds"
+            raise click.UsageError(message)
+    limit, rows = asked.pop("stop_after", None), []
+    document: dict[str, Any] = {"producers": []}
+    with progress_bar() as progress:
+        for done, (seed, stem) in enumerate(stems.items()):
+            progress("seeds", done, len(stems))
+            own = replace(config, seed=seed or 0)
+            mapped = map_log(log, name, own, limit=limit, progress=progress, warn=notice, **asked)
+            saved = save_mapped_log(mapped, stem, probabilities=probabilities)
+            document = {**saved, "producers": [*document["producers"], *saved["producers"]]}
+            result = mapped.result
+            figures = path_figures(result.measures.truth, result.measures.relations)
+            figures["time_per_scan_ms"] = result.run.time_per_scan_ms()["mean"]
+            errors = {} if result.evaluation is None else map_figures(result.evaluation)
+            rows += result_rows(log.stem, str(seed), name, {**figures, **errors})
+            if mapped.failure is not None:
+                message = f"seed {seed}: {mapped.failure}"
+                raise SlamFusionError(message) from mapped.failure
+    if as_json:
+        print_json(document)
+    else:
+        print_items(rows, "SLAM", ("ate_rmse_m", "relations_mean_m", "error"))
+        print_facts(*((f"seed {seed}", f"{stem}.yaml") for seed, stem in stems.items()))
     return 0
 
 

@@ -87,6 +87,12 @@ class _Request:
         return place_files(cases, self.estimates), held
 
 
+def paths_in(item: CaseFile) -> list[CaseFile]:
+    """Return the .tum files of a folder; of a file itself."""
+    files = sorted(item.path.rglob("*.tum")) if item.path.is_dir() else []
+    return [replace(item, path=path) for path in files] or [item]
+
+
 @click.command(
     "trajectory",
     cls=Command,
@@ -133,14 +139,16 @@ class _Request:
 def command(config: RunConfig, **asked: Any) -> int:
     """Measure the errors of paths.
 
-    EST is a file of poses (TUM, 't x y theta' or CSV), or a log, whose raw odometry is measured.
+    EST is a file of poses (TUM, 't x y theta' or CSV), a log, whose raw odometry is measured, or a
+    folder, for all .tum files in it: out/seed-0/graph.tum is graph with seed 0.
 
     With several truths or relations, a path belongs to the one whose name is a word of its file
     name or folder: graph/intel.tum and intel_graph.tum belong to intel.tum. CASE=EST overrides
     that. The same holds for the files of other options. One table and one report then
     show all paths.
     """
-    request = _Request(**asked)
+    estimates = [found for item in asked.pop("estimates") for found in paths_in(item)]
+    request = _Request(estimates=tuple(estimates), **asked)
     request.check()
     return _measure(request, config)
 

@@ -1,16 +1,17 @@
-"""The main job on many logs: each one a task, with results in a folder of its own."""
+"""The main job on many logs and seeds: each one a task, with results in a folder of its own."""
 
 from __future__ import annotations
 
 import socket
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
+from slamfusion.evaluation import Row, map_figures, path_figures, path_series, result_rows
 from slamfusion.evidence.recommendation import Recommendation
 from slamfusion.fleet import as_done
 from slamfusion.jobs.documents import settings_used
@@ -23,22 +24,24 @@ if TYPE_CHECKING:
     from slamfusion.jobs.run_files import SavedRun
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LogTask:
-    """What is done with one log.
+    """What is done with one log and one seed.
 
     Attributes:
         log: the log.
         folder: of the results.
-        saved_maps: of other SLAMs, which vote too.
-        resolution: metres per cell of bare images among these.
+        case: the log's name among the others.
+        seed: of the run; None: that of the settings.
+        options: further arguments of ``run_log``.
         probabilities: also write the producers' maps with their probabilities.
     """
 
     log: Path
     folder: Path
-    saved_maps: tuple[Path, ...] = ()
-    resolution: float | None = None
+    case: str = ""
+    seed: int | None = None
+    options: Mapping[str, Any] = field(default_factory=dict)
     probabilities: bool = False
 
 
@@ -68,20 +71,18 @@ class RunOfLog:
     """What could not be measured, a sentence each."""
     time_s: float | None = None
     """Wall time, seconds; null where the log could not be run."""
+    seed: int | None = None
+    """Seed of the run; null: that of the settings."""
+    rows: Sequence[Row] = field(default=(), repr=False)
+    """What was measured of its maps and paths."""
 
     @classmethod
-    def of(cls, log: Path, run: LogRun, saved: SavedRun, warnings: Sequence[str]) -> RunOfLog:
-        """Return what is told of a run.
-
-        Args:
-            log: the log.
-            run: what was made.
-            saved: where its files lie.
-            warnings: what was told of its inputs.
-        """
+    def of(cls, task: LogTask, run: LogRun, saved: SavedRun, warnings: Sequence[str]) -> RunOfLog:
+        """Return the outcome of a task, with where its files lie and the warnings of its inputs."""
         is_fused = run.usable is not None
         return cls(
-            log=log,
+            log=task.log,
+            seed=task.seed,
             folder=saved.folder,
             fused=saved.folder / f"{FUSED}.yaml" if is_fused else None,
             record=saved.folder / RUN_RECORD if is_fused else None,
@@ -92,21 +93,39 @@ class RunOfLog:
             warnings=(*warnings, *run.sentences()),
             not_measured=run.not_measured,
             time_s=saved.document["time_s"],
+            rows=run_rows(run, task.case, "" if task.seed is None else str(task.seed)),
         )
+
+
+def run_rows(run: LogRun, case: str, seed: str = "") -> list[Row]:
+    """Return the errors of the maps and paths of a run as rows of a table of results."""
+    maps = {item.name: map_figures(item) for item in run.evaluations}
+    measures = {name: item.measures for name, item in run.results.items()}
+    measures |= {name: item.measures for name, item in run.saved_paths.items()}
+    if run.fused_path is not None:
+        measures[FUSED] = run.fused_path.measures
+    rows = []
+    for name in dict.fromkeys((*measures, *maps)):
+        own = measures.get(name)
+        held = (None, None) if own is None else (own.truth, own.relations)
+        figures = {**path_figures(*held), **maps.get(name, {})}
+        rows += result_rows(case, seed, name, figures, path_series(*held))
+    return rows
 
 
 def log_tasks(
     logs: Sequence[Path],
     folder: Path,
-    saved_maps: Sequence[Path] = (),
-    resolution: float | None = None,
+    options: Mapping[str, Any] | None = None,
     *,
+    seeds: Sequence[int] = (),
     probabilities: bool = False,
 ) -> tuple[LogTask, ...]:
-    """Return a task for each log, with results in ``folder/NAME``.
+    """Return a task for each log and seed, with results in ``folder/NAME/seed-N``.
 
     NAME is the log's file without its ending, and what tells it from the others where there are
-    several of one name: its ending, or as many of its folders as that takes.
+    several of one name: its ending, or as many of its folders as that takes. Without seeds the
+    results go to ``folder/NAME``.
     """
     names = [name.replace("/", "-") for name in distinct_names(logs)]
     stems = [Path(name).stem for name in names]
@@ -114,12 +133,14 @@ def log_tasks(
     return tuple(
         LogTask(
             log.absolute(),
-            folder.absolute() / name,
-            tuple(path.absolute() for path in saved_maps),
-            resolution,
+            folder.absolute() / name / ("" if seed is None else f"seed-{seed}"),
+            name,
+            seed,
+            options or {},
             probabilities,
         )
         for log, name in zip(logs, names, strict=True)
+        for seed in seeds or (None,)
     )
 
 
@@ -159,20 +180,14 @@ def run_one(task: LogTask, config: RunConfig) -> tuple[RunOfLog, str]:
 
     warnings: list[str] = []
     try:
-        run = run_log(
-            task.log,
-            config,
-            saved_maps=task.saved_maps,
-            resolution=task.resolution,
-            warn=warnings.append,
-            prepare=load_report,
-        )
+        own = config if task.seed is None else replace(config, seed=task.seed)
+        run = run_log(task.log, own, **task.options, warn=warnings.append, prepare=load_report)
         saved = save_run(run, task.folder, probabilities=task.probabilities)
     except (SlamFusionError, OSError) as error:
         words = " ".join(str(error).split())
-        failed = RunOfLog(log=task.log, error=words, warnings=tuple(warnings))
+        failed = RunOfLog(log=task.log, seed=task.seed, error=words, warnings=tuple(warnings))
         return failed, socket.gethostname()
-    return RunOfLog.of(task.log, run, saved, warnings), socket.gethostname()
+    return RunOfLog.of(task, run, saved, warnings), socket.gethostname()
 
 
 def runs_document(runs: Sequence[RunOfLog], config: RunConfig) -> RunsDocument:

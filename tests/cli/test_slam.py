@@ -109,7 +109,7 @@ def test_the_graph_s_path_as_first_reported_is_measured_too(
         assert figures["poses_matched"] == 12
     assert online["ate"]["rmse"] < 0.1
     text = run(*arguments).stdout
-    for name in ("relations, translation m, as first reported", "ATE, translation m, as first"):
+    for name in ("relations, translation [m], as first reported", "ATE, translation [m], as first"):
         assert name in text
 
 

@@ -237,7 +237,7 @@ def test_a_saved_map_brings_its_path(place: Path, tmp_path: Path) -> None:
     assert own.own_poses_share == pytest.approx(1.0 / 3.0, abs=0.05)
     assert own.covered_share > 0.9
     page = (tmp_path / "out" / "report" / "report.html").read_text(encoding="utf-8")
-    assert '<td class="plain">map</td><td class="plain">ATE, translation m</td>' in page
+    assert '<td class="plain">map</td><td class="plain">ATE, translation [m]</td>' in page
 
 
 def test_a_path_that_cannot_be_used_is_told_and_the_map_votes(tmp_path: Path) -> None:

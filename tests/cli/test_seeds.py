@@ -1,0 +1,80 @@
+"""``--seeds``: files of each seed, one table with means and deviations."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from slamfusion.cli.program import run_program
+from slamfusion.io import write_carmen, write_tum
+from slamfusion.jobs.run_many import log_tasks
+from slamfusion.trajectory import Trajectory
+from tests.slam.drives import drive
+from tests.support.documents import check_document
+
+pytestmark = pytest.mark.once
+
+
+@pytest.fixture
+def place(tmp_path: Path) -> Path:
+    """A folder with a short drive and its true path."""
+    scans, truth = drive(24)
+    write_carmen(tmp_path / "flat.log", scans)
+    stamps = np.array([item.scan.stamp_s for item in scans])
+    poses = np.array([(pose.x, pose.y, pose.yaw_rad) for pose in truth])
+    write_tum(tmp_path / "truth.tum", Trajectory(stamps, poses, "truth"))
+    return tmp_path
+
+
+def test_slam_runs_each_seed_and_prints_their_mean_and_deviation(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["slam", "tinyslam", str(place / "flat.log"), "-o", str(place / "t"), "--seeds", "3-4"]
+    words += ["--truth", str(place / "truth.tum")]
+    assert run_program([*words, "--table", str(place / "table.tex")]) == 0
+    printed = capsys.readouterr().out
+    rows = [line.split("\t") for line in printed.splitlines()]
+    assert [row[1] for row in rows if row[0] == "flat"] == ["3", "4", "mean of 2", "std of 2"]
+    assert "ATE rmse [m]" in printed
+    assert r"\begin{tabular}" in (place / "table.tex").read_text(encoding="utf-8")
+    assert (place / "t_seed-3.tum").read_bytes() != (place / "t_seed-4.tum").read_bytes()
+    assert run_program([*words, "--json"]) == 0
+    document: dict[str, Any] = json.loads(capsys.readouterr().out)
+    check_document(document, "slam")
+    assert len(document["producers"]) == 2
+    # The names say what belongs together.
+    assert run_program(["trajectory", str(place), "--truth", str(place / "truth.tum")]) == 0
+    rows = [line.split("\t") for line in capsys.readouterr().out.splitlines()]
+    assert ["truth", "mean of 2", "t"] in [row[:3] for row in rows]
+
+
+def test_a_run_has_a_folder_for_each_log_and_seed() -> None:
+    tasks = log_tasks([Path("/x/a.log"), Path("/x/b.log")], Path("/out"), seeds=(0, 1))
+    assert [str(task.folder) for task in tasks] == [
+        f"/out/{log}/seed-{seed}" for log in "ab" for seed in (0, 1)
+    ]
+    assert [task.seed for task in tasks] == [0, 1, 0, 1]
+
+
+@pytest.mark.parametrize("seeds", ["a", "1-", "3:5", ""])
+def test_what_are_no_seeds_is_refused(seeds: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_program(["run", "a.log", "-o", "out", "--seeds", seeds]) == 2
+    assert "wanted seeds like 0-9 or 1,2,5" in capsys.readouterr().err
+
+
+@pytest.mark.full
+def test_a_run_of_two_seeds_prints_one_table(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["run", str(place / "flat.log"), "-o", str(place / "out"), "--seeds", "0,1"]
+    words += ["--truth-trajectory", str(place / "truth.tum"), "--producers", "tinyslam,graph"]
+    assert run_program([*words, "--save-results", str(place / "all.zip")]) == 0
+    rows = [line.split("\t") for line in capsys.readouterr().out.splitlines()]
+    assert ["flat", "mean of 2", "fused"] in [row[:3] for row in rows]
+    for seed in (0, 1):
+        assert (place / "out" / "flat" / f"seed-{seed}" / "fused.yaml").is_file()
+    assert run_program(["compare", str(place / "all.zip")]) == 0
