@@ -324,7 +324,10 @@ def _print_slams(run: LogRun) -> None:
         names.append(FUSED)
         if run.fused_path is not None:
             measures[FUSED] = run.fused_path.measures
-    rows, notes = [], []
+    reasons = {item.name: f"NO MAP: {item.reason}" for item in run.failed}
+    if run.usable is not None:
+        reasons |= {record.name: record.reason for record in run.usable.rejected}
+    rows = []
     for name in names:
         own, found = measures.get(name, Measures()), run.results.get(name)
         row = [name, voted.get(name, "-" if name == FUSED else "0")]
@@ -338,12 +341,11 @@ def _print_slams(run: LogRun) -> None:
             row += [number(made.time_s, 1), number(ms["mean"], 1), number(ms["p95"], 1)]
             row += [str(made.scans_used), number(made.peak_memory_bytes / 1e6, 1)]
             rows.append([*row, number(made.health.mean_match_score)])
-        failed = next((item for item in run.failed if item.name == name), None)
-        notes.append("" if failed is None else f"NO MAP: {failed.reason}")
     columns = ["SLAM ", "vote [%]", "ATE rmse [m]", "relations mean [m]", "map error", "wall F1"]
     columns += ["time [s]", "scan mean [ms]", "scan 95 % [ms]", "scans used", "memory [MB]"]
     columns.append("match score, mean")
     shown = len(columns) if is_verbose() else BRIEF
+    notes = [reasons.get(name, "") for name in names] if reasons else ()
     print_table(columns[:shown], [row[:shown] for row in rows], notes=notes)
 
 

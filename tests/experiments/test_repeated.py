@@ -76,9 +76,8 @@ def test_estimators_are_swept_over_cell_sizes_and_drives(tmp_path: Path) -> None
         == 4
     )
     starts = [sentence.split(":")[0] for sentence in found.sentences()]
-    of_room = [
-        f"{case}, {error}" for case in cases[:2] for error in ("relations mean [m]", "ATE rmse [m]")
-    ]
+    errors = ("relations mean [m]", "ATE rmse [m]")
+    of_room = [f"{case}, {error}" for case in cases[:2] for error in errors]
     assert starts == [*of_room, *(f"{case}, ATE rmse [m]" for case in cases[2:])]
     again = sweep_estimators(drives[:1], [], Setup(CONFIG, open_device(), tmp_path / "b"))
     same = again.table[again.table["figure"] == ATE]["value"]
