@@ -64,11 +64,7 @@ Found = tuple["Experiment", Inputs]
 
 
 def _experiment(*sections: str) -> Callable[[Callable[..., Found]], Callable[..., int]]:
-    """Return what makes a command of a function: options that all have, and the output.
-
-    Args:
-        sections: of the settings that are its options.
-    """
+    """Return what makes a command of a function: options that all have, and the output."""
 
     def decorate(function: Callable[..., Found]) -> Callable[..., int]:
         @functools.wraps(function)

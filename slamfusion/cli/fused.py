@@ -39,11 +39,6 @@ def print_fusion(
     """Print how each input lies to the reference, how many were fused and in whose frame.
 
     ``--verbose`` adds why each was accepted, and where the inputs are, ready to paste.
-
-    Args:
-        result: of the fusion.
-        doubled: its doubled walls; None: not measured.
-        wanted: the setting ``fusion.reference``.
     """
     from slamfusion.jobs.fuse_documents import fusion_sentences  # noqa: PLC0415  (loads slowly)
 

@@ -88,12 +88,7 @@ def option_name(option: ConfigOption) -> str:
 
 
 def config_fields(config: Any = RunConfig, section: str = "") -> Iterator[ConfigOption]:
-    """Yield every leaf field of a configuration tree, in order, sections first to last.
-
-    Args:
-        config: the tree, whose values are the defaults, or its class.
-        section: dotted place of it in the whole tree.
-    """
+    """Yield every leaf field of a configuration tree, in order, sections first to last."""
     whole = config() if isinstance(config, type) else config
     # Of a section with profiles, what each field is when it is left open.
     own = whole.chosen() if isinstance(whole, Profiled) else whole
@@ -122,11 +117,6 @@ def with_config(
     """Give a command ``--config`` and the public fields of some sections as options.
 
     The command receives one ``config: RunConfig``: defaults, then the file, then the options.
-
-    Args:
-        sections: dotted places in the tree; ``""`` is the root's own fields.
-        base: defaults of this command, where they are not those of all.
-        preset: defaults of it with ``--like-paper``; None: there is no such option.
     """
     defaults = base or RunConfig()
     chosen = [
@@ -166,38 +156,19 @@ def _read(path: Path, defaults: RunConfig) -> RunConfig:
 def file_option(
     name: str, parameter: str, metavar: str, text: str, kind: InputPath = FILE
 ) -> Callable[[F], F]:
-    """Return the option of a command that names an input, which need not exist.
-
-    Args:
-        name: on the command line.
-        parameter: of the command, a path; None where it is not given.
-        metavar: what help calls the value.
-        text: of help.
-        kind: says which files are read for it.
-    """
+    """Return the option of a command that names an input, which need not exist."""
     return click.option(name, parameter, type=kind, metavar=metavar, help=text)
 
 
 def output_option(
     *names: str, files: Files = lambda path, _: [path], required: bool = False, **words: str
 ) -> Callable[[F], F]:
-    """Return the option of a command that says where something is written.
-
-    Args:
-        names: on the command line, then that of the command's parameter.
-        files: returns all that may be written or removed for it; see ``OutputPath``.
-        required: whether it has to be given.
-        words: ``metavar`` and ``help``.
-    """
+    """Return the option of a command that says where something is written."""
     return click.option(*names, type=OutputPath(files), required=required, **words)  # type: ignore[arg-type]
 
 
 def check_picture(name: str, path: Path | None) -> None:
     """Refuse a picture that cannot be drawn, before any work is done.
-
-    Args:
-        name: of the option.
-        path: its value; None: not given.
 
     Raises:
         click.BadParameter: its name ends in no form of a picture.
@@ -214,9 +185,6 @@ def check_picture(name: str, path: Path | None) -> None:
 def check_report(folder: Path | None) -> None:
     """Refuse a report that cannot be drawn, before any work is done.
 
-    Args:
-        folder: that it goes to; None: none is wanted.
-
     Raises:
         SlamFusionError: matplotlib is missing.
     """
@@ -227,11 +195,7 @@ def check_report(folder: Path | None) -> None:
 def case_option(
     name: str, parameter: str, metavar: str, text: str, kind: CasePath = CASE_FILE
 ) -> Callable[[F], F]:
-    """Return the option of a command that names a file of each of several cases; see ``CasePath``.
-
-    Args:
-        name, parameter, metavar, text, kind: see ``file_option``; the parameter is a tuple.
-    """
+    """Return the option of a command that names a file of each of several cases; see ``CasePath``."""
     text = f"{text} Repeat it for several cases: [CASE=]{metavar}."
     return click.option(name, parameter, type=kind, multiple=True, metavar=metavar, help=text)
 
@@ -256,12 +220,7 @@ def report_option(
     parameter: str,
     folders: Files = lambda folder, _: [folder],
 ) -> Callable[[F], F]:
-    """Return the option ``--report`` of a command that can write one.
-
-    Args:
-        parameter: of the command, a path; None where it is not given.
-        folders: returns those of the reports, from the one given and the command's values.
-    """
+    """Return the option ``--report`` of a command that can write one."""
     return output_option(
         "--report",
         parameter,
@@ -274,12 +233,7 @@ def report_option(
 
 
 def drive_files(judged: str, *, of_cases: bool = False) -> Callable[[F], F]:
-    """Give a command ``--relations``, ``--odometry``, ``--scan-odometry``: files beside LOG.
-
-    Args:
-        judged: what the errors by the relations are of, as help says it.
-        of_cases: each may be given for several logs.
-    """
+    """Give a command ``--relations``, ``--odometry``, ``--scan-odometry``: files beside LOG."""
     option = case_option if of_cases else file_option
     relations = option(
         "--relations",
@@ -315,11 +269,7 @@ def check_odometry(odometry: object, relations: object) -> None:
 
 
 def drive_options(judged: str) -> Callable[[F], F]:
-    """Give a command the files beside LOG, and ``--probabilities``.
-
-    Args:
-        judged: see ``drive_files``.
-    """
+    """Give a command the files beside LOG, and ``--probabilities``."""
     probabilities = click.option(
         "--probabilities",
         is_flag=True,
@@ -505,11 +455,7 @@ def _below(section: Any, name: str) -> Any:
 
 
 def scheduler_option(tasks: str) -> Callable[[F], F]:
-    """Return the option ``--scheduler`` of a command.
-
-    Args:
-        tasks: what is done there, as help says it.
-    """
+    """Return the option ``--scheduler`` of a command."""
     return click.option(
         "--scheduler",
         "scheduler",
@@ -598,12 +544,7 @@ OPTION = "--start"
 
 
 def start_option(text: str, *, bare_name: bool = False) -> Callable[[F], F]:
-    """Give a command ``--start`` as its argument ``starts``.
-
-    Args:
-        text: of help: in which frame starts are told.
-        bare_name: a start may have no name, and is the empty one's then.
-    """
+    """Give a command ``--start`` as its argument ``starts``."""
     form = "NAME=X,Y,YAW[,M,RAD]"
     return click.option(
         OPTION,

@@ -261,10 +261,6 @@ class Table:
 
         Columns that hold nothing are left out; heads and text are wrapped. If that is not enough,
         the last columns are left out and named. Notes are below, with the row's name.
-
-        Args:
-            width: of the terminal.
-            is_whole: columns that do not fit go to further tables, each with the names.
         """
         from rich.console import Console  # noqa: PLC0415  (a pipe needs none)
 

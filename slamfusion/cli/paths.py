@@ -85,10 +85,6 @@ MAP, CASE_MAP = InputPath(_read_of_map), CasePath(_read_of_map)
 def check_paths(context: click.Context, given: Mapping[str, Any]) -> None:
     """Refuse a command that would write over what it reads, or where it cannot, before any work.
 
-    Args:
-        context: of the command.
-        given: its values by name.
-
     Raises:
         click.BadParameter: an output would replace an input, or another output.
         MapFileError: an output cannot be written.

@@ -51,14 +51,7 @@ def save_results(
     rows: Sequence[Row],
     inputs: Callable[[], Sequence[tuple[str, str, Path]]] = list,
 ) -> None:
-    """Write what the running command measured, if it was asked for.
-
-    Args:
-        path: as ``--save-results`` has it; None: it was not asked for.
-        document: what the command prints with ``--json``.
-        rows: what was measured.
-        inputs: returns role, case and path of the input files.
-    """
+    """Write what the running command measured, if it was asked for."""
     if path is None:
         return
     from slamfusion.jobs.results import write_results_file  # noqa: PLC0415  (loads slowly)
@@ -75,13 +68,7 @@ def save_results(
 
 
 def print_items(rows: Sequence[Row], what: str, leading: Sequence[str]) -> None:
-    """Print a row of figures for each item, the means, and the leading figures case by case.
-
-    Args:
-        rows: of at least one item.
-        what: one of them is, a map or a path.
-        leading: names of figures that get a table of their own: a row a method, a column a case.
-    """
+    """Print a row of figures for each item, the means, and the leading figures case by case."""
     from slamfusion.jobs.results import figures_of, means_of, results_table  # noqa: PLC0415
 
     figures = figures_of(results_table(rows))
@@ -145,11 +132,6 @@ def print_by_case(figures: pd.DataFrame, what: str, leading: Sequence[str]) -> N
 
     It has a row a method and a column a case, with mean and deviation over the seeds, and then the
     mean and deviation over the cases.
-
-    Args:
-        figures: see ``figures_of``.
-        what: a row is, a map or a path.
-        leading: names of figures; those that nothing has are left out.
     """
     from slamfusion.evaluation import figure_of  # noqa: PLC0415  (loads slowly)
     from slamfusion.jobs.results import means_of  # noqa: PLC0415  (loads slowly)

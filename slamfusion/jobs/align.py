@@ -75,11 +75,5 @@ def _expected(config: RunConfig, reference: str, moving: str) -> Pose2 | StartPo
 
 
 def align_document(found: Alignment, config: RunConfig, device: str) -> AlignDocument:
-    """Return what ``slamfusion align`` prints as JSON.
-
-    Args:
-        found: the alignment.
-        config: the settings in effect.
-        device: what computed it, in words.
-    """
+    """Return what ``slamfusion align`` prints as JSON."""
     return {**found.to_json(), **circumstances(config, device)}

@@ -74,9 +74,6 @@ class Placed:
 def case_names(files: Sequence[CaseFile]) -> list[str]:
     """Return the names of the cases that truths or logs are of, one each, in order.
 
-    Args:
-        files: named by ``CASE=``, else by their stem.
-
     Raises:
         ConfigError: two have one name, or a name can be none of a folder.
     """
@@ -97,9 +94,6 @@ def shared_case_names(*kinds: Sequence[CaseFile]) -> list[str]:
     The kind with most files names them; of kinds with as many, one with a ``CASE=``. What is
     ``CASE=`` of the other kinds, and new, follows.
 
-    Args:
-        kinds: truths and relations, for example; of each at most one file a case.
-
     Raises:
         ConfigError: see ``case_names``.
     """
@@ -111,11 +105,6 @@ def shared_case_names(*kinds: Sequence[CaseFile]) -> list[str]:
 
 def files_by_case(cases: Sequence[str], files: Sequence[CaseFile], what: str) -> dict[str, Path]:
     """Return the file of each case that has one.
-
-    Args:
-        cases: their names; one alone has every file.
-        files: at most one a case.
-        what: they are, for messages.
 
     Raises:
         ConfigError: a file belongs to none of the cases, or to several; or two are of one.

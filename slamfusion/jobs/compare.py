@@ -247,15 +247,7 @@ def compare_values(
     case: str = "",
     seed: str = "",
 ) -> ComparisonJson:
-    """Compare a figure.
-
-    Args:
-        names: of both results or methods.
-        first, second: their values; paired: with the same index, and where both are defined.
-        is_paired: whether the values are pairs.
-        figure: its name.
-        case, seed: those that the values are of; empty: of several.
-    """
+    """Compare a figure."""
     if is_paired:
         both = first.notna() & second.notna()
         first, second = first[both], second[both]
@@ -285,11 +277,7 @@ def compare_values(
 
 
 def _correct(figures: Sequence[ComparisonJson]) -> None:
-    """Make p-values of each figure allow for how many results are compared, and say what is better.
-
-    Args:
-        figures: of every two results; changed in place.
-    """
+    """Make p-values of each figure allow for how many results are compared, and say what is better."""
     for name in {item["figure"] for item in figures}:
         own = [item for item in figures if item["figure"] == name]
         larger = figure_of(name).larger_is_better

@@ -28,9 +28,6 @@ def devices_document() -> DevicesDocument:
 def check_installation(config: RunConfig) -> DoctorDocument:
     """Look at versions and devices, and test three kernels of the chosen device.
 
-    Args:
-        config: names the device.
-
     Returns:
         What was found; ``problems`` says what is wrong and what to do, and nothing is raised.
     """

@@ -101,9 +101,6 @@ def compare_maps(
 ) -> FusionResult:
     """Compare maps of one place with each other: without a truth, those that agree are right.
 
-    Args:
-        maps, config, device, progress: see ``evaluate_maps``.
-
     Returns:
         Their fusion by ``consensus``; ``wall_agreement`` and ``bent`` are what is asked for.
 
@@ -150,23 +147,13 @@ def measure_distances(
 
 
 def evaluation_rows(placed: Sequence[Placed], evaluations: Sequence[Evaluation]) -> list[Row]:
-    """Return the figures of maps against truths as rows of a table of results.
-
-    Args:
-        placed: the maps' cases and methods.
-        evaluations: of these, in the same order.
-    """
+    """Return the figures of maps against truths as rows of a table of results."""
     pairs = zip(placed, evaluations, strict=True)
     return [row for item, own in pairs for row in result_rows(*item.keys, map_figures(own))]
 
 
 def distance_rows(maps: Sequence[CaseFile], distances: Sequence[DistanceComparison]) -> list[Row]:
-    """Return the figures of maps against measured distances, a case of their own, as rows.
-
-    Args:
-        maps: their files.
-        distances: of these, in the same order; empty where none were measured.
-    """
+    """Return the figures of maps against measured distances, a case of their own, as rows."""
     placed = place_files(["measured distances"], [CaseFile(file.path) for file in maps])
     return [
         row
@@ -184,16 +171,7 @@ def evaluate_document(
     truth: Path | None,
     device: str | None,
 ) -> EvaluateDocument:
-    """Return what ``slamfusion evaluate`` prints as JSON.
-
-    Args:
-        evaluations: of the maps against the truth; empty without one.
-        distances: of the maps against measured distances; empty without them.
-        config: the settings in effect.
-        agreement: of the maps with each other.
-        truth: the true map's file; None without one.
-        device: what computed the alignments, in words; None where none was.
-    """
+    """Return what ``slamfusion evaluate`` prints as JSON."""
     return {
         "maps": evaluations,
         "distances": distances,
@@ -214,13 +192,7 @@ def cases_document(
     truths: Mapping[str, Path],
     device: str,
 ) -> CasesEvaluationDocument:
-    """Return what ``slamfusion evaluate`` prints as JSON with several truths.
-
-    Args:
-        placed: the maps' cases and methods.
-        evaluations, distances, config, device: see ``evaluate_document``.
-        truths: the true maps' files, by case.
-    """
+    """Return what ``slamfusion evaluate`` prints as JSON with several truths."""
     from slamfusion.jobs.results import summaries  # noqa: PLC0415  (pandas is an extra)
 
     maps = [

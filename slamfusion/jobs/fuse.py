@@ -128,11 +128,7 @@ class FusedMaps:
         return self.in_memory.agreement
 
     def to_json(self, stems: Sequence[Path | None] = ()) -> FuseDocument:
-        """Return what ``slamfusion fuse`` prints as JSON.
-
-        Args:
-            stems: of each group in memory, the files of its map, a path without suffix.
-        """
+        """Return what ``slamfusion fuse`` prints as JSON."""
         result, stems = self.result, self.stems or stems
         stores = self.stores or [None] * len(stems)
         groups = [
@@ -333,10 +329,6 @@ def check_stores(store: Path, count: int) -> None:
 
     One of an earlier fusion that this one does not write would look like a group of it.
 
-    Args:
-        store: ``OUT.zarr``.
-        count: maps that are fused; a group has two or more.
-
     Raises:
         MapFileError: something is at one of them, or Zarr is not installed.
     """
@@ -417,13 +409,6 @@ def write_failed_fusion(
     device: str,
 ) -> Path:
     """Write the report of maps that were not fused; that of an earlier fusion stays.
-
-    Args:
-        error: why not.
-        grids: the inputs.
-        config: the effective configuration, written out in full.
-        directory: for the report; it goes into ``failed`` there where one lies in it already.
-        device: what computed, in words.
 
     Returns:
         The path of ``report.html``.

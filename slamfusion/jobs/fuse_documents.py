@@ -46,15 +46,7 @@ def failed_fuse_document(
     device: str,
     given: GivenMaps = NO_FILES,
 ) -> FailedFuseDocument:
-    """Return what ``slamfusion fuse`` prints as JSON where nothing was fused.
-
-    Args:
-        error: why not.
-        grids: the inputs.
-        config: the settings in effect.
-        device: what computed, in words.
-        given: the files of the inputs.
-    """
+    """Return what ``slamfusion fuse`` prints as JSON where nothing was fused."""
     return {
         **failure_document(grids, error.pairs, str(error)),
         "fused": None,
@@ -91,13 +83,7 @@ def fusion_document(
 def failure_document(
     grids: Sequence[OccupancyGrid], pairs: Sequence[Alignment], reason: str
 ) -> FusionJson:
-    """Return the same keys where nothing was fused.
-
-    Args:
-        grids: the inputs.
-        pairs: every pair that was aligned; may be empty.
-        reason: why nothing was fused; that of an input in no pair.
-    """
+    """Return the same keys where nothing was fused."""
     return {
         "inputs": [
             {
@@ -124,13 +110,7 @@ def failure_document(
 def fusion_sentences(
     result: FusionResult | StoredFusion, doubled: DoubledWalls | None, wanted: str | None
 ) -> tuple[str, str]:
-    """Say how many inputs were fused in whose frame; and what the vote added.
-
-    Args:
-        result: of the fusion.
-        doubled: its doubled walls; None: not measured.
-        wanted: the setting ``fusion.reference``.
-    """
+    """Say how many inputs were fused in whose frame; and what the vote added."""
     names = [record.name for record in result.inputs]
     before = names[: names.index(result.reference)]
     why = "the first map given"
@@ -165,13 +145,7 @@ def left_out_sentences(result: FusionResult | StoredFusion) -> list[str]:
 
 
 def group_document(result: Fusion, stem: Path | None, store: Path | None = None) -> FusedGroupJson:
-    """Return what is said of one group.
-
-    Args:
-        result: the fusion.
-        stem: path of its map without suffix; None: it has no such files.
-        store: that holds it; None: none does.
-    """
+    """Return what is said of one group."""
     return {
         "fused": None if stem is None else f"{stem}.yaml",
         "agreement": None if stem is None else f"{agreement_stem(stem)}.yaml",

@@ -61,14 +61,6 @@ def fuse_layers(
     equally well, in places that look alike under two turns. Saved maps may have any frame, so with
     them the settings decide.
 
-    Args:
-        layers: of ``draw_layers``; an input that it left out stands in the result with the reason.
-        config: ``fusion``, and ``run.path_gap_m``.
-        device: computes.
-        shared_frame: all maps are of producers of this drive.
-        progress: called with the stage, the steps done and all steps.
-        starts: see ``fuse_grids``.
-
     Returns:
         The fusion; where there are too few maps, or too few fit, why there is none.
     """

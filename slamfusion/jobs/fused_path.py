@@ -62,12 +62,7 @@ class DrivePath:
         return self.fused.trajectory
 
     def in_fused_frame(self, paths: Mapping[str, Trajectory], fusion: FusionResult) -> DrivePath:
-        """Return the path laid onto those of the producers that voted, as their maps lie.
-
-        Args:
-            paths: by producer, each in its map's frame.
-            fusion: of their maps.
-        """
+        """Return the path laid onto those of the producers that voted, as their maps lie."""
         placed = [
             paths[record.name]
             if record.alignment is None
@@ -103,12 +98,6 @@ def fuse_weighed_paths(
 
     Then all scans are laid on each other along it, where they do not speak against what comes.
 
-    Args:
-        paths: by producer; those that close no loops count as one over long spans.
-        evidence: what the scans say of these paths; None: all count alike, and no scan is moved.
-        exclusions: when each of them has no vote: these poses have no weight; None: all have.
-        device: scores the path.
-
     Raises:
         TrajectoryError: the paths have no times in common.
         GraphError: the equations cannot be solved.
@@ -137,12 +126,6 @@ def draw_like(
 ) -> OccupancyGrid:
     """Draw a map from scans at the poses of a path.
 
-    Args:
-        scans: of the drive.
-        path: in the map frame of ``like``.
-        device: draws.
-        like: the map is drawn on the lattice of this one, over all that was seen.
-
     Raises:
         TrajectoryError: no scan has a pose.
     """
@@ -150,13 +133,7 @@ def draw_like(
 
 
 def drawn_document(grid: OccupancyGrid, file: Path, config: RunConfig) -> DrawnMapJson:
-    """Return the record of a drawn map for a JSON document.
-
-    Args:
-        grid: the map.
-        file: where it was written to.
-        config: its thresholds say what is a wall.
-    """
+    """Return the record of a drawn map for a JSON document."""
     normalize = config.fusion.normalize
     thickness = wall_thickness(grid, normalize=normalize)
     return {

@@ -121,11 +121,6 @@ def describe(
 ) -> InfoDocument:
     """Describe a log, a bag, a map or a run.
 
-    Args:
-        path: of a file, or the folder of a bag or run.
-        config: ``log`` and ``map_files`` say how it is read; default: the defaults.
-        progress: called with the share of a log that is read.
-
     Raises:
         LogError: it is no log that can be read.
         MapFileError: it is no map that can be read.

@@ -151,10 +151,6 @@ class JudgedPaths:
         """Return figures and single scores of each path as rows of a table of results.
 
         The recommended path comes first.
-
-        Args:
-            case: of the log.
-            placed: the paths' files, of other cases too.
         """
         by_name = {item.name: item for item in placed if item.case == case}
         rows: list[Row] = []
@@ -279,13 +275,7 @@ def judge_paths(
 def judgements_document(
     logs: Mapping[str, JudgedPaths], rows: Sequence[Row], config: RunConfig
 ) -> JudgementsDocument:
-    """Return what ``slamfusion judge`` prints of several logs as JSON.
-
-    Args:
-        logs: the result of each log, by case.
-        rows: of all of them.
-        config: the settings in effect.
-    """
+    """Return what ``slamfusion judge`` prints of several logs as JSON."""
     from slamfusion.jobs.results import summaries  # noqa: PLC0415  (pandas is an extra)
 
     return {
@@ -297,10 +287,6 @@ def judgements_document(
 
 def write_fused_path(found: JudgedPaths, files: AtomicFiles | None = None) -> None:
     """Write the path that was fused of the others as TUM, where there is one.
-
-    Args:
-        found: what became of the paths.
-        files: the set of files to join; default: one of its own.
 
     Raises:
         MapFileError: the file cannot be written.

@@ -270,11 +270,6 @@ def run_remarks(run: ProducerRun) -> list[tuple[str, str]]:
 def measure_run(run: ProducerRun, config: RunConfig, held: Yardsticks) -> Measures:
     """Measure the path, and the one that was first reported where the producer keeps it.
 
-    Args:
-        run: what a producer made of a log.
-        config: ``trajectory`` is used.
-        held: what the path is held against.
-
     Raises:
         TrajectoryError: the path does not meet the relations, the odometry or the truth.
     """
@@ -289,13 +284,7 @@ def measure_run(run: ProducerRun, config: RunConfig, held: Yardsticks) -> Measur
 
 
 def slam_document(mapped: MappedLog, outputs: Sequence[Path], state: Path | None) -> SlamDocument:
-    """Return what ``slamfusion slam`` prints as JSON and writes as the record.
-
-    Args:
-        mapped: the run.
-        outputs: the files that it is written to.
-        state: the file of the producer's state; None: it is not kept.
-    """
+    """Return what ``slamfusion slam`` prints as JSON and writes as the record."""
     files, result = mapped.files, mapped.result
     return {
         "producers": [
@@ -319,16 +308,7 @@ def add_run(
     *,
     probabilities: bool,
 ) -> None:
-    """Stage a run's map, path and record with other files.
-
-    Args:
-        files: the set.
-        run: what was made.
-        document: the record.
-        stem: the files' path without their suffixes.
-        config: its thresholds of the vote decide what is free and occupied in the map.
-        probabilities: also stage the map with its probabilities: value by value, mode raw.
-    """
+    """Stage a run's map, path and record with other files."""
     _, _, tum, record = output_files(stem)
     save_map(run.grid, stem, classes=config.fusion.normalize, files=files)
     if probabilities:

@@ -42,12 +42,7 @@ def output_files(stem: Path, *, probabilities: bool = False) -> list[Path]:
 
 
 def failure_folder(folder: Path, results: Iterable[Path]) -> Path:
-    """Return where the files of a failed job go: ``failed`` in the folder where it holds results.
-
-    Args:
-        folder: that the job was to write to.
-        results: any file that such a job may write there.
-    """
+    """Return where the files of a failed job go: ``failed`` in the folder where it holds results."""
     return folder / FAILED if any(path.exists() for path in results) else folder
 
 

@@ -121,14 +121,6 @@ def draw_layers(
 ) -> Layers:
     """Take out of the maps of a drive what their producers drew after they had left the others.
 
-    Args:
-        maps: of distinct names; those that have no path, the saved ones, stay as they are.
-        paths: found with the producers' maps, by name.
-        exclusions: when these have no vote; None: nothing is known, and all vote.
-        scans_of: returns the scans that a producer was fed; asked for those that are drawn anew.
-        device: draws.
-        filling: what is drawn instead; None: nothing.
-
     Raises:
         TrajectoryError: the scans of a producer are not those of its path.
         OSError: they cannot be read.
@@ -166,13 +158,7 @@ def draw_layers(
 
 
 def _filled(path: Trajectory, exclusions: Exclusions, filling: Filling) -> Trajectory:
-    """Return a path with the poses of the filling, laid on it, where its producer has no vote.
-
-    Args:
-        path: a producer's, named after it, where it has a vote.
-        exclusions: say when that is.
-        filling: has the other poses.
-    """
+    """Return a path with the poses of the filling, laid on it, where its producer has no vote."""
     motion = fit_onto(filling.path, [path])
     if motion is None:
         return path

@@ -186,13 +186,7 @@ class DoubledWalls:
         config: RunConfig,
         known: Mapping[str, float] | None = None,
     ) -> DoubledWalls:
-        """Measure a fusion.
-
-        Args:
-            result: the fusion.
-            config: its thresholds say what is a wall.
-            known: shares of inputs that were measured before, by name; default: none.
-        """
+        """Measure a fusion."""
         known, normalize = known or {}, config.fusion.normalize
         shares = {
             record.name: known[record.name]

@@ -85,11 +85,6 @@ def means_of(figures: pd.DataFrame, keys: Sequence[str], how: str = "mean") -> p
 
     A figure that is not defined in one of the rows has no mean. A mean over fewer rows would be
     compared with those of other methods over all of them.
-
-    Args:
-        figures: see ``figures_of``.
-        keys: of its index; they become the index.
-        how: ``mean``, or ``std``: the sample standard deviation, NaN for one row.
     """
     groups = figures.groupby(level=list(keys), sort=False)
     return groups.agg(how).where(groups.count().eq(groups.size(), axis=0))

@@ -446,16 +446,7 @@ def score_all_paths(
     device: ComputeDevice,
     leave_out: Callable[[str, str], None],
 ) -> tuple[PathEvidence | None, str | None]:
-    """Score the paths on the scans; else return why that cannot be done.
-
-    Args:
-        judge: returns the scans that paths are scored on.
-        paths: of the producers, by name; those of saved maps that take part are added to them, at
-            the times of the scans.
-        saved: paths of saved maps, by name, each in its map's frame; may be sparse.
-        device: scores.
-        leave_out: called with the name of each saved path that takes no part, and the reason.
-    """
+    """Score the paths on the scans; else return why that cannot be done."""
     reason, evidence = "no producer has a path", None
     if paths:
         try:
@@ -478,14 +469,7 @@ def score_all_paths(
 def _why_not_fused(
     fusion: DriveFusion, outcomes: Sequence[Outcome], saved: int, config: RunConfig
 ) -> SlamFusionError | None:
-    """Return why the fused map may not be used; None where it may.
-
-    Args:
-        fusion: of the maps.
-        outcomes: of the producers.
-        saved: how many saved maps there are.
-        config: ``fusion.require_all`` is used.
-    """
+    """Return why the fused map may not be used; None where it may."""
     failed = [item for item in outcomes if item.run is None]
     made = len(outcomes) - len(failed) + saved
     if made < LEAST_FUSED:
@@ -513,17 +497,7 @@ def _recommend(
     *,
     is_fused: bool,
 ) -> Recommendation | None:
-    """Say which map and path to use; None if there is no map.
-
-    Args:
-        paths: of the drive, by name.
-        evidence: what the scans say of them and of the fused one; None: they could not be asked.
-        exclusions: who votes; None: that is not known.
-        fused_path: the fused path in the frame of the fused map; None: there is none.
-        fusion: of the maps.
-        device: computes.
-        is_fused: whether the fused map may be used.
-    """
+    """Say which map and path to use; None if there is no map."""
     fallback = None if fusion.fallback is None else fusion.fallback.name
     if evidence is None or exclusions is None:
         path = FUSED if fused_path is not None else fallback if fallback in paths else None
@@ -552,14 +526,6 @@ def draw_run(
     device: ComputeDevice,
 ) -> tuple[DriveFusion, OccupancyGrid | None, str | None]:
     """Draw the map of a log at the fused path, as the fused map or beside it, as was asked for.
-
-    Args:
-        scans: returns those of the log; called where something is drawn.
-        path: the fused path; None where there is none.
-        fusion: of the maps, by vote.
-        saved: names of inputs whose paths are not in the fused one: they vote beside what is drawn.
-        config: ``fusion.vote.mode`` and ``run.draw`` say what is wanted.
-        device: draws.
 
     Returns:
         The fusion, with the drawn map in place of the vote where that was asked for; the drawn map

@@ -155,12 +155,6 @@ def run_logs(
     Logs are read and results are written where the tasks are done: workers of other machines need
     the same folders under the same names.
 
-    Args:
-        tasks: their folders differ.
-        config: settings of everything.
-        executor: does the tasks; default: one after the other, here.
-        progress: told how many are done.
-
     Returns:
         What came of each, in order. One that fails is told there and raises nothing.
     """

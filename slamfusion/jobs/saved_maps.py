@@ -108,21 +108,12 @@ class SavedMaps:
 
 
 def free_name(name: str, taken: Collection[str] = ()) -> str:
-    """Return the name of a saved map, changed where a producer or a fused map has it.
-
-    Args:
-        name: as its file says.
-        taken: further names that it may not have.
-    """
+    """Return the name of a saved map, changed where a producer or a fused map has it."""
     return f"{name} (saved)" if name in {*producer_names(), FUSED, DRAWN, *taken} else name
 
 
 def path_at_scans(path: Trajectory, scans: JudgedScans) -> Trajectory:
     """Return a path's poses at the scans of its drive, also where odometry carries it.
-
-    Args:
-        path: on the clock of the scans; may be sparse.
-        scans: of the drive.
 
     Raises:
         TrajectoryError: it has a pose for too few of the scans.

@@ -76,11 +76,6 @@ class SimulatedDrive:
 def choose_course(course: str | Path, config: RunConfig, *, seed: int | None = None) -> Course:
     """Return the course of a name or a YAML file, changed as ``config.simulate`` says.
 
-    Args:
-        course: a name of ``slamfusion.sim.COURSES``, or a file.
-        config: ``simulate``; its seed counts for a name, and for a file that has none.
-        seed: takes the place of a file's own.
-
     Raises:
         SimulationError: there is no such course, or the file is damaged.
         OSError: the file cannot be opened.

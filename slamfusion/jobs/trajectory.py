@@ -101,12 +101,6 @@ class Yardsticks:
     ) -> Yardsticks:
         """Read files; those not named are None.
 
-        Args:
-            config: ``log`` says how poses are read.
-            relations: lines of 't1 t2 x y z roll pitch yaw' [K09].
-            odometry, truth: a log, or poses.
-            warn: told in a sentence what is doubtful about the truth.
-
         Raises:
             TrajectoryError: a file is damaged.
             LogError: a log cannot be read.
@@ -125,11 +119,6 @@ class Yardsticks:
         self, path: Trajectory, config: RunConfig, scans: Trajectory | None = None
     ) -> Measures:
         """Measure a path by all that there is; see ``measure_trajectory``.
-
-        Args:
-            path: the poses.
-            config: ``trajectory`` is used.
-            scans: raw odometry of the scans of the path's log.
 
         Raises:
             TrajectoryError: the path does not meet the relations, the odometry or the truth.
