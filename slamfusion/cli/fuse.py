@@ -11,7 +11,7 @@ import click
 
 from slamfusion.cli.evaluate import print_evaluations, tell_unaligned
 from slamfusion.cli.fused import print_fusion, print_pairs, tell_left_out
-from slamfusion.cli.help import Command
+from slamfusion.cli.help import Choice, Command
 from slamfusion.cli.options import (
     GivenStarts,
     asked_executor,
@@ -19,6 +19,7 @@ from slamfusion.cli.options import (
     common_options,
     file_option,
     map_resolution_option,
+    open_option,
     output_option,
     processes_option,
     report_option,
@@ -68,7 +69,10 @@ def _files(out: Path, given: Mapping[str, Any]) -> list[Path]:
     """Return what may be written: also the maps of groups that may be found."""
     stems = group_stems(_stem(out), len(given["maps"]) // 2)
     maps = [f"{stem}{end}" for stem in stems for end in ("", AGREEMENT_END)]
-    return [record_file(stems[0]), *(file for name in maps for file in map_files(Path(name)))]
+    return [
+        record_file(stems[0]),
+        *(file for name in maps for file in map_files(Path(name), "pgm", "png")),
+    ]
 
 
 def _report_folders(folder: Path, _: Mapping[str, Any]) -> list[Path]:
@@ -102,7 +106,15 @@ def _report_folders(folder: Path, _: Mapping[str, Any]) -> list[Path]:
     "The true map. Adds the errors of all maps.",
     MAP,
 )
+@click.option(
+    "--format",
+    "image_format",
+    type=Choice(["pgm", "png"]),
+    default="pgm",
+    help="Image format of the maps. [default: pgm]",
+)
 @report_option("report_dir", _report_folders)
+@open_option
 @start_option(
     "Expected pose of map NAME. Several starts share one frame. A single start is given in the "
     "frame of the reference or of the only other map."
@@ -129,6 +141,8 @@ def command(
     out: Path,
     truth_path: Path | None,
     report_dir: Path | None,
+    image_format: str,
+    is_opened: bool,
     starts: GivenStarts,
     resolution: float | None,
     scheduler: str | None,
@@ -178,7 +192,11 @@ def command(
         _report_failure(error, grids, config, device.name, report_dir, given, as_json)
         raise
     stem = _stem(out)
-    document = fused.to_json() if store else save_fused_maps(fused, stem, report=report_dir)
+    document = (
+        fused.to_json()
+        if store
+        else save_fused_maps(fused, stem, report=report_dir, image_format=image_format)
+    )
     tell_left_out(fused.result)
     for path, own in zip(fused.stores, fused.stems, strict=True):
         if own is None:
@@ -187,6 +205,8 @@ def command(
         print_json(document)
     else:
         _print_result(fused, stem, report_dir)
+    if is_opened and report_dir is not None:
+        click.launch(str(report_dir / PAGE))
     return 0
 
 

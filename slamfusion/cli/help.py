@@ -18,7 +18,17 @@ GROUPS: Mapping[str, Sequence[str]] = {
     ),
     "Output": (
         *("--output", "--report", "--image", "--table", "--save-results", "--probabilities"),
-        *("--plot", "--tum", "--fused", "--format", "--json", "--verbose", "--debug", "report"),
+        *(
+            "--open",
+            "--plot",
+            "--tum",
+            "--fused",
+            "--format",
+            "--json",
+            "--verbose",
+            "--debug",
+            "report",
+        ),
     ),
     "Ground truth": (
         *("--truth", "--truth-trajectory", "--truth-map", "--relations", "--odometry"),
@@ -39,8 +49,8 @@ BASIC = frozenset({
     "--mode", "--reference", "--require-all", "--like-paper", "--scan-topic", "--odom-topic",
     "--alignment", "--rpe-unit", "--rpe-delta", "--particles", "--report", "--image", "--table",
     "--save-results", "--json", "--verbose", "--config", "--seed", "--seeds", "--device",
-    "--help", "--help-all", "--repetitions", "--worlds", "--courses", "--lidars", "--resume",
-    "--save-state",
+    "--help", "--help-all", "--repetitions", "--format", "--open", "--worlds", "--courses",
+    "--lidars", "--resume", "--save-state",
 })  # fmt: skip
 
 

@@ -195,7 +195,7 @@ def check_report(folder: Path | None) -> None:
 def case_option(
     name: str, parameter: str, metavar: str, text: str, kind: CasePath = CASE_FILE
 ) -> Callable[[F], F]:
-    """Return the option of a command that names a file of each of several cases; see ``CasePath``."""
+    """Return the option of a command that names a file of each of several cases."""
     text = f"{text} Repeat it for several cases: [CASE=]{metavar}."
     return click.option(name, parameter, type=kind, multiple=True, metavar=metavar, help=text)
 
@@ -230,6 +230,11 @@ def report_option(
         metavar="DIR",
         help="Write an HTML report with its pictures to this folder.",
     )
+
+
+open_option = click.option(
+    "--open", "is_opened", is_flag=True, help="Open the report in the browser when it is written."
+)
 
 
 def drive_files(judged: str, *, of_cases: bool = False) -> Callable[[F], F]:

@@ -93,9 +93,12 @@ def _width() -> int:
 
 
 def print_facts(*facts: tuple[str, object]) -> None:
-    """Print a line for each subject: a file, or a command to use next."""
+    """Print a line for each subject: a file, on a terminal a link, or a command to use next."""
     for subject, text in facts:
-        print(f"{f'{subject}:' if subject else '':<12}{text}")
+        shown = str(text)
+        if isinstance(text, Path) and sys.stdout.isatty():
+            shown = f"\x1b]8;;{text.absolute().as_uri()}\x1b\\{shown}\x1b]8;;\x1b\\"
+        print(f"{f'{subject}:' if subject else '':<12}{shown}")
 
 
 def map_server_facts(map_file: Path) -> list[tuple[str, object]]:

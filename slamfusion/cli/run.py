@@ -22,6 +22,7 @@ from slamfusion.cli.options import (
     drive_options,
     file_option,
     map_resolution_option,
+    open_option,
     output_option,
     scheduler_option,
     seeds_option,
@@ -171,6 +172,7 @@ def _files(out: Path, given: Mapping[str, Any]) -> list[Path]:
 @map_resolution_option
 @scheduler_option("several logs or seeds")
 @seeds_option("DIR/LOG/seed-N")
+@open_option
 @with_config(
     "run",
     "fusion",
@@ -196,6 +198,7 @@ def command(
     scheduler: str | None,
     seeds: tuple[int, ...],
     results_path: Path | None,
+    is_opened: bool,
     config: RunConfig,
     as_json: bool,
     **asked: Any,
@@ -212,7 +215,8 @@ def command(
     # The import takes longer than the look: it is made while the producers are at work.
     if importlib.util.find_spec("matplotlib") is None:
         import slamfusion.report  # noqa: F401, PLC0415  (says what to install)
-    check_odometry(asked["odometry"], asked["relations"])
+    if len(logs) == 1:
+        check_odometry(asked["odometry"], asked["relations"])
     with start_errors(starts):
         config = with_starts(config, starts)
         if len(logs) > 1 or seeds:
@@ -223,7 +227,9 @@ def command(
         if scheduler is not None:
             message = "--scheduler does several logs or seeds; the SLAMs of one log run in parallel"
             raise click.UsageError(message)
-        return _run(logs[0], out, config, results_path, as_json=as_json, **asked)
+        return _run(
+            logs[0], out, config, results_path, is_opened=is_opened, as_json=as_json, **asked
+        )
 
 
 def _run(
@@ -232,6 +238,7 @@ def _run(
     config: RunConfig,
     results_path: Path | None,
     *,
+    is_opened: bool,
     as_json: bool,
     probabilities: bool,
     **asked: Any,
@@ -266,6 +273,8 @@ def _run(
         print_json(saved.document)
     else:
         _print(run, saved)
+    if is_opened:
+        click.launch(str(saved.folder / REPORT / PAGE))
     reason = "; ".join(run.not_measured) if run.failure is None else str(run.failure)
     if reason:
         earlier = "" if saved.folder == out else f"; {out} keeps its earlier results"

@@ -277,7 +277,7 @@ def compare_values(
 
 
 def _correct(figures: Sequence[ComparisonJson]) -> None:
-    """Make p-values of each figure allow for how many results are compared, and say what is better."""
+    """Correct the p-values of each figure for several comparisons, and name the better."""
     for name in {item["figure"] for item in figures}:
         own = [item for item in figures if item["figure"] == name]
         larger = figure_of(name).larger_is_better

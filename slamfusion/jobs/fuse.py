@@ -358,6 +358,7 @@ def save_fused_maps(
     stem: str | Path,
     *,
     report: str | Path | None = None,
+    image_format: str = "pgm",
     files: AtomicFiles | None = None,
 ) -> FuseDocument:
     """Write the fused map, the agreement, the record of both and the report, all or none.
@@ -366,6 +367,7 @@ def save_fused_maps(
         fused: what was fused.
         stem: the fused map's path without suffix.
         report: folder for ``report.html`` and its pictures; None: no report.
+        image_format: of the pictures of the maps, ``pgm`` or ``png``.
         files: the set of files to join; default: one of its own.
 
     Returns:
@@ -380,8 +382,11 @@ def save_fused_maps(
     document = fused.to_json(stems)
     with AtomicFiles() if files is None else nullcontext(files) as together:
         for result, path in zip(groups, stems, strict=True):
-            save_map(result.fused, path, files=together)
-            save_map(result.agreement, agreement_stem(path), mode="raw", files=together)
+            save_map(result.fused, path, image_format=image_format, files=together)
+            save_map(
+                result.agreement, agreement_stem(path),
+                mode="raw", image_format=image_format, files=together,
+            )  # fmt: skip
         if folder is not None:
             from slamfusion.report import write_fusion_report  # noqa: PLC0415  (an extra)
 

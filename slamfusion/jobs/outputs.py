@@ -42,7 +42,7 @@ def output_files(stem: Path, *, probabilities: bool = False) -> list[Path]:
 
 
 def failure_folder(folder: Path, results: Iterable[Path]) -> Path:
-    """Return where the files of a failed job go: ``failed`` in the folder where it holds results."""
+    """Return where the files of a failed job go: ``failed`` in a folder that holds results."""
     return folder / FAILED if any(path.exists() for path in results) else folder
 
 
@@ -84,9 +84,10 @@ def record_file(stem: Path) -> Path:
     return stem.with_name(f"{stem.name}.json")
 
 
-def map_files(stem: Path) -> list[Path]:
+def map_files(stem: Path, *image_formats: str) -> list[Path]:
     """Return the files of a map, without suffix: its YAML and its picture."""
-    return [stem.with_name(stem.name + suffix) for suffix in (".yaml", ".pgm")]
+    suffixes = (".yaml", *(f".{form}" for form in image_formats or ("pgm",)))
+    return [stem.with_name(stem.name + suffix) for suffix in suffixes]
 
 
 def earlier_results(folders: Sequence[Path]) -> list[Path]:
