@@ -27,6 +27,12 @@ from tests.cli.command import ENVIRONMENT, INSTALLED
 from tests.ros import tf2
 from tests.support.forks import Forked, Server
 
+# Packages of the messages that nodes send and hear, and of what rclpy itself does.
+MESSAGES = (
+    *("builtin_interfaces", "diagnostic_msgs", "geometry_msgs", "map_msgs", "nav_msgs"),
+    *("rcl_interfaces", "sensor_msgs", "service_msgs", "std_msgs", "std_srvs", "tf2_msgs"),
+    "type_description_interfaces",
+)
 # Domains above this use ports that Linux hands out to anyone.
 DOMAINS = 100
 _STARTS = itertools.count(os.getpid() * 7)
@@ -66,8 +72,9 @@ def ros_environment(domain: int) -> dict[str, str]:
 @functools.cache
 def server() -> Server:
     """Return what is forked for nodes, begun with the environment of all that are started."""
-    # The second is imported with the first type of a message, and with it a reader of grammars.
-    modules = ["rclpy", "rosidl_generator_py", "slamfusion"]
+    # The second is imported with the first type of a message, and with it a reader of grammars; the
+    # libraries of message packages with the first message of each.
+    modules = ["rclpy", "rosidl_generator_py", *MESSAGES, "slamfusion"]
     return Server(INSTALLED, modules, {**ENVIRONMENT, **ros_environment(0)})
 
 
