@@ -98,7 +98,6 @@ class Deskewer:
     """Deskews the scans of one laser.
 
     Attributes:
-        done: what was done so far.
         learned_s: how long a sweep takes, found out by ``learn`` against what the scans say,
             seconds; 0: all beams are of one time; None: nothing was.
     """

@@ -58,11 +58,8 @@ class FieldInfo:
     """What the command line, ROS and the documentation need to know of one field.
 
     Attributes:
-        name: of the field.
         kind: bool, int, float or str: of the value, or of each value of a list.
-        is_list: whether it holds a tuple of values.
         is_optional: whether it may be left open (None).
-        default: of the class.
         help: what it is, a sentence without a capital and a full stop.
         unit: of the value; empty where it has none.
         low, high: inclusive range; None: open.

@@ -309,7 +309,6 @@ class _Drive:
     """K paths, where they have parted among the M judged scans, and what the scans say of them.
 
     Attributes:
-        evidence: of the paths.
         device: scores some of them once more; None: nothing does.
         judged: (M,) int64, the judged scans.
         gaps: (K, K, M) float64, how far every two are apart, metres.

@@ -79,13 +79,10 @@ class PathScore:
     """What the scans say of one path.
 
     Attributes:
-        name: of the path.
-        path: its poses at the scans.
         sums: (N,) float64, sum of the log-likelihoods of each scan's judged hits; 0 where the scan
             was not judged.
         beams: (N,) int64, judged hits of each scan, the same for all paths.
         seen: (N,) int64, of these, hits in places that other chunks have seen.
-        model: by which they are likely.
     """
 
     name: str
@@ -126,7 +123,6 @@ class PathEvidence:
     """What the scans of a drive say of its paths.
 
     Attributes:
-        scans: what all paths were scored on.
         is_judged: (N,) bool, scans that every path has a pose for.
         scores: of the paths, by name, in the order given.
     """
@@ -306,8 +302,6 @@ class DrawnChunks:
     """The map that a path draws, of which each chunk of the drive can be left out.
 
     Attributes:
-        device: holds the map.
-        model: how likely a hit is.
         hit_scans: (B,) int64, the scan of each judged hit.
         chunks: (B,) int64, the chunk of each.
         beams, facings: of the judged hits, see ``chunk_marks``.

@@ -163,7 +163,6 @@ class _Patches:
     """What the hits say of their patches at some poses.
 
     Attributes:
-        count: patches.
         of: (B,) int64, the patch of each hit.
         slopes: (B, 3) float64, how each hit's place along the normal of its patch changes with its
             scan's pose: x, y, yaw.

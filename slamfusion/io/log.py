@@ -116,9 +116,6 @@ class Continuity:
 
     Args:
         track: gives the odometry within a sweep; default: it is that of two scans, and between.
-
-    Attributes:
-        deskewer: counts the scans that were deskewed.
     """
 
     def __init__(

@@ -30,7 +30,6 @@ class ScanOdometry:
     """Odometry of every laser line of a log.
 
     Attributes:
-        path: the file.
         poses: (N, 3) float64, x and y in metres, yaw in radians, of the robot at laser line 0 to
             N - 1 of the log, in the odometry frame.
         logged: (N, 3) float64, the poses that the log's own lines carry, to tell whether this is

@@ -171,7 +171,6 @@ class Step(NamedTuple):
     """An edge on the way from one frame to another.
 
     Attributes:
-        edge: the transforms.
         is_forward: it is walked from the parent to the child.
     """
 

@@ -146,11 +146,6 @@ class _Lines:
     """What stands in a file's lines.
 
     Attributes:
-        vertices: pose by id.
-        edges: ids of from and to.
-        motions: of each edge.
-        information: of each edge.
-        fixed: ids.
         skipped: lines by kind that were not understood.
     """
 

@@ -166,7 +166,6 @@ class NormalEquations:
     """The least-squares problem of a graph, linearised where it is asked to.
 
     Attributes:
-        measurements: the edges.
         fixed: poses that do not move.
         free: (F,) poses that may move, in the order of elimination.
         place: (N,) of each pose its place in ``free``; -1 for the fixed ones.

@@ -50,10 +50,8 @@ class Optimized:
         chi2: sum of the squared errors in their deviations, weighted.
         chi2_all: the same with every weight 1.
         chi2_start: the same of the graph's own poses.
-        iterations: steps solved for.
         is_converged: the last descent ended because another step would change next to nothing.
         is_reevaluated: all closures were weighed; False where an earlier inlier set stands.
-        time_s: all of it.
     """
 
     poses: Array

@@ -84,13 +84,10 @@ class Problem:
     Attributes:
         measured: all M edges.
         poses: (N, 3), of which only those that are held count where a start is looked for.
-        fixed: poses that are held.
         may_be_outlier: (M,) bool; the others alone join all poses.
         was_outlier: (M,) bool, outliers of an earlier solution; None where there is
             no earlier one.
         tolerated: new outliers with which the earlier inlier set stands, without re-evaluation.
-        max_iterations: of one descent.
-        tolerance: of a descent.
     """
 
     measured: Measurements
@@ -131,7 +128,6 @@ class InlierSet:
     Attributes:
         poses: (N, 3).
         weights: (M,) in [0, 1]; 1 for edges that cannot be outliers.
-        iterations: steps solved for.
         is_converged: the last descent ended because another step would change next to nothing.
         is_reevaluated: all closures were weighed; False where an earlier inlier set stands.
     """

@@ -148,8 +148,6 @@ class Course:
         name: of the log; a plain file name.
         seed: of every random number, beside those of a world with its own.
         world: where.
-        lidar: the laser.
-        drive: the robot.
         start: first pose, map frame; None: the world's.
         waypoints: x and y in metres, map frame; None: planned.
         script: what the wheels do; empty: drive along the waypoints.

@@ -25,7 +25,6 @@ class Person:
 
     Attributes:
         waypoints: x and y in metres, map frame; walked from first to last and back, around walls.
-        settings: speed and shape.
     """
 
     waypoints: tuple[Point, ...]
@@ -40,7 +39,6 @@ class World:
         grid: the truth: free, occupied (glass too) or unknown; unknown lets beams pass.
         glass: (H, W) bool, cells of glass among the occupied ones.
         wall_height_m: a beam that is higher than this at a wall passes over it.
-        people: who walks about.
         obstacles: cables and ramps on the floor; no laser sees them.
 
     Raises:

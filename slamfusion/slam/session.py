@@ -121,22 +121,17 @@ class Snapshot:
     """What the worker of scans made so far.
 
     Attributes:
-        fed: scans fed.
         without_odometry: scans that had none though it is wanted.
         left_out: scans that were not fed, by reason.
         fed_s: stamp of the newest scan fed to this map, seconds; None: none yet.
         pose: at that scan, of the base in the map frame.
         unmapped: scans fed since the last map was read.
-        health: of the producer.
         problem: why the producer failed at the last scan, one line; empty: it did not.
         busy_since_s: when the scan that is worked on was begun; None: none is.
         map_at_s: when a map was last read.
-        map_time_s: how long that took.
         is_settled: whether that one had all closures solved, where the producer has any.
         is_path_due: whether that one went without a path, since nobody listened.
-        memory_bytes: of the producer.
         latencies_s: from a scan's coming to its answer, of the last 300.
-        deskewing: what was done about the robot's motion within a sweep.
         contradictions: how the poses contradict the odometry, a sentence each, when a map was last
             read.
     """
@@ -173,7 +168,6 @@ class UndrawnMap:
         grid: the map, or what it is drawn from.
         trajectory: the path; None where nobody listens.
         stamp_s: of the newest scan in it, seconds.
-        generation: of the map.
     """
 
     grid: OccupancyGrid | MapJob
@@ -187,7 +181,6 @@ class Drawn:
     """What the worker of maps made so far.
 
     Attributes:
-        maps: how many.
         shape: width and height of the last one, cells.
         time_s: how long it took to draw; None where maps are not drawn aside.
     """

@@ -48,7 +48,6 @@ class Outcome:
     """What became of one producer.
 
     Attributes:
-        name: the producer.
         run: what it made; None where it made nothing.
         reason: why it made nothing, in one line; empty where it made something.
         time_s: from the start of its process to its answer, imports included.

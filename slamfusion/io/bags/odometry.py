@@ -77,7 +77,6 @@ class OdometrySurvey:
         config: topics and frames.
         scan_topic: of several robots the one in this topic's namespace is read.
         laser_frame: of the scans.
-        tree: every transform of the bag.
         odometry: by messages, else by transforms; None where neither is there.
         base_frame: the frame whose pose the odometry is; empty where nothing says it.
         notes: what a user should know of what was left out.

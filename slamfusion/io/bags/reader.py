@@ -40,7 +40,6 @@ class BagMessage(NamedTuple):
 
     Attributes:
         topic: where it was sent.
-        recorded_ns: when it was recorded.
         content: its fields; None when its bytes are none.
     """
 

@@ -184,7 +184,6 @@ class MapJob:
     Attributes:
         nodes: at least one; what is drawn at each pose, as the drawer knows it.
         poses: (N, 3) float64 of them in the map frame: metres, metres, radians.
-        name: of the map.
     """
 
     nodes: Sequence[Any]

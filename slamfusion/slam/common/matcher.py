@@ -43,12 +43,7 @@ FIRST_NARROWING, NARROWING = 0.4, 0.5
 
 @dataclass(frozen=True)
 class Spread:
-    """Standard deviations of the first look.
-
-    Attributes:
-        xy_m: of x and of y.
-        yaw_rad: of the heading.
-    """
+    """Standard deviations of the first look."""
 
     xy_m: float
     yaw_rad: float

@@ -58,11 +58,8 @@ class ProducerRun:
     """What one producer made of a log, and what it took.
 
     Attributes:
-        name: the producer.
         trajectory: its pose at each scan, in the frame of the map.
         odometry: raw odometry of the scans that have some; None where none has.
-        grid: its map.
-        health: its record.
         log: the log's record; None where the scans are from no log.
         time_s: from the first scan asked for to the finished map, reading included.
         feed_s: (N,) float64, seconds that the producer took for each scan, nothing else in it.
@@ -74,7 +71,6 @@ class ProducerRun:
             over; ``scans`` counts all that it was fed in any run.
         series: the producer's own quantities over time, to be plotted.
         other_paths: what else it believes the path to be; best first.
-        closures: of a producer that closes loops.
         match_scores: (N,) float64, the share of each fed scan's hits that fell on known walls; NaN
             where it was not matched.
     """

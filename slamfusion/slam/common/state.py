@@ -74,8 +74,6 @@ class SavedMapper(Stateful):
     """A mapper that can be saved and resumed; made of its settings, a device and a seed.
 
     Attributes:
-        name: the mapper's.
-        STATE_FORMAT: number of the version of what is saved.
         STATE_KINDS: dataclasses that the state is made of, besides ``Pose2`` and ``Skips``.
     """
 

@@ -63,9 +63,7 @@ class Tracker(Stateful):
     """Follows the robot from scan to scan.
 
     Attributes:
-        config: of the search.
         device: where the maps live.
-        rng: of the search's draws.
         health: the producer's record; match scores and disbelieved odometry are written there.
         searches_again: search again, wider, where little fits; False leaves that to the producer.
         resolves_degeneracy: odometry decides along a match's degenerate direction, as along a
@@ -76,9 +74,7 @@ class Tracker(Stateful):
         pose: of the robot at the last scan; None before the first.
         odometry: at the last scan.
         step: what the robot did before the last scan, in its own frame.
-        step_s: how long that took.
         stamp_s: time of the last scan.
-        has_jumped: whether odometry has just been reset.
         running_mean_score: of the last matches, 0 to 1; None before the first.
     """
 

@@ -72,8 +72,6 @@ class Gmapping(SavedMapper):
     """The filter behind the ``Mapper`` protocol.
 
     Attributes:
-        name: ``gmapping``.
-        health: the record so far.
         last_stamp_s: time of the last scan; None before the first.
     """
 

@@ -38,7 +38,6 @@ class LocalMap(Stateful):
     are placed to each other by matches; those of another, begun by a kidnapped robot, are not.
 
     Attributes:
-        submaps: all.
         components: number of the map component of each.
         active: index of the one in whose frame the robot is followed; those before it are finished.
         node_pose: pose of the last node in that frame.

@@ -71,7 +71,6 @@ class Observation:
     """A scan with what is known of it.
 
     Attributes:
-        scan: the sweep.
         points: (P, 2) its hits within the usable range, in the robot's frame, metres.
         odometry: pose by odometry at its time; None where there is none or it is not to be used.
     """

@@ -43,10 +43,8 @@ class PendingClosure:
     """A closure that is not believed yet.
 
     Attributes:
-        constraint: what it says.
         correction: what it would do to the robot's pose in the map frame.
         travelled_m: distance that the robot has travelled up to it.
-        how: it was searched.
     """
 
     constraint: Constraint
@@ -124,7 +122,6 @@ class RelocalizationHypothesis:
 
     Attributes:
         correction: what would move the component there, in the map frame.
-        hits: closures that say so.
         misses: tests in a row that it has failed.
         tested: node at which it was tested last.
     """
@@ -199,10 +196,8 @@ class LoopCandidate:
     """A submap that is to be searched.
 
     Attributes:
-        index: of the submap.
         expected: pose of the robot in the map frame; None: anywhere.
         drift_m: how far off that may be.
-        how: it is searched.
         hypothesis: that this is to test; None for none.
     """
 
@@ -331,11 +326,7 @@ RETRY_NODES, TRIES_PER_NODE = 2, 2
 
 
 class LoopClosure(Stateful):
-    """Searches older submaps for the newest node; it owns the pending closures.
-
-    Attributes:
-        relocalization: the search for a kidnapped robot.
-    """
+    """Searches older submaps for the newest node; it owns the pending closures."""
 
     STATE = ("_pending", "relocalization", "_last_searched", "_linked_m", "_failure_node")
 

@@ -33,7 +33,6 @@ class Constraint:
 
     Attributes:
         start: number of the node in whose frame it is told.
-        end: the other node.
         motion: (3,) pose of ``end`` in the frame of ``start``, metres and radians.
         information: (3, 3) inverse covariance of the motion, along the axes of ``start``.
         is_closure: whether it may be false.
@@ -252,7 +251,6 @@ class MapGraph(Stateful):
     Attributes:
         nodes: scans that are kept, in the order of time.
         poses: (N, 3) of them in the map frame, metres and radians.
-        constraints: between them.
     """
 
     STATE = (

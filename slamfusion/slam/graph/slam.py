@@ -42,8 +42,6 @@ class GraphSlam(SavedMapper):
     """The graph SLAM behind the ``Mapper`` protocol.
 
     Attributes:
-        name: ``graph``.
-        health: the record so far.
         last_stamp_s: time of the last scan; None before the first.
     """
 

@@ -124,7 +124,6 @@ class Submap:
 
     Attributes:
         anchor: number of the node in whose frame it lies.
-        scans: how many it holds.
         low: (2,) metres, lower-left corner of the robot's places in it.
         high: (2,) the other corner.
     """

@@ -136,12 +136,7 @@ FREE_SHARE = 0.5
 
 
 class TinySlam:
-    """tinySLAM behind the ``Mapper`` protocol.
-
-    Attributes:
-        name: ``tinyslam``.
-        health: the record so far.
-    """
+    """tinySLAM behind the ``Mapper`` protocol."""
 
     name = NAME
 
