@@ -14,7 +14,7 @@ from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 
 if TYPE_CHECKING:
-    from slamfusion.compute.records import DeviceInfo
+    from slamfusion.compute.compute_device import DeviceInfo
     from slamfusion.jobs.records import DoctorDocument
 
 

@@ -18,7 +18,7 @@ from slamfusion.compute.pocl_cache import find_cache
 from slamfusion.errors import DeviceError
 
 if TYPE_CHECKING:
-    from slamfusion.compute.records import DeviceInfo, PoclState
+    from slamfusion.compute.compute_device import DeviceInfo, PoclState
 
 _LOG = logging.getLogger(__name__)
 

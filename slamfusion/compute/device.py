@@ -16,6 +16,7 @@ from typing import Any
 
 import pyopencl as cl  # noqa: TID251 - compute/ is where pyopencl belongs
 
+from slamfusion.compute.compute_device import DeviceInfo
 from slamfusion.compute.pocl import (
     is_refused,
     is_single_thread,
@@ -23,7 +24,6 @@ from slamfusion.compute.pocl import (
     offer_single_thread,
 )
 from slamfusion.compute.pocl_cache import PLATFORM, find_cache
-from slamfusion.compute.records import DeviceInfo
 from slamfusion.errors import DeviceError
 
 DISTRIBUTION = "intel-opencl-rt"

@@ -34,7 +34,7 @@ from typing import Any
 
 import pyopencl as cl  # noqa: TID251 - compute/ is where pyopencl belongs
 
-from slamfusion.compute.records import PoclState
+from slamfusion.compute.compute_device import PoclState
 
 LOG = logging.getLogger(__name__)
 # The environment variable that switches the replacement off, or agrees to it.

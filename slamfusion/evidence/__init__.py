@@ -14,7 +14,6 @@ where the scans do not speak against what comes of it.
 from __future__ import annotations
 
 from slamfusion.evidence.beams import CoveredPath, JudgedScans, cover_stamps, judged_scans
-from slamfusion.evidence.comparison import Comparison
 from slamfusion.evidence.displacement import Displacement, find_displacements
 from slamfusion.evidence.exclusion import (
     ExcludedSpan,
@@ -23,7 +22,13 @@ from slamfusion.evidence.exclusion import (
     find_exclusions,
 )
 from slamfusion.evidence.fused_path import FusedPath, fuse_paths, trust_in_paths
-from slamfusion.evidence.predictive import PathEvidence, PathScore, score_paths, with_path
+from slamfusion.evidence.predictive import (
+    Comparison,
+    PathEvidence,
+    PathScore,
+    score_paths,
+    with_path,
+)
 from slamfusion.evidence.recommendation import (
     Check,
     RankedPath,

@@ -25,9 +25,8 @@ import scipy
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.evidence.beams import CHUNKS
-from slamfusion.evidence.comparison import SURE
 from slamfusion.evidence.exclusion import PART_M
-from slamfusion.evidence.predictive import NEIGHBOURS, OTHERS, DrawnChunks, PathEvidence
+from slamfusion.evidence.predictive import NEIGHBOURS, OTHERS, SURE, DrawnChunks, PathEvidence
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]

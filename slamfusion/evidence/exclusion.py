@@ -27,9 +27,8 @@ import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.evidence.beams import CHUNKS
-from slamfusion.evidence.comparison import BLOCKS, SURE, compare_sums
 from slamfusion.evidence.path_frames import pose_distances
-from slamfusion.evidence.predictive import PathEvidence, without_scans
+from slamfusion.evidence.predictive import BLOCKS, SURE, PathEvidence, compare_sums, without_scans
 from slamfusion.geometry import fit_motion, moved_poses, with_levers
 from slamfusion.trajectory import flag_runs, nearest_stamps
 

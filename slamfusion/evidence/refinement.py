@@ -21,9 +21,8 @@ import numpy as np
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.evidence.beams import JudgedScans, cover_stamps
-from slamfusion.evidence.comparison import SURE
 from slamfusion.evidence.path_frames import laid_onto
-from slamfusion.evidence.predictive import PathEvidence, with_path
+from slamfusion.evidence.predictive import SURE, PathEvidence, with_path
 from slamfusion.evidence.refined_path import carried_along, refine_path
 from slamfusion.trajectory import Trajectory
 

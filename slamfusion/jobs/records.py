@@ -19,7 +19,7 @@ from importlib import resources
 from typing import Any, TypedDict
 
 from slamfusion.align.records import Alignment, AlignmentJson, Bent, FusionResult
-from slamfusion.compute.records import DeviceInfo, PoclState
+from slamfusion.compute.compute_device import DeviceInfo, PoclState
 from slamfusion.config import FusionMode, RunConfig
 from slamfusion.evaluation import (
     DensePoses,
