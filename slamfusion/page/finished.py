@@ -110,7 +110,7 @@ def _record_of(place: Path) -> Path | None:
     if place.is_file():
         path = place.with_suffix(".json")
         if not path.exists():
-            message = f"{place}: no record of its fusion beside it ({path.name}); name the folder"
+            message = f"{place}: no record of its fusion next to it ({path.name}); name the folder"
             raise MapFileError(message)
         return path
     if (place / RUN_RECORD).exists():
@@ -140,12 +140,12 @@ def _read_record(path: Path) -> Finished:
     report = stem.with_name(REPORT)
     found.report = report if (report / "report.html").exists() else None
     found.maps = list(_maps_of(stem, record, inputs))
-    told = [_input(item) for item in inputs]
+    entries = [_input(item) for item in inputs]
     drawn = stem.with_name(f"{DRAWN}.yaml")
     if path.name == RUN_RECORD and drawn.exists():
-        # The map that is drawn at the fused path lies in the fused frame.
+        # The map that is drawn at the fused path is in the fused frame.
         found.maps.append(ShownMap(DRAWN, "input", drawn))
-        told.append(unlaid(DRAWN, "drawn at the fused path"))
+        entries.append(unlaid(DRAWN, "drawn at the fused path"))
     figures = {
         "reference": str(record.get("reference")),
         "fused by": str(record.get("fused_mode") or "vote"),
@@ -165,7 +165,7 @@ def _read_record(path: Path) -> Finished:
         places = [(place.x, place.y) for place in answer.check]
         if answer.best_single:
             figures = {"single SLAM": answer.best_single, **figures}
-    found.scene.put_status(told, headline=headline, level=level, figures=figures, places=places)
+    found.scene.put_status(entries, headline=headline, level=level, figures=figures, places=places)
     if path.name == RUN_RECORD and "producers" in record:
         _put_paths(found.scene, dict(_paths_of(stem, record, inputs)))
     return found
@@ -255,7 +255,7 @@ def _made(
 
 
 def _found(path: Path, stem: Path) -> Path:
-    """Return where a map lies that a record names: from here, or from the folder of the record."""
+    """Return the file of a map that a record names: from here, or from the record's folder."""
     own = stem.parent / path
     return own if not path.exists() and own.exists() else path
 
@@ -301,9 +301,9 @@ def _read_maps(folder: Path, files: Mapping[str, Path]) -> Finished:
         if name in files
     ]
     found.maps += [ShownMap(layer_name(name), "input", path) for name, path in inputs.items()]
-    told = [unlaid(layer_name(name), "as its own frame has it") for name in inputs]
-    words = f"{len(files)} maps; no record says how they lie to each other"
-    found.scene.put_status(told, headline=words, level="plain", figures={})
+    entries = [unlaid(layer_name(name), "in its own frame") for name in inputs]
+    words = f"{len(files)} maps; no record of their alignment"
+    found.scene.put_status(entries, headline=words, level="plain", figures={})
     paths = {layer_name(name): folder / f"{name}.tum" for name in inputs}
     _put_paths(found.scene, {scene.FUSED: folder / FUSED_PATH, **paths})
     return found
@@ -338,8 +338,8 @@ def _read_drive(folder: Path, drive: str) -> Finished:
         ShownMap(grid.name, "input", grid, is_shown=number == 0) for number, grid in enumerate(maps)
     ]
     found.also = [name for name in names if name != chosen]
-    told = [unlaid(grid.name, "a true wall that it lacks is shown as unknown") for grid in maps]
+    entries = [unlaid(grid.name, "a true wall that it lacks is shown as unknown") for grid in maps]
     words = f"{chosen}: {len(maps)} maps over the truth"
     figures = {"other drives, by --drive": ", ".join(found.also) or "none"}
-    found.scene.put_status(told, headline=words, level="plain", figures=figures)
+    found.scene.put_status(entries, headline=words, level="plain", figures=figures)
     return found

@@ -1,4 +1,4 @@
-"""What page and server say to each other beside the scene: JSON texts.
+"""The messages of page and server other than the scene: JSON texts.
 
 Server to page come the messages of ``slamfusion.viewer.messages`` and, ``type`` of the JSON text:
 
@@ -51,7 +51,7 @@ def may_ask(host: str, bound: str) -> bool:
 
     Args:
         host: the header; a port may be any, as a tunnel has another one.
-        bound: what the server was told to listen on.
+        bound: the address that the server listens on.
     """
     name = host_name(host)
     if is_loopback(name):
@@ -67,7 +67,7 @@ def is_own_origin(origin: str, host: str) -> bool:
 
 
 def may_command(token: str, wanted: str) -> bool:
-    """Whether a token is the right one, in a time that tells nothing of it."""
+    """Whether a token is the right one, in constant time."""
     return hmac.compare_digest(token.encode("utf-8", "replace"), wanted.encode())
 
 

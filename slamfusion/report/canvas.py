@@ -83,7 +83,7 @@ def add_lettering(figure: Figure, title: str, legend: Sequence[LegendEntry] = ()
 
 def add_legend(figure: Figure, handles: Sequence[Any], texts: Sequence[str], columns: int) -> None:
     """Write a legend at the foot of a figure."""
-    # The texts come after: of those given here matplotlib leaves out what begins with ``_``.
+    # The texts come after: of those given here matplotlib leaves out what starts with ``_``.
     legend = figure.legend(
         handles,
         [""] * len(handles),
@@ -132,7 +132,7 @@ def pool_cells(codes: Classes, origin: Pose2) -> tuple[Classes, int]:
 
     Args:
         codes: (H, W) int8.
-        origin: its yaw says whether the cells lie along the picture's pixels.
+        origin: its yaw decides whether cells and pixels are parallel.
 
     Returns:
         (h, w) int8, and the factor; rows and columns that fill the last block repeat its edge.

@@ -31,14 +31,14 @@ def write_evaluation_report(
     device: str = "",
     files: AtomicFiles | None = None,
 ) -> Path:
-    """Write how maps differ from a truth as one self-contained page with its pictures beside it.
+    """Write how maps differ from a truth as one self-contained page with its pictures.
 
     Args:
         evaluations: at least one map, all against one truth.
         directory, files: see ``write_page``, also for what is returned and raised.
         config: the settings in effect.
         alignments: the alignment with the truth that each evaluation rests on, in the same order,
-            None where the map was taken as it lies; a rejected one is said at the top.
+            None if the map was not moved; a rejected one is named at the top.
         device: the device that computed, in words.
 
     Raises:

@@ -1,4 +1,4 @@
-"""The report of a fusion: the result, which maps vote, where they lie and where they differ."""
+"""The report of a fusion: the result, which maps vote, where they are and where they differ."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def write_fusion_report(
     failure: str | None = None,
     files: AtomicFiles | None = None,
 ) -> Path:
-    """Write the report of a fusion as one self-contained page with its pictures beside it.
+    """Write the report of a fusion as one self-contained page with its pictures.
 
     Args:
         result: what was fused; rejected inputs are shown with their reasons.
@@ -300,7 +300,7 @@ def inputs_section(result: FusionResult, config: RunConfig) -> Section:
             reference = grids[alignment.reference]
             pictures.append(pair_overlay(reference, record.grid, alignment, normalize, colours))
     text = (
-        "The inputs that vote, aligned with the fused map; a rejected one lies in its own frame. "
+        "The inputs that vote, aligned with the fused map; a rejected one is in its own frame. "
         "Scattered outvoted cells are noise; at a whole outvoted wall this map or all others are "
         "wrong."
     )

@@ -34,7 +34,7 @@ def write_judge_report(
     device: str = "",
     files: AtomicFiles | None = None,
 ) -> Path:
-    """Write which path to use as one self-contained page with its pictures beside it.
+    """Write which path to use as one self-contained page with its pictures.
 
     Args:
         answer: which path to use.

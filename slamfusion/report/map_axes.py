@@ -80,7 +80,7 @@ def map_axes(
 
     Args:
         extent: of the place.
-        bar: leave room for a colour bar beside them.
+        bar: leave room for a colour bar next to them.
         margin_m: around the place; default: a little.
     """
     margin = 0.03 * float(extent.size.max()) + 0.2 if margin_m is None else margin_m
@@ -124,7 +124,7 @@ def _draw_scale(axes: Axes) -> None:
 
 
 def draw_grid(axes: Axes, grid: OccupancyGrid, normalize: NormalizeConfig) -> None:
-    """Draw a map in the colours of ``plots.map_picture`` where it lies."""
+    """Draw a map in its frame, in the colours of ``plots.map_picture``."""
     cells = trinary_cells(grid.cells, normalize)
     box = crop_box(cells != -1)
     pooled, factor = pool_cells(cut_cells(cells, box), grid.origin)

@@ -66,9 +66,9 @@ def pair_overlay(
     normalize: NormalizeConfig,
     colours: Mapping[str, Rgb],
 ) -> Picture | None:
-    """Return two maps laid over each other as one alignment would have it, to see why it failed.
+    """Return two maps over each other under an alignment, to see why it failed.
 
-    None when they would lie too far apart to be drawn, or one of them is all unknown.
+    None if they are too far apart to be drawn, or one of them is all unknown.
     """
     fixed, moved = trinary_cells(reference.cells, normalize), trinary_cells(moving.cells, normalize)
     box = _common_box(reference, fixed, moving, moved, alignment.transform)
@@ -222,9 +222,8 @@ def statistics_table(
             "wall cells": lambda grid: int((trinary_cells(grid.cells, normalize) == 1).sum()),
             "doubled walls [%]": lambda grid: number(doubled_percent(grid), 1),
         },
-        "Doubled walls: wall cells with a parallel wall 2 to 8 cells away, the trace of a map laid "
-        "over itself with a slip; thin furniture and double partitions count too, so compare maps "
-        "of one place.",
+        "Doubled walls: wall cells with a parallel wall 2 to 8 cells away, the trace of a slip; "
+        "thin furniture and double partitions count too, so compare maps of one place.",
     )
 
 
@@ -236,7 +235,7 @@ def error_section(
     Args:
         evaluations: one per map, all against one truth.
         alignments: the alignment with the truth that each rests on, in the same order; None for
-            a map that was taken as it lies. May be empty.
+            a map that was not moved. May be empty.
     """
     placed = list(alignments) or [None] * len(evaluations)
     pictures = [difference_picture(*pair) for pair in zip(evaluations, placed, strict=True)]

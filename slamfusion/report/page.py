@@ -232,13 +232,13 @@ def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def write_page(page: Page, directory: str | Path, files: AtomicFiles | None = None) -> Path:
-    """Write ``report.html`` and the pictures beside it, all or none.
+    """Write ``report.html`` and its pictures in the same folder, all or none.
 
     Pictures of an earlier report there that this one does not replace go.
 
     Args:
-        page: its pictures go into the page and, numbered, beside it, there also as the settings
-            say: ``svg``, ``pdf``.
+        page: its pictures are in the page and, numbered, in the folder, there also in the forms
+            of the settings: ``svg``, ``pdf``.
         directory: made when it is missing; older files of the same names are replaced.
         files: the set of files to join; default: one of its own.
 
@@ -270,7 +270,7 @@ def write_page(page: Page, directory: str | Path, files: AtomicFiles | None = No
     )
     path = directory / "report.html"
     earlier = set(directory.glob("[0-9][0-9]-*.*")) if path.exists() else set()
-    beside = {
+    written = {
         (directory / names[id(picture)]).with_suffix(f".{form}"): data
         for picture in pictures
         for form, data in (
@@ -279,10 +279,10 @@ def write_page(page: Page, directory: str | Path, files: AtomicFiles | None = No
         )
     }
     with contextlib.nullcontext(files) if files is not None else AtomicFiles() as whole:
-        for picture_path, data in beside.items():
+        for picture_path, data in written.items():
             whole.add(picture_path, data)
         whole.add(path, html.encode("utf-8", errors="replace"))
-        for picture_path in sorted(earlier - beside.keys()):
+        for picture_path in sorted(earlier - written.keys()):
             if picture_path.suffix.removeprefix(".") in PICTURE_FORMS:
                 whole.remove(picture_path)
     return path
@@ -307,13 +307,13 @@ def _template() -> jinja2.Template:
         "switches": shared["layers.html"],
     }
     # Our own files, no values of the user's: the only texts that are not escaped, but for the
-    # recorded layers, in which no tag can begin.
+    # recorded layers, which contain no tag.
     environment.globals |= {name: Markup(text) for name, text in ours.items()}  # noqa: S704
     return environment.from_string(_own_file("report.html.j2"))
 
 
 def _own_file(name: str) -> str:
-    """Return the text of a file beside the template."""
+    """Return the text of a file of the templates."""
     folder = importlib.resources.files("slamfusion.report") / "templates"
     return (folder / name).read_text(encoding="utf-8")
 

@@ -37,20 +37,20 @@ from slamfusion.trajectory import Trajectory
 
 _NORMALIZE = NormalizeConfig()
 
-# What else a path may have been, beside it.
+# The name of the alternatives of a path.
 _OTHERS = "other paths"
 # Ends of both colour scales that would vanish on white are cut off.
 _TIME_SPAN = (0.15, 0.82)
 _ERROR_SPAN = (0.30, 1.0)
 # What odometry may add to the picture on each side: drift over the edge is cut off.
 _DRIFT_SHARE = 0.25
-# The other paths are drawn faintly; those that lie on each other add up.
+# The alternatives are drawn faintly; where they coincide they add up.
 _OTHERS_OPACITY = 0.35
 _OTHERS_POINTS = 400_000
 
 
 def laid_on_start(odometry: Trajectory, path: Trajectory) -> Trajectory:
-    """Return raw odometry in the frame of a path: where that begins, both are one pose."""
+    """Return raw odometry in the frame of a path: at its start both have one pose."""
     at = odometry.pose(int(odometry.nearest(path.stamps_s[0])))
     return moved_path(odometry, path.pose(0).compose(at.inverse()))
 

@@ -40,7 +40,7 @@ def write_slam_report(
     device: str = "",
     files: AtomicFiles | None = None,
 ) -> Path:
-    """Write the report of a producer's run as one self-contained page with its pictures beside it.
+    """Write the report of a producer's run as one self-contained page with its pictures.
 
     Args:
         directory, files: see ``write_page``, also for what is returned and raised.

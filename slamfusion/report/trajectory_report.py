@@ -29,7 +29,7 @@ def write_trajectory_report(
     grid: OccupancyGrid | None = None,
     files: AtomicFiles | None = None,
 ) -> Path:
-    """Write the errors of paths as one self-contained page with its pictures in the same folder.
+    """Write the errors of paths as one self-contained page with its pictures.
 
     Args:
         directory, files: see ``write_page``, also for what is returned and raised.
@@ -93,7 +93,7 @@ def path_pictures(
         trajectory: the estimate, in the frame of ``grid``.
         config: what counts as wall and as free in the map.
         grid: the map; None: none.
-        errors: says how the truth lies to the estimate; without it the truth is left out.
+        errors: align the truth with the estimate; without them the truth is left out.
         truth: the true path, in its own frame.
         odometry: raw odometry, in its own frame; it is aligned with the estimate's start.
         others: alternatives that the SLAM still considered.

@@ -1,4 +1,4 @@
-"""What pages are told of a scene: JSON texts, and tiles of maps as bytes.
+"""The messages of a scene to pages: JSON texts, and tiles of maps as bytes.
 
 ``type`` of a JSON text:
 
@@ -69,7 +69,7 @@ Place = tuple[int, int]
 
 
 class TiledLayer:
-    """Cuts each state of a map into tiles and tells those that differ from the last state.
+    """Cuts each state of a map into tiles and finds those that differ from the last state.
 
     Tiles are counted from where the map first began, so that one that grows to the left or below
     sends no tile twice.
@@ -107,7 +107,7 @@ class TiledLayer:
 
 
 def _cut(cells: npt.NDArray[np.int8], offset: Place) -> dict[Place, npt.NDArray[np.int8]]:
-    """Return the tiles of cells that lie at an offset, but those without a known cell."""
+    """Return the tiles of cells at an offset, but those without a known cell."""
     (row0, column0), (height, width) = offset, cells.shape
     first = row0 // TILE, column0 // TILE
     last = (row0 + height - 1) // TILE, (column0 + width - 1) // TILE

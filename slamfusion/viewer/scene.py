@@ -31,7 +31,7 @@ from slamfusion.vote.lattice import Lattice
 
 _LOG = logging.getLogger(__name__)
 
-# An input's map, what they are laid over (the fused map, the true one), or the share of votes for
+# An input's map, what it is compared with (the fused map, the true one), or the share of votes for
 # the winner (0 to 100).
 Kind = Literal["input", "fused", "agreement"]
 Message = str | bytes
@@ -47,16 +47,16 @@ POINTS, STEP_M = 200_000, 0.1
 
 
 def layer_name(name: str) -> str:
-    """Return what an input is called beside the fused map and the agreement, whatever its name."""
+    """Return the name of an input's layer, which is none of the fused map or the agreement."""
     return f"{name} (input)" if name in {FUSED, AGREEMENT} else name
 
 
 def unlaid(name: str, reason: str = "") -> dict[str, Any]:
-    """Return what ``put_status`` takes of a map that nobody asked for its vote or laid elsewhere.
+    """Return what ``put_status`` takes of a map without a vote, in its own frame.
 
     Args:
         name: of its layer.
-        reason: why it lies as its own frame has it, or what else to say of it.
+        reason: shown with it.
     """
     place = [0.0, 0.0, 0.0]
     return {"name": name, "votes": None, "reason": reason, "score": None, "transform": place}
@@ -243,7 +243,7 @@ class Scene:
         self._seq += 1
         return self._seq
 
-    # -- what pages are told ----------------------------------------------------------------------
+    # -- messages ---------------------------------------------------------------------------------
 
     def since(self, seq: int) -> tuple[list[Message], int]:
         """Return everything newer than a number, maps last, and the number of the newest."""
@@ -302,7 +302,7 @@ class Feed:
 
     Whoever has a map does not wait: ``put`` returns at once, cutting it comes later.
 
-    As many maps wait as there are names. While nobody looks they are not cut.
+    As many maps wait as there are names. Without a viewer they are not cut.
 
     Args:
         scene: what they are put into.

@@ -132,7 +132,7 @@ def test_maps_without_a_record_lie_as_their_frames_say(tmp_path: Path) -> None:
     write_run(tmp_path)
     (tmp_path / "fused.json").unlink()
     (status,) = texts(read_finished(tmp_path).scene.since(0)[0], "status")
-    assert "no record says how they lie" in status["headline"]
+    assert "no record of their alignment" in status["headline"]
     assert {item["name"] for item in status["inputs"]} == {"a", "b", "c", "drawn"}
     assert all(item["transform"] == [0, 0, 0] for item in status["inputs"])
 
@@ -195,7 +195,7 @@ def test_a_fusion_is_shown_with_its_inputs_where_they_were_laid(tmp_path: Path) 
         read_finished(tmp_path)
     assert read_finished(tmp_path / "again.yaml").scene.title == "SLAMfusion: again"
     assert read_finished(tmp_path / "out.json").scene.title == "SLAMfusion: out"
-    with pytest.raises(MapFileError, match="no record of its fusion beside it"):
+    with pytest.raises(MapFileError, match="no record of its fusion next to it"):
         read_finished(tmp_path / "given" / "far.yaml")
 
 

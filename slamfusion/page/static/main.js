@@ -1,4 +1,4 @@
-// The live page: what the server tells becomes maps, lists and words.
+// The live page: shows the server's messages as maps, lists and words.
 
 import { Connection } from "./connection.js";
 import { css } from "./maps.js";
@@ -10,7 +10,7 @@ const stage = new Stage();
 const slider = new TimeSlider(stage, true, () => showStatus(stage.status));
 const inputs = new Inputs(byId("inputs"));
 
-// -- what the server tells ------------------------------------------------------------------------
+// -- messages of the server -----------------------------------------------------------------------
 
 const HANDLERS = {
   hello(message) {
@@ -48,7 +48,7 @@ function showStatus(status) {
 }
 
 const connection = new Connection(
-  (message) => (HANDLERS[message.type] ?? ((told) => stage.take(told)))(message),
+  (message) => (HANDLERS[message.type] ?? ((other) => stage.take(other)))(message),
   (data) => stage.maps.take(data),
   (state) => {
     const line = byId("connection");
@@ -72,5 +72,5 @@ async function command(name, busy) {
 
 byId("save").addEventListener("click", () => command("save", "saving"));
 byId("reset").addEventListener("click", () => {
-  if (confirm("Begin a new fused map? The inputs go on.")) command("reset", "asking");
+  if (confirm("Start a new fused map? The inputs go on.")) command("reset", "asking");
 });

@@ -3,15 +3,15 @@
 import { Stage, byId } from "./stage.js";
 import { TimeSlider } from "./time.js";
 
-const told = JSON.parse(byId("recorded").textContent);
+const recorded = JSON.parse(byId("recorded").textContent);
 byId("viewer").hidden = false;
 const stage = new Stage(true);
-for (const message of told.messages) stage.take(message);
+for (const message of recorded.messages) stage.take(message);
 byId("show-paths").closest("p").hidden = stage.trails.size === 0;
 byId("difference").closest("p").hidden = byId("first").options.length < 2;
 
 async function takeTiles() {
-  for (const packed of told.tiles) {
+  for (const packed of recorded.tiles) {
     await stage.maps.take(Uint8Array.from(atob(packed), (letter) => letter.charCodeAt(0)).buffer);
   }
   document.body.dataset.drawn = "true";

@@ -1,4 +1,4 @@
-// What stands beside the map: who votes, layers, figures, events.
+// What stands next to the map: who votes, layers, figures, events.
 
 import { css } from "./maps.js";
 

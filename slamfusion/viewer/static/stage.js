@@ -7,7 +7,7 @@ import { View, compose } from "./view.js";
 const MOST_STATUSES = 7200; // an hour
 const ORIGIN = [0, 0, 0];
 const DEPTHS = { fused: 0, agreement: 1, input: 2 };
-const HINT = "point at a cell: who says what";
+const HINT = "point at a cell to see its values";
 
 export const byId = (id) => document.getElementById(id);
 
@@ -56,7 +56,7 @@ export class Stage {
     return this.maps.layers.get(name)?.colours.wall ?? this.newest.colours[name];
   }
 
-  // -- what is told ------------------------------------------------------------------------------
+  // -- messages ----------------------------------------------------------------------------------
 
   /** Take a JSON message of a scene; see slamfusion/viewer/messages.py. */
   take(message) {
@@ -81,7 +81,7 @@ export class Stage {
     return this.status.inputs.find((item) => item.name === name);
   }
 
-  /** Where the frame of a map lies in the fused one; null while nobody knows. */
+  /** Where the frame of a map lies in the fused one; null while it is not known. */
   transformOf(name) {
     if (this.maps.layers.get(name)?.kind === "fused") return ORIGIN;
     return this.inputOf(name)?.transform ?? null;

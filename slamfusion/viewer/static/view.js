@@ -13,7 +13,7 @@ export class View {
    * @param {HTMLCanvasElement} canvas
    * @param {() => object} scene gives what to draw: layers (bottom first; each name, layer, raster,
    *     place in the fused frame), trails, robots, difference
-   * @param {(place: number[] | null) => void} onPoint told the metres under the pointer, or under
+   * @param {(place: number[] | null) => void} onPoint receives the metres under the pointer, or under
    *     the cross that keys move
    * @param {boolean} isEmbedded in a page that scrolls: the wheel is the page's until the canvas is
    *     focused
@@ -26,7 +26,7 @@ export class View {
     this.isEmbedded = isEmbedded;
     this.centre = [0, 0];
     this.scale = 40; // device pixels per metre
-    this.isFitted = true; // until somebody moves it
+    this.isFitted = true; // until the user moves it
     this.isAsked = false;
     this.hasCross = false; // where keys ask for a cell
     this.pointers = new Map();
@@ -42,7 +42,7 @@ export class View {
     canvas.addEventListener("wheel", (event) => this.wheel(event), { passive: false });
     canvas.addEventListener("keydown", (event) => this.pressKey(event));
     canvas.addEventListener("blur", () => this.showCross(false));
-    canvas.view = this; // for whoever looks at the page from its console
+    canvas.view = this; // for the console
   }
 
   resize() {
