@@ -31,15 +31,10 @@ except ImportError:
     Nav2LoadMap = Nav2SaveMap = None
 
 MAP_TOPIC, SAVE_AS = "fused/map", "save_map_as"
-TEXT, NUMBER = (str,), (float, int)
-# What a request of ``save_map_as`` may say, as ``slamfusion.io.save_map`` calls it, and its types.
-RULES: dict[str, tuple[str, tuple[type, ...]]] = {
-    "path": ("path", TEXT),
-    "format": ("image_format", TEXT),
-    "mode": ("mode", TEXT),
-    "free_thresh": ("free_thresh", NUMBER),
-    "occupied_thresh": ("occupied_thresh", NUMBER),
-}
+# What a request of ``save_map_as`` may say, and its types; ``save_map`` calls format image_format.
+RULES = dict.fromkeys(("path", "format", "mode"), (str,)) | dict.fromkeys(
+    ("free_thresh", "occupied_thresh"), (float, int)
+)
 
 
 class FusionServices:
@@ -106,13 +101,13 @@ class FusionServices:
         given = {item.name: parameter_value_to_python(item.value) for item in request.parameters}
         result = response.result
         # By its type: a truth value is an int, too, and no number.
-        wrong = {n: v for n, v in given.items() if n not in RULES or type(v) not in RULES[n][1]}
+        wrong = {name: v for name, v in given.items() if type(v) not in RULES.get(name, ())}
         if wrong:
             wanted = "path, format and mode as texts, free_thresh and occupied_thresh as numbers"
             found = ", ".join(f"{name} = {value!r}" for name, value in wrong.items())
             result.successful, result.reason = False, f"not saved: wanted {wanted}, found {found}"
             return response
-        rules = {RULES[name][0]: value for name, value in given.items()}
+        rules = {"image_format" if n == "format" else n: v for n, v in given.items()}
         result.successful, result.reason = self._save(**rules)
         return response
 

@@ -151,33 +151,6 @@ class ScanSender:
 # A line for each tenth of the log, but no more often than this, seconds.
 PARTS, APART_S = 10, 5.0
 
-
-class ProgressLines:
-    """Says each tenth of a log that was played; of a short log not all of them."""
-
-    def __init__(
-        self, say: Callable[[str], None], clock_s: Callable[[], float] = time.monotonic
-    ) -> None:
-        self._say, self._clock_s = say, clock_s
-        self._part = 0
-        self._told_s = clock_s()
-
-    def tell(self, share: float, words: str) -> None:
-        """Take how far the log is.
-
-        Args:
-            share: of it that was read, 0 to 1; less than before: it is played again.
-            words: what was done so far.
-        """
-        part = math.floor(PARTS * share)
-        if part < self._part:
-            self._part = 0
-        now_s = self._clock_s()
-        if part > self._part and part < PARTS and now_s - self._told_s >= APART_S:
-            self._part, self._told_s = part, now_s
-            self._say(f"played {share:.0%}: {words}")
-
-
 # Between two scans the clock goes on in steps of this real time.
 CLOCK_STEP_S = 0.02
 # Writers are known a moment before their readers hear them.
@@ -242,7 +215,7 @@ class PlayerNode(NodeBase):
         self._sender = ScanSender(self, self.settings)
         for name in self.wait_for:
             self.subscribe(PoseStamped, f"{name}/pose", partial(self._on_pose, name), qos.STREAM)
-        self._progress = ProgressLines(self.log.info)
+        self._told_part, self._told_s = 0, time.monotonic()
         self._rounds = 0
         self._due_s: float | None = None
         self._thread = threading.Thread(target=self._run, name="player", daemon=True)
@@ -322,7 +295,7 @@ class PlayerNode(NodeBase):
                 before_s = self._sender.stamp_s
                 is_skewed = self._deskewer.is_skewed(item.scan)
                 self._sender.send(item, following if is_skewed else None)
-                self._progress.tell(self._log.fraction_read, f"{self._sender.sent} scans")
+                self._tell_progress()
                 if self.settings.lockstep:
                     self._wait_for_answers(item, before_s)
                 elif before_s is None and self.wait_for:
@@ -335,6 +308,14 @@ class PlayerNode(NodeBase):
                 raise LogError(message)
             if not self.settings.loop:
                 return
+
+    def _tell_progress(self) -> None:
+        """Say each tenth of the log; of a short one not all of them."""
+        part, now_s = math.floor(PARTS * self._log.fraction_read), time.monotonic()
+        self._told_part = min(self._told_part, part)  # it may be played again
+        if self._told_part < part < PARTS and now_s - self._told_s >= APART_S:
+            self._told_part, self._told_s = part, now_s
+            self.log.info(f"played {part / PARTS:.0%}: {self._sender.sent} scans")
 
     def _timed(self) -> Iterator[tuple[LogScan, LogScan | None, float]]:
         """Yield scans, the one after each, and the recorded time since the one before, seconds."""

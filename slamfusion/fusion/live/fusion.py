@@ -21,7 +21,6 @@ they ask of the code:
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -137,8 +136,6 @@ class LiveFusion(Mailbox):
         self._config = config.fusion
         self._starts = place_starts(config.start, inputs, config.fusion.reference)
         self._device = device
-        # Poses come from any thread.
-        self._poses_lock = threading.Lock()
         self._clear()
 
     def _clear(self) -> None:
@@ -152,7 +149,7 @@ class LiveFusion(Mailbox):
         self._layers = FusedLayers(self._config, self._live, self._device)
         self._supervisor = InputSupervisor(self._aligner, self._layers)
         self._inputs = self._supervisor.inputs
-        with self._poses_lock:
+        with self._lock:
             self._poses = PoseWatch(self._live)
         self._restored: dict[str, Pose2] = {}
 
@@ -165,7 +162,7 @@ class LiveFusion(Mailbox):
             stamp_s: of the scan that it is for, seconds.
             pose: of the robot in the input's map frame; metres, radians.
         """
-        with self._poses_lock:
+        with self._lock:
             self._poses.hear(name, stamp_s, pose)
 
     def reset(self) -> None:
@@ -178,7 +175,7 @@ class LiveFusion(Mailbox):
         self._live = live
         self._aligner.live = live
         self._layers.live = live
-        with self._poses_lock:
+        with self._lock:
             self._poses.live = live
 
     # -- over a restart ---------------------------------------------------------------------------
@@ -280,7 +277,7 @@ class LiveFusion(Mailbox):
             self._aligner.remove(name)
             self._layers.lift(name)
             self._restored.pop(name, None)
-            with self._poses_lock:
+            with self._lock:
                 self._poses.remove(name)
         for name, item in fresh.items():
             track = self._inputs.setdefault(name, Input(name, transform=self._restored.get(name)))
@@ -368,7 +365,7 @@ class LiveFusion(Mailbox):
 
     def _contradict(self) -> None:
         """Take the vote of those whose poses contradict the others', and give it back."""
-        with self._poses_lock:
+        with self._lock:
             reasons = self._poses.contradictions()
         for name, track in self._inputs.items():
             track.contradiction = reasons.get(name, "")
@@ -380,5 +377,5 @@ class LiveFusion(Mailbox):
             for name, track in self._inputs.items()
             if track.stands and track.transform is not None
         }
-        with self._poses_lock:
+        with self._lock:
             self._poses.place(placed)

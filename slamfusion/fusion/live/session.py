@@ -275,17 +275,15 @@ class FusionSession:
                 self._on_vote(record)
         left = before.inputs.keys() - records.keys()
         votes += sum(before.inputs[name].accepted for name in left)
-        state = FusionState(
-            records,
-            update.reference,
-            self._clock(),
-            update,
-            before.updates + 1,
-            before.searches + update.is_full_search,
-            before.resets,
-            before.votes + votes,
-            before.fused_maps,
-            before.fused_stamp_s,
+        state = replace(
+            before,
+            inputs=records,
+            reference=update.reference,
+            noted_s=self._clock(),
+            update=update,
+            updates=before.updates + 1,
+            searches=before.searches + update.is_full_search,
+            votes=before.votes + votes,
         )
         if update.fused is not None and update.agreement is not None:
             stamp_s = self._stamp_s([name for name, item in records.items() if item.accepted])
