@@ -96,7 +96,7 @@ def miss_the_killed_and_the_frozen(observer: Observer, killed: Process, frozen: 
     frozen.signal(signal.SIGSTOP)
     for process in (killed, frozen):
         observer.wait_status(f"fusion: input {process.name}", SILENT, timeout_s=10.0)
-    observer.wait_status(FUSION, "1 of 3 inputs votes; it goes on alone")
+    observer.wait_status(FUSION, "1 of 3 inputs votes", "it goes on alone")
     frozen.signal(signal.SIGCONT)
     observer.wait_status(FUSION, f"2 of 3 inputs vote; not: {killed.name}")
 
