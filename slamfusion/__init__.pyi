@@ -88,7 +88,7 @@ from slamfusion.jobs.trajectory import (
     measure_trajectories as measure_trajectories,
     measure_trajectory as measure_trajectory,
     measure_trajectory_file as measure_trajectory_file,
-    write_trajectory as write_trajectory,
+    write_trajectories as write_trajectories,
 )
 from slamfusion.scan import LaserScan as LaserScan
 from slamfusion.slam.registry import load_config as load_config
