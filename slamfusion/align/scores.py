@@ -89,10 +89,6 @@ class WallPieces:
         most = np.maximum(self.share_most.sum(axis=1), 1e-9)
         return np.asarray(self.evidence.sum(axis=1) / most)
 
-    def witnesses(self, k: int = 0) -> float:
-        """Return how many pieces of equal weight would say what the pieces say of motion k."""
-        return float(pieces_for(self.weighed[k]))
-
     def better(self, k: int, other: int) -> float:
         """Return how many pieces of equal weight would say that k is better than the other."""
         return float(pieces_for(self.weighed[k] - self.weighed[other]))

@@ -148,22 +148,8 @@ def _near_cells(beams: I32, reach: int) -> tuple[I64, I64, I64, I64]:
     )
 
 
-def _take_words(observed: U32, pages: I32, row: I64, col: I64) -> tuple[I64, I64]:
-    """Return the places (N, 3) of marked cells among some, and their words (N,), which become 0."""
-    places = np.stack((pages[row // TILE, col // TILE], row % TILE, col % TILE), axis=-1)
-    places = np.unique(places, axis=0)
-    words = observed[tuple(places.T)].astype(np.int64)
-    places, words = (item[words > 0] for item in (places, words))
-    observed[tuple(places.T)] = 0
-    return places, words
-
-
 class CellMeanDevice(ArrayDevice):
-    """A device that updates cell means, in place.
-
-    ``observed`` and the other pools are (T, TILE, TILE); ``pages`` is (PH, PW) int32, the tile of
-    each page.
-    """
+    """A device that updates cell means, in place."""
 
     def mark_scan(
         self,
@@ -176,10 +162,12 @@ class CellMeanDevice(ArrayDevice):
         """Write into ``observed``, in place, what the beams of a scan say of their cells.
 
         Args:
-            observed: uint32, 0 before; the strongest word stays: a hit over the greatest value over
-                in front over behind.
+            observed: (T, TILE, TILE) uint32, 0 before; the strongest word stays: a hit over the
+                greatest value over in front over behind.
+            pages: (PH, PW) int32.
             beams: (B, 6) int32: x, y of the hit and of the laser and the length between them in
                 1/1024 cell, the value at the ridge of the valley, 0 to 4095. All inside the window.
+            rule: see ``ScanRule``.
             wanted: (1 + PH * PW,) int32, set to 1 in place at 0 and at 1 + page where a page has no
                 tile yet; those cells are left out.
 
@@ -221,10 +209,13 @@ class CellMeanDevice(ArrayDevice):
         """Fold, in place, what a scan marked into the cells; each cell learns once a scan.
 
         Args:
-            observed: as ``mark_scan`` left it with these beams; becomes 0.
-            valley: uint32 states with the blur, for the matcher.
+            observed: (T, TILE, TILE) uint32, as ``mark_scan`` left it; becomes 0.
+            valley: (T, TILE, TILE) uint32 states with the blur, for the matcher.
             published: the same without the blur and without what lies behind hits.
-            field: uint8: how much of a wall the valley is, 0 to 255.
+            field: (T, TILE, TILE) uint8: how much of a wall the valley is, 0 to 255.
+            pages: (PH, PW) int32.
+            beams: as for ``mark_scan``.
+            rule: as for ``mark_scan``.
         """
         if self.opencl:
             height, width = pages.shape
@@ -238,8 +229,14 @@ class CellMeanDevice(ArrayDevice):
         observed, valley, published = host(observed), host(valley), host(published)
         field, pages, beams = host(field), host(pages), host(beams)
         w = _walks(beams, rule.half_blur)
-        places, words = _take_words(observed, pages, w.row, w.col)
+        places = np.stack(
+            (pages[w.row // TILE, w.col // TILE], w.row % TILE, w.col % TILE), axis=-1
+        )
+        places = np.unique(places, axis=0)
+        words = observed[tuple(places.T)].astype(np.int64)
+        places, words = (item[words > 0] for item in (places, words))
         at = tuple(places.T)
+        observed[at] = 0
         value = words >> VALUE_SHIFT & VALUE_ONE
         state = _joined(valley[at].astype(np.int64), value, rule)
         valley[at] = state.astype(np.uint32)
@@ -261,9 +258,11 @@ class CellMeanDevice(ArrayDevice):
         """Write into ``observed``, in place, how near the hits of a scan come to the cells.
 
         Args:
-            observed: uint32, 0 before; the strongest word stays.
+            observed: (T, TILE, TILE) uint32, 0 before; the strongest word stays.
+            pages: (PH, PW) int32.
             beams: (B, 4) int32: x, y of the hit and of the laser in 1/1024 cell; all that they come
                 near to inside the window.
+            rule: see ``LikelihoodRule``.
             wanted: as for ``mark_scan``.
 
         Returns:
@@ -298,9 +297,12 @@ class CellMeanDevice(ArrayDevice):
         """Fold, in place, what a scan marked into the cells' means; each cell learns once a scan.
 
         Args:
-            observed: as ``mark_likelihood`` left it with these beams; becomes 0.
-            states: uint32: mean in 1/2^20 of 255 above 12 bits of observations.
-            field: uint8: the mean.
+            observed: (T, TILE, TILE) uint32, as ``mark_likelihood`` left it; becomes 0.
+            states: (T, TILE, TILE) uint32: mean in 1/2^20 of 255 above 12 bits of observations.
+            field: (T, TILE, TILE) uint8: the mean.
+            pages: (PH, PW) int32.
+            beams: as for ``mark_likelihood``.
+            rule: as for ``mark_likelihood``.
         """
         if self.opencl:
             height, width = pages.shape
@@ -313,8 +315,12 @@ class CellMeanDevice(ArrayDevice):
         observed, states, field = host(observed), host(states), host(field)
         pages, beams = host(pages), host(beams)
         _, col, row, _ = _near_cells(beams, rule.reach)
-        places, words = _take_words(observed, pages, row, col)
+        places = np.stack((pages[row // TILE, col // TILE], row % TILE, col % TILE), axis=-1)
+        places = np.unique(places, axis=0)
+        words = observed[tuple(places.T)].astype(np.int64)
+        places, words = (item[words > 0] for item in (places, words))
         at = tuple(places.T)
+        observed[at] = 0
         state = states[at].astype(np.int64)
         mean = state >> MEAN_SHIFT
         more = np.minimum((state & MOST_OBSERVATIONS) + 1, rule.most)

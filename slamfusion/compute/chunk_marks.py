@@ -108,7 +108,8 @@ class ChunkMarkDevice(ArrayDevice):
 
         Args:
             hits, seen, pages: a map as ``mark_chunks`` leaves it.
-            beams: as for ``mark_chunks``; of the laser nothing is read.
+            beams: (B, BEAM_INTS) int32; of the laser nothing is read.
+            facings: (B,) int32, the direction that each hit surface faces.
             left_out: (B,) uint32, the bits that do not count for each beam.
             reach: cells around the end's own that are looked at, 0 to ``MARK_REACH_MAX``.
 

@@ -273,7 +273,8 @@ class HitCountDevice(ArrayDevice):
         """Say which pages a scan comes near, so that they can be given tiles of their own.
 
         Args:
-            pages: only its shape counts.
+            pages: (N, PH, PW) int32; only its shape counts.
+            scan: see ``BeamScan``.
             reach: cells, 0 to 16: as far from the walked cells as will be written.
 
         Returns:
@@ -312,9 +313,11 @@ class HitCountDevice(ArrayDevice):
         met something is also hit once more.
 
         Args:
-            counts: no cell visited ``FULL_VISITS`` or hit ``FULL_HITS`` times yet.
-            pages: cells of pages without a tile are left out.
-            scan: ``MOST_BEAMS`` or fewer.
+            counts: (T, TILE, TILE) uint32, no cell visited ``FULL_VISITS`` or hit ``FULL_HITS``
+                times yet.
+            sums: (T, TILE, TILE) uint32, each half 15 or less a hit.
+            pages: (N, PH, PW) int32; cells of pages without a tile are left out.
+            scan: see ``BeamScan``; ``MOST_BEAMS`` or fewer.
             take_back: undo the counting of a scan that was counted at the same places.
 
         Returns:
@@ -371,11 +374,14 @@ class HitCountDevice(ArrayDevice):
         the field becomes the greatest value that ``rule`` gives the occupied cells within reach, 0
         where there are none: it depends on the counts alone, and after every scan equals
         ``full_field``.
-        Cells of pages without a tile are left out.
 
         Args:
-            counts: the scan counted.
+            counts: (T, TILE, TILE) uint32, the scan counted.
+            sums: (T, TILE, TILE) uint32, each half 15 or less a hit.
             field: (T, TILE, TILE) uint8.
+            pages: (N, PH, PW) int32; cells of pages without a tile are left out.
+            scan: see ``BeamScan``.
+            rule: see ``FieldRule``.
         """
         check_rule(rule)
         if self.opencl:

@@ -1,4 +1,4 @@
-"""Evidence by pieces of wall: they add up to that of all cells, and are counted as witnesses."""
+"""Evidence by pieces of wall: they add up to that of all cells, and are counted."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from slamfusion.align.features import GridFeatures
 from slamfusion.align.pair import Pair
-from slamfusion.align.scores import PIECE_M, PIECE_POINTS, WallPieces, wall_pieces
+from slamfusion.align.scores import PIECE_M, PIECE_POINTS, WallPieces, pieces_for, wall_pieces
 from slamfusion.align.search import score_motions
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.layout import (
@@ -103,7 +103,7 @@ def test_a_map_on_itself_gives_all_that_it_could(device: ComputeDevice) -> None:
     pieces = wall_pieces(Pair(grid, grid), np.array([[*grid.centre, 0.0]]), SIGMA)
     assert pieces.share() == pytest.approx(1.0)
     assert pieces.seen_m == pytest.approx(0.1 * len(grid.level(1).points))
-    assert 10 < pieces.witnesses() <= pieces.evidence.shape[1]
+    assert 10 < pieces_for(pieces.weighed[0]) <= pieces.evidence.shape[1]
 
 
 def test_where_the_maps_share_nothing_there_is_no_evidence(device: ComputeDevice) -> None:
@@ -111,16 +111,14 @@ def test_where_the_maps_share_nothing_there_is_no_evidence(device: ComputeDevice
     pieces = wall_pieces(Pair(grid, grid), np.array([[900.0, 900.0, 1.0]]), SIGMA)
     assert not pieces.evidence.any()
     assert pieces.seen_m.tolist() == pieces.share().tolist() == [0.0]
-    assert pieces.witnesses() == 0.0
+    assert pieces_for(pieces.weighed[0]) == 0.0
 
 
 @given(value=st.floats(0.01, 100.0), count=st.integers(1, 50), idle=st.integers(0, 20))
-def test_n_pieces_that_say_the_same_are_n_witnesses(value: float, count: int, idle: int) -> None:
+def test_n_pieces_that_say_the_same_are_n(value: float, count: int, idle: int) -> None:
     """Pieces that say nothing are none; pieces that speak against count with a minus."""
-    row = [value] * count + [0.0] * idle
-    pieces = pieces_of(row, [-value] * (count + idle))
-    assert pieces.witnesses() == pieces.witnesses(0) == pytest.approx(count)
-    assert pieces.witnesses(1) == pytest.approx(-(count + idle))
+    rows = np.array([[value] * count + [0.0] * idle, [-value] * (count + idle)])
+    assert pieces_for(rows) == pytest.approx([count, -(count + idle)])
 
 
 @given(pairs=st.lists(st.tuples(FINITE, FINITE), min_size=1, max_size=30))

@@ -43,7 +43,7 @@ def assert_refused(folder: Path, words: str, *arguments: str | Path) -> None:
     done = run(*arguments, cwd=folder)
     assert done.returncode == 2, done.stderr
     (line,) = done.stderr.splitlines()
-    assert line.startswith("slamfusion: error: Invalid value for '--start': ")
+    assert line.startswith("slamfusion: error: '--start': ")
     assert line.endswith(words), line
     assert done.stdout == ""
     assert not tree(folder)

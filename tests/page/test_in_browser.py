@@ -11,8 +11,7 @@ from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.page.server import PageServer
 from slamfusion.palette import DISAGREEMENT_RGB, FREE_RGB, OTHERS, WALL_RGB
-from slamfusion.trajectory import Trajectory
-from slamfusion.viewer.scene import Scene, unlaid
+from slamfusion.viewer.scene import Scene
 from tests.support.browser import becomes, browser_page
 
 pytestmark = pytest.mark.once
@@ -131,33 +130,3 @@ def test_the_page_follows_looks_back_compares_and_comes_back() -> None:
         page.wait_for_selector("#answer.good")
         assert page.text_content("#answer") == "✓ again"
         other.close()
-
-
-def test_a_finished_drive_has_a_slider_over_its_time_and_numbers_its_places() -> None:
-    scene = Scene("done", is_live=False, clock=lambda: 0.0)
-    scene.put_event("warn", "a loses its vote", 2.0)
-    scene.put_status([unlaid("a")], headline="finished", places=[(0.96, 0.975)])
-    poses = np.column_stack((np.arange(5.0), np.ones(5), np.zeros(5)))
-    scene.put_path("a", Trajectory(100.0 + np.arange(5.0), poses, "a"))
-    server = PageServer(scene)
-    points = "document.querySelector('#map').view.scene().trails[0].points.length"
-    with browser_page() as page:
-        page.goto(server.url)
-        server.feed.put("a", room(10, name="a"), "input")
-        page.wait_for_selector('#layers li[data-name="a"]')
-        page.wait_for_selector("#time:not([hidden])")
-        assert page.text_content("#connection") == "finished run"
-        assert page.text_content("#when") == "end, 4 s"
-        assert page.text_content("#events li") == "2 s⚠ a loses its vote"
-        becomes(page, (*DISAGREEMENT_RGB, 255), "a", 19, 18)  # left of the number, in its circle
-        assert page.evaluate(points) == 5
-        page.evaluate(
-            """() => {
-              const slider = document.querySelector("#slider");
-              slider.value = "2";
-              slider.dispatchEvent(new Event("input"));
-            }"""
-        )
-        page.wait_for_function(f"{points} === 3")
-        assert page.text_content("#when") == "2 s"
-    server.close()

@@ -9,7 +9,6 @@ import urllib.error
 import urllib.request
 from collections.abc import Iterator
 from contextlib import ExitStack
-from pathlib import Path
 from socket import create_connection
 from typing import Any
 
@@ -150,26 +149,6 @@ def test_files_come_with_their_policy_and_only_those(server: PageServer) -> None
         assert status_of(server, path) == 404
     assert status_of(server, "/", Host="evil.example") == 403
     assert token(server) not in text
-
-
-def test_the_report_of_a_finished_run_is_served_and_nothing_around_it(tmp_path: Path) -> None:
-    report = tmp_path / "report"
-    report.mkdir()
-    (report / "report.html").write_text("<h1>the report</h1>", encoding="utf-8")
-    (tmp_path / "secret.txt").write_text("secret", encoding="utf-8")
-    server = PageServer(Scene("test", is_live=False), report=report)
-    address = f"http://127.0.0.1:{server.port}/report/report.html"
-    with urllib.request.urlopen(address, timeout=10.0) as answer:
-        assert answer.read() == b"<h1>the report</h1>"
-        assert "Content-Security-Policy" not in answer.headers  # it has its own
-    for path in ("/report/../secret.txt", "/report/%2e%2e/secret.txt", "/report/", "/report/x"):
-        assert status_of(server, path) == 404
-    assert status_of(server, "/report/report.html", Host="evil.example") == 403
-    with socket(server) as page:
-        say(page, type="hello")
-        (hello,) = texts(batch(page), "hello")
-        assert hello["has_report"]
-    server.close()
 
 
 @pytest.mark.parametrize("said", ["nonsense", "x" * (MESSAGE_BYTES + 1), '{"type": "seen"}'])

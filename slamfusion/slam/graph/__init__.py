@@ -1,6 +1,6 @@
 """Graph SLAM: scans on submaps, loop closures, and a pose graph that makes them agree.
 
-``slam`` is the method; the other modules hold its nouns. Who owns what, and who asks whom::
+``slam`` is the method; every other module is one noun of it. Who owns what, and who asks whom::
 
     GraphSlam
       Localizer             where a scan lies on the local map
@@ -17,7 +17,7 @@
 
 ``Localizer`` reads ``LocalMap``; ``LoopClosure`` reads ``LocalMap`` and ``MapGraph``, adds closures
 to the graph and, when a robot is relocalized, joins components and moves their poses. Both share
-one ``ClosureSearch``. What each of them saves, its ``STATE`` names.
+one ``ClosureSearch``. ``state`` has a typed record for what each of them owns.
 """
 
 from __future__ import annotations
