@@ -186,9 +186,6 @@ def relation_errors(
         trajectory: the estimate, in any frame.
         tolerance_s: seconds.
 
-    Returns:
-        The error of every relation that could be used.
-
     Raises:
         TrajectoryError: no relation could be used; both ranges of time are named.
     """

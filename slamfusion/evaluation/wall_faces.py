@@ -136,16 +136,13 @@ class WallThickness:
 
 
 def face_cells(classes: npt.NDArray[np.int8]) -> npt.NDArray[np.bool_]:
-    """Mark the faces of walls: the occupied cells that share a side with a free one.
+    """Mark the faces of walls, (H, W) bool: the occupied cells that share a side with a free one.
 
     A wall seen from both sides has two faces, one cell thick or more; one that was seen from one
     side alone has one face however far it is filled behind.
 
     Args:
         classes: (H, W) int8 in {-1, 0, 1}.
-
-    Returns:
-        (H, W) bool.
     """
     free = np.pad(classes == _FREE, 1)
     beside = free[:-2, 1:-1] | free[2:, 1:-1] | free[1:-1, :-2] | free[1:-1, 2:]

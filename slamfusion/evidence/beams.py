@@ -157,7 +157,7 @@ def spaced(points: F64) -> I64:
 
 
 def surface_facings(points: F64, laser: tuple[float, float]) -> F64:
-    """Return the direction that the surface at each hit of one scan faces, towards the laser.
+    """Return the direction that the surface at each hit faces, towards the laser, (M,) radians.
 
     The surface runs from the hits before to those after, as far as they lie within ``BESIDE_M``; a
     hit without such neighbours faces the laser.
@@ -165,9 +165,6 @@ def surface_facings(points: F64, laser: tuple[float, float]) -> F64:
     Args:
         points: (M, 2) float64, hits in the order of the beams, metres.
         laser: x and y of the laser in the same frame.
-
-    Returns:
-        (M,) radians in the frame of the points.
     """
     count = len(points)
     along = np.zeros((count, 2))

@@ -206,13 +206,10 @@ ROUNDS = 10
 
 
 def consensus_poses(laid: LaidPaths) -> F64:
-    """Return at each scan the pose that most of the weight lies near.
+    """Return (N, 3) at each scan the pose that most of the weight lies near.
 
     Args:
         laid: at least one path; each scan has a pose of at least one.
-
-    Returns:
-        (N, 3) float64, metres and radians, yaw in [-pi, pi).
     """
     return find_modes(laid.poses, laid.weights, LEAST_SCALE_M, MOST_SCALE_M)
 

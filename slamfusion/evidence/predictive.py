@@ -299,9 +299,6 @@ def without_scans(
 
     Args:
         left_out: (N,) bool, scans that neither draw nor are judged.
-
-    Returns:
-        Scores of these paths.
     """
     scans, is_judged = evidence.scans, evidence.is_judged & ~left_out
     if not is_judged[scans.hit_scans].any():
@@ -446,13 +443,10 @@ class DrawnChunks:
 
 
 def log_likelihoods(found: npt.NDArray[np.int32], model: HitModel) -> tuple[F64, B8]:
-    """Return each hit's log-likelihood, and whether it lies where something was seen.
+    """Return each hit's log-likelihood, (B,), and whether it lies where something was seen.
 
     Args:
         found: (B, 2) int32, of ``nearest_marks``.
-
-    Returns:
-        (B,) float64 and (B,) bool.
     """
     has_wall = found[:, 0] >= 0
     squared = np.where(has_wall, found[:, 0], 0) / float(BEAM_ONE) ** 2

@@ -59,9 +59,6 @@ def find_consensus(measured: Measurements, may_be_outlier: npt.NDArray[np.bool_]
 
     Args:
         may_be_outlier: (M,) bool; C of them are.
-
-    Returns:
-        What was found, of the possible outliers in order.
     """
     edges, motions = measured.edges, measured.motions
     covariances = inverted(measured.information)

@@ -79,16 +79,13 @@ def part_labels(edges: npt.NDArray[np.int64], count: int) -> tuple[int, npt.NDAr
 
 
 def loop_closing(edges: npt.NDArray[np.int64], count: int) -> npt.NDArray[np.bool_]:
-    """Tell which edges close a loop on top of odometry.
+    """Tell which edges close a loop on top of odometry, (M,) bool.
 
     Edges between consecutive poses, in either direction, are odometry. Of the others, taken in
     order, one that joins two parts not joined so far closes no loop.
 
     Args:
         edges: (M, 2), from and to.
-
-    Returns:
-        (M,) bool.
     """
     is_closure = np.asarray(np.abs(edges[:, 1] - edges[:, 0]) != 1)
     is_closure[joining(edges, is_closure, count)] = False
@@ -125,12 +122,9 @@ def joining(
 
 
 def chained_poses(graph: PoseGraph, root: int = 0) -> npt.NDArray[np.float64]:
-    """Return the poses that follow from the pose ``root`` by measurements alone.
+    """Return (N, 3) poses that follow from the pose ``root`` by measurements alone.
 
     Along a tree of the graph, of odometry as far as that reaches; loops are not closed.
-
-    Returns:
-        (N, 3) float64.
     """
     parts, _ = part_labels(graph.edges, len(graph))
     if parts > 1:

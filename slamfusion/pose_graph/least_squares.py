@@ -124,11 +124,7 @@ PANEL_SIZE = 4
 
 
 def factorise(matrix: scipy.sparse.csc_matrix, order: str = "NATURAL") -> Any:
-    """Factorise a symmetric positive definite sparse matrix without pivoting.
-
-    Returns:
-        SciPy's ``SuperLU``.
-    """
+    """Return SciPy's ``SuperLU`` of a symmetric positive definite matrix, without pivoting."""
     # Its types know neither complex matrices nor the order as a name.
     solve: Any = scipy.sparse.linalg.splu
     return solve(

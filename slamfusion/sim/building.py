@@ -277,13 +277,10 @@ def draw_ring(
 def draw_pillars(
     rng: np.random.Generator, resolution: float
 ) -> tuple[OccupancyGrid, tuple[Point, ...]]:
-    """Draw a ring of 80 m whose pillars and doors are all ``PERIOD_M`` apart, on every side.
+    """Draw a ring of 80 m with pillars and doors ``PERIOD_M`` apart, as ``draw_ring`` returns it.
 
     Args:
         resolution: metres per cell.
-
-    Returns:
-        See ``draw_ring``.
     """
     canvas, sides = _ring(80.0, resolution)
     deep_m, thick_m = rng.uniform(0.2, 0.4), rng.uniform(0.2, 0.35)

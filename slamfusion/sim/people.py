@@ -61,9 +61,6 @@ def walk(people: Sequence[Person], space: FreeSpace, robot: F64, step_s: float) 
     Args:
         robot: (N, 2) where the robot is, metres, one row a step; nobody steps nearer to it than
             their distance, so that who is in its way waits.
-
-    Returns:
-        Places and discs at each row.
     """
     places, discs, radii = [], [], []
     for number, person in enumerate(people, start=1):

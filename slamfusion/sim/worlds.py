@@ -60,11 +60,7 @@ def draw_floor(config: WorldConfig, rng: np.random.Generator, folder: Path) -> F
 def pick_glass(
     grid: OccupancyGrid, share: float, rng: np.random.Generator
 ) -> npt.NDArray[np.bool_]:
-    """Turn parts of thin straight walls into glass.
-
-    Returns:
-        (H, W) bool, a subset of the occupied cells.
-    """
+    """Turn parts of thin straight walls into glass; return them, (H, W) bool."""
     walls = grid.cells == OCCUPIED
     glass = np.zeros(walls.shape, dtype=np.bool_)
     long_cells = max(2, round(PANE_M / grid.resolution))

@@ -196,11 +196,7 @@ class TileMap:
         self._send_pages()
 
     def cells(self, name: str) -> tuple[npt.NDArray[np.generic], npt.NDArray[np.int64]]:
-        """Return a pool as one array, cut to the pages in use.
-
-        Returns:
-            (H, W) values, and (2,) column and row of its first cell from the anchor.
-        """
+        """Return one map of a pool as an array, cut to the pages in use; see ``joined_tiles``."""
         return joined_tiles(self._device, self.pools[name], self.pages, self.corner)
 
     def to_arrays(self) -> dict[str, npt.NDArray[Any]]:
@@ -360,11 +356,7 @@ class SharedTileMaps:
         self._send()
 
     def cells(self, name: str, index: int) -> tuple[npt.NDArray[np.generic], npt.NDArray[np.int64]]:
-        """Return one map of a pool as an array, cut to the pages in use.
-
-        Returns:
-            (H, W) values, and (2,) column and row of its first cell from the anchor.
-        """
+        """Return one map of a pool as an array, cut to the pages in use; see ``joined_tiles``."""
         return joined_tiles(self._device, self.pools[name], self.pages[index], self.corner)
 
     def to_state(self) -> dict[str, npt.NDArray[Any]]:

@@ -161,11 +161,7 @@ class LocalMap(Stateful):
         return found
 
     def insert(self, number: int, node: Node, local: Pose2) -> Pose2:
-        """Write a node into the growing submaps, and begin the next one where it is due.
-
-        Returns:
-            Its pose in the submap that is the active one then.
-        """
+        """Write a node into the growing submaps; return its pose in the one that is active then."""
         config, walls, active = self._config, self._walls_of(node), self.active_submap
         active.insert(*walls, local)
         if self.active + 1 < len(self.submaps):

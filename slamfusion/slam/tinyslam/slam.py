@@ -68,9 +68,6 @@ def mean_cell(observations: npt.ArrayLike, quality: npt.ArrayLike) -> F64:
         observations: (N, ...), 0 free to 1 occupied; more axes are more cells.
         quality: q, 0 to 1; one number, or one for each observation.
 
-    Returns:
-        (N + 1, ...) float64; the first is ``UNKNOWN_VALUE``.
-
     Source: [H16], the modified cell.
     """
     told = np.asarray(observations, dtype=np.float64)
