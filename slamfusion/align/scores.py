@@ -264,3 +264,14 @@ def rank(
         total += mean * count
         weight += count
     return total / weight
+
+
+def walls_found(pair: Pair, motions: F64, sigma: float, scales: F64, points: int) -> F64:
+    """Return the evidence (P,) that the reference's walls are in the moving map, nats and metres.
+
+    Args:
+        pair, motions, sigma, scales, points: see ``wall_pieces``.
+    """
+    _, back = fixed_similarities(motions, pair.moving.centre, scales)
+    found, *_ = _side(pair.reference, back, pair.moving, sigma, points, pair.device, sided=False)
+    return np.asarray(found.sum(axis=1))

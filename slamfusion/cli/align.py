@@ -1,10 +1,11 @@
-"""``slamfusion align``: the rigid motion from one map to another."""
+"""``slamfusion align``: the rigid motion from one map to another, and the scale of a plan."""
 
 from __future__ import annotations
 
 import math
+import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import click
 
@@ -13,24 +14,40 @@ from slamfusion.cli.options import (
     GivenStarts,
     common_options,
     map_resolution_option,
+    output_option,
     start_errors,
     start_option,
     with_config,
     with_starts,
 )
-from slamfusion.cli.output import is_verbose, notice, print_json, print_table
+from slamfusion.cli.output import (
+    is_verbose,
+    map_server_facts,
+    notice,
+    print_facts,
+    print_json,
+    print_table,
+)
 from slamfusion.cli.paths import MAP
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError
 from slamfusion.jobs.documents import number
 from slamfusion.jobs.inputs import device_for, load_maps
+from slamfusion.jobs.outputs import OVERLAY, PLACED, PLAN, WORLD_FILE, plan_files
 
 if TYPE_CHECKING:
     from slamfusion.align.records import Alignment
     from slamfusion.geometry import Pose2
 
+# What a pixel of a plan is taken for before its scale is searched, metres.
+PIXEL_M = 0.05
 
-@click.command("align", cls=Command, examples=["align map_a.yaml map_b.yaml"])
+
+@click.command(
+    "align",
+    cls=Command,
+    examples=["align map_a.yaml map_b.yaml", "align map.yaml plan.png --scale free -o placed"],
+)
 @click.argument("reference", type=MAP)
 @click.argument("moving", type=MAP)
 @start_option(
@@ -39,6 +56,21 @@ if TYPE_CHECKING:
     bare_name=True,
 )
 @map_resolution_option
+@click.option(
+    "--scale",
+    metavar="free|LOW:HIGH",
+    callback=lambda _ctx, _option, value: None if value is None else _pixel_sizes(value),
+    help="Find the scale of MOVING, a floor plan: a picture or a DXF drawing. LOW:HIGH limits the "
+    "size of its pixels, in metres; free: from half to twice --resolution, or 0.025 to 0.1.",
+)
+@output_option(
+    "--output",
+    "-o",
+    files=lambda path, _: plan_files(path),
+    metavar="DIR",
+    help="With --scale: save the plan with its resolution, the map in the frame of the plan, a "
+    "world file and an overlay picture to this folder.",
+)
 @with_config("fusion.normalize", "fusion.align", "map_files", "device", "")
 @common_options
 def command(
@@ -46,31 +78,69 @@ def command(
     moving: Path,
     starts: GivenStarts,
     resolution: float | None,
+    scale: tuple[float, float] | Literal["free"] | None,
+    output: Path | None,
     config: RunConfig,
     as_json: bool,
 ) -> int:
-    """Align one map with another.
+    """Align one map with another, or with a floor plan.
 
     Prints the transform that maps points from the frame of MOVING to the frame of REFERENCE. The
     exit code is 1 if the alignment is rejected. If a start has no M and RAD, the --window options
     apply around it.
     """
     from slamfusion.jobs.align import align_document, align_maps  # noqa: PLC0415
+    from slamfusion.jobs.plan import align_plan  # noqa: PLC0415
 
-    still, moved = load_maps((reference, moving), resolution, config.map_files, notice)
-    starts = _named(starts, moved.name)
-    config = with_starts(config, starts)
+    if scale is None and output is not None:
+        message = "-o saves what --scale finds; give both, or neither"
+        raise click.UsageError(message)
+    if scale is not None and starts:
+        message = "--scale searches everywhere; leave --start out"
+        raise click.UsageError(message)
+    both = (reference, moving)
+    guess = PIXEL_M if resolution is None and scale is not None else resolution
+    is_plan = scale is not None
+    still, moved = load_maps(both, guess, config.map_files, notice, measured=is_plan)
     device = device_for(config)
-    with start_errors(starts):
-        found = align_maps(still, moved, config, device)
-    if as_json:
-        print_json(align_document(found, config, device.name))
+    if scale is not None:
+        pixel_m = None if scale == "free" else scale
+        plan = align_plan(still, moved, config, device, pixel_m=pixel_m)
+        found, moved = plan.alignment, plan.plan
+        if output is not None and found.accepted:
+            plan.save(output, config.fusion.normalize)
     else:
-        _print_alignment(found, device.name)
+        starts = _named(starts, moved.name)
+        config = with_starts(config, starts)
+        with start_errors(starts):
+            found = align_maps(still, moved, config, device)
+    if as_json:
+        factor = None if scale is None else plan.scale
+        print_json(
+            align_document(found, config, device.name, resolution=moved.resolution, scale=factor)
+        )
+    else:
+        _print_alignment(found, device.name, None if scale is None else moved.resolution)
     if not found.accepted:
         message = f"{moving} does not align with {reference}: {found.reason}"
         raise AlignmentError(message)
+    if output is not None and not as_json:
+        _print_files(output)
     return 0
+
+
+def _pixel_sizes(value: str) -> tuple[float, float] | Literal["free"]:
+    """Return the least and the greatest metres per pixel of ``LOW:HIGH``, or ``free``."""
+    if value == "free":
+        return "free"
+    try:
+        low, high = (float(part) for part in value.split(":"))
+    except ValueError:
+        low = high = math.nan
+    if not 0.0 < low <= high < math.inf:
+        message = f"{value!r}: wanted free, or metres per pixel as LOW:HIGH, such as 0.02:0.06"
+        raise click.BadParameter(message)
+    return low, high
 
 
 def _named(starts: GivenStarts, moving: str) -> GivenStarts:
@@ -82,9 +152,24 @@ def _named(starts: GivenStarts, moving: str) -> GivenStarts:
     return named
 
 
-def _print_alignment(found: Alignment, device: str) -> None:
-    """Print the record as two columns."""
+def _print_files(folder: Path) -> None:
+    """Print what was saved of a plan, and what to do with it."""
+    plan, placed = folder / f"{PLAN}.yaml", folder / f"{PLACED}.yaml"
+    words = " ".join(shlex.quote(str(path)) for path in (placed, "--truth", plan))
+    print_facts(
+        ("plan", plan),
+        ("map", f"{placed}, in the frame of the plan"),
+        ("world file", folder / WORLD_FILE),
+        ("overlay", folder / OVERLAY),
+        ("next", f"slamfusion evaluate {words}"),
+        *map_server_facts(placed),
+    )
+
+
+def _print_alignment(found: Alignment, device: str, pixel_m: float | None) -> None:
+    """Print the record as two columns; of a plan with the size of its pixels, metres."""
     rows = [
+        *([] if pixel_m is None else [["resolution", f"{pixel_m:.4g} m per pixel"]]),
         ["dx", f"{number(found.transform.x, 4)} m"],
         ["dy", f"{number(found.transform.y, 4)} m"],
         ["yaw", f"{number(math.degrees(found.transform.yaw_rad))} deg"],

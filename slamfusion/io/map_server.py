@@ -31,6 +31,7 @@ from slamfusion.config import NormalizeConfig
 from slamfusion.errors import MapFileError
 from slamfusion.geometry import Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid, implausible, trinary_cells
+from slamfusion.io.dxf import read_dxf
 from slamfusion.io.files import WORKING_BYTES, AtomicFiles, check_memory
 from slamfusion.io.images import Pixels, encode_image, looks_like_image, pixel_digest, read_image
 from slamfusion.io.map_yaml import (
@@ -267,7 +268,7 @@ def load_map(
     settle_edges: bool = False,
     warn: Callable[[str], None] = _LOG.warning,
 ) -> OccupancyGrid:
-    """Load an occupancy grid from a map server's YAML, or from a bare picture.
+    """Load an occupancy grid from a map server's YAML, a bare picture or a DXF drawing.
 
     Where the YAML names ``x.pgm`` and only ``x.pgm.gz`` is there, that is read. A bare picture is
     read with the default rules (trinary, thresholds 0.65 and 0.196), its lower-left corner at the
@@ -284,8 +285,9 @@ def load_map(
     beside the YAML is read, with a warning.
 
     Args:
-        path: the YAML, or a PGM, PNG or BMP (each also gzipped).
-        resolution: metres per cell of a bare picture; must be left out for a YAML.
+        path: the YAML, or a PGM, PNG or BMP (each also gzipped), or a DXF drawing.
+        resolution: metres per cell of a bare picture, or of a drawing (see ``read_dxf``); must be
+            left out for a YAML.
         name: the grid's name; default: the file's name without its endings.
         legacy_unknown: read such cells as unknown.
         settle_edges: read grey cells between a wall and free ground as one of both, so that walls
@@ -313,9 +315,16 @@ def _load(
 ) -> OccupancyGrid:
     """Return the map as its files are now."""
     path = existing(path)
+    stem = Path(path.name.removesuffix(".gz")).stem
+    if path.suffix.lower() == ".dxf":
+        cells, resolution, corner = read_dxf(path, resolution)
+        return OccupancyGrid(cells, resolution, Pose2(*corner), name or stem)
     if looks_like_image(path):
         if resolution is None:
-            message = f"{path}: an image alone has no cell size; give --resolution or its YAML"
+            message = (
+                f"{path}: an image alone has no cell size; give --resolution or its YAML, or find "
+                f"it with: slamfusion align MAP {path} --scale free"
+            )
             raise MapFileError(message)
         entry = MapFile(path, check_resolution(str(path), resolution), Pose2(), Rules())
     else:
@@ -357,9 +366,7 @@ def _load(
             f"as unknown {cause}; read them so with --legacy-unknown (nodes: "
             f"legacy_unknown:=true), or {mend}"
         )
-    if name is None:
-        name = Path(path.name.removesuffix(".gz")).stem
-    return OccupancyGrid(cells, entry.resolution, entry.origin, name)
+    return OccupancyGrid(cells, entry.resolution, entry.origin, name or stem)
 
 
 def map_sources(path: Path) -> list[Path]:

@@ -74,6 +74,26 @@ def _expected(config: RunConfig, reference: str, moving: str) -> Pose2 | StartPo
     return found
 
 
-def align_document(found: Alignment, config: RunConfig, device: str) -> AlignDocument:
-    """Return what ``slamfusion align`` prints as JSON."""
-    return {**found.to_json(), **circumstances(config, device)}
+def align_document(
+    found: Alignment,
+    config: RunConfig,
+    device: str,
+    *,
+    resolution: float,
+    scale: float | None = None,
+) -> AlignDocument:
+    """Return what ``slamfusion align`` prints as JSON.
+
+    Args:
+        found: the alignment.
+        config: the settings in effect.
+        device: what computed it, in words.
+        resolution: of the moving map, metres per cell.
+        scale: by which that is larger than the map says; None: it was not searched.
+    """
+    return {
+        **found.to_json(),
+        **circumstances(config, device),
+        "resolution": resolution,
+        "scale": scale,
+    }

@@ -30,7 +30,7 @@ Warn = Callable[[str], None]
 
 # Maps of a folder that a message names.
 MOST_NAMED = 5
-SUFFIXES = (".gz", ".yaml", ".yml", ".pgm", ".png", ".bmp", ".pnm", ".tum", ".txt", ".csv")
+SUFFIXES = (".gz", ".yaml", ".yml", ".pgm", ".png", ".bmp", ".pnm", ".dxf", ".tum", ".txt", ".csv")
 
 
 @dataclass(frozen=True)

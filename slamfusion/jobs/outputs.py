@@ -33,6 +33,9 @@ FUSED_PATH = FUSED + ".tum"
 # The record of a run that made a fused map: its JSON document.
 RUN_RECORD = FUSED + ".json"
 PAGE, PICTURES = "report.html", "[0-9][0-9]-*"
+# What the alignment of a floor plan calls the plan and the map that lies in its frame, the plan's
+# world file, and the picture of both.
+PLAN, PLACED, WORLD_FILE, OVERLAY = "plan", "map", "plan.pgw", "overlay.png"
 
 
 def output_files(stem: Path, *, probabilities: bool = False) -> list[Path]:
@@ -88,6 +91,12 @@ def map_files(stem: Path, *image_formats: str) -> list[Path]:
     """Return the files of a map, without suffix: its YAML and its picture."""
     suffixes = (".yaml", *(f".{form}" for form in image_formats or ("pgm",)))
     return [stem.with_name(stem.name + suffix) for suffix in suffixes]
+
+
+def plan_files(folder: Path) -> list[Path]:
+    """Return the files that the alignment of a floor plan writes."""
+    maps = [folder / f"{stem}{suffix}" for stem in (PLAN, PLACED) for suffix in (".yaml", ".png")]
+    return [*maps, folder / WORLD_FILE, folder / OVERLAY]
 
 
 def earlier_results(folders: Sequence[Path]) -> list[Path]:

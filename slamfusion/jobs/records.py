@@ -283,6 +283,11 @@ class FailedFuseDocument(FuseDocument):
 class AlignDocument(AlignmentJson, CircumstancesJson):
     """``slamfusion align``; exit code 1 where the alignment is not accepted."""
 
+    resolution: float
+    """Metres per cell of the moving map; with --scale as it was found."""
+    scale: float | None
+    """By which that is larger than the map says; null: without --scale."""
+
 
 class EvaluateDocument(SettingsJson):
     """``slamfusion evaluate``."""

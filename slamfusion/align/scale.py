@@ -1,0 +1,230 @@
+"""The scale of a map that is not known, such as a floor plan's: search it, then align as always.
+
+At each scale the plan is a map like any other. On coarse cells it is compared with the reference
+at the yaws at which walls are parallel (see ``shifts``); at the scales that stand out both are
+aligned, and the decision counts every scale that was tried as one more pair of the job.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.align.align import align_pair
+from slamfusion.align.features import GridFeatures
+from slamfusion.align.normalize import check_resampling, common_resolution, normalize_grid
+from slamfusion.align.pair import Pair
+from slamfusion.align.records import Alignment
+from slamfusion.align.scores import walls_found
+from slamfusion.align.shifts import (
+    KeptSpectra,
+    TurnedMap,
+    level_for,
+    parallel_shifts,
+    wall_directions,
+)
+from slamfusion.compute import ComputeDevice
+from slamfusion.config import FusionConfig
+from slamfusion.errors import ConfigError
+from slamfusion.grid import OccupancyGrid
+
+F64 = npt.NDArray[np.float64]
+
+# From one scale to the next: between two of them the ends of a building of 40 m move by 0.3 m, less
+# than a coarse cell.
+SCALE_STEP = 1.03
+# Cells on which scales are compared, and on which the best few are aligned, metres.
+RANKED_CELL_M, TRIED_CELL_M = 0.2, 0.1
+# Scales that are tried: at most so many, and none with less than this share of the best one's
+# evidence.
+TRIED, TRIED_SHARE = 4, 0.5
+# Walls of each map by which the best scale is looked for.
+POINTS = 4096
+# A plan is aligned at better scales until the fit is within so much of the best one. The last step
+# by which a fit is improved is so small a part of the width of a wall.
+ROUNDS, SETTLED_WITHIN, LAST_STEP = 4, 0.002, 1.0 / 16.0
+
+
+@dataclass(frozen=True)
+class ScaledAlignment:
+    """A map of unknown scale, aligned.
+
+    Attributes:
+        scale: by which the moving map's cells are larger than it says.
+        alignment: of the moving map with such cells; it may be used only where it is accepted.
+    """
+
+    scale: float
+    alignment: Alignment
+
+
+def align_at_any_scale(
+    reference: OccupancyGrid,
+    moving: OccupancyGrid,
+    config: FusionConfig,
+    device: ComputeDevice,
+    scales: tuple[float, float],
+) -> ScaledAlignment:
+    """Align a map whose scale is not known.
+
+    Args:
+        reference: held still; its resolution is right.
+        moving: the plan.
+        config: normalisation and search.
+        device: computes.
+        scales: the least and the greatest factor on the resolution of ``moving``.
+
+    Returns:
+        The scale and the alignment; also when it is rejected, with the reason.
+
+    Raises:
+        ConfigError: the factors are not positive or not in order.
+        GridError: a grid has no known cells.
+        MemoryBudgetError: at their common resolution the grids would not fit into memory.
+    """
+    began = time.perf_counter()
+    lowest, highest = scales
+    if not 0.0 < lowest <= highest < math.inf:
+        message = f"scales from {lowest:g} to {highest:g}: give two positive factors, least first"
+        raise ConfigError(message)
+    search = _ScaleSearch(reference, config, device)
+    found = search.best(moving, scales)
+    alignment = found.alignment
+    if not alignment.accepted:
+        image = replace(moving, cells=np.ascontiguousarray(moving.cells[:, ::-1]))
+        mirrored = search.best(image, scales)
+        if mirrored.alignment.accepted:
+            reason = (
+                f"{moving.name} fits only as its mirror image (at {mirrored.scale:.3g} times its "
+                "scale): was it drawn or printed mirrored?"
+            )
+            alignment = replace(alignment, reason=reason, decision="mirrored")
+    alignment = replace(alignment, time_s=time.perf_counter() - began)
+    return replace(found, alignment=alignment)
+
+
+class _ScaleSearch:
+    """The reference made ready, and what is compared with it."""
+
+    def __init__(
+        self, reference: OccupancyGrid, config: FusionConfig, device: ComputeDevice
+    ) -> None:
+        self.reference, self.config, self.device = reference, config, device
+        self._made: dict[float, GridFeatures] = {}
+        self._turned: dict[tuple[int, int], TurnedMap] = {}
+
+    def best(self, plan: OccupancyGrid, scales: tuple[float, float]) -> ScaledAlignment:
+        """Try the scales that stand out; settle the best of them on the finest cells."""
+        count = math.ceil(math.log(scales[1] / scales[0]) / math.log(SCALE_STEP)) + 1
+        each = np.geomspace(*scales, count)
+        gains = np.array([self.gain(scaled(plan, scale)) for scale in each])
+        tries = []
+        for scale in each[_peaks(gains)]:
+            pair = self.pair(plan, scale, TRIED_CELL_M)
+            alignment = align_pair(pair, self.config.align, None, count, thorough=False)
+            tries.append(ScaledAlignment(float(scale), alignment))
+        best = min(tries, key=lambda one: _standing(one.alignment))
+        return self.settled(plan, best.scale, count) if _is_here(best.alignment) else best
+
+    def settled(self, plan: OccupancyGrid, scale: float, count: int) -> ScaledAlignment:
+        """Align on the finest cells at the scale at which the fit is best.
+
+        Args:
+            plan: with the resolution that it says.
+            scale: a factor on that, right to some per cent.
+            count: scales that were compared.
+        """
+        for _ in range(ROUNDS):
+            pair = self.pair(plan, scale, 0.0)
+            alignment = align_pair(pair, self.config.align, None, count, thorough=False)
+            found = ScaledAlignment(scale, alignment)
+            better = None if alignment.evidence is None else alignment.evidence.scale
+            if better is None or better == 1.0:
+                better = best_scale(pair, pair.motion_of(alignment.transform))
+            if abs(better - 1.0) < SETTLED_WITHIN:
+                break
+            scale *= better
+        return found
+
+    def gain(self, plan: OccupancyGrid) -> float:
+        """Return the most evidence that any place of a plan has, nats times metres of wall."""
+        still, moved = self.ready(RANKED_CELL_M), self._ready(plan, RANKED_CELL_M)
+        level = level_for(max(*still.shape, *moved.shape), RANKED_CELL_M)
+        if level not in self._turned:
+            self._turned[level] = self.turned(still, level)
+        peak, _ = parallel_shifts(self._turned[level], self.turned(moved, level)).peak()
+        return peak * level[0] * RANKED_CELL_M
+
+    def pair(self, plan: OccupancyGrid, scale: float, least_cell: float) -> Pair:
+        """Return the reference and a plan at a scale, on cells of at least so many metres."""
+        both = [self.reference, scaled(plan, scale)]
+        check_resampling(both, self.config.normalize, "aligning")
+        cell = max(least_cell, common_resolution(both, self.config.normalize))
+        return Pair(self.ready(cell), self._ready(both[1], cell))
+
+    def ready(self, cell: float) -> GridFeatures:
+        """Return the reference on cells of a size."""
+        if cell not in self._made:
+            self._made[cell] = self._ready(self.reference, cell)
+        return self._made[cell]
+
+    def _ready(self, grid: OccupancyGrid, cell: float) -> GridFeatures:
+        normalized = normalize_grid(grid, cell, self.config.normalize, self.device)
+        return GridFeatures(normalized, self.device)
+
+    def turned(self, features: GridFeatures, level: tuple[int, int]) -> TurnedMap:
+        """Return a map on a level, to be turned."""
+        walls = wall_directions(features.grid.solid)
+        return TurnedMap(features, *level, walls, self.device, KeptSpectra())
+
+
+def scaled(grid: OccupancyGrid, scale: float) -> OccupancyGrid:
+    """Return a map with cells larger by a factor."""
+    return replace(grid, resolution=grid.resolution * scale)
+
+
+def _is_here(alignment: Alignment) -> bool:
+    """Whether an alignment is accepted, or would be at a scale near by."""
+    return alignment.decision in {"accepted", "other scale"}
+
+
+def _standing(alignment: Alignment) -> tuple[bool, float]:
+    """Sort alignments: those that are right, then by the wrong answers to be expected."""
+    evidence = alignment.evidence
+    return not _is_here(alignment), math.inf if evidence is None else evidence.expected_wrong
+
+
+def _peaks(gains: F64) -> npt.NDArray[np.intp]:
+    """Return the scales to try, best first: no neighbour within two steps is better."""
+    padded = np.pad(gains, 2, constant_values=-np.inf)
+    most = np.lib.stride_tricks.sliding_window_view(padded, 5).max(axis=1)
+    peaks = np.flatnonzero((gains == most) & (gains >= TRIED_SHARE * gains.max()))
+    return peaks[np.argsort(-gains[peaks], kind="stable")][:TRIED]
+
+
+def best_scale(pair: Pair, motion: F64) -> float:
+    """Return the scale at which a fit is best, of those that its motion leads to step by step.
+
+    The robot's walls decide alone: it sees outer walls from within, and their other sides would
+    pull the plan's walls inwards.
+
+    Args:
+        pair: the two maps.
+        motion: (3,) see ``pair``.
+    """
+    sigma = pair.widths[0]
+    reach = math.hypot(*pair.moving.shape) / 4.0
+    around = np.stack(np.meshgrid(*[[0, -1, 1]] * 4, indexing="ij"), axis=-1).reshape(-1, 4)
+    at, step = np.array([*motion, 1.0]), 1.0
+    while step >= LAST_STEP:
+        near = at + around * step * np.array([sigma, sigma, sigma / reach, sigma / reach])
+        scales = np.ascontiguousarray(near[:, 3])
+        best = int(walls_found(pair, near[:, :3], sigma, scales, POINTS).argmax())
+        at = near[best]
+        if best == 0:
+            step /= 2.0
+    return float(at[3])

@@ -1,0 +1,95 @@
+"""Floor plans from CAD: a DXF drawing's lines as the walls of an occupancy grid."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.errors import MapFileError
+from slamfusion.io.files import check_memory
+
+# Cells of a drawing whose unit is known, metres; cells on the longest side of one whose unit is
+# not, which are given this size until the scale is found.
+CELL_M, UNITLESS_CELLS = 0.05, 1500
+# What is written about a building rather than built.
+WORDS = frozenset(
+    ("ATTDEF", "ATTRIB", "DIMENSION", "LEADER", "MLEADER", "MTEXT", "MULTILEADER", "TEXT")
+)
+# Curves are drawn as chords this near to them, cells.
+CHORD_CELLS = 0.25
+MARGIN_CELLS = 4
+
+
+def read_dxf(
+    path: Path, resolution: float | None
+) -> tuple[npt.NDArray[np.int8], float, tuple[float, float]]:
+    """Draw the lines of a DXF file's model space; texts, dimensions and hidden layers are left out.
+
+    Args:
+        path: the drawing.
+        resolution: metres per cell; None: 0.05 where the drawing says its unit. Of one that does
+            not the longest side gets 1500 cells, taken for 0.05 m each.
+
+    Returns:
+        Occupancy in percent (H, W), 100 at lines and 0 elsewhere, row 0 at the bottom; metres per
+        cell; and the lower-left corner, metres in the drawing's frame.
+
+    Raises:
+        MapFileError: the file cannot be read or has no lines, or ezdxf is not installed.
+        MemoryBudgetError: the plan would not fit into memory.
+    """
+    try:
+        import ezdxf  # noqa: PLC0415
+        from ezdxf import units  # noqa: PLC0415
+        from ezdxf.disassemble import recursive_decompose, to_primitives  # noqa: PLC0415
+    except ImportError as error:
+        message = f"{path}: DXF drawings need ezdxf; pip install 'slamfusion[plans]'"
+        raise MapFileError(message) from error
+    try:
+        drawing = ezdxf.readfile(path)
+    except (OSError, ezdxf.DXFError, UnicodeDecodeError) as error:
+        message = f"{path} cannot be read as a DXF drawing: {error}"
+        raise MapFileError(message) from error
+    shown = [entity for entity in recursive_decompose(drawing.modelspace()) if _is_built(entity)]
+    boxes = [corner for one in to_primitives(shown) for corner in _corners(one)]
+    if not boxes:
+        message = f"{path}: no lines in the model space of the drawing; export it as DXF with them"
+        raise MapFileError(message)
+    corners = np.array(boxes)
+    lowest, sides = corners.min(axis=0), np.ptp(corners, axis=0)
+    unit = units.conversion_factor(drawing.units, units.M) if drawing.units else None
+    cell = resolution or CELL_M
+    if unit is None:
+        unit = UNITLESS_CELLS * cell / float(sides.max())
+    per_cell = cell / unit  # drawing units
+    width, height = (int(side) + 1 + 2 * MARGIN_CELLS for side in sides / per_cell)
+    check_memory(8 * width * height, f"a plan of {width} x {height} cells", str(path))
+    cells = np.zeros((height, width), dtype=np.uint8)
+    for primitive in to_primitives(shown, max_flattening_distance=CHORD_CELLS * per_cell):
+        points = np.array([(point.x, point.y) for point in primitive.vertices()])
+        if len(points) > 1:
+            at = np.rint((points - lowest) / per_cell + MARGIN_CELLS).astype(np.int32)
+            cv2.polylines(cells, [at], isClosed=False, color=100)
+    origin = (lowest - MARGIN_CELLS * per_cell) * unit
+    return cells.view(np.int8), cell, (float(origin[0]), float(origin[1]))
+
+
+def _is_built(entity: Any) -> bool:
+    """Return whether an entity is neither a word nor on a layer that is not shown."""
+    if entity.dxftype() in WORDS or entity.doc is None:
+        return False
+    layer = entity.doc.layers
+    name = entity.dxf.layer
+    return name not in layer or not (layer.get(name).is_off() or layer.get(name).is_frozen())
+
+
+def _corners(primitive: Any) -> Iterator[tuple[float, float]]:
+    box = primitive.bbox()
+    if box.has_data:
+        for corner in (box.extmin, box.extmax):
+            yield corner.x, corner.y

@@ -1,0 +1,123 @@
+"""A floor plan laid on a robot's map, its scale found: both as maps of one frame for others."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from slamfusion.align.records import Alignment
+from slamfusion.align.scale import align_at_any_scale
+from slamfusion.compute import ComputeDevice
+from slamfusion.config import NormalizeConfig, RunConfig
+from slamfusion.evaluation.distances import sample_on_lattice
+from slamfusion.geometry import Pose2
+from slamfusion.grid import CellBox, OccupancyGrid
+from slamfusion.io.files import AtomicFiles
+from slamfusion.io.map_server import save_map
+from slamfusion.jobs.inputs import device_for
+from slamfusion.jobs.outputs import OVERLAY, PLACED, PLAN, WORLD_FILE
+from slamfusion.report.maps import input_colours, pair_overlay
+
+# A scale is searched from half to twice what the plan says.
+FACTOR = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class AlignedPlan:
+    """A floor plan on a map.
+
+    Attributes:
+        reference: the robot's map.
+        plan: with the resolution that was found.
+        scale: by which that is larger than the plan said.
+        alignment: of the plan with the map; the rest may be used only where it is accepted.
+    """
+
+    reference: OccupancyGrid
+    plan: OccupancyGrid
+    scale: float
+    alignment: Alignment
+
+    def save(self, folder: Path, normalize: NormalizeConfig) -> None:
+        """Save the plan, the map in the plan's frame, the plan's world file and an overlay.
+
+        The world file places the picture ``plan.png`` in the frame of the robot's map. See
+        ``plan_files``.
+        """
+        with AtomicFiles() as files:
+            save_map(self.plan, folder / PLAN, image_format="png", files=files)
+            save_map(self.in_plan(), folder / PLACED, image_format="png", files=files)
+            files.add(folder / WORLD_FILE, world_file(self.plan, self.alignment.transform).encode())
+            turned = replace(
+                self.alignment,
+                reference=self.plan.name,
+                moving=self.reference.name,
+                transform=self.alignment.transform.inverse(),
+            )
+            colours = input_colours((self.plan.name, self.reference.name))
+            picture = pair_overlay(self.plan, self.reference, turned, normalize, colours)
+            if picture is not None:
+                files.add(folder / OVERLAY, picture.png)
+
+    def in_plan(self) -> OccupancyGrid:
+        """Return the robot's map with its axes along the plan's, in the plan's frame."""
+        grid, transform = self.reference, self.alignment.transform.inverse()
+        corners = np.array([(x, y) for x in (0, grid.width) for y in (0, grid.height)])
+        placed = transform.transform(grid.origin.transform(corners * grid.resolution))
+        low = np.floor(placed.min(axis=0) / grid.resolution)
+        high = np.ceil(placed.max(axis=0) / grid.resolution)
+        lattice = replace(grid, origin=Pose2(*(float(value) for value in low * grid.resolution)))
+        width, height = (int(side) for side in high - low)
+        box = CellBox(0, 0, height, width)
+        return replace(lattice, cells=sample_on_lattice(grid.cells, grid, lattice, box, transform))
+
+
+def align_plan(
+    reference: OccupancyGrid,
+    plan: OccupancyGrid,
+    config: RunConfig | None = None,
+    device: ComputeDevice | None = None,
+    *,
+    pixel_m: tuple[float, float] | None = None,
+) -> AlignedPlan:
+    """Align a floor plan whose scale is not known with a robot's map.
+
+    Args:
+        reference: the robot's map.
+        plan: its resolution is a first guess.
+        config: ``fusion`` is used; default: the defaults.
+        device: searches; default: the one that the settings name.
+        pixel_m: least and greatest metres per pixel of the plan; default: half and twice the first
+            guess.
+
+    Returns:
+        The plan with its resolution, and the alignment, also where it is rejected.
+
+    Raises:
+        ConfigError: ``pixel_m`` is not positive or not in order.
+        GridError: a map has no known cell.
+        DeviceError: the device cannot be opened.
+    """
+    config = config or RunConfig()
+    scales = (1.0 / FACTOR, FACTOR)
+    if pixel_m is not None:
+        scales = (pixel_m[0] / plan.resolution, pixel_m[1] / plan.resolution)
+    found = align_at_any_scale(reference, plan, config.fusion, device_for(config, device), scales)
+    sized = replace(plan, resolution=plan.resolution * found.scale)
+    return AlignedPlan(reference, sized, found.scale, found.alignment)
+
+
+def world_file(plan: OccupancyGrid, transform: Pose2) -> str:
+    """Return the six lines of an ESRI world file: where the plan's pixels lie in another frame.
+
+    Args:
+        plan: its picture's top row is the last row of cells.
+        transform: maps the plan's frame into the other one, metres.
+    """
+    pose = transform.compose(plan.origin)
+    along, across = (plan.resolution * f(pose.yaw_rad) for f in (math.cos, math.sin))
+    x, y = pose.transform(np.array((0.5, plan.height - 0.5)) * plan.resolution)
+    return "".join(f"{value:.9f}\n" for value in (along, across, across, -along, x, y))

@@ -1,0 +1,61 @@
+"""``align --scale`` and what it saves."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slamfusion.io.map_server import load_map
+from tests.cli.command import MAPS, SAMPLE, json_of, run, tree
+
+pytestmark = pytest.mark.once
+
+# The true map's picture alone, with twice its cells: they are found to be half as large.
+PLAN = ("--resolution", "0.1", "--scale", "0.04:0.065")
+
+
+def test_a_plan_gets_its_resolution_and_the_map_lies_in_its_frame(tmp_path: Path) -> None:
+    placed = tmp_path / "placed"
+    done = run("align", MAPS[1], SAMPLE / "truth.pgm", *PLAN, "-o", placed, "--json")
+    found = json_of(done)
+    assert found["resolution"] == pytest.approx(0.05, rel=0.01)
+    assert found["scale"] == pytest.approx(0.5, rel=0.01)
+    assert sorted(tree(placed)) == [
+        "map.png", "map.yaml", "overlay.png", "plan.pgw", "plan.png", "plan.yaml",
+    ]  # fmt: skip
+    plan, seen = load_map(placed / "plan.yaml"), load_map(placed / "map.yaml")
+    assert plan.resolution == found["resolution"]
+    assert seen.origin.yaw_rad == 0.0
+    # Most walls of the map, now in the plan's frame, are on or next to walls of the plan.
+    rows, cols = np.nonzero(seen.cells == 100)
+    x, y = (seen.cell_centres(rows, cols) / plan.resolution).astype(int).T
+    near = np.pad(plan.cells == 100, 4)
+    wide = np.any([np.roll(near, (i, j), (0, 1)) for i in (-2, 0, 2) for j in (-2, 0, 2)], axis=0)
+    height, width = wide.shape
+    met = wide[np.clip(y + 4, 0, height - 1), np.clip(x + 4, 0, width - 1)]
+    assert np.mean(met) > 0.8
+    # The world file places the picture in the map's frame: a row to the right, a row down.
+    lines = (placed / "plan.pgw").read_text().splitlines()
+    along, across, down_x, down_y = (float(line) for line in lines[:4])
+    assert np.hypot(along, across) == pytest.approx(found["resolution"])
+    assert (down_x, down_y) == (across, -along)
+    assert np.arctan2(across, along) == pytest.approx(found["yaw_rad"], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--scale", "2:1"), "wanted free, or metres per pixel as LOW:HIGH"),
+        (("--scale", "free", "--start", "1,2,0"), "--scale searches everywhere; leave --start out"),
+        (("-o", "placed"), "-o saves what --scale finds; give both, or neither"),
+    ],
+)
+def test_options_that_do_not_go_together_are_refused(
+    tmp_path: Path, words: tuple[str, ...], said: str
+) -> None:
+    done = run("align", MAPS[0], MAPS[1], *words, cwd=tmp_path)
+    assert done.returncode == 2
+    assert said in done.stderr
+    assert not tree(tmp_path)
