@@ -15,9 +15,8 @@
  */
 #include "common.h"
 
-/* PoCL leaves min and max as calls. */
+/* PoCL leaves min as a call. */
 #define LESS(a, b) ((a) < (b) ? (a) : (b))
-#define MORE(a, b) ((a) > (b) ? (a) : (b))
 #define GRID __global const uchar *
 #define DISSENT_PITCH(cells) (((size_t)(cells) + BLOCK_CELLS - 1) / BLOCK_CELLS * BLOCK_CELLS)
 #define GRIDS                                                                                     \
@@ -161,9 +160,11 @@ __kernel void vote_majority(GRIDS, const int count, const int cells, const int u
 }
 
 /* -- walls, with a tolerance and by weight ---------------------------------------------------------
- * Eight cells with no wall near are decided at once. Grids are codes of bits (slamfusion/vote/walls.py). weights (count, block_rows, block_cols) uchar and
- * ranks, ushort, of each block of 2^shift cells on a side; row_phase, col_phase: place of the first cell
- * in its block; trusted (count) uchar, weights in all. The chunk is whole rows. */
+ * Eight cells with no wall near are decided at once. Grids are codes of bits
+ * (slamfusion/vote/walls.py). weights (count, block_rows, block_cols) uchar and ranks, ushort, of each
+ * block of 2^shift cells on a side; row_phase, col_phase: place of the first cell in its block; trusted
+ * (count) uchar, weights in all; reach: cells up to which a wall that faces the same way is the same
+ * wall. The chunk is whole rows. */
 
 /* Share of a part in the whole in percent, rounded half up; -1 of nothing. */
 INLINE char share_percent(const int part, const int whole) {
@@ -171,9 +172,55 @@ INLINE char share_percent(const int part, const int whole) {
   return (char)((200 * part + whole) / (2 * whole));
 }
 
+/* Whether a wall at a cell stands that faces some ways. support, against: weights for it and against
+ * it; moved: an input of weight 1/2 or more has the same wall elsewhere. */
+INLINE bool wall_stands(GRID *grids, const int count, const int *weight, const int *trust,
+                        const int at, const uchar ways, int *support, int *against, bool *moved) {
+  int supported = 0;
+  *support = *against = 0;
+  *moved = false;
+  for (int n = 0; n < count; n++) {
+    const uchar code = grids[n][at];
+    const bool same = (code >> WALL_SIDES) & ways;
+    if (code & WALL_NEAR) {
+      *support += weight[n];
+      supported += trust[n];
+    } else if (same || (code & WALL_FREE)) {
+      *against += weight[n];
+      *moved |= same && 2 * weight[n] >= VOTE_ONE;
+    }
+  }
+  return 2 * supported >= VOTE_ONE && (*moved ? 3 : 2) * *support >= 2 * *against;
+}
+
+/* Whether the nearest wall of one input stands that faces some ways, up to `reach` cells from cell i
+ * along a row or column, or next to that line. */
+INLINE bool stands_elsewhere(GRID *grids, const int count, const int *weight, const int *trust,
+                             GRID own, const int i, const uchar ways, const int reach,
+                             const int width, const int cells) {
+  const int col = i % width;
+  for (int step = 1; step <= reach; step++)
+    for (int side = 0; side < 4; side++) {
+      const bool along_row = side < 2;
+      if (!(ways & (along_row ? ALONG_ROW : ALONG_COL))) continue;
+      for (int aside = -1; aside <= 1; aside++) {
+        const int far = side & 1 ? -step : step;
+        const int right = along_row ? far : aside, down = along_row ? aside : far;
+        const int at = i + down * width + right;
+        if (col + right < 0 || col + right >= width || at < 0 || at >= cells) continue;
+        const uchar faced = own[at] >> WALL_SIDES;
+        if (!(own[at] & WALL_OCCUPIED) || !(faced & ways)) continue;
+        int support, against;
+        bool moved;
+        return wall_stands(grids, count, weight, trust, at, faced, &support, &against, &moved);
+      }
+    }
+  return false;
+}
+
 __kernel void vote_walls(GRIDS, const int count, const int cells, __global const uchar *weights,
                          __global const ushort *ranks, __global const uchar *trusted,
-                         const int width, const int shift, const int row_phase,
+                         const int width, const int reach, const int shift, const int row_phase,
                          const int col_phase, const int block_rows, const int block_cols,
                          const int chunk, __global char *fused, __global char *agreement,
                          __global uchar *dissent, __global int *phantom) {
@@ -224,19 +271,15 @@ __kernel void vote_walls(GRIDS, const int count, const int cells, __global const
       }
     }
 
-    /* Who draws here, and what is for a wall and for free. */
-    int highest = -1, support = 0, supported = 0, freeing = 0, freed = 0, walls = 0;
+    /* Who draws here, and what is for free. */
+    int highest = -1, freeing = 0, freed = 0, walls = 0;
     uchar shown = 0, any = 0;
     for (int n = 0; n < count; n++) {
       const uchar code = grids[n][i];
       any |= code;
-      if (code & WALL_NEAR) {
-        support += weight[n];
-        supported += trust[n];
-        if (weight[n] > 0 && rank[n] > highest) {
-          highest = rank[n];
-          shown = code;
-        }
+      if ((code & WALL_NEAR) && weight[n] > 0 && rank[n] > highest) {
+        highest = rank[n];
+        shown = code;
       }
       if (code & WALL_FREE) {
         freeing += weight[n];
@@ -244,9 +287,9 @@ __kernel void vote_walls(GRIDS, const int count, const int cells, __global const
       }
       if (code & WALL_OCCUPIED) walls += weight[n];
     }
+    const bool is_free = freeing > 0 && 2 * freed >= VOTE_ONE;
     if (!(any & WALL_NEAR)) {
       /* The usual case: no wall anywhere near. */
-      const bool is_free = freeing > 0 && 2 * freed >= VOTE_ONE;
       fused[i] = is_free ? FREE : UNKNOWN;
       agreement[i] = is_free ? 100 : -1;
       for (int first = 0; first < count; first += 8) {
@@ -259,22 +302,19 @@ __kernel void vote_walls(GRIDS, const int count, const int cells, __global const
       continue;
     }
 
-    /* What is against the wall. */
+    /* A wall is drawn where it stands, unless a better map draws it elsewhere, and it stands there. */
     const uchar ways = (shown & WALL_OCCUPIED) ? shown >> WALL_SIDES : 0;
-    int against = 0, rival = -1;
-    for (int n = 0; n < count; n++) {
-      const uchar code = grids[n][i];
-      if (code & WALL_NEAR) continue;
-      const bool same = (code >> WALL_SIDES) & ways;
-      if (same || (code & WALL_FREE)) against += weight[n];
-      if (same && 2 * weight[n] >= VOTE_ONE) rival = MORE(rival, rank[n]);
+    int support, against;
+    bool moved;
+    bool stands =
+        wall_stands(grids, count, weight, trust, i, ways, &support, &against, &moved) && highest >= 0;
+    for (int n = 0; stands && moved && n < count; n++) {
+      const uchar code = grids[n][i], both = (code >> WALL_SIDES) & ways;
+      if (both && !(code & WALL_NEAR) && 2 * weight[n] >= VOTE_ONE && rank[n] > highest)
+        stands = !stands_elsewhere(
+            grids, count, weight, trust, grids[n], i, both, reach, width, cells);
     }
-    const bool stands = highest >= 0 && 2 * supported >= VOTE_ONE &&
-                        (rival < 0         ? support >= against
-                         : rival > highest ? support >= 2 * against
-                                           : 2 * support >= against);
-    int winner = freeing > 0 && 2 * freed >= VOTE_ONE ? FREE : UNKNOWN;
-    if (stands) winner = (shown & WALL_OCCUPIED) ? OCCUPIED : (shown & WALL_FREE) ? FREE : UNKNOWN;
+    const int winner = stands && (shown & WALL_OCCUPIED) ? OCCUPIED : is_free ? FREE : UNKNOWN;
     fused[i] = (char)winner;
     agreement[i] = winner == OCCUPIED ? share_percent(support, support + against)
                    : winner == FREE   ? share_percent(freeing, freeing + walls)

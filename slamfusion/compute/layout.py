@@ -99,6 +99,9 @@ WALL_FREE: Final = 2
 WALL_NEAR: Final = 4
 WALL_FACE: Final = 8
 WALL_SIDES: Final = 4
+# Of these four: the two along a row, and the two along a column.
+ALONG_ROW: Final = np.uint8(0b0011)
+ALONG_COL: Final = np.uint8(0b1100)
 # The greatest weight of a vote.
 VOTE_ONE: Final = 255
 

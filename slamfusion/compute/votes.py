@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from functools import cache
@@ -15,6 +16,8 @@ import numpy.typing as npt
 
 from slamfusion.compute.arrays import I8, I32, I64, U8, U16, ArrayDevice
 from slamfusion.compute.layout import (
+    ALONG_COL,
+    ALONG_ROW,
     BLOCK_CELLS,
     EACH_LANE,
     FREE,
@@ -49,8 +52,17 @@ class Votes(NamedTuple):
     dissent: U8
     phantom_cells: int
 
+    def on(self, window: tuple[slice, slice]) -> Votes:
+        """Return what was decided on some rows and columns; of all cells, how many are phantom."""
+        fused, agreement, dissent, phantom_cells = self
+        return Votes(
+            fused[window], agreement[window], dissent[(slice(None), *window)], phantom_cells
+        )
+
 
 Mask = npt.NDArray[np.bool_]
+Cell = npt.NDArray[np.intp]
+Cells = tuple[Cell, ...]
 
 
 # Cells that one work item decides, one after the other; a multiple of ``BLOCK_CELLS``.
@@ -147,6 +159,7 @@ class VoteDevice(ArrayDevice):
         ranks: U16,
         trusted: U8,
         *,
+        reach: int,
         shift: int,
         phase: tuple[int, int],
     ) -> Votes:
@@ -154,24 +167,26 @@ class VoteDevice(ArrayDevice):
 
         The inputs with a wall within the tolerance of a cell are for a wall. Those that know the
         cell as free are against it, and those that have the same wall elsewhere: one that faces a
-        way that the drawn wall faces. Of the inputs for it the one of the highest rank draws: the
-        cell is what this one shows. A tie is for the wall. But where an input of weight 1/2 or more
-        has the same wall elsewhere, the wall stands at one of two places: there the weights must
-        differ by half, or the rank decides. A wall, or a free cell, of inputs whose trust together
-        is less than 1/2 is left out, and the cell is unknown.
+        way that the drawn wall faces. A tie is for the wall; where an input of weight 1/2 or more
+        has the same wall elsewhere, two thirds of the weight against it are enough. Of the inputs
+        for a wall the one of the highest rank draws: the cell is a wall where this one shows one.
+        But where an input of a higher rank has the same wall elsewhere, and it stands there, it is
+        drawn there only. Walls, and free cells, of inputs whose trust together is less than 1/2 are
+        left out: the cell is unknown.
 
         Args:
             codes: 1 to 32 of (H, W) uint8, see ``vote.walls.wall_codes``.
             weights: (N, rows of blocks, columns of blocks) uint8, 0 to ``VOTE_ONE`` in each block.
             ranks: the same shape, uint16, all different in a block.
             trusted: (N,) uint8, 0 to ``VOTE_ONE``: weights in all.
+            reach: cells up to which a wall that faces the same way is the same wall.
             shift: blocks are ``2**shift`` cells on a side.
             phase: row and column of the first cell in its block.
         """
         if self.opencl:
             width = codes[0].shape[1]
             tables = [self.upload(table) for table in (weights, ranks, trusted)]
-            arguments = (*tables, width, shift, *phase, *weights.shape[1:])
+            arguments = (*tables, width, reach, shift, *phase, *weights.shape[1:])
             # A work item decides whole rows: the weights change along them every few cells.
             rows = max(1, CHUNK_CELLS // width)
             return _vote(self.opencl, "vote_walls", codes, arguments, chunk=rows * width)
@@ -189,33 +204,77 @@ class VoteDevice(ArrayDevice):
         first = drawing.argmax(axis=0)[None]
         highest = np.take_along_axis(drawing, first, axis=0)[0]
         shown = np.take_along_axis(stack, first, axis=0)[0]
-        ways = np.where(shown & WALL_OCCUPIED != 0, shown >> WALL_SIDES, 0)
+        is_wall = shown & WALL_OCCUPIED != 0
+        ways = np.where(is_wall, shown >> WALL_SIDES, 0)
 
-        # For and against a wall.
-        same = ~near & ((stack >> WALL_SIDES) & ways != 0)
-        support = (amount * near).sum(axis=0)
-        against = ~near & (free | same)
+        # A wall is drawn where it stands, unless a better map draws it elsewhere.
+        stands, support, against, same = _walls_stand(stack, amount, trust, ways)
         contra = (amount * against).sum(axis=0)
-        rival = np.where(same & (2 * amount >= VOTE_ONE), rank, -1).max(axis=0)
-        stands = np.where(
-            rival < 0,
-            support >= contra,
-            np.where(rival > highest, support >= 2 * contra, 2 * support >= contra),
-        )
-        stands &= (highest >= 0) & (2 * (trust * near).sum(axis=0) >= VOTE_ONE)
+        stands &= highest >= 0
+        better = stands & same & (2 * amount >= VOTE_ONE) & (rank > highest)
+        for n, own in enumerate(stack):
+            at = np.nonzero(better[n])
+            row, col, found = _same_wall(own, at, (own[at] >> WALL_SIDES) & ways[at], reach)
+            there, weighing = stack[:, row, col], amount[:, at[0], at[1]]
+            found &= _walls_stand(there, weighing, trust[..., 0], there[n] >> WALL_SIDES)[0]
+            stands[at] &= ~found
 
         # Elsewhere who says free says it alone.
         freeing = (amount * free).sum(axis=0)
         is_free = (freeing > 0) & (2 * (trust * free).sum(axis=0) >= VOTE_ONE)
-        drawn = np.where(
-            shown & WALL_OCCUPIED != 0, OCCUPIED, np.where(shown & WALL_FREE != 0, FREE, UNKNOWN)
-        )
-        winner = np.where(stands, drawn, np.where(is_free, FREE, UNKNOWN))
+        winner = np.where(stands & is_wall, OCCUPIED, np.where(is_free, FREE, UNKNOWN))
 
         walls = (amount * wall).sum(axis=0)
-        own = np.where(winner == OCCUPIED, support, np.where(winner == FREE, freeing, 0))
+        voted = np.where(winner == OCCUPIED, support, np.where(winner == FREE, freeing, 0))
         cast = np.where(
             winner == OCCUPIED, support + contra, np.where(winner == FREE, freeing + walls, 0)
         )
         outvoted = np.where(winner == OCCUPIED, against, (wall | free & (winner != FREE)) & ~stands)
-        return _votes(winner, own, cast, outvoted, 0)
+        return _votes(winner, voted, cast, outvoted, 0)
+
+
+def _walls_stand(stack: U8, amount: I32, trust: I32, ways: U8) -> tuple[Mask, I32, Mask, Mask]:
+    """Return where walls stand that face some ways; see ``VoteDevice.vote_walls``.
+
+    Args:
+        stack: (N, ...) codes.
+        amount, trust: weights here and in all, of the same number of axes.
+        ways: (...) of the walls.
+
+    Returns:
+        Where they stand and the weights for them, (...); which inputs are against them and which
+        have the same walls elsewhere, (N, ...).
+    """
+    near = stack & WALL_NEAR != 0
+    same = ~near & ((stack >> WALL_SIDES) & ways != 0)
+    against = ~near & (same | (stack & WALL_FREE != 0))
+    support = (amount * near).sum(axis=0)
+    moved = (same & (2 * amount >= VOTE_ONE)).any(axis=0)
+    stands = np.where(moved, 3, 2) * support >= 2 * (amount * against).sum(axis=0)
+    return stands & (2 * (trust * near).sum(axis=0) >= VOTE_ONE), support, against, same
+
+
+def _same_wall(own: U8, at: Cells, ways: U8, reach: int) -> tuple[Cell, Cell, Mask]:
+    """Find the nearest wall of one input that faces some ways, along a row, a column or next to it.
+
+    Args:
+        own: (H, W) its codes.
+        at: rows and columns to look from, (K,) each.
+        ways: (K,).
+        reach: cells.
+
+    Returns:
+        Rows and columns, (K,), of those that were found; which these are.
+    """
+    rows, cols = at[0].copy(), at[1].copy()
+    found = np.zeros(len(rows), dtype=np.bool_)
+    edge = np.pad(own, reach)
+    for step, side, aside in itertools.product(range(1, reach + 1), range(4), (-1, 0, 1)):
+        far = -step if side % 2 else step
+        down, right = (aside, far) if side < 2 else (far, aside)
+        code = edge[at[0] + reach + down, at[1] + reach + right]
+        hit = ways & (ALONG_ROW if side < 2 else ALONG_COL) != 0
+        hit &= ~found & (code & WALL_OCCUPIED != 0) & ((code >> WALL_SIDES) & ways != 0)
+        rows[hit], cols[hit] = at[0][hit] + down, at[1][hit] + right
+        found |= hit
+    return rows, cols, found

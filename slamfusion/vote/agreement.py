@@ -111,13 +111,8 @@ class Trust:
     def decides_like(self, other: Trust | None) -> bool:
         """Return whether the other trust, in the same maps, lets them vote alike."""
         return other is not None and all(
-            np.array_equal(own, its)
-            for own, its in (
-                (np.array(self.names), np.array(other.names)),
-                (self.agreement, other.agreement),
-                (self.weights, other.weights),
-                (self.precision, other.precision),
-            )
+            np.array_equal(getattr(self, name), getattr(other, name))
+            for name in ("names", "agreement", "weights", "precision")
         )
 
     def of(self, name: str) -> int:
@@ -152,7 +147,7 @@ def count_walls(codes: Sequence[U8], shift: int, phase: tuple[int, int] = (0, 0)
         (side + first - 1 >> shift) + 1 for side, first in zip((height, width), phase, strict=True)
     )
     blocks = shape[0] * shape[1]
-    seen, met, same, moved = np.zeros((4, count, count, blocks), dtype=np.int64)
+    tables = np.zeros((4, count, count, blocks), dtype=np.int64)
     for i, own in enumerate(codes):
         rows, cols = np.nonzero(own & WALL_OCCUPIED)
         block = (rows + phase[0] >> shift) * shape[1] + (cols + phase[1] >> shift)
@@ -167,14 +162,9 @@ def count_walls(codes: Sequence[U8], shift: int, phase: tuple[int, int] = (0, 0)
             is_moved = ~is_met & (there >> WALL_SIDES & ways != 0) & (is_face | is_free)
             is_seen = is_met | is_moved | is_free
             is_same = there & WALL_OCCUPIED != 0
-            for table, mask in (
-                (seen, is_seen),
-                (met, is_met),
-                (same, is_same),
-                (moved, is_moved),
-            ):
+            for table, mask in zip(tables, (is_seen, is_met, is_same, is_moved), strict=True):
                 table[i, j] = np.bincount(block[mask], minlength=blocks)
-    return WallCounts(*(table.reshape(count, count, *shape) for table in (seen, met, same, moved)))
+    return WallCounts(*tables.reshape(4, count, count, *shape))
 
 
 def trust_of(names: Sequence[str], counts: WallCounts) -> Trust:

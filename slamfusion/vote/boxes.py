@@ -65,10 +65,5 @@ def slices(box: CellBox, row0: int, col0: int) -> tuple[slice, slice]:
 
 
 def grown_inside(box: CellBox, cells: int, whole: CellBox) -> CellBox:
-    """Return a box with some cells more on each side, cut to another one."""
-    return CellBox(
-        max(box.row0 - cells, whole.row0),
-        max(box.col0 - cells, whole.col0),
-        min(box.row1 + cells, whole.row1),
-        min(box.col1 + cells, whole.col1),
-    )
+    """Return a box with some cells more on each side, cut to another one that it meets."""
+    return overlap(padded(box, cells), whole) or box

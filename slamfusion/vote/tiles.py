@@ -32,7 +32,7 @@ from slamfusion.vote.agreement import (
     trust_of,
 )
 from slamfusion.vote.boxes import grown_inside, overlap, slices
-from slamfusion.vote.walls import codes_on, margin_cells
+from slamfusion.vote.walls import codes_on, margin_cells, same_wall_cells
 
 I8 = npt.NDArray[np.int8]
 U8 = npt.NDArray[np.uint8]
@@ -206,7 +206,8 @@ class TileVoter:
         """Return the cells that decide a tile; with ``consensus`` its blocks and the next."""
         if not self.weighs:
             return tile
-        return self.aligned(grown_inside(tile, 1 << self.shift, self.whole))
+        reach = max(1 << self.shift, same_wall_cells(self.resolution))
+        return self.aligned(grown_inside(tile, reach, self.whole))
 
     def reading(self, tile: CellBox) -> CellBox:
         """Return the cells of the inputs that have a say in a tile."""
@@ -298,15 +299,19 @@ class TileVoter:
         """Let walls be voted for by weight."""
         phase = self.phase(wide)
         weights, ranks = local_weights(counts, trust, self.resolution)
-        inner = (slice(None), *self.blocks(tile, wide))
+        # Walls up to here say what a cell of the tile is.
+        reach = same_wall_cells(self.resolution)
+        box = grown_inside(tile, reach, wide)
+        inner = (slice(None), *self.blocks(box, wide))
         votes = device.vote_walls(
-            [np.ascontiguousarray(c[slices(tile, wide.row0, wide.col0)]) for c in codes],
+            [np.ascontiguousarray(c[slices(box, wide.row0, wide.col0)]) for c in codes],
             np.ascontiguousarray(weights[inner]),
             np.ascontiguousarray(ranks[inner]),
             trust.weights,
+            reach=reach,
             shift=self.shift,
-            phase=self.phase(tile),
-        )
+            phase=self.phase(box),
+        ).on(slices(tile, box.row0, box.col0))
         side = 1 << self.shift
         worst = {
             name: (

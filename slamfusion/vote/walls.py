@@ -15,7 +15,15 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute.layout import WALL_FACE, WALL_FREE, WALL_NEAR, WALL_OCCUPIED, WALL_SIDES
+from slamfusion.compute.layout import (
+    ALONG_COL,
+    ALONG_ROW,
+    WALL_FACE,
+    WALL_FREE,
+    WALL_NEAR,
+    WALL_OCCUPIED,
+    WALL_SIDES,
+)
 from slamfusion.grid import CellBox
 from slamfusion.vote.boxes import grown_inside, slices
 
@@ -33,14 +41,14 @@ BEAM_CELLS = 7
 # Steps in rows and columns to what a wall may face: the first two along a row, the others along a
 # column. Each has the bit of its place.
 SIDES = ((0, 1), (0, -1), (1, 0), (-1, 0))
-ALONG_ROW, ALONG_COL = np.uint8(0b0011), np.uint8(0b1100)
 # Rows that are looked at once: they stay in the processor's cache.
 STRIP_ROWS = 128
 
 
 def margin_cells(resolution: float) -> int:
     """Return how far, in cells of a size in metres, a cell has a say in the codes of others."""
-    return max(_same_wall_cells(resolution) + FRONT_CELLS, BEAM_CELLS)
+    # Cells behind the face of a thick wall take its ways, which are seen from as far again.
+    return max(2 * same_wall_cells(resolution) + FRONT_CELLS, BEAM_CELLS)
 
 
 def wall_codes(cells: I8, resolution: float) -> U8:
@@ -58,8 +66,7 @@ def wall_codes(cells: I8, resolution: float) -> U8:
     """
     height = cells.shape[0]
     codes = np.empty(cells.shape, dtype=np.uint8)
-    # Cells behind the face of a thick wall take its ways, which are seen from as far again.
-    reach = margin_cells(resolution) + _same_wall_cells(resolution)
+    reach = margin_cells(resolution)
     for row in range(0, height, STRIP_ROWS):
         first, stop = max(0, row - reach), min(height, row + STRIP_ROWS)
         strip = _codes_of_strip(cells[first : stop + reach], resolution)
@@ -86,12 +93,12 @@ def _codes_of_strip(cells: I8, resolution: float) -> U8:
     walls = known & np.uint8(WALL_OCCUPIED)
     if not walls.any():
         return known
-    same, near = _same_wall_cells(resolution), max(1, math.floor(TOLERANCE_M / resolution))
+    same, near = same_wall_cells(resolution), max(1, math.floor(TOLERANCE_M / resolution))
     fronts = _fronts(known)
     ways = _thick(fronts, walls, same)
     # Three cells wide: walls of two maps are seldom quite parallel.
-    elsewhere = _spread(_spread(fronts & ALONG_ROW, 0, 1), 1, same)
-    elsewhere |= _spread(_spread(fronts & ALONG_COL, 1, 1), 0, same)
+    elsewhere = _spread(_spread(ways & ALONG_ROW, 0, 1), 1, same)
+    elsewhere |= _spread(_spread(ways & ALONG_COL, 1, 1), 0, same)
     elsewhere *= _is_shown(known, ways, same)
     near_walls = np.asarray(cv2.dilate(walls, _disc(TOLERANCE_M / resolution)), dtype=np.uint8)
     near_walls *= _is_shown(known, ways, near)
@@ -126,7 +133,8 @@ def _walls_in(walls: U8, side: int) -> U8:
     return np.asarray(counts, dtype=np.uint8)
 
 
-def _same_wall_cells(resolution: float) -> int:
+def same_wall_cells(resolution: float) -> int:
+    """Return up to how many cells away a wall that faces the same way is the same wall."""
     return max(2, round(SAME_WALL_M / resolution))
 
 

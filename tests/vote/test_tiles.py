@@ -182,7 +182,7 @@ def test_kernels_equal_their_twins(shape: tuple[int, int], count: int) -> None:
     ).astype(np.uint16)
     trusted = rng.choice([0, 120, VOTE_ONE], count).astype(np.uint8)
     one, other = (
-        computes.vote_walls(codes, weights, ranks, trusted, shift=shift, phase=phase)
+        computes.vote_walls(codes, weights, ranks, trusted, reach=4, shift=shift, phase=phase)
         for computes in (open_shared(), NumpyDevice())
     )
     assert same(one, other)

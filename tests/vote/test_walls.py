@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
+from itertools import permutations
+
 import numpy as np
 import numpy.typing as npt
 import pytest
 
-from slamfusion.compute.layout import WALL_FACE, WALL_FREE, WALL_NEAR, WALL_OCCUPIED, WALL_SIDES
+from slamfusion.compute import NumpyDevice
+from slamfusion.compute.layout import (
+    VOTE_ONE,
+    WALL_FACE,
+    WALL_FREE,
+    WALL_NEAR,
+    WALL_OCCUPIED,
+    WALL_SIDES,
+)
 from slamfusion.vote.walls import margin_cells, wall_codes
 from tests.vote.rooms import EDGE, INNER, bent, cells_of, fuse, moved, room
 
@@ -28,6 +38,23 @@ def test_a_wall_that_two_maps_draw_a_cell_apart_is_drawn_once(away: int) -> None
         assert set(walls_per_row(fused)) == {1}
         # Each wall runs from end to end, with no hole where the one map draws or the other.
         assert (fused == 1).sum() == pytest.approx((room() == 1).sum(), abs=4)
+
+
+@pytest.mark.parametrize("order", list(permutations((0, 1, 2))))
+def test_a_wall_that_three_maps_draw_a_cell_apart_is_drawn_once(order: tuple[int, ...]) -> None:
+    """The one in the middle supports both others, which are too far apart to support each other."""
+    maps = []
+    for away in range(3):
+        cells = np.zeros((25, 25), dtype=np.int8)
+        cells[:, 12 + away :] = -1
+        cells[:, 12 + away] = 1
+        maps.append(wall_codes(cells, 0.1))
+    weights = np.full((3, 1, 1), VOTE_ONE, dtype=np.uint8)
+    ranks = np.array(order, dtype=np.uint16)[:, None, None]
+    votes = NumpyDevice().vote_walls(
+        maps, weights, ranks, weights[:, 0, 0], reach=4, shift=5, phase=(0, 0)
+    )
+    assert (votes.fused == 1).sum(axis=1).tolist() == [1] * 25
 
 
 def test_a_thick_map_among_thin_ones_does_not_thicken() -> None:

@@ -222,7 +222,9 @@ def _vote_walls(device: ComputeDevice, sample: Sample) -> Arrays:
         weights = sample.rng.integers(0, 16, blocks).astype(np.uint8) * np.uint8(17)
         ranks = sample.rng.permutation(math.prod(blocks)).astype(np.uint16).reshape(blocks)
         trusted = sample.rng.integers(0, 256, count).astype(np.uint8)
-        votes = device.vote_walls(codes, weights, ranks, trusted, shift=shift, phase=(1, 2))
+        votes = device.vote_walls(
+            codes, weights, ranks, trusted, reach=4, shift=shift, phase=(1, 2)
+        )
         found += _flat([votes])
     return found
 
