@@ -56,7 +56,7 @@ def test_occupancy_estimator_on_a_log_alone(drive: LogFiles, tmp_path: Path) -> 
     assert {item["figure"] for item in document["comparisons"]} == {
         "relations_mean_m", "ate_rmse_m", "time_per_scan_ms"
     }  # fmt: skip
-    assert len(document["sentences"]) == 2
+    assert len(document["sentences"]) == 4  # both errors, in two cell sizes
     assert document["config"]["experiment"]["occupancy_estimator"]["seeds"] == 2
     files = tree(tmp_path)
     names = {f"occupancy-estimator.{kind}" for kind in ("csv", "md", "png")}
@@ -165,7 +165,7 @@ def test_real_logs_without_any_is_one_line(tmp_path: Path) -> None:
         (("occupancy-estimator", "--resolutions", "0.6..0.1"), "must be like 0.1..0.6"),
         (("failures", "--courses", "glas"), "wanted some of corridor loop, glass"),
         (("ground-obstacle", "--repetitions", "0"), "must lie in [1, 10000]"),
-        (("no-such",), "No such command"),
+        (("no-such",), "is not one of cell-models"),
     ],
 )
 def test_wrong_usage(tmp_path: Path, arguments: tuple[str, ...], word: str) -> None:
