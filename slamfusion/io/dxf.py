@@ -44,15 +44,21 @@ def read_dxf(
         MemoryBudgetError: the plan would not fit into memory.
     """
     try:
-        import ezdxf  # noqa: PLC0415
-        from ezdxf import units  # noqa: PLC0415
         from ezdxf.disassemble import recursive_decompose, to_primitives  # noqa: PLC0415
+        from ezdxf.enums import InsertUnits  # noqa: PLC0415
+        from ezdxf.filemanagement import readfile  # noqa: PLC0415
+        from ezdxf.lldxf.const import DXFError  # noqa: PLC0415
+        from ezdxf.units import conversion_factor  # noqa: PLC0415
     except ImportError as error:
         message = f"{path}: DXF drawings need ezdxf; pip install 'slamfusion[plans]'"
         raise MapFileError(message) from error
     try:
-        drawing = ezdxf.readfile(path)
-    except (OSError, ezdxf.DXFError, UnicodeDecodeError) as error:
+        drawing = readfile(path)
+        has_unit = drawing.units != InsertUnits.Unitless
+        unit = (
+            conversion_factor(InsertUnits(drawing.units), InsertUnits.Meters) if has_unit else 0.0
+        )
+    except (OSError, DXFError, ValueError) as error:
         message = f"{path} cannot be read as a DXF drawing: {error}"
         raise MapFileError(message) from error
     shown = [entity for entity in recursive_decompose(drawing.modelspace()) if _is_built(entity)]
@@ -62,9 +68,8 @@ def read_dxf(
         raise MapFileError(message)
     corners = np.array(boxes)
     lowest, sides = corners.min(axis=0), np.ptp(corners, axis=0)
-    unit = units.conversion_factor(drawing.units, units.M) if drawing.units else None
     cell = resolution or CELL_M
-    if unit is None:
+    if not unit:
         unit = UNITLESS_CELLS * cell / float(sides.max())
     per_cell = cell / unit  # drawing units
     width, height = (int(side) + 1 + 2 * MARGIN_CELLS for side in sides / per_cell)
