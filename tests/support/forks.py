@@ -51,8 +51,6 @@ LOADED_LATE = [
     "matplotlib.backends.backend_agg",
     "matplotlib.figure",
     "pandas",
-    "pyopencl.characterize",
-    "pyopencl.invoker",
     "rich.console",
     "rich.progress",
     "rich.table",
