@@ -24,7 +24,7 @@ from slamfusion.jobs.fused_path import DrivePath
 from slamfusion.jobs.inputs import RUN_DEFAULTS
 from slamfusion.jobs.run import LogRun, draw_run, run_log, score_all_paths
 from slamfusion.jobs.run_files import SavedRun, save_run
-from slamfusion.jobs.run_many import RunOfLog
+from slamfusion.jobs.run_many import LogTask, RunOfLog
 from slamfusion.jobs.saved_maps import SavedMaps
 from slamfusion.json_values import plain
 from slamfusion.slam.side_by_side import Outcome
@@ -96,7 +96,8 @@ def assert_all_that_is_doubtful_is_told(run: LogRun, saved: SavedRun) -> None:
         why_voted="there is no path",
         not_measured=("the fused path: no pose in time",),
     )
-    found = RunOfLog.of(Path("flat.log"), less, saved, ["flat.yaml: it is odd"])
+    task = LogTask(Path("flat.log"), saved.folder)
+    found = RunOfLog.of(task, less, saved, ["flat.yaml: it is odd"])
     assert found.not_measured == less.not_measured
     assert (found.recommendation, found.error) == (run.recommendation, None)
     (stopped,) = [text for text in found.warnings if "tracking may be lost" in text]
