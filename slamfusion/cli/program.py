@@ -32,7 +32,7 @@ COMMANDS = {
     "evaluate": ("evaluate:command", "Measure the errors of maps."),
     "trajectory": ("trajectory:command", "Measure the errors of paths."),
     "compare": ("compare:command", "Compare saved results, with p-values."),
-    "align": ("align:command", "Align one map with another."),
+    "align": ("align:command", "Align one map with another, or with a floor plan."),
     "simulate": ("simulate:command", "Simulate a robot's log, with the true map and path."),
     "experiment": ("experiment:command", "Repeat an experiment of a paper."),
     "graph": ("graph:command", "Optimise a pose graph in a file."),

@@ -51,7 +51,7 @@ _NO_MAPS = {
     ".json": "JSON, as of a robot vacuum; export its map as PNG, and give its cell size with "
     "--resolution",
     **dict.fromkeys(
-        (".dxf", ".dwg", ".svg", ".pdf"),
+        (".dwg", ".svg", ".pdf"),
         "a drawing; export it as PNG, walls black on white, and give metres per pixel with "
         "--resolution",
     ),

@@ -120,7 +120,7 @@ def test_other_grey_cells_stay_as_they_are(tmp_path: Path, row: list[int]) -> No
         ("a.posegraph", r"slam_toolbox.*map_saver_cli"),
         ("a.pbstream", r"Cartographer.*cartographer_pbstream_to_ros_map"),
         ("map.JSON", r"vacuum.*PNG.*--resolution"),
-        ("plan.dxf", r"drawing.*PNG.*--resolution"),
+        ("plan.dwg", r"drawing.*PNG.*--resolution"),
         ("a.mcap", r"a log.*slamfusion run"),
     ],
 )

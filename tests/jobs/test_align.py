@@ -31,7 +31,10 @@ def test_maps_in_memory_and_in_files_are_aligned_alike(tmp_path: Path) -> None:
     )
     assert (from_files.reference, from_files.moving) == ("truth", "moving")
     assert from_files.transform == in_memory.transform
-    check_document(plain(align_document(from_files, CONFIG, device().name)), "align")
+    check_document(
+        plain(align_document(from_files, CONFIG, device().name, resolution=grid.resolution)),
+        "align",
+    )
     with pytest.raises(MapFileError, match="absent"):
         align_maps(truth, tmp_path / "absent.yaml", CONFIG, device())
 
