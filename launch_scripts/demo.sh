@@ -27,7 +27,7 @@ say "three SLAMs on it side by side, and the vote of their maps"
     --truth "$out/drive/truth.yaml" --truth-trajectory "$out/drive/truth.tum" \
     -o "$out" "$@"
 
-say "the column 'error' of the table of maps: the smaller, the nearer to the true map"
+say "the column 'map error' of the table: the smaller, the nearer to the true map"
 say "the report, to be opened in a browser: $out/report/report.html"
 say "the fused map: $out/fused.yaml; the true one: $out/drive/truth.yaml"
 say "the same live in the browser: launch_scripts/demo.sh --page"
