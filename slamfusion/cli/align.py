@@ -12,6 +12,7 @@ import click
 from slamfusion.cli.help import Command
 from slamfusion.cli.options import (
     GivenStarts,
+    check_report,
     common_options,
     map_resolution_option,
     output_option,
@@ -90,7 +91,6 @@ def command(
     apply around it.
     """
     from slamfusion.jobs.align import align_document, align_maps  # noqa: PLC0415
-    from slamfusion.jobs.plan import align_plan  # noqa: PLC0415
 
     if scale is None and output is not None:
         message = "-o saves what --scale finds; give both, or neither"
@@ -98,12 +98,15 @@ def command(
     if scale is not None and starts:
         message = "--scale searches everywhere; leave --start out"
         raise click.UsageError(message)
+    check_report(output)
     both = (reference, moving)
     guess = PIXEL_M if resolution is None and scale is not None else resolution
     is_plan = scale is not None
     still, moved = load_maps(both, guess, config.map_files, notice, measured=is_plan)
     device = device_for(config)
     if scale is not None:
+        from slamfusion.jobs.plan import align_plan  # noqa: PLC0415
+
         pixel_m = None if scale == "free" else scale
         plan = align_plan(still, moved, config, device, pixel_m=pixel_m)
         found, moved = plan.alignment, plan.plan

@@ -1,4 +1,4 @@
-"""A floor plan laid on a robot's map, its scale found: both as maps of one frame for others."""
+"""A floor plan aligned with a robot's map: its scale, and both as maps of one frame."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from slamfusion.io.files import AtomicFiles
 from slamfusion.io.map_server import save_map
 from slamfusion.jobs.inputs import device_for
 from slamfusion.jobs.outputs import OVERLAY, PLACED, PLAN, WORLD_FILE
-from slamfusion.report.maps import input_colours, pair_overlay
+from slamfusion.vote.lattice import Lattice
 
 # A scale is searched from half to twice what the plan says.
 FACTOR = 2.0
@@ -47,6 +47,8 @@ class AlignedPlan:
         The world file places the picture ``plan.png`` in the frame of the robot's map. See
         ``plan_files``.
         """
+        from slamfusion.report.maps import input_colours, pair_overlay  # noqa: PLC0415 - an extra
+
         with AtomicFiles() as files:
             save_map(self.plan, folder / PLAN, image_format="png", files=files)
             save_map(self.in_plan(), folder / PLACED, image_format="png", files=files)
@@ -65,14 +67,11 @@ class AlignedPlan:
     def in_plan(self) -> OccupancyGrid:
         """Return the robot's map with its axes along the plan's, in the plan's frame."""
         grid, transform = self.reference, self.alignment.transform.inverse()
-        corners = np.array([(x, y) for x in (0, grid.width) for y in (0, grid.height)])
-        placed = transform.transform(grid.origin.transform(corners * grid.resolution))
-        low = np.floor(placed.min(axis=0) / grid.resolution)
-        high = np.ceil(placed.max(axis=0) / grid.resolution)
-        lattice = replace(grid, origin=Pose2(*(float(value) for value in low * grid.resolution)))
-        width, height = (int(side) for side in high - low)
-        box = CellBox(0, 0, height, width)
-        return replace(lattice, cells=sample_on_lattice(grid.cells, grid, lattice, box, transform))
+        own, along = Lattice(grid.resolution, grid.origin), Lattice(grid.resolution, Pose2())
+        box = along.box_of(CellBox(0, 0, grid.height, grid.width), own, transform)
+        lattice = replace(grid, origin=along.origin)
+        cells = sample_on_lattice(grid.cells, grid, lattice, box, transform)
+        return replace(grid, cells=cells, origin=along.corner(box.row0, box.col0))
 
 
 def align_plan(

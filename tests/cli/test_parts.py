@@ -20,7 +20,7 @@ from slamfusion.config import GMAPPING_PROFILES, MapFileConfig
 from slamfusion.errors import MapFileError
 from slamfusion.jobs.inputs import check_writable, distinct_names, load_maps
 from slamfusion.slam.registry import BUILT_IN, producer
-from tests.cli.command import ROOT
+from tests.cli.command import MAPS, ROOT
 
 pytestmark = pytest.mark.once
 
@@ -187,6 +187,7 @@ class Terminal(io.StringIO):
 @pytest.mark.parametrize(
     "words",
     [
+        "align a.yaml plan.png --scale free -o out",
         "compare a.zip b.zip --plot plot.png",
         "evaluate a.yaml --truth b.yaml --report out",
         "evaluate a.yaml --truth b.yaml --image plot.png",
@@ -212,6 +213,14 @@ def test_without_matplotlib_what_draws_is_refused_before_any_file_is_read(
     assert capsys.readouterr().err == (
         "slamfusion: error: the report needs matplotlib; pip install 'slamfusion[report]'\n"
     )
+
+
+def test_maps_are_aligned_without_matplotlib(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in [*sys.modules]:
+        if name.split(".")[0] == "matplotlib" or name.startswith("slamfusion.report"):
+            monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    assert run_program(["align", *MAPS[:2]]) == 0
 
 
 def test_progress_is_drawn_on_a_terminal_only(monkeypatch: pytest.MonkeyPatch) -> None:
