@@ -182,16 +182,16 @@ def _decided(
 
 
 def _image_gain(pair: Pair, config: AlignConfig, answer: Answer, trials: float) -> float | None:
-    """Return the evidence for the mirror image over that for an answer that is not believed.
+    """Return the evidence for the mirror image over that for a rejected answer.
 
-    None where the image would not be believed, or speaks less for itself than the answer does.
+    None where the image would be rejected too, or has less evidence than the answer.
     """
     image = pair.mirrored()
     coarse, motions, _ = search(image, config, SearchWindow())
     if not len(motions):
         return None
     other = best_answer(image, SearchResult(motions, coarse, "full"), Chances(trials))
-    if not other.is_believed or other.wrong >= answer.wrong:
+    if not other.is_accepted or other.wrong >= answer.wrong:
         return None
     own = float(weigh(pair, answer.motion[None], other.reading).total[0])
     return GAIN_MAX if own * GAIN_MAX <= other.total else other.total / own

@@ -1,7 +1,7 @@
-"""Believe an alignment or not: does it beat everything else that may explain the two maps?
+"""Accept or reject an alignment: does it beat everything else that may explain the two maps?
 
 The answer of a search is the best of millions of poses: it fits well even where the maps show two
-places. What a right answer has is that nothing else comes near it. So it is held against
+places. What a right answer has is that nothing else comes near it. So it is compared with
 hypotheses, each piece by piece of wall (``hypotheses``): **another pose**, **a shift of itself**
 (a corridor slides along itself), **no relation** between the maps, and, where it beats these, its
 **mirror image** and **another scale**. ``n`` pieces of equal weight say that it is better than one.
@@ -10,7 +10,7 @@ Two maps of a place are read in three ways; n counts by a weight that tells how 
 
     good      what stays unexplained contradicts         weight = odds(share) / ODDS_ONE, at most 4
     changed   sharp maps of two times: things moved      weight = odds(share) / ODDS_ONE, at most 1
-    bent      walls lie beside each other, not on them   weight = share of the walls that do
+    bent      walls lie next to each other, not on them  weight = share of the walls that do
     score = weight * least n
     expected wrong = pairs * prior * TRIALS * exp(-score)    (of one pose without TRIALS)
 
@@ -49,7 +49,7 @@ Strength: TypeAlias = Literal["strong", "fair", "weak"]
 WALLS_MIN = 24
 # Of the wrong answers in a job fewer than this are to be expected.
 EXPECTED_WRONG_MAX = 0.01
-# Wrong answers that no piece of wall speaks against: two widths of a wall, and an answer is the
+# Wrong answers that no piece of wall contradicts: two widths of a wall, and an answer is the
 # best of some chances.
 TRIALS = 4.0
 # Poses that a search which was cut has left out, as further trials.
@@ -61,7 +61,7 @@ GROUND_ONE_M2 = 10_000.0
 # as well is so much less likely, and so are maps that have no relation.
 START_WRONG = 0.005
 # Odds of what is explained at which a piece counts as one: 0.89 of the common walls. Of two good
-# maps a piece counts so many times at most (0.97 and more).
+# maps a piece counts this often at most (0.97 and more).
 ODDS_ONE, GOOD_MOST = 8.0, 4.0
 # Share of the common walls that two maps of one place and time explain at least, of recorded pairs
 # of two SLAMs 0.86 (MIT CSAIL) to 0.99 (offices). Others are no two good maps.
@@ -88,7 +88,7 @@ MATCH_MIN, EXCESS_MIN, TRACKED_PIECES_MIN, CLASH_MAX = 0.45, 0.20, 12.0, 0.15
 
 @dataclass(frozen=True)
 class Decision:
-    """What is believed.
+    """What is decided.
 
     Attributes:
         accepted: whether the alignment is.
@@ -103,7 +103,7 @@ class Decision:
 
 @dataclass(frozen=True)
 class MatchEvidence:
-    """What speaks for and against an alignment, counted in independent pieces of wall."""
+    """The evidence for and against an alignment, counted in independent pieces of wall."""
 
     reading: Reading
     """How the maps are read: both good, one changed since (sharp, of two times), or one bent."""
@@ -139,7 +139,7 @@ def expected_wrong(score: float, trials: float) -> float:
 
     Args:
         score: see the module's text.
-        trials: wrong answers that no wall speaks against.
+        trials: wrong answers that no wall contradicts.
     """
     return trials * math.exp(-min(max(score, -500.0), 500.0))
 

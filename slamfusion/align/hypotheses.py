@@ -55,8 +55,8 @@ F64 = npt.NDArray[np.float64]
 
 # Points of walls by which shifts and scales are compared, and how many shifts are kept.
 POINTS, SHIFTS_KEPT = 1024, 12
-# Poses are others where they are so many widths of a wall apart, or so far turned; shifts of an
-# answer are looked at up to so many widths away.
+# Poses differ from this many widths of a wall or this turn on. Shifts of an answer are looked at up
+# to the last number of widths.
 APART_WIDTHS, APART_RAD, FARTHEST_WIDTHS = 4.0, math.radians(10.0), 12.0
 # Directions in which an answer is slid; what pieces say less than this of, as a share of the square
 # of a typical one, is rounding.
@@ -122,7 +122,7 @@ class Answer:
         total: evidence, less what contradicts.
         ratio: that of the best other pose over its own.
         share, common_m: see ``MatchEvidence``.
-        hit: share of walls that lie beside each other by the broad width; 0 where another width is
+        hit: share of walls that lie next to each other by the broad width; 0 where another width is
             likelier.
         trials: pairs in the job times the prior: of any pose, and of one away from the start.
     """
@@ -149,7 +149,7 @@ class Answer:
         return min(odds(self.share) / ODDS_ONE, GOOD_MOST if is_good else 1.0)
 
     def score(self, hypothesis: Hypothesis) -> float:
-        """Return what speaks for it against a hypothesis, see ``decide``."""
+        """Return by how much it beats a hypothesis, see ``decide``."""
         # What stays unexplained says nothing of a slide: what matters is whether walls hold it. And
         # what is better than the answer is so however the answer is weighed.
         pieces, weight = self.against[hypothesis], self.weight
@@ -180,11 +180,11 @@ class Answer:
 
     @property
     def is_related(self) -> bool:
-        """Whether the maps can be read so, and are not laid on each other by chance."""
+        """Whether the maps can be read so, and do not fit each other by chance."""
         return self.weight > 0.0 and self.expected("no relation") < EXPECTED_WRONG_MAX
 
     @property
-    def is_believed(self) -> bool:
+    def is_accepted(self) -> bool:
         """Whether it beats every hypothesis."""
         return self.weight > 0.0 and self.wrong < EXPECTED_WRONG_MAX
 
@@ -231,15 +231,15 @@ def best_answer(pair: Pair, found: SearchResult, chances: Chances) -> Answer:
         inside = np.concatenate((np.arange(len(found.motions)), rows)) < found.candidates
     rest = inside, pair.widths[0], chances
     good = _answer(motions, "good", sided.joined(weigh(pair, fits, "good")), *rest)
-    if good.is_believed:
+    if good.is_accepted:
         good = _with_shifts(pair, good)
-        if good.is_believed:
+        if good.is_accepted:
             return good
     changed = _answer(motions, "changed", plain.joined(weigh(pair, fits, "changed")), *rest)
     bent = _answer(motions, "bent", weigh(pair, motions, "bent"), *rest)
     bent = replace(bent, hit=hit_share(pair, bent.motion))
     changed, bent = (
-        _with_shifts(pair, answer) if answer.is_believed else answer for answer in (changed, bent)
+        _with_shifts(pair, answer) if answer.is_accepted else answer for answer in (changed, bent)
     )
     readings = [answer for answer in (good, changed, bent) if answer.is_related]
     return min(readings, key=lambda answer: answer.wrong, default=changed)
@@ -302,7 +302,7 @@ def is_distinct(a: F64, b: F64, cells: float = DISTINCT_CELLS) -> bool:
 
 
 def _with_shifts(pair: Pair, answer: Answer) -> Answer:
-    """Return the same, held against shifts of itself.
+    """Return the same, compared with shifts of itself.
 
     An answer is slid every way. Walls that run one way hold it across them and leave it free along
     them: there no piece of wall tells it from its slide but at the ends of the common ground, and
@@ -343,7 +343,7 @@ def shifts(pair: Pair, motion: F64) -> F64:
 
 
 def hit_share(pair: Pair, motion: F64) -> float:
-    """Return the share of walls that lie beside walls of the other map by the broad width.
+    """Return the share of walls that lie next to walls of the other map by the broad width.
 
     The others lie anywhere on ground that the other map knows. Of three widths of a wall the broad
     one must make the distances likeliest; 0 where a narrower one does.
@@ -391,7 +391,7 @@ def mirror_gain(
         reading: of the maps.
 
     Returns:
-        None where nothing speaks for the motion.
+        None where the motion has no evidence.
     """
     own = float(weigh(pair, motion[None], reading).total[0])
     if own <= 0.0:

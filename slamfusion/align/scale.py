@@ -39,8 +39,7 @@ F64 = npt.NDArray[np.float64]
 SCALE_STEP = 1.03
 # Cells on which scales are compared, and on which the best few are aligned, metres.
 RANKED_CELL_M, TRIED_CELL_M = 0.2, 0.1
-# Scales that are tried: at most so many, and none with less than this share of the best one's
-# evidence.
+# The most scales that are tried, and the least evidence of one as a share of the best one's.
 TRIED, TRIED_SHARE = 4, 0.5
 # Walls of each map by which the best scale is looked for.
 POINTS = 4096
@@ -160,7 +159,7 @@ class _ScaleSearch:
         return peak * level[0] * RANKED_CELL_M
 
     def pair(self, plan: OccupancyGrid, scale: float, least_cell: float) -> Pair:
-        """Return the reference and a plan at a scale, on cells of at least so many metres."""
+        """Return the reference and a plan at a scale, on cells of at least this size, metres."""
         both = [self.reference, scaled(plan, scale)]
         check_resampling(both, self.config.normalize, "aligning")
         cell = max(least_cell, common_resolution(both, self.config.normalize))

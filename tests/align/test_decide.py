@@ -121,7 +121,7 @@ def test_pieces_against_a_hypothesis_never_harm(
 ) -> None:
     raised = dict(answer.against)
     raised[name] = raised.get(name, math.inf) + more
-    assert replace(answer, against=raised).is_believed >= answer.is_believed
+    assert replace(answer, against=raised).is_accepted >= answer.is_accepted
 
 
 @settings(max_examples=examples(100), deadline=None)
@@ -130,14 +130,14 @@ def test_more_that_contradicts_never_helps(answer: Answer, shares: tuple[float, 
     """Where every hypothesis is worse: of one that is better, weight is no reason to believe."""
     against = {name: abs(pieces) for name, pieces in answer.against.items()}
     less, more = (replace(answer, against=against, share=s) for s in sorted(shares))
-    assert more.is_believed >= less.is_believed
+    assert more.is_accepted >= less.is_accepted
 
 
 @settings(max_examples=examples(100), deadline=None)
 @given(answer=answers(), factor=st.floats(1.0, 1e4))
 def test_more_pairs_and_more_ground_never_help(answer: Answer, factor: float) -> None:
     near, away = answer.trials
-    assert answer.is_believed >= replace(answer, trials=(near * factor, away)).is_believed
+    assert answer.is_accepted >= replace(answer, trials=(near * factor, away)).is_accepted
 
 
 @settings(max_examples=examples(100), deadline=None)
@@ -157,13 +157,13 @@ def test_maps_that_leave_walls_unexplained_are_not_read_as_good() -> None:
     good = Answer(
         "good", np.zeros(3), np.zeros((0, 3)), against, 20.0, 0.0, 0.9, 40.0, (1.0, 0.002)
     )
-    assert good.is_believed
-    assert not replace(good, share=0.84).is_believed
+    assert good.is_accepted
+    assert not replace(good, share=0.84).is_accepted
     # A score is no more than the evidence itself, however many pieces agree.
-    assert not replace(good, total=1.7).is_believed
+    assert not replace(good, total=1.7).is_accepted
     # A piece of maps of two times counts at most once.
     assert not replace(
         good, reading="changed", share=0.99, against={"no relation": 5.9}
-    ).is_believed
-    assert not replace(good, reading="bent").is_believed
-    assert replace(good, reading="bent", hit=0.5).is_believed
+    ).is_accepted
+    assert not replace(good, reading="bent").is_accepted
+    assert replace(good, reading="bent", hit=0.5).is_accepted
