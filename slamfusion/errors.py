@@ -9,24 +9,6 @@ from __future__ import annotations
 import reprlib
 from typing import Any
 
-__all__ = [
-    "AlignmentError",
-    "ConfigError",
-    "DeviceError",
-    "FleetError",
-    "GraphError",
-    "GridError",
-    "LogError",
-    "MapFileError",
-    "MemoryBudgetError",
-    "ScanError",
-    "SimulationError",
-    "SlamFusionError",
-    "StartError",
-    "TrajectoryError",
-    "shown",
-]
-
 _SHORT = reprlib.Repr()
 _SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = 60
 

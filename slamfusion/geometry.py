@@ -9,21 +9,6 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-__all__ = [
-    "Pose2",
-    "blend_poses",
-    "compose_poses",
-    "fit_motion",
-    "interpolate_poses",
-    "invert_poses",
-    "moved_poses",
-    "transform_points",
-    "travelled",
-    "with_levers",
-    "wrap_angle",
-    "wrap_angles",
-]
-
 # Places closer together than this have no direction to turn by.
 _NO_SPREAD_M = 1e-9
 # A pose is fitted as two points, this far before and behind it, metres: headings count as much as
@@ -168,8 +153,7 @@ class Pose2:
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.x) and math.isfinite(self.y) and math.isfinite(self.yaw_rad)):
-            message = f"pose ({self.x}, {self.y}, {self.yaw_rad}) must be finite"
-            raise ValueError(message)
+            raise ValueError(f"pose ({self.x}, {self.y}, {self.yaw_rad}) must be finite")
 
     def compose(self, other: Pose2) -> Pose2:
         """Return the motion that applies ``other`` first and then this one."""

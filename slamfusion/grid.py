@@ -19,19 +19,6 @@ from slamfusion.config import NormalizeConfig
 from slamfusion.errors import GridError
 from slamfusion.geometry import Pose2
 
-__all__ = [
-    "FREE",
-    "OCCUPIED",
-    "UNKNOWN",
-    "CellBox",
-    "OccupancyGrid",
-    "box_origin",
-    "implausible",
-    "known_box",
-    "row_parts",
-    "trinary_cells",
-]
-
 FREE = 0
 OCCUPIED = 100
 UNKNOWN = -1
@@ -181,21 +168,18 @@ class OccupancyGrid:
         cells = self.cells
         if not isinstance(cells, np.ndarray) or cells.dtype != np.int8 or cells.ndim != 2:
             found = f"{getattr(cells, 'dtype', type(cells).__name__)} {getattr(cells, 'shape', '')}"
-            message = f"{self.name}: cells must be an (H, W) int8 array, found {found}"
-            raise GridError(message)
+            raise GridError(f"{self.name}: cells must be an (H, W) int8 array, found {found}")
         if cells.size == 0:
             message = f"{self.name}: an occupancy grid needs at least one cell, found {cells.shape}"
             raise GridError(message)
         if not (math.isfinite(self.resolution) and self.resolution > 0):
-            message = (
+            raise GridError(
                 f"{self.name}: resolution must be a positive number of metres per cell, "
                 f"found {self.resolution}"
             )
-            raise GridError(message)
         low, high = int(cells.min()), int(cells.max())
         if low < UNKNOWN or high > OCCUPIED:
-            message = f"{self.name}: cells must lie in -1..100, found {low}..{high}"
-            raise GridError(message)
+            raise GridError(f"{self.name}: cells must lie in -1..100, found {low}..{high}")
         if cells.flags.writeable or not cells.flags.c_contiguous:
             cells = np.ascontiguousarray(cells)
             if cells is self.cells:

@@ -18,8 +18,6 @@ from slamfusion.errors import ScanError
 from slamfusion.geometry import Pose2, transform_points
 from slamfusion.grid import IDENTITY
 
-__all__ = ["LaserScan"]
-
 
 @dataclass(frozen=True, eq=False)
 class LaserScan:
@@ -54,21 +52,17 @@ class LaserScan:
     def __post_init__(self) -> None:
         ranges = np.ascontiguousarray(self.ranges, dtype=np.float32)
         if ranges.ndim != 1 or ranges.size == 0:
-            message = f"a scan needs a row of at least one range, found shape {ranges.shape}"
-            raise ScanError(message)
+            raise ScanError(f"a scan needs a row of at least one range, found shape {ranges.shape}")
         numbers = (self.stamp_s, self.angle_min_rad, self.angle_increment_rad)
         if not all(math.isfinite(value) for value in numbers):
-            message = f"stamp, first angle and angle step must be finite, found {numbers}"
-            raise ScanError(message)
+            raise ScanError(f"stamp, first angle and angle step must be finite, found {numbers}")
         if ranges.size > 1 and self.angle_increment_rad == 0.0:
-            message = f"the angle between the {ranges.size} beams of a scan must not be 0"
-            raise ScanError(message)
+            raise ScanError(f"the angle between the {ranges.size} beams of a scan must not be 0")
         if not 0.0 <= self.range_min_m < self.range_max_m:
-            message = (
+            raise ScanError(
                 f"range limits must satisfy 0 <= min < max, "
                 f"found {self.range_min_m} and {self.range_max_m}"
             )
-            raise ScanError(message)
         if ranges is self.ranges:
             if not ranges.flags.writeable:
                 return

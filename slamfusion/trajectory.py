@@ -11,8 +11,6 @@ import numpy.typing as npt
 from slamfusion.errors import TrajectoryError
 from slamfusion.geometry import Pose2
 
-__all__ = ["SAME_STAMP_S", "Trajectory", "clock_advice", "flag_runs", "nearest_stamps"]
-
 # Times that differ by no more are one, seconds: files round them to milliseconds.
 SAME_STAMP_S = 1e-3
 
@@ -81,8 +79,7 @@ class Trajectory:
             message = f"{self.name}: {stamps.shape} stamps do not fit {poses.shape} poses"
             raise TrajectoryError(message)
         if not (np.isfinite(stamps).all() and np.isfinite(poses).all()):
-            message = f"{self.name}: stamps and poses must be finite"
-            raise TrajectoryError(message)
+            raise TrajectoryError(f"{self.name}: stamps and poses must be finite")
         if (np.diff(stamps) < 0.0).any():
             first = int(np.flatnonzero(np.diff(stamps) < 0.0)[0]) + 1
             message = f"{self.name}: time goes back at pose {first}; sort the poses by time"
@@ -111,8 +108,7 @@ class Trajectory:
             TrajectoryError: there is no pose at all.
         """
         if len(self) == 0:
-            message = f"{self.name}: has no pose"
-            raise TrajectoryError(message)
+            raise TrajectoryError(f"{self.name}: has no pose")
         return nearest_stamps(self.stamps_s, stamps_s)
 
     def matches(

@@ -60,8 +60,7 @@ def open_device(wanted: str = "auto", *, small_kernels: bool = False) -> Compute
             raise
         if wanted != "auto":
             mend = "free some space, or run with `--device numpy`"
-            message = f"{cache.detail}; {mend}"
-            raise DeviceError(message) from error
+            raise DeviceError(f"{cache.detail}; {mend}") from error
         _LOG.warning("%s: NumPy computes instead, which takes longer", cache.detail)
         return NumpyDevice()
 

@@ -167,11 +167,9 @@ def check_rule(rule: FieldRule) -> None:
         DeviceError: the reach is too far, or the table is no table of distances.
     """
     if not 0 <= rule.reach <= MOST_REACH:
-        message = f"the field reaches 0 to {MOST_REACH} cells, asked for {rule.reach}"
-        raise DeviceError(message)
+        raise DeviceError(f"the field reaches 0 to {MOST_REACH} cells, asked for {rule.reach}")
     if rule.table.shape != (TABLE_LAST + 1,) or (rule.table[1:] > rule.table[:-1]).any():
-        message = f"the field's table must have {TABLE_LAST + 1} entries that never rise"
-        raise DeviceError(message)
+        raise DeviceError(f"the field's table must have {TABLE_LAST + 1} entries that never rise")
 
 
 class _Walks(NamedTuple):

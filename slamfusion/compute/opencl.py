@@ -132,8 +132,7 @@ class OpenCLArray(Generic[Scalar]):
     def reshape(self, shape: tuple[int, ...], /) -> OpenCLArray[Scalar]:
         """Return the same memory under another shape of as many elements."""
         if math.prod(shape) != self.size:
-            message = f"cannot view {self.shape} as {shape}"
-            raise ValueError(message)
+            raise ValueError(f"cannot view {self.shape} as {shape}")
         return OpenCLArray(self.buffer, shape, self.dtype)
 
 
@@ -317,8 +316,7 @@ class OpenCLDevice(ComputeDevice):
     def _buffer(handle: DeviceArray[Any]) -> Any:
         """Return the memory of an array."""
         if not isinstance(handle, OpenCLArray):
-            message = f"wanted an array on an OpenCL device, found {type(handle).__name__}"
-            raise DeviceError(message)
+            raise DeviceError(f"wanted an array on an OpenCL device, found {type(handle).__name__}")
         return handle.buffer
 
     def _failed(self, what: str, error: Exception) -> DeviceError:

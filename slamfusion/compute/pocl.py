@@ -168,8 +168,7 @@ def _library() -> Path | None:
 def _replace(path: Path, function: Any) -> str:
     """Replace the function that names the processor."""
     if os.environ.get(SWITCH) == OFF:
-        message = f"{SWITCH}={OFF} says so"
-        raise _RefusedError(message)
+        raise _RefusedError(f"{SWITCH}={OFF} says so")
     try:
         with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
             digest = hashlib.sha256(data).hexdigest()
@@ -183,8 +182,7 @@ def _replace(path: Path, function: Any) -> str:
         raise _RefusedError(message)
     address = ctypes.cast(function, ctypes.c_void_p).value
     if address is None or ctypes.string_at(address, len(checked.function)) != checked.function:
-        message = "its function does not begin as it did when it was checked"
-        raise _RefusedError(message)
+        raise _RefusedError("its function does not begin as it did when it was checked")
     name = processor_name(flags)
     _overwrite(address, _returning(name), checked.function)
     return name
@@ -197,8 +195,7 @@ def _returning(name: str) -> bytes:
     text: int | None = process.strdup(name.encode())  # lives as long as the process
     copy = ctypes.cast(process.strdup, ctypes.c_void_p).value
     if text is None or copy is None:
-        message = "the C library has no strdup"
-        raise _RefusedError(message)
+        raise _RefusedError("the C library has no strdup")
     to_text, to_copy, jump = RETURN_COPY
     return to_text + text.to_bytes(8, "little") + to_copy + copy.to_bytes(8, "little") + jump
 
@@ -214,14 +211,12 @@ def _overwrite(address: int, code: bytes, before: bytes) -> None:
     protect = ctypes.CDLL(None, use_errno=True).mprotect
     protect.argtypes = [ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int]
     if protect(start, length, READ_WRITE_EXECUTE) != 0:
-        message = f"mprotect does not open its code ({os.strerror(ctypes.get_errno())})"
-        raise _RefusedError(message)
+        raise _RefusedError(f"mprotect does not open its code ({os.strerror(ctypes.get_errno())})")
     ctypes.memmove(address, code, len(code))
     if protect(start, length, READ_EXECUTE) != 0:
         words = os.strerror(ctypes.get_errno())
         ctypes.memmove(address, before, len(code))
-        message = f"mprotect does not close its code again ({words})"
-        raise _RefusedError(message)
+        raise _RefusedError(f"mprotect does not close its code again ({words})")
 
 
 def _processor_flags(cpuinfo: str) -> set[str]:

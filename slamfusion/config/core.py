@@ -160,16 +160,14 @@ def _check_value(where: str, info: FieldInfo, value: Any) -> None:
             _check_value(where, single, item)
         return
     if info.choices and value not in info.choices:
-        message = f"{where} must be one of {', '.join(info.choices)}, found {shown(value)}"
-        raise ConfigError(message)
+        raise ConfigError(f"{where} must be one of {', '.join(info.choices)}, found {shown(value)}")
     if info.low is None and info.high is None:
         return
     low = -math.inf if info.low is None else info.low
     high = math.inf if info.high is None else info.high
     if not low <= value <= high:
         unit = f" {info.unit}" if info.unit else ""
-        message = f"{where} must lie in [{low:g}, {high:g}]{unit}, found {shown(value)}"
-        raise ConfigError(message)
+        raise ConfigError(f"{where} must lie in [{low:g}, {high:g}]{unit}, found {shown(value)}")
 
 
 class Checked:
@@ -221,8 +219,7 @@ def from_mapping(config: Any, values: Any, where: str = "config") -> Any:
     if values is None:
         values = {}
     if not isinstance(values, dict):
-        message = f"{where}: wanted a mapping of settings, found {type(values).__name__}"
-        raise ConfigError(message)
+        raise ConfigError(f"{where}: wanted a mapping of settings, found {type(values).__name__}")
     is_class = isinstance(config, type)
     hints = typing.get_type_hints(config if is_class else type(config))
     known = {item.name for item in dataclasses.fields(config)}
@@ -248,8 +245,7 @@ def from_mapping(config: Any, values: Any, where: str = "config") -> Any:
     try:
         return config(**arguments) if is_class else dataclasses.replace(config, **arguments)
     except ConfigError as error:
-        message = f"{where}: {error}"
-        raise ConfigError(message) from None
+        raise ConfigError(f"{where}: {error}") from None
 
 
 def _sections(known: Mapping[str, Any], values: Any, where: str) -> dict[str, Any]:

@@ -38,11 +38,10 @@ class NormalizeConfig(Checked):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.free_percent >= self.occupied_percent:
-            message = (
+            raise ConfigError(
                 f"free_percent ({self.free_percent:g}) must be below "
                 f"occupied_percent ({self.occupied_percent:g}); swap them"
             )
-            raise ConfigError(message)
 
 
 @dataclass(frozen=True)

@@ -24,8 +24,7 @@ class NodeConfig(Checked):
         super().__post_init__()
         for name, value in vars(self).items():
             if name.endswith("_frame") and value is not None and not value.strip("/ "):
-                message = f"{name}: wanted the name of a frame, found {value!r}"
-                raise ConfigError(message)
+                raise ConfigError(f"{name}: wanted the name of a frame, found {value!r}")
 
 
 @dataclass(frozen=True)
@@ -161,11 +160,10 @@ class FusionNodeConfig(NodeConfig):
         super().__post_init__()
         for pattern in self.patterns:
             if not all(_WORD.fullmatch(word) for word in pattern.removeprefix("/").split("/")):
-                message = (
+                raise ConfigError(
                     f"discover: no topic can fit {pattern!r}; wanted a name such as */map or "
                     "/robot*/map, or several with commas"
                 )
-                raise ConfigError(message)
 
     @property
     def patterns(self) -> tuple[str, ...]:

@@ -31,11 +31,10 @@ class OccupancyEstimatorConfig(Checked):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.resolutions:
-            message = (
+            raise ConfigError(
                 "OccupancyEstimatorConfig.resolutions must be like 0.1..0.6 or 0.1,0.25, each in "
                 "[0.005, 1] m, found none"
             )
-            raise ConfigError(message)
 
 
 @dataclass(frozen=True)
@@ -114,8 +113,7 @@ def checked_start(given: Any, where: str) -> tuple[float, ...]:
     parts = given.split(",") if isinstance(given, str) else given
     is_row = isinstance(parts, Sequence) and not isinstance(parts, bytes)
     if not is_row or any(isinstance(part, bool) for part in parts):
-        message = f"{where}: wanted {START_FORM}, found {shown(given)}"
-        raise StartError(message)
+        raise StartError(f"{where}: wanted {START_FORM}, found {shown(given)}")
     try:
         values = tuple(
             _yaw_rad(part) if place == YAW else float(part) for place, part in enumerate(parts)
@@ -127,8 +125,7 @@ def checked_start(given: Any, where: str) -> tuple[float, ...]:
         message = f"{where}: wanted {START_FORM}, found {len(values)} numbers: {_shown(parts)}"
         raise StartError(message)
     if not all(map(math.isfinite, values)):
-        message = f"{where}: wanted {START_FORM}, all finite, found {_shown(parts)}"
-        raise StartError(message)
+        raise StartError(f"{where}: wanted {START_FORM}, all finite, found {_shown(parts)}")
     if any(value < 0.0 for value in values[POSE:]):
         message = f"{where}: the tolerances must be at least 0, found {_shown(parts[POSE:])}"
         raise StartError(message)

@@ -212,8 +212,7 @@ class ActionConfig(Checked):
         given = [name for name in ("turn_deg", "forward_m", "wait_s") if getattr(self, name)]
         if len(given) != 1:
             found = " and ".join(given) or "none of them"
-            message = f"a command is one of turn_deg, forward_m and wait_s, found {found}"
-            raise ConfigError(message)
+            raise ConfigError(f"a command is one of turn_deg, forward_m and wait_s, found {found}")
 
     @property
     def duration_s(self) -> float:

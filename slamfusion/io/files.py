@@ -50,11 +50,10 @@ def check_memory(
     """
     available = available_memory()
     if bytes_needed > available:
-        message = (
+        raise MemoryBudgetError(
             f"{where}: {what} needs {format_bytes(bytes_needed)} of memory, but only "
             f"{format_bytes(available)} is available; {fix}"
         )
-        raise MemoryBudgetError(message)
 
 
 def return_freed_memory() -> None:
@@ -104,11 +103,10 @@ def read_small(path: Path, error: type[SlamFusionError], what: str) -> bytes:
     with open_regular(path, error) as file:
         data = file.read(SMALL_BYTES + 1)
     if len(data) > SMALL_BYTES:
-        message = (
+        raise error(
             f"{path}: wanted {what} of at most {format_bytes(SMALL_BYTES)}, found more; "
             "check what the file is"
         )
-        raise error(message)
     return data
 
 
@@ -116,8 +114,7 @@ def _check_regular(path: Path, mode: int, error: type[SlamFusionError]) -> None:
     if not stat.S_ISREG(mode):
         found = next((name for is_kind, name in _KINDS if is_kind(mode)), "a device")
         mend = "name a file in it" if stat.S_ISDIR(mode) else "save it to a file and name that"
-        message = f"{path}: wanted a file, found {found}; {mend}"
-        raise error(message)
+        raise error(f"{path}: wanted a file, found {found}; {mend}")
 
 
 def refuse_overwriting(
@@ -146,8 +143,7 @@ def refuse_overwriting(
                 raise SlamFusionError(message)
         if file.exists() and not file.is_file():
             what = "a folder" if file.is_dir() else "a device or pipe"
-            message = f"{asked} cannot be written: {file} is {what}; name a file"
-            raise SlamFusionError(message)
+            raise SlamFusionError(f"{asked} cannot be written: {file} is {what}; name a file")
 
 
 def _marks(path: Path) -> Iterator[Hashable]:
@@ -296,8 +292,7 @@ def _mode_of_regular(target: Path) -> int | None:
         return None
     if not stat.S_ISREG(mode):
         what = "a folder" if stat.S_ISDIR(mode) else "a device or pipe"
-        message = f"it is {what}, not a regular file"
-        raise ValueError(message)
+        raise ValueError(f"it is {what}, not a regular file")
     return stat.S_IMODE(mode)
 
 

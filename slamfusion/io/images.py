@@ -69,11 +69,10 @@ def read_image(path: Path) -> Pixels:
                 pixels = np.asarray(picture if picture.mode == mode else picture.convert(mode))
         except PIL.UnidentifiedImageError:
             stream.seek(0)
-            message = (
+            raise MapFileError(
                 f"{path}: wanted a PGM, PNG or BMP image with pixels, found a file that starts "
                 f"with {stream.read(8)!r}; save the map again or convert it to PNG"
-            )
-            raise MapFileError(message) from None
+            ) from None
         except (SlamFusionError, MemoryError):
             raise
         except Exception as error:  # noqa: BLE001 - decoders fail in many ways on damaged files
@@ -125,8 +124,7 @@ def _unpacked(path: Path, file: BufferedReader) -> io.BytesIO:
     try:
         data = gzip.GzipFile(fileobj=file).read(GZIP_LIMIT + 1)
     except (EOFError, gzip.BadGzipFile, zlib.error) as error:
-        message = f"{path}: damaged gzip file ({error}); copy or pack it again"
-        raise MapFileError(message) from None
+        raise MapFileError(f"{path}: damaged gzip file ({error}); copy or pack it again") from None
     if len(data) > GZIP_LIMIT:
         message = (
             f"{path}: unpacks to more than {format_bytes(GZIP_LIMIT)}; gunzip it and give that file"

@@ -66,11 +66,10 @@ class TextLines:
                 read = partial(stream.readline, _LINE_BYTES)
                 for number, line in enumerate(iter(read, b""), start=1):
                     if len(line) == _LINE_BYTES:
-                        message = (
+                        raise LogError(
                             f"{self.path}: line {number} is longer than {_LINE_BYTES >> 20} MiB, "
                             "so this is no text log; check the file"
                         )
-                        raise LogError(message)
                     if self._kept_bytes and number % _CHECKED_LINES == 0:
                         what = f"keeping {number} lines"
                         check_memory(number * self._kept_bytes, what, str(self.path))

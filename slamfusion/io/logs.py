@@ -152,23 +152,20 @@ def _reader(where: Path) -> Reader:
         if _is_bag(where):
             return BagLog
         logs = ", ".join(item.name for item in _logs_in(where)[:_NAMED])
-        message = (
+        raise LogError(
             f"{where}: a folder without metadata.yaml, .db3 or .mcap is no ROS 2 bag; name a "
             f"bag's folder or a log file{logs and f' in it ({logs})'}"
         )
-        raise LogError(message)
     head = read_head(where)
     suffix = _suffix(where)
     reader = _READERS.get(suffix)
     if reader is None:
-        message = (
+        raise LogError(
             f"{where}: wanted a log named {', '.join(_READERS)} (text also .gz) or a ROS 2 bag's "
             f"folder, found {suffix or 'no extension'!r}; rename it by its kind"
         )
-        raise LogError(message)
     if not head:
-        message = f"{where}: the file is empty; give a log with scans"
-        raise LogError(message)
+        raise LogError(f"{where}: the file is empty; give a log with scans")
     return _reader_by_content(head) or _checked_text(where, head, reader)
 
 
@@ -190,6 +187,5 @@ def _reader_by_content(head: bytes) -> Reader | None:
 def _checked_text(where: Path, head: bytes, reader: Reader) -> Reader:
     """Return the reader that the name asks for, unless the content cannot be that kind."""
     if reader in _TEXT_READERS and head.translate(None, _NO_TEXT) != head:
-        message = f"{where}: wanted a text log, found binary data; check what the file is"
-        raise LogError(message)
+        raise LogError(f"{where}: wanted a text log, found binary data; check what the file is")
     return reader

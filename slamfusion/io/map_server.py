@@ -321,24 +321,21 @@ def _load(
         return OccupancyGrid(cells, resolution, Pose2(*corner), name or stem)
     if looks_like_image(path):
         if resolution is None:
-            message = (
+            raise MapFileError(
                 f"{path}: an image alone has no cell size; give --resolution or its YAML, or find "
                 f"it with: slamfusion align MAP {path} --scale free"
             )
-            raise MapFileError(message)
         entry = MapFile(path, check_resolution(str(path), resolution), Pose2(), Rules())
     else:
         if resolution is not None:
-            message = f"{path}: the YAML has its own resolution; leave --resolution out"
-            raise MapFileError(message)
+            raise MapFileError(f"{path}: the YAML has its own resolution; leave --resolution out")
         entry = read_map_yaml(path)
     pixels = read_image(existing(entry.image))
     if entry.digest is not None and pixel_digest(pixels) != entry.digest:
-        message = (
+        raise _OtherPictureError(
             f"{path}: its picture {entry.image.name} belongs to another map or was edited; save "
             f"the map again, or delete the line {DIGEST!r} from the YAML to use both as they are"
         )
-        raise _OtherPictureError(message)
     cells, count = cells_from_image(pixels, entry.rules, legacy_unknown=legacy_unknown)
     if settle_edges:
         plain, cells = cells, with_settled_edges(cells, pixels, entry.rules)
@@ -464,15 +461,13 @@ def _check_saving(grid: OccupancyGrid, stem: Path, rules: Rules, image_format: s
         message = f"{where}: image format must be pgm, png or bmp, found {image_format!r}; use pgm"
         raise MapFileError(message)
     if rules.mode == "scale" and image_format != "png" and (grid.cells == UNKNOWN).any():
-        message = (
+        raise MapFileError(
             f"{where}: mode scale keeps unknown cells in the alpha channel, which {image_format} "
             "has not; use png"
         )
-        raise MapFileError(message)
     if rules.mode == "trinary" and classes_of_greys(rules) != [FREE, UNKNOWN, OCCUPIED]:
-        message = (
+        raise MapFileError(
             f"{where}: with free_thresh {rules.free_thresh:g} and occupied_thresh "
             f"{rules.occupied_thresh:g} the saved greys 254, 205, 0 would not load as free, "
             f"unknown, occupied; use {FREE_THRESH} and {OCCUPIED_THRESH}"
         )
-        raise MapFileError(message)

@@ -81,8 +81,7 @@ class MapStore:
         """Write a box of cells of an array; whole chunks are written without being read."""
         if cells.shape != (box.height, box.width):  # which Zarr would cut, and say nothing
             found = " x ".join(map(str, cells.shape))
-            message = f"{self.path}: wanted {box.height} x {box.width} cells, found {found}"
-            raise GridError(message)
+            raise GridError(f"{self.path}: wanted {box.height} x {box.width} cells, found {found}")
         try:
             self._arrays[name][box.row0 : box.row1, box.col0 : box.col1] = cells
         except OSError as error:
@@ -146,8 +145,7 @@ def read_stored_map(path: str | Path, name: str, box: CellBox | None = None) -> 
     height, width = array.shape
     box = box or CellBox(0, 0, height, width)
     if not (0 <= box.row0 < box.row1 <= height and 0 <= box.col0 < box.col1 <= width):
-        message = f"{path}: wanted cells of {height} x {width}, asked for {box}"
-        raise MapFileError(message)
+        raise MapFileError(f"{path}: wanted cells of {height} x {width}, asked for {box}")
     cells = np.ascontiguousarray(array[box.row0 : box.row1, box.col0 : box.col1], dtype=np.int8)
     cells.flags.writeable = False
     return OccupancyGrid(cells, resolution, box_origin(origin, resolution, box), name)

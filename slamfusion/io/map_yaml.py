@@ -104,8 +104,7 @@ def read_map_yaml(path: Path) -> MapFile:
     """Read and check a map's YAML."""
     kind = _NO_MAPS.get(path.suffix.lower())
     if kind is not None:
-        message = f"{path}: wanted a map's YAML or picture, found {kind}"
-        raise MapFileError(message)
+        raise MapFileError(f"{path}: wanted a map's YAML or picture, found {kind}")
     values = _parse_yaml(path)
     _refuse_misspelt_keys(path, values)
     image = _required(path, values, "image")
@@ -118,22 +117,19 @@ def read_map_yaml(path: Path) -> MapFile:
     if len(numbers) != 3 or not all(
         isinstance(item, float) and math.isfinite(item) for item in numbers
     ):
-        message = (
+        raise MapFileError(
             f"{path}: 'origin' must be three finite numbers [x, y, yaw], "
             f"found {_shown(origin)}; write for example [0.0, 0.0, 0.0]"
         )
-        raise MapFileError(message)
     reason = implausible(resolution, Pose2(*numbers))
     if reason is not None:
-        message = f"{path}: {reason}; correct 'origin' in the YAML"
-        raise MapFileError(message)
+        raise MapFileError(f"{path}: {reason}; correct 'origin' in the YAML")
     absent = [key for key in ("negate", "occupied_thresh", "free_thresh") if key not in values]
     if absent:
         _LOG.info("%s: took the defaults for %s", path, ", ".join(absent))
     negate = values.get("negate", "0")
     if not isinstance(negate, str) or negate.lower() not in _TRUTH:
-        message = f"{path}: 'negate' must be 0 or 1, found {_shown(negate)}; write 0 or 1"
-        raise MapFileError(message)
+        raise MapFileError(f"{path}: 'negate' must be 0 or 1, found {_shown(negate)}; write 0 or 1")
     rules = Rules(
         mode=check_mode(str(path), values.get("mode", "trinary")),
         negate=_TRUTH[negate.lower()],
@@ -165,11 +161,10 @@ def _parse_yaml(path: Path) -> dict[Any, Any]:
         raise cannot_read(path, error) from None
     if not isinstance(values, dict):
         found = "nothing" if values in ("", None) else f"a {type(values).__name__}"
-        message = (
+        raise MapFileError(
             f"{path}: wanted a mapping with image, resolution and origin, found {found}; "
             "give the map's YAML"
         )
-        raise MapFileError(message)
     return values
 
 
@@ -211,26 +206,23 @@ def check_resolution(where: str, value: Any) -> float:
     """Return metres per cell, or say what was found instead."""
     usable = isinstance(value, (int, float)) and not isinstance(value, bool)
     if not (usable and math.isfinite(value) and value > 0):
-        message = (
+        raise MapFileError(
             f"{where}: 'resolution' must be a positive, finite number of metres per cell, "
             f"found {value if usable else _shown(value)}; write for example 0.05"
         )
-        raise MapFileError(message)
     reason = implausible(value, Pose2())
     if reason is not None:
-        message = f"{where}: {reason}; write for example 0.05"
-        raise MapFileError(message)
+        raise MapFileError(f"{where}: {reason}; write for example 0.05")
     return float(value)
 
 
 def check_mode(where: str, mode: Any) -> str:
     """Return the mode in small letters, or name the three there are."""
     if not isinstance(mode, str) or mode.lower() not in MODES:
-        message = (
+        raise MapFileError(
             f"{where}: 'mode' must be trinary, scale or raw, found {_shown(mode)}; "
             "write one of them or omit it"
         )
-        raise MapFileError(message)
     return mode.lower()
 
 
@@ -242,18 +234,16 @@ def check_thresholds(where: str, rules: Rules) -> None:
     ):
         usable = isinstance(value, (int, float)) and not isinstance(value, bool)
         if not (usable and 0.0 <= value <= 1.0):
-            message = (
+            raise MapFileError(
                 f"{where}: {key!r} must lie in [0, 1], found {_shown(value)}; "
                 "write a share of 1 or omit it for the default"
             )
-            raise MapFileError(message)
     if rules.free_thresh >= rules.occupied_thresh:
-        message = (
+        raise MapFileError(
             f"{where}: 'free_thresh' ({_shown(float(rules.free_thresh))}) must be below "
             f"'occupied_thresh' ({_shown(float(rules.occupied_thresh))}); swap them or omit both "
             "for defaults"
         )
-        raise MapFileError(message)
 
 
 def existing(path: Path, prefix: str = "") -> Path:
@@ -266,10 +256,8 @@ def existing(path: Path, prefix: str = "") -> Path:
             return packed
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
-        message = f"{prefix}{path}: cannot read: {reason}; check the path"
-        raise MapFileError(message) from None
-    message = f"{prefix}{path}: no such file; check the path"
-    raise MapFileError(message)
+        raise MapFileError(f"{prefix}{path}: cannot read: {reason}; check the path") from None
+    raise MapFileError(f"{prefix}{path}: no such file; check the path")
 
 
 def map_yaml_text(grid: OccupancyGrid, image_name: str, rules: Rules, digest: str) -> str:

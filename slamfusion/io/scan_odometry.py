@@ -46,11 +46,10 @@ class ScanOdometry:
     def check_count(self, log: Path, lines: int) -> None:
         """Refuse a file that has not one row for each laser line."""
         if len(self) != lines:
-            message = (
+            raise LogError(
                 f"{self.path}: wanted a row for each of the {lines} laser lines of {log}, found "
                 f"{len(self)}; give the odometry of this log"
             )
-            raise LogError(message)
 
     def pose(self, index: int, log: Path, logged: tuple[float, float, float]) -> Pose2:
         """Return the odometry of a laser line.
@@ -63,11 +62,10 @@ class ScanOdometry:
             away = np.abs(own - np.array(logged))
             away[2] = abs(wrap_angle(float(away[2])))
             if (away > ROUNDING + ROUNDING_SHARE * np.abs(own)).any():
-                message = (
+                raise LogError(
                     f"{self.path}: row {index} belongs to a scan at {_text(own)}, but that laser "
                     f"line of {log} is at {_text(logged)}; give the odometry of this log"
                 )
-                raise LogError(message)
         x, y, yaw_rad = self.poses[index].tolist()
         return Pose2(x, y, yaw_rad)
 
@@ -91,16 +89,14 @@ def read_scan_odometry(path: str | Path) -> ScanOdometry:
             columns = [name.strip() for name in fields]
             missing = [name for name in (INDEX, *POSE) if name not in columns]
             if missing:
-                message = (
+                raise LogError(
                     f"{where}: wanted the columns {', '.join((INDEX, *POSE))} in the first line, "
                     f"found no {', '.join(missing)}; give a CSV file with these"
                 )
-                raise LogError(message)
         elif fields != [""]:
             rows.append(_row(fields, columns, len(rows), f"{where}: line {number}"))
     if not rows:
-        message = f"{where}: wanted a row for each scan, found none; check the file"
-        raise LogError(message)
+        raise LogError(f"{where}: wanted a row for each scan, found none; check the file")
     table = np.array(rows)
     has_logged = all(name in columns for name in LOGGED)
     return ScanOdometry(
@@ -118,18 +114,16 @@ def _row(fields: list[str], columns: list[str], index: int, where: str) -> list[
         values = []
     has_all = len(values) == len(columns)
     if not has_all or not all(math.isfinite(values[columns.index(n)]) for n in (INDEX, *POSE)):
-        message = (
+        raise LogError(
             f"{where}: wanted {len(columns)} finite numbers, found {','.join(fields)[:60]!r}; "
             "mend the line"
         )
-        raise LogError(message)
     found = values[columns.index(INDEX)]
     if found != index:
-        message = (
+        raise LogError(
             f"{where}: wanted the row of index {index}, found {found:g}: a row is missing or out "
             "of order; mend the file"
         )
-        raise LogError(message)
     return values
 
 

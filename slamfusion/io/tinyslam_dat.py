@@ -63,11 +63,10 @@ class TinySlamDat(ScanLog):
         self._range_max_m = config.no_return_m or _RANGE_MAX_M
         if next(iter(self), None) is None:
             reasons = "; ".join(self.skips.sentences()) or "the file is empty"
-            message = (
+            raise LogError(
                 f"{self.path}: wanted lines of {FIELDS} numbers as tinySLAM records them, found "
                 f"none: {reasons}; check the file"
             )
-            raise LogError(message)
         self.skips, self.fraction_read = Skips(), 0.0
 
     def __iter__(self) -> Iterator[LogScan]:

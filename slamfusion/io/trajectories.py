@@ -160,11 +160,10 @@ def _rows(where: Path, first: list[bytes], columns: list[int] | None) -> Iterato
             shown = " ".join(item.decode("ascii", "replace") for item in first)[:60]
             count = f"{len(first)} column{'s' if len(first) > 1 else ''}"
             cause = ", the first of them no time" if len(first) in {_PLANAR, _TUM} else ""
-            message = (
+            raise TrajectoryError(
                 f"{where}: wanted {_WANTED}, found {count}{cause}: {_printable(shown)!r} in the "
                 "first line; check the file"
             )
-            raise TrajectoryError(message)
         columns = list(range(len(first)))
     last_s = -math.inf
     lines = TextLines(where, kept_bytes=ROW_BYTES, if_cut_off=TrajectoryError)
@@ -173,20 +172,18 @@ def _rows(where: Path, first: list[bytes], columns: list[int] | None) -> Iterato
         if not fields or (last_s == -math.inf and _named_columns(fields) is not None):
             continue
         if len(fields) != len(first):
-            message = (
+            raise TrajectoryError(
                 f"{where}: line {number}: wanted {len(first)} columns as in the lines before, "
                 f"found {len(fields)}; mend or remove the line"
             )
-            raise TrajectoryError(message)
         values = _floats([fields[i] for i in columns], where, number)
         wrong = [columns[i] + 1 for i, value in enumerate(values) if not math.isfinite(value)]
         if wrong or not any(values[4:] or [1.0]):
             which = f"column {wrong[0]}" if wrong else "the quaternion of columns 5 to 8"
-            message = (
+            raise TrajectoryError(
                 f"{where}: line {number}, {which} of {len(fields)}: not a finite pose; mend or "
                 "remove the line"
             )
-            raise TrajectoryError(message)
         if abs(values[0]) >= _NANOSECONDS_FROM:
             values[0] *= 1e-9
         if len(values) == _TUM:
@@ -199,17 +196,15 @@ def _check_tum(where: Path, number: int, values: list[float], last_s: float) -> 
     """Refuse rows of 8 numbers that are something else, such as relations."""
     length = math.hypot(*values[4:])
     if abs(length - 1.0) > _QUATERNION_SLACK:
-        message = (
+        raise TrajectoryError(
             f"{where}: line {number}: the quaternion has length {length:.3g}, wanted 1; check that "
             "this is a TUM file (t x y z qx qy qz qw)"
         )
-        raise TrajectoryError(message)
     if values[0] < last_s:
-        message = (
+        raise TrajectoryError(
             f"{where}: line {number}: time goes back from {last_s:.6f} s to {values[0]:.6f} s; "
             "sort the lines by time"
         )
-        raise TrajectoryError(message)
 
 
 def _floats(fields: list[bytes], where: Path, number: int) -> list[float]:
@@ -218,11 +213,10 @@ def _floats(fields: list[bytes], where: Path, number: int) -> list[float]:
     except ValueError:
         wrong = next(index for index, item in enumerate(fields) if not _is_number(item))
         shown = _printable(fields[wrong][:60].decode("ascii", "replace"))
-        message = (
+        raise TrajectoryError(
             f"{where}: line {number}, column {wrong + 1} of {len(fields)}: wanted a number, found "
             f"{shown!r}; mend or remove the line"
-        )
-        raise TrajectoryError(message) from None
+        ) from None
 
 
 def _is_number(text: bytes) -> bool:
@@ -257,8 +251,7 @@ def _in_plane(where: Path, rows: F64, config: LogConfig) -> F64:
             if _out_of_plane(_robot_poses(rows, quaternion, axes)) is None:
                 advice = words
                 break
-        message = f"{where}: the path does not lie in the plane: {problem}; {advice}"
-        raise TrajectoryError(message)
+        raise TrajectoryError(f"{where}: the path does not lie in the plane: {problem}; {advice}")
     yaws = [quaternion_yaw_rad(*turn) for turn in poses[:, 3:].tolist()]
     return np.column_stack((rows[:, 0], poses[:, :2], yaws))
 
@@ -324,11 +317,10 @@ def _read_graph(where: Path, name: str) -> Trajectory | None:
     if not vertices:
         return None
     if not rows:
-        message = (
+        raise TrajectoryError(
             f"{where}: {vertices} vertices, but no ROBOTLASER1 line that says their time; give a "
             "graph with scans"
         )
-        raise TrajectoryError(message)
     table = np.array(rows)
     stamps, first = np.unique(table[:, 0], return_index=True)
     _warn(where, len(table) - len(stamps), "vertices have the stamp of an earlier one; left out")
@@ -380,8 +372,7 @@ def _log_odometry(where: Path, config: LogConfig, name: str) -> Trajectory:
         _LOGGER.warning("%s: its time stamps cannot be used; times are made from indices", where)
     if not rows:
         reasons = "; ".join(log.skips.sentences())
-        message = f"{where}: no scan of it can be used: {reasons}"
-        raise TrajectoryError(message)
+        raise TrajectoryError(f"{where}: no scan of it can be used: {reasons}")
     table = np.array(rows)
     return Trajectory(table[:, 0], table[:, 1:], name)
 

@@ -396,11 +396,11 @@ class TransformTree:
         matrix = _chained(way, found[::-1], 1)[0]
         mount = Mount.of(matrix, is_static=all(edge.is_static for edge, _ in way))
         if mount.tilt_rad > TILT_MAX_RAD:
-            message = (
+            raise TransformError(
                 f"frame {source!r} is tilted by {math.degrees(mount.tilt_rad):.0f} degrees against "
-                f"{target!r}; wanted one that lies level"
+                f"{target!r}; wanted one that lies level",
+                may_come=False,
             )
-            raise TransformError(message, may_come=False)
         return mount
 
     def _edge(self, parent: str, child: str, *, is_static: bool) -> Edge:
@@ -426,8 +426,7 @@ class TransformTree:
         if way is None:
             known = ", ".join(sorted(self.frames)) or "none"
             names = f"from {source.lstrip('/')!r} to {target.lstrip('/')!r}"
-            message = f"no transforms {names}; known frames: {known}"
-            raise TransformError(message, may_come=True)
+            raise TransformError(f"no transforms {names}; known frames: {known}", may_come=True)
         return way
 
     def _way(self, target: str, source: str) -> list[Step] | None:

@@ -41,16 +41,14 @@ class _Counted:
         anchor = event.anchor
         if isinstance(event, yaml.AliasEvent):
             if anchor in loader.anchors and anchor not in self._sizes:
-                message = f"the value of &{shown(anchor)} holds itself"
-                raise _LimitError(message)
+                raise _LimitError(f"the value of &{shown(anchor)} holds itself")
             self._add(self._sizes.get(anchor, 1))
             return super().compose_node(parent, index)  # type: ignore[misc]
         before = self._values
         self._add(1)
         self._depth += 1
         if self._depth > DEPTH_MAX:
-            message = f"more than {DEPTH_MAX} levels of nesting"
-            raise _LimitError(message)
+            raise _LimitError(f"more than {DEPTH_MAX} levels of nesting")
         node = super().compose_node(parent, index)  # type: ignore[misc]
         self._depth -= 1
         if anchor is not None:
@@ -87,5 +85,4 @@ def read_yaml(
         reason = "a value that is none of its kind"
         if isinstance(failure, (yaml.YAMLError, ValueError)):
             reason = " ".join(str(failure).split())[:200]
-        message = f"{path}: not YAML ({reason}); mend the file or give {what}"
-        raise error(message) from None
+        raise error(f"{path}: not YAML ({reason}); mend the file or give {what}") from None

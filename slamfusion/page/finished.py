@@ -97,8 +97,7 @@ def read_finished(place: Path, drive: str = "") -> Finished:
     if record is not None:
         return _read_record(record)
     if not place.is_dir():
-        message = f"{place}: wanted the folder of a run, or one with maps; name that"
-        raise MapFileError(message)
+        raise MapFileError(f"{place}: wanted the folder of a run, or one with maps; name that")
     files = {path.stem: path for path in sorted(place.glob("*.yaml"))}
     if not files:
         return _read_drive(place, drive)
@@ -321,16 +320,14 @@ def _read_drive(folder: Path, drive: str) -> Finished:
 
     names = kept_runs(folder)
     if not names:
-        message = (
+        raise MapFileError(
             f"{folder}: no map in it (NAME.yaml, or of an experiment trials/NAME.npz); name the "
             "folder of a run"
         )
-        raise MapFileError(message)
     chosen = drive or names[0]
     if chosen not in names:
         listed = ", ".join(names[:MOST_NAMED])
-        message = f"{folder}: no drive {drive!r} in it; --drive takes one of {listed}"
-        raise MapFileError(message)
+        raise MapFileError(f"{folder}: no drive {drive!r} in it; --drive takes one of {listed}")
     truth, maps = kept_maps(folder, chosen)
     found = _finished(chosen)
     found.maps = [ShownMap("truth", "fused", truth)]

@@ -132,5 +132,4 @@ def parse_message(text: str) -> Hello | Seen | Command:
         found = json.loads(text)
         return from_mapping(KINDS[found.pop("type")], found)
     except (ValueError, TypeError, AttributeError, LookupError, RecursionError, ConfigError):
-        message = "no message of our page"
-        raise PageMessageError(message) from None
+        raise PageMessageError("no message of our page") from None

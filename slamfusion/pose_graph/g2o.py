@@ -73,8 +73,7 @@ def read_g2o(path: str | Path) -> GraphFile:
     target = Path(path)
     lines = _Lines(target)
     if not lines.vertices and not lines.edges:
-        message = f"{target}: {_nothing(lines)}"
-        raise GraphError(message)
+        raise GraphError(f"{target}: {_nothing(lines)}")
     names = lines.vertices or {name: () for edge in lines.edges for name in edge[:2]}
     ids = np.array(sorted(names), np.int64)
     index = {name: place for place, name in enumerate(ids.tolist())}
@@ -83,8 +82,7 @@ def read_g2o(path: str | Path) -> GraphFile:
     edges = edges.reshape(-1, 2)
     parts, _ = part_labels(edges, len(ids))
     if parts > 1:
-        message = f"{target}: {disconnected(parts)}"
-        raise GraphError(message)
+        raise GraphError(f"{target}: {disconnected(parts)}")
     poses = np.array([names[name] or (0.0, 0.0, 0.0) for name in ids.tolist()], np.float64)
     graph = PoseGraph(
         poses=poses,
@@ -164,8 +162,7 @@ class _Lines:
             if words and not words[0].startswith(b"#"):
                 self._take(number, words)
         if text.is_cut_off:
-            message = f"{path}: the packed data are damaged or end early; fetch them again"
-            raise GraphError(message)
+            raise GraphError(f"{path}: the packed data are damaged or end early; fetch them again")
 
     def check(self, index: Mapping[int, int]) -> None:
         """Refuse edges and FIX that lead nowhere, and information that is none."""
@@ -178,16 +175,15 @@ class _Lines:
                 raise self._error(self._edge_lines[place], f"edge from vertex {start} to itself")
         lost = next((name for name in sorted(self.fixed) if name not in index), None)
         if lost is not None:
-            message = f"{self._path}: FIX {lost}: there is no such vertex"
-            raise GraphError(message)
+            raise GraphError(f"{self._path}: FIX {lost}: there is no such vertex")
         bad = np.flatnonzero(~is_positive_definite(np.array(self.information).reshape(-1, 3, 3)))
         if len(bad):
             start, end = self.edges[bad[0]]
-            message = (
+            raise self._error(
+                self._edge_lines[bad[0]],
                 f"edge from {start} to {end}: its information is not positive definite; "
-                f"{len(bad)} such edges"
+                f"{len(bad)} such edges",
             )
-            raise self._error(self._edge_lines[bad[0]], message)
 
     def _take(self, number: int, words: list[bytes]) -> None:
         """Take over one line."""

@@ -44,11 +44,10 @@ class PoseGraph:
         is_closure = np.array(self.is_closure, np.bool_).reshape(-1)
         sizes = {len(edges), len(motions), len(information), len(is_closure)}
         if len(sizes) != 1:
-            message = (
+            raise GraphError(
                 f"{len(edges)} edges do not fit {len(motions)} motions, {len(information)} "
                 f"information matrices and {len(is_closure)} closure flags"
             )
-            raise GraphError(message)
         _check_poses(poses)
         _check_edges(edges, len(poses))
         _check_measurements(edges, motions, information)
@@ -178,12 +177,10 @@ def _adjacency(edges: npt.NDArray[np.int64], count: int) -> scipy.sparse.coo_mat
 def _check_poses(poses: npt.NDArray[np.float64]) -> None:
     """Refuse an empty graph and poses that are no place."""
     if len(poses) == 0:
-        message = "the graph has no pose"
-        raise GraphError(message)
+        raise GraphError("the graph has no pose")
     bad = np.flatnonzero(~np.isfinite(poses).all(axis=1))
     if len(bad):
-        message = f"pose {bad[0]} is not finite; {len(bad)} such poses"
-        raise GraphError(message)
+        raise GraphError(f"pose {bad[0]} is not finite; {len(bad)} such poses")
 
 
 def _check_edges(edges: npt.NDArray[np.int64], count: int) -> None:
@@ -194,8 +191,7 @@ def _check_edges(edges: npt.NDArray[np.int64], count: int) -> None:
         raise GraphError(message)
     bad = np.flatnonzero(edges[:, 0] == edges[:, 1])
     if len(bad):
-        message = f"edge {bad[0]} leads from pose {edges[bad[0], 0]} to itself"
-        raise GraphError(message)
+        raise GraphError(f"edge {bad[0]} leads from pose {edges[bad[0], 0]} to itself")
 
 
 def _check_measurements(
@@ -213,8 +209,7 @@ def _check_measurements(
         what = "is not finite"
     if len(bad):
         start, end = edges[bad[0]]
-        message = f"edge {bad[0]} from {start} to {end} {what}; {len(bad)} such edges"
-        raise GraphError(message)
+        raise GraphError(f"edge {bad[0]} from {start} to {end} {what}; {len(bad)} such edges")
 
 
 def is_positive_definite(matrices: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:

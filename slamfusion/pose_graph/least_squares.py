@@ -240,8 +240,7 @@ class NormalEquations:
         matrix = self.matrix(damping)
         moved = -factorise(matrix).solve(self.gradient)
         if not np.isfinite(moved).all():
-            message = "the matrix is singular"
-            raise RuntimeError(message)
+            raise RuntimeError("the matrix is singular")
         damped = damping / (1.0 + damping) * np.dot(matrix.data[self._diagonal], moved * moved)
         step = np.zeros((self._count, 3))
         step[self.free] = moved.reshape(-1, 3)

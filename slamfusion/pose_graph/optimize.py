@@ -155,8 +155,7 @@ def chi2_of(graph: PoseGraph, poses: Array | None = None) -> Array:
 def _check(graph: PoseGraph, held: tuple[int, ...]) -> None:
     """Refuse what has no one solution."""
     if not held or not all(0 <= pose < len(graph) for pose in held):
-        message = f"poses to hold must be some of 0 to {len(graph) - 1}, found {held}"
-        raise GraphError(message)
+        raise GraphError(f"poses to hold must be some of 0 to {len(graph) - 1}, found {held}")
     parts, _ = part_labels(graph.edges, len(graph))
     if parts > 1:
         raise GraphError(disconnected(parts))
@@ -173,8 +172,7 @@ def _earlier_outliers(graph: PoseGraph, weights: Array) -> npt.NDArray[np.bool_]
     """Return which edges earlier weights, (K,), leave out, (M,)."""
     outliers = np.zeros(len(graph.edges), np.bool_)
     if len(weights) > len(outliers):
-        message = f"{len(weights)} earlier weights do not fit {len(outliers)} edges"
-        raise GraphError(message)
+        raise GraphError(f"{len(weights)} earlier weights do not fit {len(outliers)} edges")
     outliers[: len(weights)] = weights < 0.5
     return outliers
 

@@ -178,8 +178,7 @@ class Course:
             )
             raise SimulationError(message)
         if self.script and self.waypoints is not None:
-            message = f"{self.name}: give waypoints or a script, not both"
-            raise SimulationError(message)
+            raise SimulationError(f"{self.name}: give waypoints or a script, not both")
 
 
 def named_course(name: str, seed: int) -> Course:
@@ -190,11 +189,10 @@ def named_course(name: str, seed: int) -> Course:
     """
     if name not in COURSES:
         near = difflib.get_close_matches(name, COURSES, n=1, cutoff=0.0)[0]
-        message = (
+        raise SimulationError(
             f"{name}: no course file and no course of that name; the nearest one is {near!r}, "
             f"the others are {', '.join(known for known in COURSES if known != near)}"
         )
-        raise SimulationError(message)
     return _course({"name": name, "seed": seed, **COURSES[name][1]}, name, Path())
 
 
@@ -211,8 +209,7 @@ def load_course(path: str | Path, seed: int = 0) -> Course:
     path = Path(path)
     values = read_yaml(path, ConfigError, "a course's YAML")
     if not isinstance(values, dict):
-        message = f"{path}: wanted a mapping of settings, found {type(values).__name__}"
-        raise ConfigError(message)
+        raise ConfigError(f"{path}: wanted a mapping of settings, found {type(values).__name__}")
     return _course({"name": path.stem, "seed": seed, **values}, str(path), path.parent)
 
 
@@ -386,8 +383,7 @@ def _numbers(value: Any, count: int, where: str) -> tuple[float, ...]:
 
 def _count(value: Any, where: str) -> int:
     if type(value) is not int or not 0 <= value <= INTEGER_MAX:
-        message = f"{where}: wanted a whole number from 0, found {shown(value)}"
-        raise ConfigError(message)
+        raise ConfigError(f"{where}: wanted a whole number from 0, found {shown(value)}")
     return value
 
 
@@ -397,6 +393,5 @@ def _list(value: Any, where: str) -> list[Any]:
 
 def _of_type(value: Any, kind: type[T], where: str) -> T:
     if not isinstance(value, kind):
-        message = f"{where}: wanted a {kind.__name__}, found {shown(value)}"
-        raise ConfigError(message)
+        raise ConfigError(f"{where}: wanted a {kind.__name__}, found {shown(value)}")
     return value

@@ -167,20 +167,18 @@ def run_script(
     """
     lasts_s = sum(action.duration_s for action in actions)
     if lasts_s > LONGEST_S:
-        message = (
+        raise SimulationError(
             f"the script lasts {lasts_s:.0f} s, more than the {LONGEST_S:.0f} s that are simulated "
             "at once; drive faster or shorten it"
         )
-        raise SimulationError(message)
     robot = _Robot(world, drive, start, step_for(period_s))
     space.place((start.x, start.y), "the start")
     for action in actions:
         if drive.model == "bicycle" and action.turn_deg:
-            message = (
+            raise SimulationError(
                 "the script turns on the spot, which a bicycle cannot; "
                 "use the drive differential or tracks"
             )
-            raise SimulationError(message)
         steps = max(1, round(action.duration_s / robot.step_s))
         share = 1.0 / (steps * robot.step_s)
         command = _Command(action.forward_m * share, math.radians(action.turn_deg) * share)
@@ -193,11 +191,10 @@ def run_script(
     if blocked.any():
         first = int(blocked.argmax())
         x, y, _ = motion.poses[first]
-        message = (
+        raise SimulationError(
             f"{world.grid.name}: the script drives into a wall after {first * robot.step_s:.1f} s "
             f"at ({x:.2f}, {y:.2f}) m; change its start or its way"
         )
-        raise SimulationError(message)
     return motion
 
 

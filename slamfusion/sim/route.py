@@ -110,22 +110,20 @@ class FreeSpace:
             nearest = int(away.argmin())
             if away[nearest] <= 3.0 * STEP_M:
                 return nearest
-        message = (
+        raise SimulationError(
             f"{self.grid.name}: {what} at ({point[0]:.2f}, {point[1]:.2f}) m is no place for a "
             f"disc of radius {self.radius_m:g} m; move it at least "
             f"{self.radius_m + self.margin_m:.2f} m away from walls and unknown cells"
         )
-        raise SimulationError(message)
 
     def any_place(self, rng: np.random.Generator) -> Point:
         """Draw a place from the largest connected part."""
         _, parts = scipy.sparse.csgraph.connected_components(self._graph, directed=False)
         if not parts.size:
-            message = (
+            raise SimulationError(
                 f"{self.grid.name}: no free place for a disc of radius {self.radius_m:g} m; "
                 "use a smaller robot or another map"
             )
-            raise SimulationError(message)
         largest = np.flatnonzero(parts == np.bincount(parts).argmax())
         x, y = self._places[rng.choice(largest)]
         return float(x), float(y)
@@ -146,12 +144,11 @@ class FreeSpace:
         )
         cost, before = costs[0], befores[0]
         if not np.isfinite(cost[last]):
-            message = (
+            raise SimulationError(
                 f"{self.grid.name}: no way from ({start[0]:.2f}, {start[1]:.2f}) to {what} at "
                 f"({end[0]:.2f}, {end[1]:.2f}) m for a disc of radius {self.radius_m:g} m; "
                 "move it, or use a smaller robot"
             )
-            raise SimulationError(message)
         chain = [last]
         while chain[-1] != first:
             chain.append(int(before[chain[-1]]))

@@ -54,11 +54,10 @@ class World:
     def __post_init__(self) -> None:
         glass = np.array(self.glass, dtype=np.bool_)
         if glass.shape != self.grid.cells.shape or (self.grid.cells[glass] != OCCUPIED).any():
-            message = (
+            raise SimulationError(
                 f"{self.grid.name}: glass must be occupied cells of the {self.grid.cells.shape} "
                 f"truth, found {glass.shape}"
             )
-            raise SimulationError(message)
         glass.flags.writeable = False
         object.__setattr__(self, "glass", glass)
 

@@ -10,15 +10,6 @@ from typing import TypedDict
 
 from slamfusion.io.log import LogRecord, SkipJson
 
-__all__ = [
-    "FilterJson",
-    "GraphJson",
-    "HealthJson",
-    "MapSizeJson",
-    "ProducerRunJson",
-    "TimePerScanJson",
-]
-
 
 class FilterJson(TypedDict):
     """How well a particle filter is doing."""

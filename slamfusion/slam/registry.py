@@ -23,22 +23,6 @@ from slamfusion.io.yaml_file import read_yaml
 from slamfusion.slam.common.mapper import Mapper
 from slamfusion.slam.common.runner import Resumable
 
-__all__ = [
-    "BUILT_IN",
-    "ENTRY_POINTS",
-    "Producer",
-    "load_config",
-    "loop_closers",
-    "make_producer",
-    "open_producer_device",
-    "producer",
-    "producer_names",
-    "resume_producer",
-    "settings_of",
-    "with_producers",
-    "with_settings",
-]
-
 _LOG = logging.getLogger(__name__)
 
 ENTRY_POINTS = "slamfusion.producers"
@@ -125,8 +109,7 @@ def producer(name: str) -> Producer:
             message = f"the producer {name!r} cannot be loaded from {point.value}: {error!r}"
             raise SlamFusionError(message) from error
     else:
-        message = f"no producer {name!r}; wanted one of {', '.join(producer_names())}"
-        raise SlamFusionError(message)
+        raise SlamFusionError(f"no producer {name!r}; wanted one of {', '.join(producer_names())}")
     if not isinstance(found, Producer) or found.name != name:
         shown = f"one called {found.name!r}" if isinstance(found, Producer) else repr(found)
         message = f"the entry point {name!r} must name a Producer of this name, found {shown}"
@@ -193,8 +176,7 @@ def load_config(path: str | Path, base: RunConfig | None = None) -> RunConfig:
                 whole, [name if isinstance(name, str) else shown(name) for name in sections]
             )
         except SlamFusionError as error:
-            message = f"{path}: producers: {error}"
-            raise ConfigError(message) from None
+            raise ConfigError(f"{path}: producers: {error}") from None
     return from_mapping(whole, values, str(path))
 
 

@@ -28,16 +28,6 @@ from slamfusion.trajectory import Trajectory
 
 F64 = npt.NDArray[np.float64]
 
-__all__ = [
-    "Answer",
-    "Drawn",
-    "HealthFigures",
-    "LeftOutError",
-    "ProducerSession",
-    "QueuedScan",
-    "Snapshot",
-    "UndrawnMap",
-]
 
 NO_ODOMETRY_YET = "laser before odometry"
 NOT_NEWER = "stamp not later than the last one's"

@@ -215,8 +215,7 @@ def _check_names(names: Sequence[str]) -> None:
     unknown = [name for name in names if name not in names_known]
     if not names or unknown or len(set(names)) < len(names):
         found = ", ".join(names) or "none"
-        message = f"wanted some of the producers {known}, each once, found {found}"
-        raise ConfigError(message)
+        raise ConfigError(f"wanted some of the producers {known}, each once, found {found}")
 
 
 def _start(name: str, arguments: tuple[Any, ...], threads: int) -> _Job:

@@ -50,8 +50,7 @@ def bundled(script: str) -> str:
                 modules[name] = start + body + end
         body = IMPORT.sub(r"const \1 = from_\2;", text)
         if unknown := OTHER_FORM.search(body):
-            message = f"the front end says {unknown[0]!r}, which cannot be bundled"
-            raise ValueError(message)
+            raise ValueError(f"the front end says {unknown[0]!r}, which cannot be bundled")
         return body
 
     entry = take(script)

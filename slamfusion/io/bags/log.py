@@ -219,11 +219,10 @@ class BagLog(ScanLog):
         pose = self._tree.sample(self._base_frame, frame, time_s)[0]
         mount = Mount.of(pose, is_static=is_static)
         if mount.tilt_rad > TILT_MAX_RAD:
-            message = (
+            raise LogError(
                 f"{self.path}: the laser {frame!r} is tilted by {math.degrees(mount.tilt_rad):.0f} "
                 "degrees, wanted one that lies level; choose another with scan_topic"
             )
-            raise LogError(message)
         if is_static:
             self._mounts[frame] = mount
             if mount.tilt_rad > _TILT_NOTED_RAD:

@@ -144,11 +144,10 @@ class OdometrySurvey:
         names = {wanted.strip("/"), f"{wanted.strip('/')}_static"}
         own = [topic for topic in found if topic.strip("/") in names]
         if not own:
-            message = (
+            raise LogError(
                 f"{self.path}: no transforms on {wanted!r}; found {', '.join(found) or 'none'}; "
                 "change tf_topic or leave it out"
             )
-            raise LogError(message)
         return own
 
     def _find_odometry(self, bag: OpenBag) -> BagOdometry | None:
@@ -249,11 +248,10 @@ class OdometrySurvey:
         stamps_s = self.tree.change_stamps_s(world, base)
         if not stamps_s.size:
             known = ", ".join(sorted(self.tree.frames)) or "none"
-            message = (
+            raise LogError(
                 f"{self.path}: no transforms move the robot's frame {base!r}; frames in it: "
                 f"{known}; name the robot's with base_frame, or a topic with pose_topic"
             )
-            raise LogError(message)
         matrices = self.tree.sample(world, base, stamps_s)
         turns = Rotation.from_matrix(matrices[:, :3, :3]).as_quat()
         self.notes.append(f"taken as its path: {base!r} in {world!r}, by transforms")
@@ -299,8 +297,7 @@ def read_poses(
         topic = bag.choose_topic(_POSE_TYPES, wanted, "pose_topic")
         table, first = _topic_poses(bag, topic, notes)
     if first is None:
-        message = f"{path}: no usable pose on {topic}; choose another topic with pose_topic"
-        raise LogError(message)
+        raise LogError(f"{path}: no usable pose on {topic}; choose another topic with pose_topic")
     return table
 
 

@@ -86,11 +86,10 @@ class OpenBag:
                 if topic.lstrip("/") == wanted.lstrip("/"):
                     return topic
             found = ", ".join(topics) or "none"
-            message = (
+            raise LogError(
                 f"{self._path}: no {kind} topic {wanted!r} in it; found {found}; change {key} or "
                 "leave it out"
             )
-            raise LogError(message)
         if not filled:
             others = ", ".join(
                 sorted(
@@ -177,7 +176,7 @@ def open_bag(path: Path, notes: list[str]) -> Iterator[OpenBag]:
             storages = [open_storage(file, stack) for file in _files(path, notes)]
             is_cut_off = any(storage.is_cut_off for storage in storages)
             if is_cut_off and not any(storage.connections for storage in storages):
-                raise ValueError("no message in it is whole")  # noqa: EM101, TRY301
+                raise ValueError("no message in it is whole")  # noqa: TRY301
             yield OpenBag(path, storages, decode, notes)
     except (SlamFusionError, PermissionError):
         raise
@@ -193,11 +192,10 @@ def open_bag(path: Path, notes: list[str]) -> Iterator[OpenBag]:
         if error.errno not in {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}:
             raise _not_a_bag(path, error) from error
         # Nothing is written but what is unpacked.
-        message = (
+        raise LogError(
             f"{path}: cannot be unpacked in {tempfile.gettempdir()}: {error.strerror}; free some "
             "space there, or let TMPDIR name another folder"
-        )
-        raise LogError(message) from None
+        ) from None
     except Exception as error:
         raise _not_a_bag(path, error) from error
 

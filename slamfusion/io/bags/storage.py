@@ -76,8 +76,7 @@ class Mcap(mcap.McapReader):
         size = file.seek(0, os.SEEK_END)
         file.seek(0)
         if file.read(len(MCAP_MAGIC)) != MCAP_MAGIC:
-            message = "File magic is invalid."
-            raise ReaderError(message)
+            raise ReaderError("File magic is invalid.")
         self.data_start = file.tell()
         ends = [self.data_start]
         while len(head := file.read(9)) == 9 and not head.startswith(_MCAP_FOOTER):
@@ -136,8 +135,7 @@ class Bag1(rosbag1.Reader):
         file.seek(0)
         magic, header = file.readline(), rosbag1.Header.read(file, rosbag1.RecordType.BAGHEADER)
         if magic != b"#ROSBAG V2.0\n" or header.get("encryptor"):
-            message = "it is encrypted, or of another version than 2.0"
-            raise rosbag1.ReaderError(message)
+            raise rosbag1.ReaderError("it is encrypted, or of another version than 2.0")
         file.seek(rosbag1.read_uint32(file), os.SEEK_CUR)
         self.is_cut_off = True
         indexes: dict[int, list[Any]] = defaultdict(list)
@@ -248,8 +246,7 @@ def open_storage(path: Path, stack: ExitStack) -> Storage:
                 head = inner.read(20)
     kind = next((kind for magic, kind in _KINDS.items() if head.startswith(magic)), None)
     if kind is None:
-        message = f"it starts with {head[:8]!r}" if head else "it is empty"
-        raise ValueError(message)
+        raise ValueError(f"it starts with {head[:8]!r}" if head else "it is empty")
     storage = kind(path)
     storage.open()
     stack.callback(storage.close)
@@ -303,6 +300,5 @@ def _unpack(make: Callable[[], Any], data: bytes) -> bytes:
         message = f"a piece unpacks to more than {format_bytes(PIECE_BYTES)}, as no recording does"
         raise ValueError(message)
     if not reader.eof:
-        message = "packed data that end early"
-        raise ValueError(message)
+        raise ValueError("packed data that end early")
     return unpacked

@@ -276,11 +276,10 @@ def write_carmen(
     count = 0
     for scan in scans:
         if scan.odometry is None:
-            message = (
+            raise LogError(
                 f"{target}: scan {count + 1} has no odometry, but every CARMEN line carries a "
                 "pose; give the scans poses first"
             )
-            raise LogError(message)
         if first is None:
             first = scan.scan
             body += _head(first).encode()
@@ -288,8 +287,7 @@ def write_carmen(
         last = scan
         count += 1
     if first is None:
-        message = f"{target}: there is no scan to write; give at least one"
-        raise LogError(message)
+        raise LogError(f"{target}: there is no scan to write; give at least one")
     write_atomic(target, packed_by_name(target, bytes(body)), files=files)
     return count
 

@@ -17,18 +17,6 @@ from slamfusion.scan import LaserScan
 from slamfusion.slam.records import HealthJson
 from slamfusion.trajectory import Trajectory
 
-__all__ = [
-    "ClosesLoops",
-    "Closure",
-    "DrawsAside",
-    "Health",
-    "MapDrawer",
-    "MapJob",
-    "Mapper",
-    "Series",
-    "Step",
-]
-
 
 @dataclass(frozen=True)
 class Step:

@@ -62,8 +62,7 @@ class Stateful:
             elif isinstance(own, np.random.Generator):
                 own.bit_generator.state = value
             elif None not in (_kind(own), _kind(value)) and _kind(own) != _kind(value):
-                message = f"{name}: wanted {_kind(own)}, found {_kind(value)}"
-                raise TypeError(message)
+                raise TypeError(f"{name}: wanted {_kind(own)}, found {_kind(value)}")
             elif _is_mutable_record(own):
                 vars(own).update(vars(value))
             else:
@@ -143,8 +142,7 @@ def unpack(packed: Any, arrays: Arrays, kinds: Mapping[str, type]) -> Any:
     rest = dict(arrays)
     state = _unpacked(packed, rest, kinds)
     if any(name != array.dtype.name or array.size for name, array in rest.items()):
-        message = "arrays of other values than the record says"
-        raise ValueError(message)
+        raise ValueError("arrays of other values than the record says")
     return state
 
 
@@ -217,27 +215,23 @@ def _read(path: Path, owner: dict[str, Any]) -> tuple[Any, Arrays]:
     except (MemoryBudgetError, _NoFileError):
         raise
     except OSError as error:
-        message = f"{path}: cannot be read ({error.strerror or error})"
-        raise SlamFusionError(message) from None
+        raise SlamFusionError(f"{path}: cannot be read ({error.strerror or error})") from None
     except Exception:  # noqa: BLE001 - taking other files apart may end in anything
         message = f"{path}: not a whole state that `--save-state` has written"
         raise SlamFusionError(message) from None
     if found != (owner["name"], owner["format"]):
-        message = (
+        raise SlamFusionError(
             f"{path}: wanted a state of {owner['name']}, format {owner['format']}, found "
             f"{shown(found[0]).strip(QUOTE)}, format {shown(found[1])}; make it again from the log"
         )
-        raise SlamFusionError(message)
     if not is_whole:
-        message = f"{path}: not a whole state: it was changed after it was saved"
-        raise SlamFusionError(message)
+        raise SlamFusionError(f"{path}: not a whole state: it was changed after it was saved")
     for key, value in record["settings"].items():
         if owner["settings"].get(key) != value:
-            message = (
+            raise SlamFusionError(
                 f"{path}: was made with {key} = {value}, found {owner['settings'].get(key)}; "
                 "resume with the same settings"
             )
-            raise SlamFusionError(message)
     return record["state"], arrays
 
 
@@ -248,14 +242,12 @@ def _arrays(path: Path) -> Arrays:
         check_memory(2 * size, "a state", str(path))
         with zipfile.ZipFile(file) as packed:
             if sum(part.file_size for part in packed.infolist()) > size:
-                message = "parts that unpack to more than the file"
-                raise ValueError(message)
+                raise ValueError("parts that unpack to more than the file")
         file.seek(0)
         with np.load(file, allow_pickle=False) as loaded:
             arrays: Arrays = dict(loaded)
     if any(array.dtype.kind not in KINDS for array in arrays.values()):
-        message = "an array of something else than numbers"
-        raise ValueError(message)
+        raise ValueError("an array of something else than numbers")
     return arrays
 
 
@@ -298,8 +290,7 @@ def check_shapes(arrays: Mapping[str, Array], wanted: Mapping[str, str]) -> dict
         )
         if not fits:
             known = ", ".join(f"{side} = {lengths[side]}" for side in sides if side in lengths)
-            message = f"{name}: wanted the shape ({text}), {known or 'any'}, found {shape}"
-            raise ValueError(message)
+            raise ValueError(f"{name}: wanted the shape ({text}), {known or 'any'}, found {shape}")
     return lengths
 
 
@@ -307,16 +298,13 @@ def check_kinds(arrays: Mapping[str, Array], wanted: Mapping[str, npt.DTypeLike]
     """Refuse arrays of other dtypes."""
     for name, kind in wanted.items():
         if arrays[name].dtype != kind:
-            message = f"{name}: wanted {np.dtype(kind)}, found {arrays[name].dtype}"
-            raise ValueError(message)
+            raise ValueError(f"{name}: wanted {np.dtype(kind)}, found {arrays[name].dtype}")
 
 
 def check_indices(name: str, indices: npt.ArrayLike, count: int, *, first: int = 0) -> None:
     """Refuse indices outside ``first`` to ``count - 1``."""
     found = np.asarray(indices)
     if found.dtype.kind not in "iu" and found.size:
-        message = f"{name}: wanted whole numbers, found {found.dtype}"
-        raise ValueError(message)
+        raise ValueError(f"{name}: wanted whole numbers, found {found.dtype}")
     if found.size and not first <= int(found.min()) <= int(found.max()) < count:
-        message = f"{name}: wanted indices of {first} to {count - 1}, found others"
-        raise ValueError(message)
+        raise ValueError(f"{name}: wanted indices of {first} to {count - 1}, found others")

@@ -48,8 +48,7 @@ def check_tiles(
     kinds: dict[str, npt.DTypeLike] = {"pages": np.int32, "corner": np.int64}
     check_kinds(arrays, kinds | dict.fromkeys(others, np.int32))
     if arrays["pages"].size > MOST_PAGES * max(len(arrays["pages"]), 1):
-        message = f"a window of {arrays['pages'].shape} pages"
-        raise ValueError(message)
+        raise ValueError(f"a window of {arrays['pages'].shape} pages")
     check_indices("pages", arrays["pages"], lengths.get("T", 0))
     check_indices("corner", arrays["corner"], MOST_SIDE, first=-MOST_SIDE)
     return lengths.get("T", 0)
@@ -83,11 +82,10 @@ def grown_window(
     end = np.where(end > corner + size, end + grown, end)
     width, height = (int(value) for value in end - start)
     if width * height > MOST_PAGES or max(width, height) > MOST_SIDE:
-        message = (
+        raise MemoryBudgetError(
             f"the map would span {width * TILE} x {height * TILE} cells; the pose has jumped "
             f"or the log's units are wrong; use a coarser cell"
         )
-        raise MemoryBudgetError(message)
     return start, (height, width)
 
 
@@ -212,8 +210,7 @@ class TileMap:
         check_kinds(arrays, {"tiles": np.int64})
         tiles = check_tiles(arrays, kept, "H W")
         if not kept or not 0 < int(arrays["tiles"]) <= tiles:
-            message = f"{arrays['tiles']} tiles used, of {tiles}"
-            raise ValueError(message)
+            raise ValueError(f"{arrays['tiles']} tiles used, of {tiles}")
         self.pages, self.corner = arrays["pages"].copy(), arrays["corner"].copy()
         self.tiles = int(arrays["tiles"])
         names = [name for name in self.pools if f"pool_{name}" in arrays]
@@ -380,12 +377,10 @@ class SharedTileMaps:
         check_kinds(arrays, {"capacity": np.int64})
         capacity = int(arrays["capacity"])
         if not tiles <= capacity <= max(4 * tiles, FIRST_TILES):
-            message = f"room for {capacity} tiles, of which {tiles} are used"
-            raise ValueError(message)
+            raise ValueError(f"room for {capacity} tiles, of which {tiles} are used")
         users = np.bincount(arrays["pages"].ravel(), minlength=tiles)
         if not np.array_equal(users[1:], arrays["users"][1:]):
-            message = "users: not as many as the pages have"
-            raise ValueError(message)
+            raise ValueError("users: not as many as the pages have")
         self.pages, self.corner = arrays["pages"].copy(), arrays["corner"].copy()
         self._users = np.zeros(capacity, dtype=np.int32)
         self._users[: len(arrays["users"])] = arrays["users"]

@@ -263,8 +263,7 @@ class Gmapping(SavedMapper):
     def grid(self) -> OccupancyGrid:
         """Return the best particle's map; see ``Mapper.grid``."""
         if not self._is_mapped:
-            message = f"{self.name}: no scan could be used, so there is no map"
-            raise SlamFusionError(message)
+            raise SlamFusionError(f"{self.name}: no scan could be used, so there is no map")
         return self._maps.grid(self._particles.best, self.name)
 
     def memory_bytes(self) -> int:

@@ -245,8 +245,7 @@ class GraphSlam(SavedMapper):
             SlamFusionError: no scan has been used yet.
         """
         if not self._graph.nodes:
-            message = f"{self.name}: no scan could be used, so there is no map"
-            raise SlamFusionError(message)
+            raise SlamFusionError(f"{self.name}: no scan could be used, so there is no map")
         poses = self._graph.settled_poses() if is_settled else self._graph.poses
         return MapJob(tuple(self._graph.nodes), poses.copy(), self.name)
 

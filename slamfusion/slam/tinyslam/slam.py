@@ -199,8 +199,7 @@ class TinySlam:
     def grid(self) -> OccupancyGrid:
         """Return the published map; see ``Mapper.grid``."""
         if not self._mapped:
-            message = f"{self.name}: no scan could be used, so there is no map"
-            raise SlamFusionError(message)
+            raise SlamFusionError(f"{self.name}: no scan could be used, so there is no map")
         states, first = self._map.cells("published")
         percent = _percent(states.astype(np.uint32), self._config.occupied_share)
         cell = self._config.resolution
