@@ -14,30 +14,10 @@ costs nothing. The work is in ``slamfusion.jobs``, the settings in ``slamfusion.
 
 from __future__ import annotations
 
-import ast
-import importlib
-from pathlib import Path
-from typing import Any
-
+from slamfusion.lazy_names import lazy_names
 from slamfusion.version import __version__ as __version__
 
-# Where each public name is defined.
-_HOMES = {
-    name.name: node.module or ""
-    for node in ast.parse(Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8")).body
-    if isinstance(node, ast.ImportFrom)
-    for name in node.names
-}
-__all__ = sorted(_HOMES)  # noqa: PLE0605
-
-
-def __getattr__(name: str) -> Any:
-    """Load a public name when it is first asked for (PEP 562)."""
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(importlib.import_module(_HOMES[name]), name)
-    globals()[name] = value
-    return value
+__all__, __getattr__ = lazy_names(__name__, __file__)
 
 
 def __dir__() -> list[str]:

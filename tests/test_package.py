@@ -21,6 +21,7 @@ CORE = {
     "slamfusion.config": {"numpy"},
     "slamfusion.cli.program": LATE,
     "slamfusion.cli.run": LATE,
+    "slamfusion.slam.registry": LATE,
     "slamfusion.io": {"scipy"},
     "slamfusion.jobs.fuse": SLOW,
     "slamfusion.jobs.run": SLOW,

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slamfusion.cli.fused import tell_left_out
 from slamfusion.cli.help import Command
 from slamfusion.cli.options import (
     case_option,
@@ -31,13 +30,14 @@ from slamfusion.cli.results import (
     save_results,
     table_option,
 )
+from slamfusion.cli.tables import print_evaluations, tell_left_out, tell_unaligned
 from slamfusion.config import RunConfig
 from slamfusion.jobs.cases import CaseFile, Placed, case_names, place_files
 from slamfusion.jobs.documents import number
 from slamfusion.jobs.inputs import device_for, distinct_names, load_maps, map_file
 
 if TYPE_CHECKING:
-    from slamfusion.evaluation import DistanceComparison, Figure
+    from slamfusion.evaluation import DistanceComparison
     from slamfusion.grid import OccupancyGrid
     from slamfusion.jobs.records import CasesEvaluationDocument, EvaluateDocument, Evaluation
 
@@ -305,48 +305,6 @@ def _inputs(request: _Request, truths: Mapping[str, Path]) -> list[tuple[str, st
     if request.distances_path is not None:
         found.append(("distances", "", request.distances_path))
     return found
-
-
-def tell_unaligned(evaluations: Sequence[Evaluation]) -> None:
-    """Tell why maps could not be aligned with the truth: they may be mirrored, for example."""
-    for evaluation in evaluations:
-        if evaluation.alignment is not None and not evaluation.aligned:
-            notice(f"not aligned: {evaluation.name}: {evaluation.alignment.reason}")
-
-
-def print_evaluations(evaluations: Sequence[Evaluation]) -> None:
-    """Print the errors of each map; ``--verbose`` adds figures that do not reward thick walls."""
-    from slamfusion.evaluation import face_figures, shown_figures  # noqa: PLC0415  (loads slowly)
-
-    first = evaluations[0]
-    _print_figures(
-        ("map ", "aligned "),
-        [(item.name, "yes" if item.aligned else "NO") for item in evaluations],
-        list(map(shown_figures, evaluations)),
-        f"Errors against {first.truth} (walls within {first.tolerance_m:g} m)",
-    )
-    if is_verbose():
-        _print_figures(
-            ("map ",),
-            [(item.name,) for item in evaluations],
-            list(map(face_figures, evaluations)),
-            "Faces of walls: wall cells next to free cells, so that thick walls gain nothing",
-        )
-
-
-def _print_figures(
-    heads: Sequence[str],
-    names: Sequence[Sequence[str]],
-    figures: Sequence[Sequence[tuple[Figure, float | None]]],
-    title: str,
-) -> None:
-    """Print a row of figures for each map."""
-    columns = (*heads, *(figure.label for figure, _ in figures[0]))
-    rows = [
-        [*name, *(number(value, figure.digits) for figure, value in own)]
-        for name, own in zip(names, figures, strict=True)
-    ]
-    print_table(columns, rows, title=title)
 
 
 def _print_distances(comparison: DistanceComparison) -> None:

@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slamfusion.cli.evaluate import print_evaluations, tell_unaligned
-from slamfusion.cli.fused import print_fusion, print_pairs, tell_left_out
 from slamfusion.cli.help import Choice, Command
 from slamfusion.cli.options import (
     GivenStarts,
@@ -39,6 +37,13 @@ from slamfusion.cli.output import (
 )
 from slamfusion.cli.paths import MAP
 from slamfusion.cli.results import table_option
+from slamfusion.cli.tables import (
+    print_evaluations,
+    print_fusion,
+    print_pairs,
+    tell_left_out,
+    tell_unaligned,
+)
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError
 from slamfusion.jobs.inputs import LIKE_PAPER, GivenMaps, device_for, load_maps

@@ -189,9 +189,8 @@ class Group(click.Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """Return the command that is named first, or name the nearest one."""
-        names = self.list_commands(ctx)
-        if not args[0].startswith("-") and args[0] not in names and not ctx.resilient_parsing:
-            raise click.UsageError(unknown(args[0], names), ctx)
+        if not ctx.resilient_parsing and self.get_command(ctx, args[0]) is None:
+            raise click.UsageError(unknown(args[0], self.list_commands(ctx)), ctx)
         return super().resolve_command(ctx, args)
 
     def summaries(self) -> list[tuple[str, str]]:

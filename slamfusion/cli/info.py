@@ -13,7 +13,6 @@ from slamfusion.cli.options import common_options, with_config
 from slamfusion.cli.output import print_json, print_table, progress_bar, say
 from slamfusion.cli.paths import FILE
 from slamfusion.config import RunConfig
-from slamfusion.json_values import plain
 
 UNITS = {"s": "s", "m": "m", "m2": "m2", "hz": "Hz", "deg": "deg", "percent": "%"}
 
@@ -37,7 +36,7 @@ def command(path: Path, config: RunConfig, as_json: bool) -> int:
     with progress_bar() as progress:
         found = describe(path, config, progress)
     if as_json:
-        print_json(plain(found))
+        print_json(found)
         return 0
     (record,) = (item for item in (found.log, found.map, found.run) if item is not None)
     rows = [_row(field.name, getattr(record, field.name)) for field in fields(record)]

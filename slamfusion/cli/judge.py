@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,8 +27,6 @@ from slamfusion.cli.output import (
     print_json,
     print_table,
     progress_bar,
-    say,
-    wrapped,
 )
 from slamfusion.cli.paths import CASE_FILE
 from slamfusion.cli.results import (
@@ -39,6 +36,7 @@ from slamfusion.cli.results import (
     save_results,
     table_option,
 )
+from slamfusion.cli.tables import path_columns, path_row, print_recommendation
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.jobs.cases import CaseFile, Placed, case_names, files_by_case, place_files
@@ -46,7 +44,7 @@ from slamfusion.jobs.documents import number
 from slamfusion.jobs.inputs import device_for
 
 if TYPE_CHECKING:
-    from slamfusion.evidence import RankedPath, Recommendation
+    from slamfusion.evidence import RankedPath
     from slamfusion.jobs.judge import JudgedPaths
     from slamfusion.jobs.trajectory import CaseFiles
 
@@ -208,13 +206,13 @@ def _print(found: JudgedPaths) -> None:
     """Print the paths, the rankings by what is known, and which one to use."""
     answer = found.recommendation
     by_truth, by_relations = found.ranking_by_truth(), found.ranking_by_relations()
-    columns = _columns(answer)
+    columns = path_columns(answer)
     columns += ["ATE rmse [m]", "rank"] if by_truth else []
     columns += ["relations mean [m]", "rank"] if by_relations else []
     rows = []
     for path in answer.paths:
         measures = found.measures.get(path.name)
-        row = _path_row(answer, path)
+        row = path_row(answer, path)
         if by_truth:
             errors = None if measures is None else measures.truth
             row += [number(None if errors is None else errors.ate.rmse, 4), _rank(path, by_truth)]
@@ -229,48 +227,6 @@ def _print(found: JudgedPaths) -> None:
     if found.files.fused is not None:
         print_facts(("fused path", found.files.fused))
     print_recommendation(answer)
-
-
-def print_reasons(answer: Recommendation) -> None:
-    """Print how well the scans support each path, if they could be asked."""
-    if answer.paths:
-        rows = [_path_row(answer, path) for path in answer.paths]
-        print_table(_columns(answer), rows, title="How well the scans support each path")
-
-
-def print_recommendation(answer: Recommendation) -> None:
-    """Print what to use and what to check; green, amber or red on a terminal."""
-    colour = {"good": "green", "warn": "yellow", "bad": "red"}.get(answer.tone)
-    click.secho(wrapped(f"{answer.headline}.", sys.stdout), fg=colour, bold=True)
-    for subject, text in answer.lines():
-        say(f"{subject:<13}{text}", indent=13)
-
-
-def _columns(answer: Recommendation) -> list[str]:
-    """Return the names of the figures of a path."""
-    columns = ["path ", "log-likelihood per hit, mean", "behind the best", "95 % interval"]
-    columns += ["apart from it [s]", "at most [m]"]
-    return [*columns, "from fused, rms [m]"] if _has_fused(answer) else columns
-
-
-def _has_fused(answer: Recommendation) -> bool:
-    """Return whether paths are compared with a fused one."""
-    return any(path.from_fused_m is not None for path in answer.paths)
-
-
-def _path_row(answer: Recommendation, path: RankedPath) -> list[str]:
-    """Return the figures of a path."""
-    interval = path.behind_95
-    apart = [span for span in path.spans if not span.agrees]
-    row = [
-        path.name,
-        number(path.consistency, 4),
-        number(None if interval is None else path.behind, 4),
-        "-" if interval is None else f"{interval[0]:.4f} to {interval[1]:.4f}",
-        number(sum(span.to_s - span.from_s for span in apart), 0),
-        number(max((span.gap_m for span in apart), default=None), 2),
-    ]
-    return [*row, number(path.from_fused_m, 3)] if _has_fused(answer) else row
 
 
 def _rank(path: RankedPath, ranking: tuple[str, ...]) -> str:

@@ -10,7 +10,7 @@ import shutil
 import sys
 import textwrap
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
@@ -49,7 +49,7 @@ class Settings:
     arguments: tuple[str, ...] = ()
 
 
-def print_json(document: Mapping[str, Any]) -> None:
+def print_json(document: Any) -> None:
     """Print the run's one JSON document to stdout; NaN and infinity become null."""
     from slamfusion.json_values import plain  # noqa: PLC0415  (NumPy loads slowly; --help needs none)
 

@@ -11,10 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slamfusion.cli.evaluate import print_evaluations, tell_unaligned
-from slamfusion.cli.fused import print_fusion, print_pairs
 from slamfusion.cli.help import Command
-from slamfusion.cli.judge import print_reasons, print_recommendation
 from slamfusion.cli.options import (
     GivenStarts,
     check_odometry,
@@ -44,6 +41,14 @@ from slamfusion.cli.output import (
 )
 from slamfusion.cli.paths import CASE_FILE, FILE, MAP
 from slamfusion.cli.results import print_items, results_option, save_results, table_option
+from slamfusion.cli.tables import (
+    print_evaluations,
+    print_fusion,
+    print_pairs,
+    print_reasons,
+    print_recommendation,
+    tell_unaligned,
+)
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.jobs.documents import number

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slamfusion.cli.evaluate import print_evaluations, tell_unaligned
 from slamfusion.cli.help import Command, Group
 from slamfusion.cli.options import (
     check_odometry,
@@ -32,7 +31,7 @@ from slamfusion.cli.output import (
 )
 from slamfusion.cli.paths import FILE, MAP
 from slamfusion.cli.results import print_items, table_option
-from slamfusion.cli.trajectory import print_measures
+from slamfusion.cli.tables import print_evaluations, print_measures, tell_unaligned
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.jobs.outputs import PAGE, SUFFIXES, output_files
@@ -56,7 +55,10 @@ class _Producers(Group):
         Raises:
             SlamFusionError: the package that offers it is broken.
         """
-        return _make_command(cmd_name) if cmd_name in self.list_commands(ctx) else None
+        from slamfusion.slam.registry import BUILT_IN  # noqa: PLC0415  (loads slowly)
+
+        known = cmd_name in BUILT_IN or cmd_name in self.list_commands(ctx)
+        return _make_command(cmd_name) if known else None
 
     def summaries(self) -> list[tuple[str, str]]:
         """Return each producer and what it is; of a broken one, what is wrong with it."""

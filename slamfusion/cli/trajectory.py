@@ -18,23 +18,18 @@ from slamfusion.cli.options import (
     report_option,
     with_config,
 )
-from slamfusion.cli.output import notice, print_json, print_table, say
+from slamfusion.cli.output import notice, print_json
 from slamfusion.cli.paths import CASE_FILE, MAP
 from slamfusion.cli.results import print_items, results_option, save_results, table_option
+from slamfusion.cli.tables import print_measures
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.jobs.cases import CaseFile, Placed, files_by_case, place_files, shared_case_names
-from slamfusion.jobs.documents import number
 from slamfusion.jobs.inputs import load_maps
 
 if TYPE_CHECKING:
-    from slamfusion.evaluation import DensePoses
     from slamfusion.jobs.records import TrajectoriesDocument, TrajectoryDocument
-    from slamfusion.jobs.trajectory import CaseFiles, Measures
-    from slamfusion.trajectory import Trajectory
-
-# The statistics of an error that are shown.
-FIGURES = ("mean", "std", "rmse", "median", "min", "max")
+    from slamfusion.jobs.trajectory import CaseFiles
 
 
 @dataclass(frozen=True)
@@ -183,55 +178,3 @@ def _measure(request: _Request, config: RunConfig) -> int:
     if not_measured:
         raise SlamFusionError("; ".join(not_measured))
     return 0
-
-
-def print_measures(estimate: Trajectory, measures: Measures) -> None:
-    """Print one row for each kind of error, then how it was counted."""
-    from slamfusion.evaluation import error_kinds, mean_interval  # noqa: PLC0415
-
-    rows = [
-        [f"{kind}{which}", *(number(getattr(errors, name, None), digits) for name in FIGURES)]
-        for own, which in ((measures, ""), (measures.online, ", as first reported"))
-        if own is not None
-        for kind, errors, digits in error_kinds(own.truth, own.relations, own.at_scans)
-    ]
-    notes = []
-    if measures.relations is not None:
-        errors = measures.relations
-        notes.append(
-            f"{errors.relations_used} of {errors.relations_total} relations used, "
-            f"{_how(measures.dense, errors.tolerance_s)}"
-        )
-    if measures.at_scans is not None:
-        own = measures.at_scans
-        low, high = mean_interval(own.translation_m)
-        notes.append(
-            f"both ends are poses of the trajectory in {own.relations_used} of "
-            f"{own.relations_total} relations; the mean of their translation errors is "
-            f"{number(low, 4)} to {number(high, 4)} m with 95 %"
-        )
-    if measures.truth is not None:
-        found = measures.truth
-        aligned = "aligned" if found.alignment.kind == "se2" else "not aligned"
-        notes.append(
-            f"{found.poses_matched} of {found.poses} poses met one of {found.truth} within "
-            f"{found.tolerance_s:g} s, {aligned}; "
-            f"{len(found.relative_translation_m)} pairs"
-        )
-        if found.time_offset_s:
-            notes.append(f"{found.time_offset_s:.4f} s added to the times of {found.truth}")
-    title = f"{estimate.name}: {len(estimate)} poses, {estimate.path_length_m():.1f} m"
-    print_table(("error ", *FIGURES), rows, title=title)
-    for note in notes:
-        say(note)
-
-
-def _how(dense: DensePoses | None, tolerance_s: float) -> str:
-    """Say how a pose was found for a relation's time."""
-    if dense is None:
-        return f"poses within {tolerance_s:g} s of both times"
-    total = dense.poses_used + dense.poses_without_row
-    return (
-        f"poses carried on by {dense.rows} rows of odometry; rows of the poses found "
-        f"by {dense.rows_found_by}, {dense.poses_without_row} of {total} poses without one"
-    )

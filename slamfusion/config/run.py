@@ -5,13 +5,65 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 
 from slamfusion.config.core import Checked, option
 from slamfusion.config.fusion import EvaluateConfig, FusionConfig, LiveConfig
-from slamfusion.config.sim import SimulateConfig
-from slamfusion.config.slam import GraphOptimizerConfig
 from slamfusion.errors import ConfigError, StartError, shown
+
+LidarName: TypeAlias = Literal["kinect", "hokuyo", "rplidar", "lds01"]
+
+
+@dataclass(frozen=True)
+class SimulateConfig(Checked):
+    """What a simulated drive changes of its course; unset, the course decides."""
+
+    world: str | None = option(
+        None,
+        "drawn place (office, corridor, hall, atrium, yard, ring-100, ring-300, wings, pillars, "
+        "rooms), or a map file",
+    )
+    world_seed: int | None = option(None, "seed of the drawn place; default: the run's seed", low=0)
+    resolution: float | None = option(
+        None, "cell size of the drawn truth", unit="m", low=0.01, high=0.25
+    )
+    lidar: LidarName | None = option(None, "laser on the robot")
+    drive: Literal["differential", "bicycle", "tracks"] | None = option(
+        None,
+        "how the robot moves",
+    )
+    obstacle: bool | None = option(
+        None, "a cable on the way, over which wheels slip and the laser tilts"
+    )
+    people: int | None = option(None, "people who walk about", low=0, high=100)
+    glass_share: float | None = option(
+        None, "share of the wall cells that are glass", low=0.0, high=1.0
+    )
+
+
+@dataclass(frozen=True)
+class GraphOptimizerConfig(Checked):
+    """The optimiser of pose graphs in files."""
+
+    robust: Literal["consensus", "gnc", "dcs", "none"] = option(
+        "consensus",
+        "how false closures are found: by those that bear each other out, by graduated "
+        "non-convexity, by dynamic covariance scaling; or none, and all are believed",
+    )
+    start: Literal["best", "given", "odometry", "chordal"] = option(
+        "best",
+        "start from the file's poses, the odometry, the chordal relaxation, or the best of them",
+    )
+    max_iterations: int = option(
+        100, "steps of a descent at most", low=1, high=100_000, level="expert"
+    )
+    tolerance: float = option(
+        1e-5,
+        "a descent ends after a step that promises to lower chi-square by a smaller share",
+        low=0.0,
+        high=0.1,
+        level="expert",
+    )
 
 
 @dataclass(frozen=True)
@@ -71,7 +123,7 @@ class FailuresConfig(Checked):
     worlds: int = option(1, "worlds that each course is driven in", low=1, high=1000)
     first_world: int = option(1, "seed of the first world; the others follow", low=0)
     courses: tuple[str, ...] = option(("all",), "courses of the table, with commas, or all")
-    lidars: tuple[Literal["kinect", "hokuyo", "rplidar", "lds01"], ...] = option(
+    lidars: tuple[LidarName, ...] = option(
         ("kinect", "hokuyo", "rplidar"), "lasers that drive each course, with commas"
     )
     draw: bool = option(False, "also draw maps from the scans: at each path, and at the fused one")

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 from slamfusion.config.core import Checked, option
+from slamfusion.config.run import LidarName
 from slamfusion.errors import ConfigError
 
 # Places that are drawn; a world may also be a map file.
@@ -23,7 +24,6 @@ DrawnPlace: TypeAlias = Literal[
     "rooms",
 ]
 PlaceName: TypeAlias = Literal[DrawnPlace, "map"]
-LidarName: TypeAlias = Literal["kinect", "hokuyo", "rplidar", "lds01"]
 
 
 @dataclass(frozen=True)
@@ -219,30 +219,3 @@ class ActionConfig(Checked):
         """How long it takes."""
         turn_s = abs(self.turn_deg) / self.speed_deg_s
         return turn_s + abs(self.forward_m) / self.speed_mps + self.wait_s
-
-
-@dataclass(frozen=True)
-class SimulateConfig(Checked):
-    """What a simulated drive changes of its course; unset, the course decides."""
-
-    world: str | None = option(
-        None,
-        "drawn place (office, corridor, hall, atrium, yard, ring-100, ring-300, wings, pillars, "
-        "rooms), or a map file",
-    )
-    world_seed: int | None = option(None, "seed of the drawn place; default: the run's seed", low=0)
-    resolution: float | None = option(
-        None, "cell size of the drawn truth", unit="m", low=0.01, high=0.25
-    )
-    lidar: LidarName | None = option(None, "laser on the robot")
-    drive: Literal["differential", "bicycle", "tracks"] | None = option(
-        None,
-        "how the robot moves",
-    )
-    obstacle: bool | None = option(
-        None, "a cable on the way, over which wheels slip and the laser tilts"
-    )
-    people: int | None = option(None, "people who walk about", low=0, high=100)
-    glass_share: float | None = option(
-        None, "share of the wall cells that are glass", low=0.0, high=1.0
-    )

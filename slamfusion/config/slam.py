@@ -351,28 +351,3 @@ class GraphConfig(Checked):
     odometry: Literal["poses", "none"] = option(
         "poses", "use the log's odometry, or none", flag="--use-odometry"
     )
-
-
-@dataclass(frozen=True)
-class GraphOptimizerConfig(Checked):
-    """The optimiser of pose graphs in files."""
-
-    robust: Literal["consensus", "gnc", "dcs", "none"] = option(
-        "consensus",
-        "how false closures are found: by those that bear each other out, by graduated "
-        "non-convexity, by dynamic covariance scaling; or none, and all are believed",
-    )
-    start: Literal["best", "given", "odometry", "chordal"] = option(
-        "best",
-        "start from the file's poses, the odometry, the chordal relaxation, or the best of them",
-    )
-    max_iterations: int = option(
-        100, "steps of a descent at most", low=1, high=100_000, level="expert"
-    )
-    tolerance: float = option(
-        1e-5,
-        "a descent ends after a step that promises to lower chi-square by a smaller share",
-        low=0.0,
-        high=0.1,
-        level="expert",
-    )

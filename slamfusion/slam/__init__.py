@@ -7,6 +7,6 @@ name and ``side_by_side`` runs several on one log.
 
 from __future__ import annotations
 
-from slamfusion.slam.common.mapper import Health, Mapper, Step
+from slamfusion.lazy_names import lazy_names
 
-__all__ = ["Health", "Mapper", "Step"]
+__all__, __getattr__ = lazy_names(__name__, __file__)

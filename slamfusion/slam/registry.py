@@ -7,32 +7,33 @@ takes part in ``slam``, ``run`` and ``node`` by that name. Nothing else knows pr
 
 from __future__ import annotations
 
-import importlib.metadata
 import logging
 import pkgutil
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from slamfusion.compute import ComputeDevice, open_device
-from slamfusion.config import RunConfig, from_mapping
+from slamfusion.config import (
+    GmappingConfig,
+    GraphConfig,
+    RunConfig,
+    TinySlamConfig,
+    from_mapping,
+)
 from slamfusion.errors import ConfigError, SlamFusionError, shown
-from slamfusion.io.yaml_file import read_yaml
-from slamfusion.slam.common.mapper import Mapper
-from slamfusion.slam.common.runner import Resumable
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
+
+    from slamfusion.compute import ComputeDevice
+    from slamfusion.slam.common.mapper import Mapper
+    from slamfusion.slam.common.runner import Resumable
 
 _LOG = logging.getLogger(__name__)
 
 ENTRY_POINTS = "slamfusion.producers"
-# Where the records of our own producers lie, in the order of the papers' tables.
-_PLACES = {
-    "tinyslam": "slamfusion.slam.tinyslam.slam:PRODUCER",
-    "gmapping": "slamfusion.slam.gmapping.slam:PRODUCER",
-    "graph": "slamfusion.slam.graph.slam:PRODUCER",
-}
-BUILT_IN = tuple(_PLACES)
 # Seconds between two published maps of a producer that names no other interval.
 MAP_INTERVAL_S = 1.0
 
@@ -76,12 +77,55 @@ class Producer:
             raise ValueError(message)
 
 
+def _imported(place: str, *arguments: Any) -> Any:
+    """Call what ``module:name`` below this package names; it is imported only now."""
+    return pkgutil.resolve_name(f"slamfusion.slam.{place}")(*arguments)
+
+
+# Our own producers, in the order of the papers' tables.
+_BUILT_IN = {
+    own.name: own
+    for own in (
+        Producer(
+            name="tinyslam",
+            summary="tinySLAM: one map and a Monte-Carlo scan matcher",
+            config=TinySlamConfig(),
+            make=partial(_imported, "tinyslam.slam:TinySlam"),
+            cost=1.0,
+            prefers_small_kernels=True,
+        ),
+        Producer(
+            name="gmapping",
+            summary="gmapping: a Rao-Blackwellised particle filter",
+            config=GmappingConfig(),
+            make=partial(_imported, "gmapping.slam:Gmapping"),
+            load=partial(_imported, "gmapping.slam:Gmapping.load_state"),
+            cost=6.0,
+            map_interval_s=lambda config: float(config.chosen().map_update_interval or 0.0),
+        ),
+        Producer(
+            name="graph",
+            summary="graph SLAM: scans on submaps, loop closures, a pose graph",
+            config=GraphConfig(),
+            make=partial(_imported, "graph.slam:GraphSlam"),
+            load=partial(_imported, "graph.slam:GraphSlam.load_state"),
+            cost=3.0,
+            closes_loops=True,
+            prefers_small_kernels=True,
+        ),
+    )
+}
+BUILT_IN = tuple(_BUILT_IN)
+
+
 @cache
-def _others() -> Mapping[str, importlib.metadata.EntryPoint]:
+def _others() -> Mapping[str, EntryPoint]:
     """Return the entry points of other packages, by name; none is imported."""
-    found: dict[str, importlib.metadata.EntryPoint] = {}
-    for point in importlib.metadata.entry_points(group=ENTRY_POINTS):
-        if point.name in _PLACES or point.name in found:
+    from importlib.metadata import entry_points  # noqa: PLC0415  (loads slowly)
+
+    found: dict[str, EntryPoint] = {}
+    for point in entry_points(group=ENTRY_POINTS):
+        if point.name in _BUILT_IN or point.name in found:
             _LOG.warning(
                 "the producer %r of %s is not used: another one has this name",
                 point.name,
@@ -99,9 +143,9 @@ def producer_names() -> tuple[str, ...]:
 
 def producer(name: str) -> Producer:
     """Return a producer's record."""
-    if name in _PLACES:
-        found = pkgutil.resolve_name(_PLACES[name])
-    elif name in _others():
+    if name in _BUILT_IN:
+        return _BUILT_IN[name]
+    if name in _others():
         point = _others()[name]
         try:
             found = point.load()
@@ -155,6 +199,8 @@ def load_config(path: str | Path, base: RunConfig | None = None) -> RunConfig:
     Raises:
         ConfigError: no YAML, an unknown key or producer, a wrong type or range.
     """
+    from slamfusion.io.yaml_file import read_yaml  # noqa: PLC0415  (OpenCV loads slowly)
+
     whole = RunConfig() if base is None else base
     values = read_yaml(path, ConfigError, "a YAML file of settings")
     if not isinstance(values, dict):
@@ -185,6 +231,8 @@ def load_config(path: str | Path, base: RunConfig | None = None) -> RunConfig:
 
 def open_producer_device(name: str, config: RunConfig) -> ComputeDevice:
     """Return the device for a producer that has a process to itself."""
+    from slamfusion.compute import open_device  # noqa: PLC0415  (loads slowly)
+
     return open_device(config.device.device, small_kernels=producer(name).prefers_small_kernels)
 
 

@@ -42,7 +42,6 @@ from slamfusion.slam.gmapping.particles import (
 )
 from slamfusion.slam.gmapping.pose_sampler import PoseSampler, make_motion_model
 from slamfusion.slam.records import FilterJson, HealthJson
-from slamfusion.slam.registry import Producer
 from slamfusion.trajectory import Trajectory
 
 
@@ -278,19 +277,3 @@ def _is_due(moved: Pose2, waited_s: float, config: Any) -> bool:
         or abs(wrap_angle(moved.yaw_rad)) >= config.angularUpdate
         or 0.0 <= config.temporalUpdate <= waited_s
     )
-
-
-def _map_interval_s(config: GmappingConfig) -> float:
-    """Return seconds between two maps: gmapping has a parameter for that."""
-    return float(config.chosen().map_update_interval or 0.0)
-
-
-PRODUCER = Producer(
-    name="gmapping",
-    summary="gmapping: a Rao-Blackwellised particle filter",
-    config=GmappingConfig(),
-    make=Gmapping,
-    load=Gmapping.load_state,
-    cost=6.0,
-    map_interval_s=_map_interval_s,
-)

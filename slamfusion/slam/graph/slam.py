@@ -32,7 +32,6 @@ from slamfusion.slam.graph.localizer import Localizer, Observation, TrackingQual
 from slamfusion.slam.graph.loop_closure import LoopClosure, PendingClosure, RelocalizationHypothesis
 from slamfusion.slam.graph.map_graph import NO_NODE, Constraint, DrivenPath, GraphHealth, MapGraph
 from slamfusion.slam.graph.node_map import Node, NodeMap
-from slamfusion.slam.registry import Producer
 from slamfusion.trajectory import Trajectory
 
 NAME = "graph"
@@ -260,15 +259,3 @@ def _is_far(moved: Pose2, config: GraphConfig) -> bool:
         math.hypot(moved.x, moved.y) >= config.minimum_travel_distance
         or abs(wrap_angle(moved.yaw_rad)) >= config.minimum_travel_heading
     )
-
-
-PRODUCER = Producer(
-    name="graph",
-    summary="graph SLAM: scans on submaps, loop closures, a pose graph",
-    config=GraphConfig(),
-    make=GraphSlam,
-    load=GraphSlam.load_state,
-    cost=3.0,
-    closes_loops=True,
-    prefers_small_kernels=True,
-)

@@ -26,7 +26,6 @@ from slamfusion.slam.common.mapper import Health, Series, Step
 from slamfusion.slam.common.matcher import FieldMap, Match, PoseHypothesis
 from slamfusion.slam.common.tile_map import TileMap
 from slamfusion.slam.common.tracking import Tracker
-from slamfusion.slam.registry import Producer
 from slamfusion.trajectory import Trajectory
 
 F64 = npt.NDArray[np.float64]
@@ -325,13 +324,3 @@ def _percent(states: npt.NDArray[np.uint32], occupied_share: float) -> npt.NDArr
     percent = np.rint(np.interp(mean, limits, PERCENTS)).astype(np.int8)
     percent[states & MOST_OBSERVATIONS == 0] = UNKNOWN
     return percent
-
-
-PRODUCER = Producer(
-    name="tinyslam",
-    summary="tinySLAM: one map and a Monte-Carlo scan matcher",
-    config=TinySlamConfig(),
-    make=TinySlam,
-    cost=1.0,
-    prefers_small_kernels=True,
-)

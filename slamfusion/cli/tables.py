@@ -1,0 +1,293 @@
+"""Tables that several commands print: fusions, errors of maps and paths, recommendations."""
+
+from __future__ import annotations
+
+import math
+import shlex
+import sys
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import click
+
+from slamfusion.cli.output import is_verbose, notice, print_table, say, wrapped
+from slamfusion.jobs.documents import number
+
+if TYPE_CHECKING:
+    from slamfusion.align.records import (
+        Alignment,
+        Fusion,
+        FusionResult,
+        InputRecord,
+        StoredFusion,
+    )
+    from slamfusion.evaluation import DensePoses, Figure
+    from slamfusion.evidence import RankedPath, Recommendation
+    from slamfusion.jobs.records import DoubledWalls, Evaluation
+    from slamfusion.jobs.trajectory import Measures
+    from slamfusion.trajectory import Trajectory
+
+# The statistics of an error that are shown.
+FIGURES = ("mean", "std", "rmse", "median", "min", "max")
+PAIR_COLUMNS = (
+    "reference ",
+    "input ",
+    "accepted ",
+    "dx [m]",
+    "dy [m]",
+    "yaw [deg]",
+    "score",
+    "overlap",
+    "runner-up ratio",
+)
+
+
+def print_fusion(
+    result: FusionResult | StoredFusion, doubled: DoubledWalls | None, wanted: str | None
+) -> None:
+    """Print how each input lies to the reference, how many were fused and in whose frame.
+
+    ``--verbose`` adds why each was accepted, and where the inputs are, ready to paste.
+    """
+    from slamfusion.jobs.fuse_documents import fusion_sentences  # noqa: PLC0415  (loads slowly)
+
+    print_table(
+        PAIR_COLUMNS[1:],
+        [_row(record, result.reference) for record in result.inputs],
+        notes=[
+            "" if record.accepted and not is_verbose() else record.reason
+            for record in result.inputs
+        ],
+        title=f"Alignment to {result.reference}" + (f", on {result.device}" * is_verbose()),
+    )
+    fused, added = fusion_sentences(result, doubled, wanted)
+    say(fused)
+    if not is_verbose():
+        return
+    say(added)
+    for group in (result, *result.others):
+        print(f"poses of the inputs in the frame of {group.reference}, as starts:")
+        print("   " + "".join(f" {_start_words(pair)}" for pair in _alignments(group)))
+        print("and as transforms:")
+        for pair in _alignments(group):
+            if pair.moving != pair.reference:
+                print(f"    {_transform_words(pair)}")
+
+
+def _alignments(result: Fusion) -> list[Alignment]:
+    """Return how each input that was fused lies to the reference."""
+    found = [record.alignment for record in result.accepted]
+    return [pair for pair in found if pair is not None]
+
+
+def _start_words(pair: Alignment) -> str:
+    """Return the option ``--start`` that expects a map where it was found."""
+    motion = pair.transform
+    x, y, yaw = number(motion.x), number(motion.y), number(math.degrees(motion.yaw_rad), 2)
+    return shlex.join(["--start", f"{pair.moving}={x},{y},{yaw}deg"])
+
+
+def _transform_words(pair: Alignment) -> str:
+    """Return the command that publishes a map's frame in that of the reference."""
+    motion = pair.transform
+    return shlex.join(
+        [
+            *("ros2", "run", "tf2_ros", "static_transform_publisher"),
+            *("--x", f"{motion.x:.4f}", "--y", f"{motion.y:.4f}"),
+            *("--yaw", f"{motion.yaw_rad:.6f}"),
+            *("--frame-id", pair.reference, "--child-frame-id", pair.moving),
+        ]
+    )
+
+
+def tell_left_out(result: FusionResult | StoredFusion) -> None:
+    """Name on stderr the inputs without a vote, bent ones, and what the map was cut off from."""
+    from slamfusion.jobs.fuse_documents import left_out_sentences  # noqa: PLC0415  (loads slowly)
+
+    for sentence in left_out_sentences(result):
+        notice(sentence)
+
+
+def print_pairs(pairs: Sequence[Alignment], device: str) -> None:
+    """Print the pairs of maps of which nothing was fused."""
+    print_table(
+        PAIR_COLUMNS,
+        [[pair.reference, *_cells(pair, _accepted(pair))] for pair in pairs],
+        notes=[pair.reason for pair in pairs],
+        title=f"Nothing was fused (on {device})",
+    )
+
+
+def _accepted(found: Alignment) -> str:
+    """Return whether an alignment is accepted, and if so how good it is, where that is known."""
+    return found.strength or ("yes" if found.accepted else "NO")
+
+
+def _row(record: InputRecord, reference: str) -> list[str]:
+    """Return an input's row of the alignment table."""
+    accepted = "yes" if record.accepted else "NO"
+    if record.accepted and record.alignment is not None:
+        accepted = _accepted(record.alignment)
+    if record.name == reference:
+        accepted = "reference"
+    if record.copy_of is not None:
+        accepted = "copy"
+    if record.alignment is None:
+        return [record.name, accepted, *["-"] * (len(PAIR_COLUMNS) - 3)]
+    return [record.name, *_cells(record.alignment, accepted)[1:]]
+
+
+def _cells(found: Alignment, accepted: str) -> list[str]:
+    """Return an alignment's cells of the table, from the input's name on."""
+    return [
+        found.moving,
+        accepted,
+        number(found.transform.x),
+        number(found.transform.y),
+        number(math.degrees(found.transform.yaw_rad), 2),
+        number(found.score),
+        number(found.overlap),
+        number(None if found.runner_up is None else found.runner_up.ratio, 2),
+    ]
+
+
+# --- errors of maps and paths ---------------------------------------------------------------------
+
+
+def tell_unaligned(evaluations: Sequence[Evaluation]) -> None:
+    """Tell why maps could not be aligned with the truth: they may be mirrored, for example."""
+    for evaluation in evaluations:
+        if evaluation.alignment is not None and not evaluation.aligned:
+            notice(f"not aligned: {evaluation.name}: {evaluation.alignment.reason}")
+
+
+def print_evaluations(evaluations: Sequence[Evaluation]) -> None:
+    """Print the errors of each map; ``--verbose`` adds figures that do not reward thick walls."""
+    from slamfusion.evaluation import face_figures, shown_figures  # noqa: PLC0415  (loads slowly)
+
+    first = evaluations[0]
+    _print_figures(
+        ("map ", "aligned "),
+        [(item.name, "yes" if item.aligned else "NO") for item in evaluations],
+        list(map(shown_figures, evaluations)),
+        f"Errors against {first.truth} (walls within {first.tolerance_m:g} m)",
+    )
+    if is_verbose():
+        _print_figures(
+            ("map ",),
+            [(item.name,) for item in evaluations],
+            list(map(face_figures, evaluations)),
+            "Faces of walls: wall cells next to free cells, so that thick walls gain nothing",
+        )
+
+
+def _print_figures(
+    heads: Sequence[str],
+    names: Sequence[Sequence[str]],
+    figures: Sequence[Sequence[tuple[Figure, float | None]]],
+    title: str,
+) -> None:
+    """Print a row of figures for each map."""
+    columns = (*heads, *(figure.label for figure, _ in figures[0]))
+    rows = [
+        [*name, *(number(value, figure.digits) for figure, value in own)]
+        for name, own in zip(names, figures, strict=True)
+    ]
+    print_table(columns, rows, title=title)
+
+
+def print_measures(estimate: Trajectory, measures: Measures) -> None:
+    """Print one row for each kind of error, then how it was counted."""
+    from slamfusion.evaluation import error_kinds, mean_interval  # noqa: PLC0415
+
+    rows = [
+        [f"{kind}{which}", *(number(getattr(errors, name, None), digits) for name in FIGURES)]
+        for own, which in ((measures, ""), (measures.online, ", as first reported"))
+        if own is not None
+        for kind, errors, digits in error_kinds(own.truth, own.relations, own.at_scans)
+    ]
+    notes = []
+    if measures.relations is not None:
+        errors = measures.relations
+        notes.append(
+            f"{errors.relations_used} of {errors.relations_total} relations used, "
+            f"{_how(measures.dense, errors.tolerance_s)}"
+        )
+    if measures.at_scans is not None:
+        own = measures.at_scans
+        low, high = mean_interval(own.translation_m)
+        notes.append(
+            f"both ends are poses of the trajectory in {own.relations_used} of "
+            f"{own.relations_total} relations; the mean of their translation errors is "
+            f"{number(low, 4)} to {number(high, 4)} m with 95 %"
+        )
+    if measures.truth is not None:
+        found = measures.truth
+        aligned = "aligned" if found.alignment.kind == "se2" else "not aligned"
+        notes.append(
+            f"{found.poses_matched} of {found.poses} poses met one of {found.truth} within "
+            f"{found.tolerance_s:g} s, {aligned}; "
+            f"{len(found.relative_translation_m)} pairs"
+        )
+        if found.time_offset_s:
+            notes.append(f"{found.time_offset_s:.4f} s added to the times of {found.truth}")
+    title = f"{estimate.name}: {len(estimate)} poses, {estimate.path_length_m():.1f} m"
+    print_table(("error ", *FIGURES), rows, title=title)
+    for note in notes:
+        say(note)
+
+
+def _how(dense: DensePoses | None, tolerance_s: float) -> str:
+    """Say how a pose was found for a relation's time."""
+    if dense is None:
+        return f"poses within {tolerance_s:g} s of both times"
+    total = dense.poses_used + dense.poses_without_row
+    return (
+        f"poses carried on by {dense.rows} rows of odometry; rows of the poses found "
+        f"by {dense.rows_found_by}, {dense.poses_without_row} of {total} poses without one"
+    )
+
+
+# --- recommendations ------------------------------------------------------------------------------
+
+
+def print_reasons(answer: Recommendation) -> None:
+    """Print how well the scans support each path, if they could be asked."""
+    if answer.paths:
+        rows = [path_row(answer, path) for path in answer.paths]
+        print_table(path_columns(answer), rows, title="How well the scans support each path")
+
+
+def print_recommendation(answer: Recommendation) -> None:
+    """Print what to use and what to check; green, amber or red on a terminal."""
+    colour = {"good": "green", "warn": "yellow", "bad": "red"}.get(answer.tone)
+    click.secho(wrapped(f"{answer.headline}.", sys.stdout), fg=colour, bold=True)
+    for subject, text in answer.lines():
+        say(f"{subject:<13}{text}", indent=13)
+
+
+def path_columns(answer: Recommendation) -> list[str]:
+    """Return the names of the figures of a path."""
+    columns = ["path ", "log-likelihood per hit, mean", "behind the best", "95 % interval"]
+    columns += ["apart from it [s]", "at most [m]"]
+    return [*columns, "from fused, rms [m]"] if _has_fused(answer) else columns
+
+
+def _has_fused(answer: Recommendation) -> bool:
+    """Return whether paths are compared with a fused one."""
+    return any(path.from_fused_m is not None for path in answer.paths)
+
+
+def path_row(answer: Recommendation, path: RankedPath) -> list[str]:
+    """Return the figures of a path."""
+    interval = path.behind_95
+    apart = [span for span in path.spans if not span.agrees]
+    row = [
+        path.name,
+        number(path.consistency, 4),
+        number(None if interval is None else path.behind, 4),
+        "-" if interval is None else f"{interval[0]:.4f} to {interval[1]:.4f}",
+        number(sum(span.to_s - span.from_s for span in apart), 0),
+        number(max((span.gap_m for span in apart), default=None), 2),
+    ]
+    return [*row, number(path.from_fused_m, 3)] if _has_fused(answer) else row
