@@ -7,6 +7,7 @@ through unchanged where the operating system's own words are clear enough.
 from __future__ import annotations
 
 import reprlib
+from collections.abc import Iterable
 from typing import Any
 
 _SHORT = reprlib.Repr()
@@ -18,6 +19,16 @@ def shown(value: Any) -> str:
     if isinstance(value, int) and value.bit_length() > 256:  # Python refuses to spell long ones
         return f"a number of {value.bit_length()} bits"
     return _SHORT.repr(value)
+
+
+def unknown(value: str, known: Iterable[str]) -> str:
+    """Say that a word is none of the known ones, and which of them is near."""
+    words = list(known)
+    import difflib  # noqa: PLC0415  (only for an error)
+
+    near = difflib.get_close_matches(value, words, n=1)
+    ask = f"; did you mean {near[0]!r}?" if near else ""
+    return f"{value!r} is not one of {', '.join(words)}{ask}"
 
 
 class SlamFusionError(Exception):

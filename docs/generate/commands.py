@@ -42,7 +42,8 @@ def command_pages() -> str:
             and not set(COMMON) & set(parameter.opts)
             and (record := parameter.get_help_record(context)) is not None
         ]
-        sections.append("\n".join([*lines, table(("option", "what"), rows)]))
+        lines += [table(("option", "what"), rows)] if rows else []
+        sections.append("\n".join(lines).rstrip())
     return "\n\n".join(sections)
 
 

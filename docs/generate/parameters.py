@@ -3,14 +3,7 @@
 from __future__ import annotations
 
 from docs.generate.markdown import row
-from slamfusion.cli.options import (
-    ConfigOption,
-    config_fields,
-    option_name,
-    shown_default,
-    shown_value,
-)
-from slamfusion.config import FieldInfo, RunConfig
+from slamfusion.config import ConfigOption, FieldInfo, RunConfig, config_fields, shown_value
 from slamfusion.slam.registry import producer, with_producers
 
 __all__ = ["TABLES", "gmapping_table", "parameter_table"]
@@ -47,10 +40,10 @@ TABLES = {"parameters": parameter_table, "gmapping parameters": gmapping_table}
 
 def _row(option: ConfigOption) -> str:
     info = option.info
-    name = f"`{option_name(option)}`" if info.level == "public" else "(expert)"
+    name = f"`{option.flag}`" if info.level == "public" else "(expert)"
     if option.section in NODE_SECTIONS and info.level == "public":
         name = "(fusion node)"
-    return row(name, f"`{option.key}`", shown_default(option), _range(info), info.help)
+    return row(name, f"`{option.key}`", option.shown_default(), _range(info), info.help)
 
 
 def _range(info: FieldInfo) -> str:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from html import escape
 
-from docs.generate.ros import PRODUCERS, SERVICES, node_arrows
+from docs.generate.ros import node_arrows
+from slamfusion.ros.interface import PRODUCERS, SERVICES
 
 __all__ = ["node_picture"]
 

@@ -1,290 +1,27 @@
-"""What the ROS nodes have: topics, services and parameters, for the pages and the launch files.
-
-Tables for the pages, who sends what to whom, and ``launch_scripts/slamfusion.yaml``. Nothing here
-needs ROS; a test holds the lists against the running nodes.
-"""
+"""Pages and files about the ROS nodes: tables, and ``launch_scripts/slamfusion.yaml``."""
 
 from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import yaml
 
 from docs.generate.markdown import row
-from slamfusion.cli.options import ConfigOption, config_fields, shown_default, shown_value
-from slamfusion.config import (
-    START_FORM,
-    START_M,
-    START_RAD,
-    DeviceConfig,
-    FusionConfig,
-    FusionNodeConfig,
-    LiveConfig,
-    LogConfig,
-    MapFileConfig,
-    PlayerNodeConfig,
-    ProducerNodeConfig,
-)
-from slamfusion.slam.registry import BUILT_IN, producer
-
-__all__ = [
-    "NODES",
-    "SERVICES",
-    "START_NAME",
-    "TOPICS",
-    "NameList",
-    "Service",
-    "Topic",
-    "node_arrows",
-    "node_parameters",
-    "parameter_file",
-    "parameter_table",
-    "service_table",
-    "topic_table",
-]
-
-PRODUCERS = BUILT_IN
-NODES = (*PRODUCERS, "fusion", "player")
-
-
-@dataclass(frozen=True)
-class Topic:
-    """A topic of one of our nodes.
-
-    Attributes:
-        name: relative unless it begins with a slash; NAME is the producer's name.
-        type: of its messages.
-        writers, readers: of our nodes; ``producers`` stands for the three.
-        qos: what is written, or asked for where only others write it.
-        text: what it carries.
-        needs_tf2: only there where tf2_msgs is (a sourced ROS's messages); None: no matter.
-    """
-
-    name: str
-    type: str
-    writers: tuple[str, ...]
-    readers: tuple[str, ...]
-    qos: str
-    text: str
-    needs_tf2: bool | None = None
-
-
-@dataclass(frozen=True)
-class Service:
-    """A service of one of our nodes, apart from those that every node has for its parameters."""
-
-    name: str
-    type: str
-    node: str
-    text: str
-
-
-@dataclass(frozen=True)
-class NameList:
-    """A parameter that is a list of names, which no configuration field stands for."""
-
-    name: str
-    default: tuple[str, ...]
-    text: str
-
-
-SENSOR, STREAM = "best effort", "reliable"
-MAP = "reliable, transient local, depth 1"
-
-TOPICS = (
-    Topic("scan", "sensor_msgs/LaserScan", ("player",), ("producers",), SENSOR, "laser scans"),
-    Topic(
-        "odom",
-        "nav_msgs/Odometry",
-        ("player",),
-        ("producers", "fusion"),
-        SENSOR,
-        "odometry, unless it is taken from the transforms",
-    ),
-    Topic(
-        "NAME/map",
-        "nav_msgs/OccupancyGrid",
-        ("producers",),
-        ("fusion", "player"),
-        MAP,
-        "the map of one SLAM, in frame NAME_map (in a namespace robot1/NAME_map)",
-    ),
-    Topic(
-        "NAME/map_updates",
-        "map_msgs/OccupancyGridUpdate",
-        (),
-        ("fusion",),
-        STREAM,
-        "what changed of a map, from costmaps and SLAMs of others; where map_msgs is installed",
-        needs_tf2=True,
-    ),
-    Topic(
-        "NAME/map_metadata",
-        "nav_msgs/MapMetaData",
-        ("producers",),
-        (),
-        MAP,
-        "its size and place",
-    ),
-    Topic(
-        "NAME/pose",
-        "geometry_msgs/PoseStamped",
-        ("producers",),
-        ("fusion", "player"),
-        f"{STREAM}, liveliness lease 0.5 s",
-        "the robot in the map's frame, one for every scan that was used, with its stamp",
-    ),
-    Topic("NAME/path", "nav_msgs/Path", ("producers",), (), MAP, "the path so far, corrected"),
-    Topic("fused/map", "nav_msgs/OccupancyGrid", ("fusion",), (), MAP, "the fused map"),
-    Topic(
-        "fused/agreement",
-        "nav_msgs/OccupancyGrid",
-        ("fusion",),
-        (),
-        MAP,
-        "share of the votes for each cell's value, in percent; -1 unknown; sent only while "
-        "somebody listens, the last one at once to who comes late",
-    ),
-    Topic(
-        "fused/pose",
-        "geometry_msgs/PoseStamped",
-        ("fusion",),
-        (),
-        STREAM,
-        "the robot in fused_map, by the healthiest producer",
-    ),
-    Topic(
-        "/diagnostics",
-        "diagnostic_msgs/DiagnosticArray",
-        ("producers", "fusion", "player"),
-        (),
-        STREAM,
-        "how each node and each input is, once a second",
-    ),
-    Topic("/clock", "rosgraph_msgs/Clock", ("player",), (), STREAM, "the log's time"),
-    Topic(
-        "/tf",
-        "tf2_msgs/TFMessage",
-        ("fusion", "player"),
-        ("producers", "fusion", "player"),
-        STREAM,
-        "fused_map to the frame of every map, odom to base_link of a log; more with publish_tf",
-        needs_tf2=True,
-    ),
-    Topic(
-        "/tf_static",
-        "tf2_msgs/TFMessage",
-        ("fusion", "player"),
-        ("producers", "fusion", "player"),
-        MAP,
-        "base_link to the laser of a log",
-        needs_tf2=True,
-    ),
-    Topic(
-        "transforms",
-        "geometry_msgs/TransformStamped",
-        ("fusion", "player"),
-        ("producers", "fusion", "player"),
-        STREAM,
-        "the same as /tf where tf2_msgs is absent",
-        needs_tf2=False,
-    ),
-    Topic(
-        "transforms_static",
-        "geometry_msgs/TransformStamped",
-        ("fusion", "player"),
-        ("producers", "fusion", "player"),
-        MAP,
-        "the same as /tf_static where tf2_msgs is absent",
-        needs_tf2=False,
-    ),
+from slamfusion.config import START_M, START_RAD, ConfigOption, shown_value
+from slamfusion.ros.interface import (
+    NAME_LISTS,
+    NODES,
+    PRODUCERS,
+    SERVICES,
+    START_NAME,
+    START_TEXT,
+    TOPICS,
+    node_parameters,
 )
 
-SERVICES = (
-    Service("get_map", "nav_msgs/GetMap", "fusion", "answers the last fused map"),
-    Service(
-        "save_map",
-        "std_srvs/Trigger",
-        "fusion",
-        "writes it to save_path, into a folder that is there; answers the path, or why not",
-    ),
-    Service(
-        "save_map_as",
-        "rcl_interfaces/SetParametersAtomically",
-        "fusion",
-        "the same with path, format (pgm, png, bmp), mode (trinary, scale, raw), free_thresh and "
-        "occupied_thresh, each if given; the path stays in the folder of save_path",
-    ),
-    Service(
-        "load_map",
-        "nav_msgs/LoadMap",
-        "fusion",
-        "a saved map becomes an input, or is read again; answers it, or that there is none",
-    ),
-    Service(
-        "reset",
-        "std_srvs/Trigger",
-        "fusion",
-        "the newest maps begin a new fused frame; the kept state is removed",
-    ),
-)
-
-# The sections of each node's parameters with the prefix of their names.
-SECTIONS: dict[str, tuple[tuple[str, Any], ...]] = {
-    **{
-        name: (("", ProducerNodeConfig), ("", DeviceConfig), (name, producer(name).config))
-        for name in PRODUCERS
-    },
-    "fusion": (
-        ("", FusionNodeConfig),
-        ("", DeviceConfig),
-        ("", MapFileConfig),
-        ("live", LiveConfig),
-        ("fusion", FusionConfig),
-    ),
-    "player": (("", PlayerNodeConfig), ("log", LogConfig)),
-}
-NAME_LISTS = {
-    "fusion": (
-        NameList(
-            "inputs",
-            tuple(f"{name}/map" for name in PRODUCERS),
-            "what is fused: map topics, and file:PATH for saved maps; NAME=TOPIC gives a name of "
-            "its own; may be changed while the node runs; default with discover: none but what is "
-            "found",
-        ),
-    ),
-    "player": (
-        NameList(
-            "wait_for",
-            (),
-            "producers that must answer the first scan, and in lockstep every one",
-        ),
-        NameList(
-            "maps",
-            (),
-            "map topics that are written to the folder save at the end of the log; "
-            "default: those of wait_for",
-        ),
-    ),
-}
-
-# Of the fusion node: one for each input.
-START_NAME = "start.NAME"
-START_TEXT = (
-    "where the map frame of input NAME lies in one that all starts share (of one start alone: in "
-    f"that of the reference or of the only other input): {START_FORM}; the input is searched only "
-    "there until it has a place in the fused frame"
-)
-
-
-def node_parameters(node: str) -> Iterator[ConfigOption]:
-    """Yield every parameter of a node that stands for a configuration field, in order."""
-    for prefix, section in SECTIONS[node]:
-        yield from config_fields(section, prefix)
+__all__ = ["node_arrows", "parameter_file", "parameter_table", "service_table", "topic_table"]
 
 
 def topic_table() -> str:
@@ -348,7 +85,7 @@ def parameter_table() -> str:
             lines.append(row(title, f"`{START_NAME}`", tolerances, "3 or 5 numbers", START_TEXT))
         for option in node_parameters(node):
             if not option.section:
-                own = (f"`{option.key}`", shown_default(option), _range(option))
+                own = (f"`{option.key}`", option.shown_default(), _range(option))
                 lines.append(row(title, *own, option.info.help))
     return "\n".join(lines)
 

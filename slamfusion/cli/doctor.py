@@ -102,7 +102,7 @@ def print_devices(devices: Sequence[DeviceInfo]) -> None:
         "platform ",
         "type ",
         "units",
-        "memory MB",
+        "memory [MB]",
         "usable ",
     )
     print_table(columns, rows, notes=[device.note for device in devices])

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import difflib
 import inspect
 import pkgutil
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import click
+
+from slamfusion.errors import unknown
 
 # The groups of a command's options: names, and the sections of settings whose options they hold.
 GROUPS: Mapping[str, Sequence[str]] = {
@@ -53,14 +54,6 @@ BASIC = frozenset({
     "--help", "--help-all", "--repetitions", "--format", "--open", "--worlds", "--courses",
     "--lidars", "--resume", "--save-state",
 })  # fmt: skip
-
-
-def unknown(value: str, known: Iterable[str]) -> str:
-    """Say that a word is none of the known ones, and which of them is near."""
-    words = list(known)
-    near = difflib.get_close_matches(value, words, n=1)
-    ask = f"; did you mean {near[0]!r}?" if near else ""
-    return f"{value!r} is not one of {', '.join(words)}{ask}"
 
 
 class Choice(click.Choice):  # type: ignore[type-arg]  # generic from click 8.2 on
@@ -159,7 +152,7 @@ def _help_all() -> click.Option:
     )
 
 
-class Group(click.Group):
+class Group(Command, click.Group):
     """A group that lists its commands in the order of its table, and loads one when it is used.
 
     Args:
@@ -198,7 +191,8 @@ class Group(click.Group):
         found = [(name, text) for name, (_, text) in self.table.items()]
         return found + [(name, own.get_short_help_str(80)) for name, own in self.commands.items()]
 
-    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
-        """Write a line for each command."""
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the options, then a line for each command."""
+        super().format_options(ctx, formatter)
         with formatter.section("Commands"):
             formatter.write_dl(self.summaries())

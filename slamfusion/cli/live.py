@@ -22,8 +22,8 @@ if TYPE_CHECKING:
         LiveStatusDocument,
     )
 
-# Of an input's figures, those that the table has, and their heads.
-SHOWN = {"score": "score", "overlap": "overlap", "age [s]": "age s", "rate [Hz]": "rate Hz"}
+# Of an input's figures, those that the table has.
+SHOWN = ("score", "overlap", "age [s]", "rate [Hz]")
 
 
 @click.group("live", cls=Group)
@@ -176,7 +176,7 @@ def _print(found: LiveStatusDocument) -> None:
         for line in inputs
     ]
     print_table(
-        ("input ", "votes ", *SHOWN.values()),
+        ("input ", "votes ", *SHOWN),
         rows,
         notes=[line["message"] for line in inputs],
         title=f"{found['node']}: {found['fusion']['message']}",

@@ -28,8 +28,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def node() -> None:
     """Run the node that this program is named after (``NAME_node``); never returns."""
-    name = Path(sys.argv[0]).name.removesuffix("_node")
-    given = sys.argv[1:]
-    if given in (["-h"], ["--help"]):
-        main(["node", "--help"])
-    main(["node", name, *given])
+    main(["node", Path(sys.argv[0]).name.removesuffix("_node"), *sys.argv[1:]])

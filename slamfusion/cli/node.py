@@ -9,12 +9,15 @@ from pathlib import Path
 
 import click
 
-from slamfusion.cli.help import Command, unknown
+from slamfusion.cli.help import Command, Group
 from slamfusion.cli.slam import producer_summaries
 from slamfusion.errors import SlamFusionError
 
-# The nodes that are no producer's, and their modules, which have ``make_node(kind) -> NodeBase``.
-NODES = {"fusion": "slamfusion.ros.fusion_node", "player": "slamfusion.ros.player_node"}
+# The nodes that are no producer's: the module, which has ``make_node(kind)``, and a summary.
+NODES = {
+    "fusion": ("slamfusion.ros.fusion_node", "fuses the maps of the others"),
+    "player": ("slamfusion.ros.player_node", "publishes a log or bag"),
+}
 PRODUCER_NODE = "slamfusion.ros.producer_node"
 # Set by the ROS wheels' start-up code when it has put their libraries on the path.
 BOOTSTRAPPED = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
@@ -24,52 +27,93 @@ ABSENT = (
 )
 
 
-def _known(_: click.Context, __: click.Parameter, name: str) -> str:
-    """Refuse the name of a node that there is none of."""
-    from slamfusion.slam.registry import producer_names  # noqa: PLC0415  (loads slowly)
+class _Nodes(Group):
+    """A command for each node: the producers of the registry, then the others."""
 
-    names = (*producer_names(), *NODES)
-    if name not in names:
-        raise click.BadParameter(unknown(name, names))
-    return name
+    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
+        """Return the names of the nodes."""
+        from slamfusion.slam.registry import producer_names  # noqa: PLC0415  (loads slowly)
 
+        return [*producer_names(), *NODES]
 
-class _Command(Command):
-    """Lists the nodes in the help: the producers of the registry, then the others."""
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Return the command of one node; None if there is none of this name."""
+        return _make_command(cmd_name) if cmd_name in self.list_commands(ctx) else None
 
-    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
-        """Write the names with a word on each; of a broken producer, what is wrong with it."""
-        rows = producer_summaries()
-        rows += [
-            ("fusion", "fuses the maps of the others"),
-            ("player", "publishes a log or bag"),
-        ]
-        with formatter.section("Nodes"):
-            formatter.write_dl(rows)
+    def summaries(self) -> list[tuple[str, str]]:
+        """Return each node and what it does; of a broken producer, what is wrong with it."""
+        return [*producer_summaries(), *((name, text) for name, (_, text) in NODES.items())]
 
 
-@click.command(
+@click.group(
     "node",
-    cls=_Command,
+    cls=_Nodes,
     examples=["node graph", "node fusion --ros-args -p page:=true"],
-    context_settings={"ignore_unknown_options": True, "allow_interspersed_args": False},
-    options_metavar="",
+    subcommand_metavar="NAME [--ros-args ...]",
 )
-@click.argument("name", callback=_known, metavar="NAME")
-@click.argument("ros_arguments", nargs=-1, type=click.UNPROCESSED, metavar="[--ros-args ...]")
-def command(name: str, ros_arguments: tuple[str, ...]) -> int:
+def command() -> None:
     """Run a ROS 2 node.
 
     Parameters, names and remappings follow --ros-args as with `ros2 run`: -p rate:=2.0
-    -r scan:=front/scan -r __ns:=/robot1 --params-file FILE.
+    -r scan:=front/scan -r __ns:=/robot1 --params-file FILE. `node NAME --help` lists the topics and
+    parameters of a node.
     """
-    if ros_arguments and "--ros-args" not in ros_arguments:
-        message = f"{ros_arguments[0]!r}: a node's options stand after --ros-args"
-        raise click.UsageError(message)
-    import_rclpy()
-    module = importlib.import_module(NODES.get(name, PRODUCER_NODE))
-    base = importlib.import_module("slamfusion.ros.base")
-    return int(base.run_node(lambda: module.make_node(name), ros_arguments))
+
+
+class _Node(Command):
+    """Lists topics, services and parameters in the help."""
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
+        """Write the interface of the node."""
+        name = self.name or ""
+        ros = importlib.import_module("slamfusion.ros.interface")
+        kind = name if name in NODES else "producers"
+        topics = [item for item in ros.TOPICS if item.needs_tf2 is not False]
+        sections = {
+            "Publishes": [item for item in topics if kind in item.writers],
+            "Subscribes": [item for item in topics if kind in item.readers],
+            "Services": [item for item in ros.SERVICES if kind == item.node],
+        }
+        for title, items in sections.items():
+            rows = [(item.name, f"{item.type}: {item.text}") for item in items]
+            if name not in NODES:
+                rows = [
+                    (own.replace("NAME", name), text.replace("NAME", name)) for own, text in rows
+                ]
+            if rows:
+                with formatter.section(title):
+                    formatter.write_dl(rows)
+        rows = [(item.name, item.text) for item in ros.NAME_LISTS.get(name, ())]
+        for option in ros.node_parameters(name):
+            if option.info.level == "public":
+                default = option.shown_default()
+                text = f"{option.info.help} [default: {default}]" if default else option.info.help
+                rows.append((option.key, text))
+        with formatter.section("Parameters"):
+            formatter.write_dl(rows, col_max=26)
+
+
+def _make_command(name: str) -> click.Command:
+    """Return the command of one node."""
+
+    @click.command(
+        name,
+        cls=_Node,
+        examples=[f"node {name} --ros-args -p use_sim_time:=true"],
+        context_settings={"ignore_unknown_options": True, "allow_interspersed_args": False},
+        options_metavar="",
+    )
+    @click.argument("ros_arguments", nargs=-1, type=click.UNPROCESSED, metavar="[--ros-args ...]")
+    def run(ros_arguments: tuple[str, ...]) -> int:
+        if ros_arguments and "--ros-args" not in ros_arguments:
+            raise click.UsageError(f"{ros_arguments[0]!r}: a node's options stand after --ros-args")
+        import_rclpy()
+        module = importlib.import_module(NODES[name][0] if name in NODES else PRODUCER_NODE)
+        base = importlib.import_module("slamfusion.ros.base")
+        return int(base.run_node(lambda: module.make_node(name), ros_arguments))
+
+    run.help = f"Run the ROS 2 node {name}."
+    return run
 
 
 def import_rclpy() -> None:

@@ -8,7 +8,7 @@ import functools
 import typing
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -27,14 +27,14 @@ from slamfusion.cli.paths import (
 )
 from slamfusion.config import (
     PICTURE_FORMS,
-    PUBLISHED,
     START_M,
     START_RAD,
+    ConfigOption,
     FieldInfo,
-    Profiled,
     RunConfig,
     checked_start,
-    field_infos,
+    config_fields,
+    shown_value,
     split_list,
 )
 from slamfusion.errors import ConfigError, StartError
@@ -48,67 +48,6 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 # What help calls a value, by its unit or else its type.
 METAVARS = {"%": "PERCENT", "cells": "CELLS", "str": "TEXT", "int": "N", "float": "NUMBER"}
-
-
-@dataclass(frozen=True)
-class ConfigOption:
-    """One leaf field of ``RunConfig`` and where it stands in the tree.
-
-    Attributes:
-        section: dotted place of its section.
-        info: the field, with the tree's value as its default.
-        filled: what the section's profile puts where the value is left open; None: nothing.
-        published: value of the published profile; None for a field that is in no profile.
-    """
-
-    section: str
-    info: FieldInfo
-    filled: Any = None
-    published: Any = None
-
-    @property
-    def key(self) -> str:
-        """Dotted place in the configuration tree."""
-        return f"{self.section}.{self.info.name}".lstrip(".")
-
-    @property
-    def parameter(self) -> str:
-        """Name of the value in the command's arguments."""
-        return "config_" + self.key.replace(".", "_")
-
-    @property
-    def default(self) -> Any:
-        """Value without any option or file, the profile's where it is left open; may be None."""
-        return self.filled if self.info.default is None else self.info.default
-
-
-def option_name(option: ConfigOption) -> str:
-    """Return the option's name on the command line."""
-    return option.info.flag or "--" + option.info.name.replace("_", "-")
-
-
-def config_fields(config: Any = RunConfig, section: str = "") -> Iterator[ConfigOption]:
-    """Yield every leaf field of a configuration tree, in order, sections first to last."""
-    whole = config() if isinstance(config, type) else config
-    # Of a section with profiles, what each field is when it is left open.
-    own = whole.chosen() if isinstance(whole, Profiled) else whole
-    published = replace(whole, profile=PUBLISHED).chosen() if own is not whole else None
-    for info in field_infos(type(whole)):
-        is_open = published is not None and info.default is None
-        yield ConfigOption(
-            section,
-            replace(info, default=getattr(whole, info.name)),
-            getattr(own, info.name),
-            getattr(published, info.name) if is_open else None,
-        )
-    for item in dataclasses.fields(whole):
-        value = getattr(whole, item.name)
-        sections = {item.name: value}
-        if isinstance(value, Mapping):
-            sections = {f"{item.name}.{name}": own for name, own in value.items()}
-        for name, below in sections.items():
-            if dataclasses.is_dataclass(below):
-                yield from config_fields(below, f"{section}.{name}".lstrip("."))
 
 
 def with_config(
@@ -370,7 +309,7 @@ class _List(click.ParamType):  # type: ignore[type-arg]  # generic from click 8.
 
 def _click_option(option: ConfigOption) -> Callable[[Any], Any]:
     """Return the click option of one field; without it the field keeps its value."""
-    info, name = option.info, option_name(option)
+    info, name = option.info, option.flag
     help_text = info.help[0].upper() + info.help[1:] + "." + _default_help(option)
     if info.kind is bool:
         flags = f"{name}/--no-{name.removeprefix('--')}"
@@ -394,24 +333,7 @@ def _default_help(option: ConfigOption) -> str:
     if option.default in (None, ()):
         return ""
     published = "" if option.published is None else f"; published {shown_value(option.published)}"
-    return f" [default: {shown_default(option)}{published}]"
-
-
-def shown_default(option: ConfigOption) -> str:
-    """Return the default with its unit, as help and README show it; empty where there is none."""
-    if option.default is None:
-        return ""
-    unit = "" if isinstance(option.default, bool) else option.info.unit
-    return f"{shown_value(option.default)} {unit}".strip()
-
-
-def shown_value(value: Any) -> str:
-    """Return a setting's value as help and README show it."""
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, tuple):
-        return ",".join(map(shown_value, value))
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+    return f" [default: {option.shown_default()}{published}]"
 
 
 def _override(config: RunConfig, chosen: list[ConfigOption], values: dict[str, Any]) -> RunConfig:
@@ -433,7 +355,7 @@ def _refusal(config: RunConfig, given: list[ConfigOption], error: ConfigError) -
             section = _below(section, name)
         field = f"{type(section).__name__}.{option.info.name} "
         if str(error).startswith(field):
-            hint = f"'{option_name(option)}'"
+            hint = f"'{option.flag}'"
             return click.BadParameter(str(error).removeprefix(field), param_hint=hint)
     return click.BadParameter(str(error))
 

@@ -9,9 +9,9 @@ its devices, by one that returns the best name which both sides know. Nothing is
 and where PoCL knows the processor, or comes from elsewhere, nothing is touched.
 
 It is done only to a library that was looked at: its SHA-256 stands in ``CHECKED``, and the function
-begins as it did then. It is said once, and ``SLAMFUSION_PATCH_POCL=0`` switches it off; who sets it
-to 1 knows of it, and is not told. Where it is needed and not done, the wheel's devices cannot be
-used, and ``PoclState`` says what to install.
+begins as it did then. The first command of an installation reports it, and ``slamfusion doctor``
+always does. ``SLAMFUSION_PATCH_POCL=0`` switches it off; 1 agrees to it without a report. Where it
+is needed and not done, the wheel's devices cannot be used, and ``PoclState`` says what to install.
 
 PoCL has two devices for one processor. ``pthread``, the one it shows, hands each kernel to threads
 of its own; ``basic`` runs it in the thread that asks, which takes a tenth of a millisecond less.
@@ -35,6 +35,7 @@ from typing import Any
 import pyopencl as cl  # noqa: TID251 - compute/ is where pyopencl belongs
 
 from slamfusion.compute.compute_device import PoclState
+from slamfusion.compute.pocl_cache import user_caches
 
 LOG = logging.getLogger(__name__)
 # The environment variable that switches the replacement off, or agrees to it.
@@ -146,16 +147,30 @@ def name_processor() -> PoclState:
         state = PoclState("refused", detail, path)
     else:
         detail = (
-            f"{path.name} of the wheel does not know this processor; the function that names it "
-            f"was replaced in memory, so that it builds for {name}; {SWITCH}={OFF} leaves it as "
-            f"it is, {SWITCH}={AGREED} agrees to it and ends this line"
+            f"{path.name} does not know this processor; a change in memory lets it build for "
+            f"{name} ({SWITCH}={OFF} prevents the change)"
         )
         state = PoclState("patched", detail, path)
     # Processes that a command starts for its work do not repeat it.
-    is_known = state.state == "patched" and os.environ.get(SWITCH) == AGREED
-    if not is_known and multiprocessing.parent_process() is None:
+    if multiprocessing.parent_process() is None and (state.state == "refused" or _is_news(path)):
         LOG.warning("%s", state.detail)
     return state
+
+
+def _is_news(library: Path) -> bool:
+    """Whether the change of this library is not reported yet; then keep a file that says so."""
+    if os.environ.get(SWITCH) == AGREED:
+        return False
+    name = hashlib.sha256(os.fsencode(library)).hexdigest()[:16]
+    reported = user_caches() / "slamfusion" / f"pocl-{name}"
+    try:
+        reported.parent.mkdir(parents=True, exist_ok=True)
+        reported.touch(exist_ok=False)
+    except FileExistsError:
+        return False
+    except OSError:  # no cache to write to: report it each time
+        pass
+    return True
 
 
 def _library() -> Path | None:

@@ -46,7 +46,7 @@ def find_cache() -> PoclCache:
 
     Where the caches of the user cannot be written, pyopencl's own is put there too.
     """
-    own, caches = _own_folder(), _caches()
+    own, caches = _own_folder(), user_caches()
     reason, other_reason = _why_not(own), _why_not(caches)
     if not reason and not other_reason:
         return PoclCache(own)
@@ -88,10 +88,10 @@ def _own_folder() -> Path:
     told = os.environ.get(FOLDER)
     if told:
         return Path(told)
-    return _caches() / "pocl" / "kcache"
+    return user_caches() / "pocl" / "kcache"
 
 
-def _caches() -> Path:
+def user_caches() -> Path:
     """Return where programs of the user keep what they can make again."""
     for variable, below in ((CACHES, ""), ("HOME", ".cache")):
         if os.environ.get(variable):

@@ -7,7 +7,7 @@ import difflib
 import math
 import types
 import typing
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol, TypeVar, Union, overload, runtime_checkable
 
@@ -190,6 +190,83 @@ class Profiled(Protocol):
 
     def chosen(self) -> Any:
         """Return the configuration with what is left open filled in by the profile."""
+
+
+@dataclass(frozen=True)
+class ConfigOption:
+    """A leaf field of a configuration and its place in the tree.
+
+    Attributes:
+        section: dotted place of its section.
+        info: the field, with the tree's value as its default.
+        filled: what the section's profile puts where the value is left open; None: nothing.
+        published: value of the published profile; None for a field that is in no profile.
+    """
+
+    section: str
+    info: FieldInfo
+    filled: Any = None
+    published: Any = None
+
+    @property
+    def key(self) -> str:
+        """Dotted place in the configuration tree."""
+        return f"{self.section}.{self.info.name}".lstrip(".")
+
+    @property
+    def parameter(self) -> str:
+        """Name of the value in the command's arguments."""
+        return "config_" + self.key.replace(".", "_")
+
+    @property
+    def default(self) -> Any:
+        """Value without any option or file, the profile's where it is left open; may be None."""
+        return self.filled if self.info.default is None else self.info.default
+
+    @property
+    def flag(self) -> str:
+        """Name of the option on the command line."""
+        return self.info.flag or "--" + self.info.name.replace("_", "-")
+
+    def shown_default(self) -> str:
+        """Return the default with its unit, for people; empty where there is none."""
+        if self.default is None:
+            return ""
+        unit = "" if isinstance(self.default, bool) else self.info.unit
+        return f"{shown_value(self.default)} {unit}".strip()
+
+
+def config_fields(config: Any, section: str = "") -> Iterator[ConfigOption]:
+    """Yield every leaf field of a configuration tree, in order, sections first to last."""
+    whole = config() if isinstance(config, type) else config
+    # Of a section with profiles, what each field is when it is left open.
+    own = whole.chosen() if isinstance(whole, Profiled) else whole
+    published = dataclasses.replace(whole, profile=PUBLISHED).chosen() if own is not whole else None
+    for info in field_infos(type(whole)):
+        is_open = published is not None and info.default is None
+        yield ConfigOption(
+            section,
+            dataclasses.replace(info, default=getattr(whole, info.name)),
+            getattr(own, info.name),
+            getattr(published, info.name) if is_open else None,
+        )
+    for item in dataclasses.fields(whole):
+        value = getattr(whole, item.name)
+        sections = {item.name: value}
+        if isinstance(value, Mapping):
+            sections = {f"{item.name}.{name}": own for name, own in value.items()}
+        for name, below in sections.items():
+            if dataclasses.is_dataclass(below):
+                yield from config_fields(below, f"{section}.{name}".lstrip("."))
+
+
+def shown_value(value: Any) -> str:
+    """Return a setting's value as help and pages show it."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, tuple):
+        return ",".join(map(shown_value, value))
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def to_mapping(config: Any) -> dict[str, Any]:

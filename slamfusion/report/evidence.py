@@ -67,7 +67,7 @@ def evidence_section(
             "hits judged": lambda own: own.beams_judged,
             "seen again %": lambda own: number(100.0 * own.seen_share, 0),
             "own poses %": lambda own: number(100.0 * own.own_poses_share, 0),
-            "from the fused path m": lambda own: number(own.from_fused_m, 3),
+            "from the fused path [m]": lambda own: number(own.from_fused_m, 3),
         },
         note,
         folded=True,

@@ -22,7 +22,7 @@ from slamfusion.config import (
     TinySlamConfig,
     from_mapping,
 )
-from slamfusion.errors import ConfigError, SlamFusionError, shown
+from slamfusion.errors import ConfigError, SlamFusionError, shown, unknown
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -153,7 +153,7 @@ def producer(name: str) -> Producer:
             message = f"the producer {name!r} cannot be loaded from {point.value}: {error!r}"
             raise SlamFusionError(message) from error
     else:
-        raise SlamFusionError(f"no producer {name!r}; wanted one of {', '.join(producer_names())}")
+        raise SlamFusionError(f"the SLAM {unknown(name, producer_names())}")
     if not isinstance(found, Producer) or found.name != name:
         shown = f"one called {found.name!r}" if isinstance(found, Producer) else repr(found)
         message = f"the entry point {name!r} must name a Producer of this name, found {shown}"

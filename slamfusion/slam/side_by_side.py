@@ -22,7 +22,7 @@ from typing import Any
 
 from slamfusion.config import RunConfig
 from slamfusion.cores import usable_cores
-from slamfusion.errors import ConfigError, SlamFusionError
+from slamfusion.errors import ConfigError, SlamFusionError, unknown
 from slamfusion.fleet import interrupts_held, threads_limited
 from slamfusion.io.logs import open_log
 from slamfusion.slam.common.runner import ProducerRun, run_producer
@@ -210,12 +210,13 @@ def _sealed(run: ProducerRun) -> ProducerRun:
 
 def _check_names(names: Sequence[str]) -> None:
     """Refuse what is no list of producers."""
-    names_known = producer_names()
-    known = ", ".join(names_known)
-    unknown = [name for name in names if name not in names_known]
-    if not names or unknown or len(set(names)) < len(names):
+    known = producer_names()
+    for name in names:
+        if name not in known:
+            raise ConfigError(f"the SLAM {unknown(name, known)}")
+    if not names or len(set(names)) < len(names):
         found = ", ".join(names) or "none"
-        raise ConfigError(f"wanted some of the producers {known}, each once, found {found}")
+        raise ConfigError(f"wanted some of {', '.join(known)}, each once, found {found}")
 
 
 def _start(name: str, arguments: tuple[Any, ...], threads: int) -> _Job:

@@ -12,11 +12,10 @@ import pytest
 from slamfusion.cli import slam
 from slamfusion.cli.experiment import _drive_files
 from slamfusion.cli.fuse import command as fuse_command
-from slamfusion.cli.options import config_fields, option_name
 from slamfusion.cli.output import one_line, progress_bar
 from slamfusion.cli.paths import FILE
 from slamfusion.cli.program import COMMANDS, cli, run_program
-from slamfusion.config import GMAPPING_PROFILES, MapFileConfig
+from slamfusion.config import GMAPPING_PROFILES, MapFileConfig, RunConfig, config_fields
 from slamfusion.errors import MapFileError
 from slamfusion.jobs.inputs import check_writable, distinct_names, load_maps
 from slamfusion.slam.registry import BUILT_IN, producer
@@ -46,9 +45,9 @@ def test_one_line_shows_what_cannot_be_printed() -> None:
 
 def test_every_public_fusion_field_is_an_option_and_no_expert_one_is() -> None:
     offered = {name for parameter in fuse_command.params for name in parameter.opts}
-    for field in config_fields():
+    for field in config_fields(RunConfig):
         if field.section.split(".")[0] in {"fusion", "evaluate", "device", ""}:
-            assert (option_name(field) in offered) == (field.info.level == "public"), field.key
+            assert (field.flag in offered) == (field.info.level == "public"), field.key
 
 
 def leaves(command: click.Command) -> list[click.Command]:
@@ -151,9 +150,9 @@ def test_gmapping_has_every_public_setting_under_its_published_name() -> None:
     offered = gmapping_help()
     for name in GMAPPING_PROFILES["published"]:
         assert "_" in name or f"--{name}" in offered
-    for field in config_fields():
+    for field in config_fields(RunConfig):
         if field.section == "gmapping":
-            assert (option_name(field) in offered) == (field.info.level == "public"), field.key
+            assert (field.flag in offered) == (field.info.level == "public"), field.key
     for name in ("--str", "--occ_thresh", "--map_update_interval", "--particles", "--delta"):
         assert name in offered
     # One that says where raw odometry is, and one that says whether it is used.

@@ -236,7 +236,7 @@ def test_require_all_fuses_nothing_without_everyone(
 @pytest.mark.parametrize(
     ("arguments", "code", "word"),
     [
-        (("--producers", "tinyslam,hector"), 1, "wanted some of the producers"),
+        (("--producers", "tinyslam,grph"), 1, "did you mean 'graph'?"),
         (("--producers", ","), 2, "found none"),
         (("--odometry", "flat.log"), 2, "give --relations"),
         (("-o", "flat.log"), 2, "is not a folder"),

@@ -332,13 +332,8 @@ def _help() -> str:
 
 def _ros() -> str:
     """Return the topics, services and parameters of every node."""
-    from docs.generate.ros import (  # noqa: PLC0415
-        NAME_LISTS,
-        NODES,
-        node_parameters,
-        service_table,
-        topic_table,
-    )
+    from docs.generate.ros import service_table, topic_table  # noqa: PLC0415
+    from slamfusion.ros.interface import NAME_LISTS, NODES, node_parameters  # noqa: PLC0415
 
     lines = [topic_table(), "", service_table()]
     for node in NODES:

@@ -12,8 +12,8 @@ from xml.dom import minidom
 
 import pytest
 
-from docs.generate.ros import NODES
 from slamfusion import __version__
+from slamfusion.ros.interface import NODES
 from tests.cli.command import ROOT
 
 if TYPE_CHECKING:

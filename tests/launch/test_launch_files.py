@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 
-from docs.generate.ros import NAME_LISTS, NODES, PRODUCERS, TOPICS, node_parameters
+from slamfusion.ros.interface import NAME_LISTS, NODES, PRODUCERS, TOPICS, node_parameters
 from tests.cli.command import ROOT
 from tests.launch.launch_reader import declared, started
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import yaml
 
 from docs.generate.marks import COMMAND
-from docs.generate.ros import NODES, parameter_file
+from docs.generate.ros import parameter_file
+from slamfusion.ros.interface import NODES
 from tests.cli.command import ROOT
 
 PARAMETER_FILE = ROOT / "launch_scripts" / "slamfusion.yaml"

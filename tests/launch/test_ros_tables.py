@@ -16,7 +16,8 @@ from rclpy.node import NodeNameNonExistentError
 from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
-from docs.generate.ros import (
+from docs.generate.ros import parameter_file
+from slamfusion.ros.interface import (
     MAP,
     NAME_LISTS,
     PRODUCERS,
@@ -26,7 +27,6 @@ from docs.generate.ros import (
     TOPICS,
     Topic,
     node_parameters,
-    parameter_file,
 )
 from tests.cli.command import ROOT
 from tests.ros.drives import write_log

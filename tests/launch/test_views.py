@@ -12,9 +12,10 @@ import yaml
 
 from docs.generate.marks import COMMAND, PICTURE
 from docs.generate.picture import node_picture
-from docs.generate.ros import PRODUCERS, SERVICES, TOPICS, node_arrows
+from docs.generate.ros import node_arrows
 from slamfusion.config import FusionNodeConfig
 from slamfusion.palette import NAMED
+from slamfusion.ros.interface import PRODUCERS, SERVICES, TOPICS
 from tests.cli.command import ROOT
 
 SCRIPTS = ROOT / "launch_scripts"
