@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from slamfusion.align.align import align_pair
 from slamfusion.align.features import GridFeatures
-from slamfusion.align.normalize import check_resampling, common_resolution, normalize_grid
+from slamfusion.align.normalize import check_resampling, normalize_grid
 from slamfusion.align.pair import Pair
 from slamfusion.align.records import Alignment
 from slamfusion.align.scores import walls_found
@@ -37,6 +37,9 @@ F64 = npt.NDArray[np.float64]
 # From one scale to the next: between two of them the ends of a building of 40 m move by 0.3 m, less
 # than a coarse cell.
 SCALE_STEP = 1.03
+# Scales that are read from one drawing of the plan on coarse cells, which is enlarged or reduced by
+# one step: resampled by more, thin walls blur, and the right scale stands out less.
+SCALES_A_DRAWING = 3
 # Cells on which scales are compared, and on which the best few are aligned, metres.
 RANKED_CELL_M, TRIED_CELL_M = 0.2, 0.1
 # The most scales that are tried, and the least evidence of one as a share of the best one's.
@@ -90,12 +93,14 @@ def align_at_any_scale(
     if not 0.0 < lowest <= highest < math.inf:
         message = f"scales from {lowest:g} to {highest:g}: give two positive factors, least first"
         raise ConfigError(message)
-    search = _ScaleSearch(reference, config, device)
-    found = search.best(moving, scales)
+    search = _ScaleSearch(moving, scales, config, device)
+    gains = search.gains(reference)
+    found = search.best(reference, gains)
     alignment = found.alignment
     if not alignment.accepted:
-        image = replace(moving, cells=np.ascontiguousarray(moving.cells[:, ::-1]))
-        mirrored = search.best(image, scales)
+        image = replace(reference, cells=np.ascontiguousarray(reference.cells[:, ::-1]))
+        of_image = search.gains(image)
+        mirrored = search.best(image, of_image) if of_image.max() > gains.max() else found
         if mirrored.alignment.accepted:
             reason = (
                 f"{moving.name} fits only as its mirror image (at {mirrored.scale:.3g} times its "
@@ -107,78 +112,91 @@ def align_at_any_scale(
 
 
 class _ScaleSearch:
-    """The reference made ready, and what is compared with it."""
+    """A plan on coarse cells at all scales, to be compared with a map and with its image."""
 
     def __init__(
-        self, reference: OccupancyGrid, config: FusionConfig, device: ComputeDevice
+        self,
+        plan: OccupancyGrid,
+        scales: tuple[float, float],
+        config: FusionConfig,
+        device: ComputeDevice,
     ) -> None:
-        self.reference, self.config, self.device = reference, config, device
-        self._made: dict[float, GridFeatures] = {}
-        self._turned: dict[tuple[int, int], TurnedMap] = {}
-
-    def best(self, plan: OccupancyGrid, scales: tuple[float, float]) -> ScaledAlignment:
-        """Try the scales that stand out; settle the best of them on the finest cells."""
+        self.plan, self.config, self.device = plan, config, device
         count = math.ceil(math.log(scales[1] / scales[0]) / math.log(SCALE_STEP)) + 1
-        each = np.geomspace(*scales, count)
-        gains = np.array([self.gain(scaled(plan, scale)) for scale in each])
-        tries = []
-        for scale in each[_peaks(gains)]:
-            pair = self.pair(plan, scale, TRIED_CELL_M)
-            alignment = align_pair(pair, self.config.align, None, count, thorough=False)
-            tries.append(ScaledAlignment(float(scale), alignment))
-        best = min(tries, key=lambda one: _standing(one.alignment))
-        return self.settled(plan, best.scale, count) if _is_here(best.alignment) else best
+        self.scales = np.geomspace(*scales, count)
+        # Scales of each part are read from one drawing on coarse cells.
+        self._parts = [
+            (float(scales[len(scales) // 2]), scales)
+            for scales in np.array_split(self.scales, math.ceil(count / SCALES_A_DRAWING))
+        ]
+        self._drawn: dict[float, GridFeatures] = {}
+        self._turned: dict[tuple[float, tuple[int, int]], TurnedMap] = {}
+        self._spectra = KeptSpectra()
 
-    def settled(self, plan: OccupancyGrid, scale: float, count: int) -> ScaledAlignment:
-        """Align on the finest cells at the scale at which the fit is best.
+    def best(self, reference: OccupancyGrid, gains: F64) -> ScaledAlignment:
+        """Align at the scales that stand out; settle the best of them on the reference's cells.
 
         Args:
-            plan: with the resolution that it says.
-            scale: a factor on that, right to some per cent.
-            count: scales that were compared.
+            reference: held still.
+            gains: of all scales.
         """
+        cell = self.config.normalize.resolution or reference.resolution
+        seen = self._ready(reference, max(cell, TRIED_CELL_M))
+        tries = [self._aligned(seen, scale) for scale in self.scales[_peaks(gains)].tolist()]
+        pair, best = min(tries, key=lambda one: _standing(one[1].alignment))
+        if not _is_here(best.alignment):
+            return best
+        seen, settled = self._ready(reference, cell), []
         for _ in range(ROUNDS):
-            pair = self.pair(plan, scale, 0.0)
-            alignment = align_pair(pair, self.config.align, None, count, thorough=False)
-            found = ScaledAlignment(scale, alignment)
-            better = None if alignment.evidence is None else alignment.evidence.scale
+            evidence = best.alignment.evidence
+            better = None if evidence is None else evidence.scale
             if better is None or better == 1.0:
-                better = best_scale(pair, pair.motion_of(alignment.transform))
-            if abs(better - 1.0) < SETTLED_WITHIN:
+                better = best_scale(pair, pair.motion_of(best.alignment.transform))
+            better = np.clip(best.scale * better, *self.scales[[0, -1]]).item() / best.scale
+            if abs(better - 1.0) < SETTLED_WITHIN and pair.reference is seen:
                 break
-            scale *= better
-        return found
+            pair, best = self._aligned(seen, best.scale * better)
+            settled.append(best)
+        return min(settled, key=lambda one: _standing(one.alignment))
 
-    def gain(self, plan: OccupancyGrid) -> float:
-        """Return the most evidence that any place of a plan has, nats times metres of wall."""
-        still, moved = self.ready(RANKED_CELL_M), self._ready(plan, RANKED_CELL_M)
-        level = level_for(max(*still.shape, *moved.shape), RANKED_CELL_M)
-        if level not in self._turned:
-            self._turned[level] = self.turned(still, level)
-        peak, _ = parallel_shifts(self._turned[level], self.turned(moved, level)).peak()
-        return peak * level[0] * RANKED_CELL_M
+    def gains(self, reference: OccupancyGrid) -> F64:
+        """Return the most evidence of any place on the reference at each scale, nats and metres."""
+        still, found = self._ready(reference, RANKED_CELL_M), []
+        turned: dict[tuple[int, int], TurnedMap] = {}
+        for drawn_at, scales in self._parts:
+            if drawn_at not in self._drawn:
+                self._drawn[drawn_at] = self._ready(scaled(self.plan, drawn_at), RANKED_CELL_M)
+            drawn = self._drawn[drawn_at]
+            longest = max(*still.shape, *(side * scales[-1] / drawn_at for side in drawn.shape))
+            level = level_for(longest, RANKED_CELL_M)
+            if level not in turned:
+                turned[level] = self._turn(still, level)
+            if (drawn_at, level) not in self._turned:
+                self._turned[drawn_at, level] = self._turn(drawn, level)
+            for scale in scales:
+                shifts = parallel_shifts(
+                    turned[level], self._turned[drawn_at, level], float(scale / drawn_at)
+                )
+                found.append(shifts.peak()[0] * level[0] * RANKED_CELL_M)
+        return np.array(found)
 
-    def pair(self, plan: OccupancyGrid, scale: float, least_cell: float) -> Pair:
-        """Return the reference and a plan at a scale, on cells of at least this size, metres."""
-        both = [self.reference, scaled(plan, scale)]
-        check_resampling(both, self.config.normalize, "aligning")
-        cell = max(least_cell, common_resolution(both, self.config.normalize))
-        return Pair(self.ready(cell), self._ready(both[1], cell))
-
-    def ready(self, cell: float) -> GridFeatures:
-        """Return the reference on cells of a size."""
-        if cell not in self._made:
-            self._made[cell] = self._ready(self.reference, cell)
-        return self._made[cell]
+    def _aligned(self, reference: GridFeatures, scale: float) -> tuple[Pair, ScaledAlignment]:
+        """Align the plan at a scale on the reference's cells."""
+        plan = scaled(self.plan, scale)
+        check_resampling([reference.grid.grid, plan], self.config.normalize, "aligning")
+        pair = Pair(reference, self._ready(plan, reference.grid.grid.resolution))
+        count = len(self.scales)
+        alignment = align_pair(pair, self.config.align, None, count, thorough=False)
+        return pair, ScaledAlignment(scale, alignment)
 
     def _ready(self, grid: OccupancyGrid, cell: float) -> GridFeatures:
         normalized = normalize_grid(grid, cell, self.config.normalize, self.device)
         return GridFeatures(normalized, self.device)
 
-    def turned(self, features: GridFeatures, level: tuple[int, int]) -> TurnedMap:
+    def _turn(self, features: GridFeatures, level: tuple[int, int]) -> TurnedMap:
         """Return a map on a level, to be turned."""
         walls = wall_directions(features.grid.solid)
-        return TurnedMap(features, *level, walls, self.device, KeptSpectra())
+        return TurnedMap(features, *level, walls, self.device, self._spectra)
 
 
 def scaled(grid: OccupancyGrid, scale: float) -> OccupancyGrid:

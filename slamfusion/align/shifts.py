@@ -356,29 +356,34 @@ class TurnedMap:
         self.size, self.yaw_step_deg = SPECTRUM_SIZE * growth, YAW_STEP_DEG / growth
         self._kept = kept
 
-    def spectra(self, yaw_deg: float) -> tuple[C64, C64]:
-        """Return the spectra of the evidence and of the walls, turned by a yaw about the centre."""
+    def spectra(self, yaw_deg: float, scale: float = 1.0) -> tuple[C64, C64]:
+        """Return the spectra of the evidence and of the walls, turned and scaled about the centre.
+
+        Args:
+            yaw_deg: by which the map is turned.
+            scale: by which it is enlarged; a cell of wall then counts as much more.
+        """
         half_turns, key = divmod(round(yaw_deg * KEYS_PER_DEG), 180 * KEYS_PER_DEG)
-        found = self._kept.get((self, key))
+        found = self._kept.get((self, key, scale))
         if found is None:
-            found = self._turned(key / KEYS_PER_DEG)
-            self._kept.keep((self, key), found)
+            found = self._turned(key / KEYS_PER_DEG, scale)
+            self._kept.keep((self, key, scale), found)
         if half_turns % 2 == 0:
             return found
         # Read from its end, a picture has the conjugate spectrum, shifted by one cell.
         turn = _half_turn(self.size)
         return np.conj(found[0]) * turn, np.conj(found[1]) * turn
 
-    def _turned(self, yaw_deg: float) -> tuple[C64, C64]:
+    def _turned(self, yaw_deg: float, scale: float) -> tuple[C64, C64]:
         height, width = self._evidence.shape
-        turn = _rotation(math.radians(yaw_deg))
+        turn = scale * _rotation(math.radians(yaw_deg))
         centre = np.array([(width - 1) / 2.0, (height - 1) / 2.0])
         shift = (self.size - 1) / 2.0 - turn @ centre
         sides = (self.size, self.size)
         evidence = cv2.warpAffine(self._evidence, np.column_stack((turn, shift)), sides)
         cols, rows = np.rint(self._walls @ turn.T + shift).astype(np.int64).T % self.size
         walls = np.zeros(sides, dtype=np.float32)
-        np.add.at(walls, (rows, cols), np.float32(1.0))
+        np.add.at(walls, (rows, cols), np.float32(scale))
         spectra: C64 = scipy.fft.rfft2(np.stack((evidence, walls))).astype(np.complex64, copy=False)
         return spectra[0], spectra[1]
 
@@ -501,11 +506,12 @@ def _rotation(yaw: float) -> F64:
     return np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
 
 
-def parallel_shifts(reference: TurnedMap, moving: TurnedMap) -> ParallelShifts:
+def parallel_shifts(reference: TurnedMap, moving: TurnedMap, scale: float = 1.0) -> ParallelShifts:
     """Score every shift of one map over another at the yaws at which their walls are parallel.
 
     Args:
         reference, moving: of one level.
+        scale: by which the moving map is enlarged.
     """
     still, still_walls = reference.spectra(-reference.main_deg)
     yaws = []
@@ -518,7 +524,7 @@ def parallel_shifts(reference: TurnedMap, moving: TurnedMap) -> ParallelShifts:
     sides = (reference.size, reference.size)
     scores: F32 = np.empty((len(yaws), *sides), dtype=np.float32)
     for plane, yaw in zip(scores, yaws, strict=True):
-        evidence, walls = moving.spectra(yaw)
+        evidence, walls = moving.spectra(yaw, scale)
         product = still * np.conj(walls)
         product += np.conj(evidence) * still_walls
         plane[:] = scipy.fft.irfft2(product, s=sides, overwrite_x=True)
