@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import click
 
@@ -16,6 +16,7 @@ from slamfusion.cli.options import (
     common_options,
     map_resolution_option,
     output_option,
+    scale_option,
     start_errors,
     start_option,
     with_config,
@@ -33,15 +34,12 @@ from slamfusion.cli.paths import MAP
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError
 from slamfusion.jobs.documents import number
-from slamfusion.jobs.inputs import device_for, load_maps
+from slamfusion.jobs.inputs import PixelSizes, device_for, load_maps, load_truth
 from slamfusion.jobs.outputs import OVERLAY, PLACED, PLAN, WORLD_FILE, plan_files
 
 if TYPE_CHECKING:
     from slamfusion.align.records import Alignment
     from slamfusion.geometry import Pose2
-
-# What a pixel of a plan is taken for before its scale is searched, metres.
-PIXEL_M = 0.05
 
 
 @click.command(
@@ -57,13 +55,7 @@ PIXEL_M = 0.05
     bare_name=True,
 )
 @map_resolution_option
-@click.option(
-    "--scale",
-    metavar="free|LOW:HIGH",
-    callback=lambda _ctx, _option, value: None if value is None else _pixel_sizes(value),
-    help="Find the scale of MOVING, a floor plan: a picture or a DXF drawing. LOW:HIGH limits the "
-    "size of its pixels, in metres; free: from half to twice --resolution, or 0.025 to 0.1.",
-)
+@scale_option("Find the scale of MOVING, a floor plan: a picture or a DXF drawing.")
 @output_option(
     "--output",
     "-o",
@@ -79,7 +71,7 @@ def command(
     moving: Path,
     starts: GivenStarts,
     resolution: float | None,
-    scale: tuple[float, float] | Literal["free"] | None,
+    scale: PixelSizes | None,
     output: Path | None,
     config: RunConfig,
     as_json: bool,
@@ -99,20 +91,20 @@ def command(
         message = "--scale searches everywhere; leave --start out"
         raise click.UsageError(message)
     check_report(output)
-    both = (reference, moving)
-    guess = PIXEL_M if resolution is None and scale is not None else resolution
-    is_plan = scale is not None
-    still, moved = load_maps(both, guess, config.map_files, notice, measured=is_plan)
     device = device_for(config)
     if scale is not None:
         from slamfusion.jobs.plan import align_plan  # noqa: PLC0415
 
-        pixel_m = None if scale == "free" else scale
-        plan = align_plan(still, moved, config, device, pixel_m=pixel_m)
+        still, moved = (
+            load_truth(path, config, resolution=resolution, scale=its, warn=notice)
+            for path, its in ((reference, None), (moving, scale))
+        )
+        plan = align_plan(still, moved, config, device, scale=scale)
         found, moved = plan.alignment, plan.plan
         if output is not None and found.accepted:
             plan.save(output, config.fusion.normalize)
     else:
+        still, moved = load_maps((reference, moving), resolution, config.map_files, notice)
         starts = _named(starts, moved.name)
         config = with_starts(config, starts)
         with start_errors(starts):
@@ -132,20 +124,6 @@ def command(
     return 0
 
 
-def _pixel_sizes(value: str) -> tuple[float, float] | Literal["free"]:
-    """Return the least and the greatest metres per pixel of ``LOW:HIGH``, or ``free``."""
-    if value == "free":
-        return "free"
-    try:
-        low, high = (float(part) for part in value.split(":"))
-    except ValueError:
-        low = high = math.nan
-    if not 0.0 < low <= high < math.inf:
-        message = f"{value!r}: wanted free, or metres per pixel as LOW:HIGH, such as 0.02:0.06"
-        raise click.BadParameter(message)
-    return low, high
-
-
 def _named(starts: GivenStarts, moving: str) -> GivenStarts:
     """Return starts by name; one without is that of the moving map."""
     named = tuple((name or moving, values) for name, values in starts)
@@ -158,7 +136,7 @@ def _named(starts: GivenStarts, moving: str) -> GivenStarts:
 def _print_files(folder: Path) -> None:
     """Print what was saved of a plan, and what to do with it."""
     plan, placed = folder / f"{PLAN}.yaml", folder / f"{PLACED}.yaml"
-    words = " ".join(shlex.quote(str(path)) for path in (placed, "--truth", plan))
+    words = f"{shlex.quote(str(placed))} --truth {shlex.quote(str(plan))} --scale free"
     print_facts(
         ("plan", plan),
         ("map", f"{placed}, in the frame of the plan"),

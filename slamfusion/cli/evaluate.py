@@ -19,6 +19,7 @@ from slamfusion.cli.options import (
     map_resolution_option,
     output_option,
     report_option,
+    truth_scale_option,
     with_config,
 )
 from slamfusion.cli.output import is_verbose, notice, print_json, print_table, progress_bar
@@ -34,7 +35,14 @@ from slamfusion.cli.tables import print_evaluations, tell_left_out, tell_unalign
 from slamfusion.config import RunConfig
 from slamfusion.jobs.cases import CaseFile, Placed, case_names, place_files
 from slamfusion.jobs.documents import number
-from slamfusion.jobs.inputs import device_for, distinct_names, load_maps, map_file
+from slamfusion.jobs.inputs import (
+    PixelSizes,
+    device_for,
+    distinct_names,
+    load_maps,
+    load_truth,
+    map_file,
+)
 
 if TYPE_CHECKING:
     from slamfusion.evaluation import DistanceComparison
@@ -49,6 +57,7 @@ class _Request:
     maps: tuple[CaseFile, ...]
     truths: tuple[CaseFile, ...]
     align: bool
+    scale: PixelSizes | None
     distances_path: Path | None
     report_dir: Path | None
     image_path: Path | None
@@ -76,6 +85,9 @@ class _Request:
             raise click.UsageError(message)
         if not self.truths and (self.report_dir or self.image_path):
             message = "--report and --image show the difference to a truth; give --truth MAP"
+            raise click.UsageError(message)
+        if self.scale is not None and not self.align:
+            message = "--scale searches where the maps lie on the plan; leave --no-align out"
             raise click.UsageError(message)
         check_picture("--image", self.image_path)
         check_report(self.report_dir)
@@ -109,6 +121,7 @@ def _image_files(image: Path, given: Mapping[str, Any]) -> list[Path]:
 )
 @click.argument("maps", metavar="MAP...", nargs=-1, required=True, type=CASE_MAP)
 @case_option("--truth", "truths", "MAP", "The true map.", CASE_MAP)
+@truth_scale_option
 @click.option(
     "--align/--no-align",
     default=True,
@@ -209,21 +222,25 @@ def _compare_with_truths(
     if not files:
         return [], None
     truths = {
-        case: load_maps([path], request.resolution, config.map_files, notice, measured=True)[0]
+        case: load_truth(
+            path, config, resolution=request.resolution, scale=request.scale, warn=notice
+        )
         for case, path in files.items()
     }
     if len(truths) > 1:
         truths = {case: grid.with_name(case) for case, grid in truths.items()}
         grids = [grid.with_name(own.name) for grid, own in zip(grids, placed, strict=True)]
     device = device_for(config)
-    found: list[Evaluation] = []
+    found: dict[int, Evaluation] = {}
     with progress_bar() as progress:
-        for done, (grid, own) in enumerate(zip(grids, placed, strict=True)):
-            progress("evaluate", done, len(grids))
-            truth = truths[own.case]
-            found += evaluate_maps([grid], truth, config, device, align=request.align)
-        progress("evaluate", len(grids), len(grids))
-    return found, device.name
+        for case, truth in truths.items():
+            rows = [row for row, own in enumerate(placed) if own.case == case]
+            evaluations = evaluate_maps(
+                [grids[row] for row in rows], truth, config, device,
+                align=request.align, scale=request.scale, progress=progress,
+            )  # fmt: skip
+            found.update(zip(rows, evaluations, strict=True))
+    return [found[row] for row in range(len(grids))], device.name
 
 
 def _write_cases(

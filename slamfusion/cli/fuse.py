@@ -24,6 +24,7 @@ from slamfusion.cli.options import (
     scheduler_option,
     start_errors,
     start_option,
+    truth_scale_option,
     with_config,
     with_starts,
 )
@@ -46,7 +47,14 @@ from slamfusion.cli.tables import (
 )
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError
-from slamfusion.jobs.inputs import LIKE_PAPER, GivenMaps, device_for, load_maps
+from slamfusion.jobs.inputs import (
+    LIKE_PAPER,
+    GivenMaps,
+    PixelSizes,
+    device_for,
+    load_maps,
+    load_truth,
+)
 from slamfusion.jobs.outputs import (
     AGREEMENT_END,
     FAILED,
@@ -111,6 +119,7 @@ def _report_folders(folder: Path, _: Mapping[str, Any]) -> list[Path]:
     "The true map. Adds the errors of all maps.",
     MAP,
 )
+@truth_scale_option
 @click.option(
     "--format",
     "image_format",
@@ -145,6 +154,7 @@ def command(
     maps: tuple[Path, ...],
     out: Path,
     truth_path: Path | None,
+    scale: PixelSizes | None,
     report_dir: Path | None,
     image_format: str,
     is_opened: bool,
@@ -181,7 +191,7 @@ def command(
     grids = load_maps(maps, resolution, config.map_files, notice)
     truth = None
     if truth_path is not None:
-        (truth,) = load_maps([truth_path], resolution, config.map_files, notice, measured=True)
+        truth = load_truth(truth_path, config, resolution=resolution, scale=scale, warn=notice)
     given, device = GivenMaps.of(maps, resolution), device_for(config)
     try:
         with (
@@ -191,7 +201,8 @@ def command(
         ):
             fused = fuse_maps(
                 grids, config, device,
-                truth=truth, store=store, given=given, executor=executor, progress=progress,
+                truth=truth, scale=scale, store=store, given=given, executor=executor,
+                progress=progress,
             )  # fmt: skip
     except AlignmentError as error:
         _report_failure(error, grids, config, device.name, report_dir, given, as_json)

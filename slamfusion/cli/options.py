@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import functools
+import math
 import typing
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
@@ -38,6 +39,7 @@ from slamfusion.config import (
     split_list,
 )
 from slamfusion.errors import ConfigError, StartError
+from slamfusion.jobs.inputs import PixelSizes
 from slamfusion.jobs.outputs import possible_report
 
 if TYPE_CHECKING:
@@ -235,6 +237,35 @@ def map_resolution_option(function: F) -> F:
         help="Cell size of images without YAML, in metres.",
     )
     return decorate(function)
+
+
+def scale_option(text: str) -> Callable[[F], F]:
+    """Give a command ``--scale``: the size that the pixels of a floor plan may have, metres."""
+
+    def sizes(_: click.Context, __: click.Parameter, value: str | None) -> PixelSizes | None:
+        if value is None or value == "free":
+            return value
+        try:
+            low, high = (float(part) for part in value.split(":"))
+        except ValueError:
+            low = high = math.nan
+        if not 0.0 < low <= high < math.inf:
+            message = f"{value!r}: wanted free, or metres per pixel as LOW:HIGH, such as 0.02:0.06"
+            raise click.BadParameter(message)
+        return low, high
+
+    text += (
+        " LOW:HIGH limits the size of its pixels, in metres; free: from half to twice "
+        "--resolution, or 0.025 to 0.1."
+    )
+    return click.option("--scale", metavar="free|LOW:HIGH", callback=sizes, help=text)
+
+
+# Where the truth may be a floor plan.
+truth_scale_option = scale_option(
+    "The true map is a floor plan, whose scale is searched: a picture or a DXF drawing. What the "
+    "robot has not seen of it does not count."
+)
 
 
 def common_options(function: F) -> F:

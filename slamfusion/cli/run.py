@@ -25,6 +25,7 @@ from slamfusion.cli.options import (
     seeds_option,
     start_errors,
     start_option,
+    truth_scale_option,
     with_config,
     with_starts,
 )
@@ -163,6 +164,7 @@ def _files(out: Path, given: Mapping[str, Any]) -> list[Path]:
     "fused path. The file name assigns a path to its map: MAP.tum, or MAP=PATH.",
 )
 @file_option("--truth", "truth", "MAP", "The true map. Adds the errors of all maps.", MAP)
+@truth_scale_option
 @file_option(
     "--truth-trajectory",
     "truth_trajectory",

@@ -172,6 +172,12 @@ def print_evaluations(evaluations: Sequence[Evaluation]) -> None:
         list(map(shown_figures, evaluations)),
         f"Errors against {first.truth} (walls within {first.tolerance_m:g} m)",
     )
+    for item in evaluations:
+        if item.mapped is not None:
+            print(
+                f"{item.name} has seen {item.mapped:.0%} of the walls of {item.truth}, at "
+                f"{item.resolution:.4g} m per pixel"
+            )
     if is_verbose():
         _print_figures(
             ("map ",),

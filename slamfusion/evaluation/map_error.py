@@ -122,6 +122,8 @@ class MapError:
     """Share of the truth's known cells that the map knows, 0 to 1."""
     tolerance_m: float
     """A wall this near counts as found, metres."""
+    mapped: float | None
+    """Share of a plan's walls that the map has seen, 0 to 1; null: the truth is no plan."""
     wall_precision: float | None
     """Share of the map's walls with a true wall within the tolerance; null without a wall."""
     wall_recall: float | None
@@ -169,6 +171,7 @@ def compare_to_truth(
     *,
     normalize: NormalizeConfig,
     tolerance_m: float,
+    is_plan: bool = False,
 ) -> MapError:
     """Measure a map against the truth, with every measure at once.
 
@@ -182,6 +185,8 @@ def compare_to_truth(
             both frames for the same.
         normalize: the thresholds, in percent, for both maps.
         tolerance_m: how far a wall may lie from a true wall and still be right, at least 0.
+        is_plan: the truth is a floor plan: of rooms that the robot did not enter nothing counts.
+            What is farther than the tolerance from all cells that the map knows is then unknown.
 
     Raises:
         GridError: no cell of the truth is known, so there is nothing to compare with.
@@ -203,6 +208,14 @@ def compare_to_truth(
     # The cells, on the truth's lattice.
     expected = true_classes[box.row0 : box.row1, box.col0 : box.col1]
     found = sample_on_lattice(map_classes, grid, truth, box, transform)
+    mapped = None
+    if is_plan:
+        is_seen = _within(found != UNKNOWN, tolerance_m / truth.resolution)
+        is_wall = expected == 1
+        mapped = np.count_nonzero(is_wall & is_seen) / max(1, np.count_nonzero(is_wall))
+        expected = np.where(is_seen, expected, np.int8(UNKNOWN))
+        true_classes = np.full_like(true_classes, UNKNOWN)
+        true_classes[box.row0 : box.row1, box.col0 : box.col1] = expected
     confusion = _confusion(expected, found)
     difference = _DIFFERENCE[expected + 1, found + 1]
     difference.flags.writeable = False
@@ -215,7 +228,7 @@ def compare_to_truth(
     precision = share_within(map_to_truth, tolerance_m)
     recall = share_within(truth_to_map, tolerance_m)
 
-    known = int(confusion[1:].sum())
+    known = max(1, int(confusion[1:].sum()))
     return MapError(
         name=grid.name,
         truth=truth.name,
@@ -225,6 +238,7 @@ def compare_to_truth(
             truth_class: dict(zip(CLASS_NAMES, row, strict=True))
             for truth_class, row in zip(CLASS_NAMES, confusion.tolist(), strict=True)
         },
+        mapped=mapped,
         wall_precision=precision,
         wall_recall=recall,
         wall_f1=harmonic_mean(precision, recall),
@@ -248,6 +262,14 @@ def compare_to_truth(
         resolution=truth.resolution,
         origin=truth.crop(box).origin,
     )
+
+
+def _within(mask: npt.NDArray[np.bool_], cells: float) -> npt.NDArray[np.bool_]:
+    """Return the cells (H, W) whose centre is at most so many cells from one that is set."""
+    if not mask.any():
+        return mask
+    away = cv2.distanceTransform((~mask).view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    return np.asarray(away <= cells + 1e-3)
 
 
 def _confusion(

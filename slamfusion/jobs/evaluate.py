@@ -26,7 +26,15 @@ from slamfusion.io import AtomicFiles
 from slamfusion.jobs.cases import CaseFile, Placed, place_files
 from slamfusion.jobs.documents import circumstances, path_text, settings_used
 from slamfusion.jobs.fuse_documents import input_document
-from slamfusion.jobs.inputs import MapInput, Progress, as_grids, device_for
+from slamfusion.jobs.inputs import (
+    MapInput,
+    PixelSizes,
+    Progress,
+    as_grids,
+    device_for,
+    load_truth,
+)
+from slamfusion.jobs.plan import align_plan_with_all
 from slamfusion.jobs.records import (
     CaseEvaluation,
     CasesEvaluationDocument,
@@ -45,6 +53,7 @@ def evaluate_maps(
     device: ComputeDevice | None = None,
     *,
     align: bool = True,
+    scale: PixelSizes | None = None,
     resolution: float | None = None,
     progress: Progress | None = None,
 ) -> tuple[Evaluation, ...]:
@@ -61,6 +70,8 @@ def evaluate_maps(
         config: ``fusion``, ``evaluate`` and ``map_files`` are used; default: the defaults.
         device: aligns the maps; default: the one that the settings name.
         align: search where each map lies on the truth; else both frames are taken for the same.
+        scale: the truth is a floor plan with pixels of this size, which is searched; what a map has
+            not seen of it does not count. None: the truth is a map.
         resolution: metres per cell of bare images.
         progress: told the maps that are done.
 
@@ -71,20 +82,29 @@ def evaluate_maps(
     """
     config = config or RunConfig()
     grids = as_grids(maps, config, resolution=resolution, measured=True)
-    (true_grid,) = as_grids([truth], config, resolution=resolution, measured=True)
+    true_grid = load_truth(truth, config, resolution=resolution, scale=scale)
     device = device_for(config, device)
     search = replace(config.fusion, align=replace(config.fusion.align, step=None))
+    plans = None
+    if scale is not None:
+        searched = replace(config, fusion=search)
+        plans = align_plan_with_all(grids, true_grid, searched, device, scale)
     evaluations = []
     for done, grid in enumerate(grids):
         if progress is not None:
             progress("evaluate", done, len(grids))
-        alignment = align_grids(true_grid, grid, search, device) if align else None
+        alignment, truth = None, true_grid
+        if plans is not None:
+            alignment, truth = plans[done].of_map, plans[done].plan
+        elif align:
+            alignment = align_grids(true_grid, grid, search, device)
         error = compare_to_truth(
             grid,
-            true_grid,
+            truth,
             Pose2() if alignment is None else alignment.transform,
             normalize=config.fusion.normalize,
             tolerance_m=config.evaluate.tolerance_m,
+            is_plan=plans is not None,
         )
         aligned = alignment is None or alignment.accepted
         evaluations.append(Evaluation(**vars(error), aligned=aligned, alignment=alignment))

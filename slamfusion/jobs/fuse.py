@@ -38,10 +38,12 @@ from slamfusion.jobs.inputs import (
     NO_FILES,
     GivenMaps,
     MapInput,
+    PixelSizes,
     Progress,
     Warn,
     as_grids,
     device_for,
+    load_truth,
 )
 from slamfusion.jobs.outputs import (
     FAILED,
@@ -170,6 +172,7 @@ def fuse_maps(
     device: ComputeDevice | None = None,
     *,
     truth: MapInput | None = None,
+    scale: PixelSizes | None = None,
     resolution: float | None = None,
     store: str | Path | None = None,
     given: GivenMaps | None = None,
@@ -187,6 +190,7 @@ def fuse_maps(
         device: computes; default: the one that the settings name.
         truth: the true map: errors of every input and of the fused map. With a store it is not
             looked at.
+        scale: the truth is a floor plan with pixels of this size; see ``evaluate_maps``.
         resolution: metres per cell of bare images.
         store: ``OUT.zarr``, a Zarr store that the fused map is written to tile by tile, so that it
             need not fit into memory; further groups go to ``OUT-2.zarr`` ... Nothing may be at any
@@ -220,7 +224,7 @@ def fuse_maps(
     starts = place_starts(config.start, names, config.fusion.reference)
     true_grid = None
     if truth is not None:
-        (true_grid,) = as_grids([truth], config, resolution=resolution, warn=warn, measured=True)
+        true_grid = load_truth(truth, config, resolution=resolution, scale=scale, warn=warn)
     device = device_for(config, device)
     if store is not None:
         return _fuse_into(Path(store), grids, config, device, starts, given, executor, progress)
@@ -230,7 +234,9 @@ def fuse_maps(
     evaluations: tuple[Evaluation, ...] = ()
     if true_grid is not None:
         measured = [*grids, result.fused.with_name("fused")]
-        evaluations = evaluate_maps(measured, true_grid, config, device, progress=progress)
+        evaluations = evaluate_maps(
+            measured, true_grid, config, device, scale=scale, progress=progress
+        )
     # The last evaluation is of the fused map.
     known = {found.name: found.doubled_wall_share for found in evaluations[:-1]}
     doubled = DoubledWalls.of(result, config, known)

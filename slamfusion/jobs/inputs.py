@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from slamfusion.config import SMALLEST, FusionConfig, MapFileConfig, RunConfig, VoteConfig, VoteMode
 from slamfusion.errors import MapFileError
@@ -23,11 +23,15 @@ _LOG = logging.getLogger(__name__)
 
 # A map in memory, or a map_server YAML file or bare image.
 MapInput: TypeAlias = "OccupancyGrid | str | Path"
+# The least and the greatest size of a plan's pixels, metres; free: half and twice what they say.
+PixelSizes: TypeAlias = tuple[float, float] | Literal["free"]
 # Told the stage, and how much of how much of it is done.
 Progress = Callable[[str, int, int], None]
 # Told in a sentence what is doubtful about an input.
 Warn = Callable[[str], None]
 
+# What a pixel of a plan is taken for before its scale is searched, metres.
+PIXEL_M = 0.05
 # Maps of a folder that a message names.
 MOST_NAMED = 5
 SUFFIXES = (".gz", ".yaml", ".yml", ".pgm", ".png", ".bmp", ".pnm", ".dxf", ".tum", ".txt", ".csv")
@@ -125,6 +129,28 @@ def as_grids(
     paths = [Path(item) for item in maps if isinstance(item, (str, Path))]
     loaded = iter(load_maps(paths, resolution, config.map_files, warn, measured=measured))
     return [next(loaded) if isinstance(item, (str, Path)) else item for item in maps]
+
+
+def load_truth(
+    truth: MapInput,
+    config: RunConfig,
+    *,
+    resolution: float | None = None,
+    scale: PixelSizes | None = None,
+    warn: Warn = _LOG.warning,
+) -> OccupancyGrid:
+    """Return the map that others are compared with; see ``load_maps``.
+
+    Args:
+        truth: in memory, a map_server YAML file, a bare image or a drawing.
+        config: ``map_files`` is used.
+        resolution: metres per cell of a bare image; default for a plan: ``PIXEL_M``.
+        scale: of a floor plan, whose scale is to be found; None: it is a map.
+        warn: told in a sentence what is doubtful about it.
+    """
+    if scale is not None and resolution is None:
+        resolution = PIXEL_M
+    return as_grids([truth], config, resolution=resolution, warn=warn, measured=True)[0]
 
 
 def as_path(path: str | Path | None) -> Path | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, OccupancyGrid
 from slamfusion.io.files import AtomicFiles
 from slamfusion.io.map_server import save_map
-from slamfusion.jobs.inputs import device_for
+from slamfusion.jobs.inputs import PixelSizes, device_for
 from slamfusion.jobs.outputs import OVERLAY, PLACED, PLAN, WORLD_FILE
 from slamfusion.vote.lattice import Lattice
 
@@ -41,6 +42,16 @@ class AlignedPlan:
     scale: float
     alignment: Alignment
 
+    @property
+    def of_map(self) -> Alignment:
+        """The same alignment, of the map with the plan."""
+        return replace(
+            self.alignment,
+            reference=self.plan.name,
+            moving=self.reference.name,
+            transform=self.alignment.transform.inverse(),
+        )
+
     def save(self, folder: Path, normalize: NormalizeConfig) -> None:
         """Save the plan, the map in the plan's frame, the plan's world file and an overlay.
 
@@ -53,20 +64,14 @@ class AlignedPlan:
             save_map(self.plan, folder / PLAN, image_format="png", files=files)
             save_map(self.in_plan(), folder / PLACED, image_format="png", files=files)
             files.add(folder / WORLD_FILE, world_file(self.plan, self.alignment.transform).encode())
-            turned = replace(
-                self.alignment,
-                reference=self.plan.name,
-                moving=self.reference.name,
-                transform=self.alignment.transform.inverse(),
-            )
             colours = input_colours((self.plan.name, self.reference.name))
-            picture = pair_overlay(self.plan, self.reference, turned, normalize, colours)
+            picture = pair_overlay(self.plan, self.reference, self.of_map, normalize, colours)
             if picture is not None:
                 files.add(folder / OVERLAY, picture.png)
 
     def in_plan(self) -> OccupancyGrid:
         """Return the robot's map with its axes along the plan's, in the plan's frame."""
-        grid, transform = self.reference, self.alignment.transform.inverse()
+        grid, transform = self.reference, self.of_map.transform
         own, along = Lattice(grid.resolution, grid.origin), Lattice(grid.resolution, Pose2())
         box = along.box_of(CellBox(0, 0, grid.height, grid.width), own, transform)
         lattice = replace(grid, origin=along.origin)
@@ -80,7 +85,7 @@ def align_plan(
     config: RunConfig | None = None,
     device: ComputeDevice | None = None,
     *,
-    pixel_m: tuple[float, float] | None = None,
+    scale: PixelSizes = "free",
 ) -> AlignedPlan:
     """Align a floor plan whose scale is not known with a robot's map.
 
@@ -89,24 +94,45 @@ def align_plan(
         plan: its resolution is a first guess.
         config: ``fusion`` is used; default: the defaults.
         device: searches; default: the one that the settings name.
-        pixel_m: least and greatest metres per pixel of the plan; default: half and twice the first
-            guess.
+        scale: least and greatest metres per pixel of the plan.
 
     Returns:
         The plan with its resolution, and the alignment, also where it is rejected.
 
     Raises:
-        ConfigError: ``pixel_m`` is not positive or not in order.
+        ConfigError: ``scale`` is not positive or not in order.
         GridError: a map has no known cell.
         DeviceError: the device cannot be opened.
     """
     config = config or RunConfig()
     scales = (1.0 / FACTOR, FACTOR)
-    if pixel_m is not None:
-        scales = (pixel_m[0] / plan.resolution, pixel_m[1] / plan.resolution)
+    if scale != "free":
+        scales = (scale[0] / plan.resolution, scale[1] / plan.resolution)
     found = align_at_any_scale(reference, plan, config.fusion, device_for(config, device), scales)
     sized = replace(plan, resolution=plan.resolution * found.scale)
     return AlignedPlan(reference, sized, found.scale, found.alignment)
+
+
+def align_plan_with_all(
+    references: Sequence[OccupancyGrid],
+    plan: OccupancyGrid,
+    config: RunConfig,
+    device: ComputeDevice,
+    scale: PixelSizes,
+) -> list[AlignedPlan]:
+    """Align a floor plan with maps of one place, with all at one scale.
+
+    Args:
+        references: the maps; the scale is that at which the plan fits the last one that it fits.
+        plan, config, device, scale: see ``align_plan``.
+    """
+    found = []
+    for reference in reversed(references):
+        one = align_plan(reference, plan, config, device, scale=scale)
+        if one.alignment.accepted:
+            scale = one.plan.resolution, one.plan.resolution
+        found.append(one)
+    return found[::-1]
 
 
 def world_file(plan: OccupancyGrid, transform: Pose2) -> str:

@@ -44,11 +44,12 @@ from slamfusion.jobs.fused_path import DrivePath, draw_like, fuse_weighed_paths
 from slamfusion.jobs.inputs import (
     RUN_DEFAULTS,
     RUN_VOTE,
+    PixelSizes,
     Progress,
     Warn,
     as_path,
     device_for,
-    load_maps,
+    load_truth,
 )
 from slamfusion.jobs.map_log import PROGRESS_STEPS, LogFiles, ProducerResult, measure_run
 from slamfusion.jobs.outputs import DRAWN, FUSED
@@ -186,6 +187,7 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
     odometry: str | Path | None = None,
     truth: str | Path | None = None,
     truth_map: str | Path | None = None,
+    scale: PixelSizes | None = None,
     scan_odometry: str | Path | None = None,
     progress: Progress | None = None,
     warn: Warn = _LOG.warning,
@@ -205,6 +207,7 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
             producers' own. Whose path each one is, its name tells; see ``slamfusion.jobs.cases``.
         resolution: metres per cell of bare images.
         relations, odometry, truth, truth_map, scan_odometry: see ``LogFiles``.
+        scale: the true map is a floor plan with pixels of this size; see ``evaluate_maps``.
         progress: told the stage, or the producer, and how much of it is done.
         warn: told in a sentence what is doubtful about a map.
         prepare: called while the producers are at work; what it raises ends the run at once.
@@ -244,8 +247,8 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
             prepare()
         true_map = None
         if files.truth_map is not None:
-            (true_map,) = load_maps(
-                [files.truth_map], resolution, config.map_files, warn, measured=True
+            true_map = load_truth(
+                files.truth_map, config, resolution=resolution, scale=scale, warn=warn
             )
         held = Yardsticks.read(config, files.relations, files.odometry, files.truth, warn)
         others, their_paths = saved.load(config, resolution, warn)
@@ -339,8 +342,9 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
         if true_map is not None and grids:
             measured = [grid for grid in (*grids, fused, drawn) if grid is not None]
             evaluations = stages.attempt(
-                "", (), evaluate_maps, measured, true_map, config, device, progress=progress
-            )
+                "", (), evaluate_maps, measured, true_map, config, device,
+                scale=scale, progress=progress,
+            )  # fmt: skip
         errors = {item.name: item for item in evaluations}
         results = {
             item.name: ProducerResult(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +43,21 @@ def test_a_plan_gets_its_resolution_and_the_map_lies_in_its_frame(tmp_path: Path
     assert np.hypot(along, across) == pytest.approx(found["resolution"])
     assert (down_x, down_y) == (across, -along)
     assert np.arctan2(across, along) == pytest.approx(found["yaw_rad"], abs=1e-6)
+
+
+def test_a_plan_serves_as_truth_before_its_scale_is_known(tmp_path: Path) -> None:
+    truth = ("--truth", SAMPLE / "truth.pgm", *PLAN)
+    (own,) = json_of(run("evaluate", MAPS[1], *truth, "--json"))["maps"]
+    (known,) = json_of(run("evaluate", MAPS[1], "--truth", SAMPLE / "truth.yaml", "--json"))["maps"]
+    assert own["aligned"]
+    assert known["mapped"] is None
+    assert own["mapped"] == pytest.approx(known["wall_recall"], abs=0.05)
+    assert own["wall_f1"] == pytest.approx(known["wall_f1"], abs=0.05)
+    fused = run("fuse", *MAPS[:2], "-o", tmp_path / "fused", *truth)
+    assert "fused has seen" in fused.stdout
+    assert "of the walls of truth, at 0.0" in fused.stdout
+    # All maps are compared with a plan of one size.
+    assert len(set(re.findall(r"at (\S+) m per pixel", fused.stdout))) == 1
 
 
 @pytest.mark.parametrize(

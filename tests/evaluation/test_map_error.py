@@ -173,6 +173,28 @@ def test_measures_without_walls_are_none_and_survive_json() -> None:
     assert reversed_result.wall_precision == 0.0
 
 
+def test_of_a_plan_counts_what_the_map_has_seen() -> None:
+    plan = draw("##########", "#...#....#", "##########")
+    # The robot saw the left room alone, and of its right wall the face.
+    seen = draw("####??????", "#...#?????", "####??????")
+    of_map = compare(seen, plan, tolerance_m=0.0)
+    assert of_map.mapped is None
+    assert of_map.wall_recall == pytest.approx(10 / 23)
+    of_plan = compare_to_truth(seen, plan, normalize=NORMALIZE, tolerance_m=0.0, is_plan=True)
+    assert of_plan.mapped == pytest.approx(10 / 23)
+    assert (of_plan.wall_recall, of_plan.wall_precision) == (1.0, 1.0)
+    assert of_plan.faces.f1(0.05) == 1.0
+    assert of_plan.coverage == 1.0
+    assert np.count_nonzero(of_plan.difference == MISSING_WALL) == 0
+    # A wall of the plan that is near known ground, and not in the map, is missing.
+    near = compare_to_truth(seen, plan, normalize=NORMALIZE, tolerance_m=1.0, is_plan=True)
+    assert near.mapped == pytest.approx(12 / 23)
+    away = compare_to_truth(
+        seen, plan, Pose2(50.0), normalize=NORMALIZE, tolerance_m=1.0, is_plan=True
+    )
+    assert (away.mapped, away.wall_recall) == (0.0, None)
+
+
 def test_a_truth_without_known_cells_is_refused_by_name() -> None:
     unknown = draw("?~", "~?").with_name("plan")
     with pytest.raises(GridError, match="plan: the truth has no cell"):
