@@ -322,14 +322,6 @@ class TrajectoryConfig(Checked):
         "frames",
         "matched poses, metres along the truth, or seconds",
     )
-    odometry_tolerance_m: float = option(
-        0.005,
-        "an odometry row this near (metres, and radians of heading) is a scan's own",
-        unit="m",
-        low=1e-6,
-        high=0.5,
-        level="expert",
-    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

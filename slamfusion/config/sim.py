@@ -86,16 +86,6 @@ class LidarConfig(Checked):
     mixed_share: float = option(
         0.2, "share of readings at an edge in depth that lie between both sides", low=0.0, high=1.0
     )
-    glass_return_share: float = option(
-        0.9, "share of beams that glass sends back when met head-on", low=0.0, high=1.0
-    )
-    glass_angle_rad: float = option(
-        0.35,
-        "glass met at this angle or more from its normal lets every beam pass",
-        unit="rad",
-        low=0.01,
-        high=math.pi / 2.0,
-    )
     mount_x_m: float = option(
         0.1, "laser ahead of the robot's origin", unit="m", low=-10.0, high=10.0
     )

@@ -46,13 +46,6 @@ class MatcherConfig(Checked):
     prior_weight_yaw: float = option(
         0.005, "the same for the guessed heading", low=0.0, high=1.0, level="expert"
     )
-    drift_loss: float = option(
-        0.05,
-        "score lost by believing that the robot went on as it went, against its odometry",
-        low=0.0,
-        high=1.0,
-        level="expert",
-    )
     jump_m: float = option(
         5.0,
         "a longer step of the odometry between two scans is a reset and not believed; more for a "
@@ -95,9 +88,6 @@ class TinySlamConfig(Checked):
     )
     occupied_share: float = option(
         0.3, "a cell whose mean value reaches this is published as occupied", low=0.05, high=0.95
-    )
-    matcher_free_value: float = option(
-        0.2, "what the matcher's map learns of a passed cell", low=0.0, high=0.5, level="expert"
     )
 
 

@@ -33,6 +33,8 @@ _FITS = 10
 _FIT_WITHIN = 4.0
 # What decides between rows of one stamp: less than any clock tells, more than rounding.
 _TIE_S = 1e-9
+# An odometry row this near, metres and radians of heading, is a scan's own.
+_EQUAL_M = 0.005
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +75,7 @@ class DensePoses:
 
 
 def match_odometry(
-    scan_odometry: Trajectory, odometry: Trajectory, tolerance_m: float
+    scan_odometry: Trajectory, odometry: Trajectory, tolerance_m: float = _EQUAL_M
 ) -> OdometryMatch:
     """Find the row of an odometry file that each scan was taken at, by its pose and not its stamp.
 
@@ -129,7 +131,7 @@ def poses_by_odometry(
     odometry: Trajectory,
     *,
     tolerance_s: float,
-    tolerance_m: float,
+    tolerance_m: float = _EQUAL_M,
 ) -> DensePoses:
     """Return an estimate's poses at every row of an odometry file.
 

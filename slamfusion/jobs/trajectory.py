@@ -156,13 +156,7 @@ def measure_trajectory(
     config = config or TrajectoryConfig()
     dense = None
     if relations is not None and odometry is not None:
-        dense = poses_by_odometry(
-            estimate,
-            scans,
-            odometry,
-            tolerance_s=config.tolerance_s,
-            tolerance_m=config.odometry_tolerance_m,
-        )
+        dense = poses_by_odometry(estimate, scans, odometry, tolerance_s=config.tolerance_s)
     scored = estimate if dense is None else dense.trajectory
     return Measures(
         relations=None

@@ -191,6 +191,8 @@ LIDARS: dict[str, LidarConfig] = {
 RAYS = 1 << 18
 # Neighbouring beams that differ by this see an edge in depth.
 EDGE_M = 0.3
+# Share of beams that glass sends back when met head-on; at this angle from its normal, none.
+GLASS_RETURN_SHARE, GLASS_ANGLE_RAD = 0.9, 0.35
 
 
 def mount_of(lidar: LidarConfig) -> Pose2:
@@ -273,8 +275,8 @@ class _Sight:
         hits = self.device.cast_rays(self.cells, rays.reshape(-1, 4), reach)
         first, met, cosine, behind = hits.astype(np.float64).T
         # Glass sends back what meets it nearly head-on; the rest goes through every pane.
-        slant = np.arccos(np.clip(cosine, 0.0, 1.0)) / lidar.glass_angle_rad
-        chance = lidar.glass_return_share * np.clip(1.0 - slant, 0.0, 1.0)
+        slant = np.arccos(np.clip(cosine, 0.0, 1.0)) / GLASS_ANGLE_RAD
+        chance = GLASS_RETURN_SHARE * np.clip(1.0 - slant, 0.0, 1.0)
         passes = (met == GLASS) & (rng.random(len(met)) >= chance)
         return np.asarray(np.where(passes, behind, first) * grid.resolution).reshape(cos.shape)
 

@@ -104,7 +104,7 @@ def floor(drive: Drive, config: RunConfig) -> float | None:
     best = read_trajectory(BEST[drive.name], config.log)
     if drive.held.odometry is not None:
         own, scans = config.trajectory, drive.scan_odometry()
-        match = match_odometry(scans, drive.held.odometry, own.odometry_tolerance_m)
+        match = match_odometry(scans, drive.held.odometry)
         stamps_s = drive.held.odometry.stamps_s[match.rows]
         nearest, is_matched = best.matches(stamps_s, own.tolerance_s)
         known = (match.rows >= 0) & is_matched

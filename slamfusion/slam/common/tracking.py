@@ -56,6 +56,8 @@ YOUNG_SCANS = 20
 # of it a scan fits better where another one was taken. A long step costs that anyway, and odometry
 # that is far off over one must be left; one too short to cost it even so tells nothing.
 STANDING_LOSS = 0.1
+# Score lost by a robot that went on as it went, against its odometry.
+DRIFT_LOSS = 0.05
 
 
 @dataclass
@@ -114,7 +116,7 @@ class Tracker(Stateful):
         return [
             replace(self._hypothesis(step, 1.0, 0.0), by_odometry=True, trust=trust),
             # Odometry that stalls and then catches up, or wheels that slip, are what this is for.
-            self._hypothesis(onward, 1.0, self.config.drift_loss * trust),
+            self._hypothesis(onward, 1.0, DRIFT_LOSS * trust),
         ]
 
     def match(
@@ -166,7 +168,7 @@ class Tracker(Stateful):
     def _without_odometry(self, onward: Pose2, duration_s: float) -> list[PoseHypothesis]:
         """Return where the robot may be: as expected, and where scans are missing all the way on.
 
-        The further from where it would have come to as it went the less likely, by ``drift_loss``.
+        The further from where it would have come to as it went the less likely, by ``DRIFT_LOSS``.
         """
         missing = duration_s / (MOST_ONWARD * self.step_s) if self.step_s > 0.0 else 0.0
         if missing <= 1.0 or self.step == IDENTITY:
@@ -180,7 +182,7 @@ class Tracker(Stateful):
             self._hypothesis(
                 step,
                 NO_ODOMETRY_SPREAD,
-                self.config.drift_loss * abs(index - likely) / (len(gone) - 1),
+                DRIFT_LOSS * abs(index - likely) / (len(gone) - 1),
             )
             for index, step in enumerate(gone)
         ]

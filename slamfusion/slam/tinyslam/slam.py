@@ -116,8 +116,8 @@ HIT_SHARE = {"constant": 1.0, "area": 0.5}
 # Share of the way from a passed cell's value to a wall's from which on the matcher sees a wall:
 # cells that a few beams grazed are none.
 FLOOR_SHARE = 0.2
-# Difference between the two, at least, for the matcher: where ``matcher_free_value`` is high.
-LEAST_CONTRAST = 0.2
+# What the matcher's map learns of a passed cell.
+MATCHER_FREE_VALUE = 0.2
 # Wall value, of 255, of a cell that no scan has seen: were it 0, a scan that looks into new space
 # would rather fit where the robot has been.
 UNSEEN_WALL = 20
@@ -264,13 +264,12 @@ class TinySlam:
         beams = self._beams(hits - tiles.origin, laser - tiles.origin)
         # What a wall's cells come to hold by and by.
         share = HIT_SHARE[config.occupancy_estimator]
-        free = config.matcher_free_value
-        peak = max(FREE_VALUE + share * (OCCUPIED_VALUE - FREE_VALUE), free + LEAST_CONTRAST)
-        floor = free + FLOOR_SHARE * (peak - free)
+        peak = FREE_VALUE + share * (OCCUPIED_VALUE - FREE_VALUE)
+        floor = MATCHER_FREE_VALUE + FLOOR_SHARE * (peak - MATCHER_FREE_VALUE)
         rule = ScanRule(
             half_blur=round(0.5 * config.hole_width_m / cell * BEAM_ONE),
             behind=(VALUE_ONE + 1) // 2,
-            free=round(config.matcher_free_value * VALUE_ONE),
+            free=round(MATCHER_FREE_VALUE * VALUE_ONE),
             map_free=round(FREE_VALUE * VALUE_ONE),
             quality=round(quality * 1024),
             is_mean=config.cell_model == "mean",
