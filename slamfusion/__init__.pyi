@@ -87,7 +87,6 @@ from slamfusion.jobs.trajectory import (
     TrajectoryFiles as TrajectoryFiles,
     measure_trajectories as measure_trajectories,
     measure_trajectory as measure_trajectory,
-    measure_trajectory_file as measure_trajectory_file,
     write_trajectories as write_trajectories,
 )
 from slamfusion.scan import LaserScan as LaserScan

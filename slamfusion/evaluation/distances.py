@@ -94,7 +94,6 @@ class MeasuredDistance:
     """One distance between two walls, measured in the building.
 
     Attributes:
-        name: what it is, for the table.
         point1, point2: x and y in the map's frame, metres, near the two walls.
         distance_m: as measured, positive.
     """
@@ -155,7 +154,6 @@ def compare_distances(
     Args:
         grid: the map; its frame is the one of the measured points.
         distances: a file for ``load_distances``, or its rows.
-        normalize: which cells are walls.
         search_radius_m: a wall farther than this from its point is not meant.
 
     Raises:

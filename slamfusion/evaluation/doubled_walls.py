@@ -58,7 +58,6 @@ def doubled_wall_share(
 
     Args:
         grid: a grid, or (H, W) bool with True for a wall.
-        normalize: the thresholds of a grid.
 
     Returns:
         0..1; 0 for a map without walls.

@@ -192,9 +192,6 @@ def wall_thickness(
     diagonals; the shortest of the four is the thickness there. So a slanted wall is no thicker than
     a straight one by more than its steps, and a wall's length does not count.
 
-    Args:
-        normalize: which cells are walls, and which free.
-
     Returns:
         None for a map whose walls have no face.
     """

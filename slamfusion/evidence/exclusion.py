@@ -33,11 +33,12 @@ from slamfusion.geometry import fit_motion, moved_poses, with_levers
 from slamfusion.trajectory import flag_runs, nearest_stamps
 
 F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
 B8 = npt.NDArray[np.bool_]
 
-# Two paths part where they are this far from each other, metres, and meet again at half of it.
-# Good paths of one drive differ by up to 0.2 m.
-PART_M = 0.3
+# Two paths part where they are this far from each other, metres: from where they last were within
+# half of it, to where they are so again. Good paths of one drive differ by up to 0.2 m.
+PART_M, NEAR_M = 0.3, 0.15
 # Shorter spans are none, seconds.
 LEAST_S = 1.0
 
@@ -62,52 +63,21 @@ def path_spans(evidence: PathEvidence, name: str, other: str) -> tuple[Span, ...
     Returns:
         Spans in the order of time that together cover the judged part of the drive.
     """
-    judged = np.flatnonzero(evidence.is_judged)
-    since_s = evidence.scans.stamps_s[judged] - evidence.scans.stamps_s[0]
+    since_s = evidence.scans.stamps_s[evidence.is_judged] - evidence.scans.stamps_s[0]
     gap_m = path_gap_m(evidence, name, other)
-    apart = _parted(gap_m, since_s)
-    cuts = np.flatnonzero(np.diff(apart.astype(np.int8))) + 1
-    first, last = np.r_[0, cuts], np.r_[cuts, len(apart)]
-    spans = []
-    for start, stop in zip(first.tolist(), last.tolist(), strict=True):
-        end_s = float(since_s[stop] if stop < len(since_s) else since_s[-1])
-        widest_m = float(gap_m[start:stop].max())
-        spans.append(Span(float(since_s[start]), end_s, not bool(apart[start]), widest_m))
-    return tuple(spans)
+    apart = parted(gap_m, since_s)
+    cuts = np.flatnonzero(np.diff(apart)) + 1
+    ends_s = since_s[np.r_[0, cuts, -1]].tolist()
+    widest_m = np.maximum.reduceat(gap_m, np.r_[0, cuts]).tolist()
+    agrees = (~apart[np.r_[0, cuts]]).tolist()
+    return tuple(map(Span, ends_s, ends_s[1:], agrees, widest_m))
 
 
 def path_gap_m(evidence: PathEvidence, name: str, other: str) -> F64:
-    """Return how far a path lies from another at each judged scan, metres.
-
-    The paths are laid on each other where the better half of their poses fits: least trimmed
-    squares, begun from the whole and from each third of the drive.
-
-    Source: Rousseeuw and Van Driessen, Computing LTS regression for large data sets, Data Mining
-    and Knowledge Discovery 12, 2006 (concentration steps).
-    """
-    moving = evidence.scores[name].path.poses[evidence.is_judged]
-    still = evidence.scores[other].path.poses[evidence.is_judged]
-    count = len(moving)
-    thirds = [
-        slice(k * count // 3, max(k * count // 3 + 1, (k + 1) * count // 3)) for k in (0, 1, 2)
-    ]
-    found = [_fit_half(moving, still, begin) for begin in (slice(0, count), *thirds)]
-    return min(found, key=lambda gap_m: float(np.median(gap_m)))
-
-
-def _fit_half(moving: F64, still: F64, begin: slice) -> F64:
-    """Return what is left at each pose after fitting the half of them that fits best, metres."""
-    kept = np.zeros(len(moving), dtype=np.bool_)
-    kept[begin] = True
-    for _ in range(FITS):
-        motion = fit_motion(with_levers(moving[kept]), with_levers(still[kept]))
-        laid = moved_poses(motion, moving)
-        left = np.hypot(*(laid[:, :2] - still[:, :2]).T)
-        half = left <= np.median(left)
-        if np.array_equal(half, kept):
-            break
-        kept = half
-    return np.asarray(left, dtype=np.float64)
+    """Return how far a path lies from another at each judged scan, metres; see ``lay_on``."""
+    moving, still = (evidence.scores[one].path.poses[evidence.is_judged] for one in (name, other))
+    aligned, _ = lay_on(moving, still)
+    return np.hypot(*(aligned[:, :2] - still[:, :2]).T)
 
 
 def long_runs(flags: B8, stamps_s: F64) -> Iterator[slice]:
@@ -121,24 +91,6 @@ def long_runs(flags: B8, stamps_s: F64) -> Iterator[slice]:
             yield here
 
 
-def _parted(gap_m: F64, since_s: F64) -> B8:
-    """Say at which scans two paths have parted, with a lower threshold for meeting again."""
-    wide, near = gap_m > PART_M, gap_m <= 0.5 * PART_M
-    # The last scan that is wide or near decides; before the first such scan, nothing has parted.
-    decided = np.where(wide, 1, np.where(near, -1, 0))
-    last = np.maximum.accumulate(np.where(decided != 0, np.arange(len(gap_m)), -1))
-    wide_last = np.where(last >= 0, decided[np.maximum(last, 0)] > 0, False)
-    apart = np.zeros(len(gap_m), dtype=np.bool_)
-    for here in long_runs(wide_last, since_s):
-        apart[here] = True
-    return apart
-
-
-I64 = npt.NDArray[np.int64]
-
-# Two paths part where they are ``PART_M`` from each other: from where they last were within this
-# share of it, to where they are so again.
-NEAR_SHARE = 0.5
 # Two paths are fitted from each of as many parts of the drive, in as many rounds at most.
 BEGINNINGS, FITS = 8, 20
 # Of two fits the one from the earlier part, unless the other takes in more poses by this factor: of
@@ -225,8 +177,6 @@ def find_exclusions(evidence: PathEvidence, device: ComputeDevice | None = None)
 
     Args:
         evidence: of the paths that vote, and of no path made of them.
-        device: scores paths without the times in which they have lost their vote; None: they have
-            the scores that they have with these.
     """
     return _Drive.of(evidence, device).judge()
 
@@ -250,7 +200,7 @@ def lay_on(moving: F64, still: F64) -> tuple[F64, int]:
         for _ in range(FITS):
             motion = fit_motion(with_levers(moving[kept]), with_levers(still[kept]))
             laid = moved_poses(motion, moving)
-            is_near = pose_distances(laid, still) <= NEAR_SHARE * PART_M
+            is_near = pose_distances(laid, still) <= NEAR_M
             if not is_near.any() or np.array_equal(is_near, kept):
                 break
             kept = is_near
@@ -282,7 +232,7 @@ def parted(gap_m: F64, stamps_s: F64) -> B8:
         stamps_s: (M,) seconds.
     """
     away = np.zeros(len(gap_m), dtype=np.bool_)
-    for here in long_runs(gap_m > NEAR_SHARE * PART_M, stamps_s):
+    for here in long_runs(gap_m > NEAR_M, stamps_s):
         away[here] = gap_m[here].max() > PART_M
     return away
 
@@ -308,7 +258,6 @@ class _Drive:
     """K paths, where they have parted among the M judged scans, and what the scans say of them.
 
     Attributes:
-        device: scores some of them once more; None: nothing does.
         judged: (M,) int64, the judged scans.
         gaps: (K, K, M) float64, how far every two are apart, metres.
         apart: (K, K, M) bool, whether they have parted.

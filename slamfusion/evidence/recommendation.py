@@ -190,7 +190,6 @@ def recommend(
     Args:
         evidence: of the paths of the SLAMs, and of the one fused of them, if any.
         exclusions: when the paths have parted, and who votes.
-        device: looks up where walls are displaced.
         fused: name of the path that was fused of them; None, or unknown: there is none.
         frames: paths by name in the frames that places are given in; default: their own.
     """
@@ -254,7 +253,6 @@ def _checks(
         rivals: of the paths that vote those that cannot be told from it.
         exclusions: say where paths have parted and nothing tells which one is right.
         frame: of the places; None: that of the path.
-        device: looks up.
     """
     displaced = find_displacements(evidence, path, device)
     found: list[tuple[float, Check]] = []

@@ -44,7 +44,6 @@ class Drive:
     """A drive, held in memory because it is run many times.
 
     Attributes:
-        name: in tables.
         scans: in the order of time.
         held: what paths of it are compared with.
     """
@@ -76,7 +75,6 @@ def read_drive(files: LogFiles, config: RunConfig) -> Drive:
 
     Args:
         files: with relations, a true or the best known path, or both.
-        config: how logs are read.
 
     Raises:
         LogError: the log cannot be read, has no usable scan, or there is nothing to measure by.
@@ -97,13 +95,7 @@ def read_drive(files: LogFiles, config: RunConfig) -> Drive:
 
 
 def simulated_office(seed: int, device: ComputeDevice, progress: Progress | None = None) -> Drive:
-    """Simulate a drive through every room of an office floor with a Hokuyo; the truth is known.
-
-    Args:
-        seed: of the floor and the drive.
-        device: casts the rays.
-        progress: called with the scans that are done.
-    """
+    """Simulate a drive through every room of an office floor with a Hokuyo; the truth is known."""
     course = replace(named_course("office", seed), name=f"office-{seed}")
     recording = simulate(course, device, progress)
     return Drive(course.name, recording.scans, Yardsticks(truth=recording.truth))
@@ -116,8 +108,6 @@ class DriveRun:
     Attributes:
         case: of its rows: the drive, and what else is not compared.
         method: the producer, as it is set.
-        drive: the drive's name.
-        seed: of the producer.
         setting: further settings of the producer.
     """
 
@@ -147,7 +137,6 @@ def run_on_drives(
         make: makes the fresh producer of a run.
         recorded: files of each recorded drive.
         floors: seed of each simulated one.
-        setup: where and how.
 
     Returns:
         The rows of all runs.

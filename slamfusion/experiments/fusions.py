@@ -67,7 +67,6 @@ class DriveMaps:
 
     Attributes:
         maps: by method; None: it made none.
-        paths: by method.
         notes: what went wrong, by method.
         choice: the producer whose path to take, see ``choose_path``; empty where the scans cannot
             tell.
@@ -102,9 +101,6 @@ def produce_maps(
 
     Args:
         scans: of each producer, by its name in the registry.
-        config: settings of the producers.
-        device: computes.
-        progress: called with the producer, the scans that it has been fed, and all of them.
     """
     maps: dict[str, OccupancyGrid | None] = dict.fromkeys(scans)
     paths, notes = {}, {}
@@ -138,11 +134,7 @@ def fuse_in_every_way(
     """Fuse the maps and paths of producers as ``run`` does, with every way to vote.
 
     Args:
-        made: by the producers.
-        scans: of the drive.
         fed: the scans that a producer was fed, where they are others.
-        config: settings of the fusion.
-        device: computes.
         saved: maps of other SLAMs, which may have any frame.
         saved_paths: paths of some of them, by name.
         harmed: a producer without which the others are fused, too; empty: none.
@@ -229,9 +221,6 @@ def vote_every_way(
     """Return the fused map of every way to vote; all have the same voters, or the same one map.
 
     Args:
-        layers: of the producers' maps.
-        config: settings of the fusion.
-        device: computes.
         notes: what went wrong is added, by method.
 
     Returns:
@@ -293,7 +282,6 @@ def against_truth(
         grid: None is a map that knows nothing.
         truth: decides lattice and box.
         config: thresholds, search (never the fixed-step one) and tolerance.
-        device: computes.
         same_heading: both frames head nearly alike, as those of a simulated drive and of its world
             do: an alignment that turns the map by more than a quarter is none. In a room that looks
             nearly the same turned round, a wrong one can have the smaller error.

@@ -128,8 +128,6 @@ class Experiment:
 
     Attributes:
         name: the start of its file names.
-        title: of its page.
-        rows: all results.
         figures: of them, those that are shown.
         pairs: by figure, the methods that are compared.
         is_paired: whether runs of the same case and seed are pairs.

@@ -92,10 +92,6 @@ REAL_LOGS: dict[str, RealLog] = {
 def logs_there(folder: Path, warn: Warn) -> list[str]:
     """Return the recorded drives of ``REAL_LOGS`` whose files lie in a folder.
 
-    Args:
-        folder: of the data sets.
-        warn: told in a sentence of each that is skipped.
-
     Raises:
         SlamFusionError: there is none.
     """
@@ -121,9 +117,7 @@ def compare_on_logs(
     """Run the producers on recorded drives, fuse their maps in every way, and measure all maps.
 
     Args:
-        folder: of the data sets.
         names: of ``REAL_LOGS``; those whose files are there.
-        setup: has the settings of producers and fusion.
         others: saved maps of other SLAMs, with their paths or without, by drive; see
             ``other_slams``.
 
@@ -173,11 +167,6 @@ def other_slams(
     """Return the saved maps of other SLAMs, and the paths that were found with them, by drive.
 
     Whose drive a file is of, and by which SLAM, its name tells; see ``slamfusion.jobs.cases``.
-
-    Args:
-        names: of the drives.
-        maps: of other SLAMs.
-        paths: of some of these.
 
     Raises:
         ConfigError: a file is of no drive, or a path of no map.
@@ -272,7 +261,6 @@ def reference_map(
         scans: in the order of time.
         trajectory: poses of the robot in the frame of the map.
         config: the graph's settings say how cells are counted.
-        device: computes.
 
     Raises:
         SlamFusionError: no scan has a pose.

@@ -43,7 +43,6 @@ class RunResult:
     """The result of one run.
 
     Attributes:
-        rows: its rows of the table of results.
         notes: what went wrong, by method.
         example: its maps against the truth, see ``packed_maps``, of a run that is shown.
         remark: a sentence about it.
@@ -61,9 +60,7 @@ class Setup:
 
     Attributes:
         config: the settings; a kept run that was made with others is done again.
-        device: computes, in this process.
         folder: each run that is done is at once a JSON file in its folder ``trials``.
-        progress: called with the stage, the steps that are done and all steps; None: not called.
         processes: runs at the same time; 1: one after the other in this process.
         scheduler: of a Dask cluster, whose workers do the runs instead; see ``executor_for``.
     """
@@ -87,7 +84,6 @@ def run_all(
     Args:
         tasks: the runs by the name of their files; the text of a task tells all of it.
         work: does a run. With several processes it must be a function of a module.
-        setup: where and how.
         facts: what else a run depends on, e.g. the digests of files.
 
     Returns:

@@ -80,7 +80,6 @@ def compare_models(recorded: Sequence[LogFiles], floors: Sequence[int], setup: S
     """Compute Table I: run every method on every drive, with many seeds.
 
     Args:
-        recorded, floors: see ``run_on_drives``.
         setup: has the number of seeds in ``experiment.cell_models_trajectories``, the methods'
             settings and the first seed.
     """
@@ -135,7 +134,6 @@ def sweep_estimators(
     """Compute Table III: tinySLAM with every cell size and estimator on every drive and seed.
 
     Args:
-        recorded, floors: see ``run_on_drives``.
         setup: has the cell sizes and the number of seeds in ``experiment.occupancy_estimator``,
             tinySLAM's other settings and the first seed.
     """

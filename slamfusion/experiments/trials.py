@@ -207,7 +207,6 @@ def run_trials(
         name, title: see ``Experiment``.
         trials: their keys differ.
         settings: trials at the same time, and whether maps are drawn.
-        setup: where and how.
 
     Raises:
         SlamFusionError: a course that cannot be driven, or a process that died.
@@ -272,11 +271,6 @@ def measure_trial(trial: Trial, config: RunConfig, device: ComputeDevice) -> Run
     truth share, or at the best or next best place that the alignment search finds, turned by a
     quarter at most. Where no two maps agree, the fallback map that ``run`` names counts alone. A
     producer without a map, and a fusion of none, has the error of a map that knows nothing.
-
-    Args:
-        trial: what to drive.
-        config: settings of producers and fusion; its seed gives way to the trial's.
-        device: computes.
 
     Raises:
         SimulationError: the course cannot be driven.

@@ -44,7 +44,6 @@ def executor_for(
             ``tcp://HOST:PORT`` or ``tls://HOST:PORT``: one that runs; None: no cluster.
         processes: their number, without a cluster; None or 1: no executor. A program that uses
             them needs the usual ``if __name__ == "__main__":``.
-        device: what workers of a cluster must be able to open, see ``open_device``.
 
     Raises:
         ConfigError: the address is none.

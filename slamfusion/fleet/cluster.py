@@ -45,7 +45,6 @@ def dask_executor(where: str, processes: int | None, device: str) -> Iterator[Ex
     Args:
         where: the scheduler's address, or what it is called.
         processes: of a cluster of this machine; None: connect to ``where``.
-        device: what workers compute on.
     """
     for name in ("distributed", "distributed.client", "tornado.application"):
         logging.getLogger(name).setLevel(logging.CRITICAL)  # what is wrong is told in a sentence

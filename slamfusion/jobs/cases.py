@@ -28,7 +28,6 @@ class CaseFile:
     """A file, and the case that it was said to belong to.
 
     Attributes:
-        path: of the file.
         case: as it was said; empty: its name tells.
     """
 
@@ -49,9 +48,7 @@ class Placed:
     """A map or path in its case.
 
     Attributes:
-        case: its name.
         method: what made it: the words of its name besides the case and the seed.
-        path: of the file.
         seed: number of the repetition, as it is written; empty for a single one.
     """
 
@@ -127,7 +124,6 @@ def place_files(cases: Sequence[str], files: Sequence[CaseFile]) -> list[Placed]
 
     Args:
         cases: their names; one alone has every file.
-        files: maps or paths.
 
     Raises:
         ConfigError: a file belongs to none of the cases, or to several.

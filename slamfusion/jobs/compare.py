@@ -366,7 +366,6 @@ def write_comparison_plot(found: ComparedResults, path: str | Path) -> None:
     """Write the comparison as one picture: errors along the paths, and figures by case.
 
     Args:
-        found: the comparison.
         path: PNG, SVG or PDF, by its suffix.
 
     Raises:

@@ -67,13 +67,9 @@ def evaluate_maps(
     Args:
         maps: in memory, map_server YAML files, or bare images.
         truth: the true map, likewise.
-        config: ``fusion``, ``evaluate`` and ``map_files`` are used; default: the defaults.
-        device: aligns the maps; default: the one that the settings name.
         align: search where each map lies on the truth; else both frames are taken for the same.
         scale: the truth is a floor plan with pixels of this size, which is searched; what a map has
             not seen of it does not count. None: the truth is a map.
-        resolution: metres per cell of bare images.
-        progress: told the maps that are done.
 
     Raises:
         MapFileError: a map cannot be read.
@@ -152,8 +148,6 @@ def measure_distances(
     Args:
         maps: in memory, map_server YAML files, or bare images.
         distances: as measured, CSV or YAML, or the rows of it; see ``load_distances``.
-        config: ``fusion.normalize`` and ``map_files`` are used; default: the defaults.
-        resolution: metres per cell of bare images.
 
     Raises:
         MapFileError: a map or the file of distances cannot be read.
@@ -242,13 +236,10 @@ def write_evaluation(
 
     Args:
         evaluations: at least one.
-        config: the effective configuration, written out in the report.
-        device: what computed, in words.
         report: folder of the page and its pictures; None: no report.
         image: picture (PNG, SVG or PDF) of the differences to the truth, several maps add their
             names; None: no picture.
         name_each: a map alone adds its name, too.
-        files: the set of files to join; default: one of its own.
 
     Raises:
         SlamFusionError: matplotlib is missing, or a file cannot be written.

@@ -89,7 +89,6 @@ class FusedMaps:
     """Maps that were fused, and what was measured of them.
 
     Attributes:
-        config: the settings in effect.
         result: the fused map, or where it is, what became of each input, and every alignment.
         doubled: the doubled walls of the inputs and of the fused map; None for a store.
         evaluations: errors of the inputs and, last, of the fused map; empty without a true map.
@@ -185,13 +184,9 @@ def fuse_maps(
     Args:
         maps: two or more, in memory, map_server YAML files, or bare images; those in memory have
             distinct names.
-        config: ``fusion``, ``start``, ``evaluate`` and ``map_files`` are used; default: the
-            defaults.
-        device: computes; default: the one that the settings name.
         truth: the true map: errors of every input and of the fused map. With a store it is not
             looked at.
         scale: the truth is a floor plan with pixels of this size; see ``evaluate_maps``.
-        resolution: metres per cell of bare images.
         store: ``OUT.zarr``, a Zarr store that the fused map is written to tile by tile, so that it
             need not fit into memory; further groups go to ``OUT-2.zarr`` ... Nothing may be at any
             of them, see ``check_stores``. It has the arrays ``fused`` (-1, 0, 100) and
@@ -200,8 +195,6 @@ def fuse_maps(
         given: the files of maps that are in memory; default: those that are read.
         executor: aligns the pairs, and decides tiles for a store, see ``slamfusion.fleet``;
             default: both are done here.
-        progress: told the stage, and how much of it is done.
-        warn: told in a sentence what is doubtful about a map.
 
     Raises:
         AlignmentError: fewer than two of the maps agree, so nothing may be fused; its ``pairs``
@@ -370,11 +363,9 @@ def save_fused_maps(
     """Write the fused map, the agreement, the record of both and the report, all or none.
 
     Args:
-        fused: what was fused.
         stem: the fused map's path without suffix.
         report: folder for ``report.html`` and its pictures; None: no report.
         image_format: of the pictures of the maps, ``pgm`` or ``png``.
-        files: the set of files to join; default: one of its own.
 
     Returns:
         The record of the fusion, which names the files; it stands in ``STEM.json``.

@@ -47,7 +47,6 @@ class DrivePath:
         trust: how much each producer's path was believed, by name, 0 to 1.
         excluded_share: share of each producer's poses that had no weight, by name, 0 to 1.
         refined: what laying all scans on each other made of it; None where there was no evidence.
-        measures: errors of the path.
     """
 
     fused: FusedPath

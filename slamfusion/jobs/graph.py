@@ -28,8 +28,6 @@ class OptimizedGraph:
     """A pose graph of a file with the poses that fit its edges best.
 
     Attributes:
-        path: the file.
-        config: the settings in effect.
         file: the graph as it was read.
         found: the new poses, and what was found on the way.
     """
@@ -54,7 +52,6 @@ def optimize_graph(path: str | Path, config: RunConfig | None = None) -> Optimiz
 
     Args:
         path: g2o's or TORO's text, plain or gzip.
-        config: ``graph_optimizer`` is used; default: the defaults.
 
     Raises:
         GraphError: the file is damaged, or its poses cannot be found from its edges.
@@ -84,10 +81,8 @@ def save_optimized_graph(
     """Write what is asked for, all of it or nothing.
 
     Args:
-        graph: what was found.
         output: g2o file for the graph with its new poses; all edges stay. None: none.
         tum: file for the new poses, with the vertex ids as times. None: none.
-        files: the set of files to join; default: one of its own.
 
     Returns:
         What ``slamfusion graph optimize`` prints as JSON; it names the files.

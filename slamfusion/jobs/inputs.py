@@ -76,8 +76,6 @@ def load_maps(
     Args:
         paths: map_server YAML files, bare images, or folders with a fused map or a single one.
         resolution: metres per cell of the bare images.
-        config: how they are read.
-        warn: told in a sentence what is doubtful about a map.
         measured: they are compared with a truth, or are one: drawings have edges of grey cells.
 
     Raises:

@@ -55,11 +55,9 @@ class JudgeFiles:
     """A log, paths of it, and what they are held against; None: there is none.
 
     Attributes:
-        log: the scans.
         paths: of each path, by its name.
         relations: known motions between pairs of times.
         odometry: raw odometry of the whole run, to carry poses on to the relations' times.
-        truth: the true trajectory.
         scan_odometry: what gives the scans their odometry instead of the log.
         fused: where the path that is fused of them goes.
     """
@@ -78,15 +76,12 @@ class JudgedPaths:
     """Paths of a drive in the order that the scans put them in.
 
     Attributes:
-        files: where everything was read.
-        config: the settings in effect.
         paths: the poses, by name, as they were given.
         fused: the path that was made of them; None where none was asked for.
         recommendation: which of them to use, the fused path among them.
         evidence: what the scans say of them.
         measures: errors of each path by name, where there was something to measure by.
         not_measured: what could not be measured, a sentence each.
-        device: what computed, in words.
     """
 
     files: JudgeFiles
@@ -206,14 +201,11 @@ def judge_paths(
         log: a CARMEN or tinySLAM log, or a ROS bag.
         paths: files of poses on the clock of the log, made by any SLAM, each in its own frame; or
             the same by names.
-        config: ``log``, ``trajectory`` and the device are used; default: the defaults.
-        device: scores; default: the one that the settings name.
         relations: known motions between pairs of times: errors of the paths.
         odometry: raw odometry of the whole run, to carry poses on to the relations' times.
         truth: the true trajectory: errors of the paths.
         scan_odometry: what gives the scans their odometry instead of the log.
         fused: fuse the paths; where ``write_fused_path`` will write what comes of it. Default: no.
-        warn: told in a sentence what is doubtful about the log.
 
     Raises:
         LogError: the log cannot be read, or has too few scans.
@@ -301,9 +293,7 @@ def write_judgement(
     """Write the report of what the scans say of paths.
 
     Args:
-        found: what they say.
         directory: for ``report.html`` and its pictures.
-        files: the set of files to join; default: one of its own.
 
     Returns:
         The path of ``report.html``.

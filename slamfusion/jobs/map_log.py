@@ -41,10 +41,8 @@ class LogFiles:
     """A log, and what the path and the map made of it are held against; None: there is none.
 
     Attributes:
-        log: the scans.
         relations: known motions between pairs of times.
         odometry: raw odometry of the whole run, to carry poses on to the relations' times.
-        truth: the true trajectory.
         truth_map: the true map.
         scan_odometry: what gives the scans their odometry instead of the log; see ``open_log``.
     """
@@ -73,10 +71,7 @@ class ProducerResult:
     """A run and everything that was measured of it.
 
     Attributes:
-        run: what the producer made.
-        measures: errors of its path.
         evaluation: errors of its map; None without a true map.
-        device: what it computed on, in words.
     """
 
     run: ProducerRun
@@ -127,8 +122,6 @@ class MappedLog:
     """What a producer made of a log, with its errors.
 
     Attributes:
-        files: where everything was read.
-        config: the settings in effect.
         result: the run and what was measured of it.
         mapper: the producer, which may go on, or save its state.
         truth: the true path; None without one.
@@ -192,13 +185,9 @@ def map_log(
     Args:
         log: a CARMEN or tinySLAM log, or a ROS bag.
         producer: its name in the registry.
-        config: settings of the producer and of everything here; default: the defaults.
-        device: where it computes; default: the one that the settings name.
         relations, odometry, truth, truth_map, scan_odometry: see ``LogFiles``.
         resume: a saved state to go on from, made with the same settings.
         limit: scans after which it stops, at least 1; default: none.
-        progress: told the producer, and how much of the log it has read.
-        warn: told in a sentence what is doubtful about the true map.
 
     Returns:
         Map, path and record. What cannot be measured does not take the map along: it is the
@@ -329,7 +318,6 @@ def save_mapped_log(
     """Write map, path, record, state and report; all of them or none.
 
     Args:
-        mapped: the run.
         stem: the files' path without their suffixes.
         probabilities: also write the map with its probabilities.
         state: file for everything that a later run needs to go on; None: none.

@@ -173,11 +173,8 @@ def write_results_file(
     """Write results to a zip, whole or not at all.
 
     Args:
-        path: of the file.
         command: its words, e.g. ``trajectory``.
-        arguments: as they were typed.
         document: what the command prints with ``--json``.
-        rows: the results.
         inputs: the files that were measured and compared with: the role (map, truth, path, log,
             ...), the case (empty: all), and the path.
 
@@ -233,7 +230,6 @@ def read_results(path: str | Path, name: str | None = None) -> SavedResults:
     """Read a file of saved results.
 
     Args:
-        path: of the zip.
         name: how tables name it; default: its stem.
 
     Raises:

@@ -76,7 +76,6 @@ class LogRun:
         files: where the log and what it is held against were read.
         saved_maps: files of other SLAMs' maps that voted too.
         saved_paths: the paths of these that were given, by the maps' names.
-        config: the settings in effect.
         outcomes: what became of each producer.
         grids: the producers' maps, then the saved ones.
         layers: what took part in the vote of these, and who has none for some of the drive.
@@ -98,7 +97,6 @@ class LogRun:
         not_measured: what could not be measured, a sentence each.
         stages: wall time of each stage in order, seconds.
         begun_s: when it began, seconds of ``time.perf_counter``.
-        device: what computed the fusion, in words.
         truth: the true path; None without one.
     """
 
@@ -200,16 +198,12 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
 
     Args:
         log: a CARMEN or tinySLAM log, or a ROS bag.
-        config: settings of everything, ``run.producers`` among them; default: ``RUN_DEFAULTS``.
         saved_maps: of other SLAMs, which vote too: map_server YAML files, or bare images.
         saved_paths: paths that were found with the saved maps, each in its map's frame and on the
             clock of the log, may be sparse: what the scans say of them counts as for the
             producers' own. Whose path each one is, its name tells; see ``slamfusion.jobs.cases``.
-        resolution: metres per cell of bare images.
         relations, odometry, truth, truth_map, scan_odometry: see ``LogFiles``.
         scale: the true map is a floor plan with pixels of this size; see ``evaluate_maps``.
-        progress: told the stage, or the producer, and how much of it is done.
-        warn: told in a sentence what is doubtful about a map.
         prepare: called while the producers are at work; what it raises ends the run at once.
 
     Returns:
@@ -396,7 +390,6 @@ class _Stages:
 
     Attributes:
         begun_s: when the run began, seconds of ``time.perf_counter``.
-        times_s: by stage, in order.
         troubles: a sentence each.
     """
 

@@ -77,7 +77,6 @@ def save_run(run: LogRun, folder: str | Path, *, probabilities: bool = False) ->
     report; without one nothing is removed.
 
     Args:
-        run: what was made.
         folder: for the maps; ``report`` in it is that of the report.
         probabilities: also write the producers' maps with their probabilities.
 
@@ -150,7 +149,6 @@ def run_document(
     """Return what ``slamfusion run`` prints as JSON.
 
     Args:
-        run: what was made.
         files: that it was written to, by name.
         stages: wall time of each stage, seconds.
         time_s: wall time of all, seconds.

@@ -29,8 +29,6 @@ class LogTask:
     """What is done with one log and one seed.
 
     Attributes:
-        log: the log.
-        folder: of the results.
         case: the log's name among the others.
         seed: of the run; None: that of the settings.
         options: further arguments of ``run_log``.

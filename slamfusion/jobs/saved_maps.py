@@ -90,8 +90,6 @@ class SavedMaps:
 
         Args:
             config: ``map_files`` and ``log`` say how they are read.
-            resolution: metres per cell of bare images.
-            warn: told in a sentence what is doubtful about a map.
 
         Raises:
             MapFileError: a map cannot be read.

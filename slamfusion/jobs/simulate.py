@@ -31,8 +31,6 @@ class SimulatedDrive:
 
     Attributes:
         recording: the scans, the odometry, the truth, and the course with all that was chosen.
-        config: the settings in effect.
-        device: what cast the rays, in words.
         begun_s: when the simulation began, seconds of ``time.perf_counter``.
     """
 
@@ -101,9 +99,6 @@ def simulate_course(
 
     Args:
         course: as ``choose_course`` gives it, or what that takes.
-        config: ``simulate`` and the seed are used; default: the defaults.
-        device: casts the rays; default: the one that the settings name.
-        progress: told the scans that are done.
 
     Raises:
         SimulationError: there is no such course, or it cannot be driven.

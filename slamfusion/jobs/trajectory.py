@@ -30,7 +30,7 @@ from slamfusion.grid import OccupancyGrid
 from slamfusion.io import AtomicFiles, read_trajectory
 from slamfusion.jobs.cases import Placed
 from slamfusion.jobs.documents import path_text, settings_used
-from slamfusion.jobs.inputs import MapInput, Warn, as_grids, as_path
+from slamfusion.jobs.inputs import Warn, as_path
 from slamfusion.jobs.records import (
     CaseTrajectoryJson,
     MeasuresJson,
@@ -145,8 +145,6 @@ def measure_trajectory(
     """Measure a trajectory in every way that there is something to hold it against.
 
     Args:
-        estimate: the poses.
-        config: tolerances, and what the relative error spans; default: the defaults.
         relations, odometry, truth: see ``Yardsticks``.
         scans: raw odometry of the scans of the estimate's log.
 
@@ -176,7 +174,6 @@ class TrajectoryFiles:
     """A trajectory's file, and those that it is measured with; None where there is none.
 
     Attributes:
-        estimate: the poses.
         relations, odometry, truth: see ``Yardsticks``.
         log: what the estimate was made from.
     """
@@ -233,9 +230,6 @@ class MeasuredTrajectory:
     """A trajectory with its errors.
 
     Attributes:
-        files: where everything was read.
-        config: the settings in effect.
-        estimate: the poses.
         measures: their errors.
         truth: the true poses; None without them.
         scans: raw odometry of the scans of the estimate's log; None without it.
@@ -276,46 +270,10 @@ class MeasuredTrajectory:
         return result_rows(*placed.keys, path_figures(*held), path_series(*held))
 
 
-def measure_trajectory_file(
-    files: TrajectoryFiles,
-    config: RunConfig | None = None,
-    *,
-    grid: MapInput | None = None,
-    warn: Warn = _LOG.warning,
-) -> MeasuredTrajectory:
-    """Read a trajectory and what it is to be held against, and measure it.
-
-    Args:
-        files: what is read.
-        config: ``trajectory``, ``log`` and ``map_files`` are used; default: the defaults.
-        grid: a map in the frame of the estimate, to be drawn in a report.
-        warn: told in a sentence what is doubtful about the map or the truth.
-
-    Raises:
-        TrajectoryError: a file is damaged, or the estimate does not meet the relations, the
-            odometry or the truth.
-        LogError: a log cannot be read.
-        MapFileError: the map cannot be read.
-        OSError: a file cannot be opened.
-    """
-    config = config or RunConfig()
-    estimate = read_trajectory(files.estimate, config.log)
-    scans = None if files.log is None else read_trajectory(files.log, config.log)
-    held = Yardsticks.read(config, files.relations, files.odometry, files.truth, warn)
-    drawn = None if grid is None else as_grids([grid], config, warn=warn)[0]
-    measures = held.measure(estimate, config, scans)
-    return MeasuredTrajectory(files, config, estimate, measures, held.truth, scans, drawn)
-
-
 def measure_trajectories(
     placed: Sequence[Placed], held: CaseFiles, config: RunConfig | None = None
 ) -> tuple[list[tuple[Placed, MeasuredTrajectory]], list[str]]:
     """Measure paths, each by what there is of its case.
-
-    Args:
-        placed: the paths.
-        held: what they are measured by.
-        config: ``trajectory`` and ``log`` are used; default: the defaults.
 
     Returns:
         The paths that could be measured, in the order given, and a sentence for each other one.

@@ -48,8 +48,6 @@ class MeasuredPath:
     Attributes:
         name: in tables and legends.
         path: at least one pose.
-        truth: errors against the true path.
-        relations: errors on known relations.
         at_scans: those between poses of the path itself.
     """
 
@@ -66,8 +64,6 @@ def errors_section(
     """Return the errors of paths of one drive as figures and a table; empty if none was measured.
 
     Args:
-        measured: the paths.
-        colours: of each path by name.
         case: the drive, where a page has several; empty: it has one.
     """
     rows, pictures = [], []
@@ -181,7 +177,6 @@ def distribution_figure(
 
     Args:
         values: (N,) float64 errors by path, at least one each.
-        colours: of each path by name.
         label: name and unit of the error.
     """
     figure, (above, below) = stacked_axes(2, (1.5, 0.2 + 0.2 * len(values)))

@@ -36,10 +36,8 @@ def write_evaluation_report(
     Args:
         evaluations: at least one map, all against one truth.
         directory, files: see ``write_page``, also for what is returned and raised.
-        config: the settings in effect.
         alignments: the alignment with the truth that each evaluation rests on, in the same order,
             None if the map was not moved; a rejected one is named at the top.
-        device: the device that computed, in words.
 
     Raises:
         ValueError: there is no evaluation.
@@ -82,7 +80,6 @@ def write_difference_image(
     Args:
         evaluation: of one map.
         path: of the picture; its suffix says the form.
-        files: the set of files to join; default: one of its own.
 
     Raises:
         MapFileError: the file is not called ``.png``, ``.svg`` or ``.pdf``, or cannot be written.

@@ -94,7 +94,6 @@ def strip_picture(
     Args:
         answer: of one path or more.
         no_vote: by path, spans without a vote, seconds since the first scan.
-        colours: of each path by name.
     """
     names = [path.name for path in answer.paths]
     figure, (axes,) = stacked_axes(1, 0.16 + 0.2 * len(names))

@@ -55,7 +55,6 @@ def write_fusion_report(
     Args:
         result: what was fused; rejected inputs are shown with their reasons.
         directory, files: see ``write_page``, also for what is returned and raised.
-        config: the settings in effect.
         evaluations: errors against a truth, of the inputs, the fused map, or both.
         failure: why the result must not be used all the same, e.g. ``--require-all``.
     """
@@ -87,8 +86,6 @@ def write_failure_report(
         pairs: every pair that was aligned; may be empty.
         reason: why nothing was fused.
         directory: see ``write_page``, also for what is returned and raised.
-        config: the settings in effect.
-        device: the device that computed, in words.
     """
     normalize = config.fusion.normalize
     sections = [
@@ -193,7 +190,6 @@ def fused_section(
     """Return the fused map, the inputs over each other, and where they agree.
 
     Args:
-        result: what was fused.
         box: cells of the fused lattice to draw.
         paths, places: see ``fusion_layers``; the places are numbered on the fused map.
     """

@@ -40,12 +40,9 @@ def write_judge_report(
         answer: which path to use.
         evidence: how well the scans support all.
         directory, files: see ``write_page``, also for what is returned and raised.
-        log: that the scans are of.
-        config: the settings in effect.
         errors_m: by what they are (ATE, relations), the errors of the paths by name, metres; a path
             that could not be measured is missing.
         not_measured: what could not be measured, a sentence each.
-        device: the device that scored, in words.
     """
     strip = strip_picture(answer, {}, path_colours(answer, evidence, {}))
     sections = [Section("Over the drive", "", [strip]), evidence_section(answer, evidence)]

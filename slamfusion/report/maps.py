@@ -106,9 +106,7 @@ def pairs_section(
     """Return the pairs that were tried if nothing was fused: overlays of the first, a table of all.
 
     Args:
-        grids: the inputs.
         pairs: every pair that was aligned.
-        normalize: what counts as wall and as free.
     """
     by_name = {grid.name: grid for grid in grids}
     colours = input_colours(list(by_name))
@@ -196,8 +194,6 @@ def statistics_table(
     """Return size, known area and walls of maps, with their share of doubled walls.
 
     Args:
-        grids: the maps.
-        normalize: what counts as wall and as free.
         doubled: the shares by name, where they are known already; others are found.
     """
     shares = doubled or {}

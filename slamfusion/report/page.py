@@ -42,12 +42,9 @@ class Picture:
 
     Attributes:
         stem: start of the file name; anything that is not a plain character is replaced.
-        figure: what is drawn.
         title: also the text for who cannot see the picture.
-        caption: what to see in it.
         tone: ``plain``, or framed as ``good`` or ``bad``.
         badge: a word next to the caption, e.g. ``rejected``.
-        legend: colours used.
     """
 
     stem: str
@@ -240,7 +237,6 @@ def write_page(page: Page, directory: str | Path, files: AtomicFiles | None = No
         page: its pictures are in the page and, numbered, in the folder, there also in the forms
             of the settings: ``svg``, ``pdf``.
         directory: made when it is missing; older files of the same names are replaced.
-        files: the set of files to join; default: one of its own.
 
     Returns:
         The path of the page.

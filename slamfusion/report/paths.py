@@ -66,8 +66,6 @@ def path_picture(
 
     Args:
         trajectory: the path, in the frame of the map; at least one pose.
-        grid: the map; default: none.
-        normalize: what counts as wall and as free in it.
         values: (N,) float64, an error for each pose, metres; default: the time since the first.
     """
     poses = trajectory.poses
@@ -111,9 +109,6 @@ class Line:
 
     Attributes:
         path: in the frame of the picture; at least one pose.
-        text: what it is, in the legend.
-        rgb: its colour.
-        width: of the line.
         is_dashed: as the truth is.
         is_cut: what is far beyond the other lines is cut off, as the drift of odometry is.
     """
@@ -156,7 +151,6 @@ def paths_picture(
         marked: the path whose first and last pose are marked.
         others: what else this path may have been, drawn faintly under the lines; cut off as drift.
         grid: a map to draw under them.
-        normalize: what counts as wall and as free in it.
     """
     shown = [other for other in others if len(other)]
     extent = path_extent(marked.poses)
@@ -244,8 +238,6 @@ def closures_picture(
     Args:
         path: in the frame of the map; at least one pose.
         closures: of the graph, at least one; times beyond the path's count as its ends.
-        grid: the map under them.
-        normalize: what counts as wall and as free in it.
     """
     figure, axes = map_axes(path_extent(path.poses).grown(grid_extent(grid, normalize)))
     draw_grid(axes, grid, normalize)

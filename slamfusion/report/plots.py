@@ -101,7 +101,6 @@ def overlay_picture(
 
     Args:
         layers: (H, W) int8 each, in {-1, 0, 1}, one lattice.
-        colours: of each layer's walls.
         resolution, origin, box: see ``map_picture``.
     """
     stack = [np.asarray(layer) for layer in layers]
@@ -116,7 +115,6 @@ def overlay_rgb(layers: Sequence[Classes], colours: Sequence[Rgb]) -> npt.NDArra
 
     Args:
         layers: (H, W) int8 each, in {-1, 0, 1}.
-        colours: of each layer's walls.
 
     Returns:
         (H, W, 3) uint8; other cells are the whiter, the more of the maps know them.

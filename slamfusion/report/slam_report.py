@@ -46,12 +46,10 @@ def write_slam_report(
         directory, files: see ``write_page``, also for what is returned and raised.
         run: what was made; its path has at least one pose. The first of the other paths of a
             producer with closures is the path as it was first reported.
-        config: the settings in effect.
         facts: health and timing, for the headline, in this order.
         tables: more of health and timing.
         truth: the true path; its errors are computed as ``config.trajectory`` says.
         relations: the trajectory's errors on known relations.
-        device: the device that computed, in words.
 
     Raises:
         TrajectoryError: the truth does not meet the trajectory in time.
