@@ -138,7 +138,6 @@ def _note(device: Any) -> str:
 
 
 def _type_name(device: Any) -> str:
-    """Return cpu, gpu or other."""
     if device.type & cl.device_type.GPU:
         return "gpu"
     return "cpu" if device.type & cl.device_type.CPU else "other"
@@ -224,7 +223,6 @@ def _why_none(devices: list[Any]) -> str:
 
 
 def _named(devices: list[Any], wanted: str) -> Any:
-    """Return the device of that index or name."""
     if wanted.isdecimal():
         fitting = devices[int(wanted) : int(wanted) + 1]
     else:

@@ -72,7 +72,6 @@ def narrow_motions(points: I32, poses: I64) -> tuple[I32, I32, int]:
 
 
 def _largest(values: F64) -> int:
-    """Return the largest magnitude of any; 0 of none."""
     return int(max(values.max(initial=0.0), -values.min(initial=0.0)))
 
 

@@ -314,20 +314,17 @@ class OpenCLDevice(ComputeDevice):
 
     @staticmethod
     def _buffer(handle: DeviceArray[Any]) -> Any:
-        """Return the memory of an array."""
         if not isinstance(handle, OpenCLArray):
             raise DeviceError(f"wanted an array on an OpenCL device, found {type(handle).__name__}")
         return handle.buffer
 
     def _failed(self, what: str, error: Exception) -> DeviceError:
-        """Return the one-line error of a failed device call."""
         words = " ".join(str(error).split())[:200]
         message = f"{self.name}: {what} failed ({words}); try `--device numpy`"
         return DeviceError(message)
 
 
 def _argument(item: Any) -> Any:
-    """Return an argument as a kernel receives it."""
     if isinstance(item, OpenCLArray):
         return item.buffer
     if isinstance(item, (int, np.int64)):

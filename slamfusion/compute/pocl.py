@@ -181,7 +181,6 @@ def _library() -> Path | None:
 
 
 def _replace(path: Path, function: Any) -> str:
-    """Replace the function that names the processor."""
     if os.environ.get(SWITCH) == OFF:
         raise _RefusedError(f"{SWITCH}={OFF} says so")
     try:
@@ -235,7 +234,6 @@ def _overwrite(address: int, code: bytes, before: bytes) -> None:
 
 
 def _processor_flags(cpuinfo: str) -> set[str]:
-    """Return the feature flags of the first processor."""
     for line in cpuinfo.splitlines():
         if line.startswith("flags"):
             return set(line.partition(":")[2].split())

@@ -63,7 +63,6 @@ def self_test(device: ComputeDevice) -> list[tuple[str, bool, str]]:
 
 
 def _difference(own: list[npt.NDArray[Any]], twin: list[npt.NDArray[Any]]) -> str:
-    """Say what differs first; empty where nothing does."""
     for n, (a, b) in enumerate(zip(own, twin, strict=True)):
         wrong = int(np.count_nonzero(a != b))
         if wrong:

@@ -84,7 +84,6 @@ def _majority_shares(count: int, *, unknown_votes: bool) -> npt.NDArray[np.uint6
 def _votes(
     winner: I64, own: I64 | I32, cast: I64 | I32, outvoted: Mask, phantom_cells: int
 ) -> Votes:
-    """Return the outcome of a vote."""
     percent = (200 * own + cast) // np.maximum(2 * cast, 1)
     agreement = np.where(cast > 0, percent, -1).astype(np.int8)
     dissent = np.zeros((-(-len(outvoted) // 8), *winner.shape), dtype=np.uint8)

@@ -345,7 +345,6 @@ def _sections(known: Mapping[str, Any], values: Any, where: str) -> dict[str, An
 
 
 def _coerce(value: Any, form: _Form | FieldInfo, where: str) -> Any:
-    """Return ``value`` as the declared type, or say what was wanted."""
     if value is None and form.is_optional:
         return None
     if form.is_list:

@@ -297,7 +297,6 @@ def _mode_of_regular(target: Path) -> int | None:
 
 
 def _cannot_write(path: str | Path | None, error: OSError | ValueError) -> MapFileError:
-    """Say in one line which file could not be written, why, and what to do."""
     if isinstance(error, OSError):
         reason = error.strerror or str(error)
         fix = _FIXES.get(error.errno or 0, "check the path or write elsewhere")

@@ -103,7 +103,6 @@ def encode_image(pixels: npt.NDArray[np.uint8], image_format: str) -> memoryview
 
 @contextmanager
 def _opened(path: Path) -> Iterator[BufferedReader]:
-    """Open a picture for reading."""
     try:
         with open_regular(path, MapFileError) as file:
             yield file

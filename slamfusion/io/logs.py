@@ -132,22 +132,18 @@ def _place(path: Path) -> Path:
 
 
 def _suffix(where: Path) -> str:
-    """Return a file's ending without ``.gz``."""
     return Path(strip_gz(where.name)).suffix
 
 
 def _is_bag(folder: Path) -> bool:
-    """Whether a folder is a ROS 2 bag."""
     return any(any(folder.glob(pattern)) for pattern in _BAG_FILES)
 
 
 def _logs_in(folder: Path) -> list[Path]:
-    """Return the files of a folder that are named as logs are, in order."""
     return sorted(item for item in folder.iterdir() if _suffix(item) in _READERS)
 
 
 def _reader(where: Path) -> Reader:
-    """Return the reader of a file or folder."""
     if where.is_dir():
         if _is_bag(where):
             return BagLog
@@ -170,7 +166,6 @@ def _reader(where: Path) -> Reader:
 
 
 def _reader_by_content(head: bytes) -> Reader | None:
-    """Return the reader of a log whose first bytes tell its kind, or None."""
     if head.startswith(_BAG_MAGICS):
         return BagLog
     for line in head.splitlines():

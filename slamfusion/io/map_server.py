@@ -89,13 +89,6 @@ _MODES: dict[str, Callable[[Shades, Rules], Cells]] = {
 }
 
 
-def classes_of_greys(rules: Rules) -> list[int]:
-    """Return as what the greys of free, unknown and occupied read in trinary mode."""
-    greys = np.array([FREE_GREY, UNKNOWN_GREY, OCCUPIED_GREY])
-    classes: list[int] = _trinary_cells(_shade(greys, 255), rules).tolist()
-    return classes
-
-
 def cells_from_image(
     pixels: Pixels, rules: Rules, *, legacy_unknown: bool = False
 ) -> tuple[Cells, int]:
@@ -313,7 +306,6 @@ def _load(
     settle_edges: bool,  # noqa: FBT001
     warn: Callable[[str], None],
 ) -> OccupancyGrid:
-    """Return the map as its files are now."""
     path = existing(path)
     stem = Path(path.name.removesuffix(".gz")).stem
     if path.suffix.lower() == ".dxf":
@@ -465,7 +457,9 @@ def _check_saving(grid: OccupancyGrid, stem: Path, rules: Rules, image_format: s
             f"{where}: mode scale keeps unknown cells in the alpha channel, which {image_format} "
             "has not; use png"
         )
-    if rules.mode == "trinary" and classes_of_greys(rules) != [FREE, UNKNOWN, OCCUPIED]:
+    greys = _shade(np.array([FREE_GREY, UNKNOWN_GREY, OCCUPIED_GREY]), 255)
+    as_read = _trinary_cells(greys, rules).tolist()
+    if rules.mode == "trinary" and as_read != [FREE, UNKNOWN, OCCUPIED]:
         raise MapFileError(
             f"{where}: with free_thresh {rules.free_thresh:g} and occupied_thresh "
             f"{rules.occupied_thresh:g} the saved greys 254, 205, 0 would not load as free, "

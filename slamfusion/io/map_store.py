@@ -152,7 +152,6 @@ def read_stored_map(path: str | Path, name: str, box: CellBox | None = None) -> 
 
 
 def _zarr() -> tuple[Any, dict[str, int]]:
-    """Return the library, and how it is told the format."""
     try:
         import zarr  # noqa: PLC0415  (an extra)
     except ImportError as error:

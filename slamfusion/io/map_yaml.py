@@ -147,7 +147,6 @@ def read_map_yaml(path: Path) -> MapFile:
 
 
 def _is_there(path: Path) -> bool:
-    """Whether a picture, or the packed one, is there."""
     with suppress(MapFileError):
         return bool(existing(path))
     return False
@@ -179,7 +178,6 @@ def _refuse_misspelt_keys(path: Path, values: dict[Any, Any]) -> None:
 
 
 def _required(path: Path, values: dict[Any, Any], key: str) -> Any:
-    """Return the value of a key that has no default."""
     if key not in values:
         message = f"{path}: the key {key!r} is missing; add it, as the map server's format asks"
         raise MapFileError(message)

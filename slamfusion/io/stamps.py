@@ -100,11 +100,6 @@ class StampGate(Generic[T]):
         """Newest stamp that is held back, seconds; None where none is."""
         return self._held[-1][0] if self._held else None
 
-    @property
-    def is_said_often(self) -> bool:
-        """Whether enough items in a row say that time has jumped."""
-        return self._said >= CONFIRMING
-
     def offer(
         self,
         stamp_s: float,
@@ -127,7 +122,7 @@ class StampGate(Generic[T]):
             self._note(stamp_s, arrived_s)
             return Passed((item,), strays)
         strays = self._hold(newest_s, stamp_s, arrived_s, item)
-        if self.is_said_often and (agrees is None or agrees(newest_s, stamp_s)):
+        if self._said >= CONFIRMING and (agrees is None or agrees(newest_s, stamp_s)):
             passed = self.confirm()
             return Passed(passed.items, strays, passed.jump)
         return Passed((), strays)

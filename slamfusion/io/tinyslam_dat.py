@@ -101,7 +101,6 @@ class TinySlamDat(ScanLog):
         self.fraction_read = 1.0
 
     def _values(self, line: bytes, number: int) -> npt.NDArray[np.float64] | None:
-        """Return the numbers of a line, or count why they are none."""
         fields = line.split()
         if not fields or fields[0].startswith(b"#"):
             return None

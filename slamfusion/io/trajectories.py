@@ -344,7 +344,6 @@ def _vertex_row(vertex: list[float], tail: list[bytes]) -> Row:
 def _bag_path(
     where: Path, config: LogConfig, name: str, topic: str | None, warn: Callable[[str], None]
 ) -> Trajectory:
-    """Return the poses of a topic of a bag, or the odometry of its scans."""
     notes: list[str] = []
     bag = bag_at(where)
     table = None if bag is None else read_poses(bag, config, topic, notes)
@@ -357,7 +356,6 @@ def _bag_path(
 
 
 def _log_odometry(where: Path, config: LogConfig, name: str) -> Trajectory:
-    """Return the odometry of a log's scans."""
     log = open_log(where, config)
     rows = []
     for scan in log:

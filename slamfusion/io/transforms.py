@@ -487,7 +487,6 @@ def _chained(way: Sequence[Step], found: Sequence[Around], count: int) -> Floats
 
 
 def _inverse(poses: Floats) -> Floats:
-    """Return the inverses of poses (N, 4, 4)."""
     back = poses.copy()
     back[:, :3, :3] = np.swapaxes(poses[:, :3, :3], 1, 2)
     back[:, :3, 3:] = -(back[:, :3, :3] @ poses[:, :3, 3:])

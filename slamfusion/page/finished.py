@@ -105,7 +105,6 @@ def read_finished(place: Path, drive: str = "") -> Finished:
 
 
 def _record_of(place: Path) -> Path | None:
-    """Return the record of a run or of the only fusion in a folder, or of the map that is named."""
     if place.is_file():
         path = place.with_suffix(".json")
         if not path.exists():
@@ -131,7 +130,6 @@ def _record_of(place: Path) -> Path | None:
 
 
 def _read_record(path: Path) -> Finished:
-    """Read the maps of a fusion, aligned as in its record."""
     record = _load_record(path)
     inputs = [item for item in record["inputs"] if isinstance(item, dict)]
     stem = path.with_suffix("")
@@ -176,7 +174,6 @@ def _finished(title: str) -> Finished:
 
 
 def _events(record: Mapping[str, Any]) -> Iterator[tuple[float, Literal["ok", "warn"], str]]:
-    """Yield drive time in seconds, level and text of what happened on a drive."""
     for number, place in enumerate((record.get("recommendation") or {}).get("check", ()), start=1):
         yield place["from_s"], "warn", f"place {number} to check: {place['what']}"
     for vote in record.get("partial_votes") or ():
@@ -192,7 +189,6 @@ def _events(record: Mapping[str, Any]) -> Iterator[tuple[float, Literal["ok", "w
 
 
 def _load_record(path: Path) -> Mapping[str, Any]:
-    """Return the record of a run or of a fusion."""
     try:
         record = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
@@ -205,14 +201,12 @@ def _load_record(path: Path) -> Mapping[str, Any]:
 
 
 def _title(record: Path) -> str:
-    """Return what a job is called: a run by its folder, a fusion by its map."""
     return record.absolute().parent.name if record.name == RUN_RECORD else record.stem
 
 
 def _maps_of(
     stem: Path, record: Mapping[str, Any], inputs: Sequence[Mapping[str, Any]]
 ) -> Iterator[ShownMap]:
-    """Yield the fused map, the agreement and the inputs of a record."""
     yield ShownMap(scene.FUSED, "fused", stem.with_name(f"{stem.name}.yaml"))
     agreement = stem.with_name(f"{stem.name}{AGREEMENT_END}.yaml")
     yield ShownMap(scene.AGREEMENT, "agreement", agreement)
@@ -291,7 +285,6 @@ def _put_paths(shown: Scene, files: Mapping[str, Path]) -> None:
 
 
 def _read_maps(folder: Path, files: Mapping[str, Path]) -> Finished:
-    """Read maps without a record of their alignment."""
     found = _finished(folder.absolute().name)
     inputs = {name: path for name, path in files.items() if name not in FUSION}
     found.maps = [

@@ -122,7 +122,6 @@ def write_g2o(
 
 
 def _text(graph: PoseGraph, names: list[int], fixed: Sequence[int]) -> Iterator[str]:
-    """Yield the lines of a file."""
     for name, pose in zip(names, graph.poses.tolist(), strict=True):
         yield f"VERTEX_SE2 {name} {_numbers(pose)}\n"
     for place in fixed:
@@ -136,7 +135,6 @@ def _text(graph: PoseGraph, names: list[int], fixed: Sequence[int]) -> Iterator[
 
 
 def _numbers(values: list[float]) -> str:
-    """Return the shortest texts that read back as the same numbers."""
     return " ".join(map(repr, values))
 
 
@@ -186,7 +184,6 @@ class _Lines:
             )
 
     def _take(self, number: int, words: list[bytes]) -> None:
-        """Take over one line."""
         kind = words[0]
         if kind in _VERTICES:
             (name,), pose = self._values(number, words, ids=1, numbers=3)
@@ -232,7 +229,6 @@ class _Lines:
 
 
 def _nothing(lines: _Lines) -> str:
-    """Say what a file without a graph has instead."""
     if not lines.skipped:
         return f"the file is empty; wanted lines of {_WANTED}"
     found = ", ".join(f"{count} {kind[:40]!r}" for kind, count in lines.skipped.most_common(3))

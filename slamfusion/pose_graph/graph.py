@@ -169,7 +169,6 @@ def _walk(graph: PoseGraph, used: npt.NDArray[np.int64], root: int) -> npt.NDArr
 
 
 def _adjacency(edges: npt.NDArray[np.int64], count: int) -> scipy.sparse.coo_matrix:
-    """Return the adjacency of poses as a sparse pattern."""
     ones = np.ones(len(edges))
     return scipy.sparse.coo_matrix((ones, (edges[:, 0], edges[:, 1])), shape=(count, count))
 
@@ -184,7 +183,6 @@ def _check_poses(poses: npt.NDArray[np.float64]) -> None:
 
 
 def _check_edges(edges: npt.NDArray[np.int64], count: int) -> None:
-    """Refuse edges that join nothing."""
     bad = np.flatnonzero(((edges < 0) | (edges >= count)).any(axis=1))
     if len(bad):
         message = f"edge {bad[0]} from {edges[bad[0], 0]} to {edges[bad[0], 1]} leads to no pose"

@@ -247,7 +247,6 @@ class NormalEquations:
         return step, float(damped - np.dot(self.gradient, moved))
 
     def _order(self) -> Indices:
-        """Return the free poses in a good order."""
         is_free = np.ones(self._count, np.bool_)
         is_free[list(self.fixed)] = False
         free = np.flatnonzero(is_free)

@@ -153,7 +153,6 @@ def chi2_of(graph: PoseGraph, poses: Array | None = None) -> Array:
 
 
 def _check(graph: PoseGraph, held: tuple[int, ...]) -> None:
-    """Refuse what has no one solution."""
     if not held or not all(0 <= pose < len(graph) for pose in held):
         raise GraphError(f"poses to hold must be some of 0 to {len(graph) - 1}, found {held}")
     parts, _ = part_labels(graph.edges, len(graph))
@@ -189,7 +188,6 @@ def _start(problem: Problem, graph: PoseGraph, start: Start) -> Array | None:
 
 
 def _believe_all(problem: Problem, graph: PoseGraph, start: Start) -> InlierSet:
-    """Fit all edges."""
     everything = np.ones(len(problem.measured), np.bool_)
     poses = _start(problem, graph, start)
     equations = problem.equations(everything)

@@ -225,7 +225,6 @@ def truncated_weights(squares: Array, hardness: float, limit: float) -> Array:
 
 
 def _seeds(found: Consensus) -> Mask:
-    """Return which closures to start from: those with two mates, if that is most of them."""
     two = found.mates > 1
     return two if two.mean() > 0.5 else found.mates > 0
 
@@ -380,7 +379,6 @@ class _Search:
         return self._equations
 
     def _fit(self, closures: Mask, start: Array | None) -> Descent:
-        """Fit the trusted edges and some closures."""
         _, equations = self._equations_of(self._trusted | closures, superfluous=0.0)
         descent = self._problem.fit(equations, start)
         self._iterations += descent.iterations

@@ -47,7 +47,6 @@ def moved(covariance: Array, way: Array) -> Array:
 
 
 def _turns(yaw_rad: Array) -> Array:
-    """Return the matrices that turn x and y, (K, 3, 3)."""
     turn = np.zeros((len(yaw_rad), 3, 3))
     cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
     turn[:, 0, 0] = turn[:, 1, 1] = cos
@@ -116,7 +115,6 @@ class Uncertainty:
         return np.concatenate(parts) if parts else np.zeros((0, 3, 3))
 
     def _solve(self, pairs: Indices) -> Array:
-        """Return the covariances of a few pairs."""
         count = len(pairs)
         first, second = pairs.T
         way = self._poses[second, :2] - self._poses[first, :2]

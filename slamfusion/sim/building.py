@@ -204,7 +204,6 @@ def _slanted_wall(canvas: Canvas, room: Rect) -> None:
 
 
 def _cut_corner(rng: np.random.Generator, canvas: Canvas, room: Rect) -> None:
-    """Take the outer part of the corner room away, so that the outline is an L."""
     x0, y0, x1, y1 = room
     cut = y1 - (y1 - y0) * rng.uniform(0.35, 0.6)
     canvas.fill((x0, cut, x1, y1), UNKNOWN)
@@ -373,7 +372,6 @@ def draw_rooms(
 
 
 def _ring(length_m: float, resolution: float) -> tuple[Canvas, tuple[_Side, ...]]:
-    """Draw a bare ring, three to two, and return its sides, the lower one first."""
     long, high, half = 0.3 * length_m, 0.2 * length_m, WAY_M / 2.0
     low = MARGIN_M + half
     canvas = Canvas(long + 2.0 * low, high + 2.0 * low, resolution)
@@ -421,7 +419,6 @@ def _feature(
 
 
 def _recess(canvas: Canvas, side: _Side, at: float, outwards: float, deep_m: float) -> None:
-    """Set a closed door back from the wall."""
     half, wall = RING_DOOR_M / 2.0, canvas.wall_m
     face = WAY_M / 2.0 - wall
     around, mouth = (at - half - wall, at + half + wall), (at - half, at + half)
@@ -430,7 +427,6 @@ def _recess(canvas: Canvas, side: _Side, at: float, outwards: float, deep_m: flo
 
 
 def _pillar(canvas: Canvas, side: _Side, at: float, outwards: float, size: float) -> None:
-    """Set a pillar before the wall."""
     face = WAY_M / 2.0
     along = (at - size / 2.0, at + size / 2.0)
     canvas.fill(side.rect(along, _out(outwards, face - size, face)), OCCUPIED)

@@ -284,7 +284,6 @@ def course_to_mapping(course: Course) -> dict[str, Any]:
 
 
 def _course(values: dict[str, Any], where: str, folder: Path) -> Course:
-    """Build a course from a file's values."""
     _check_keys(values, KEYS, where)
     if "world" not in values:
         message = f"{where}: 'world' is missing; give one of {', '.join(WORLD_NAMES)} or a map file"
@@ -323,7 +322,6 @@ def _check_keys(values: dict[str, Any], known: Collection[str], where: str) -> N
 
 
 def _world(value: Any, where: str) -> WorldConfig:
-    """Read a world: a drawn one's name, a map file, or a mapping."""
     if isinstance(value, str):
         value = {"name": value} if value in WORLD_NAMES else {"name": "map", "map": value}
     return from_mapping(WorldConfig, value, where)
@@ -348,7 +346,6 @@ def _start(value: Any, where: str) -> Pose2 | None:
 
 
 def _people(value: Any, where: str) -> int | tuple[Person, ...]:
-    """Read how many people, or who."""
     if not isinstance(value, list):
         return _count(value, where)
     people = []
@@ -372,7 +369,6 @@ def _points(value: Any, where: str) -> tuple[Point, ...]:
 
 
 def _numbers(value: Any, count: int, where: str) -> tuple[float, ...]:
-    """Read a row of finite numbers."""
     row = value if isinstance(value, list) else []
     numbers = [item for item in row if type(item) in {int, float} and abs(item) < 1e7]
     if len(row) != count or len(numbers) != count:

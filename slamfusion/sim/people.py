@@ -85,7 +85,6 @@ def walk(people: Sequence[Person], space: FreeSpace, robot: F64, step_s: float) 
 
 
 def _there_and_back(person: Person, space: FreeSpace, what: str) -> F64:
-    """Return the way through all waypoints and back to the first, (N, 2)."""
     stops = person.waypoints
     if len(stops) == 1:
         space.place(stops[0], what)

@@ -192,7 +192,6 @@ def _stops(course: Course, floor: Floor, space: FreeSpace, start: Pose2) -> tupl
 
 
 def _ways(space: FreeSpace, start: Pose2, stops: tuple[Point, ...] | list[Point]) -> list[F64]:
-    """Return the way to each stop from the one before."""
     ways: list[F64] = []
     here = (start.x, start.y)
     for number, stop in enumerate(stops, start=1):
@@ -206,7 +205,6 @@ def _length(way: F64) -> float:
 
 
 def _drive(course: Course, world: World, space: FreeSpace, start: Pose2, ways: list[F64]) -> Motion:
-    """Do what the script says, or follow the ways."""
     period_s = 1.0 / course.lidar.rate_hz
     if course.script:
         return run_script(world, space, course.drive, start, course.script, period_s)
@@ -265,7 +263,6 @@ def _record(
     device: ComputeDevice,
     progress: Progress | None,
 ) -> tuple[tuple[LogScan, ...], Trajectory]:
-    """Read laser and odometry along a motion."""
     lidar = course.lidar
     every = _scans_every(course, motion)
     poses = motion.poses[::every]

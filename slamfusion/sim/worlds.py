@@ -83,7 +83,6 @@ def pick_glass(
 
 
 def _map_floor(path: Path) -> Floor:
-    """Take a map file for the truth."""
     grid = load_map(path)
     classes = trinary_cells(grid.cells, NormalizeConfig())
     cells = np.where(classes == 1, OCCUPIED, classes).astype(np.int8)

@@ -258,7 +258,6 @@ class ProducerSession:
         self.snapshot = replace(self.snapshot, **made)  # type: ignore[arg-type]
 
     def _feed(self, item: QueuedScan) -> Answer | None:
-        """Feed a scan."""
         if item.generation != self._producer_generation:
             self._producer = self._make()
             self._producer_generation, self._job = item.generation, None

@@ -172,7 +172,6 @@ class SideBySide:
         self._conclude(job, said)
 
     def _conclude(self, job: _Job, said: _Answer) -> None:
-        """Write down what became of a producer and end its process."""
         self._jobs.remove(job)
         self._outcomes[job.name] = Outcome(
             job.name,
@@ -209,7 +208,6 @@ def _sealed(run: ProducerRun) -> ProducerRun:
 
 
 def _check_names(names: Sequence[str]) -> None:
-    """Refuse what is no list of producers."""
     known = producer_names()
     for name in names:
         if name not in known:
@@ -234,7 +232,6 @@ def _start(name: str, arguments: tuple[Any, ...], threads: int) -> _Job:
 
 
 def _stop(job: _Job) -> None:
-    """End a process, by force where it does not end, and let go of what it held."""
     if job.process.is_alive():
         job.process.kill()
         job.process.join(JOIN_S)
@@ -261,7 +258,6 @@ def _how_it_died(exit_code: int | None) -> str:
 def _work(
     name: str, log: Path, scan_odometry: Path | None, config: RunConfig, answers: Connection
 ) -> None:
-    """Run one producer and send what it made."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the caller is interrupted too, and ends us
     os.dup2(2, 1)  # whatever a driver prints: standard output belongs to the caller
     try:
@@ -274,7 +270,6 @@ def _work(
 def _answer(
     name: str, log: Path, scan_odometry: Path | None, config: RunConfig, answers: Connection
 ) -> _Answer:
-    """Return what the producer made, or why it made nothing."""
     try:
         device = open_producer_device(name, config)
         mapper = make_producer(name, config, device)

@@ -236,7 +236,6 @@ class Scene:
             self.put_point(name, float(x_m), float(y_m), float(stamp_s) - start_s)
 
     def _name(self, names: Iterable[str]) -> None:
-        """Give layers that are new their colours; those of the others stay."""
         self._colours = colours_of([*self._colours, *names])
 
     def _next(self) -> int:

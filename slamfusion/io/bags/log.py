@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -103,7 +103,6 @@ class BagLog(ScanLog):
             survey.read(bag)
         # One or a few of many scans may lack a stamp.
         self._uses_record_time = not any(stamp_s(message) for message in first)
-        survey.check_frames()
         self._tree, self._odometry = survey.tree, survey.odometry
         self._base_frame = survey.base_frame
         if self._odometry is None and config.odom_topic != "none":
@@ -128,7 +127,13 @@ class BagLog(ScanLog):
                     yield from continuity.passed(LogScan(scan, pose, number))
             yield from continuity.rest()
         if out_s and not is_any_used and self._odometry is not None:
-            raise LogError(self._other_clock(out_s, self._odometry.stamps_s))
+            first_s, last_s = self._odometry.stamps_s[[0, -1]].tolist()
+            raise LogError(
+                f"{self.path}: no scan lies in the time of the odometry: scans from {out_s[0]:.3f} "
+                f"s to {out_s[-1]:.3f} s, odometry from {first_s:.3f} s to {last_s:.3f} s, "
+                f"{first_s - out_s[0]:+.3f} s later: two clocks? record both with one, or read the "
+                "scans alone with odom_topic none"
+            )
         self.fraction_read = 1.0
 
     def _scans(self, bag: OpenBag) -> Iterator[tuple[int, LaserScan]]:
@@ -150,37 +155,24 @@ class BagLog(ScanLog):
             else:
                 yield number, scan
 
-    def _other_clock(self, scans_s: Sequence[float], odometry_s: npt.NDArray[np.float64]) -> str:
-        """Say that scans and odometry are of two clocks."""
-        first_s, last_s = float(odometry_s[0]), float(odometry_s[-1])
-        return (
-            f"{self.path}: no scan lies in the time of the odometry: scans from {scans_s[0]:.3f} s "
-            f"to {scans_s[-1]:.3f} s, odometry from {first_s:.3f} s to {last_s:.3f} s, "
-            f"{first_s - scans_s[0]:+.3f} s later: two clocks? record both with one, or read the "
-            "scans alone with odom_topic none"
-        )
-
     def _first_messages(self, bag: OpenBag) -> list[Any]:
-        """Return the first readable scans."""
         readable = (message for _, _, message in bag.messages(self._scan_topic) if message)
         first = list(islice(readable, FIRST_MESSAGES))
         if not first:
-            text = (
+            raise LogError(
                 f"{self.path}: none of the {bag.count(self._scan_topic)} messages on "
                 f"{self._scan_topic} can be read as a scan; check that its message type is the "
                 "standard one"
             )
-            raise LogError(text)
         ranges = np.concatenate([first_echoes(message) for message in first])
         ranges = ranges[np.isfinite(ranges) & (ranges > 0.0)]
         limit_m = max(float(message.range_max) for message in first)
         if limit_m > 0.0 and len(ranges) and np.percentile(ranges, 10.0) > OTHER_UNIT * limit_m:
-            text = (
+            raise LogError(
                 f"{self.path}: the ranges on {self._scan_topic} have a median of "
                 f"{np.median(ranges):.0f} with a range_max of {limit_m:g} m: millimetres? wanted "
                 "metres; correct the driver, or convert the bag"
             )
-            raise LogError(text)
         return first
 
     def _scan(self, message: Any, time_s: float) -> LaserScan:
@@ -205,9 +197,6 @@ class BagLog(ScanLog):
         """Return where a laser frame sits on the robot; kept when it cannot move."""
         if frame in self._mounts:
             return self._mounts[frame]
-        if frame == self._base_frame:
-            mount = self._mounts[frame] = Mount()
-            return mount
         if not self._tree.is_connected(self._base_frame, frame):
             self.notes.append(
                 f"no transforms from {self._base_frame!r} to the laser's frame {frame!r}; taken: "

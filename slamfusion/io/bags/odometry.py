@@ -92,21 +92,16 @@ class OdometrySurvey:
     notes: list[str] = field(default_factory=list)
 
     def read(self, bag: OpenBag) -> None:
-        """Take in the bag."""
+        """Take in the bag; refuse a base frame that was asked for and is nowhere."""
         self._read_transforms(bag)
         self.odometry = self._find_odometry(bag)
         self.base_frame = self._find_base_frame()
-
-    def check_frames(self) -> None:
-        """Refuse a base frame that was asked for and is nowhere."""
         wanted = self.config.base_frame
-        if wanted is None or wanted.lstrip("/") in self.tree.frames:
-            return
-        if self.odometry is None or self.odometry.base_frame != wanted.lstrip("/"):
+        known = self.tree.frames | ({self.odometry.base_frame} if self.odometry else set())
+        if wanted is not None and wanted.lstrip("/") not in known:
             raise LogError(self._no_way(self.config.odom_frame, wanted))
 
     def _read_transforms(self, bag: OpenBag) -> None:
-        """Take in the transforms of the robot."""
         unusable = 0
         senders: dict[str, str] = {}
         for topic, _, message in bag.messages(*self._transform_topics(bag)):
@@ -115,11 +110,10 @@ class OdometrySurvey:
                 namespace = topic.rpartition("/")[0]
                 other = senders.setdefault(item.child_frame_id, namespace)
                 if other != namespace:
-                    text = (
+                    raise LogError(
                         f"{self.path}: frame {item.child_frame_id!r} is sent on {other}/tf and on "
                         f"{namespace}/tf: two robots? choose one with tf_topic"
                     )
-                    raise LogError(text)
                 move, turn = item.transform.translation, item.transform.rotation
                 row = (move.x, move.y, move.z, turn.x, turn.y, turn.z, turn.w)
                 unusable += not self.tree.add(
@@ -136,7 +130,6 @@ class OdometrySurvey:
             )
 
     def _transform_topics(self, bag: OpenBag) -> list[str]:
-        """Return the topics of the robot's transforms."""
         wanted = self.config.tf_topic
         found = bag.topics(TRANSFORM_TYPES, self.scan_topic if wanted is None else "")
         if wanted is None:
@@ -151,7 +144,6 @@ class OdometrySurvey:
         return own
 
     def _find_odometry(self, bag: OpenBag) -> BagOdometry | None:
-        """Return the odometry by messages, else by transforms, else None."""
         config = self.config
         if config.odom_topic == "none":
             return None
@@ -170,7 +162,6 @@ class OdometrySurvey:
         return None
 
     def _odometry_by_messages(self, bag: OpenBag, topic: str) -> BagOdometry | None:
-        """Return the poses of an odometry topic, in the order of time."""
         table, first = _topic_poses(bag, topic, self.notes)
         if first is None:
             return None
@@ -181,7 +172,9 @@ class OdometrySurvey:
         wanted = self.config.base_frame
         if wanted is None or wanted.lstrip("/") == base_frame:
             return BagOdometry(times, rows, base_frame)
-        rows = self._moved_to(rows, times, base_frame, wanted)
+        if not self.tree.is_connected(base_frame, wanted):
+            raise LogError(self._no_way(base_frame, wanted))
+        rows = compose_poses(rows, plan_poses(self.tree.sample(base_frame, wanted, times)))
         return BagOdometry(times, rows, wanted.lstrip("/"))
 
     def _moving_frame(self, topic: str, message: Any) -> str:
@@ -209,12 +202,6 @@ class OdometrySurvey:
             f"taken: {bases[0]!r}, which moves with the laser"
         )
         return bases[0]
-
-    def _moved_to(self, poses: Floats, stamps_s: Floats, base_frame: str, wanted: str) -> Floats:
-        """Return the poses of another frame on the robot."""
-        if not self.tree.is_connected(base_frame, wanted):
-            raise LogError(self._no_way(base_frame, wanted))
-        return compose_poses(poses, plan_poses(self.tree.sample(base_frame, wanted, stamps_s)))
 
     def _no_way(self, base_frame: str, wanted: str) -> str:
         known = ", ".join(sorted(self.tree.frames)) or "none"

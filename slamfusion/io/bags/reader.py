@@ -11,7 +11,7 @@ import re
 import tempfile
 import textwrap
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from operator import itemgetter
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -31,6 +31,8 @@ POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 STORAGE_FILES = ("*.mcap", "*.db3", "*.mcap.zstd", "*.db3.zstd")
 # What storage files begin with, and what is packed.
 ROS1_MAGIC, SQLITE_MAGIC, MCAP_MAGIC = b"#ROSBAG V", b"SQLite format 3\0", b"\x89MCAP0\r\n"
+# Errors of a folder that is full.
+_NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 TRANSFORM_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
@@ -135,14 +137,10 @@ class OpenBag:
         """Yield the messages of topics, in the order of recording."""
         parts = (self._stored(storage, topics) for storage in self._storages)
         for connection, recorded_ns, raw in heapq.merge(*parts, key=itemgetter(1)):
-            yield BagMessage(connection.topic, recorded_ns, self._content(connection, bytes(raw)))
-
-    def _content(self, connection: Connection, raw: bytes) -> Any:
-        """Return the message, or None when its bytes are none."""
-        try:
-            return self._decode(_encoding(connection), _kind(connection), raw)
-        except Exception:  # noqa: BLE001  (damaged bytes fail in many ways; the caller counts them)
-            return None
+            content = None
+            with suppress(Exception):  # damaged bytes fail in many ways; the caller counts them
+                content = self._decode(_encoding(connection), _kind(connection), bytes(raw))
+            yield BagMessage(connection.topic, recorded_ns, content)
 
     def _stored(self, storage: Storage, topics: Sequence[str]) -> Iterator[Stored]:
         """Yield the messages of a file, as far as it can be read."""
@@ -188,25 +186,17 @@ def open_bag(path: Path, notes: list[str]) -> Iterator[OpenBag]:
     except MemoryError:
         message = f"{path}: memory ran out while reading it; free memory, or check that it is whole"
         raise MemoryBudgetError(message) from None
-    except OSError as error:
-        if error.errno not in {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}:
-            raise _not_a_bag(path, error) from error
-        # Nothing is written but what is unpacked.
-        raise LogError(
-            f"{path}: cannot be unpacked in {tempfile.gettempdir()}: {error.strerror}; free some "
-            "space there, or let TMPDIR name another folder"
-        ) from None
     except Exception as error:
-        raise _not_a_bag(path, error) from error
-
-
-def _not_a_bag(path: Path, error: Exception) -> LogError:
-    """Say in one line what the library stumbled over."""
-    message = (
-        f"{path}: cannot be read as a bag ({_reason(error)}); check that it was recorded and "
-        "copied to its end"
-    )
-    return LogError(message)
+        # Nothing is written but what is unpacked.
+        if isinstance(error, OSError) and error.errno in _NO_ROOM:
+            raise LogError(
+                f"{path}: cannot be unpacked in {tempfile.gettempdir()}: {error.strerror}; free "
+                "some space there, or let TMPDIR name another folder"
+            ) from None
+        raise LogError(
+            f"{path}: cannot be read as a bag ({_reason(error)}); check that it was recorded and "
+            "copied to its end"
+        ) from error
 
 
 def _reason(error: Exception) -> str:
@@ -245,7 +235,6 @@ def _in_number_order(file: Path) -> list[str | int]:
 
 
 def _encoding(connection: Connection) -> str:
-    """Return how messages are encoded; cdr and ros1 can be read."""
     return str(getattr(connection.ext, "serialization_format", "ros1"))
 
 

@@ -93,7 +93,6 @@ class Mcap(mcap.McapReader):
             self._count(ends[bisect_left(ends, file.tell()) - 1])
 
     def _count(self, end: int) -> None:
-        """Find topics and their numbers of messages up to a place in the file."""
         self.data_end = end
         for found in (self.schemas, self.channels, self.chunks, self.connections):
             found.clear()

@@ -282,10 +282,6 @@ class Survey:
             return frozenset({b"ROBOTLASER1"})
         return frozenset(LASERS)
 
-    def laser_lines(self) -> int:
-        """Return how many laser lines are used, those that cannot be read too."""
-        return count_of(self.lasers, self.kinds())
-
     def has_scans_twice(self) -> bool:
         """Whether most scans stand in the log as FLASER and as ROBOTLASER1."""
         fewer = min(self.words[b"FLASER"], self.words[b"ROBOTLASER1"])
@@ -311,10 +307,6 @@ class Survey:
         """Return how far ahead the laser sits by the log's settings."""
         value = self.settings.get(OFFSET_PARAM, 0.0)
         return value if math.isfinite(value) else 0.0
-
-    def no_return(self) -> NoReturn:
-        """Return what the readings say."""
-        return self.finder.result()
 
     def notes(self, config: LogConfig) -> list[str]:
         """Return what a user should know of time, angles and lines left out."""
@@ -368,7 +360,6 @@ def count_of(seen: Counter[bytes], words: Collection[bytes]) -> int:
 
 
 def _no_laser(survey: Survey) -> str:
-    """Say in one line why there is nothing to read."""
     wanted = "FLASER, ROBOTLASER1, LASER_READING or Laser lines"
     if survey.skips.total:
         reasons = "; ".join(survey.skips.sentences())
@@ -415,10 +406,10 @@ class CarmenLog(ScanLog):
         self._odometry = odometry
         self._survey = take_survey(self.path)
         if odometry is not None:
-            odometry.check_count(self.path, self._survey.laser_lines())
+            odometry.check_count(self.path, count_of(self._survey.lasers, self._survey.kinds()))
         self.has_stamps = not self._survey.stamp_trouble()
         self._mount, mount_notes = self._survey.mount.result(self._survey.offset_m())
-        self._no_return = self._survey.no_return()
+        self._no_return = self._survey.finder.result()
         self.notes = [
             *self._survey.notes(config),
             *mount_notes,

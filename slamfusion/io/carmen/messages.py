@@ -196,7 +196,6 @@ def _readings(
 
 
 def _count(fields: list[bytes], at: int) -> int:
-    """Return a field that says how many fields follow."""
     if at >= len(fields):
         raise BadLineError(WRONG_COUNT)
     if not fields[at].isdigit():
@@ -282,7 +281,11 @@ def write_carmen(
             )
         if first is None:
             first = scan.scan
-            body += _head(first).encode()
+            settings = {NO_RETURN_PARAM: first.range_max_m}
+            if first.time_increment_s:
+                settings[TIME_INCREMENT_PARAM] = first.time_increment_s
+            params = (f"PARAM {name} {value!r} nohost 0\n" for name, value in settings.items())
+            body += (_HEADER + "".join(params)).encode()
         body += _lines_of(scan, last, first).encode()
         last = scan
         count += 1
@@ -292,16 +295,7 @@ def write_carmen(
     return count
 
 
-def _head(first: LaserScan) -> str:
-    settings = {NO_RETURN_PARAM: first.range_max_m}
-    if first.time_increment_s:
-        settings[TIME_INCREMENT_PARAM] = first.time_increment_s
-    lines = (f"PARAM {name} {value!r} nohost 0\n" for name, value in settings.items())
-    return _HEADER + "".join(lines)
-
-
 def _lines_of(logged: LogScan, last: LogScan | None, first: LaserScan) -> str:
-    """Return the odometry line and the laser line of a scan."""
     scan, robot = logged.scan, logged.odometry or IDENTITY
     laser = robot.compose(scan.mount)
     end = f"{scan.stamp_s:.9f} {_HOST} {scan.stamp_s - first.stamp_s:.6f}\n"

@@ -37,18 +37,7 @@ class Step:
 
 @dataclass
 class Health:
-    """How well a mapper is doing.
-
-    Attributes:
-        scans: fed so far.
-        scans_used: of these, the ones that were matched or mapped.
-        match_score: of the last matched scan, 0 to 1.
-        mean_match_score: over every matched scan.
-        low_scores: matched scans whose score was below half of the mean so far: the
-            first sign that tracking is getting lost.
-        n_eff: effective number of particles; None where there are none.
-        skips: scans that were not used, by reason; the number is the scan's, from 1.
-    """
+    """How well a mapper is doing; ``HealthJson`` explains the figures."""
 
     scans: int = 0
     scans_used: int = 0

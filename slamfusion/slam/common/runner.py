@@ -291,7 +291,6 @@ def _is_low(step: Step, health: Health) -> bool:
 
 
 def _nothing_used(mapper: Mapper, record: LogRecord | None, fed: int) -> str:
-    """Say why there is no map."""
     where = "" if record is None else f"{record.path}: "
     reasons = list(mapper.health.skips.sentences("scan")) if fed else []
     if record is not None:
@@ -304,6 +303,5 @@ def _nothing_used(mapper: Mapper, record: LogRecord | None, fed: int) -> str:
 
 
 def _process_peak_bytes() -> int:
-    """Return the most memory that this process has held at once."""
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak if sys.platform == "darwin" else 1024 * peak

@@ -261,7 +261,6 @@ def _digest(arrays: Mapping[str, npt.NDArray[Any]]) -> bytes:
 
 
 def _flat(values: dict[str, Any], where: str = "") -> dict[str, Any]:
-    """Return nested settings by dotted key."""
     flat: dict[str, Any] = {}
     for key, value in values.items():
         if isinstance(value, dict):

@@ -153,7 +153,6 @@ class Gmapping(SavedMapper):
         return Step(pose, used=False, match_score=None, reason=reason)
 
     def _begin(self, stamp_s: float, beams: Beams) -> Step:
-        """Write the first scan into every map."""
         poses = self._particles.poses
         # All particles are alike still: they share one map.
         self._maps.integrate(beams, poses, np.zeros(1, dtype=np.int64))

@@ -217,7 +217,6 @@ class LocalMap(Stateful):
         return submap
 
     def _scan(self, points: F64) -> ScanOnTiles:
-        """Return a scan over the active submap."""
         walls = self.active_submap.walls()
         return ScanOnTiles(self._device, walls, points, self._config.matcher.beams)
 

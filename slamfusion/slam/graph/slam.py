@@ -111,7 +111,6 @@ class GraphSlam(SavedMapper):
         return step
 
     def _follow(self, seen: Observation, hypotheses: list[PoseHypothesis]) -> Step:
-        """Match a scan on the local map; make it a node where it is due."""
         # Find the scan on the local map. Is the robot still there?
         found = self._localizer.localize(seen, hypotheses)
         self.health.scans_used += 1
@@ -169,7 +168,6 @@ class GraphSlam(SavedMapper):
         return Step(local, used=False, match_score=None, reason=reason)
 
     def _begin(self, seen: Observation, hypothesis: PoseHypothesis) -> Step:
-        """Make the first node."""
         self._localizer.start(seen)
         self._graph.add_node(seen.node(0.0), pose_of(hypothesis.pose))
         self._local_map.begin(0, self._graph.nodes[0], component=0)

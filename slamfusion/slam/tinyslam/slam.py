@@ -220,7 +220,6 @@ class TinySlam:
     def _use(
         self, scan: LaserScan, points: npt.NDArray[np.float64], hypotheses: list[PoseHypothesis]
     ) -> Step:
-        """Match the hits of a scan, then map them."""
         match = self._tracker.match(self._walls(), points, hypotheses) if self._mapped else None
         found = hypotheses[0].pose if match is None else match.pose
         x, y, yaw = (float(value) for value in found)
@@ -251,7 +250,6 @@ class TinySlam:
         pose: Pose2,
         quality: float,
     ) -> None:
-        """Integrate a scan into the map at a pose."""
         config, tiles = self._config, self._map
         self._mapped += 1
         cell = config.resolution
