@@ -169,6 +169,14 @@ class Bent:
         """Where it agrees least, in words."""
         return f"x {self.x:.1f}, y {self.y:.1f} m"
 
+    @property
+    def words(self) -> str:
+        """How far it agrees, and where least."""
+        return (
+            f"bent, agrees with the others on {100.0 * self.share:.0f} % of its walls; "
+            f"worst at {self.place}"
+        )
+
 
 @dataclass(frozen=True)
 class InputRecord:
@@ -266,8 +274,7 @@ class Fusion:
                 ),
             )
         return tuple(
-            f"{name}: bent, agrees with the others on {100.0 * found.share:.0f} % of its walls; "
-            f"worst at {found.place}"
+            f"{name}: {found.words}"
             + ("; it votes only where it agrees" if name in self.weights else "")
             for name, found in self.bent.items()
         )

@@ -394,6 +394,7 @@ class FusionNode(NodeBase):
             "score": record.score,
             "overlap": record.overlap,
             "tracked": record.is_tracked,
+            "walls that agree": record.wall_agreement,
             "age [s]": record.age_s + time.monotonic() - snapshot.noted_s,
             "rate [Hz]": record.rate_hz,
             "maps": record.maps,

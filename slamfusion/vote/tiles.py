@@ -282,7 +282,8 @@ class TileVoter:
             codes = [own.view(np.uint8) for own in shown.values()]
             _check_count(codes)
             counts = counts or count_walls(codes, self.shift, self.phase(wide))
-            votes, worst = self._weighed(tile, wide, codes, trust, counts, device)
+            votes = self._weighed(tile, wide, codes, trust, counts, device)
+            worst = self.worst(wide, counts, trust)
         return DecidedTile(
             votes.fused, votes.agreement, votes.phantom_cells, tuple(shown), votes.dissent, worst
         )
@@ -295,15 +296,14 @@ class TileVoter:
         trust: Trust,
         counts: WallCounts,
         device: ComputeDevice,
-    ) -> tuple[Votes, dict[str, tuple[int, int, int]]]:
+    ) -> Votes:
         """Let walls be voted for by weight."""
-        phase = self.phase(wide)
         weights, ranks = local_weights(counts, trust, self.resolution)
         # Walls up to here say what a cell of the tile is.
         reach = same_wall_cells(self.resolution)
         box = grown_inside(tile, reach, wide)
         inner = (slice(None), *self.blocks(box, wide))
-        votes = device.vote_walls(
+        return device.vote_walls(
             [np.ascontiguousarray(c[slices(box, wide.row0, wide.col0)]) for c in codes],
             np.ascontiguousarray(weights[inner]),
             np.ascontiguousarray(ranks[inner]),
@@ -312,16 +312,23 @@ class TileVoter:
             shift=self.shift,
             phase=self.phase(box),
         ).on(slices(tile, box.row0, box.col0))
-        side = 1 << self.shift
-        worst = {
-            name: (
-                missed,
-                wide.row0 - phase[0] + block_row * side + side // 2,
-                wide.col0 - phase[1] + block_col * side + side // 2,
-            )
-            for name, (missed, block_row, block_col) in disagreeing(counts, trust).items()
+
+    def worst(
+        self, box: CellBox, counts: WallCounts, trust: Trust
+    ) -> dict[str, tuple[int, int, int]]:
+        """Return where each map agrees least; see ``DecidedTile``.
+
+        Args:
+            box: cells.
+            counts: of each block of the box.
+            trust: in the maps that were counted.
+        """
+        side, phase = 1 << self.shift, self.phase(box)
+        row0, col0 = box.row0 - phase[0] + side // 2, box.col0 - phase[1] + side // 2
+        return {
+            name: (missed, row0 + row * side, col0 + col * side)
+            for name, (missed, row, col) in disagreeing(counts, trust).items()
         }
-        return votes, worst
 
     def blocks(self, box: CellBox, outer: CellBox) -> tuple[slice, slice]:
         """Return which rows and columns of the blocks of an outer box hold a box."""

@@ -60,6 +60,8 @@ class LiveInput:
         maps: messages that came, usable or not.
         rejected: those among them that contain too little or cannot be read.
         is_tracked: whether the last alignment started from the last transform.
+        wall_agreement: share of its walls that agree with the other maps'; None: it does not vote,
+            or the vote weighs no map.
     """
 
     name: str
@@ -73,6 +75,7 @@ class LiveInput:
     maps: int
     rejected: int
     is_tracked: bool
+    wall_agreement: float | None
 
     @property
     def accepted(self) -> bool:
@@ -342,6 +345,9 @@ class LiveFusion(Mailbox):
             came = counts.get(name) or InputMessage()  # removed, and not yet noticed
             is_reference = name == self._supervisor.reference and track.votes
             reason = track.why
+            if track.votes and name in self._layers.bent:
+                reason += f"; {self._layers.bent[name].words}"
+                reason += "; or the other map is" if len(self._layers.names) == 2 else ""
             if self._layers.names == (name,) and self._live.minimum_inputs > 1:
                 reason = "goes on alone: no other input to agree with"
             out.append(
@@ -357,6 +363,7 @@ class LiveFusion(Mailbox):
                     came.maps,
                     came.rejected,
                     track.fit.is_tracked,
+                    self._layers.wall_agreement.get(name),
                 )
             )
         return tuple(out)

@@ -14,16 +14,18 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from slamfusion.align.records import Bent
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, LiveConfig
 from slamfusion.errors import MemoryBudgetError
+from slamfusion.fusion.lattice_vote import bent_maps, wall_agreement_of
 from slamfusion.fusion.live.inputs import Input
 from slamfusion.fusion.live.layers import Layer, carry
 from slamfusion.fusion.live.state import LiveState
 from slamfusion.geometry import Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, trinary_cells
 from slamfusion.io.files import check_memory
-from slamfusion.vote.agreement import Trust, WallCounts, count_walls
+from slamfusion.vote.agreement import Trust, WallCounts, count_walls, trust_of
 from slamfusion.vote.boxes import grown_inside, hull, joined, moved, overlap, padded, slices
 from slamfusion.vote.lattice import Lattice
 from slamfusion.vote.tiles import TileVoter
@@ -71,6 +73,7 @@ class FusedLayers:
         box: cells of the lattice that are kept; None before the first ``grow``.
         phantom_cells: occupied in the fused cells, occupied in no layer that voted.
         names: who voted last.
+        wall_agreement, bent: of these, see ``Fusion``.
         has_young: whether a map that restarted was among them.
         agreed: the fused map when a majority last decided, before all but two or fewer lost their
             vote; None while a majority decides, and before one ever did.
@@ -83,6 +86,8 @@ class FusedLayers:
         self.box: CellBox | None = None
         self.phantom_cells = 0
         self.names: tuple[str, ...] = ()
+        self.wall_agreement: dict[str, float] = {}
+        self.bent: dict[str, Bent] = {}
         self.has_young = False
         self.agreed: OccupancyGrid | None = None
         self._config = config
@@ -344,10 +349,14 @@ class FusedLayers:
             config = replace(config, unknown="abstain")
         voter = TileVoter(whole, config, self._fixed.resolution, tuple(names))
         counts = None
+        self.wall_agreement, self.bent = {}, {}
         if voter.weighs:
             all_counts = self._count(voter, box)
-            voter = voter.trusting(all_counts.total())
-            is_same = voter.trust is not None and voter.trust.decides_like(self._trust)
+            trust = trust_of(voter.names, all_counts.total())
+            voter = replace(voter, trust=trust)
+            self.wall_agreement = wall_agreement_of(trust)
+            self.bent = bent_maps(trust, [voter.worst(whole, all_counts, trust)], self._fixed)
+            is_same = trust.decides_like(self._trust)
             reach = margin_cells(voter.resolution) + (1 << voter.shift)
             box = voter.aligned(grown_inside(box, reach, whole)) if is_same else whole
             counts = all_counts.part(voter.blocks(voter.around(box), whole))

@@ -15,7 +15,7 @@ from slamfusion.errors import ConfigError
 from slamfusion.fusion import fuse_grids
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid, trinary_cells
-from tests.fusion.drawings import building, fusion_config, off_by, padded
+from tests.fusion.drawings import building, degraded, fusion_config, off_by, padded
 from tests.fusion.live.maps import (
     AWAY,
     Drive,
@@ -57,6 +57,24 @@ def test_the_first_fusion_is_that_of_the_offline_command(device: ComputeDevice, 
         assert record.alignment is not None
         assert live.transform == record.alignment.transform
         assert live.accepted == record.accepted
+
+
+def test_a_bent_map_is_named_live_as_by_the_offline_command(device: ComputeDevice) -> None:
+    place = building(3, 12.0, 10.0)
+    grids = [
+        degraded(place, index, name, yaw_rad=yaw_rad, bend_cells=bend_cells)[0]
+        for index, (name, yaw_rad, bend_cells) in enumerate(
+            [("a", 0.0, 0.3), ("b", -1.1, 0.3), ("bent", 0.4, 7.0)]
+        )
+    ]
+    config = replace(fusion_config(), vote=VoteConfig("consensus", extent="union"))
+    offline = fuse_grids(grids, config, device)
+    drive = Drive(live_fusion(device, "consensus"))
+    drive.step(*grids)
+    assert list(offline.bent) == ["bent"]
+    assert drive.input("bent").reason.endswith(f"; {offline.bent['bent'].words}")
+    found = {name: drive.input(name).wall_agreement for name in offline.wall_agreement}
+    assert found == offline.wall_agreement
 
 
 def test_nothing_is_published_before_two_inputs_agree(device: ComputeDevice) -> None:
