@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import math
 import time
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from slamfusion.align.align import align_pair
+from slamfusion.align.decide import SCALE_MAX
 from slamfusion.align.features import GridFeatures
 from slamfusion.align.normalize import check_resampling, normalize_grid
 from slamfusion.align.pair import Pair
@@ -29,11 +31,13 @@ from slamfusion.align.shifts import (
 )
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig
-from slamfusion.errors import ConfigError
+from slamfusion.errors import ConfigError, MemoryBudgetError
 from slamfusion.grid import OccupancyGrid
 
 F64 = npt.NDArray[np.float64]
 
+# A scale is searched from half to twice what a map says.
+FACTOR = 2.0
 # From one scale to the next: between two of them the ends of a building of 40 m move by 0.3 m, less
 # than a coarse cell.
 SCALE_STEP = 1.03
@@ -109,6 +113,31 @@ def align_at_any_scale(
             alignment = replace(alignment, reason=reason, decision="mirrored")
     alignment = replace(alignment, time_s=time.perf_counter() - began)
     return replace(found, alignment=alignment)
+
+
+def wrong_resolution(
+    reference: OccupancyGrid, moving: OccupancyGrid, config: FusionConfig, device: ComputeDevice
+) -> str | None:
+    """Return in words what the resolution of a map should be that fits only at another scale.
+
+    Args:
+        reference: held still; its resolution is right.
+        moving: does not fit as it is.
+        config: normalisation and search.
+        device: computes.
+
+    Returns:
+        None if the map does not fit at another scale either.
+    """
+    search = _ScaleSearch(moving, (1.0 / FACTOR, FACTOR), config, device)
+    with suppress(MemoryBudgetError):
+        found = search.best(reference, search.gains(reference))
+        if found.alignment.accepted and abs(found.scale - 1.0) >= SCALE_MAX:
+            return (
+                f"{moving.name}: its resolution should be {moving.resolution * found.scale:.3g} m, "
+                f"it says {moving.resolution:.3g} m (if that of {reference.name} is right)"
+            )
+    return None
 
 
 class _ScaleSearch:

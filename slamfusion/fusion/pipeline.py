@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 from slamfusion.align.normalize import common_resolution, normalize_grid
 from slamfusion.align.records import Alignment, FusionResult, InputRecord
+from slamfusion.align.scale import wrong_resolution
 from slamfusion.align.starts import Starts, named_input
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig
@@ -24,6 +25,9 @@ from slamfusion.fusion.inputs import PreparedInputs, copy_words, find_copies, od
 from slamfusion.fusion.lattice_vote import Lattices, vote_in_memory
 from slamfusion.grid import OccupancyGrid
 from slamfusion.vote.tiles import check_votes
+
+# Inputs of which it is searched whether they fit with another resolution: a second each.
+LOOKED_AT = 4
 
 
 def fuse_grids(
@@ -117,6 +121,12 @@ def align_inputs(
             prepared.features, reasons, config, device, names, progress, second_look, starts,
             in_part, executor,
         )  # fmt: skip
+    except AlignmentError as error:
+        wrong = _wrong_resolutions(voters[0], voters[1:], config, device, second_look)
+        if not wrong:
+            raise
+        message = f"{error}; {'; '.join(wrong.values())}"
+        raise AlignmentError(message, error.pairs) from error
     finally:
         prepared.release()
     reasons |= {name: reason for name, (reason, _) in group.left_out.items()}
@@ -124,6 +134,12 @@ def align_inputs(
         for name in members.alignments:
             reasons[name] += f"; fused in group {number}: {', '.join(members.alignments)}"
     shown = {name: alignment for name, (_, alignment) in group.left_out.items()}
+    by_name = {grid.name: grid for grid in grids}
+    alone = set(shown) - {name for members in group.others for name in members.alignments}
+    reasons |= _wrong_resolutions(
+        by_name[group.reference], [by_name[name] for name in shown if name in alone],
+        config, device, second_look,
+    )  # fmt: skip
     others = {
         grid.name: InputRecord(grid, shown.get(grid.name), False, reasons[grid.name])
         for grid in grids
@@ -158,6 +174,23 @@ def vote_again(result: FusionResult, config: FusionConfig, device: ComputeDevice
     members = Members(result.reference, alignments)
     voted = vote_in_memory(grids, [members], normalized.__getitem__, rejected, config, device)
     return replace(voted, pairs=result.pairs, time_s=time.perf_counter() - began)
+
+
+def _wrong_resolutions(
+    reference: OccupancyGrid,
+    left_out: Sequence[OccupancyGrid],
+    config: FusionConfig,
+    device: ComputeDevice,
+    second_look: SecondLook | None,
+) -> dict[str, str]:
+    """Return in words what is wrong with the resolutions of inputs, by name.
+
+    Only of a few saved maps: the SLAMs of one drive have one resolution.
+    """
+    if second_look is not None or not 0 < len(left_out) <= LOOKED_AT or config.align.step:
+        return {}
+    words = {grid.name: wrong_resolution(reference, grid, config, device) for grid in left_out}
+    return {name: said for name, said in words.items() if said is not None}
 
 
 def _check_names(grids: Sequence[OccupancyGrid]) -> None:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import logging
 import math
+from dataclasses import replace
 
 from slamfusion.align.records import Alignment
+from slamfusion.align.scale import wrong_resolution
 from slamfusion.align.starts import StartPose, place_starts
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
@@ -60,7 +62,13 @@ def align_maps(
     still, moved = as_grids((reference, moving), config, resolution=resolution, warn=warn)
     if start is None:
         start = _expected(config, still.name, moved.name)
-    return align_grids(still, moved, config.fusion, device_for(config, device), start)
+    device = device_for(config, device)
+    found = align_grids(still, moved, config.fusion, device, start)
+    if not found.accepted and found.evidence is not None and found.decision != "mirrored":
+        words = wrong_resolution(still, moved, config.fusion, device)
+        if words is not None:
+            return replace(found, reason=words, decision="other scale")
+    return found
 
 
 def _expected(config: RunConfig, reference: str, moving: str) -> Pose2 | StartPose | None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from slamfusion.align.records import Alignment
-from slamfusion.align.scale import align_at_any_scale
+from slamfusion.align.scale import FACTOR, align_at_any_scale
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import NormalizeConfig, RunConfig
 from slamfusion.evaluation.distances import sample_on_lattice
@@ -21,9 +21,6 @@ from slamfusion.io.map_server import save_map
 from slamfusion.jobs.inputs import PixelSizes, device_for
 from slamfusion.jobs.outputs import OVERLAY, PLACED, PLAN, WORLD_FILE
 from slamfusion.vote.lattice import Lattice
-
-# A scale is searched from half to twice what the plan says.
-FACTOR = 2.0
 
 
 @dataclass(frozen=True, eq=False)

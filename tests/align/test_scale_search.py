@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import cv2
@@ -11,10 +12,12 @@ import pytest
 from slamfusion.align.scale import ScaledAlignment, align_at_any_scale
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig
-from slamfusion.errors import ConfigError
+from slamfusion.errors import AlignmentError, ConfigError
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.map_server import load_map
+from slamfusion.jobs.align import align_maps
+from slamfusion.jobs.fuse import fuse_maps
 from slamfusion.jobs.plan import align_plan
 from tests.fusion.drawings import building
 from tests.support.cuts import along, kept, move_frame
@@ -92,3 +95,27 @@ def test_a_recorded_map_finds_its_place_on_its_plan_alone(
     assert found.alignment.accepted == is_own, found.alignment.reason
     if is_own:
         assert marked_error_m(seen, found.plan, found.alignment.transform) < 1.0
+
+
+@pytest.mark.parametrize("said", [0.055, 0.04])
+def test_a_wrong_resolution_is_named_with_the_right_one(device: ComputeDevice, said: float) -> None:
+    """In a YAML file a wrong number may stand; ``align`` and ``fuse`` say what it should be."""
+    a, b, c = (
+        kept(truth, along(truth, truth, Pose2(), "x"), part).with_name(name)
+        for truth in [building(0, 24.0, 18.0, 0.05)]
+        for name, part in (("a", (0, 400)), ("b", (40, 480)), ("c", (0, 480)))
+    )
+    wrong = replace(c, resolution=said)
+    found = align_maps(a, wrong, device=device)
+    assert found.decision == "other scale"
+    number = re.match("c: its resolution should be (.*) m, it says (.*) m", found.reason)
+    assert number is not None, found.reason
+    assert float(number[1]) == pytest.approx(0.05, rel=0.005)
+    assert float(number[2]) == said
+    if said < 0.05:
+        return
+    fused = fuse_maps([a, b, wrong], device=device)
+    (left_out,) = [item for item in fused.result.inputs if not item.accepted]
+    assert "c: its resolution should be 0.05" in left_out.reason
+    with pytest.raises(AlignmentError, match=r"c: its resolution should be 0\.05"):
+        fuse_maps([a, wrong], device=device)
