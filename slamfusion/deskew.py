@@ -19,10 +19,10 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.config import LogConfig
 from slamfusion.geometry import (
+    F64,
     Pose2,
     compose_poses,
     interpolate_poses,
@@ -30,8 +30,6 @@ from slamfusion.geometry import (
     transform_points,
 )
 from slamfusion.scan import LaserScan
-
-F64 = npt.NDArray[np.float64]
 
 # Returns poses (K, 3) of the base in a fixed frame at times (K,); None where one is not known.
 Track = Callable[[F64], F64 | None]

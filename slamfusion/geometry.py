@@ -60,11 +60,7 @@ def invert_poses(poses: npt.ArrayLike) -> F64:
     return np.stack((-cos * x - sin * y, sin * x - cos * y, wrap_angles(-given[..., 2])), axis=-1)
 
 
-def blend_poses(
-    first: F64,
-    second: F64,
-    share: F64,
-) -> F64:
+def blend_poses(first: F64, second: F64, share: F64) -> F64:
     """Return poses between two, (M, 3): on the straight way, turning at one rate the short way.
 
     Args:
@@ -76,11 +72,7 @@ def blend_poses(
     return np.asarray(first + share[:, None] * away)
 
 
-def interpolate_poses(
-    times_s: F64,
-    stamps_s: F64,
-    poses: F64,
-) -> F64:
+def interpolate_poses(times_s: F64, stamps_s: F64, poses: F64) -> F64:
     """Return poses at times, linear between those that are known, and as these beyond the ends.
 
     Args:
@@ -99,11 +91,7 @@ def moved_poses(motion: Pose2, poses: npt.ArrayLike) -> F64:
     return compose_poses((motion.x, motion.y, motion.yaw_rad), poses)
 
 
-def transform_points(
-    poses: F64,
-    points: F64,
-    of: npt.NDArray[np.int64] | None = None,
-) -> F64:
+def transform_points(poses: F64, points: F64, of: npt.NDArray[np.int64] | None = None) -> F64:
     """Map points by many poses at once, as ``Pose2.transform`` does by one.
 
     Args:
@@ -168,9 +156,7 @@ class Pose2:
         """Return the motion that undoes this one."""
         cos, sin = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
         return Pose2(
-            -cos * self.x - sin * self.y,
-            sin * self.x - cos * self.y,
-            wrap_angle(-self.yaw_rad),
+            -cos * self.x - sin * self.y, sin * self.x - cos * self.y, wrap_angle(-self.yaw_rad)
         )
 
     def transform(self, points: npt.ArrayLike) -> F64:
@@ -213,11 +199,7 @@ def with_levers(poses: F64) -> F64:
     return np.concatenate((ahead, behind))
 
 
-def fit_motion(
-    moving: F64,
-    still: F64,
-    weights: F64 | None = None,
-) -> Pose2:
+def fit_motion(moving: F64, still: F64, weights: F64 | None = None) -> Pose2:
     """Return the rigid motion that brings paired poses together: least squares of their places.
 
     Args:

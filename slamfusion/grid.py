@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import GridError
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import F64, Pose2
 
 FREE = 0
 OCCUPIED = 100
@@ -227,16 +227,12 @@ class OccupancyGrid:
         origin = box_origin(self.origin, self.resolution, box)
         return OccupancyGrid(cells, self.resolution, origin, self.name)
 
-    def cell_centres(
-        self, rows: npt.NDArray[np.int64], cols: npt.NDArray[np.int64]
-    ) -> npt.NDArray[np.float64]:
+    def cell_centres(self, rows: npt.NDArray[np.int64], cols: npt.NDArray[np.int64]) -> F64:
         """Return the map-frame positions (N, 2), metres, of the centres of cells."""
         own = np.stack(((cols + 0.5) * self.resolution, (rows + 0.5) * self.resolution), axis=-1)
         return self.origin.transform(own)
 
-    def cell_indices(
-        self, points: npt.NDArray[np.float64]
-    ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    def cell_indices(self, points: F64) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
         """Return rows and columns of the cells under map-frame points (N, 2), metres.
 
         Indices may lie outside the grid; the caller decides what that means.

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from slamfusion.config import LaserMounting
 from slamfusion.errors import ScanError
-from slamfusion.geometry import Pose2, transform_points
+from slamfusion.geometry import F64, Pose2, transform_points
 from slamfusion.grid import IDENTITY
 
 
@@ -47,7 +47,7 @@ class LaserScan:
     range_max_m: float
     mount: Pose2 = IDENTITY
     time_increment_s: float = 0.0
-    motion: npt.NDArray[np.float64] | None = None
+    motion: F64 | None = None
 
     def __post_init__(self) -> None:
         ranges = np.ascontiguousarray(self.ranges, dtype=np.float32)
@@ -73,7 +73,7 @@ class LaserScan:
     def __len__(self) -> int:
         return int(self.ranges.size)
 
-    def angles(self) -> npt.NDArray[np.float64]:
+    def angles(self) -> F64:
         """Return the direction of each beam in the laser's frame, (N,) radians."""
         steps = np.arange(len(self), dtype=np.float64)
         return np.asarray(self.angle_min_rad + self.angle_increment_rad * steps)
@@ -111,7 +111,7 @@ class LaserScan:
         self,
         beams: npt.NDArray[np.bool_] | None = None,
         ranges_m: npt.NDArray[np.floating] | None = None,
-    ) -> npt.NDArray[np.float64]:
+    ) -> F64:
         """Return the ends of beams in the robot's base frame at the stamp.
 
         Args:

@@ -9,15 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.errors import TrajectoryError
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import F64, Pose2
 
 # Times that differ by no more are one, seconds: files round them to milliseconds.
 SAME_STAMP_S = 1e-3
 
 
-def nearest_stamps(
-    stamps_s: npt.NDArray[np.float64], wanted_s: npt.ArrayLike
-) -> npt.NDArray[np.int64]:
+def nearest_stamps(stamps_s: F64, wanted_s: npt.ArrayLike) -> npt.NDArray[np.int64]:
     """Return for each wanted time the index of the nearest stamp; the earlier on a tie.
 
     Args:
@@ -32,7 +30,7 @@ def nearest_stamps(
     return np.asarray(np.where(later_is_nearer, after, before), dtype=np.int64)
 
 
-def clock_advice(own_s: npt.NDArray[np.float64], other_s: npt.NDArray[np.float64]) -> str:
+def clock_advice(own_s: F64, other_s: F64) -> str:
     """Return what to do about two ranges of time that do not meet; empty where they do.
 
     Args:
@@ -68,8 +66,8 @@ class Trajectory:
         TrajectoryError: shapes that do not fit, values that are not finite, time that goes back.
     """
 
-    stamps_s: npt.NDArray[np.float64]
-    poses: npt.NDArray[np.float64]
+    stamps_s: F64
+    poses: F64
     name: str = "trajectory"
 
     def __post_init__(self) -> None:

@@ -91,10 +91,7 @@ def test_every_field_says_what_it_is(config_class: type[Any]) -> None:
         ({"fusion": {"align": {"step": "x"}}}, "wanted int or None, found 'x'"),
         ({"fusion": {"align": {"window_yaw_rad": 4.0}}}, "[0, 3.14159] rad, found 4.0"),
         ({"fusion": {"align": {"window_m": float("nan")}}}, "found nan"),
-        (
-            {"fusion": {"vote": {"mode": "coin"}}},
-            "consensus, majority, drawn, found 'coin'",
-        ),
+        ({"fusion": {"vote": {"mode": "coin"}}}, "consensus, majority, drawn, found 'coin'"),
         ({"fusion": [1]}, "run.yaml: fusion: wanted a mapping of settings, found list"),
         ([1], "run.yaml: wanted a mapping of settings, found list"),
         (

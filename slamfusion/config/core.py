@@ -42,14 +42,7 @@ def option(
     A field of several words is a ``Literal``; one of several values a tuple of any length.
     ``flag`` is its option on the command line where that is not the field's name.
     """
-    metadata = {
-        "help": text,
-        "unit": unit,
-        "low": low,
-        "high": high,
-        "level": level,
-        "flag": flag,
-    }
+    metadata = {"help": text, "unit": unit, "low": low, "high": high, "level": level, "flag": flag}
     return field(default=default, metadata=metadata)
 
 

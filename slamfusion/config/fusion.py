@@ -80,8 +80,7 @@ class VoteConfig(Checked):
         "cell, as in [F16]; or drawn (run alone) from all scans at the fused path",
     )
     unknown: Literal["auto", "value", "abstain"] = option(
-        "auto",
-        "majority: unknown as a value, as an abstention, or auto: a value with three voters",
+        "auto", "majority: unknown as a value, as an abstention, or auto: a value with three voters"
     )
     extent: Literal["reference", "union"] = option(
         "union",
@@ -125,8 +124,7 @@ class LiveConfig(Checked):
         low=0.1,
     )
     extent: Literal["reference", "union"] = option(
-        "union",
-        "fused cells: those of the reference, or of all inputs that ever voted",
+        "union", "fused cells: those of the reference, or of all inputs that ever voted"
     )
     search_share: float = option(
         0.7,

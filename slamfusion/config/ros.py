@@ -188,8 +188,7 @@ class PlayerNodeConfig(NodeConfig):
         30.0, "wait this long for the listeners before the first scan", unit="s", low=0.0, high=1e6
     )
     odometry: Literal["topic", "tf", "both", "none"] = option(
-        "both",
-        "how odometry is sent: on `odom`, as transforms, both, or not at all",
+        "both", "how odometry is sent: on `odom`, as transforms, both, or not at all"
     )
     base_frame: str = option("base_link", "the robot's frame")
     odom_frame: str = option("odom", "the odometry frame")

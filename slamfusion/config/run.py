@@ -28,10 +28,7 @@ class SimulateConfig(Checked):
         None, "cell size of the drawn truth", unit="m", low=0.01, high=0.25
     )
     lidar: LidarName | None = option(None, "laser on the robot")
-    drive: Literal["differential", "bicycle", "tracks"] | None = option(
-        None,
-        "how the robot moves",
-    )
+    drive: Literal["differential", "bicycle", "tracks"] | None = option(None, "how the robot moves")
     obstacle: bool | None = option(
         None, "a cable on the way, over which wheels slip and the laser tilts"
     )
@@ -264,8 +261,7 @@ class LogConfig(Checked):
         "the transforms",
     )
     tf_topic: str | None = option(
-        None,
-        "transforms of a bag of several robots, e.g. /robot1/tf; default: the laser's own",
+        None, "transforms of a bag of several robots, e.g. /robot1/tf; default: the laser's own"
     )
     base_frame: str | None = option(
         None, "the robot's frame in a bag's transforms; default: base_footprint or base_link"
@@ -285,8 +281,7 @@ class LogConfig(Checked):
     deskew: Deskew = deskew_option()
     sweep_s: float | None = sweep_option()
     axes: Literal["robot", "camera"] = option(
-        "robot",
-        "axes of a TUM file: of a robot (x ahead, z up) or of a camera (z ahead, y down)",
+        "robot", "axes of a TUM file: of a robot (x ahead, z up) or of a camera (z ahead, y down)"
     )
     quaternion: Literal["xyzw", "wxyz"] = option(
         "xyzw", "order in which a TUM file has its quaternions"
@@ -319,8 +314,7 @@ class TrajectoryConfig(Checked):
         1.0, "what one pair of poses of the relative error spans, in --rpe-unit", low=1e-3
     )
     rpe_unit: Literal["frames", "m", "s"] = option(
-        "frames",
-        "matched poses, metres along the truth, or seconds",
+        "frames", "matched poses, metres along the truth, or seconds"
     )
 
     def __post_init__(self) -> None:

@@ -30,10 +30,7 @@ PlaceName: TypeAlias = Literal[DrawnPlace, "map"]
 class WorldConfig(Checked):
     """A simulated place."""
 
-    name: PlaceName = option(
-        "office",
-        "which drawn place, or map for a map file",
-    )
+    name: PlaceName = option("office", "which drawn place, or map for a map file")
     map: str | None = option(None, "map file of the world `map`; from the course file's folder")
     seed: int | None = option(None, "seed of the drawing; default: the run's seed", low=0)
     resolution: float = option(
@@ -174,10 +171,7 @@ class PersonConfig(Checked):
     """Someone who walks about."""
 
     speed_mps: float = option(1.0, "walking speed", unit="m/s", low=0.05, high=5.0)
-    body: Literal["legs", "disc"] = option(
-        "legs",
-        "what the laser meets: two legs, or one body",
-    )
+    body: Literal["legs", "disc"] = option("legs", "what the laser meets: two legs, or one body")
     distance_m: float = option(
         0.7, "stands still rather than come this near to the robot", unit="m", low=0.0, high=10.0
     )

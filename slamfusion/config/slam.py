@@ -258,10 +258,7 @@ class GmappingConfig(Checked):
         low=0.0,
         high=1e6,
     )
-    motion_model: Literal["differential", "bicycle"] = option(
-        "differential",
-        "how the robot moves",
-    )
+    motion_model: Literal["differential", "bicycle"] = option("differential", "how the robot moves")
     wheel_base: float = option(0.3, "bicycle: between the axles", unit="m", low=0.05, high=10.0)
     steering_sigma: float = option(
         0.05, "bicycle: error of the steering angle", unit="rad", low=0.0, high=1.0

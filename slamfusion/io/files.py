@@ -78,11 +78,7 @@ def format_bytes(count: int) -> str:
 # Files that people write by hand: settings, courses, distances, maps' YAML.
 SMALL_BYTES = 2**20
 
-_KINDS = (
-    (stat.S_ISDIR, "a folder"),
-    (stat.S_ISFIFO, "a pipe"),
-    (stat.S_ISSOCK, "a socket"),
-)
+_KINDS = ((stat.S_ISDIR, "a folder"), (stat.S_ISFIFO, "a pipe"), (stat.S_ISSOCK, "a socket"))
 
 
 def open_regular(path: Path, error: type[SlamFusionError]) -> BufferedReader:

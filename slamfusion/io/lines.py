@@ -42,11 +42,7 @@ class TextLines:
     """
 
     def __init__(
-        self,
-        path: Path,
-        *,
-        kept_bytes: int = 0,
-        if_cut_off: type[SlamFusionError] | None = None,
+        self, path: Path, *, kept_bytes: int = 0, if_cut_off: type[SlamFusionError] | None = None
     ) -> None:
         self.path = path
         self._kept_bytes = kept_bytes

@@ -10,15 +10,12 @@ from pathlib import Path
 from typing import TypedDict
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.config import LogConfig
 from slamfusion.deskew import Deskewer, Deskewing, Track
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import F64, Pose2
 from slamfusion.io.stamps import StampGate
 from slamfusion.scan import LaserScan
-
-F64 = npt.NDArray[np.float64]
 
 # No robot is farther from the origin of its frame; beyond, sums of poses lose their centimetres.
 FARTHEST_M = 1e9

@@ -54,9 +54,7 @@ _NO_TEXT = bytes(set(range(32)) - set(b"\t\n\f\r"))
 
 
 def open_log(
-    path: str | Path,
-    config: LogConfig = _DEFAULT_CONFIG,
-    scan_odometry: str | Path | None = None,
+    path: str | Path, config: LogConfig = _DEFAULT_CONFIG, scan_odometry: str | Path | None = None
 ) -> ScanLog:
     """Open a log or bag.
 

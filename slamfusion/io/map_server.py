@@ -29,7 +29,7 @@ import numpy.typing as npt
 
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import MapFileError
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import F64, Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid, implausible, trinary_cells
 from slamfusion.io.dxf import read_dxf
 from slamfusion.io.files import WORKING_BYTES, AtomicFiles, check_memory
@@ -49,7 +49,6 @@ from slamfusion.io.map_yaml import (
 )
 
 Cells = npt.NDArray[np.int8]
-Shades = npt.NDArray[np.float64]
 
 # What map savers write.
 FREE_GREY, UNKNOWN_GREY, OCCUPIED_GREY = 254, 205, 0
@@ -57,7 +56,7 @@ _BAND_PIXELS = 2**18
 _QUANTUM_MAX = 65535.0
 
 
-def _trinary_cells(shade: Shades, rules: Rules) -> Cells:
+def _trinary_cells(shade: F64, rules: Rules) -> Cells:
     """Three classes; both comparisons strict."""
     occupancy = shade if rules.negate else 1.0 - shade
     cells = np.full(shade.shape, UNKNOWN, dtype=np.int8)
@@ -66,7 +65,7 @@ def _trinary_cells(shade: Shades, rules: Rules) -> Cells:
     return cells
 
 
-def _scale_cells(shade: Shades, rules: Rules) -> Cells:
+def _scale_cells(shade: F64, rules: Rules) -> Cells:
     """Linear between the thresholds, rounded half to even."""
     occupancy = shade if rules.negate else 1.0 - shade
     span = rules.occupied_thresh - rules.free_thresh
@@ -75,14 +74,14 @@ def _scale_cells(shade: Shades, rules: Rules) -> Cells:
     return np.clip(between, FREE, OCCUPIED).astype(np.int8)
 
 
-def _raw_cells(shade: Shades, rules: Rules) -> Cells:
+def _raw_cells(shade: F64, rules: Rules) -> Cells:
     """The 8-bit value itself up to 100, unknown above; ``negate`` has no say."""
     del rules
     value = np.floor(shade * 255.0 + 0.5)
     return np.where(value <= OCCUPIED, value, UNKNOWN).astype(np.int8)
 
 
-_MODES: dict[str, Callable[[Shades, Rules], Cells]] = {
+_MODES: dict[str, Callable[[F64, Rules], Cells]] = {
     "trinary": _trinary_cells,
     "scale": _scale_cells,
     "raw": _raw_cells,
@@ -181,12 +180,12 @@ def _colour_cells(band: npt.NDArray[Any], maxval: int, rules: Rules) -> Cells:
     return cells
 
 
-def _shade(values: npt.NDArray[Any], maxval: int) -> Shades:
+def _shade(values: npt.NDArray[Any], maxval: int) -> F64:
     """Return brightness 0..1 of grey values, in the 16-bit steps of nav2's image library."""
     return _quanta(values, maxval) / _QUANTUM_MAX
 
 
-def _quanta(values: npt.NDArray[Any], maxval: int) -> Shades:
+def _quanta(values: npt.NDArray[Any], maxval: int) -> F64:
     """Return values 0..maxval as whole numbers 0..65535."""
     return np.floor(values.astype(np.float64) * (_QUANTUM_MAX / maxval) + 0.5)
 

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.errors import LogError
-from slamfusion.geometry import Pose2, wrap_angle
+from slamfusion.geometry import F64, Pose2, wrap_angle
 from slamfusion.io.lines import ROW_BYTES, TextLines
 
 INDEX = "index"
@@ -37,8 +37,8 @@ class ScanOdometry:
     """
 
     path: Path
-    poses: npt.NDArray[np.float64]
-    logged: npt.NDArray[np.float64] | None = None
+    poses: F64
+    logged: F64 | None = None
 
     def __len__(self) -> int:
         return len(self.poses)

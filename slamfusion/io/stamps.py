@@ -75,10 +75,7 @@ class StampGate(Generic[T]):
     """
 
     def __init__(
-        self,
-        back_s: float,
-        is_same: Callable[[T, T], bool] | None = None,
-        ahead_s: float = AHEAD_S,
+        self, back_s: float, is_same: Callable[[T, T], bool] | None = None, ahead_s: float = AHEAD_S
     ) -> None:
         self.back_s = back_s
         self.newest_s: float | None = None

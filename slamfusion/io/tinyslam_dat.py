@@ -14,11 +14,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.config import LogConfig
 from slamfusion.errors import LogError
-from slamfusion.geometry import Pose2, wrap_angle
+from slamfusion.geometry import F64, Pose2, wrap_angle
 from slamfusion.io.lines import TextLines
 from slamfusion.io.log import FARTHEST_M, LogScan, ScanLog, Skips
 from slamfusion.scan import LaserScan
@@ -100,7 +99,7 @@ class TinySlamDat(ScanLog):
             self.skips.add(CUT_OFF_FILE, number + 1)
         self.fraction_read = 1.0
 
-    def _values(self, line: bytes, number: int) -> npt.NDArray[np.float64] | None:
+    def _values(self, line: bytes, number: int) -> F64 | None:
         fields = line.split()
         if not fields or fields[0].startswith(b"#"):
             return None
@@ -118,7 +117,7 @@ class TinySlamDat(ScanLog):
             return None
         return values
 
-    def _scan(self, ranges_m: npt.NDArray[np.float64], stamp_s: float) -> LaserScan:
+    def _scan(self, ranges_m: F64, stamp_s: float) -> LaserScan:
         """Return the sweep: 0 saw nothing, error codes and hidden beams measured nothing."""
         ranges = np.where((ranges_m == 0.0) | (ranges_m > FARTHEST_M), np.inf, ranges_m)
         ranges[ranges < _RANGE_MIN_M] = np.nan

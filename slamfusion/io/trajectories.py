@@ -10,11 +10,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.config import LogConfig
 from slamfusion.errors import TrajectoryError
-from slamfusion.geometry import quaternion_yaw_rad, wrap_angle
+from slamfusion.geometry import F64, quaternion_yaw_rad, wrap_angle
 from slamfusion.io.bags.odometry import read_poses
 from slamfusion.io.carmen import CARMEN_WORDS
 from slamfusion.io.files import AtomicFiles, write_atomic
@@ -22,8 +21,6 @@ from slamfusion.io.lines import ROW_BYTES, TextLines, packed_by_name, read_head,
 from slamfusion.io.logs import BAG_SUFFIXES, bag_at, open_log
 from slamfusion.io.tinyslam_dat import FIELDS
 from slamfusion.trajectory import Trajectory
-
-F64 = npt.NDArray[np.float64]
 
 _DEFAULT_CONFIG = LogConfig()
 

@@ -20,12 +20,11 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.errors import SlamFusionError
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import F64, Pose2
 from slamfusion.grid import IDENTITY
 from slamfusion.io.log import FARTHEST_M, REACH_S
 from slamfusion.io.stamps import Passed, StampGate
 
-Floats = npt.NDArray[np.float64]
 # x, y, z in metres, then the unit quaternion x, y, z, w.
 Row = tuple[float, float, float, float, float, float, float]
 # The transforms before and after some times, (N, 7) each, and the shares (N,) of the way between;
@@ -76,7 +75,7 @@ class Edge:
     rows: list[Row] = field(default_factory=list)
     heard_s: float = 0.0
     gate: StampGate[tuple[float, Row]] = field(default_factory=_gate)
-    _sorted: tuple[Floats, Floats] | None = None
+    _sorted: tuple[F64, F64] | None = None
 
     def restart(self, *, is_static: bool) -> None:
         """Forget every transform; those to come are static or not."""
@@ -123,7 +122,7 @@ class Edge:
         self.gate.restart(self.stamps_s[-1] if self.stamps_s else None)
         self._sorted = None
 
-    def samples(self) -> tuple[Floats, Floats]:
+    def samples(self) -> tuple[F64, F64]:
         """Return stamps (N,) that increase, and rows (N, 7)."""
         if self._sorted is None:
             stamps, first = np.unique(np.array(self.stamps_s), return_index=True)
@@ -135,7 +134,7 @@ class Edge:
         rows = self.samples()[1]
         return self.is_static or bool((np.abs(rows - rows[0]) <= SAME).all())
 
-    def around(self, stamps_s: Floats) -> Around:
+    def around(self, stamps_s: F64) -> Around:
         """Return what lies around times (N,); beyond the ends it is the end."""
         stamps, rows = self.samples()
         after = np.clip(np.searchsorted(stamps, stamps_s), 1, max(len(stamps) - 1, 1))
@@ -207,14 +206,14 @@ class Mount:
     tilt_rad: float = 0.0
 
     @classmethod
-    def of(cls, matrix: Floats, *, is_static: bool) -> Mount:
+    def of(cls, matrix: F64, *, is_static: bool) -> Mount:
         """Return the mount of a (4, 4) pose in the base frame."""
         (ahead_x, _, _, x), (ahead_y, _, _, y), (_, _, upward, _), _ = matrix.tolist()
         tilt_rad = math.acos(min(abs(upward), 1.0))
         return cls(Pose2(x, y, math.atan2(ahead_y, ahead_x)), upward < 0.0, is_static, tilt_rad)
 
 
-def plan_poses(matrices: Floats) -> Floats:
+def plan_poses(matrices: F64) -> F64:
     """Return poses (N, 3) in plan, x, y and where the x axis points, of poses (N, 4, 4)."""
     yaws = np.arctan2(matrices[:, 1, 0], matrices[:, 0, 0])
     return np.stack((matrices[:, 0, 3], matrices[:, 1, 3], yaws), axis=-1)
@@ -341,7 +340,7 @@ class TransformTree:
         """Whether the frames never move against each other."""
         return all(edge.is_constant() for edge, _ in self._way(target, source) or [])
 
-    def change_stamps_s(self, target: str, source: str) -> Floats:
+    def change_stamps_s(self, target: str, source: str) -> F64:
         """Return the times (N,) at which something between the frames was sent again.
 
         Only what is not static counts, and within it what moves, if anything does; times at which
@@ -356,7 +355,7 @@ class TransformTree:
         low, high = max(span[0] for span in spans), min(span[-1] for span in spans)
         return np.asarray(stamps[(stamps >= low) & (stamps <= high)])
 
-    def sample(self, target: str, source: str, stamps_s: npt.ArrayLike) -> Floats:
+    def sample(self, target: str, source: str, stamps_s: npt.ArrayLike) -> F64:
         """Return the pose of the source frame in the target frame at given times.
 
         Translations are interpolated linearly, rotations at constant speed the short way, over
@@ -458,7 +457,7 @@ def _shortest_way(
     return None
 
 
-def _chained(way: Sequence[Step], found: Sequence[Around], count: int) -> Floats:
+def _chained(way: Sequence[Step], found: Sequence[Around], count: int) -> F64:
     """Return the poses (N, 4, 4) along a way.
 
     All edges at once: what takes time is making SciPy's objects, not what they hold.
@@ -486,7 +485,7 @@ def _chained(way: Sequence[Step], found: Sequence[Around], count: int) -> Floats
     return functools.reduce(operator.matmul, walked)
 
 
-def _inverse(poses: Floats) -> Floats:
+def _inverse(poses: F64) -> F64:
     back = poses.copy()
     back[:, :3, :3] = np.swapaxes(poses[:, :3, :3], 1, 2)
     back[:, :3, 3:] = -(back[:, :3, :3] @ poses[:, :3, 3:])

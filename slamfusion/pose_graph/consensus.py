@@ -18,11 +18,10 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from slamfusion.geometry import compose_poses, invert_poses, wrap_angles
+from slamfusion.geometry import F64, compose_poses, invert_poses, wrap_angles
 from slamfusion.pose_graph.least_squares import Measurements
 from slamfusion.pose_graph.uncertainty import inverted, moved, turned
 
-Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 # Poses between the ends of two closures that are near: at first, and at most where few find mates.
@@ -86,7 +85,7 @@ def find_consensus(measured: Measurements, may_be_outlier: npt.NDArray[np.bool_]
             return Consensus(mates, scale)
 
 
-def _scale(errors: Array) -> float:
+def _scale(errors: F64) -> float:
     """Return the median of the errors of loops that may close, relative to chi-square's."""
     plausible = errors[errors <= LARGE]
     return 1.0 if len(plausible) < FEWEST_LOOPS else float(np.median(plausible)) / MEDIAN
@@ -103,13 +102,13 @@ class _Odometry:
         sums: (N, 3, 3), sum of the covariances of all steps so far, each moved to the origin.
     """
 
-    poses: Array
+    poses: F64
     piece: Indices
-    sums: Array
+    sums: F64
 
     @classmethod
     def of(
-        cls, edges: Indices, motions: Array, covariances: Array, is_trusted: npt.NDArray[np.bool_]
+        cls, edges: Indices, motions: F64, covariances: F64, is_trusted: npt.NDArray[np.bool_]
     ) -> _Odometry:
         """Take the first trusted edge between each two consecutive poses, in either direction."""
         count = int(edges.max()) + 1
@@ -134,7 +133,7 @@ class _Odometry:
         noises = moved(turned(noises, poses[acts_at, 2]), -poses[acts_at])
         return cls(poses, np.cumsum(~is_measured), np.cumsum(noises, axis=0))
 
-    def covariance(self, start: Indices, end: Indices, point: Array) -> Array:
+    def covariance(self, start: Indices, end: Indices, point: F64) -> F64:
         """Return the covariance of the way between poses at a point that goes with one of them."""
         first, last = np.minimum(start, end), np.maximum(start, end)
         return moved(self.sums[last] - self.sums[first], point)
@@ -154,25 +153,25 @@ class _Closures:
 
     first: Indices
     last: Indices
-    motion: Array
-    covariance: Array
+    motion: F64
+    covariance: F64
     is_forward: npt.NDArray[np.bool_]
 
     @classmethod
-    def of(cls, edges: Indices, motions: Array, covariances: Array) -> _Closures:
+    def of(cls, edges: Indices, motions: F64, covariances: F64) -> _Closures:
         """Turn closures that lead back."""
         is_forward = edges[:, 0] < edges[:, 1]
         motion = np.where(is_forward[:, None], motions, invert_poses(motions))
         return cls(edges.min(axis=1), edges.max(axis=1), motion, covariances, is_forward)
 
-    def noise(self, which: Indices, first: Array, last: Array, point: Array) -> Array:
+    def noise(self, which: Indices, first: F64, last: F64, point: F64) -> F64:
         """Return the covariances at points that go with the later pose, in the world's axes."""
         acts_at = np.where(self.is_forward[which, None], last, first)
         own = turned(self.covariance[which], acts_at[:, 2])
         return moved(own, point[:, :2] - acts_at[:, :2])
 
 
-def _loop_errors(odometry: _Odometry, closures: _Closures, pairs: Indices) -> Array:
+def _loop_errors(odometry: _Odometry, closures: _Closures, pairs: Indices) -> F64:
     """Return the squared errors of the loops that pairs of closures make, in their deviations.
 
     The later pose of a pair's one closure is placed twice in the frame of the odometry: by that

@@ -10,7 +10,7 @@ import numpy.typing as npt
 import scipy
 
 from slamfusion.errors import GraphError
-from slamfusion.geometry import compose_poses, invert_poses
+from slamfusion.geometry import F64, compose_poses, invert_poses
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,10 +30,10 @@ class PoseGraph:
             not there or from a pose to itself, an information that is not positive definite.
     """
 
-    poses: npt.NDArray[np.float64]
+    poses: F64
     edges: npt.NDArray[np.int64]
-    motions: npt.NDArray[np.float64]
-    information: npt.NDArray[np.float64]
+    motions: F64
+    information: F64
     is_closure: npt.NDArray[np.bool_]
 
     def __post_init__(self) -> None:
@@ -64,7 +64,7 @@ class PoseGraph:
     def __len__(self) -> int:
         return len(self.poses)
 
-    def with_poses(self, poses: npt.NDArray[np.float64]) -> PoseGraph:
+    def with_poses(self, poses: F64) -> PoseGraph:
         """Return the same measurements around other poses, (N, 3)."""
         return dataclasses.replace(self, poses=poses)
 
@@ -120,7 +120,7 @@ def joining(
     return np.asarray(np.sort(candidates[tree.data.astype(np.int64) - 1]), np.int64)
 
 
-def chained_poses(graph: PoseGraph, root: int = 0) -> npt.NDArray[np.float64]:
+def chained_poses(graph: PoseGraph, root: int = 0) -> F64:
     """Return (N, 3) poses that follow from the pose ``root`` by measurements alone.
 
     Along a tree of the graph, of odometry as far as that reaches; loops are not closed.
@@ -138,7 +138,7 @@ def disconnected(parts: int) -> str:
     return f"the graph is in {parts} parts that no edge joins; optimise each part on its own"
 
 
-def _walk(graph: PoseGraph, used: npt.NDArray[np.int64], root: int) -> npt.NDArray[np.float64]:
+def _walk(graph: PoseGraph, used: npt.NDArray[np.int64], root: int) -> F64:
     """Follow a breadth-first tree of the used edges from the root, one depth at a time."""
     count = len(graph)
     ends = graph.edges[used]
@@ -173,7 +173,7 @@ def _adjacency(edges: npt.NDArray[np.int64], count: int) -> scipy.sparse.coo_mat
     return scipy.sparse.coo_matrix((ones, (edges[:, 0], edges[:, 1])), shape=(count, count))
 
 
-def _check_poses(poses: npt.NDArray[np.float64]) -> None:
+def _check_poses(poses: F64) -> None:
     """Refuse an empty graph and poses that are no place."""
     if len(poses) == 0:
         raise GraphError("the graph has no pose")
@@ -192,11 +192,7 @@ def _check_edges(edges: npt.NDArray[np.int64], count: int) -> None:
         raise GraphError(f"edge {bad[0]} leads from pose {edges[bad[0], 0]} to itself")
 
 
-def _check_measurements(
-    edges: npt.NDArray[np.int64],
-    motions: npt.NDArray[np.float64],
-    information: npt.NDArray[np.float64],
-) -> None:
+def _check_measurements(edges: npt.NDArray[np.int64], motions: F64, information: F64) -> None:
     """Refuse measurements that are not finite or weigh nothing in some direction."""
     finite = np.isfinite(motions).all(axis=1) & np.isfinite(information).all(axis=(1, 2))
     bad = np.flatnonzero(~finite)
@@ -210,7 +206,7 @@ def _check_measurements(
         raise GraphError(f"edge {bad[0]} from {start} to {end} {what}; {len(bad)} such edges")
 
 
-def is_positive_definite(matrices: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
+def is_positive_definite(matrices: F64) -> npt.NDArray[np.bool_]:
     """Tell which of (M, 3, 3) matrices are symmetric and positive definite, (M,)."""
     symmetric = (matrices == matrices.transpose(0, 2, 1)).all(axis=(1, 2))
     a, b, c = matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 0, 2]

@@ -24,9 +24,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from slamfusion.geometry import wrap_angles
-
-Array = npt.NDArray[np.float64]
+from slamfusion.geometry import F64, wrap_angles
 
 
 class Measurements:
@@ -47,7 +45,7 @@ class Measurements:
         upper: (6, M), the upper triangles of the information, row by row.
     """
 
-    def __init__(self, edges: npt.NDArray[np.int64], motions: Array, information: Array) -> None:
+    def __init__(self, edges: npt.NDArray[np.int64], motions: F64, information: F64) -> None:
         self.edges, self.motions, self.information = edges, motions, information
         self.start, self.end = edges[:, 0].copy(), edges[:, 1].copy()
         self.motion = np.ascontiguousarray(motions.T)
@@ -62,7 +60,7 @@ class Measurements:
         """Return those of some edges, by (M,) bool or by their indices."""
         return Measurements(self.edges[which], self.motions[which], self.information[which])
 
-    def errors(self, poses: Array) -> Array:
+    def errors(self, poses: F64) -> F64:
         """Return the errors in the frames of the measured poses, (3, M): x, y, wrapped yaw."""
         cos, sin = np.cos(poses[:, 2])[self.start], np.sin(poses[:, 2])[self.start]
         x, y = self.ways(poses)
@@ -76,7 +74,7 @@ class Measurements:
             )
         )
 
-    def squared_errors(self, poses: Array) -> Array:
+    def squared_errors(self, poses: F64) -> F64:
         """Return each edge's squared error in its own deviations (chi-square), (M,)."""
         e = self.errors(poses)
         i00, i01, i02, i11, i12, i22 = self.upper
@@ -86,17 +84,17 @@ class Measurements:
             + i22 * e[2] * e[2]
         )
 
-    def ways(self, poses: Array) -> tuple[Array, Array]:
+    def ways(self, poses: F64) -> tuple[F64, F64]:
         """Return x and y of the way from the first to the last pose of each edge, world's axes."""
         x, y = poses[:, 0], poses[:, 1]
         return x[self.end] - x[self.start], y[self.end] - y[self.start]
 
-    def turns(self, poses: Array) -> Array:
+    def turns(self, poses: F64) -> F64:
         """Return the errors in yaw, wrapped, (M,)."""
         yaw = poses[:, 2]
         return wrap_angles(yaw[self.end] - yaw[self.start] - self.motion[2])
 
-    def turned_information(self, cos: Array, sin: Array) -> Array:
+    def turned_information(self, cos: F64, sin: F64) -> F64:
         """Return the upper triangles of the information in the world's axes, (6, M).
 
         Args:
@@ -179,7 +177,7 @@ class NormalEquations:
         self.gradient = np.zeros(3 * len(self.free))
 
     def linearise(
-        self, poses: Array, weights: Array | None = None, *, by_measured_ways: bool = False
+        self, poses: F64, weights: F64 | None = None, *, by_measured_ways: bool = False
     ) -> None:
         """Fill in the matrix and the gradient.
 
@@ -230,7 +228,7 @@ class NormalEquations:
         size = 3 * len(self.free)
         return scipy.sparse.csc_matrix((data, self._rows, self._columns), shape=(size, size))
 
-    def step(self, damping: float = 0.0) -> tuple[Array, float]:
+    def step(self, damping: float = 0.0) -> tuple[F64, float]:
         """Solve for the step that takes the linearised errors to their least squares.
 
         Returns:
@@ -299,9 +297,7 @@ class NormalEquations:
         self._columns = np.append(starts.ravel(), target.size).astype(np.int32)
         self._diagonal = target[rows == columns][:, within, within].ravel()
 
-    def _fill(
-        self, *, ends: Sequence[Array], starts: Sequence[Array], between: Sequence[Array]
-    ) -> None:
+    def _fill(self, *, ends: Sequence[F64], starts: Sequence[F64], between: Sequence[F64]) -> None:
         """Sum the edges' blocks: of their last poses, of their first ones (upper), of the pairs."""
         count = len(self.free)
         upper = ((0, 1, 2, 4, 5, 8), (0, 3, 6, 4, 7, 8))
@@ -316,17 +312,14 @@ class NormalEquations:
             block = np.where(self._is_turned, blocks[mirrored], blocks[place])
             self._values[count:, place] = np.bincount(self._pair, block, minlength=pairs)
 
-    def _sum_at_poses(self, of_starts: Array, of_ends: Array) -> Array:
+    def _sum_at_poses(self, of_starts: F64, of_ends: F64) -> F64:
         """Sum the edges' numbers at their free poses, (F,)."""
         numbers = np.concatenate((of_starts, of_ends))[self._at_free]
         summed = np.bincount(self._at_place, numbers, minlength=len(self.free))
         return np.asarray(summed, np.float64)
 
 
-def rotations_first(
-    equations: NormalEquations,
-    poses: npt.NDArray[np.float64],
-) -> npt.NDArray[np.float64]:
+def rotations_first(equations: NormalEquations, poses: F64) -> F64:
     """Return a start that needs no guess: two linear problems, both solved exactly.
 
     First the yaws alone, as free complex numbers u with ``u_j = exp(i z) u_i`` of each edge.
@@ -345,10 +338,7 @@ def rotations_first(
     return turned + step
 
 
-def _yaws(
-    equations: NormalEquations,
-    yaws: npt.NDArray[np.float64],
-) -> npt.NDArray[np.float64]:
+def _yaws(equations: NormalEquations, yaws: F64) -> F64:
     """Return the yaws of the free poses from those of the fixed ones, (F,)."""
     measured = equations.measurements
     start, end = measured.start, measured.end
@@ -364,7 +354,7 @@ def _yaws(
     return np.asarray(np.angle(factorise(matrix[:, free][free]).solve(pull)), np.float64)
 
 
-def _yaw_information(information: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def _yaw_information(information: F64) -> F64:
     """Return what edges know of yaw when nothing is known of x and y, (M,), from (6, M)."""
     xx, xy, x_yaw, yy, y_yaw, yaw = information
     known = (yy * x_yaw * x_yaw - 2.0 * xy * x_yaw * y_yaw + xx * y_yaw * y_yaw) / (
@@ -395,18 +385,14 @@ class Descent:
         is_converged: it ended because another step would change next to nothing.
     """
 
-    poses: Array
+    poses: F64
     costs: tuple[float, ...]
     iterations: int
     is_converged: bool
 
 
 def descend(
-    equations: NormalEquations,
-    poses: Array,
-    *,
-    max_iterations: int = 100,
-    tolerance: float = 1e-5,
+    equations: NormalEquations, poses: F64, *, max_iterations: int = 100, tolerance: float = 1e-5
 ) -> Descent:
     """Descend to the nearest least sum of squared errors.
 
@@ -443,18 +429,18 @@ class _Walk:
         risen: steps since ``best``, each of them for the worse.
     """
 
-    def __init__(self, equations: NormalEquations, poses: Array) -> None:
+    def __init__(self, equations: NormalEquations, poses: F64) -> None:
         self._equations = equations
         self.best = self.poses = poses
         self.costs = [self.cost_at(poses)]
         self.damping = 0.0
         self.risen, self._patience = 0, PATIENCE
 
-    def cost_at(self, poses: Array) -> float:
+    def cost_at(self, poses: F64) -> float:
         """Return the sum of squares."""
         return float(self._equations.measurements.squared_errors(poses).sum())
 
-    def next_step(self) -> tuple[Array, float]:
+    def next_step(self) -> tuple[F64, float]:
         """Return the step from here and what it promises; not a number, and infinity, if none."""
         self._equations.linearise(self.poses)
         try:
@@ -462,14 +448,14 @@ class _Walk:
         except RuntimeError:  # singular in this arithmetic; damping mends it
             return np.full_like(self.poses, np.nan), np.inf
 
-    def keep(self, step: Array, cost: float) -> None:
+    def keep(self, step: F64, cost: float) -> None:
         """Go a step for the better."""
         if self.damping == 0.0:
             self._patience = PATIENCE
         self._go(step, cost)
         self.damping = 0.1 * self.damping if self.damping > FIRST_DAMPING else 0.0
 
-    def cope(self, step: Array, cost: float) -> None:
+    def cope(self, step: F64, cost: float) -> None:
         """Do something about a step for the worse: go on all the same, go back, or shorten it."""
         if self.damping == 0.0 and self.risen < self._patience and np.isfinite(cost):
             self.poses, self.risen = self.poses + step, self.risen + 1
@@ -484,7 +470,7 @@ class _Walk:
         else:
             self.damping = max(10.0 * self.damping, FIRST_DAMPING)
 
-    def _go(self, step: Array, cost: float) -> None:
+    def _go(self, step: F64, cost: float) -> None:
         self.best = self.poses = self.poses + step
         self.costs.append(cost)
         self.risen = 0

@@ -11,28 +11,15 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.errors import GraphError
-from slamfusion.geometry import wrap_angles
-from slamfusion.pose_graph.graph import (
-    PoseGraph,
-    chained_poses,
-    disconnected,
-    joining,
-    part_labels,
-)
+from slamfusion.geometry import F64, wrap_angles
+from slamfusion.pose_graph.graph import PoseGraph, chained_poses, disconnected, joining, part_labels
 from slamfusion.pose_graph.least_squares import Measurements, rotations_first
-from slamfusion.pose_graph.robust import (
-    InlierSet,
-    Problem,
-    consensus,
-    dcs,
-    gnc,
-)
+from slamfusion.pose_graph.robust import InlierSet, Problem, consensus, dcs, gnc
 
-Array = npt.NDArray[np.float64]
 Robust = Literal["none", "consensus", "gnc", "dcs"]
 Start = Literal["best", "given", "odometry", "chordal"]
 
-_ROBUST: dict[str, Callable[[Problem, Array | None], InlierSet]] = {
+_ROBUST: dict[str, Callable[[Problem, F64 | None], InlierSet]] = {
     "consensus": consensus,
     "gnc": gnc,
     "dcs": dcs,
@@ -54,8 +41,8 @@ class Optimized:
         is_reevaluated: all closures were weighed; False where an earlier inlier set stands.
     """
 
-    poses: Array
-    weights: Array
+    poses: F64
+    weights: F64
     chi2: float
     chi2_all: float
     chi2_start: float
@@ -142,7 +129,7 @@ def optimize(
     )
 
 
-def chi2_of(graph: PoseGraph, poses: Array | None = None) -> Array:
+def chi2_of(graph: PoseGraph, poses: F64 | None = None) -> F64:
     """Return the squared error of each edge in its deviations, (M,).
 
     Args:
@@ -167,7 +154,7 @@ def _outlier_candidates(graph: PoseGraph) -> npt.NDArray[np.bool_]:
     return candidates
 
 
-def _earlier_outliers(graph: PoseGraph, weights: Array) -> npt.NDArray[np.bool_]:
+def _earlier_outliers(graph: PoseGraph, weights: F64) -> npt.NDArray[np.bool_]:
     """Return which edges earlier weights, (K,), leave out, (M,)."""
     outliers = np.zeros(len(graph.edges), np.bool_)
     if len(weights) > len(outliers):
@@ -176,7 +163,7 @@ def _earlier_outliers(graph: PoseGraph, weights: Array) -> npt.NDArray[np.bool_]
     return outliers
 
 
-def _start(problem: Problem, graph: PoseGraph, start: Start) -> Array | None:
+def _start(problem: Problem, graph: PoseGraph, start: Start) -> F64 | None:
     """Return the poses to start from; None where they are looked for."""
     if start == "given":
         return graph.poses

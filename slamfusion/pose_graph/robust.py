@@ -28,6 +28,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from slamfusion.geometry import F64
 from slamfusion.pose_graph.consensus import Consensus, find_consensus
 from slamfusion.pose_graph.least_squares import (
     NEGLIGIBLE,
@@ -39,7 +40,6 @@ from slamfusion.pose_graph.least_squares import (
 )
 from slamfusion.pose_graph.uncertainty import Gates, Uncertainty, gates
 
-Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 # Squared error from which on a closure is false: the quantile 0.999 of chi-square, 3 degrees.
@@ -91,7 +91,7 @@ class Problem:
     """
 
     measured: Measurements
-    poses: Array
+    poses: F64
     fixed: tuple[int, ...]
     may_be_outlier: Mask
     was_outlier: Mask | None
@@ -104,19 +104,19 @@ class Problem:
         measured = self.measured if used.all() else self.measured.chosen(used)
         return NormalEquations(measured, len(self.poses), self.fixed)
 
-    def fit(self, equations: NormalEquations, start: Array | None = None) -> Descent:
+    def fit(self, equations: NormalEquations, start: F64 | None = None) -> Descent:
         """Fit the poses to some edges, from a start or else from the rotations."""
         return self.descend(
             equations, rotations_first(equations, self.poses) if start is None else start
         )
 
-    def descend(self, equations: NormalEquations, start: Array) -> Descent:
+    def descend(self, equations: NormalEquations, start: F64) -> Descent:
         """Descend from a start."""
         return descend(
             equations, start, max_iterations=self.max_iterations, tolerance=self.tolerance
         )
 
-    def truncated_cost(self, squares: Array, limit: float) -> float:
+    def truncated_cost(self, squares: F64, limit: float) -> float:
         """Return the sum of squares, (M,), in which a possible outlier counts at most ``limit``."""
         return float(np.where(self.may_be_outlier, np.minimum(squares, limit), squares).sum())
 
@@ -132,14 +132,14 @@ class InlierSet:
         is_reevaluated: all closures were weighed; False where an earlier inlier set stands.
     """
 
-    poses: Array
-    weights: Array
+    poses: F64
+    weights: F64
     iterations: int
     is_converged: bool
     is_reevaluated: bool = True
 
 
-def consensus(problem: Problem, start: Array | None = None) -> InlierSet:
+def consensus(problem: Problem, start: F64 | None = None) -> InlierSet:
     """Start from closures that bear each other out and grow from there.
 
     Args:
@@ -171,7 +171,7 @@ def consensus(problem: Problem, start: Array | None = None) -> InlierSet:
     return search.inlier_set()
 
 
-def gnc(problem: Problem, start: Array | None = None) -> InlierSet:
+def gnc(problem: Problem, start: F64 | None = None) -> InlierSet:
     """Believe what fits given poses and what agrees with that; or harden all closures.
 
     Args:
@@ -191,7 +191,7 @@ def gnc(problem: Problem, start: Array | None = None) -> InlierSet:
     return search.inlier_set()
 
 
-def dcs(problem: Problem, start: Array | None = None) -> InlierSet:
+def dcs(problem: Problem, start: F64 | None = None) -> InlierSet:
     """Weaken each closure by its own error, from given poses or else from those of all closures."""
     everything = np.ones(len(problem.measured), np.bool_)
     equations = problem.equations(everything)
@@ -209,7 +209,7 @@ def dcs(problem: Problem, start: Array | None = None) -> InlierSet:
     return InlierSet(poses, weights, problem.max_iterations, is_converged=False)
 
 
-def truncated_weights(squares: Array, hardness: float, limit: float) -> Array:
+def truncated_weights(squares: F64, hardness: float, limit: float) -> F64:
     """Return the weights of graduated truncated least squares, (K,).
 
     Near 0 the hardness gives nearly the same pull to every edge, however wrong; with a large one
@@ -253,7 +253,7 @@ class _Search:
         weights = (self._trusted | self.used).astype(np.float64)
         return InlierSet(self.poses, weights, self._iterations, self._is_converged)
 
-    def propose(self, closures: Mask, start: Array | None, *, at_once: bool = True) -> bool:
+    def propose(self, closures: Mask, start: F64 | None, *, at_once: bool = True) -> bool:
         """Fit some closures, leave out those that do not go with the rest, keep what is better."""
         if at_once or start is None:
             descent = self._fit(closures, start)
@@ -264,7 +264,7 @@ class _Search:
             self._is_thinned = True
         return self._keep_better(*self._graduate(closures, start))
 
-    def keep_what_fits(self, start: Array) -> None:
+    def keep_what_fits(self, start: F64) -> None:
         """Fit the closures that fit poses, (N, 3), already."""
         squares = self._problem.measured.squared_errors(start)
         self.propose(self._problem.may_be_outlier & (squares <= self._limit), start)
@@ -278,7 +278,7 @@ class _Search:
         outside = self._outside()
         return int((outside if outliers is None else outside & ~outliers).sum())
 
-    def odometry(self, start: Array | None = None) -> Array:
+    def odometry(self, start: F64 | None = None) -> F64:
         """Return the poses without any closure, by way of given ones, (N, 3), or of none."""
         return self._fit(np.zeros_like(self.used), start).poses
 
@@ -292,7 +292,7 @@ class _Search:
         left_out = self._outside() & (self._squares > self._limit)
         return bool(0 < left_out.sum() <= FEW_LEFT * self._problem.may_be_outlier.sum())
 
-    def try_all(self, start: Array | None) -> None:
+    def try_all(self, start: F64 | None) -> None:
         """Believe all closures if they can all be fitted."""
         descent = self._fit(self._problem.may_be_outlier, start)
         squares = self._problem.measured.squared_errors(descent.poses)
@@ -340,7 +340,7 @@ class _Search:
         uncertainty = Uncertainty(equations, self.poses)
         return gates(uncertainty, self.poses, self._problem.measured.chosen(asked))
 
-    def _graduate(self, closures: Mask, poses: Array) -> tuple[Descent, Array, Mask]:
+    def _graduate(self, closures: Mask, poses: F64) -> tuple[Descent, F64, Mask]:
         """Harden the weights of closures from nearly equal pull to all or nothing."""
         measured = self._problem.measured
         squares = measured.squared_errors(poses)
@@ -378,13 +378,13 @@ class _Search:
         self._equations = (used, self._problem.equations(used))
         return self._equations
 
-    def _fit(self, closures: Mask, start: Array | None) -> Descent:
+    def _fit(self, closures: Mask, start: F64 | None) -> Descent:
         _, equations = self._equations_of(self._trusted | closures, superfluous=0.0)
         descent = self._problem.fit(equations, start)
         self._iterations += descent.iterations
         return descent
 
-    def _keep_better(self, descent: Descent, squares: Array, closures: Mask) -> bool:
+    def _keep_better(self, descent: Descent, squares: F64, closures: Mask) -> bool:
         """Take over a fit of a lower truncated sum of squares, or of as low a one with more."""
         cost = self._problem.truncated_cost(squares, self._limit)
         more = bool((self.used <= closures).all() and (closures & ~self.used).any())

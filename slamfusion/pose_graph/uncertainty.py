@@ -8,17 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from slamfusion.geometry import F64
 from slamfusion.pose_graph.least_squares import Measurements, NormalEquations, factorise
 
-Array = npt.NDArray[np.float64]
 
-
-def inverted(information: Array) -> Array:
+def inverted(information: F64) -> F64:
     """Return the covariances of informations, (K, 3, 3)."""
     return np.asarray(np.linalg.inv(information), np.float64)
 
 
-def turned(covariance: Array, yaw_rad: Array) -> Array:
+def turned(covariance: F64, yaw_rad: F64) -> F64:
     """Return covariances as seen in a frame in which their own frame has the yaw ``yaw_rad``.
 
     Args:
@@ -29,12 +28,12 @@ def turned(covariance: Array, yaw_rad: Array) -> Array:
     return np.asarray(turn @ covariance @ turn.transpose(0, 2, 1))
 
 
-def turned_vectors(vectors: Array, yaw_rad: Array) -> Array:
+def turned_vectors(vectors: F64, yaw_rad: F64) -> F64:
     """Return vectors of x, y, yaw, (K, 3), as seen in such a frame."""
     return np.asarray((_turns(yaw_rad) @ vectors[..., None])[..., 0])
 
 
-def moved(covariance: Array, way: Array) -> Array:
+def moved(covariance: F64, way: F64) -> F64:
     """Return covariances of another point of the same rigid body.
 
     Args:
@@ -46,7 +45,7 @@ def moved(covariance: Array, way: Array) -> Array:
     return np.asarray(lever @ covariance @ lever.transpose(0, 2, 1))
 
 
-def _turns(yaw_rad: Array) -> Array:
+def _turns(yaw_rad: F64) -> F64:
     turn = np.zeros((len(yaw_rad), 3, 3))
     cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
     turn[:, 0, 0] = turn[:, 1, 1] = cos
@@ -77,8 +76,8 @@ class Gates:
             the share of all motions within the map that do. 1 where the graph knows nothing.
     """
 
-    errors: Array
-    chances: Array
+    errors: F64
+    chances: F64
 
 
 class Uncertainty:
@@ -87,13 +86,13 @@ class Uncertainty:
     The factor is made once; each pair then costs three solutions with it.
     """
 
-    def __init__(self, equations: NormalEquations, poses: Array) -> None:
+    def __init__(self, equations: NormalEquations, poses: F64) -> None:
         """Linearise and factorise at poses (N, 3), where the sum of squares is least."""
         equations.linearise(poses)
         self._place, self._poses = equations.place, poses
         self._factor = factorise(equations.matrix())
 
-    def relative(self, pairs: npt.ArrayLike) -> Array:
+    def relative(self, pairs: npt.ArrayLike) -> F64:
         """Return the covariance of the second pose of each pair in the frame of the first.
 
         Args:
@@ -106,7 +105,7 @@ class Uncertainty:
         indices = np.asarray(pairs, np.int64).reshape(-1, 2)
         return turned(self.in_world_axes(indices), -self._poses[indices[:, 1], 2])
 
-    def in_world_axes(self, pairs: Indices) -> Array:
+    def in_world_axes(self, pairs: Indices) -> F64:
         """Return the same covariances in the world's axes, (K, 3, 3)."""
         parts = [
             self._solve(pairs[start : start + PAIRS_AT_ONCE])
@@ -114,7 +113,7 @@ class Uncertainty:
         ]
         return np.concatenate(parts) if parts else np.zeros((0, 3, 3))
 
-    def _solve(self, pairs: Indices) -> Array:
+    def _solve(self, pairs: Indices) -> F64:
         count = len(pairs)
         first, second = pairs.T
         way = self._poses[second, :2] - self._poses[first, :2]
@@ -135,7 +134,7 @@ class Uncertainty:
         return covariance
 
 
-def gates(uncertainty: Uncertainty, poses: Array, candidates: Measurements) -> Gates:
+def gates(uncertainty: Uncertainty, poses: F64, candidates: Measurements) -> Gates:
     """Ask edges how they agree with a graph.
 
     Args:
@@ -154,7 +153,7 @@ def gates(uncertainty: Uncertainty, poses: Array, candidates: Measurements) -> G
     return Gates(errors, np.sqrt(np.clip(np.linalg.det(filled) / whole, 0.0, 1.0)))
 
 
-def _room(poses: Array) -> Array:
+def _room(poses: F64) -> F64:
     """Return the ellipsoid of all motions between places, (3, 3), as a covariance is one."""
     room = np.zeros((3, 3))
     room[:2, :2] = ROOM_DEVIATIONS**2 * np.cov(poses[:, :2], rowvar=False)

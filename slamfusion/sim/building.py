@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import F64, Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 
 WALL_M = 0.1
@@ -79,9 +79,7 @@ class Canvas:
         x, y = self._offsets(centre)
         self.cells[np.hypot(x, y) <= max(radius_m, self.resolution)] = value
 
-    def _offsets(
-        self, centre: tuple[float, float]
-    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    def _offsets(self, centre: tuple[float, float]) -> tuple[F64, F64]:
         """Return x (1, W) and y (H, 1) of every cell centre from a point, metres."""
         rows, cols = (np.arange(size, dtype=np.float64) + 0.5 for size in self.cells.shape)
         x = np.asarray(cols * self.resolution - centre[0], dtype=np.float64)

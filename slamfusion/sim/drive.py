@@ -13,15 +13,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.config import ActionConfig, DriveConfig
 from slamfusion.errors import SimulationError
-from slamfusion.geometry import Pose2, wrap_angle, wrap_angles
+from slamfusion.geometry import F64, Pose2, wrap_angle, wrap_angles
 from slamfusion.sim.route import FreeSpace
 from slamfusion.sim.world import World, zone_place
-
-F64 = npt.NDArray[np.float64]
 
 DRIVES: dict[str, DriveConfig] = {
     "differential": DriveConfig(),

@@ -8,14 +8,12 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.config import PersonConfig
-from slamfusion.geometry import travelled
+from slamfusion.geometry import F64, travelled
 from slamfusion.sim.route import FreeSpace
 from slamfusion.sim.world import Person
 
-F64 = npt.NDArray[np.float64]
 Point = tuple[float, float]
 
 # What a walker needs beside walls, and the discs that a laser meets at knee height or at the chest.

@@ -10,11 +10,10 @@ import numpy.typing as npt
 import scipy
 
 from slamfusion.errors import SimulationError
-from slamfusion.geometry import travelled
+from slamfusion.geometry import F64, travelled
 from slamfusion.grid import FREE, OccupancyGrid
 
 Point = tuple[float, float]
-F64 = npt.NDArray[np.float64]
 
 # Ways are searched on a lattice of about this step.
 STEP_M = 0.1
@@ -36,10 +35,7 @@ class FreeSpace:
     """
 
     def __init__(
-        self,
-        grid: OccupancyGrid,
-        radius_m: float,
-        margin_m: float = MARGIN_M["differential"],
+        self, grid: OccupancyGrid, radius_m: float, margin_m: float = MARGIN_M["differential"]
     ) -> None:
         self.grid = grid
         self.radius_m, self.margin_m = radius_m, margin_m

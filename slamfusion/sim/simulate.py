@@ -8,13 +8,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import yaml
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import ObstacleConfig
 from slamfusion.errors import SimulationError
-from slamfusion.geometry import Pose2, interpolate_poses
+from slamfusion.geometry import F64, Pose2, interpolate_poses
 from slamfusion.io.carmen import write_carmen
 from slamfusion.io.files import AtomicFiles
 from slamfusion.io.log import LogScan, deskewed_scans
@@ -36,7 +35,6 @@ from slamfusion.sim.world import (
 from slamfusion.sim.worlds import Floor, draw_floor, pick_glass
 from slamfusion.trajectory import Trajectory
 
-F64 = npt.NDArray[np.float64]
 Point = tuple[float, float]
 Progress = Callable[[str, int, int], None]
 

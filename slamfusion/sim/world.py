@@ -13,7 +13,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.compute.layout import GLASS, OPEN, WALL
 from slamfusion.config import LidarConfig, ObstacleConfig, PersonConfig
 from slamfusion.errors import SimulationError
-from slamfusion.geometry import Pose2, compose_poses
+from slamfusion.geometry import F64, Pose2, compose_poses
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 
 Point = tuple[float, float]
@@ -88,7 +88,7 @@ def thin_walls(truth: OccupancyGrid) -> OccupancyGrid:
 
 def zone_place(
     obstacle: ObstacleConfig, points: npt.ArrayLike
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
+) -> tuple[F64, npt.NDArray[np.bool_]]:
     """Return how far across a ground obstacle points are, and whether they are on it.
 
     Args:
@@ -103,7 +103,7 @@ def zone_place(
     return across, on
 
 
-def tilt_of(world: World, poses: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def tilt_of(world: World, poses: F64) -> F64:
     """Return how the ground obstacles tilt a robot.
 
     The wheels climb one after the other: on the near half the leading side is up, on the far half
@@ -126,7 +126,6 @@ def tilt_of(world: World, poses: npt.NDArray[np.float64]) -> npt.NDArray[np.floa
 
 
 F32 = npt.NDArray[np.float32]
-F64 = npt.NDArray[np.float64]
 
 # Kinect's noise is the axial one of Nguyen, Izadi and Lovell (3DIMPVT 2012), 0.0012 m and
 # 0.0019 (r - 0.4 m)^2 / m, rounded to the terms in 1 and r^2; a laser scan is made of every second

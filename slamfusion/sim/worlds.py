@@ -13,7 +13,7 @@ import scipy
 
 from slamfusion.config import NormalizeConfig, WorldConfig
 from slamfusion.errors import SimulationError
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import F64, Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid, trinary_cells
 from slamfusion.io.map_server import load_map
 from slamfusion.sim.building import (
@@ -188,9 +188,7 @@ def _yard(rng: np.random.Generator, resolution: float) -> Floor:
     return Floor(OccupancyGrid(canvas.cells, resolution, origin, "yard"), Pose2())
 
 
-def _barricades(
-    canvas: Canvas, start: npt.NDArray[np.float64], end: npt.NDArray[np.float64]
-) -> None:
+def _barricades(canvas: Canvas, start: F64, end: F64) -> None:
     """Set barricades of about 1.5 m along a line, a hand's breadth apart."""
     x, y = end - start
     length, yaw = math.hypot(x, y), math.atan2(y, x)
@@ -200,7 +198,7 @@ def _barricades(
         canvas.turned_box(centre, (length / count - 0.15, 0.15), yaw, OCCUPIED)
 
 
-def _inside(ring: npt.NDArray[np.float64], canvas: Canvas) -> npt.NDArray[np.bool_]:
+def _inside(ring: F64, canvas: Canvas) -> npt.NDArray[np.bool_]:
     """Return which cell centres lie inside a closed ring of corners (N, 2), metres: even-odd."""
     rows, cols = ((np.arange(size) + 0.5) * canvas.resolution for size in canvas.cells.shape)
     x, y = cols[None, :], rows[:, None]

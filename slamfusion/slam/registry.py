@@ -15,13 +15,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from slamfusion.config import (
-    GmappingConfig,
-    GraphConfig,
-    RunConfig,
-    TinySlamConfig,
-    from_mapping,
-)
+from slamfusion.config import GmappingConfig, GraphConfig, RunConfig, TinySlamConfig, from_mapping
 from slamfusion.errors import ConfigError, SlamFusionError, shown, unknown
 
 if TYPE_CHECKING:

@@ -12,22 +12,18 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.deskew import Deskewer, Deskewing
 from slamfusion.errors import SlamFusionError
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import F64, Pose2
 from slamfusion.grid import IDENTITY, OccupancyGrid
 from slamfusion.scan import LaserScan
 from slamfusion.slam.common.mapper import DrawsAside, Health, MapDrawer, MapJob, Mapper
 from slamfusion.slam.common.odometry_check import contradictions
 from slamfusion.slam.registry import make_producer
 from slamfusion.trajectory import Trajectory
-
-F64 = npt.NDArray[np.float64]
-
 
 NO_ODOMETRY_YET = "laser before odometry"
 NOT_NEWER = "stamp not later than the last one's"

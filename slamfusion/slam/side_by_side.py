@@ -101,11 +101,7 @@ class SideBySide:
     """
 
     def __init__(
-        self,
-        names: Sequence[str],
-        log: Path,
-        config: RunConfig,
-        scan_odometry: Path | None = None,
+        self, names: Sequence[str], log: Path, config: RunConfig, scan_odometry: Path | None = None
     ) -> None:
         _check_names(names)
         self.config = config = with_producers(config, names)

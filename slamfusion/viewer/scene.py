@@ -19,14 +19,7 @@ from slamfusion.geometry import Pose2
 from slamfusion.grid import UNKNOWN, OccupancyGrid
 from slamfusion.palette import AGREED_WALL_RGB, DISAGREEMENT_RGB, FREE_RGB, Rgb, colours_of
 from slamfusion.trajectory import Trajectory
-from slamfusion.viewer.messages import (
-    FASTEST,
-    TILE,
-    Place,
-    TiledLayer,
-    encode_tile,
-    to_text,
-)
+from slamfusion.viewer.messages import FASTEST, TILE, Place, TiledLayer, encode_tile, to_text
 from slamfusion.vote.lattice import Lattice
 
 _LOG = logging.getLogger(__name__)

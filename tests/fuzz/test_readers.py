@@ -93,8 +93,7 @@ def test_a_traceback_a_long_line_and_a_hang_are_found(tmp_path: Path) -> None:
         return dict[str, int]()["none"]
 
     def talks(path: Path) -> object:
-        message = f"{path}\n"
-        raise OSError(message)
+        raise OSError(f"{path}\n")
 
     assert "KeyError" in failing(fails, tmp_path)[0]
     assert "a message of" in failing(talks, tmp_path)[0]

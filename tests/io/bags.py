@@ -142,24 +142,14 @@ def _pose(types: Any, pose: tuple[float, float, float]) -> Any:
 
 
 def _pose_stamped(
-    types: Any,
-    *,
-    stamp_s: float,
-    pose: tuple[float, float, float],
-    is_ros1: bool,
-    number: int,
+    types: Any, *, stamp_s: float, pose: tuple[float, float, float], is_ros1: bool, number: int
 ) -> Any:
     header = _header(types, stamp_s, "map", is_ros1=is_ros1, number=number)
     return types[POSE](header=header, pose=_pose(types, pose))
 
 
 def _pose_with_covariance(
-    types: Any,
-    *,
-    stamp_s: float,
-    pose: tuple[float, float, float],
-    is_ros1: bool,
-    number: int,
+    types: Any, *, stamp_s: float, pose: tuple[float, float, float], is_ros1: bool, number: int
 ) -> Any:
     kind = types["geometry_msgs/msg/PoseWithCovariance"]
     place = kind(pose=_pose(types, pose), covariance=np.zeros(36))

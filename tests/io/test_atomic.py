@@ -16,13 +16,7 @@ import pytest
 
 from slamfusion.errors import MapFileError
 from slamfusion.grid import OccupancyGrid
-from slamfusion.io import (
-    AtomicFiles,
-    save_map,
-    write_atomic,
-    write_json_atomic,
-    write_text_atomic,
-)
+from slamfusion.io import AtomicFiles, save_map, write_atomic, write_json_atomic, write_text_atomic
 
 GRID = OccupancyGrid(np.zeros((300, 300), dtype=np.int8), 0.05)
 

@@ -417,13 +417,7 @@ RECORDED = [
     ("name", "scans", "skipped", "beams", "time_s", "path_m", "has_stamps"), RECORDED
 )
 def test_recorded_logs_give_the_scans_they_are_known_for(
-    name: str,
-    scans: int,
-    skipped: int,
-    beams: int,
-    time_s: float,
-    path_m: float,
-    has_stamps: bool,
+    name: str, scans: int, skipped: int, beams: int, time_s: float, path_m: float, has_stamps: bool
 ) -> None:
     log = open_log(DATASETS / name)
     found = list(log)

@@ -479,8 +479,7 @@ PERCENTS = [[0, 19, 20, 25, 26, 64, 65, 100, -1]]
 
 
 @pytest.mark.parametrize(
-    "thresholds",
-    [NormalizeConfig(), NormalizeConfig(free_percent=10.0, occupied_percent=99.5)],
+    "thresholds", [NormalizeConfig(), NormalizeConfig(free_percent=10.0, occupied_percent=99.5)]
 )
 def test_the_classes_that_vote_are_saved(tmp_path: Path, thresholds: NormalizeConfig) -> None:
     grid = grid_of(PERCENTS)

@@ -29,11 +29,7 @@ def other_devices() -> list[str]:
 
 @pytest.fixture(
     scope="session",
-    params=[
-        POCL,
-        pytest.param(SINGLE_THREAD, marks=pytest.mark.once),
-        *other_devices(),
-    ],
+    params=[POCL, pytest.param(SINGLE_THREAD, marks=pytest.mark.once), *other_devices()],
 )
 def device(request: pytest.FixtureRequest) -> ComputeDevice:
     """The device of each device in turn."""

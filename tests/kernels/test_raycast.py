@@ -71,12 +71,7 @@ def test_distance_is_that_of_the_nearest_cell_in_the_way(seed: int):
 
 
 def test_hand_computed_hits(device: ComputeDevice):
-    cells = drawn(
-        "#####",
-        "#..o#",
-        "#...#",
-        "#####",
-    )
+    cells = drawn("#####", "#..o#", "#...#", "#####")
     rays = rays_of((1.5, 1.5, 0), (1.5, 1.5, 180), (1.5, 1.5, 90), (1.5, 2.5, 0), (1.5, 1.5, 30))
     hits = device.cast_rays(device.upload(cells), rays, 100.0)
     cosine = math.cos(math.radians(30.0))

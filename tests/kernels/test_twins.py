@@ -64,8 +64,7 @@ def test_self_test_passes(pocl: ComputeDevice):
 
 def test_self_test_names_a_wrong_kernel(monkeypatch: pytest.MonkeyPatch):
     def fail(*_: object) -> None:
-        message = "no memory"
-        raise DeviceError(message)
+        raise DeviceError("no memory")
 
     wrong = NumpyDevice()
     scores = wrong.pose_scores

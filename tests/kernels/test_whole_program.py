@@ -22,10 +22,7 @@ def maps() -> list[OccupancyGrid]:
     """Two maps of one small building, one of them turned."""
     rng = np.random.default_rng(5)
     truth = draw_building(rng, 7.0, 6.0, 0.1)
-    faults = (
-        Degradation(flip_share=0.002),
-        Degradation(yaw_rad=2.0),
-    )
+    faults = (Degradation(flip_share=0.002), Degradation(yaw_rad=2.0))
     return [
         degrade_map(truth, rng, fault)[0].with_name(f"map {n}") for n, fault in enumerate(faults)
     ]

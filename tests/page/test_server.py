@@ -112,11 +112,7 @@ def test_commands_need_the_token(server: PageServer) -> None:
 
 @pytest.mark.parametrize(
     "headers",
-    [
-        {"origin": "http://evil.example"},
-        {"origin": None},
-        {"origin": "http://localhost:1"},
-    ],
+    [{"origin": "http://evil.example"}, {"origin": None}, {"origin": "http://localhost:1"}],
 )
 def test_strangers_get_no_socket(server: PageServer, headers: dict[str, Any]) -> None:
     with pytest.raises(InvalidStatus, match="403"), socket(server, **headers):

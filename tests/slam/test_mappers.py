@@ -33,12 +33,7 @@ pytestmark = pytest.mark.once
 # Of gmapping few particles, and often a step at which they are resampled.
 SETTINGS: dict[str, dict[str, Any]] = {
     "tinyslam": {},
-    "gmapping": {
-        "particles": 6,
-        "linearUpdate": 0.15,
-        "resampleThreshold": 1.0,
-        "ogain": 0.2,
-    },
+    "gmapping": {"particles": 6, "linearUpdate": 0.15, "resampleThreshold": 1.0, "ogain": 0.2},
     "graph": {},
 }
 NAMES = tuple(SETTINGS)

@@ -156,8 +156,7 @@ def test_what_cannot_be_read_or_fails_is_counted_and_the_next_scan_is_fed(
     assert session.feed(bench.queued(1, read=unread)) is None
 
     def fail(*_: object) -> None:
-        message = "no room"
-        raise ScanError(message)
+        raise ScanError("no room")
 
     with monkeypatch.context() as patch:
         patch.setattr(session._producer, "feed", fail)

@@ -168,5 +168,4 @@ def environment_of(process: int | None) -> dict[str, str]:
         if "POCL_MAX_PTHREAD_COUNT" in found:
             return found
         time.sleep(0.02)
-    message = f"process {process} has no such variable"
-    raise AssertionError(message)
+    raise AssertionError(f"process {process} has no such variable")

@@ -150,10 +150,7 @@ def move_frame(
 
 
 def render(
-    grid: OccupancyGrid,
-    pose: Pose2,
-    lattice_yaw_rad: float,
-    resolution: float,
+    grid: OccupancyGrid, pose: Pose2, lattice_yaw_rad: float, resolution: float
 ) -> OccupancyGrid:
     """Draw a map on the lattice of another frame: each cell is what lies under its centre.
 

@@ -19,8 +19,7 @@ from slamfusion.io.map_server import load_map
 
 DATASETS = Path(
     os.environ.get(
-        "SLAMFUSION_DATASETS",
-        Path(__file__).resolve().parents[2].parent / "shared" / "datasets",
+        "SLAMFUSION_DATASETS", Path(__file__).resolve().parents[2].parent / "shared" / "datasets"
     )
 )
 MAPS = DATASETS / "maps"

@@ -68,12 +68,10 @@ class Degradation:
             ("margin_share", 0.0, 0.95),
         ):
             if not low <= getattr(self, name) <= high:
-                message = f"{name} must lie in [{low}, {high}], found {getattr(self, name)}"
-                raise ValueError(message)
+                raise ValueError(f"{name} must lie in [{low}, {high}], found {getattr(self, name)}")
         needs_lattice = self.origin_yaw_rad or self.resolution is not None or self.bend_cells
         if not self.resample and needs_lattice:
-            message = "origin_yaw_rad, resolution and bend_cells need resample=True"
-            raise ValueError(message)
+            raise ValueError("origin_yaw_rad, resolution and bend_cells need resample=True")
 
 
 def draw_degradation(
@@ -138,8 +136,7 @@ def degrade_map(
     truth = _trinary(truth_grid)
     box = truth.known_box()
     if box is None:
-        message = f"{truth.name}: every cell is unknown; nothing to degrade"
-        raise GridError(message)
+        raise GridError(f"{truth.name}: every cell is unknown; nothing to degrade")
     truth = _cut(truth, rng, degradation.crop_share)
     pose = _motion(truth_grid, box, degradation)
 

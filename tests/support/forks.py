@@ -179,8 +179,7 @@ class Server:
         """Take one answer; exit codes are kept."""
         data = self._channel.recv(MOST_BYTES)
         if not data:
-            message = "the process that is forked for each start has ended"
-            raise RuntimeError(message)
+            raise RuntimeError("the process that is forked for each start has ended")
         answer: dict[str, Any] = json.loads(data)
         if "code" in answer:
             self._codes[answer["pid"]] = answer["code"]

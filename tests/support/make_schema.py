@@ -74,11 +74,7 @@ DOCUMENTS: dict[str, tuple[type, ...]] = {
 WRITTEN = (jobs.RunRecordDocument,)
 # A producer of another package may say more of itself.
 OPEN = (HealthJson,)
-_FORMS: tuple[Any, ...] = (
-    Annotated,
-    typing_extensions.NotRequired,
-    typing_extensions.TypedDict,
-)
+_FORMS: tuple[Any, ...] = (Annotated, typing_extensions.NotRequired, typing_extensions.TypedDict)
 # Records whose keys are among those of a TypedDict; none of them is required.
 JOINED: dict[type, tuple[type, ...]] = {jobs.PathErrorsJson: (TrajectoryErrors, RelationErrors)}
 # Of these keys a measured path has all or none.
@@ -187,8 +183,7 @@ def _described(kind: type) -> Any:
     keys = {}
     for key, (hint, text) in _keys(kind).items():
         if not text:
-            message = f"{kind.__name__}.{key} has no text below it"
-            raise ValueError(message)
+            raise ValueError(f"{kind.__name__}.{key} has no text below it")
         field = annotated[_copied(hint), Field(description=text)]
         keys[key] = field if key in required else not_required[field]
     copy = typed_dict(_name(kind), keys)

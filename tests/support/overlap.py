@@ -360,8 +360,7 @@ def known_transform(source: str, target: str) -> Pose2 | None:
         for row in csv.DictReader(rows):
             if (row["source"], row["destination"]) == names:
                 return Pose2(float(row["dx_m"]), float(row["dy_m"]), float(row["yaw_rad"]))
-    message = f"{table} has no row from {names[0]} to {names[1]}"
-    raise LookupError(message)
+    raise LookupError(f"{table} has no row from {names[0]} to {names[1]}")
 
 
 def other(side: Side) -> Side:

@@ -67,8 +67,7 @@ class DeadReckoning:
 
     def grid(self) -> OccupancyGrid:
         if not self.hits:
-            message = "no map"
-            raise SlamFusionError(message)
+            raise SlamFusionError("no map")
         cells = np.floor(np.concatenate(self.hits) / 0.1).astype(np.int64)
         low = cells.min(axis=0)
         width, height = cells.max(axis=0) - low + 1

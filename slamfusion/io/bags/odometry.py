@@ -8,16 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.config import LogConfig
 from slamfusion.errors import LogError
-from slamfusion.geometry import Pose2, compose_poses, quaternion_yaw_rad, wrap_angle
+from slamfusion.geometry import F64, Pose2, compose_poses, quaternion_yaw_rad, wrap_angle
 from slamfusion.io.bags.reader import SCAN_TYPES, TRANSFORM_TYPES, OpenBag, open_bag, stamp_s
 from slamfusion.io.log import FARTHEST_M, REACH_S
 from slamfusion.io.transforms import HOLD_S, TransformTree, plan_poses
-
-Floats = npt.NDArray[np.float64]
 
 _ODOMETRY_TYPES = ("nav_msgs/msg/Odometry",)
 _POSE_TYPES = (
@@ -36,8 +33,8 @@ NO_ODOMETRY = f"no odometry within {REACH_S:g} s of the laser"
 class BagOdometry:
     """Poses (N, 3) of the base frame in the odometry frame at increasing stamps (N,)."""
 
-    stamps_s: Floats
-    poses: Floats
+    stamps_s: F64
+    poses: F64
     base_frame: str
 
     def at(self, stamp_s: float) -> Pose2 | str:
@@ -61,7 +58,7 @@ class BagOdometry:
             wrap_angle(first[2] + share * wrap_angle(second[2] - first[2])),
         )
 
-    def track(self, stamps_s: Floats) -> Floats | None:
+    def track(self, stamps_s: F64) -> F64 | None:
         """Return the poses (N, 3) at times (N,); None where one of them is not known."""
         poses = [self.at(stamp_s) for stamp_s in stamps_s.tolist()]
         rows = [(pose.x, pose.y, pose.yaw_rad) for pose in poses if isinstance(pose, Pose2)]
@@ -221,7 +218,7 @@ class OdometrySurvey:
         poses = plan_poses(self.tree.sample(self.config.odom_frame, frame, stamps_s))
         return BagOdometry(stamps_s, poses, frame)
 
-    def base_poses(self, bag: OpenBag) -> Floats:
+    def base_poses(self, bag: OpenBag) -> F64:
         """Return the poses of the robot's base in the outermost frame of the transforms.
 
         Returns:
@@ -254,9 +251,7 @@ class OdometrySurvey:
         return next((frame for frame in _BASE_FRAMES if frame in known), "")
 
 
-def read_poses(
-    path: Path, config: LogConfig, wanted: str | None, notes: list[str]
-) -> Floats | None:
+def read_poses(path: Path, config: LogConfig, wanted: str | None, notes: list[str]) -> F64 | None:
     """Return a path of a bag, with or without scans.
 
     Args:
@@ -288,7 +283,7 @@ def read_poses(
     return table
 
 
-def _topic_poses(bag: OpenBag, topic: str, notes: list[str]) -> tuple[Floats, Any]:
+def _topic_poses(bag: OpenBag, topic: str, notes: list[str]) -> tuple[F64, Any]:
     """Return the poses of a topic, and its first usable message; None where there is none."""
     rows, first, unusable = [], None, 0
     for _, _, message in bag.messages(topic):

@@ -14,11 +14,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.config import LogConfig
 from slamfusion.errors import LogError, ScanError
-from slamfusion.geometry import Pose2, wrap_angle
+from slamfusion.geometry import F64, Pose2, wrap_angle
 from slamfusion.grid import IDENTITY
 from slamfusion.io.carmen.messages import (
     CARMEN_WORDS,
@@ -91,7 +90,7 @@ class NoReturnFinder:
         self._counts = np.zeros(int(_LIMIT_M * _BINS_PER_M), dtype=np.int64)
         self._largest_m = 0.0
 
-    def add(self, ranges_m: npt.NDArray[np.float64]) -> None:
+    def add(self, ranges_m: F64) -> None:
         """Count the readings of one scan, (N,) metres; NaN, infinity and 0 do not count."""
         usable = ranges_m[(ranges_m > 0.0) & (ranges_m < _LIMIT_M)]
         if usable.size:
@@ -121,7 +120,7 @@ class NoReturnFinder:
         lowest = int(band[np.flatnonzero(counts[band] >= enough)[0]])
         return NoReturn(lowest * _SLACK / _BINS_PER_M, code / _BINS_PER_M, self._largest_m)
 
-    def _repeats_needed(self, total: int) -> npt.NDArray[np.float64]:
+    def _repeats_needed(self, total: int) -> F64:
         """Return for each value how many readings make it a repeated one."""
         needed = min(max(least, share * total) for least, share in _REPEATED)
         result = np.full(len(self._counts), needed, dtype=np.float64)
@@ -185,9 +184,9 @@ class MountEstimate:
 
     scans: int = 0
     first_yaw_rad: float = 0.0
-    total: npt.NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
-    low: npt.NDArray[np.float64] = field(default_factory=lambda: np.full(3, math.inf))
-    high: npt.NDArray[np.float64] = field(default_factory=lambda: np.full(3, -math.inf))
+    total: F64 = field(default_factory=lambda: np.zeros(3))
+    low: F64 = field(default_factory=lambda: np.full(3, math.inf))
+    high: F64 = field(default_factory=lambda: np.full(3, -math.inf))
     farthest_m: float = 0.0
 
     def add(self, robot: PoseRow, laser: PoseRow) -> None:

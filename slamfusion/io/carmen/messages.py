@@ -15,10 +15,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.errors import LogError
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import F64, Pose2
 from slamfusion.grid import IDENTITY
 from slamfusion.io.files import AtomicFiles, write_atomic
 from slamfusion.io.lines import TextLines, packed_by_name
@@ -72,7 +71,7 @@ class Message:
     """One scan as its line says it; lengths in metres, angles in radians."""
 
     kind: bytes
-    ranges_m: npt.NDArray[np.float64]
+    ranges_m: F64
     first_rad: float
     step_rad: float
     robot: PoseRow
@@ -182,9 +181,7 @@ _PARSERS: dict[bytes, Callable[[list[bytes]], Message]] = {
 }
 
 
-def _readings(
-    fields: list[bytes], count_at: int, behind: int
-) -> tuple[npt.NDArray[np.float64], list[bytes]]:
+def _readings(fields: list[bytes], count_at: int, behind: int) -> tuple[F64, list[bytes]]:
     """Return the ranges after the field that counts them, and the ``behind`` fields after those."""
     count = _count(fields, count_at)
     first = count_at + 1
@@ -203,7 +200,7 @@ def _count(fields: list[bytes], at: int) -> int:
     return int(fields[at][:12])
 
 
-def _numbers(fields: list[bytes]) -> npt.NDArray[np.float64]:
+def _numbers(fields: list[bytes]) -> F64:
     try:
         return np.array(fields, dtype=np.float64)
     except ValueError:

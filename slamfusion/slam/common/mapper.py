@@ -6,11 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, Protocol, cast, runtime_checkable
 
-import numpy as np
-import numpy.typing as npt
-
 from slamfusion.compute import ComputeDevice
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import F64, Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.log import Skips
 from slamfusion.scan import LaserScan
@@ -79,8 +76,8 @@ class Series:
 
     name: str
     unit: str
-    stamps_s: npt.NDArray[np.float64]
-    values: npt.NDArray[np.float64]
+    stamps_s: F64
+    values: F64
     limit: float | None = None
 
 
@@ -164,7 +161,7 @@ class MapJob:
     """
 
     nodes: Sequence[Any]
-    poses: npt.NDArray[np.float64]
+    poses: F64
     name: str
 
 

@@ -24,9 +24,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.layout import CLIMBERS
 from slamfusion.config import MatcherConfig
-from slamfusion.geometry import wrap_angles
-
-F64 = npt.NDArray[np.float64]
+from slamfusion.geometry import F64, wrap_angles
 
 # Distance, metres, between the five cells of which the first look takes the best: basins as wide as
 # the draws lie apart.

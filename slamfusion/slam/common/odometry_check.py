@@ -14,12 +14,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from slamfusion.geometry import compose_poses, invert_poses, wrap_angles
+from slamfusion.geometry import F64, compose_poses, invert_poses, wrap_angles
 from slamfusion.trajectory import Trajectory, flag_runs
-
-F64 = npt.NDArray[np.float64]
 
 # The path gets this far from where it was, metres, while the odometry says the same pose: more
 # than scan matching trembles, less than a dead encoder goes unseen on a drive.

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.errors import SlamFusionError
+from slamfusion.geometry import F64
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.log import LogRecord, LogScan, ScanLog
 from slamfusion.slam.common.mapper import ClosesLoops, Closure, Health, Mapper, Series, Step
@@ -82,7 +82,7 @@ class ProducerRun:
     health: Health
     log: LogRecord | None
     time_s: float
-    feed_s: npt.NDArray[np.float64]
+    feed_s: F64
     low_in_a_row: int
     peak_memory_bytes: int
     process_peak_memory_bytes: int
@@ -91,7 +91,7 @@ class ProducerRun:
     series: tuple[Series, ...] = ()
     other_paths: tuple[Trajectory, ...] = ()
     closures: tuple[Closure, ...] = ()
-    match_scores: npt.NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+    match_scores: F64 = field(default_factory=lambda: np.empty(0))
 
     @property
     def scans(self) -> int:

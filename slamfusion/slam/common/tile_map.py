@@ -19,6 +19,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.layout import TILE
 from slamfusion.errors import MemoryBudgetError
+from slamfusion.geometry import F64
 from slamfusion.slam.common.state import check_indices, check_kinds, check_shapes
 
 # Tiles of a new pool: a room's, so that a small map never grows.
@@ -55,10 +56,7 @@ def check_tiles(
 
 
 def grown_window(
-    corner: npt.NDArray[np.int64],
-    shape: tuple[int, ...],
-    low: npt.NDArray[np.float64],
-    high: npt.NDArray[np.float64],
+    corner: npt.NDArray[np.int64], shape: tuple[int, ...], low: F64, high: F64
 ) -> tuple[npt.NDArray[np.int64], tuple[int, int]] | None:
     """Return the window of pages that holds a box of cells with a margin of empty pages.
 
@@ -158,11 +156,11 @@ class TileMap:
         return self._capacity * TILE * TILE * cell_bytes + 2 * self.pages.nbytes
 
     @property
-    def origin(self) -> npt.NDArray[np.float64]:
+    def origin(self) -> F64:
         """Lower-left corner of the window from the anchor, (2,) x and y in cells."""
         return np.asarray(self.corner * TILE, dtype=np.float64)
 
-    def cover(self, low: npt.NDArray[np.float64], high: npt.NDArray[np.float64]) -> None:
+    def cover(self, low: F64, high: F64) -> None:
         """Move and grow the window until it holds a box of cells with a margin of empty pages.
 
         Args:
@@ -285,7 +283,7 @@ class SharedTileMaps:
         return int((self._users == 1).sum())
 
     @property
-    def origin(self) -> npt.NDArray[np.float64]:
+    def origin(self) -> F64:
         """Lower-left corner of the window from the anchor, (2,) x and y in cells."""
         return np.asarray(self.corner * TILE, dtype=np.float64)
 
@@ -301,7 +299,7 @@ class SharedTileMaps:
             return self.page_tables
         return self._device.upload(self.pages[indices])
 
-    def cover(self, low: npt.NDArray[np.float64], high: npt.NDArray[np.float64]) -> None:
+    def cover(self, low: F64, high: F64) -> None:
         """Move and grow the window until it holds a box of cells; see ``grown_window``."""
         window = grown_window(self.corner, self.pages.shape[1:], low, high)
         if window is None:

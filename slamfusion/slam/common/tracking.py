@@ -11,11 +11,10 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import MatcherConfig
-from slamfusion.geometry import Pose2, row_of
+from slamfusion.geometry import F64, Pose2, row_of
 from slamfusion.grid import IDENTITY
 from slamfusion.slam.common.mapper import Health
 from slamfusion.slam.common.matcher import (
@@ -119,9 +118,7 @@ class Tracker(Stateful):
             self._hypothesis(onward, 1.0, DRIFT_LOSS * trust),
         ]
 
-    def match(
-        self, walls: FieldMap, points: npt.NDArray[np.float64], hypotheses: list[PoseHypothesis]
-    ) -> Match:
+    def match(self, walls: FieldMap, points: F64, hypotheses: list[PoseHypothesis]) -> Match:
         """Search around the hypotheses; where little fits once more, wider, if it is to.
 
         Args:
@@ -180,9 +177,7 @@ class Tracker(Stateful):
         likely = 0 if self.expects_standstill else len(gone) - 1
         found = [
             self._hypothesis(
-                step,
-                NO_ODOMETRY_SPREAD,
-                DRIFT_LOSS * abs(index - likely) / (len(gone) - 1),
+                step, NO_ODOMETRY_SPREAD, DRIFT_LOSS * abs(index - likely) / (len(gone) - 1)
             )
             for index, step in enumerate(gone)
         ]

@@ -13,7 +13,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.hit_counts import BeamScan, FieldRule, halve_counts, percent_of_counts
 from slamfusion.compute.layout import MOST_BEAMS
-from slamfusion.geometry import Pose2, compose_poses, pose_of, wrap_angles
+from slamfusion.geometry import F64, Pose2, compose_poses, pose_of, wrap_angles
 from slamfusion.grid import OccupancyGrid
 from slamfusion.scan import LaserScan
 from slamfusion.slam.common.mapper import Series
@@ -22,7 +22,6 @@ from slamfusion.slam.common.state import Stateful
 from slamfusion.slam.common.tile_map import SharedTileMaps
 from slamfusion.trajectory import Trajectory
 
-F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
 

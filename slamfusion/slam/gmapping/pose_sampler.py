@@ -16,12 +16,9 @@ import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import GmappingConfig
-from slamfusion.geometry import Pose2, compose_poses, invert_poses, wrap_angles
+from slamfusion.geometry import F64, Pose2, compose_poses, invert_poses, wrap_angles
 from slamfusion.slam.common.matcher import pose_table
 from slamfusion.slam.gmapping.particles import ParticleMaps
-
-F64 = npt.NDArray[np.float64]
-
 
 # Least standard deviations of x, y and yaw, metres and radians: a prior without width would decide
 # everything.

@@ -63,7 +63,6 @@ class FilterHealth(Health):
         return {**super().to_json(), "filter": cast("FilterJson", self.own_figures())}
 
 
-F64 = npt.NDArray[np.float64]
 NAME = "gmapping"
 
 

@@ -22,7 +22,7 @@ import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import GraphConfig
-from slamfusion.geometry import wrap_angle, wrap_angles
+from slamfusion.geometry import F64, wrap_angle, wrap_angles
 from slamfusion.slam.common.matcher import (
     PoseHypothesis,
     ScanOnTiles,
@@ -32,7 +32,6 @@ from slamfusion.slam.common.matcher import (
 )
 from slamfusion.slam.graph.submap import UNSEEN_WALL, Pyramid, Submap, seen_score
 
-F64 = npt.NDArray[np.float64]
 I32 = npt.NDArray[np.int32]
 
 # Blocks that are opened together: the device is asked few times.
@@ -363,12 +362,7 @@ class ClosureSearch:
         return Found(match.pose, information)
 
     def _searched(
-        self,
-        submap: Submap,
-        points: F64,
-        window: _Window,
-        least: float,
-        beside: F64 | None = None,
+        self, submap: Submap, points: F64, window: _Window, least: float, beside: F64 | None = None
     ) -> WindowMatch | None:
         """Return the best of a window, not ``beside`` a pose (3,); None where nothing fits."""
         every = -(-len(points) // self._config.matcher.beams)

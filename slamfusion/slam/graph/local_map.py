@@ -10,15 +10,13 @@ import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import GraphConfig
-from slamfusion.geometry import Pose2, wrapped_row_of
+from slamfusion.geometry import F64, Pose2, wrapped_row_of
 from slamfusion.grid import IDENTITY
 from slamfusion.slam.common.matcher import Match, ScanOnTiles, information_of, response_information
 from slamfusion.slam.common.state import Stateful
 from slamfusion.slam.graph.map_graph import BELIEVED_SHARE, Constraint, GraphHealth, turned
 from slamfusion.slam.graph.node_map import Node
 from slamfusion.slam.graph.submap import UNSEEN_WALL, Submap, fill_walls, seen_score
-
-F64 = npt.NDArray[np.float64]
 
 # Distance between hits that are filled in on a wall, cells: a submap's walls have no gaps.
 WALL_CELLS = 1.0

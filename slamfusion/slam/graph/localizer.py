@@ -6,11 +6,10 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import GraphConfig
-from slamfusion.geometry import Pose2, pose_of
+from slamfusion.geometry import F64, Pose2, pose_of
 from slamfusion.grid import IDENTITY
 from slamfusion.scan import LaserScan
 from slamfusion.slam.common.matcher import PoseHypothesis
@@ -21,7 +20,6 @@ from slamfusion.slam.graph.local_map import BAD_SHARE, RESET_SHARE, LocalMap
 from slamfusion.slam.graph.map_graph import GraphHealth
 from slamfusion.slam.graph.node_map import Node
 
-F64 = npt.NDArray[np.float64]
 TrackingStatus = Literal["tracked", "unsure", "failed", "kidnapped"]
 
 # Scans in a row without a sure place after which the robot is kidnapped. One or two bad scans are a

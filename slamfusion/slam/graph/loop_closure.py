@@ -14,10 +14,9 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.config import GraphConfig
-from slamfusion.geometry import Pose2, pose_of, wrap_angle, wrapped_row_of
+from slamfusion.geometry import F64, Pose2, pose_of, wrap_angle, wrapped_row_of
 from slamfusion.slam.common.state import Stateful
 from slamfusion.slam.graph.closure_search import LOW_RESPONSE, ClosureSearch, Found
 from slamfusion.slam.graph.local_map import LocalMap
@@ -312,8 +311,6 @@ def _covering(submaps: list[int]) -> list[int]:
         if place % 2 == 0 or not {index - 1, index + 1} <= known
     ]
 
-
-F64 = npt.NDArray[np.float64]
 
 # Why a closure is not accepted yet, in the published words of the health record.
 PENDING = "not confirmed by another"

@@ -15,7 +15,15 @@ from typing import cast
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.geometry import Pose2, compose_poses, pose_of, row_of, wrap_angle, wrapped_row_of
+from slamfusion.geometry import (
+    F64,
+    Pose2,
+    compose_poses,
+    pose_of,
+    row_of,
+    wrap_angle,
+    wrapped_row_of,
+)
 from slamfusion.grid import IDENTITY
 from slamfusion.pose_graph import Optimized, PoseGraph, optimize
 from slamfusion.slam.common.mapper import Health, Series
@@ -23,8 +31,6 @@ from slamfusion.slam.common.state import Stateful
 from slamfusion.slam.graph.node_map import Node
 from slamfusion.slam.records import GraphJson, HealthJson
 from slamfusion.trajectory import Trajectory
-
-F64 = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,10 +52,7 @@ class Constraint:
 
 
 def solve_constraints(
-    poses: F64,
-    constraints: Sequence[Constraint],
-    weights: F64 | None = None,
-    tolerated: int = 0,
+    poses: F64, constraints: Sequence[Constraint], weights: F64 | None = None, tolerated: int = 0
 ) -> Optimized:
     """Return the poses that fit the constraints best; the first node is held.
 

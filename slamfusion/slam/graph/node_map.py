@@ -17,12 +17,10 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.compute.hit_counts import BeamScan, halve_counts, percent_of_counts
 from slamfusion.compute.layout import MOST_BEAMS
 from slamfusion.config import GraphConfig
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import F64, Pose2
 from slamfusion.grid import UNKNOWN, OccupancyGrid
 from slamfusion.slam.common.mapper import MapJob
 from slamfusion.slam.common.tile_map import SharedTileMaps
-
-F64 = npt.NDArray[np.float64]
 
 # Parts of a cell, and of a radian, that a pose is rounded to: what moves less is not drawn again.
 PLACE_PARTS, YAW_PARTS = 8.0, 2048.0

@@ -54,15 +54,7 @@ class GraphSlam(SavedMapper):
         RelocalizationHypothesis,
         TrackingQuality,
     )
-    STATE = (
-        "health",
-        "last_stamp_s",
-        "_localizer",
-        "_graph",
-        "_local_map",
-        "_loops",
-        "_path",
-    )
+    STATE = ("health", "last_stamp_s", "_localizer", "_graph", "_local_map", "_loops", "_path")
 
     def __init__(self, config: GraphConfig, device: ComputeDevice, seed: int = 0) -> None:
         """Start with an empty graph.

@@ -19,12 +19,10 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.cell_means import LikelihoodRule
 from slamfusion.compute.layout import BEAM_ONE
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import F64, Pose2
 from slamfusion.slam.common.matcher import FieldMap
 from slamfusion.slam.common.state import check_indices, check_kinds, check_shapes
 from slamfusion.slam.common.tile_map import TileMap
-
-F64 = npt.NDArray[np.float64]
 
 # Distance between hits, metres, from which on they are not joined: there may be a door.
 MOST_GAP_M = 1.5

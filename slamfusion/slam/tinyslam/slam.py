@@ -19,7 +19,7 @@ from slamfusion.compute.cell_means import ScanRule
 from slamfusion.compute.layout import BEAM_ONE, MEAN_HALF, MOST_OBSERVATIONS, UNSEEN, VALUE_ONE
 from slamfusion.config import TinySlamConfig
 from slamfusion.errors import SlamFusionError
-from slamfusion.geometry import Pose2, wrap_angle
+from slamfusion.geometry import F64, Pose2, wrap_angle
 from slamfusion.grid import UNKNOWN, OccupancyGrid
 from slamfusion.scan import LaserScan
 from slamfusion.slam.common.mapper import Health, Series, Step
@@ -28,7 +28,6 @@ from slamfusion.slam.common.tile_map import TileMap
 from slamfusion.slam.common.tracking import Tracker
 from slamfusion.trajectory import Trajectory
 
-F64 = npt.NDArray[np.float64]
 CellModel = Callable[[npt.ArrayLike, npt.ArrayLike], F64]
 
 # Value, 0 to 1, of a cell that nothing is known of: as likely a wall as free.
@@ -217,9 +216,7 @@ class TinySlam:
         self.health.skips.add(reason, self.health.scans)
         return Step(predicted, used=False, match_score=None, reason=reason)
 
-    def _use(
-        self, scan: LaserScan, points: npt.NDArray[np.float64], hypotheses: list[PoseHypothesis]
-    ) -> Step:
+    def _use(self, scan: LaserScan, points: F64, hypotheses: list[PoseHypothesis]) -> Step:
         match = self._tracker.match(self._walls(), points, hypotheses) if self._mapped else None
         found = hypotheses[0].pose if match is None else match.pose
         x, y, yaw = (float(value) for value in found)
@@ -243,13 +240,7 @@ class TinySlam:
 
     # -- the map -------------------------------------------------------------------------------
 
-    def _integrate(
-        self,
-        scan: LaserScan,
-        points: npt.NDArray[np.float64],
-        pose: Pose2,
-        quality: float,
-    ) -> None:
+    def _integrate(self, scan: LaserScan, points: F64, pose: Pose2, quality: float) -> None:
         config, tiles = self._config, self._map
         self._mapped += 1
         cell = config.resolution
@@ -290,9 +281,7 @@ class TinySlam:
             rule,
         )
 
-    def _beams(
-        self, hits: npt.NDArray[np.float64], laser: npt.NDArray[np.float64]
-    ) -> npt.NDArray[np.int32]:
+    def _beams(self, hits: F64, laser: F64) -> npt.NDArray[np.int32]:
         """Return the beams as the kernels take them; positions in cells of the window."""
         away = hits - laser
         told = np.full(len(hits), OCCUPIED_VALUE)

@@ -131,10 +131,7 @@ def _bound_blocks(device: ComputeDevice, sample: Sample) -> Arrays:
     places, planes = device.upload(starts), device.upload(fields)
     bounds = device.bound_blocks(blocks, places, classes, planes, FLAT_FILL)
     least = int(np.median(bounds))
-    return [
-        bounds,
-        device.bound_blocks(blocks, places, classes, planes, FLAT_FILL, least=least),
-    ]
+    return [bounds, device.bound_blocks(blocks, places, classes, planes, FLAT_FILL, least=least)]
 
 
 def _tile_peaks(device: ComputeDevice, sample: Sample) -> Arrays:

@@ -90,12 +90,7 @@ def _climb_maps(device: ComputeDevice, sample: Sample) -> Arrays:
     climbed = [table.astype(np.float32) for table in (losses, starts, sizes)]
     return [
         device.climb_maps(
-            field,
-            tables,
-            device.upload(points[::every]),
-            *climbed,
-            tries=tries,
-            scale=1.0 / 9000.0,
+            field, tables, device.upload(points[::every]), *climbed, tries=tries, scale=1.0 / 9000.0
         )
         for tries, every in ((1, 1), (9, 2), (60, 1))
     ]

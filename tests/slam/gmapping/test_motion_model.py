@@ -9,11 +9,7 @@ import numpy.typing as npt
 import pytest
 
 from slamfusion.geometry import Pose2, wrap_angles
-from slamfusion.slam.gmapping.pose_sampler import (
-    LEAST_SIGMAS,
-    BicycleModel,
-    DifferentialModel,
-)
+from slamfusion.slam.gmapping.pose_sampler import LEAST_SIGMAS, BicycleModel, DifferentialModel
 
 F64 = npt.NDArray[np.float64]
 

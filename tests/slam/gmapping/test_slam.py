@@ -24,11 +24,7 @@ from slamfusion.slam.common.tile_map import SharedTileMaps
 from slamfusion.slam.gmapping import particles
 from slamfusion.slam.gmapping.particles import beams_of
 from slamfusion.slam.gmapping.slam import Gmapping
-from tests.slam.drives import (
-    drive,
-    scan_at,
-    true_poses,
-)
+from tests.slam.drives import drive, scan_at, true_poses
 
 pytestmark = pytest.mark.once
 

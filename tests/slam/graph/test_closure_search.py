@@ -14,11 +14,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import GraphConfig
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.slam.common.matcher import LEAST_SIGMA, MOST_SIGMA
-from slamfusion.slam.graph.closure_search import (
-    LOCAL_DRIFT_M,
-    ClosureSearch,
-    Found,
-)
+from slamfusion.slam.graph.closure_search import LOCAL_DRIFT_M, ClosureSearch, Found
 from slamfusion.slam.graph.submap import Submap
 from tests.slam.drives import CELL_M, draw_flat, true_poses
 from tests.slam.places import NO_LASER, U8, draw_corridor, draw_regular_ring, read

@@ -16,13 +16,7 @@ from slamfusion.geometry import Pose2
 from slamfusion.io.log import LogScan
 from slamfusion.scan import LaserScan
 from slamfusion.slam.graph import GraphSlam
-from tests.slam.drives import (
-    CELL_M,
-    draw_flat,
-    drive,
-    scan_at,
-    true_poses,
-)
+from tests.slam.drives import CELL_M, draw_flat, drive, scan_at, true_poses
 from tests.slam.places import (
     around,
     away,

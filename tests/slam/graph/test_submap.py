@@ -10,10 +10,7 @@ from hypothesis import strategies as st
 from slamfusion.compute import ComputeDevice
 from slamfusion.geometry import Pose2
 from slamfusion.slam.common.matcher import ScanOnTiles
-from slamfusion.slam.graph.submap import (
-    Pyramid,
-    Submap,
-)
+from slamfusion.slam.graph.submap import Pyramid, Submap
 from tests.slam.drives import CELL_M, scan_at, true_poses
 from tests.support.examples import examples
 

@@ -10,13 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slamfusion.slam.tinyslam.slam import (
-    CELL_MODELS,
-    CellModel,
-    area_behind,
-    base_cell,
-    mean_cell,
-)
+from slamfusion.slam.tinyslam.slam import CELL_MODELS, CellModel, area_behind, base_cell, mean_cell
 
 VALUES = st.lists(st.floats(0.0, 1.0), min_size=1, max_size=20)
 

@@ -14,9 +14,7 @@ from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.io.log import LogScan
 from slamfusion.scan import LaserScan
 from slamfusion.slam.tinyslam import TinySlam
-from tests.slam.drives import (
-    drive,
-)
+from tests.slam.drives import drive
 
 pytestmark = pytest.mark.once
 
