@@ -91,8 +91,7 @@ def _print_figures(found: ComparedResults) -> None:
             figure_of(item["figure"]).label,
             *([item["first"], item["second"]] if has_names else []),
             *_numbers(item["mean_first"], item["mean_second"], item["difference"]),
-            p_text(item["p_t"]),
-            *([p_text(item["p_holm"])] if has_names else []),
+            p_text(item["p_holm"]),
             item["better"] or NOTHING,
             _interval(item),
             p_text(item["p_rank"]),
@@ -107,11 +106,12 @@ def _print_figures(found: ComparedResults) -> None:
         tests = paired if True in found.is_paired else ("items", "p Welch", "p Mann-Whitney")
     names = ("first ", "second ") if has_names else ()
     means = ("mean first", "mean second", "difference")
-    p_values = (tests[1], *(["p after Holm"] if has_names else []))
-    columns = ("figure ", *names, *means, *p_values, "better ", "95 % interval", tests[2])
+    corrected = ", Holm" if has_names else ""
+    columns = ("figure ", *names, *means, tests[1] + corrected, "better ")
+    columns = (*columns, "95 % interval" + corrected, tests[2])
     title = f"{found.results[0].name} (first) and {found.results[1].name} (second)"
     if has_names:
-        title = f"Every two of {len(found.results)} results; better: p after Holm below 0.05"
+        title = f"Every two of {len(found.results)} results; better: p below 0.05"
     sentences = found.document["pairings"]
     same = {sentence.partition(": ")[2] for sentence in sentences} if has_names else set()
     title = "; ".join((title, *(same if len(same) == 1 else sentences)))

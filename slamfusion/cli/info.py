@@ -14,7 +14,7 @@ from slamfusion.cli.output import print_json, print_table, progress_bar, say
 from slamfusion.cli.paths import FILE
 from slamfusion.config import RunConfig
 
-UNITS = {"s": "s", "m": "m", "m2": "m2", "hz": "Hz", "deg": "deg", "percent": "%"}
+UNITS = {"s": "s", "m": "m", "m2": "m2", "hz": "Hz", "deg": "deg", "percent": "%", "mb": "MB"}
 
 
 @click.command(

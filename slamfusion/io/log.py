@@ -35,6 +35,7 @@ AHEAD_S = 10.0
 # Scans of two lasers that have one stamp are taken this far apart, seconds.
 LASERS_APART_S = 1e-6
 
+BACK, EQUAL = "time goes back", "two scans of one stamp"
 STRAY = "a time stamp far ahead of those before and after it"
 
 
@@ -169,7 +170,7 @@ class Continuity:
 
     def _refuse(self, newest_s: float, item: LogScan) -> None:
         is_equal = item.scan.stamp_s == newest_s
-        self._skips.add("two scans of one stamp" if is_equal else "time goes back", item.line)
+        self._skips.add(EQUAL if is_equal else BACK, item.line)
 
     def _noted(self, items: tuple[LogScan, ...]) -> Iterator[LogScan]:
         for item in items:

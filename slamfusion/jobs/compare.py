@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
+import scipy.stats
 
 from slamfusion.errors import SlamFusionError
 from slamfusion.evaluation import correct_by_holm, difference_test, figure_of
@@ -64,12 +65,13 @@ class ComparisonJson(TypedDict):
     difference: float
     """The first mean less the second."""
     low: float | None
-    """Low end of the 95 % interval of the difference; null without pairs."""
+    """Low end of the interval of the difference: 95 %, wider by Holm's correction for every two of
+    several results, so that it agrees with p_holm. Null without pairs."""
     high: float | None
     """High end of it."""
     p_t: float | None
-    """P-value of the paired t-test, or of Welch's; it goes with the interval. Null where nothing
-    can be tested."""
+    """P-value of the paired t-test, or of Welch's, not corrected. Null where nothing can be
+    tested."""
     p_holm: float | None
     """The same after Holm's correction for every two of several results."""
     p_rank: float | None
@@ -284,19 +286,38 @@ def _correct(figures: Sequence[ComparisonJson]) -> None:
         corrected = correct_by_holm([item["p_t"] or 0.0 for item in own])
         for item, p_holm in zip(own, corrected, strict=True):
             item["p_holm"] = p_holm
+            item["low"], item["high"] = _agreeing_interval(item, p_holm)
             if larger is not None and p_holm < SIGNIFICANT:
                 is_first = (item["difference"] > 0.0) == larger
                 item["better"] = item["first"] if is_first else item["second"]
 
 
+def _agreeing_interval(item: ComparisonJson, p_holm: float) -> tuple[float | None, float | None]:
+    """Return the interval of pairs at the level at which it agrees with the corrected p-value.
+
+    It holds no zero exactly if ``p_holm`` is below ``SIGNIFICANT``. Without a correction it is the
+    95 % interval.
+    """
+    low, high, p_t = item["low"], item["high"], item["p_t"]
+    if low is None or high is None or not p_t or not low < high:
+        return low, high
+    tails = 0.5 * SIGNIFICANT * np.array([p_t / p_holm, 1.0])
+    wide, usual = scipy.stats.t.isf(tails, item["count_first"] - 1)
+    middle, half = 0.5 * (low + high), 0.5 * (high - low) * wide / usual
+    return float(middle - half), float(middle + half)
+
+
 def _too_few(figures: Sequence[ComparisonJson], is_paired: Collection[bool]) -> list[str]:
-    """Say so where the rank test of pairs cannot be significant: its least p is 2 / 2**pairs."""
-    pairs = min(item["count_first"] for item in figures)
-    if is_paired != {True} or 2.0 / 2**pairs < SIGNIFICANT:
+    """Report that the rank test cannot be significant, with the least p that it can have."""
+    first, second = min((item["count_first"], item["count_second"]) for item in figures)
+    least = 2.0 / (2**first if True in is_paired else math.comb(first + second, first))
+    if least < SIGNIFICANT:
         return []
-    wanted = math.ceil(math.log2(2.0 / SIGNIFICANT))
-    count = f"{pairs} pair{'s' * (pairs > 1)}"
-    return [f"{count}: Wilcoxon's test needs {wanted} for p below {SIGNIFICANT:g}"]
+    test, found = "Mann and Whitney's test", f"{first} and {second} results"
+    if True in is_paired:
+        test, found = "Wilcoxon's test", f"{first} pair{'s' * (first > 1)}"
+    least_p = f"{min(least, 1.0):.2g}"
+    return [f"{found}: too few for {test}, whose p cannot be below {least_p}; add cases or seeds"]
 
 
 def _compare_paths(

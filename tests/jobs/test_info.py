@@ -42,6 +42,32 @@ def test_a_log_has_its_rate_its_gaps_and_its_odometry(tmp_path: Path) -> None:
     assert found.odometry_m > 0.0
 
 
+def test_stamps_out_of_order_are_counted(tmp_path: Path) -> None:
+    path, scans = tmp_path / "drive.log", drive(20)[0]
+    write_carmen(path, scans)
+    lines = path.read_text(encoding="ascii").splitlines()
+    again = [line for line in lines if "LASER" in line.split()[0]][5]
+    path.write_text("\n".join([*lines, again]), encoding="ascii")
+    found = describe(path).log
+    assert found is not None
+    step_s = scans[1].scan.stamp_s - scans[0].scan.stamp_s
+    assert (found.scans, found.out_of_order) == (20, 1)
+    assert found.longest_without_odometry_s == pytest.approx(step_s)
+    assert 8.0 < found.run_time_s < 9.0
+    assert found.run_memory_mb > 100.0
+
+
+def test_a_bag_has_the_frames_of_its_laser_and_transforms(tmp_path: Path) -> None:
+    bags = pytest.importorskip("tests.io.bags", reason="rosbags comes with the bags extra")
+    bag = bags.Bag().transform(1.0, "base_link", "laser", (0.1, 0.0, 0.0), topic="/tf_static")
+    for number in range(10, 13):
+        bag.transform(0.1 * number, "odom", "base_link", (0.1 * number, 0.0, 0.0))
+        bag.scan(0.1 * number)
+    found = describe(bag.write(tmp_path, "sqlite3")).log
+    assert found is not None
+    assert found.frames == ["/scan in laser", "odom > base_link", "base_link > laser"]
+
+
 def test_a_map_has_its_size_and_area(capsys: pytest.CaptureFixture[str]) -> None:
     assert run_program(["info", str(SAMPLE / "map_a.yaml"), "--json"]) == 0
     document = json.loads(capsys.readouterr().out)

@@ -281,15 +281,41 @@ def test_two_files_are_compared_case_by_case(tmp_path: Path) -> None:
     assert figure["p_t"] < 0.01
     assert [own["case"] for own in found["series"]] == list(CASES)
     assert all(own["count_first"] == 120 for own in found["series"])
-    assert found["notes"] == ["4 pairs: Wilcoxon's test needs 6 for p below 0.05"]
+    few = "4 pairs: too few for Wilcoxon's test, whose p cannot be below 0.12; add cases or seeds"
+    assert found["notes"] == [few]
     check_document(plain(found), "compare")
     together = compared(tmp_path, old, new, best)
     names = [sentence.partition(":")[0] for sentence in together["pairings"]]
     assert names == ["a and b", "a and c", "b and c"]
     first = together["figures"][0]
-    assert first["p_t"] == figure["p_t"]  # it goes with the interval, which is not corrected either
+    assert first["p_t"] == figure["p_t"]
     assert first["p_holm"] is not None
     assert first["p_holm"] > figure["p_t"]
+    # The interval is corrected as the p-value is.
+    assert first["low"] is not None
+    assert figure["low"] is not None
+    assert first["low"] < figure["low"]
+
+
+def test_an_interval_holds_no_zero_if_the_corrected_p_value_is_small(tmp_path: Path) -> None:
+    """The first two differ with p = 0.04, which is too much for three comparisons."""
+    gains = np.array([0.2, 0.05, 0.16, 0.0, 0.12])
+    rows = [
+        joined(item(str(n), name, error=1.0 - share * gain) for n, gain in enumerate(gains))
+        for name, share in (("x", 0.0), ("y", 1.0), ("z", 1.001))
+    ]
+    two = compared(tmp_path, *rows[:2])["figures"][0]
+    three = compared(tmp_path, *rows)["figures"][0]
+    for figure, is_significant in ((two, True), (three, False)):
+        assert figure["p_holm"] is not None
+        assert figure["low"] is not None
+        assert (figure["p_holm"] < 0.05) == is_significant == (figure["low"] > 0.0)
+
+
+def test_samples_that_are_too_few_for_ranks_are_named(tmp_path: Path) -> None:
+    rows = [joined(item(f"{name}{n}", name, error=n + 1.0) for n in range(3)) for name in "xy"]
+    (note,) = compared(tmp_path, *rows)["notes"]
+    assert note.startswith("3 and 3 results: too few for Mann and Whitney's test")
 
 
 def test_pairs_show_what_samples_hide(tmp_path: Path) -> None:
@@ -325,7 +351,7 @@ def test_rows_without_a_partner_and_another_truth_are_told(tmp_path: Path) -> No
         "new: not in few: new in mit, new in office, new in hall",
         "few: not in new: new in attic seed 3",
         "new and few rest on different files: truth",
-        "1 pair: Wilcoxon's test needs 6 for p below 0.05",
+        "1 pair: too few for Wilcoxon's test, whose p cannot be below 1; add cases or seeds",
     ]
 
 

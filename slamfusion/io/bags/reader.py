@@ -12,6 +12,7 @@ import tempfile
 import textwrap
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from itertools import islice
 from operator import itemgetter
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -34,6 +35,8 @@ ROS1_MAGIC, SQLITE_MAGIC, MCAP_MAGIC = b"#ROSBAG V", b"SQLite format 3\0", b"\x8
 # Errors of a folder that is full.
 _NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+# Messages of a topic whose transforms are described.
+FRAMES_READ = 1000
 TRANSFORM_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
 
@@ -128,6 +131,23 @@ class OpenBag:
         """Return each topic with its type and the number of its messages, in order."""
         kinds = {item.topic: _kind(item) for item in self._connections}
         return [f"{topic} ({kinds[topic]}, {self.count(topic)})" for topic in sorted(kinds)]
+
+    def described_frames(self) -> list[str]:
+        """Return the frame of each laser's scans, and each transform as ``parent > child``.
+
+        The first messages of each topic are read.
+        """
+        found: dict[str, None] = {}
+        for topic in self.topics(SCAN_TYPES):
+            frames = (item.content.header.frame_id for item in self.messages(topic) if item.content)
+            found |= dict.fromkeys(f"{topic} in {frame}" for frame in islice(frames, 1))
+        for topic in self.topics(TRANSFORM_TYPES):
+            for item in islice(self.messages(topic), FRAMES_READ):
+                moved = item.content.transforms if item.content else ()
+                found |= dict.fromkeys(
+                    f"{own.header.frame_id} > {own.child_frame_id}" for own in moved
+                )
+        return list(found)
 
     def count(self, topic: str) -> int:
         """Return how many messages a topic has."""
