@@ -15,7 +15,7 @@ from slamfusion.errors import SlamFusionError
 
 if TYPE_CHECKING:
     from slamfusion.compute.compute_device import DeviceInfo
-    from slamfusion.jobs.records import DoctorDocument
+    from slamfusion.jobs.doctor import DoctorDocument
 
 
 @click.command("doctor", cls=Command)

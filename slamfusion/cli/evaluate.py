@@ -47,7 +47,8 @@ from slamfusion.jobs.inputs import (
 if TYPE_CHECKING:
     from slamfusion.evaluation import DistanceComparison
     from slamfusion.grid import OccupancyGrid
-    from slamfusion.jobs.records import CasesEvaluationDocument, EvaluateDocument, Evaluation
+    from slamfusion.jobs.evaluate import CasesEvaluationDocument, EvaluateDocument
+    from slamfusion.jobs.records import Evaluation
 
 
 @dataclass(frozen=True)

@@ -16,11 +16,7 @@ from slamfusion.cli.output import one_line, print_json, print_table
 from slamfusion.errors import SlamFusionError
 
 if TYPE_CHECKING:
-    from slamfusion.jobs.records import (
-        LiveAnswerDocument,
-        LiveLineJson,
-        LiveStatusDocument,
-    )
+    from slamfusion.jobs.records import LiveAnswerDocument, LiveLineJson, LiveStatusDocument
 
 # Of an input's figures, those that the table has.
 SHOWN = ("score", "overlap", "age [s]", "rate [Hz]")

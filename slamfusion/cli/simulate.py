@@ -16,7 +16,7 @@ from slamfusion.config import RunConfig
 from slamfusion.jobs.documents import number
 
 if TYPE_CHECKING:
-    from slamfusion.jobs.records import SimulateDocument
+    from slamfusion.jobs.simulate import SimulateDocument
     from slamfusion.sim import Course
 
 

@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     )
     from slamfusion.evaluation import DensePoses, Figure
     from slamfusion.evidence import RankedPath, Recommendation
-    from slamfusion.jobs.records import DoubledWalls, Evaluation
+    from slamfusion.jobs.fuse_documents import DoubledWalls
+    from slamfusion.jobs.records import Evaluation
     from slamfusion.jobs.trajectory import Measures
     from slamfusion.trajectory import Trajectory
 

@@ -28,8 +28,7 @@ from slamfusion.jobs.cases import CaseFile, Placed, files_by_case, place_files, 
 from slamfusion.jobs.inputs import load_maps
 
 if TYPE_CHECKING:
-    from slamfusion.jobs.records import TrajectoriesDocument, TrajectoryDocument
-    from slamfusion.jobs.trajectory import CaseFiles
+    from slamfusion.jobs.trajectory import CaseFiles, TrajectoriesDocument, TrajectoryDocument
 
 
 @dataclass(frozen=True)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping, Sequence
+from typing import TypedDict
 
 from slamfusion.compute import list_devices, open_device, pocl_state
+from slamfusion.compute.compute_device import DeviceInfo, PoclState
 from slamfusion.config import RunConfig
 from slamfusion.errors import DeviceError
-from slamfusion.jobs.records import DevicesDocument, DoctorDocument
 from slamfusion.version import version_of, versions
 
 # One line for each maker of devices; names of Ubuntu and Debian packages unless said otherwise.
@@ -18,6 +20,45 @@ INSTALL = {
     "Intel GPU": "apt install intel-opencl-icd",
     "AMD GPU": "apt install rocm-opencl, or mesa-opencl-icd with RUSTICL_ENABLE=radeonsi",
 }
+
+
+class DevicesDocument(TypedDict):
+    """``slamfusion devices``."""
+
+    devices: Sequence[DeviceInfo]
+    """The OpenCL devices; may be empty."""
+
+
+class SelfTestJson(TypedDict):
+    """A test of the kernels."""
+
+    name: str
+    """What was tested."""
+    passed: bool
+    """Whether it computes as it should."""
+    detail: str
+    """What was found."""
+
+
+class DoctorDocument(TypedDict):
+    """``slamfusion doctor``; exit code 1 where it is not ``ok``."""
+
+    ok: bool
+    """Whether nothing is wrong."""
+    problems: Sequence[str]
+    """What is wrong and what to do, a sentence each."""
+    versions: Mapping[str, str | None]
+    """Versions of Python, of this package and of those it stands on; null: not installed."""
+    devices: Sequence[DeviceInfo]
+    """The OpenCL devices; may be empty."""
+    pocl: PoclState | None
+    """What became of the PoCL that came with the package; null where no OpenCL was looked at."""
+    device: str | None
+    """The one that was tested, in words; null where it cannot be opened."""
+    self_test: Sequence[SelfTestJson]
+    """The tests of the kernels."""
+    install: Mapping[str, str]
+    """What to install, by maker of the device."""
 
 
 def devices_document() -> DevicesDocument:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from slamfusion.align.records import FusionResult
@@ -25,7 +25,7 @@ from slamfusion.geometry import Pose2
 from slamfusion.io import AtomicFiles
 from slamfusion.jobs.cases import CaseFile, Placed, place_files
 from slamfusion.jobs.documents import circumstances, path_text, settings_used
-from slamfusion.jobs.fuse_documents import input_document
+from slamfusion.jobs.fuse_documents import FusedInputJson, UnalignedInputJson, input_document
 from slamfusion.jobs.inputs import (
     MapInput,
     PixelSizes,
@@ -35,15 +35,48 @@ from slamfusion.jobs.inputs import (
     load_truth,
 )
 from slamfusion.jobs.plan import align_plan_with_all
-from slamfusion.jobs.records import (
-    CaseEvaluation,
-    CasesEvaluationDocument,
-    EvaluateDocument,
-    Evaluation,
-    FusedInputJson,
-    UnalignedInputJson,
-)
+from slamfusion.jobs.records import CircumstancesJson, Evaluation, SettingsJson, SummariesJson
 from slamfusion.json_values import record_keys
+
+
+class EvaluateDocument(SettingsJson):
+    """``slamfusion evaluate``."""
+
+    maps: Sequence[Evaluation]
+    """The maps against the truth; empty without --truth."""
+    distances: Sequence[DistanceComparison]
+    """The maps against measured distances; empty without --distances."""
+    agreement: Sequence[FusedInputJson | UnalignedInputJson]
+    """The maps against each other; empty with --truth or --distances."""
+    truth: str | None
+    """The true map's file; null without --truth."""
+    device: str | None
+    """What computed the alignments, in words; null where none was."""
+    seed: int
+    """Seed of every random number."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CaseEvaluation(Evaluation):
+    """One of several maps, against one of several truths."""
+
+    case: str
+    """The truth that it was measured against, by name."""
+    method: str
+    """What made it: what its file's name says besides case and seed."""
+    seed: str
+    """Number of the repetition of this method in this case; empty for a single one."""
+
+
+class CasesEvaluationDocument(SummariesJson, CircumstancesJson):
+    """``slamfusion evaluate`` with several truths."""
+
+    maps: Sequence[CaseEvaluation]
+    """The maps in the order given, each against the truth of its case."""
+    distances: Sequence[DistanceComparison]
+    """The maps against measured distances; empty without --distances."""
+    truths: Mapping[str, str]
+    """The true maps' files, by case."""
 
 
 def evaluate_maps(

@@ -30,6 +30,8 @@ from slamfusion.io.map_store import MapStore, check_store, read_stored_map
 from slamfusion.jobs.documents import circumstances, record_bytes
 from slamfusion.jobs.evaluate import evaluate_maps
 from slamfusion.jobs.fuse_documents import (
+    DoubledWalls,
+    FuseDocument,
     agreement_stem,
     fusion_document,
     group_document,
@@ -54,7 +56,7 @@ from slamfusion.jobs.outputs import (
     remove_empty,
     report_files,
 )
-from slamfusion.jobs.records import DoubledWalls, Evaluation, FuseDocument
+from slamfusion.jobs.records import Evaluation
 from slamfusion.vote.tiles import TILE
 
 _LOG = logging.getLogger(__name__)

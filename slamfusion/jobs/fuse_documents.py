@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
+from typing import TypedDict, cast
 
 from slamfusion.align.records import (
     Alignment,
+    AlignmentJson,
+    Bent,
     Fusion,
     FusionResult,
     InputRecord,
@@ -15,20 +18,156 @@ from slamfusion.align.records import (
 )
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError
+from slamfusion.evaluation import doubled_wall_share, fused_doubled_shares
 from slamfusion.grid import OccupancyGrid
 from slamfusion.jobs.documents import circumstances, path_text
-from slamfusion.jobs.inputs import NO_FILES, GivenMaps
+from slamfusion.jobs.inputs import NO_FILES, GivenMaps, GivenMapsJson
 from slamfusion.jobs.outputs import AGREEMENT_END
-from slamfusion.jobs.records import (
-    DoubledWalls,
-    FailedFuseDocument,
-    FusedGroupJson,
-    FusedInputJson,
-    FusionJson,
-    InputVoteJson,
-    NoAlignmentJson,
-    UnalignedInputJson,
-)
+from slamfusion.jobs.records import CircumstancesJson, Evaluation
+from slamfusion.vote.tiles import occupied_codes
+
+
+class NoAlignmentJson(TypedDict):
+    """The numbers of an alignment that was not made."""
+
+    dx_m: None
+    dy_m: None
+    yaw_rad: None
+    score: None
+    overlap: None
+    error: None
+    runner_up: None
+    time_s: None
+    strength: None
+
+
+class InputVoteJson(TypedDict):
+    """How an input votes, and how well its walls agree with those of the others."""
+
+    agreement: float | None
+    """Share of its walls that agree with the other maps, 0 to 1; null: nothing to compare."""
+    weight: float
+    """Of its vote in all, 0 to 1; less or more where its walls agree less or more."""
+    bent: Bent | None
+    """Where it agrees least, if it is bent; null: it agrees with the others."""
+
+
+class FusedInputJson(AlignmentJson, InputVoteJson):
+    """An input of a fusion that was aligned with the reference."""
+
+
+class UnalignedInputJson(NoAlignmentJson, InputVoteJson):
+    """An input of a fusion that was not aligned with the reference."""
+
+    name: str
+    """The input."""
+    reference: str | None
+    """The input whose frame the fused map has; null where nothing was fused."""
+    accepted: bool
+    """Whether it voted."""
+    reason: str
+    """Why not."""
+
+
+@dataclass(frozen=True)
+class DoubledWalls:
+    """Shares of the wall cells that have a parallel wall close by, the trace of a slip."""
+
+    inputs: dict[str, float]
+    """Of each input as it was given, by name; 0 to 1."""
+    fused: float
+    """Of the fused map, 0 to 1."""
+    added_by_fusion: float
+    """Of the fused map's wall cells, doubled there and in no input; 0 to 1."""
+
+    @classmethod
+    def of(
+        cls,
+        result: FusionResult,
+        config: RunConfig,
+        known: Mapping[str, float] | None = None,
+    ) -> DoubledWalls:
+        """Measure a fusion."""
+        known, normalize = known or {}, config.fusion.normalize
+        shares = {
+            record.name: known[record.name]
+            if record.name in known
+            else doubled_wall_share(record.grid, normalize=normalize)
+            for record in result.inputs
+        }
+        layers = (record.layer for record in result.accepted if record.layer is not None)
+        aligned = ((layer.codes, layer.box) for layer in layers)
+        return cls(
+            shares,
+            *fused_doubled_shares(result.fused.cells, aligned, is_wall=occupied_codes),
+        )
+
+
+class FusionJson(TypedDict):
+    """The result of a fusion; null and empty values where nothing was fused."""
+
+    inputs: Sequence[FusedInputJson | UnalignedInputJson]
+    """The inputs, in the order given."""
+    reference: str | None
+    """The input whose frame and lattice the fused map has."""
+    fused_count: int
+    """Inputs that voted."""
+    phantom_cells: int | None
+    """Cells occupied in the fused map by vote, and in no input."""
+    left_out_m2: Mapping[str, float]
+    """Area that inputs know outside of the box of --extent reference, square metres, by input."""
+    doubled_wall_share: DoubledWalls | None
+    """Shares of the wall cells that have a parallel wall close by."""
+    weights: Mapping[str, float]
+    """Weight of each voter, 0 to 1, by name; a drawn map votes and is no input."""
+    pairs: Sequence[Alignment]
+    """Every pair that was aligned, also between rejected inputs."""
+    copies: Mapping[str, str]
+    """Inputs that are the same map as another, by name, and which of them votes for both."""
+
+
+class FusedGroupJson(TypedDict):
+    """Inputs that share ground, and the map that they became."""
+
+    fused: str | None
+    """YAML file of the fused map; null where it is in a store alone."""
+    agreement: str | None
+    """YAML file of the agreement map; null where it is in a store alone."""
+    store: str | None
+    """Zarr store of both, with -o OUT.zarr; else null."""
+    reference: str
+    """The input whose frame and lattice the fused map has."""
+    inputs: Sequence[Alignment]
+    """How each of them lies to the reference."""
+    left_out_m2: Mapping[str, float]
+    """Area that inputs know outside of the box of --extent reference, square metres, by input."""
+    weights: Mapping[str, float]
+    """Weight of each vote, by input."""
+
+
+class FuseDocument(FusionJson, GivenMapsJson, CircumstancesJson):
+    """``slamfusion fuse``."""
+
+    fused: str | None
+    """YAML file of the fused map; null where nothing was fused, or it is in a store alone."""
+    agreement: str | None
+    """YAML file of the agreement map; null where nothing was fused, or it is in a store alone."""
+    store: str | None
+    """Zarr store of both, with -o OUT.zarr; else null."""
+    groups: Sequence[FusedGroupJson]
+    """Groups of inputs that share ground, the largest, which is told above, first."""
+    evaluations: Sequence[Evaluation]
+    """Errors of the inputs and of the fused map, with --truth."""
+    time_s: float | None
+    """Wall time of the fusion, seconds; null where nothing was fused."""
+
+
+class FailedFuseDocument(FuseDocument):
+    """``slamfusion fuse`` of maps that do not fit, or with --require-all; exit code 1."""
+
+    error: str
+    """Why nothing was fused."""
+
 
 NO_ALIGNMENT = cast("NoAlignmentJson", dict.fromkeys(NoAlignmentJson.__annotations__))
 NO_VOTE: InputVoteJson = {"agreement": None, "weight": 0.0, "bent": None}

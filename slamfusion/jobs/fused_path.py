@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TypedDict
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +17,7 @@ import numpy.typing as npt
 from slamfusion.align.records import FusionResult
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
-from slamfusion.evaluation import doubled_wall_share, wall_thickness
+from slamfusion.evaluation import WallThickness, doubled_wall_share, wall_thickness
 from slamfusion.evidence import (
     Exclusions,
     FusedPath,
@@ -31,10 +32,36 @@ from slamfusion.evidence.path_frames import fit_onto
 from slamfusion.fusion.path_check import moved_path
 from slamfusion.grid import OccupancyGrid
 from slamfusion.jobs.outputs import DRAWN, FUSED
-from slamfusion.jobs.records import DrawnMapJson, FusedPathJson
-from slamfusion.jobs.trajectory import Measures
+from slamfusion.jobs.trajectory import Measures, MeasuresJson
 from slamfusion.slam.registry import loop_closers
 from slamfusion.trajectory import Trajectory
+
+
+class FusedPathJson(MeasuresJson):
+    """The fused path: one path made of those of several SLAMs, and its errors."""
+
+    file: str
+    """Its file, a TUM trajectory, of ``run`` in the frame of the fused map, of ``judge`` in that of
+    one of the paths."""
+    poses: int
+    """Its poses."""
+    trust: Mapping[str, float]
+    """How much each path was believed by what the scans say of it, 0 to 1."""
+    excluded_share: Mapping[str, float]
+    """Share of each path's poses that had no weight, as it had left the others, 0 to 1."""
+    refinement: RefinedPath | None
+    """What laying all scans on each other made of it; null where the scans could not be asked."""
+
+
+class DrawnMapJson(TypedDict):
+    """The map that is drawn from all scans at the fused path."""
+
+    file: str
+    """Its YAML file."""
+    doubled_wall_share: float
+    """Share of its wall cells that have a parallel wall close by, 0 to 1."""
+    wall_thickness_m: WallThickness | None
+    """How thick its walls are; null when no wall is beside a free cell."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +13,7 @@ from slamfusion.config import RunConfig
 from slamfusion.io import AtomicFiles, write_tum
 from slamfusion.jobs.documents import path_text, settings_used
 from slamfusion.jobs.inputs import as_path
-from slamfusion.jobs.records import GraphOptimizeDocument
+from slamfusion.jobs.records import SettingsJson
 from slamfusion.pose_graph import (
     GraphFile,
     Optimized,
@@ -21,6 +22,43 @@ from slamfusion.pose_graph import (
     write_g2o,
 )
 from slamfusion.trajectory import Trajectory
+
+
+class GraphOptimizeDocument(SettingsJson):
+    """``slamfusion graph optimize``."""
+
+    file: str
+    """The pose graph."""
+    nodes: int
+    """Its vertices."""
+    edges: int
+    """Its edges."""
+    closures: int
+    """Of the edges, the ones that close a loop."""
+    fixed: Sequence[int]
+    """Ids of the vertices that were held."""
+    has_poses: bool
+    """Whether the file gave the vertices poses; else they were laid along the odometry."""
+    skipped_lines: Mapping[str, int]
+    """Lines that were not understood, by kind."""
+    chi2_start: float
+    """Chi-square before, of all edges."""
+    chi2: float
+    """Chi-square after, of the edges that are no outliers."""
+    chi2_all: float
+    """Chi-square after, of all edges."""
+    iterations: int
+    """Steps of the solver."""
+    converged: bool
+    """Whether the last step changed next to nothing."""
+    doubted: Sequence[tuple[int, int]]
+    """Ids of both ends of the outliers: closures taken to be false."""
+    time_s: float
+    """Wall time of the optimisation, seconds."""
+    output: str | None
+    """The file that the graph was written to."""
+    tum: str | None
+    """The file that the poses were written to."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import TYPE_CHECKING, Literal, TypeAlias, TypedDict
 
 from slamfusion.config import SMALLEST, FusionConfig, MapFileConfig, RunConfig, VoteConfig, VoteMode
 from slamfusion.errors import MapFileError
@@ -17,7 +17,6 @@ from slamfusion.jobs.outputs import FUSED
 if TYPE_CHECKING:
     from slamfusion.compute import ComputeDevice
     from slamfusion.grid import OccupancyGrid
-    from slamfusion.jobs.records import GivenMapsJson
 
 _LOG = logging.getLogger(__name__)
 
@@ -35,6 +34,15 @@ PIXEL_M = 0.05
 # Maps of a folder that a message names.
 MOST_NAMED = 5
 SUFFIXES = (".gz", ".yaml", ".yml", ".pgm", ".png", ".bmp", ".pnm", ".dxf", ".tum", ".txt", ".csv")
+
+
+class GivenMapsJson(TypedDict):
+    """The files of the inputs of a fusion."""
+
+    saved_maps: Sequence[str]
+    """In the order of the inputs; empty for maps from memory."""
+    resolution: float | None
+    """Metres per cell of bare images, as it was given; null: not given."""
 
 
 @dataclass(frozen=True)

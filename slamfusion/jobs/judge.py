@@ -6,6 +6,7 @@ import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypedDict
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
@@ -21,6 +22,7 @@ from slamfusion.evaluation import (
 from slamfusion.evidence import (
     Exclusions,
     PathEvidence,
+    RankedPath,
     Recommendation,
     find_exclusions,
     judged_scans,
@@ -32,22 +34,63 @@ from slamfusion.io import open_log, read_trajectory, write_tum
 from slamfusion.io.files import AtomicFiles
 from slamfusion.jobs.cases import Placed
 from slamfusion.jobs.documents import circumstances, path_text
-from slamfusion.jobs.fused_path import DrivePath, fuse_weighed_paths
+from slamfusion.jobs.fused_path import DrivePath, FusedPathJson, fuse_weighed_paths
 from slamfusion.jobs.inputs import Warn, as_path, device_for, distinct_names
 from slamfusion.jobs.outputs import FUSED
-from slamfusion.jobs.records import (
-    FusedPathJson,
-    JudgeDocument,
-    JudgedPathJson,
-    JudgementsDocument,
-    JudgeRecordJson,
-)
+from slamfusion.jobs.records import CircumstancesJson, SummariesJson
 from slamfusion.jobs.saved_maps import path_at_scans
-from slamfusion.jobs.trajectory import Measures, Yardsticks
+from slamfusion.jobs.trajectory import JudgedPathJson, Measures, Yardsticks
 from slamfusion.slam.common.odometry_check import contradictions, laser_fault
 from slamfusion.trajectory import Trajectory
 
 _LOG = logging.getLogger(__name__)
+
+
+class JudgeRecordJson(TypedDict):
+    """What the scans of one log say of its paths."""
+
+    recommendation: Recommendation
+    """Which path to use, and what to check first."""
+    path_evidence: Sequence[RankedPath]
+    """What the scans say of each path, the recommended one first."""
+    paths: Sequence[JudgedPathJson]
+    """The paths as they were given."""
+    fused_path: FusedPathJson | None
+    """The path fused of them, with ``--fused``."""
+    ranking_by_truth: Sequence[str]
+    """The paths by their ATE, the least first; empty without a truth."""
+    ranking_by_relations: Sequence[str]
+    """The paths by their mean error on the relations, the least first; empty without relations."""
+    not_measured: Sequence[str]
+    """What could not be measured, a sentence each."""
+    log: str
+    """The log that the paths are of."""
+    relations: str | None
+    """The file of known relations."""
+    odometry_file: str | None
+    """The file of raw odometry."""
+    scan_odometry: str | None
+    """The file that gave the scans their odometry."""
+    truth: str | None
+    """The file of the true trajectory."""
+
+
+class JudgeDocument(JudgeRecordJson, CircumstancesJson):
+    """``slamfusion judge`` of one log; exit code 1 where something is ``not_measured``."""
+
+
+class CaseJudgementJson(JudgeRecordJson):
+    """One of several logs."""
+
+    case: str
+    """Its name."""
+
+
+class JudgementsDocument(SummariesJson, CircumstancesJson):
+    """``slamfusion judge`` of several logs; exit code 1 where something is ``not_measured``."""
+
+    logs: Sequence[CaseJudgementJson]
+    """The logs in the order given; paths are named by what made them."""
 
 
 @dataclass(frozen=True)

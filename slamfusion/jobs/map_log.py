@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from operator import itemgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, TypedDict
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
@@ -19,14 +19,15 @@ from slamfusion.jobs.documents import circumstances, number, path_text, record_b
 from slamfusion.jobs.evaluate import evaluate_maps
 from slamfusion.jobs.inputs import Progress, Warn, as_path, load_maps
 from slamfusion.jobs.outputs import PROBABILITY, output_files
-from slamfusion.jobs.records import Evaluation, LogFilesJson, ProducerJson, SlamDocument
-from slamfusion.jobs.trajectory import Measures, Yardsticks
+from slamfusion.jobs.records import CircumstancesJson, Evaluation
+from slamfusion.jobs.trajectory import Measures, MeasuresJson, Yardsticks
 from slamfusion.slam.common.mapper import Mapper
 from slamfusion.slam.common.runner import (
     ProducerRun,
     Resumable,
     run_producer,
 )
+from slamfusion.slam.records import ProducerRunJson
 from slamfusion.slam.registry import make_producer, open_producer_device, resume_producer
 from slamfusion.trajectory import Trajectory
 
@@ -34,6 +35,48 @@ _LOG = logging.getLogger(__name__)
 
 # A log's progress is told in these parts of its whole length.
 PROGRESS_STEPS = 1000
+
+
+class ProducerJson(ProducerRunJson, MeasuresJson):
+    """What one producer made of a log, what it took, and the errors that could be measured."""
+
+    map_error: Evaluation | None
+    """Errors of its map; null without a true map."""
+    files: Sequence[str]
+    """The files that it was written to: map, picture, path, record."""
+
+
+class SlamProducerJson(ProducerJson):
+    """The producer of ``slamfusion slam``."""
+
+    resumed_from: str | None
+    """The state that it was resumed from; null: it began afresh."""
+    state_file: str | None
+    """The file that its state was saved to."""
+
+
+class LogFilesJson(TypedDict):
+    """A log, and the files that its results are compared with."""
+
+    log: str
+    """The log that was mapped."""
+    relations: str | None
+    """The file of known relations."""
+    odometry_file: str | None
+    """The file of raw odometry."""
+    scan_odometry: str | None
+    """The file that gave the scans their odometry."""
+    truth: str | None
+    """The file of the true trajectory."""
+    truth_map: str | None
+    """The true map's file."""
+
+
+class SlamDocument(LogFilesJson, CircumstancesJson):
+    """``slamfusion slam``; also the record OUT.json."""
+
+    producers: Sequence[SlamProducerJson]
+    """The one producer."""
 
 
 @dataclass(frozen=True)

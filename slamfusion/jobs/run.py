@@ -38,7 +38,7 @@ from slamfusion.io import open_log
 from slamfusion.jobs.cases import CaseFile
 from slamfusion.jobs.evaluate import evaluate_maps
 from slamfusion.jobs.fuse import AllRequiredError
-from slamfusion.jobs.fuse_documents import left_out_sentences
+from slamfusion.jobs.fuse_documents import DoubledWalls, left_out_sentences
 from slamfusion.jobs.fuse_drive import DriveFusion, fuse_layers
 from slamfusion.jobs.fused_path import DrivePath, draw_like, fuse_weighed_paths
 from slamfusion.jobs.inputs import (
@@ -54,7 +54,7 @@ from slamfusion.jobs.inputs import (
 from slamfusion.jobs.map_log import PROGRESS_STEPS, LogFiles, ProducerResult, measure_run
 from slamfusion.jobs.outputs import DRAWN, FUSED
 from slamfusion.jobs.partial import Filling, Layers, draw_layers
-from slamfusion.jobs.records import DoubledWalls, Evaluation
+from slamfusion.jobs.records import Evaluation
 from slamfusion.jobs.saved_maps import SavedMaps, SavedPath, path_at_scans
 from slamfusion.jobs.trajectory import Measures, Yardsticks
 from slamfusion.slam.common.odometry_check import laser_fault

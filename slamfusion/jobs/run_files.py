@@ -6,13 +6,16 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
+from typing import TypedDict, cast
 
+from slamfusion.config import FusionMode
+from slamfusion.evidence import RankedPath, Recommendation
+from slamfusion.fusion.path_check import PathGap
 from slamfusion.io import AtomicFiles, save_map, write_tum
 from slamfusion.jobs.documents import circumstances, record_bytes
-from slamfusion.jobs.fuse_documents import failure_document, fusion_document
-from slamfusion.jobs.fused_path import drawn_document
-from slamfusion.jobs.map_log import add_run
+from slamfusion.jobs.fuse_documents import FusionJson, failure_document, fusion_document
+from slamfusion.jobs.fused_path import DrawnMapJson, FusedPathJson, drawn_document
+from slamfusion.jobs.map_log import LogFilesJson, ProducerJson, add_run
 from slamfusion.jobs.outputs import (
     AGREEMENT,
     DRAWN,
@@ -29,15 +32,103 @@ from slamfusion.jobs.outputs import (
     remove_empty,
     report_files,
 )
-from slamfusion.jobs.records import (
-    FailedProducerJson,
-    RunDocument,
-    RunFilesJson,
-    RunProducerJson,
-    RunRecordDocument,
-)
+from slamfusion.jobs.partial import PartialVote
+from slamfusion.jobs.records import CircumstancesJson, Evaluation
 from slamfusion.jobs.run import LogRun
+from slamfusion.jobs.trajectory import JudgedPathJson
 from slamfusion.slam.side_by_side import Outcome
+
+
+class RunProducerJson(ProducerJson):
+    """A producer of ``slamfusion run`` that made a map."""
+
+    failed: None
+    process_time_s: float
+    """Wall time of its process, seconds."""
+    process_cpu_s: float | None
+    """Processor time of its process, seconds; null where unknown."""
+
+
+class FailedProducerJson(TypedDict):
+    """A producer of ``slamfusion run`` that made no map."""
+
+    name: str
+    """The producer."""
+    scans: None
+    scans_used: None
+    time_s: None
+    time_per_scan_ms: None
+    peak_memory_mb: None
+    health: None
+    map_error: None
+    files: Sequence[str]
+    """Empty: nothing was written."""
+    failed: str
+    """Why it made no map."""
+    process_time_s: float
+    """Wall time of its process, seconds."""
+    process_cpu_s: float | None
+    """Processor time of its process, seconds; null where unknown."""
+
+
+class RunFilesJson(LogFilesJson):
+    """The files that ``slamfusion run`` was given."""
+
+    saved_maps: Sequence[str]
+    """Saved maps that voted too."""
+
+
+class RunRecordDocument(RunFilesJson, CircumstancesJson):
+    """The record NAME.json that ``slamfusion run`` writes beside a producer's map."""
+
+    producers: Sequence[RunProducerJson]
+    """The one producer."""
+
+
+class RunDocument(FusionJson, RunFilesJson, CircumstancesJson):
+    """``slamfusion run``; exit code 1 where there is an ``error`` or something ``not_measured``."""
+
+    producers: Sequence[RunProducerJson | FailedProducerJson]
+    """What became of each producer."""
+    fused: str | None
+    """YAML file of the fused map; null where nothing was fused."""
+    fused_mode: FusionMode | None
+    """How the fused map came to be: by which vote, or drawn; null where nothing was fused."""
+    why_voted: str | None
+    """Why the maps voted although --mode drawn was asked for; null: it was drawn, or not asked."""
+    agreement: str | None
+    """YAML file of the agreement map; null where nothing was fused."""
+    best_founded: str | None
+    """Where nothing was fused, the map of ``recommendation``; else null."""
+    partial_votes: Sequence[PartialVote]
+    """Producers that have no vote for the time in which they left the others."""
+    path_gaps: Sequence[PathGap]
+    """Between every two producers' paths in the fused frame."""
+    path_evidence: Sequence[RankedPath]
+    """What the scans say of each path, the recommended one first; empty where they could not be
+    asked."""
+    recommendation: Recommendation | None
+    """What to use, and what to check first; null if no map was made."""
+    no_verdict: str | None
+    """Why the scans could not be asked; null where they were."""
+    fused_path: FusedPathJson | None
+    """The fused path; null where nothing was fused, or fewer than two producers have a path."""
+    drawn_map: DrawnMapJson | None
+    """The map drawn at the fused path; null where it was not asked for, or there is no path."""
+    saved_paths: Sequence[JudgedPathJson]
+    """The paths that were given with saved maps, and their errors."""
+    evaluations: Sequence[Evaluation]
+    """Errors of the inputs and of the fused map, with --truth."""
+    error: str | None
+    """Why nothing was fused; null where it was."""
+    not_measured: Sequence[str]
+    """What could not be measured, a sentence each."""
+    report: str
+    """The page of the report."""
+    stages_s: Mapping[str, float]
+    """Wall time of each stage, seconds."""
+    time_s: float
+    """Wall time of all, seconds."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,11 +17,18 @@ from slamfusion.fleet import as_done
 from slamfusion.jobs.documents import settings_used
 from slamfusion.jobs.inputs import Progress, distinct_names
 from slamfusion.jobs.outputs import FUSED, REPORT, RUN_RECORD
+from slamfusion.jobs.records import SettingsJson
 
 if TYPE_CHECKING:
-    from slamfusion.jobs.records import RunsDocument
     from slamfusion.jobs.run import LogRun
     from slamfusion.jobs.run_files import SavedRun
+
+
+class RunsDocument(SettingsJson):
+    """``slamfusion run`` of several logs; exit code 1 for an ``error`` or ``not_measured``."""
+
+    runs: Sequence[RunOfLog]
+    """The logs, in the order given."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,8 +14,7 @@ from slamfusion.io import read_trajectory
 from slamfusion.jobs.cases import CaseFile, files_by_case
 from slamfusion.jobs.inputs import Warn, distinct_names, load_maps
 from slamfusion.jobs.outputs import DRAWN, FUSED
-from slamfusion.jobs.records import JudgedPathJson
-from slamfusion.jobs.trajectory import Measures
+from slamfusion.jobs.trajectory import JudgedPathJson, Measures
 from slamfusion.slam.registry import producer_names
 from slamfusion.trajectory import Trajectory
 

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypedDict
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.jobs.documents import settings_used
 from slamfusion.jobs.inputs import Progress, device_for
-from slamfusion.jobs.records import SimulatedDriveJson, SimulateDocument
+from slamfusion.jobs.records import CircumstancesJson
 from slamfusion.sim import (
     Course,
     Recording,
@@ -23,6 +25,66 @@ from slamfusion.sim import (
 )
 
 SUFFIXES = {".yaml", ".yml"}
+
+
+class OdometryEndErrorJson(TypedDict):
+    """How far odometry alone is off at the end of a drive."""
+
+    translation_m: float
+    """Distance, metres."""
+    rotation_deg: float
+    """Size of the turn, degrees."""
+
+
+class SimulatedWorldJson(TypedDict):
+    """A drawn place."""
+
+    name: str
+    """What kind of place."""
+    width_m: float
+    """Metres in x."""
+    height_m: float
+    """Metres in y."""
+    resolution: float
+    """Metres per cell."""
+    people: int
+    """People who walk in it."""
+    obstacles: int
+    """Obstacles that are in no map."""
+    glass_cells: int
+    """Cells of glass, which the laser often passes."""
+
+
+class SimulatedDriveJson(TypedDict):
+    """A simulated drive in numbers."""
+
+    name: str
+    """The course."""
+    scans: int
+    """Scans of the log."""
+    beams: int
+    """Readings of a scan."""
+    duration_s: float
+    """Length of the drive, seconds."""
+    path_m: float
+    """Its true path, metres."""
+    waypoints_left_out: int
+    """Planned waypoints that the robot cannot drive to."""
+    no_return_share: float
+    """Share of the readings without an echo, 0 to 1."""
+    odometry_end_error: OdometryEndErrorJson
+    """How far odometry alone is off at the end."""
+    world: SimulatedWorldJson
+    """The place."""
+
+
+class SimulateDocument(SimulatedDriveJson, CircumstancesJson):
+    """``slamfusion simulate``."""
+
+    files: Sequence[str]
+    """What was written."""
+    time_s: float
+    """Wall time, seconds."""
 
 
 @dataclass(frozen=True, eq=False)

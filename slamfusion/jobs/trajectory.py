@@ -6,7 +6,7 @@ import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, TypedDict, cast
 
 from slamfusion.config import RunConfig, TrajectoryConfig
 from slamfusion.errors import SlamFusionError
@@ -31,18 +31,81 @@ from slamfusion.io import AtomicFiles, read_trajectory
 from slamfusion.jobs.cases import Placed
 from slamfusion.jobs.documents import path_text, settings_used
 from slamfusion.jobs.inputs import Warn, as_path
-from slamfusion.jobs.records import (
-    CaseTrajectoryJson,
-    MeasuresJson,
-    PlacedJson,
-    TrajectoriesDocument,
-    TrajectoryDocument,
-    TrajectoryRecordJson,
-)
+from slamfusion.jobs.records import PlacedJson, SettingsJson, SummariesJson
 from slamfusion.json_values import record_keys
 from slamfusion.trajectory import Trajectory
 
 _LOG = logging.getLogger(__name__)
+
+
+class PathErrorsJson(TypedDict, total=False):
+    """Errors of a path: against the truth, on known relations, both or none."""
+
+    # And the keys of TrajectoryErrors and RelationErrors; see tests/support/make_schema.py.
+    odometry: DensePoses | None
+    """How poses at the relations' times were composed with odometry; null: they were not."""
+    at_scans: RelationErrorsAtScans | None
+    """Errors on the relations whose both ends are poses of the path; null: the same or none."""
+
+
+class MeasuresJson(PathErrorsJson, total=False):
+    """Errors of a path, and of the same path as it was first reported."""
+
+    as_first_reported: PathErrorsJson
+    """The same of the path as it was first reported, of a producer that corrects it later."""
+
+
+class TrajectoryRecordJson(MeasuresJson):
+    """A trajectory with its errors, and the files that they rest on."""
+
+    name: str
+    """The trajectory."""
+    path_length_m: float
+    """Its length, metres."""
+    duration_s: float
+    """From its first pose to its last, seconds."""
+    poses: int
+    """Its poses."""
+    estimate: str
+    """Its file."""
+    relations: str | None
+    """The file of known relations."""
+    odometry_file: str | None
+    """The file of raw odometry."""
+    log: str | None
+    """The log that the trajectory was made from."""
+    truth: str | None
+    """The file of the true trajectory."""
+
+
+class TrajectoryDocument(TrajectoryRecordJson, SettingsJson):
+    """``slamfusion trajectory`` of one trajectory."""
+
+
+class CaseTrajectoryJson(PlacedJson, TrajectoryRecordJson):
+    """One of several trajectories."""
+
+
+class TrajectoriesDocument(SummariesJson, SettingsJson):
+    """``slamfusion trajectory`` of several; exit code 1 where something is ``not_measured``."""
+
+    trajectories: Sequence[CaseTrajectoryJson]
+    """The trajectories in the order given."""
+    not_measured: Sequence[str]
+    """What could not be measured, a sentence each."""
+
+
+class JudgedPathJson(MeasuresJson):
+    """A path that was judged, with the errors that could be measured."""
+
+    name: str
+    """The path: its file's name without the ending."""
+    file: str
+    """Its file."""
+    poses: int
+    """Its poses."""
+    path_length_m: float
+    """Its length, metres."""
 
 
 @dataclass(frozen=True)

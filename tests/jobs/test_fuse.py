@@ -15,15 +15,14 @@ from slamfusion.errors import (
 )
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import load_map
-from slamfusion.jobs import records
+from slamfusion.jobs import fuse_documents
 from slamfusion.jobs.fuse import (
     AllRequiredError,
     fuse_maps,
     save_fused_maps,
     write_failed_fusion,
 )
-from slamfusion.jobs.fuse_documents import failed_fuse_document
-from slamfusion.jobs.records import DoubledWalls
+from slamfusion.jobs.fuse_documents import DoubledWalls, failed_fuse_document
 from slamfusion.json_values import plain
 from tests.fusion.drawings import building, degraded
 from tests.jobs.maps import CONFIG, device, moved
@@ -40,7 +39,7 @@ def test_maps_are_fused_measured_and_written(
     told: list[str] = []
     with monkeypatch.context() as patched:
         # The errors against the truth have the inputs' doubled walls.
-        patched.setattr(records, "doubled_wall_share", lambda *_, **__: pytest.fail("again"))
+        patched.setattr(fuse_documents, "doubled_wall_share", lambda *_, **__: pytest.fail("again"))
         fused = fuse_maps(
             [truth, grid, other],
             CONFIG,

@@ -16,11 +16,12 @@ from slamfusion.evaluation import Relations, compare_to_truth, relation_errors, 
 from slamfusion.evidence import FusedPath
 from slamfusion.fusion.path_check import moved_path, path_gaps
 from slamfusion.geometry import Pose2
+from slamfusion.jobs.fuse_documents import DoubledWalls
 from slamfusion.jobs.fuse_drive import DriveFusion
 from slamfusion.jobs.fused_path import DrivePath
 from slamfusion.jobs.map_log import LogFiles, ProducerResult
 from slamfusion.jobs.partial import Layers
-from slamfusion.jobs.records import DoubledWalls, Evaluation
+from slamfusion.jobs.records import Evaluation
 from slamfusion.jobs.run import LogRun
 from slamfusion.jobs.run_page import run_page, write_run_page
 from slamfusion.jobs.trajectory import Measures
@@ -141,7 +142,7 @@ def test_every_part_is_on_the_one_page(page: Path) -> None:
         "Errors of the paths",
         "Error against the truth",
         "Timings and memory",
-        "processor s",
+        "processor [s]",
         "12.8 s",
         "for all, without this page",
         "12.50",

@@ -17,8 +17,8 @@ from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import save_map, write_tum
 from slamfusion.jobs.fuse import FusedMaps, save_fused_maps
+from slamfusion.jobs.fuse_documents import DoubledWalls, FuseDocument
 from slamfusion.jobs.inputs import GivenMaps
-from slamfusion.jobs.records import DoubledWalls, FuseDocument
 from slamfusion.page.finished import Finished, read_finished
 from slamfusion.trajectory import Trajectory
 from slamfusion.viewer.scene import Feed, Kind, Scene

@@ -31,8 +31,21 @@ from pydantic.json_schema import GenerateJsonSchema
 from slamfusion.evaluation import RelationErrors, TrajectoryErrors
 from slamfusion.experiments.page import ExperimentDocument
 from slamfusion.jobs import compare as comparisons
-from slamfusion.jobs import records as jobs
+from slamfusion.jobs import (
+    doctor,
+    evaluate,
+    fuse_documents,
+    graph,
+    judge,
+    map_log,
+    records,
+    run_files,
+    run_many,
+    simulate,
+    trajectory,
+)
 from slamfusion.jobs.info import InfoDocument
+from slamfusion.jobs.records import FailureDocument
 from slamfusion.slam.records import HealthJson
 
 __all__ = ["DOCUMENTS", "PATH", "make_schema", "to_text"]
@@ -42,41 +55,43 @@ DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
 # What each command may print; after a failure, any of them prints a ``FailureDocument`` alone.
 DOCUMENTS: dict[str, tuple[type, ...]] = {
-    "run": (jobs.RunDocument, jobs.RunsDocument),
-    "fuse": (jobs.FuseDocument, jobs.FailedFuseDocument),
-    "align": (jobs.AlignDocument,),
-    "evaluate": (jobs.EvaluateDocument, jobs.CasesEvaluationDocument),
-    "simulate": (jobs.SimulateDocument,),
+    "run": (run_files.RunDocument, run_many.RunsDocument),
+    "fuse": (fuse_documents.FuseDocument, fuse_documents.FailedFuseDocument),
+    "align": (records.AlignDocument,),
+    "evaluate": (evaluate.EvaluateDocument, evaluate.CasesEvaluationDocument),
+    "simulate": (simulate.SimulateDocument,),
     "experiment cell-models": (ExperimentDocument,),
     "experiment occupancy-estimator": (ExperimentDocument,),
     "experiment cell-models-trajectories": (ExperimentDocument,),
     "experiment ground-obstacle": (ExperimentDocument,),
     "experiment failures": (ExperimentDocument,),
     "experiment real-logs": (ExperimentDocument,),
-    "slam": (jobs.SlamDocument,),
-    "trajectory": (jobs.TrajectoryDocument, jobs.TrajectoriesDocument),
-    "judge": (jobs.JudgeDocument, jobs.JudgementsDocument),
+    "slam": (map_log.SlamDocument,),
+    "trajectory": (trajectory.TrajectoryDocument, trajectory.TrajectoriesDocument),
+    "judge": (judge.JudgeDocument, judge.JudgementsDocument),
     "info": (InfoDocument,),
     "compare": (comparisons.CompareDocument,),
-    "graph optimize": (jobs.GraphOptimizeDocument,),
-    "devices": (jobs.DevicesDocument,),
-    "show": (jobs.ShowDocument,),
-    "live status": (jobs.LiveStatusDocument,),
-    "live watch": (jobs.LiveLineJson,),
-    "live save": (jobs.LiveAnswerDocument,),
-    "live reset": (jobs.LiveAnswerDocument,),
-    "live set": (jobs.LiveAnswerDocument,),
-    "live add": (jobs.LiveAnswerDocument,),
-    "live remove": (jobs.LiveAnswerDocument,),
-    "doctor": (jobs.DoctorDocument,),
+    "graph optimize": (graph.GraphOptimizeDocument,),
+    "devices": (doctor.DevicesDocument,),
+    "show": (records.ShowDocument,),
+    "live status": (records.LiveStatusDocument,),
+    "live watch": (records.LiveLineJson,),
+    "live save": (records.LiveAnswerDocument,),
+    "live reset": (records.LiveAnswerDocument,),
+    "live set": (records.LiveAnswerDocument,),
+    "live add": (records.LiveAnswerDocument,),
+    "live remove": (records.LiveAnswerDocument,),
+    "doctor": (doctor.DoctorDocument,),
 }
 # Written to files alone.
-WRITTEN = (jobs.RunRecordDocument,)
+WRITTEN = (run_files.RunRecordDocument,)
 # A producer of another package may say more of itself.
 OPEN = (HealthJson,)
 _FORMS: tuple[Any, ...] = (Annotated, typing_extensions.NotRequired, typing_extensions.TypedDict)
 # Records whose keys are among those of a TypedDict; none of them is required.
-JOINED: dict[type, tuple[type, ...]] = {jobs.PathErrorsJson: (TrajectoryErrors, RelationErrors)}
+JOINED: dict[type, tuple[type, ...]] = {
+    trajectory.PathErrorsJson: (TrajectoryErrors, RelationErrors)
+}
 # Of these keys a measured path has all or none.
 TOGETHER = (
     frozenset(field.name for field in fields(TrajectoryErrors) if field.repr),
@@ -96,15 +111,15 @@ def make_schema() -> dict[str, Any]:
     """Return the schema of all documents."""
     asked = {
         kind: TypeAdapter(_described(kind))
-        for kinds in (*DOCUMENTS.values(), (jobs.FailureDocument, *WRITTEN))
+        for kinds in (*DOCUMENTS.values(), (FailureDocument, *WRITTEN))
         for kind in kinds
     }
     _, made = TypeAdapter.json_schemas(
         [(kind.__name__, "serialization", adapter) for kind, adapter in asked.items()],
         schema_generator=_WithoutTitles,
     )
-    records = made["$defs"]
-    for record in records.values():
+    found = made["$defs"]
+    for record in found.values():
         _keep_together(record)
         _shorten(record)
     commands = {command.replace(" ", "-"): kinds for command, kinds in DOCUMENTS.items()}
@@ -117,11 +132,11 @@ def make_schema() -> dict[str, Any]:
             **{
                 name: {
                     "description": f"What slamfusion {command} prints with --json.",
-                    "anyOf": [_reference(_name(kind)) for kind in (*kinds, jobs.FailureDocument)],
+                    "anyOf": [_reference(_name(kind)) for kind in (*kinds, FailureDocument)],
                 }
                 for (name, kinds), command in zip(commands.items(), DOCUMENTS, strict=True)
             },
-            **dict(sorted(records.items())),
+            **dict(sorted(found.items())),
         },
     }
 
