@@ -5,8 +5,9 @@ from __future__ import annotations
 import functools
 import json
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +18,7 @@ from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.log import LogScan
 from slamfusion.scan import LaserScan
+from slamfusion.slam.common.mapper import Mapper
 from slamfusion.slam.common.matcher import ScanOnTiles, response_information
 from slamfusion.slam.graph import GraphSlam
 from slamfusion.slam.graph.submap import Submap
@@ -25,10 +27,11 @@ from tests.slam.drives import CELL_M
 
 F64 = npt.NDArray[np.float64]
 U8 = npt.NDArray[np.uint8]
+S = TypeVar("S", bound=Mapper)
 NO_LASER = np.zeros(2)
 
 
-def feed(slam: GraphSlam, scans: list[LogScan]) -> GraphSlam:
+def feed(slam: S, scans: Iterable[LogScan]) -> S:
     for item in scans:
         slam.feed(item.scan, item.odometry)
     return slam
@@ -44,7 +47,7 @@ def away(path: Trajectory, truth: list[Pose2]) -> F64:
     return np.asarray(np.hypot(*(path.poses[:, :2] - true).T))
 
 
-def errors(slam: GraphSlam, truth: list[Pose2]) -> tuple[float, float]:
+def errors(slam: Mapper, truth: list[Pose2]) -> tuple[float, float]:
     """Return the greatest errors of place (m) and heading (rad)."""
     path = slam.trajectory()
     turned = [
@@ -84,17 +87,17 @@ def near(cells: U8, reach: int) -> U8:
     )
 
 
-def everything(slam: GraphSlam) -> list[Any]:
-    """Return what a graph shows to the outside, to the bit; of its clock nothing."""
+def everything(slam: Mapper) -> list[Any]:
+    """Return what a SLAM shows to the outside, to the bit; of its clock nothing."""
     grid, path = slam.grid(), slam.trajectory()
-    health = slam.health.to_json()
-    health["graph"].pop("solve_s")
+    health: Any = slam.health.to_json()
+    health.get("graph", {}).pop("solve_s", None)
     return [
         (grid.cells.tobytes(), grid.cells.shape, grid.origin, grid.resolution),
         [(p.name, p.stamps_s.tobytes(), p.poses.tobytes()) for p in (path, *slam.other_paths())],
         json.dumps(health),
         [(s.name, s.stamps_s.tobytes(), s.values.tobytes()) for s in slam.series()],
-        (slam.last_stamp_s, slam.memory_bytes()),
+        (getattr(slam, "last_stamp_s", None), slam.memory_bytes()),
     ]
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterable
 from dataclasses import replace
@@ -15,8 +14,7 @@ import pytest
 from slamfusion.compute import ComputeDevice, NumpyDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
-from slamfusion.geometry import Pose2, wrap_angle
-from slamfusion.grid import OccupancyGrid
+from slamfusion.geometry import Pose2
 from slamfusion.io.log import LogScan
 from slamfusion.scan import LaserScan
 from slamfusion.slam.registry import (
@@ -26,7 +24,8 @@ from slamfusion.slam.registry import (
     resume_producer,
     with_settings,
 )
-from tests.slam.drives import CELL_M, ONE_JUMP, draw_flat, drive, jumped, stalled, true_poses
+from tests.slam.drives import ONE_JUMP, draw_flat, drive, jumped, stalled, true_poses
+from tests.slam.places import errors, everything, feed, on_truth
 
 pytestmark = pytest.mark.once
 
@@ -49,12 +48,6 @@ def config(name: str, seed: int = 0, **settings: Any) -> RunConfig:
     return replace(found, seed=seed)
 
 
-def feed(mapper: Any, scans: Iterable[LogScan]) -> Any:
-    for item in scans:
-        mapper.feed(item.scan, item.odometry)
-    return mapper
-
-
 def run(
     name: str,
     scans: Iterable[LogScan],
@@ -64,38 +57,6 @@ def run(
 ) -> Any:
     own = config(name, seed, **settings)
     return feed(make_producer(name, own, device or open_producer_device(name, own)), scans)
-
-
-def errors(mapper: Any, truth: list[Pose2]) -> tuple[float, float]:
-    """Return the greatest errors of place (m) and heading (rad)."""
-    away = [
-        (math.hypot(pose.x - x, pose.y - y), abs(wrap_angle(pose.yaw_rad - yaw)))
-        for pose, (x, y, yaw) in zip(truth, mapper.trajectory().poses, strict=True)
-    ]
-    return max(a for a, _ in away), max(a for _, a in away)
-
-
-def share_on_truth(grid: OccupancyGrid, moved: Pose2 | None = None) -> float:
-    """Return the share of the map's walls that lie within two cells of a true wall."""
-    rows, cols = np.nonzero(grid.cells >= 65)
-    own = (moved or Pose2()).inverse().transform(grid.cell_centres(rows, cols)) / CELL_M
-    col, row = np.floor(own).astype(int).T + 40
-    flat = np.pad(draw_flat(), 40)
-    shifts = [(down, right) for down in range(-2, 3) for right in range(-2, 3)]
-    near = np.max([np.roll(flat, shift, axis=(0, 1)) for shift in shifts], axis=0)
-    return float(near[row, col].mean())
-
-
-def everything(mapper: Any) -> list[Any]:
-    """Return what a SLAM shows to the outside, to the bit, but times."""
-    grid, health = mapper.grid(), mapper.health.to_json()
-    health.get("graph", {}).pop("solve_s", None)
-    paths = [mapper.trajectory(), *getattr(mapper, "other_paths", tuple)()]
-    return [
-        (grid.cells.tobytes(), grid.cells.shape, grid.origin, grid.resolution),
-        [(path.name, path.stamps_s.tobytes(), path.poses.tobytes()) for path in paths],
-        json.dumps(health),
-    ]
 
 
 def blind(stamp_s: float, value: float = np.inf) -> LaserScan:
@@ -123,7 +84,7 @@ def test_odometry_that_drifts_is_corrected(name: str, settings: dict[str, Any]) 
     metres, radians = errors(mapper, truth)
     assert metres < NEAR_M[name]
     assert radians < 0.06
-    assert share_on_truth(mapper.grid()) > 0.95
+    assert on_truth(mapper.grid(), draw_flat())[0] > 0.95
     assert mapper.health.scans_used == 120
     assert mapper.name == mapper.grid().name == mapper.trajectory().name == name
 
@@ -166,7 +127,7 @@ def test_a_start_far_from_zero_costs_nothing(name: str) -> None:
     assert errors(away, far_truth)[0] < 0.1
     assert errors(mapper, truth)[0] < 0.1
     moved = far_start.compose(true_poses(30)[0].inverse())
-    assert share_on_truth(away.grid(), moved) > 0.95
+    assert on_truth(away.grid(), draw_flat(), moved)[0] > 0.95
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -175,7 +136,7 @@ def test_a_mounted_laser_draws_the_same_flat(name: str) -> None:
     scans, truth = drive(40, mount=mount, clockwise=True, turn_bias=0.005)
     mapper = run(name, scans)
     assert errors(mapper, truth)[0] < 0.1
-    assert share_on_truth(mapper.grid()) > 0.95
+    assert on_truth(mapper.grid(), draw_flat())[0] > 0.95
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -67,11 +67,15 @@ def signal_to(name: str, number: signal.Signals) -> Callable[[SideBySide], None]
     return send
 
 
-def test_each_makes_what_it_makes_alone(log: Path) -> None:
-    told: dict[str, list[float]] = {"tinyslam": [], "graph": []}
-    with SideBySide(tuple(told), log, CONFIG) as side_by_side:
+def test_each_makes_what_it_makes_alone_and_one_that_is_killed_is_named(log: Path) -> None:
+    told: dict[str, list[float]] = {"tinyslam": [], "graph": [], "gmapping": []}
+    with SideBySide(tuple(told), log, with_settings(processes=3)) as side_by_side:
+        signal_to("gmapping", signal.SIGKILL)(side_by_side)
         outcomes = side_by_side.wait(lambda name, share: told[name].append(share))
-    for outcome in outcomes:
+    assert not multiprocessing.active_children()
+    assert outcomes[-1].run is None
+    assert "killed by SIGKILL" in outcomes[-1].reason
+    for outcome in outcomes[:-1]:
         source = open_log(log)
         wanted = run_producer(
             make_producer(outcome.name, CONFIG, open_device()), source, log=source
@@ -91,16 +95,6 @@ def test_each_makes_what_it_makes_alone(log: Path) -> None:
         shares = told[outcome.name]
         assert shares == sorted(shares)
         assert shares[-1] == 1.0
-
-
-def test_a_killed_producer_is_named_and_the_others_go_on(log: Path) -> None:
-    outcomes = run(
-        log, "tinyslam", "graph", config=with_settings(processes=2),
-        meanwhile=signal_to("graph", signal.SIGKILL),
-    )  # fmt: skip
-    assert outcomes["graph"].run is None
-    assert "killed by SIGKILL" in outcomes["graph"].reason
-    assert outcomes["tinyslam"].run is not None
 
 
 def test_a_frozen_producer_is_stopped_at_its_time_limit(log: Path) -> None:
