@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +16,7 @@ from slamfusion.compute.hit_counts import full_field, percent_of_counts
 from slamfusion.compute.layout import FULL_VISITS
 from slamfusion.config import GmappingConfig
 from slamfusion.errors import SlamFusionError
-from slamfusion.geometry import Pose2, wrap_angle
+from slamfusion.geometry import Pose2
 from slamfusion.io.log import LogScan
 from slamfusion.scan import LaserScan
 from slamfusion.slam.common.tile_map import SharedTileMaps
@@ -25,6 +24,7 @@ from slamfusion.slam.gmapping import particles
 from slamfusion.slam.gmapping.particles import beams_of
 from slamfusion.slam.gmapping.slam import Gmapping
 from tests.slam.drives import drive, scan_at, true_poses
+from tests.slam.places import errors, everything, feed
 
 pytestmark = pytest.mark.once
 
@@ -73,12 +73,6 @@ def config(**settings: Any) -> GmappingConfig:
     return GmappingConfig(**{**SETTINGS, **settings})
 
 
-def feed(slam: Gmapping, scans: list[LogScan]) -> Gmapping:
-    for item in scans:
-        slam.feed(item.scan, item.odometry)
-    return slam
-
-
 def run(device: ComputeDevice, scans: list[LogScan], seed: int = 0, **settings: Any) -> Gmapping:
     return feed(Gmapping(config(**settings), device, seed), scans)
 
@@ -86,15 +80,6 @@ def run(device: ComputeDevice, scans: list[LogScan], seed: int = 0, **settings: 
 def write(slam: Gmapping, scan: LaserScan, alive: npt.NDArray[np.int64]) -> None:
     """Write a scan into the maps of some particles at their poses."""
     slam._maps.integrate(beams_of(scan, slam._config), slam._particles.poses, alive)
-
-
-def errors(slam: Gmapping, truth: list[Pose2]) -> tuple[float, float]:
-    """Return the greatest errors of place (m) and heading (rad)."""
-    away = [
-        (math.hypot(pose.x - x, pose.y - y), abs(wrap_angle(pose.yaw_rad - yaw)))
-        for pose, (x, y, yaw) in zip(truth, slam.trajectory().poses, strict=True)
-    ]
-    return max(a for a, _ in away), max(a for _, a in away)
 
 
 def from_start(truth: list[Pose2]) -> list[Pose2]:
@@ -115,21 +100,6 @@ def all_counts(slam: Gmapping) -> list[tuple[bytes, list[int]]]:
     """Return every particle's hits and visits, and where they lie."""
     found = [slam._maps.tiles.cells("counts", index) for index in range(len(slam._particles.poses))]
     return [(cells.tobytes(), first.tolist()) for cells, first in found]
-
-
-def everything(slam: Gmapping) -> list[Any]:
-    """Return what a filter shows to the outside, to the bit."""
-    grid = slam.grid()
-    paths = [slam.trajectory(), *slam.other_paths()]
-    series = [(s.name, s.limit, s.stamps_s.tobytes(), s.values.tobytes()) for s in slam.series()]
-    return [
-        (grid.cells.tobytes(), grid.cells.shape, grid.origin, grid.resolution),
-        [(path.name, path.stamps_s.tobytes(), path.poses.tobytes()) for path in paths],
-        json.dumps(slam.health.to_json()),
-        series,
-        all_counts(slam),
-        (slam.last_stamp_s, slam.memory_bytes()),
-    ]
 
 
 # -- settings --------------------------------------------------------------------------------------
@@ -448,7 +418,9 @@ def test_a_state_may_move_to_the_twins(device: ComputeDevice, tmp_path: Path):
     settings = config(particles=2, **OFTEN)
     feed(Gmapping(settings, device), scans[:8]).save_state(tmp_path / "state")
     resumed = feed(Gmapping.load_state(tmp_path / "state", settings, NumpyDevice()), scans[8:])
-    assert everything(resumed) == everything(run(device, scans, particles=2, **OFTEN))
+    whole = run(device, scans, particles=2, **OFTEN)
+    assert everything(resumed) == everything(whole)
+    assert all_counts(resumed) == all_counts(whole)
 
 
 @pytest.fixture(scope="module")

@@ -10,29 +10,18 @@ import pytest
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import TinySlamConfig
-from slamfusion.geometry import Pose2, wrap_angle
+from slamfusion.geometry import Pose2
 from slamfusion.io.log import LogScan
 from slamfusion.scan import LaserScan
 from slamfusion.slam.tinyslam import TinySlam
 from tests.slam.drives import drive
+from tests.slam.places import errors, feed
 
 pytestmark = pytest.mark.once
 
 
 def run(device: ComputeDevice, scans: list[LogScan], seed: int = 0, **settings: object) -> TinySlam:
-    slam = TinySlam(TinySlamConfig(**settings), device, seed)
-    for item in scans:
-        slam.feed(item.scan, item.odometry)
-    return slam
-
-
-def errors(slam: TinySlam, truth: list[Pose2]) -> tuple[float, float]:
-    """Return the greatest errors of place (m) and heading (rad)."""
-    away = [
-        (math.hypot(pose.x - x, pose.y - y), abs(wrap_angle(pose.yaw_rad - yaw)))
-        for pose, (x, y, yaw) in zip(truth, slam.trajectory().poses, strict=True)
-    ]
-    return max(a for a, _ in away), max(a for _, a in away)
+    return feed(TinySlam(TinySlamConfig(**settings), device, seed), scans)
 
 
 @pytest.mark.parametrize("begin", [60, 47])
