@@ -1,7 +1,7 @@
-"""Writers that are killed before each of their file system operations, one after the other.
+"""A writer that is killed before each of its file system operations, one after the other.
 
 Started as a program by ``test_killed.py``: it forks once for each kill, so that the interpreter is
-loaded once. ``python -m tests.io.killed WRITER FOLDER`` prints a JSON line for every kill.
+loaded once. ``python -m tests.io.killed FOLDER`` prints a JSON line for every kill.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
-from slamfusion.io import AtomicFiles, load_map, save_map, write_json_atomic, write_tum
+from slamfusion.io import AtomicFiles, load_map, save_map, write_tum
 from slamfusion.trajectory import Trajectory
 
 # Audit events of operations that change the file system; fsync has none and is wrapped.
@@ -32,11 +32,6 @@ def grid_of(version: int) -> OccupancyGrid:
     """Return a map that differs with the version in size, cells, resolution and origin."""
     cells = np.full((3 + version, 4), 100 if version == NEW else 0, dtype=np.int8)
     return OccupancyGrid(cells, 0.05 * version, Pose2(float(version), 0.0, 0.0))
-
-
-def write_one(folder: Path, version: int) -> None:
-    """Write one file."""
-    write_json_atomic(folder / "only.json", {"version": version})
 
 
 def write_pair(folder: Path, version: int) -> None:
@@ -52,13 +47,6 @@ def write_set(folder: Path, version: int) -> None:
         write_tum(folder / "map.tum", poses, files=files)
         save_map(grid_of(version), folder / "fused", mode="raw", image_format="png", files=files)
         files.add(folder / "report" / "page.html", f"version {version}".encode())
-
-
-WRITERS: dict[str, Callable[[Path, int], None]] = {
-    "one": write_one,
-    "pair": write_pair,
-    "set": write_set,
-}
 
 
 def content(folder: Path) -> dict[str, str]:
@@ -123,22 +111,22 @@ def loaded(folder: Path) -> dict[str, float | str]:
     return found
 
 
-def main(name: str, place: Path) -> None:
-    """Kill a writer at every step, and say what is there each time."""
-    write, step, is_done = WRITERS[name], 0, False
+def main(place: Path) -> None:
+    """Kill the writer at every step, and say what is there each time."""
+    step, is_done = 0, False
     while not is_done:
         folder = place / str(step)
         folder.mkdir()
-        write(folder, OLD)
+        write_set(folder, OLD)
         old = content(folder)
 
         def work(folder: Path = folder, step: int = step) -> None:
             kill_at(step, folder)
-            write(folder, NEW)
+            write_set(folder, NEW)
 
         is_done = in_child(work)
         seen = {"after": content(folder), "maps": loaded(folder)}
-        write(folder, NEW)
+        write_set(folder, NEW)
         seen |= {"step": step, "old": old, "is_done": is_done, "new": content(folder)}
         print(json.dumps(seen))
         shutil.rmtree(folder)
@@ -146,4 +134,4 @@ def main(name: str, place: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], Path(sys.argv[2]))
+    main(Path(sys.argv[1]))
