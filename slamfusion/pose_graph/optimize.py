@@ -93,11 +93,13 @@ def optimize(
     held = (fixed,) if isinstance(fixed, (int, np.integer)) else tuple(fixed)
     _check(graph, held)
     measured = Measurements(graph.edges, graph.motions, graph.information)
+    may_be_outlier = graph.is_closure.copy()  # but not those that alone join what they join
+    may_be_outlier[joining(graph.edges, graph.is_closure, len(graph))] = False
     problem = Problem(
         measured=measured,
         poses=graph.poses,
         fixed=held,
-        may_be_outlier=_outlier_candidates(graph),
+        may_be_outlier=may_be_outlier,
         was_outlier=None if weights is None else _earlier_outliers(graph, np.asarray(weights)),
         tolerated=tolerated,
         max_iterations=max_iterations,
@@ -145,13 +147,6 @@ def _check(graph: PoseGraph, held: tuple[int, ...]) -> None:
     parts, _ = part_labels(graph.edges, len(graph))
     if parts > 1:
         raise GraphError(disconnected(parts))
-
-
-def _outlier_candidates(graph: PoseGraph) -> npt.NDArray[np.bool_]:
-    """Return which edges may be left out: closures that close a loop."""
-    candidates = graph.is_closure.copy()
-    candidates[joining(graph.edges, graph.is_closure, len(graph))] = False
-    return candidates
 
 
 def _earlier_outliers(graph: PoseGraph, weights: F64) -> npt.NDArray[np.bool_]:

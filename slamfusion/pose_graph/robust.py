@@ -29,7 +29,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.geometry import F64
-from slamfusion.pose_graph.consensus import Consensus, find_consensus
+from slamfusion.pose_graph.consensus import find_consensus
 from slamfusion.pose_graph.least_squares import (
     NEGLIGIBLE,
     Descent,
@@ -154,7 +154,9 @@ def consensus(problem: Problem, start: F64 | None = None) -> InlierSet:
     limit = float(np.clip(LIMIT_PER_SCALE * found.scale, SMALLEST_LIMIT, LIMIT))
     search = _Search(problem, limit)
     seeds = np.zeros(len(problem.measured), np.bool_)
-    seeds[np.flatnonzero(problem.may_be_outlier)[_seeds(found)]] = True
+    has_two = found.mates > 1
+    has_enough = has_two if has_two.mean() > 0.5 else found.mates > 0
+    seeds[np.flatnonzero(problem.may_be_outlier)[has_enough]] = True
     search.propose(seeds, start)
     if search.is_strained(found.scale):
         search.propose(seeds, search.odometry(), at_once=False)
@@ -222,11 +224,6 @@ def truncated_weights(squares: F64, hardness: float, limit: float) -> F64:
     low, high = hardness / (hardness + 1.0) * limit, (hardness + 1.0) / hardness * limit
     between = np.sqrt(limit * hardness * (hardness + 1.0) / np.clip(squares, low, high)) - hardness
     return np.where(squares >= high, 0.0, np.where(squares <= low, 1.0, between))
-
-
-def _seeds(found: Consensus) -> Mask:
-    two = found.mates > 1
-    return two if two.mean() > 0.5 else found.mates > 0
 
 
 class _Search:

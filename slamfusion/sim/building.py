@@ -127,7 +127,8 @@ def draw_building(
 
     for room in upper_rooms + lower_rooms:
         _furnish(rng, canvas, room)
-    _slanted_wall(canvas, max(upper_rooms[:-1] or upper_rooms, key=_area))
+    largest = max(upper_rooms[:-1] or upper_rooms, key=lambda r: (r[2] - r[0]) * (r[3] - r[1]))
+    _slanted_wall(canvas, largest)
     _cut_corner(rng, canvas, upper_rooms[-1])
     return OccupancyGrid(
         canvas.cells,
@@ -135,10 +136,6 @@ def draw_building(
         Pose2(-canvas.cell(0.3 * width_m) * resolution, -canvas.cell(south + 0.7) * resolution),
         "building",
     )
-
-
-def _area(rect: Rect) -> float:
-    return (rect[2] - rect[0]) * (rect[3] - rect[1])
 
 
 def _row_of_rooms(

@@ -10,7 +10,7 @@ out: waypoints, people and obstacles are then chosen by the seed.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar, cast, get_args
@@ -284,7 +284,11 @@ def course_to_mapping(course: Course) -> dict[str, Any]:
 
 
 def _course(values: dict[str, Any], where: str, folder: Path) -> Course:
-    _check_keys(values, KEYS, where)
+    for key in values:
+        if key not in KEYS:
+            near = difflib.get_close_matches(shown(key), KEYS, n=1, cutoff=0.0)[0]
+            message = f"{where}: unknown key {shown(key)}; the nearest known one is {near!r}"
+            raise ConfigError(message)
     if "world" not in values:
         message = f"{where}: 'world' is missing; give one of {', '.join(WORLD_NAMES)} or a map file"
         raise ConfigError(message)
@@ -311,14 +315,6 @@ def _course(values: dict[str, Any], where: str, folder: Path) -> Course:
         ),
         folder=folder,
     )
-
-
-def _check_keys(values: dict[str, Any], known: Collection[str], where: str) -> None:
-    for key in values:
-        if key not in known:
-            near = difflib.get_close_matches(shown(key), known, n=1, cutoff=0.0)[0]
-            message = f"{where}: unknown key {shown(key)}; the nearest known one is {near!r}"
-            raise ConfigError(message)
 
 
 def _world(value: Any, where: str) -> WorldConfig:

@@ -364,11 +364,6 @@ class _Stencil(NamedTuple):
     steps: F64
     weights: F64
 
-    def without_turns(self) -> _Stencil:
-        """Return the places where the yaw stays: enough for x and y alone."""
-        stays = self.steps[:, 2] == 0.0
-        return _Stencil(self.steps[stays], self.weights[:, stays])
-
 
 def _stencil() -> _Stencil:
     """Return the one of all second derivatives."""
@@ -395,4 +390,6 @@ def _stencil() -> _Stencil:
 
 
 _FULL = _stencil()
-_FLAT = _FULL.without_turns()
+# The places where the yaw stays: enough for x and y alone.
+_STAYS = _FULL.steps[:, 2] == 0.0
+_FLAT = _Stencil(_FULL.steps[_STAYS], _FULL.weights[:, _STAYS])

@@ -135,10 +135,6 @@ class Particles:
         self.path_weights = self.path_weights[parents]
         self.log_weights = np.zeros(len(self))
 
-    def choose_best(self) -> None:
-        """Find the best one by the weights of now."""
-        self.best = int(np.argmax(self.path_weights))
-
     def series(self, limit_share: float) -> tuple[Series, ...]:
         """Return how the effective number of particles went, with a limit, a share of all."""
         if not self.n_eff:

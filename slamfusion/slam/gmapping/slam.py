@@ -218,7 +218,7 @@ class Gmapping(SavedMapper):
             health.resamplings += 1
 
         # Choose the best path.
-        particles.choose_best()
+        particles.best = int(np.argmax(particles.path_weights))
         self._paths.add_node(particles.poses, parents)
         self._moved, self._filtered_s = IDENTITY, stamp_s
         health.filter_steps += 1

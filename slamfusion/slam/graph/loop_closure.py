@@ -151,10 +151,6 @@ class RelocalizationHypotheses(Stateful):
     def __init__(self) -> None:
         self.kept: list[RelocalizationHypothesis] = []
 
-    def to_test(self) -> list[RelocalizationHypothesis]:
-        """Return the hypotheses whose turn it is."""
-        return sorted(self.kept, key=lambda one: one.tested)[:TESTED]
-
     def add(self, hit: PendingClosure, pose: Pose2) -> RelocalizationHypothesis:
         """Take a closure as a hit of the hypothesis that says the same, or of a new one.
 
@@ -264,7 +260,7 @@ class Relocalization(Stateful):
         if self._failed_searches <= LOCAL_SEARCHES:
             return candidates
         # Then where hypotheses have it.
-        for hypothesis in self.hypotheses.to_test():
+        for hypothesis in sorted(self.hypotheses.kept, key=lambda one: one.tested)[:TESTED]:
             hypothesis.tested = len(graph.nodes)
             expected = hypothesis.correction.compose(pose)
             outside_m = local_map.distances_m(expected, graph.poses)[others]
