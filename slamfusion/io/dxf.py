@@ -15,7 +15,7 @@ from slamfusion.io.files import check_memory
 
 # Cells of a drawing whose unit is known, metres; cells on the longest side of one whose unit is
 # not, which are given this size until the scale is found.
-CELL_M, UNITLESS_CELLS = 0.05, 1500
+CELL_M, UNITLESS_CELLS = 0.05, 1000
 # What is written about a building rather than built.
 WORDS = frozenset(
     ("ATTDEF", "ATTRIB", "DIMENSION", "LEADER", "MLEADER", "MTEXT", "MULTILEADER", "TEXT")
@@ -33,7 +33,7 @@ def read_dxf(
     Args:
         path: the drawing.
         resolution: metres per cell; None: 0.05 where the drawing says its unit. Of one that does
-            not the longest side gets 1500 cells, taken for 0.05 m each.
+            not the longest side gets 1000 cells, taken for 0.05 m each.
 
     Returns:
         Occupancy in percent (H, W), 100 at lines and 0 elsewhere, row 0 at the bottom; metres per

@@ -53,7 +53,7 @@ def test_a_drawing_without_a_unit_gets_cells_of_the_size_given(tmp_path: Path) -
     path = drawing(tmp_path / "plan.dxf", UNITLESS, 39.37)
     grid = load_map(path, resolution=0.02)
     assert grid.resolution == 0.02
-    assert grid.width == pytest.approx(1500, abs=10)
+    assert grid.width == pytest.approx(1000, abs=10)
 
 
 def test_a_broken_or_empty_drawing_is_refused(tmp_path: Path) -> None:
