@@ -4,14 +4,15 @@
 
 Each case fuses maps of one place, some of them bad, and compares the inputs and every fused map
 with the true maps, of thin and of solid walls (``vote_cases``). Good inputs are those whose wall F1
-is within 0.02 of the best. These bars are judged:
+against thin walls is within 0.02 of the best: against solid walls, of which no laser sees the
+inside, a map gains by thickening its walls. These bars are judged:
 
-- ``f1``: the wall F1 (walls within 0.1 m) is at least the best input's less 0.01;
+- ``f1``: the wall F1 (walls within 0.1 m) is at least the best good input's less 0.01;
 - ``error``: the error of [F16] is at most 1.1 times the mean of the good inputs;
 - ``thickness``, ``doubled``: the mean thickness of walls and the share of doubled walls lie within
   the range of the good inputs, to a tenth of a cell and one wall cell in a hundred (less than the
-  range is no fault where the true map has less); both of each map as it lies on the true map's
-  cells;
+  range is no fault where the true map has less). Both depend on how walls lie on cells, so every
+  map is drawn on the cells of the fused map, and then on those of the true map;
 - of two maps instead ``common``: on ground that both know, the wall F1 is at least that of the
   worse one less 0.01; and ``adds``: of the true walls that one of them shows, 0.4 m and more from
   all that the other knows (nearer is a wall that the other may draw askew), 95 % are there.
@@ -208,27 +209,45 @@ def _apart(a: Pose2, b: Pose2) -> bool:
     return math.hypot(step.x, step.y) > 0.05 or abs(step.yaw_rad) > 0.005
 
 
-def measure(grid: OccupancyGrid, truth: OccupancyGrid, pose: Pose2) -> Figures:
+def measure(
+    grid: OccupancyGrid,
+    truth: OccupancyGrid,
+    pose: Pose2,
+    fused: tuple[OccupancyGrid, Pose2] | None = None,
+) -> Figures:
     """Measure a map against a true map.
 
     Args:
         grid: the map.
         truth: the true map.
         pose: of the map's frame in the truth's, metres.
+        fused: the fused map on whose cells thickness and doubled walls are measured first, with the
+            pose of its frame in the truth's.
     """
-    cells = trinary_cells(truth.cells, THRESHOLDS)
-    whole = CellBox(0, 0, truth.height, truth.width)
-    found = sample_on_lattice(trinary_cells(grid.cells, THRESHOLDS), grid, truth, whole, pose)
-    error = float(np.linalg.norm((cells.astype(np.int64) - found).ravel()))
-    # Both depend on how walls lie on the cells, so they are of one lattice for all maps.
-    laid = OccupancyGrid(np.where(found == 1, OCCUPIED, found), truth.resolution, truth.origin)
-    thickness = wall_thickness(laid)
+    found, true = (
+        trinary_cells(item.cells, THRESHOLDS).astype(np.int64)
+        for item in (_drawn_on(truth, grid, pose), truth)
+    )
+    if fused is None:
+        drawn = _drawn_on(truth, grid, pose)
+    else:
+        lattice, there = fused
+        drawn = _drawn_on(truth, _drawn_on(lattice, grid, there.inverse().compose(pose)), there)
+    thickness = wall_thickness(drawn)
     return Figures(
         _f1(_walls(grid, pose), _walls(truth)),
-        error,
+        float(np.linalg.norm((true - found).ravel())),
         math.nan if thickness is None else thickness.mean,
-        doubled_wall_share(laid),
+        doubled_wall_share(drawn),
     )
+
+
+def _drawn_on(lattice: OccupancyGrid, grid: OccupancyGrid, pose: Pose2) -> OccupancyGrid:
+    """Return a map on the cells of another one; pose of its frame in the other's."""
+    classes = trinary_cells(grid.cells, THRESHOLDS)
+    whole = CellBox(0, 0, lattice.height, lattice.width)
+    cells = sample_on_lattice(classes, grid, lattice, whole, pose)
+    return replace(lattice, cells=np.where(cells == 1, np.int8(OCCUPIED), cells))
 
 
 def _walls(grid: OccupancyGrid, pose: Pose2 = IDENTITY) -> F64:
@@ -245,23 +264,19 @@ def _f1(walls: F64, true_walls: F64) -> float:
 # --- judge ---------------------------------------------------------------------------------------
 
 
-def good_inputs(inputs: Mapping[str, Figures]) -> tuple[str, ...]:
+def good_inputs(f1: Mapping[str, float]) -> tuple[str, ...]:
     """Return the names of the inputs whose wall F1 is within 0.02 of the best."""
-    best = max(item.f1 for item in inputs.values())
-    return tuple(name for name, item in inputs.items() if item.f1 >= best - GOOD_WITHIN)
+    return tuple(name for name, own in f1.items() if own >= max(f1.values()) - GOOD_WITHIN)
 
 
-def judge_bars(
-    fused: Figures | None, inputs: Mapping[str, Figures], truth: Figures
-) -> dict[str, float]:
+def judge_bars(fused: Figures | None, good: Sequence[Figures], truth: Figures) -> dict[str, float]:
     """Return the margin by which a fused map of three or more meets each bar; below 0 it does not.
 
     Args:
         fused: of the fused map; None misses every bar without end.
-        inputs: of each input.
+        good: of the good inputs.
         truth: of the true map itself.
     """
-    good = [inputs[name] for name in good_inputs(inputs)]
     if fused is None:
         return dict.fromkeys(BARS[:4], -math.inf)
     best = max(item.f1 for item in good)
@@ -340,18 +355,18 @@ def measure_case(case: Case, fused: Mapping[str, Fused], device: ComputeDevice) 
         else (item.grid, place_on(lattice, item.grid, item.starts, device))
         for mode, item in fused.items()
     }
+    walls = {grid.name: _walls(grid, pose) for grid, pose in inputs}
+    good = good_inputs({name: _f1(own, _walls(lattice)) for name, own in walls.items()})
+    agreed = max((_f1(walls[a], walls[b]) for a, b in combinations(good, 2)), default=0.0)
     for kind, truth in case.truths.items():
-        own = {grid.name: measure(grid, truth, pose) for grid, pose in inputs}
-        good = good_inputs(own)
-        walls = {grid.name: _walls(grid, pose) for grid, pose in inputs}
-        agreed = max((_f1(walls[a], walls[b]) for a, b in combinations(good, 2)), default=0.0)
         true = measure(truth, truth, IDENTITY)
         for mode, item in placed.items():
+            own = {grid.name: measure(grid, truth, pose, item) for grid, pose in inputs}
             found = None if item is None else measure(item[0], truth, item[1])
             if len(inputs) == 2:
                 margins = judge_pair(item, inputs, truth)
             else:
-                margins = judge_bars(found, own, true)
+                margins = judge_bars(found, [own[name] for name in good], true)
             counts = item is not None if len(inputs) == 2 else agreed >= AGREEMENT
             how = fused[mode]
             yield Row(
