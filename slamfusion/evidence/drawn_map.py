@@ -30,7 +30,7 @@ from slamfusion.compute.layout import MOST_BEAMS, OPEN, TILE, WALL
 from slamfusion.config import FusionConfig
 from slamfusion.errors import TrajectoryError
 from slamfusion.evidence.beams import no_common_time
-from slamfusion.fusion.lattice_vote import wall_agreement_of, warp_onto, weights_of
+from slamfusion.fusion.lattice_vote import warp_onto
 from slamfusion.geometry import Pose2, moved_poses, transform_points
 from slamfusion.grid import FREE, IDENTITY, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, known_box
 from slamfusion.io import LogScan
@@ -352,8 +352,8 @@ def fuse_with_drawn(
         fused=OccupancyGrid(cells, frame.resolution, frame.origin, result.fused.name),
         agreement=OccupancyGrid(agreement, frame.resolution, frame.origin, result.agreement.name),
         phantom_cells=0,
-        weights=weights_of(voter.names, voter.trust),
-        wall_agreement=result.wall_agreement | wall_agreement_of(voter.trust),
+        weights=voter.weights,
+        wall_agreement=result.wall_agreement | voter.wall_agreement,
         left_out_m2={},
     )
 

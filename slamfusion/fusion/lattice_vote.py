@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import itertools
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -27,14 +27,14 @@ from slamfusion.align.normalize import VotingGrid
 from slamfusion.align.records import Bent, FusionResult, InputRecord
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.lattice import fixed_cells, fixed_poses
-from slamfusion.compute.layout import FIXED_ONE, MOST_INPUTS, VOTE_ONE
+from slamfusion.compute.layout import FIXED_ONE, MOST_INPUTS
 from slamfusion.config import FusionConfig
 from slamfusion.fleet import in_order
 from slamfusion.fusion.groups import Members, Progress
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, box_origin
 from slamfusion.io.files import check_memory
-from slamfusion.vote.agreement import AGREEING, Trust, WallCounts, most_borne_out
+from slamfusion.vote.agreement import AGREEING, Trust, WallCounts, second_opinion
 from slamfusion.vote.boxes import hull, moved, overlap, padded, slices
 from slamfusion.vote.lattice import Extent, Lattice
 from slamfusion.vote.tiles import (
@@ -125,43 +125,43 @@ class PackedLayer:
     box: CellBox
 
     def under(self, wide: CellBox) -> PackedLayer:
-        """Return the layer with what is laid on a box of the fused lattice that it meets."""
-        part = overlap(self.box, wide)
-        window = None if part is None else self.window(part)
-        return replace(self, cells=self.cells.under(window))
+        """Return the layer with what is laid on a box of the fused lattice."""
+        found = self._read_for(wide)
+        return replace(self, cells=self.cells.under(None if found is None else found[1]))
 
     def on(self, box: CellBox, device: ComputeDevice) -> I8:
         """Return its cells on a box of the fused lattice, unknown outside of its own."""
         out = np.full((box.height, box.width), UNKNOWN, dtype=np.int8)
-        part = overlap(self.box, box)
-        window = None if part is None else self.window(part)
-        if part is not None and window is not None:
-            pose = self.pose_of(part)
+        found = self._read_for(box)
+        if found is not None:
+            part, window, pose = found
             pose[0, 2:] -= 2 * FIXED_ONE * np.array([window.col0, window.row0])
             cells = device.upload(self.cells.unpack(window))
             warped = device.warp(cells, pose, (part.height, part.width), UNKNOWN)
             out[slices(part, box.row0, box.col0)] = device.download(warped)[0]
         return out
 
-    def pose_of(self, part: CellBox) -> npt.NDArray[np.int64]:
-        """Return the motion of a part of the box into the input."""
+    def _read_for(self, box: CellBox) -> tuple[CellBox, CellBox, npt.NDArray[np.int64]] | None:
+        """Return the layer's part of a box, the input's cells under it, and its motion into them.
+
+        None: no cell of the input lies there.
+        """
+        part = overlap(self.box, box)
+        if part is None:
+            return None
         row, col = part.row0 - self.box.row0, part.col0 - self.box.col0
         pose = self.pose.copy()
         # Positions are in half cells, and motions are linear: exact.
         pose[0, 2] += 2 * (pose[0, 0] * col - pose[0, 1] * row)
         pose[0, 3] += 2 * (pose[0, 1] * col + pose[0, 0] * row)
-        return pose
-
-    def window(self, part: CellBox) -> CellBox | None:
-        """Return the cells of the input that lie under a part of the box; None without any."""
-        height, width = self.cells.shape
-        # Motions are linear, so what the corners read bounds what all others do.
+        # So what the corners read bounds what all others do.
         x2, y2 = (
             np.array([1, 2 * count - 1], dtype=np.int64) for count in (part.width, part.height)
         )
-        row, col = fixed_cells(self.pose_of(part)[0], x2[np.newaxis], y2[:, np.newaxis])
-        box = CellBox(int(row.min()), int(col.min()), int(row.max()) + 1, int(col.max()) + 1)
-        return overlap(box, CellBox(0, 0, height, width))
+        rows, cols = fixed_cells(pose[0], x2[np.newaxis], y2[:, np.newaxis])
+        read = CellBox(int(rows.min()), int(cols.min()), int(rows.max()) + 1, int(cols.max()) + 1)
+        window = overlap(read, CellBox(0, 0, *self.cells.shape))
+        return None if window is None else (part, window, pose)
 
 
 Layer: TypeAlias = GridLayer | PackedLayer
@@ -229,7 +229,7 @@ class LatticeVote:
         Raises:
             GridError: more inputs than a vote takes know one place.
         """
-        tiles = _along_a_curve(self.voter.tiles(TILE))
+        tiles = list(self.voter.tiles(TILE))
         calls = ((self.voter, tile, self.prepared or self._under(tile), device) for tile in tiles)
         for done, made in enumerate(in_order(executor, task, calls)):
             yield tiles[done], made
@@ -287,8 +287,8 @@ class LatticeVote:
             "inputs": inputs,
             "pairs": (),
             "phantom_cells": phantom_cells,
-            "weights": weights_of(tuple(self.group.alignments), trust),
-            "wall_agreement": wall_agreement_of(trust),
+            "weights": self.voter.weights,
+            "wall_agreement": self.voter.wall_agreement,
             "bent": bent_maps(trust, worst, self.extent.lattice),
             "device": device.name,
             "time_s": 0.0,
@@ -598,18 +598,6 @@ def contradicting(
     return found
 
 
-def weights_of(names: Sequence[str], trust: Trust | None) -> dict[str, float]:
-    """Return the weight of each voter, 0 to 1."""
-    if trust is None:
-        return dict.fromkeys(names, 1.0)
-    return {name: float(trust.weights[trust.of(name)]) / VOTE_ONE for name in names}
-
-
-def wall_agreement_of(trust: Trust | None) -> dict[str, float]:
-    """Return the share of each voter's walls that agree with the others', 0 to 1."""
-    return {} if trust is None else dict(zip(trust.names, trust.agreement.tolist(), strict=True))
-
-
 def bent_maps(
     trust: Trust | None,
     worst: Sequence[Mapping[str, tuple[int, int, int]]],
@@ -633,38 +621,3 @@ def bent_maps(
             corner = grid.corner(row, col)
             bent[name] = Bent(share, corner.x, corner.y)
     return bent
-
-
-def second_opinion(trust: Trust) -> tuple[str, ...]:
-    """Return the maps that agree with each other and contradict those that decide; may be none.
-
-    Returns:
-        Two or more of the maps without a vote.
-    """
-    decides = most_borne_out(trust.pairs)
-    # A map that agrees with the deciding one on that one's walls only has thicker walls.
-    mute = [
-        n
-        for n, weight in enumerate(trust.weights)
-        if weight == 0 and trust.pairs[decides, n] < AGREEING
-    ]
-    if len(mute) < 2:
-        return ()
-    inside = trust.pairs[np.ix_(mute, mute)]
-    best = most_borne_out(inside)
-    if inside[best].max() < AGREEING:
-        return ()
-    return tuple(
-        trust.names[n] for at, n in enumerate(mute) if at == best or inside[best, at] >= AGREEING
-    )
-
-
-def _along_a_curve(tiles: Iterable[CellBox]) -> list[CellBox]:
-    """Return tiles in an order in which those that follow each other are near (Morton's)."""
-
-    def place(tile: CellBox) -> int:
-        row, col = tile.row0 // TILE, tile.col0 // TILE
-        bits = range(max(row, col).bit_length())
-        return sum(((row >> n & 1) << (2 * n + 1)) | ((col >> n & 1) << (2 * n)) for n in bits)
-
-    return sorted(tiles, key=place)

@@ -201,6 +201,30 @@ def most_borne_out(pairs: F64) -> int:
     return int(np.argmax((pairs**2).sum(axis=1)))
 
 
+def second_opinion(trust: Trust) -> tuple[str, ...]:
+    """Return the maps that agree with each other and contradict those that decide; may be none.
+
+    Returns:
+        Two or more of the maps without a vote.
+    """
+    decides = most_borne_out(trust.pairs)
+    # A map that agrees with the deciding one on that one's walls only has thicker walls.
+    mute = [
+        n
+        for n, weight in enumerate(trust.weights)
+        if weight == 0 and trust.pairs[decides, n] < AGREEING
+    ]
+    if len(mute) < 2:
+        return ()
+    inside = trust.pairs[np.ix_(mute, mute)]
+    best = most_borne_out(inside)
+    if inside[best].max() < AGREEING:
+        return ()
+    return tuple(
+        trust.names[n] for at, n in enumerate(mute) if at == best or inside[best, at] >= AGREEING
+    )
+
+
 def local_weights(counts: WallCounts, trust: Trust, resolution: float) -> tuple[U8, U16]:
     """Return what each map weighs in each block, and which is to draw the walls there.
 

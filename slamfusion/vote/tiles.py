@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from itertools import pairwise
 from typing import Any, get_args
 
@@ -18,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.compute.layout import MOST_INPUTS
+from slamfusion.compute.layout import MOST_INPUTS, VOTE_ONE
 from slamfusion.compute.votes import Votes
 from slamfusion.config import VoteConfig, VoteMode
 from slamfusion.errors import ConfigError, GridError
@@ -170,12 +169,30 @@ class TileVoter:
         """Whether the maps have weights, which ``count`` and ``trusting`` find."""
         return self.config.mode == "consensus" and len(self.names) > 1
 
-    @cached_property
+    @property
     def unknown_votes(self) -> bool:
-        """Whether unknown is a vote."""
-        return self.config.mode == "majority" and unknown_votes(
-            self.config.unknown, len(self.names)
-        )
+        """Whether unknown is a value (True) or abstains.
+
+        ``auto``: a value with exactly three voters, so that a tie for first place needs three
+        different cells, one of them occupied. With other numbers free and unknown could tie alone,
+        and the tie would put a wall where no input has one.
+        """
+        rule = self.config.unknown
+        is_value = len(self.names) == 3 if rule == "auto" else rule == "value"
+        return self.config.mode == "majority" and is_value
+
+    @property
+    def weights(self) -> dict[str, float]:
+        """Weight of each voter, 0 to 1."""
+        if self.trust is None:
+            return dict.fromkeys(self.names, 1.0)
+        return dict(zip(self.names, (self.trust.weights / VOTE_ONE).tolist(), strict=True))
+
+    @property
+    def wall_agreement(self) -> dict[str, float]:
+        """Share of each voter's walls that agree with the others', 0 to 1; empty without trust."""
+        trust = self.trust
+        return {} if trust is None else dict(zip(self.names, trust.agreement.tolist(), strict=True))
 
     @property
     def shift(self) -> int:
@@ -396,16 +413,6 @@ def check_votes(config: VoteConfig) -> None:
             f"use {' or '.join(votes)}, or pass the log to `slamfusion run`"
         )
         raise ConfigError(message)
-
-
-def unknown_votes(rule: str, voters: int) -> bool:
-    """Return whether unknown is a value (True) or abstains.
-
-    ``auto``: a value with exactly three voters, so that a tie for first place needs three different
-    cells, one of them occupied. With other numbers free and unknown could tie alone, and the tie
-    would put a wall where no input has one.
-    """
-    return voters == 3 if rule == "auto" else rule == "value"
 
 
 def tiles_of(whole: CellBox, side: int) -> Iterator[CellBox]:

@@ -21,7 +21,6 @@ from slamfusion.vote.tiles import (
     check_votes,
     sum_counts,
     tiles_of,
-    unknown_votes,
     vote_grids,
 )
 from slamfusion.vote.walls import wall_codes
@@ -58,7 +57,9 @@ def device(request: pytest.FixtureRequest) -> ComputeDevice:
 
 def majority(grids: list[np.ndarray], device: ComputeDevice, unknown: str = "auto") -> Votes:
     """The majority under a rule for unknown."""
-    return vote_grids(grids, device, unknown_votes=unknown_votes(unknown, len(grids)))
+    names = tuple(f"map {n}" for n in range(len(grids)))
+    voter = TileVoter(CellBox(0, 0, 1, 1), VoteConfig("majority", unknown), 0.05, names)
+    return vote_grids(grids, device, unknown_votes=voter.unknown_votes)
 
 
 def column(cells: tuple[int, ...]) -> list[np.ndarray]:

@@ -18,7 +18,7 @@ from slamfusion.align.records import Bent
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, LiveConfig
 from slamfusion.errors import MemoryBudgetError
-from slamfusion.fusion.lattice_vote import bent_maps, wall_agreement_of
+from slamfusion.fusion.lattice_vote import bent_maps
 from slamfusion.fusion.live.inputs import Input
 from slamfusion.fusion.live.layers import Layer, carry
 from slamfusion.fusion.live.state import LiveState
@@ -354,7 +354,7 @@ class FusedLayers:
             all_counts = self._count(voter, box)
             trust = trust_of(voter.names, all_counts.total())
             voter = replace(voter, trust=trust)
-            self.wall_agreement = wall_agreement_of(trust)
+            self.wall_agreement = voter.wall_agreement
             self.bent = bent_maps(trust, [voter.worst(whole, all_counts, trust)], self._fixed)
             is_same = trust.decides_like(self._trust)
             reach = margin_cells(voter.resolution) + (1 << voter.shift)
