@@ -116,8 +116,6 @@ def _take_doubled(
     Args:
         doubled: (H, W) bool.
         cells: (h, w) int8, the input.
-        box: where in the array it lies.
-        is_wall: tells the walls among its cells.
     """
     for tile, wide, inner in _tiles(doubled.shape):
         if not doubled[tile].any():

@@ -32,7 +32,6 @@ class Figure:
 
     Attributes:
         label: head of its column, with its unit.
-        digits: after the point.
         larger_is_better: None: neither way is better.
     """
 

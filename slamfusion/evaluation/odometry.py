@@ -143,7 +143,6 @@ def poses_by_odometry(
     Args:
         estimate: poses at scans, in any frame.
         scan_odometry: raw odometry of the scans of the estimate's log; None where it is unknown.
-        tolerance_m: see ``match_odometry``.
 
     Raises:
         TrajectoryError: no pose of the estimate has a row.

@@ -36,7 +36,6 @@ class Relations:
         stamps_s: (N, 2) float64, first and second time, seconds; in no particular order.
         motions: (N, 3) float64, pose of the robot at the second time seen from the robot at the
             first; x and y in metres, yaw in radians.
-        name: what tables and messages call them.
 
     Raises:
         TrajectoryError: shapes that do not fit, or values that are not finite.

@@ -384,7 +384,6 @@ class _Drive:
         Args:
             first, second: (M,) sums of log-likelihoods of the judged scans.
             beams: (M,) their judged hits; 0 for scans that are left out.
-            here: the scans that are asked.
             least: what they differ by more than, log-likelihood of a hit.
         """
         inside = np.zeros(len(self.judged), dtype=np.bool_)

@@ -248,8 +248,6 @@ def _checks(
     """Return the places of a path to look at, in the order of time, and what they mean for it.
 
     Args:
-        evidence: of the path and the others.
-        path: the recommended one.
         rivals: of the paths that vote those that cannot be told from it.
         exclusions: say where paths have parted and nothing tells which one is right.
         frame: of the places; None: that of the path.

@@ -41,12 +41,7 @@ def drive_inputs(recorded: Sequence[LogFiles]) -> list[tuple[str, str, Path]]:
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """A drive, held in memory because it is run many times.
-
-    Attributes:
-        scans: in the order of time.
-        held: what paths of it are compared with.
-    """
+    """A drive, held in memory because it is run many times."""
 
     name: str
     scans: tuple[LogScan, ...]
@@ -107,8 +102,6 @@ class DriveRun:
 
     Attributes:
         case: of its rows: the drive, and what else is not compared.
-        method: the producer, as it is set.
-        setting: further settings of the producer.
     """
 
     case: str
@@ -131,12 +124,6 @@ def run_on_drives(
     setup: Setup,
 ) -> list[Row]:
     """Run producers on recorded drives and on simulated office floors, one after the other.
-
-    Args:
-        plan: returns the runs on a drive, by its name.
-        make: makes the fresh producer of a run.
-        recorded: files of each recorded drive.
-        floors: seed of each simulated one.
 
     Returns:
         The rows of all runs.

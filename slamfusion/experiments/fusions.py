@@ -28,11 +28,10 @@ from slamfusion.fusion.pipeline import vote_again
 from slamfusion.geometry import wrap_angle
 from slamfusion.grid import IDENTITY, UNKNOWN, OccupancyGrid
 from slamfusion.io import LogScan
-from slamfusion.jobs.fuse_drive import fuse_layers
+from slamfusion.jobs.fuse_drive import Filling, Layers, draw_layers, fuse_layers
 from slamfusion.jobs.fused_path import fuse_weighed_paths
 from slamfusion.jobs.inputs import Progress
 from slamfusion.jobs.outputs import DRAWN
-from slamfusion.jobs.partial import Filling, Layers, draw_layers
 from slamfusion.jobs.run import score_all_paths
 from slamfusion.slam.common.runner import run_producer
 from slamfusion.slam.registry import BUILT_IN, make_producer
@@ -67,7 +66,6 @@ class DriveMaps:
 
     Attributes:
         maps: by method; None: it made none.
-        notes: what went wrong, by method.
         choice: the producer whose path to take, see ``choose_path``; empty where the scans cannot
             tell.
     """

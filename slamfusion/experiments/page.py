@@ -128,12 +128,9 @@ class Experiment:
 
     Attributes:
         name: the start of its file names.
-        figures: of them, those that are shown.
-        pairs: by figure, the methods that are compared.
         is_paired: whether runs of the same case and seed are pairs.
         inputs, fusions: methods; each fusion is compared with the best input by its ``error``.
         notes: (case, what went wrong by method) of each run.
-        remarks: sentences of its own.
         failure: why the experiment has failed; empty: it has not.
     """
 
@@ -254,11 +251,7 @@ class Experiment:
         return [*lines, *self.remarks]
 
     def text_tables(self, *, details: bool) -> list[TextTable]:
-        """Return the tables: a row a case and a column a method; of single runs, a row a method.
-
-        Args:
-            details: also the tests of every two methods.
-        """
+        """Return the tables: a row a case and a column a method; of single runs, a row a method."""
         shown = [name for name in self.figures if (self.table["figure"] == name).any()]
         found = self._single_tables(shown)
         if len(shown) == 1 or self.summaries["count"].max() > 1:
@@ -335,7 +328,6 @@ class Experiment:
 
         Args:
             folder: made when missing; older files of the same names are replaced.
-            forms: further ones of the plot: ``svg``, ``pdf``.
 
         Raises:
             SlamFusionError: matplotlib is missing, or a file cannot be written.

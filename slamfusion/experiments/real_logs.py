@@ -67,7 +67,6 @@ class RealLog:
     Attributes:
         log: scans with odometry, in the folder of the data sets.
         reference: the best trajectory known, likewise.
-        source: what that is, in words.
     """
 
     log: str
@@ -258,7 +257,6 @@ def reference_map(
     interpolated, poses are off by enough to double walls (on mit-csail 18 and 10 % of them, not 7).
 
     Args:
-        scans: in the order of time.
         trajectory: poses of the robot in the frame of the map.
         config: the graph's settings say how cells are counted.
 

@@ -43,9 +43,7 @@ class RunResult:
     """The result of one run.
 
     Attributes:
-        notes: what went wrong, by method.
         example: its maps against the truth, see ``packed_maps``, of a run that is shown.
-        remark: a sentence about it.
     """
 
     rows: Sequence[Row]

@@ -204,7 +204,6 @@ def run_trials(
     """Run trials, several at the same time, and return the experiment.
 
     Args:
-        name, title: see ``Experiment``.
         trials: their keys differ.
         settings: trials at the same time, and whether maps are drawn.
 

@@ -154,7 +154,6 @@ def check_workers(where: str, found: Mapping[str, tuple[str, str] | BaseExceptio
     """Refuse workers that cannot do the same work as this process; log that devices differ.
 
     Args:
-        where: their scheduler.
         found: version of this package and device of each, or why it could not tell, by address.
 
     Raises:

@@ -105,7 +105,6 @@ class ComparedResults:
     """Every two of several results compared.
 
     Attributes:
-        results: files, or methods of one file.
         document: as ``slamfusion compare`` prints it as JSON.
         is_paired: whether the figures of any two results are pairs, and of any two are not.
     """

@@ -99,7 +99,6 @@ def evaluate_maps(
 
     Args:
         maps: in memory, map_server YAML files, or bare images.
-        truth: the true map, likewise.
         align: search where each map lies on the truth; else both frames are taken for the same.
         scale: the truth is a floor plan with pixels of this size, which is searched; what a map has
             not seen of it does not count. None: the truth is a map.

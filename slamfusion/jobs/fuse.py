@@ -94,7 +94,6 @@ class FusedMaps:
         result: the fused map, or where it is, what became of each input, and every alignment.
         doubled: the doubled walls of the inputs and of the fused map; None for a store.
         evaluations: errors of the inputs and, last, of the fused map; empty without a true map.
-        given: the files of the inputs.
         stores: of each group of inputs, the largest first; empty where the maps are in memory.
         stems: the files of a map server beside each store, paths without suffix; None: the map is
             too large.

@@ -66,7 +66,6 @@ class OptimizedGraph:
     """A pose graph of a file with the poses that fit its edges best.
 
     Attributes:
-        file: the graph as it was read.
         found: the new poses, and what was found on the way.
     """
 

@@ -149,10 +149,8 @@ def load_truth(
 
     Args:
         truth: in memory, a map_server YAML file, a bare image or a drawing.
-        config: ``map_files`` is used.
         resolution: metres per cell of a bare image; default for a plan: ``PIXEL_M``.
         scale: of a floor plan, whose scale is to be found; None: it is a map.
-        warn: told in a sentence what is doubtful about it.
     """
     if scale is not None and resolution is None:
         resolution = PIXEL_M

@@ -38,7 +38,7 @@ from slamfusion.jobs.fused_path import DrivePath, FusedPathJson, fuse_weighed_pa
 from slamfusion.jobs.inputs import Warn, as_path, device_for, distinct_names
 from slamfusion.jobs.outputs import FUSED
 from slamfusion.jobs.records import CircumstancesJson, SummariesJson
-from slamfusion.jobs.saved_maps import path_at_scans
+from slamfusion.jobs.saved_maps import SavedPath, path_at_scans
 from slamfusion.jobs.trajectory import JudgedPathJson, Measures, Yardsticks
 from slamfusion.slam.common.odometry_check import contradictions, laser_fault
 from slamfusion.trajectory import Trajectory
@@ -98,8 +98,6 @@ class JudgeFiles:
     """A log, paths of it, and what they are held against; None: there is none.
 
     Attributes:
-        paths: of each path, by its name.
-        relations: known motions between pairs of times.
         odometry: raw odometry of the whole run, to carry poses on to the relations' times.
         scan_odometry: what gives the scans their odometry instead of the log.
         fused: where the path that is fused of them goes.
@@ -119,10 +117,8 @@ class JudgedPaths:
     """Paths of a drive in the order that the scans put them in.
 
     Attributes:
-        paths: the poses, by name, as they were given.
         fused: the path that was made of them; None where none was asked for.
         recommendation: which of them to use, the fused path among them.
-        evidence: what the scans say of them.
         measures: errors of each path by name, where there was something to measure by.
         not_measured: what could not be measured, a sentence each.
     """
@@ -173,8 +169,17 @@ class JudgedPaths:
         return {
             "recommendation": self.recommendation,
             "path_evidence": self.recommendation.paths,
-            "paths": [self._path_to_json(name) for name in self.paths],
-            "fused_path": self._fused_to_json(),
+            "paths": [
+                SavedPath(
+                    files.paths[name],
+                    replace(path, name=name),
+                    self.measures.get(name, Measures()),
+                ).to_json()
+                for name, path in self.paths.items()
+            ],
+            "fused_path": None
+            if self.fused is None or files.fused is None
+            else self.fused.to_json(files.fused),
             "ranking_by_truth": self.ranking_by_truth(),
             "ranking_by_relations": self.ranking_by_relations(),
             "not_measured": self.not_measured,
@@ -206,21 +211,6 @@ class JudgedPaths:
             series = {"consistency": likelihoods, **path_series(*held)}
             rows += result_rows(*keys, {**figures, **path_figures(*held)}, series)
         return rows
-
-    def _fused_to_json(self) -> FusedPathJson | None:
-        if self.fused is None or self.files.fused is None:
-            return None
-        return self.fused.to_json(self.files.fused)
-
-    def _path_to_json(self, name: str) -> JudgedPathJson:
-        path, found = self.paths[name], self.measures.get(name, Measures())
-        return {
-            **found.to_json(),
-            "name": name,
-            "file": str(self.files.paths[name]),
-            "poses": len(path),
-            "path_length_m": path.path_length_m(),
-        }
 
 
 def judge_paths(
@@ -334,9 +324,6 @@ def write_judgement(
     found: JudgedPaths, directory: str | Path, files: AtomicFiles | None = None
 ) -> Path:
     """Write the report of what the scans say of paths.
-
-    Args:
-        directory: for ``report.html`` and its pictures.
 
     Returns:
         The path of ``report.html``.

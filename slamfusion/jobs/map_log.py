@@ -86,7 +86,6 @@ class LogFiles:
     Attributes:
         relations: known motions between pairs of times.
         odometry: raw odometry of the whole run, to carry poses on to the relations' times.
-        truth_map: the true map.
         scan_odometry: what gives the scans their odometry instead of the log; see ``open_log``.
     """
 
@@ -165,7 +164,6 @@ class MappedLog:
     """What a producer made of a log, with its errors.
 
     Attributes:
-        result: the run and what was measured of it.
         mapper: the producer, which may go on, or save its state.
         truth: the true path; None without one.
         resumed_from: the saved state that it went on from; None: it began afresh.
@@ -227,7 +225,6 @@ def map_log(
 
     Args:
         log: a CARMEN or tinySLAM log, or a ROS bag.
-        producer: its name in the registry.
         relations, odometry, truth, truth_map, scan_odometry: see ``LogFiles``.
         resume: a saved state to go on from, made with the same settings.
         limit: scans after which it stops, at least 1; default: none.

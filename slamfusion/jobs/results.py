@@ -174,7 +174,6 @@ def write_results_file(
 
     Args:
         command: its words, e.g. ``trajectory``.
-        document: what the command prints with ``--json``.
         inputs: the files that were measured and compared with: the role (map, truth, path, log,
             ...), the case (empty: all), and the path.
 

@@ -39,7 +39,7 @@ from slamfusion.jobs.cases import CaseFile
 from slamfusion.jobs.evaluate import evaluate_maps
 from slamfusion.jobs.fuse import AllRequiredError
 from slamfusion.jobs.fuse_documents import DoubledWalls, left_out_sentences
-from slamfusion.jobs.fuse_drive import DriveFusion, fuse_layers
+from slamfusion.jobs.fuse_drive import DriveFusion, Filling, Layers, draw_layers, fuse_layers
 from slamfusion.jobs.fused_path import DrivePath, draw_like, fuse_weighed_paths
 from slamfusion.jobs.inputs import (
     RUN_DEFAULTS,
@@ -53,7 +53,6 @@ from slamfusion.jobs.inputs import (
 )
 from slamfusion.jobs.map_log import PROGRESS_STEPS, LogFiles, ProducerResult, measure_run
 from slamfusion.jobs.outputs import DRAWN, FUSED
-from slamfusion.jobs.partial import Filling, Layers, draw_layers
 from slamfusion.jobs.records import Evaluation
 from slamfusion.jobs.saved_maps import SavedMaps, SavedPath, path_at_scans
 from slamfusion.jobs.trajectory import Measures, Yardsticks
@@ -76,7 +75,6 @@ class LogRun:
         files: where the log and what it is held against were read.
         saved_maps: files of other SLAMs' maps that voted too.
         saved_paths: the paths of these that were given, by the maps' names.
-        outcomes: what became of each producer.
         grids: the producers' maps, then the saved ones.
         layers: what took part in the vote of these, and who has none for some of the drive.
         fusion: what came of fusing them, also where it may not be used.
@@ -390,7 +388,6 @@ class _Stages:
 
     Attributes:
         begun_s: when the run began, seconds of ``time.perf_counter``.
-        troubles: a sentence each.
     """
 
     def __init__(self, progress: Progress | None = None) -> None:

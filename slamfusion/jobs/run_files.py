@@ -14,6 +14,7 @@ from slamfusion.fusion.path_check import PathGap
 from slamfusion.io import AtomicFiles, save_map, write_tum
 from slamfusion.jobs.documents import circumstances, record_bytes
 from slamfusion.jobs.fuse_documents import FusionJson, failure_document, fusion_document
+from slamfusion.jobs.fuse_drive import PartialVote
 from slamfusion.jobs.fused_path import DrawnMapJson, FusedPathJson, drawn_document
 from slamfusion.jobs.map_log import LogFilesJson, ProducerJson, add_run
 from slamfusion.jobs.outputs import (
@@ -32,7 +33,6 @@ from slamfusion.jobs.outputs import (
     remove_empty,
     report_files,
 )
-from slamfusion.jobs.partial import PartialVote
 from slamfusion.jobs.records import CircumstancesJson, Evaluation
 from slamfusion.jobs.run import LogRun
 from slamfusion.jobs.trajectory import JudgedPathJson
@@ -240,7 +240,6 @@ def run_document(
     """Return what ``slamfusion run`` prints as JSON.
 
     Args:
-        files: that it was written to, by name.
         stages: wall time of each stage, seconds.
         time_s: wall time of all, seconds.
     """

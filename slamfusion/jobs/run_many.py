@@ -38,7 +38,6 @@ class LogTask:
     Attributes:
         case: the log's name among the others.
         seed: of the run; None: that of the settings.
-        options: further arguments of ``run_log``.
         probabilities: also write the producers' maps with their probabilities.
     """
 

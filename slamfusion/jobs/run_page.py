@@ -7,8 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from slamfusion.fusion.path_check import PathGap, moved_path
 from slamfusion.geometry import Pose2
 from slamfusion.io.files import AtomicFiles
@@ -28,6 +26,7 @@ from slamfusion.report.fusion_report import (
     alignment_section,
     doubtful_lines,
     fused_section,
+    fusion_facts,
     inputs_section,
     shown_box,
     statistics_section,
@@ -167,14 +166,7 @@ def _facts(run: LogRun) -> list[Fact]:
         duration_s = float(stamps_s[-1] - stamps_s[0])
         facts.append(Fact(f"{length_m:.0f} m in {duration_s:.0f} s", f"drive, {first.scans} scans"))
     if result is not None:
-        total, fused = len(result.inputs) + len(run.failed), len(result.accepted)
-        facts.append(Fact(f"{fused} of {total}", "maps fused", "good" if fused == total else "bad"))
-        known = float(np.count_nonzero(result.fused.cells != -1)) * result.fused.resolution**2
-        facts.append(Fact(f"{known:.0f} m²", "known in the fused map"))
-        agreement = result.agreement.cells[result.agreement.cells >= 0]
-        if agreement.size:
-            unanimous = 100.0 * float(np.mean(agreement == 100))
-            facts.append(Fact(f"{unanimous:.0f} %", "of the voted cells are unanimous"))
+        facts += fusion_facts(result, len(run.failed))
     for gaps, when in (
         (all_gaps, "over the drive"),
         ([gap.voting for gap in all_gaps if not gap.both_vote.all()], "while both vote"),

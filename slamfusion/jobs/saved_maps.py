@@ -25,13 +25,7 @@ LEAST_COVERED = 0.5
 
 @dataclass(frozen=True, eq=False)
 class SavedPath:
-    """The path that another SLAM found with its saved map.
-
-    Attributes:
-        file: of the poses.
-        path: as they were read, named as the map is.
-        measures: their errors.
-    """
+    """The path that another SLAM found with its saved map."""
 
     file: Path
     path: Trajectory
@@ -53,7 +47,6 @@ class SavedMaps:
     """Files of saved maps, and of the paths of some of them.
 
     Attributes:
-        files: of the maps.
         names: of these, as the run calls them: no producer has one.
         paths: of the poses, by the map's name.
     """

@@ -113,9 +113,7 @@ class Measures:
     """Everything that was measured of one trajectory; what was not asked for is None.
 
     Attributes:
-        relations: errors on the known relations.
         dense: how the poses at the relations' times were composed with odometry.
-        truth: errors against the true trajectory.
         at_scans: errors on those of the relations whose both ends are poses of the trajectory.
         online: the same of the path as it was first reported, before it was corrected.
     """
@@ -146,7 +144,6 @@ class Yardsticks:
     Attributes:
         relations: known motions between pairs of times.
         odometry: raw odometry of the whole run, to carry poses on to the relations' times.
-        truth: the true poses.
     """
 
     relations: Relations | None = None
@@ -234,12 +231,7 @@ def measure_trajectory(
 
 @dataclass(frozen=True)
 class TrajectoryFiles:
-    """A trajectory's file, and those that it is measured with; None where there is none.
-
-    Attributes:
-        relations, odometry, truth: see ``Yardsticks``.
-        log: what the estimate was made from.
-    """
+    """A trajectory's file, and those that it is measured with; None where there is none."""
 
     estimate: Path
     relations: Path | None = None
@@ -253,7 +245,6 @@ class CaseFiles:
     """What paths of several cases are held against: of each kind the file of a case, by its name.
 
     Attributes:
-        relations, odometry, truths: see ``Yardsticks``.
         logs: what the paths were made from.
         scan_odometry: what gives the scans of a log their odometry.
     """
@@ -293,7 +284,6 @@ class MeasuredTrajectory:
     """A trajectory with its errors.
 
     Attributes:
-        measures: their errors.
         truth: the true poses; None without them.
         scans: raw odometry of the scans of the estimate's log; None without it.
         grid: a map in the frame of the estimate, to be drawn under it; None: none.

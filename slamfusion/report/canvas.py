@@ -164,7 +164,6 @@ def to_form(figure: Figure, form: str) -> bytes:
     """Return the figure as the bytes of a file; the same figure always gives the same bytes.
 
     Args:
-        figure: with its title and legend.
         form: ``png``, ``svg`` or ``pdf``; the text of the last two stays text.
     """
     buffer = io.BytesIO()

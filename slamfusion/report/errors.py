@@ -46,7 +46,6 @@ class MeasuredPath:
     """A path and its errors; None where they were not measured.
 
     Attributes:
-        name: in tables and legends.
         path: at least one pose.
         at_scans: those between poses of the path itself.
     """
@@ -177,7 +176,6 @@ def distribution_figure(
 
     Args:
         values: (N,) float64 errors by path, at least one each.
-        label: name and unit of the error.
     """
     figure, (above, below) = stacked_axes(2, (1.5, 0.2 + 0.2 * len(values)))
     draw_shares(above, list(values.items()), colours)

@@ -78,7 +78,6 @@ def write_difference_image(
     """Write the difference to the truth as one picture, in the colours of the report.
 
     Args:
-        evaluation: of one map.
         path: of the picture; its suffix says the form.
 
     Raises:

@@ -33,8 +33,6 @@ def evidence_section(
     """Return the reasons of a recommendation: each path's score over the drive, and its figures.
 
     Args:
-        answer: of one path or more.
-        evidence: that it rests on.
         page: the colours of the paths elsewhere on the page, by name; default: there are none.
     """
     colours = path_colours(answer, evidence, page or {})
@@ -92,7 +90,6 @@ def strip_picture(
     """Draw who was off when: a bar for each path over the drive, the places to check across them.
 
     Args:
-        answer: of one path or more.
         no_vote: by path, spans without a vote, seconds since the first scan.
     """
     names = [path.name for path in answer.paths]
@@ -121,13 +118,7 @@ def strip_picture(
 def evidence_picture(
     answer: Recommendation, evidence: PathEvidence, rgb: Mapping[str, Rgb]
 ) -> Figure:
-    """Draw the score of each path over the drive, and below how far it is from the recommended.
-
-    Args:
-        answer: of one path or more.
-        evidence: that it rests on.
-        rgb: the colour of each path, by name.
-    """
+    """Draw the score of each path over the drive, and below how far it is from the recommended."""
     best, *others = answer.paths
     figure, axes = stacked_axes(2, (1.6, 1.0)) if others else stacked_axes(1, 1.6)
     start_s = float(evidence.scans.stamps_s[0])

@@ -82,9 +82,6 @@ def write_failure_report(
     """Write the report of maps that could not be fused: each map, each pair, and why.
 
     Args:
-        grids: the inputs, as given.
-        pairs: every pair that was aligned; may be empty.
-        reason: why nothing was fused.
         directory: see ``write_page``, also for what is returned and raised.
     """
     normalize = config.fusion.normalize
@@ -156,19 +153,27 @@ def _weak(result: FusionResult) -> list[tuple[str, str]]:
     ]
 
 
-def _facts(result: FusionResult, evaluations: Sequence[MapError]) -> list[Fact]:
-    """Return the numbers at the top."""
-    total, fused = len(result.inputs) - len(result.copies), len(result.accepted)
-    cells = result.fused.cells
-    area = float(np.count_nonzero(cells != -1)) * result.fused.resolution**2
+def fusion_facts(result: FusionResult, failed: int = 0) -> list[Fact]:
+    """Return how many maps were fused, of those that failed to be made too, and what they agree on.
+
+    A copy of another map does not count.
+    """
+    total, fused = len(result.inputs) - len(result.copies) + failed, len(result.accepted)
+    area = float(np.count_nonzero(result.fused.cells != -1)) * result.fused.resolution**2
     agreement = result.agreement.cells[result.agreement.cells >= 0]
     facts = [
         Fact(f"{fused} of {total}", "maps fused", "good" if fused == total else "bad"),
-        Fact(f"{area:.1f} m²", "known in the fused map"),
+        Fact(f"{area:.0f} m²", "known in the fused map"),
     ]
     if agreement.size:
         unanimous = 100.0 * float(np.mean(agreement == 100))
-        facts.append(Fact(f"{unanimous:.1f} %", "of the voted cells are unanimous"))
+        facts.append(Fact(f"{unanimous:.0f} %", "of the voted cells are unanimous"))
+    return facts
+
+
+def _facts(result: FusionResult, evaluations: Sequence[MapError]) -> list[Fact]:
+    """Return the numbers at the top."""
+    facts = fusion_facts(result)
     facts += [
         Fact(f"{evaluation.error:.2f}", "error of the fused map [F16]")
         for evaluation in evaluations
@@ -341,8 +346,6 @@ def statistics_section(
     """Return who voted with which weight, whose walls agree, and the maps in numbers.
 
     Args:
-        result: the fusion.
-        config: what counts as wall and as free.
         doubled: shares of doubled walls by name, that of the fused map as ``fused map``, where
             they are known already.
     """

@@ -37,8 +37,6 @@ def write_judge_report(
     """Write which path to use as one self-contained page with its pictures.
 
     Args:
-        answer: which path to use.
-        evidence: how well the scans support all.
         directory, files: see ``write_page``, also for what is returned and raised.
         errors_m: by what they are (ATE, relations), the errors of the paths by name, metres; a path
             that could not be measured is missing.

@@ -29,7 +29,6 @@ class Layers:
     Attributes:
         recorded: what a scene says of them, as JSON that may stand in a script element; empty: they
             are too large.
-        note: what the reader must know.
     """
 
     recorded: str

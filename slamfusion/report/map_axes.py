@@ -79,7 +79,6 @@ def map_axes(
     """Return axes of the shape of a place, in metres.
 
     Args:
-        extent: of the place.
         bar: leave room for a colour bar next to them.
         margin_m: around the place; default: a little.
     """

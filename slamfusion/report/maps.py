@@ -103,11 +103,7 @@ def pairs_section(
     pairs: Sequence[Alignment],
     normalize: NormalizeConfig,
 ) -> Section:
-    """Return the pairs that were tried if nothing was fused: overlays of the first, a table of all.
-
-    Args:
-        pairs: every pair that was aligned.
-    """
+    """Return the pairs that were tried if nothing was fused: first overlays, a table of all."""
     by_name = {grid.name: grid for grid in grids}
     colours = input_colours(list(by_name))
     overlays = [

@@ -115,8 +115,6 @@ class Table:
         """Return a table with a row for each item.
 
         Args:
-            title, note, folded: of the table.
-            items: of the rows.
             columns: by heading, what returns the cell of an item: a text, a count, or a ``Cell``.
         """
         rows = [[_cell(value(item)) for value in columns.values()] for item in items]

@@ -109,7 +109,6 @@ class Line:
 
     Attributes:
         path: in the frame of the picture; at least one pose.
-        is_dashed: as the truth is.
         is_cut: what is far beyond the other lines is cut off, as the drift of odometry is.
     """
 
@@ -150,7 +149,6 @@ def paths_picture(
         lines: at least one, the lowest first; all in one frame.
         marked: the path whose first and last pose are marked.
         others: what else this path may have been, drawn faintly under the lines; cut off as drift.
-        grid: a map to draw under them.
     """
     shown = [other for other in others if len(other)]
     extent = path_extent(marked.poses)

@@ -74,7 +74,6 @@ def experiment_plot(summaries: pd.DataFrame, figures: Sequence[str], form: str) 
     Args:
         summaries: ``mean`` and ``std`` by case, figure and method.
         figures: those that are drawn, in order; others are left out.
-        form: ``png``, ``svg`` or ``pdf``.
 
     Returns:
         The bytes of the file; the same for the same numbers.

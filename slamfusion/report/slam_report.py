@@ -47,7 +47,6 @@ def write_slam_report(
         run: what was made; its path has at least one pose. The first of the other paths of a
             producer with closures is the path as it was first reported.
         facts: health and timing, for the headline, in this order.
-        tables: more of health and timing.
         truth: the true path; its errors are computed as ``config.trajectory`` says.
         relations: the trajectory's errors on known relations.
 

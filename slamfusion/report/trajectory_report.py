@@ -34,7 +34,6 @@ def write_trajectory_report(
     Args:
         directory, files: see ``write_page``, also for what is returned and raised.
         cases: by case its paths, at least one.
-        truths: the true path of each case that has one.
         odometry: of a single path, where the wheels alone would have gone.
         grid: a map in the frame of a single path, drawn under it.
     """
@@ -90,7 +89,6 @@ def path_pictures(
 
     Args:
         trajectory: the estimate, in the frame of ``grid``.
-        config: what counts as wall and as free in the map.
         errors: align the truth with the estimate; without them the truth is left out.
         truth: the true path, in its own frame.
         odometry: raw odometry, in its own frame; it is aligned with the estimate's start.

@@ -49,10 +49,9 @@ from slamfusion.geometry import compose_poses
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import load_map
 from slamfusion.jobs.evaluate import evaluate_maps
-from slamfusion.jobs.fuse_drive import fuse_layers
+from slamfusion.jobs.fuse_drive import Filling, Layers, draw_layers, fuse_layers
 from slamfusion.jobs.fused_path import draw_like, fuse_weighed_paths
 from slamfusion.jobs.inputs import RUN_DEFAULTS
-from slamfusion.jobs.partial import Filling, Layers, draw_layers
 from slamfusion.slam.registry import BUILT_IN
 from slamfusion.trajectory import Trajectory
 from tests.benchmarks.bench_evidence import moved_from

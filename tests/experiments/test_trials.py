@@ -38,8 +38,8 @@ from slamfusion.experiments.trials import (
     run_trials,
 )
 from slamfusion.grid import OccupancyGrid
+from slamfusion.jobs.fuse_drive import Layers
 from slamfusion.jobs.outputs import DRAWN
-from slamfusion.jobs.partial import Layers
 from slamfusion.sim import COURSES
 from slamfusion.slam.registry import BUILT_IN, with_settings
 from slamfusion.trajectory import Trajectory

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from slamfusion.errors import AlignmentError
-from slamfusion.jobs.fuse_drive import fuse_layers
-from slamfusion.jobs.partial import Layers
+from slamfusion.jobs.fuse_drive import Layers, fuse_layers
 from slamfusion.trajectory import Trajectory
 from tests.fusion.drawings import building
 from tests.jobs.maps import CONFIG, device

@@ -19,9 +19,8 @@ from slamfusion.evidence.drawn_map import DrawnScan, draw_map, drawn_scans
 from slamfusion.geometry import Pose2, compose_poses
 from slamfusion.grid import OccupancyGrid, trinary_cells
 from slamfusion.io import LogScan, load_map, write_carmen
-from slamfusion.jobs.fuse_drive import fuse_layers
+from slamfusion.jobs.fuse_drive import LEAST_SHARE, Filling, Layers, draw_layers, fuse_layers
 from slamfusion.jobs.inputs import RUN_DEFAULTS
-from slamfusion.jobs.partial import LEAST_SHARE, Filling, Layers, draw_layers
 from slamfusion.jobs.run import run_log
 from slamfusion.jobs.run_files import save_run
 from slamfusion.json_values import plain

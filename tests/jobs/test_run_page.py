@@ -17,10 +17,9 @@ from slamfusion.evidence import FusedPath
 from slamfusion.fusion.path_check import moved_path, path_gaps
 from slamfusion.geometry import Pose2
 from slamfusion.jobs.fuse_documents import DoubledWalls
-from slamfusion.jobs.fuse_drive import DriveFusion
+from slamfusion.jobs.fuse_drive import DriveFusion, Layers
 from slamfusion.jobs.fused_path import DrivePath
 from slamfusion.jobs.map_log import LogFiles, ProducerResult
-from slamfusion.jobs.partial import Layers
 from slamfusion.jobs.records import Evaluation
 from slamfusion.jobs.run import LogRun
 from slamfusion.jobs.run_page import run_page, write_run_page
