@@ -26,18 +26,6 @@ from slamfusion.compute.layout import (
 from slamfusion.compute.tiles import tile_places, walk_cells
 from slamfusion.errors import DeviceError
 
-
-def check_mark_reach(reach: int) -> None:
-    """Refuse a reach that no kernel looks as far as.
-
-    Raises:
-        DeviceError: it is not within 0 to ``MARK_REACH_MAX`` cells.
-    """
-    if not 0 <= reach <= MARK_REACH_MAX:
-        message = f"marks are looked for within 0 to {MARK_REACH_MAX} cells, asked for {reach}"
-        raise DeviceError(message)
-
-
 # Beams that are walked at once: each step of each is a row of some arrays.
 BATCH = 4096
 
@@ -121,7 +109,9 @@ class ChunkMarkDevice(ArrayDevice):
         Raises:
             DeviceError: the reach is too far.
         """
-        check_mark_reach(reach)
+        if not 0 <= reach <= MARK_REACH_MAX:
+            message = f"marks are looked for within 0 to {MARK_REACH_MAX} cells, asked for {reach}"
+            raise DeviceError(message)
         if self.opencl:
             count, (height, width) = beams.shape[0], pages.shape
             out = self.opencl.empty((count, 2), np.int32)

@@ -58,19 +58,8 @@ class Outcome:
 
     name: str
     run: ProducerRun | None
-    reason: str
-    time_s: float
-    cpu_s: float | None = None
-    device: str = ""
-    detail: str = ""
-
-
-@dataclass(frozen=True)
-class _Answer:
-    """The last thing that a process sends."""
-
-    run: ProducerRun | None
     reason: str = ""
+    time_s: float = 0.0
     cpu_s: float | None = None
     device: str = ""
     detail: str = ""
@@ -142,7 +131,7 @@ class SideBySide:
                     self._listen(job, progress)
                 elif self._is_late(job):
                     reason = f"ran past its time limit of {self._limit_s:g} s and was stopped"
-                    self._conclude(job, _Answer(None, reason))
+                    self._conclude(job, Outcome(job.name, None, reason))
             self._start()
         return tuple(self._outcomes[name] for name in self._names)
 
@@ -158,8 +147,8 @@ class SideBySide:
             said = job.answers.recv()
         except (EOFError, OSError):
             job.process.join(JOIN_S)
-            said = _Answer(None, _how_it_died(job.process.exitcode))
-        if not isinstance(said, _Answer):
+            said = Outcome(job.name, None, _how_it_died(job.process.exitcode))
+        if not isinstance(said, Outcome):
             if progress is not None:
                 progress(job.name, said)
             return
@@ -167,17 +156,11 @@ class SideBySide:
             progress(job.name, 1.0)
         self._conclude(job, said)
 
-    def _conclude(self, job: _Job, said: _Answer) -> None:
+    def _conclude(self, job: _Job, said: Outcome) -> None:
         self._jobs.remove(job)
-        self._outcomes[job.name] = Outcome(
-            job.name,
-            None if said.run is None else _sealed(said.run),
-            said.reason,
-            time.perf_counter() - job.begun_s,
-            said.cpu_s,
-            said.device,
-            said.detail,
-        )
+        run = None if said.run is None else _sealed(said.run)
+        time_s = time.perf_counter() - job.begun_s
+        self._outcomes[job.name] = replace(said, run=run, time_s=time_s)
         _stop(job)  # one that has answered has nothing left to do
 
     def _patience_s(self) -> float | None:
@@ -265,7 +248,7 @@ def _work(
 
 def _answer(
     name: str, log: Path, scan_odometry: Path | None, config: RunConfig, answers: Connection
-) -> _Answer:
+) -> Outcome:
     try:
         device = open_producer_device(name, config)
         mapper = make_producer(name, config, device)
@@ -283,13 +266,15 @@ def _answer(
     except BrokenPipeError:
         raise
     except (SlamFusionError, OSError) as error:
-        return _Answer(None, _one_line(error), _cpu_s())
+        return Outcome(name, None, _one_line(error), cpu_s=_cpu_s())
     except MemoryError:
-        return _Answer(None, "out of memory; use a coarser cell or fewer processes", _cpu_s())
+        reason = "out of memory; use a coarser cell or fewer processes"
+        return Outcome(name, None, reason, cpu_s=_cpu_s())
     except Exception as error:  # noqa: BLE001 - a bug in one producer must not take the others
         reason = f"a bug: {type(error).__name__}: {error}"
-        return _Answer(None, _one_line(reason), _cpu_s(), detail=traceback.format_exc())
-    return _Answer(run, "", _cpu_s(), device.name)
+        detail = traceback.format_exc()
+        return Outcome(name, None, _one_line(reason), cpu_s=_cpu_s(), detail=detail)
+    return Outcome(name, run, cpu_s=_cpu_s(), device=device.name)
 
 
 def _one_line(error: Exception | str) -> str:

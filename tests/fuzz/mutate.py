@@ -44,25 +44,12 @@ def mutant(data: bytes, seed: int, *, is_text: bool) -> bytes:
     return bytes(out)
 
 
-def _flip(rng: random.Random, data: bytearray) -> bytearray:
-    data[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
-    return data
-
-
 def _byte(rng: random.Random, data: bytearray) -> bytearray:
-    data[rng.randrange(len(data))] = rng.choice((0, 1, 127, 128, 255))
-    return data
-
-
-def _early(rng: random.Random, data: bytearray) -> bytearray:
-    """Change a byte of the head, where sizes stand."""
-    data[rng.randrange(min(len(data), 64))] = rng.randrange(256)
-    return data
-
-
-def _late(rng: random.Random, data: bytearray) -> bytearray:
-    """Change a byte of the end, where directories stand."""
-    data[-1 - rng.randrange(min(len(data), 200))] = rng.randrange(256)
+    """Change a byte: any, of the head, where sizes stand, or of the end, with its directories."""
+    at = rng.randrange(len(data))
+    at = rng.choice((at, at, at % 64, -1 - at % 200 % len(data)))
+    values = (data[at] ^ 1 << rng.randrange(8), rng.randrange(256), 0, 1, 127, 128, 255)
+    data[at] = rng.choice(values)
     return data
 
 
@@ -123,5 +110,5 @@ def _line(rng: random.Random, data: bytearray) -> bytearray:
     return bytearray(b"".join(lines))
 
 
-_BYTES = (_flip, _byte, _early, _late, _size, _cut, _drop, _double, _append)
+_BYTES = (_byte, _byte, _byte, _byte, _size, _cut, _drop, _double, _append)
 _TEXT = (_number, _number, _word, _line)
