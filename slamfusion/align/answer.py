@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from slamfusion.align.cancel import check_cancelled
 from slamfusion.align.decide import (
-    CUT_TRIALS,
+    EXPECTED_WRONG_MAX,
     GROUND_ONE_M2,
     MOST,
     TRIALS,
@@ -20,12 +20,12 @@ from slamfusion.align.decide import (
     MatchEvidence,
     decide,
     decide_fit,
+    odds,
 )
 from slamfusion.align.features import FINE_TABLE, spread_sample
 from slamfusion.align.hypotheses import (
     APART_RAD,
     DISTINCT_CELLS,
-    SURE_SHARE,
     Answer,
     Chances,
     best_answer,
@@ -45,8 +45,6 @@ from slamfusion.geometry import Pose2, wrap_angle
 
 F64 = npt.NDArray[np.float64]
 
-# A mirror image that gives more times as much is not told from one that gives this.
-GAIN_MAX = 100.0
 # A bent map whose walls meet less than this share of the other's is fitted as a whole, by a wide
 # scale in cells.
 BENT_MATCH, BENT_SCALES = 0.45, (24.0,)
@@ -87,7 +85,7 @@ def conclude(
         ratio = max(0.0, scores[1] / scores[0]) if scores[0] > 0 else 1.0
         runner_up = RunnerUp(pair.transform_of(shown[1]), scores[1], ratio)
     evidence, decision = _decided(
-        pair, config, found, answer, chances, statistics=statistics, runner_up=runner_up
+        pair, config, found, answer, chances, best, statistics=statistics, runner_up=runner_up
     )
     statistics.pop("overlap")
     return Alignment(
@@ -111,14 +109,12 @@ def conclude(
 def _chances(pair: Pair, found: SearchResult, start: Pose2 | None, pairs: int) -> Chances:
     """Return how many wrong answers there are, before any wall has spoken.
 
-    More where the ground is large, or walls fill the cells that were searched
-    (``CoarseSearch.is_cut``); fewer near a start.
+    More where the ground is large, fewer near a start.
     """
     if found.coarse is None:
         return Chances(pairs)
     ground_m2 = meeting_cells(pair) * pair.resolution**2
-    cut = CUT_TRIALS if found.coarse.is_cut else 1.0
-    trials = pairs * cut * max(1.0, ground_m2 / GROUND_ONE_M2)
+    trials = pairs * max(1.0, ground_m2 / GROUND_ONE_M2)
     if found.search == "full" and start is not None:
         prior = prior_within(pair, DISTINCT_CELLS, APART_RAD)
         return Chances(trials, pair.motion_of(start), prior)
@@ -131,6 +127,7 @@ def _decided(
     found: SearchResult,
     answer: Answer,
     chances: Chances,
+    best: F64,
     *,
     statistics: dict[str, float],
     runner_up: RunnerUp | None,
@@ -164,9 +161,12 @@ def _decided(
     decision = decide(evidence, statistics, rival, trials)
     mirrored = scale = None
     if decision.accepted:
-        if min(answer.share / SURE_SHARE, statistics["explained"] / MOST) < 1.0:
+        # Two good maps of a place that is nearly its own image fit both ways; a limit of its own
+        # would be the square of this one.
+        if answer.reading != "good" or evidence.expected_wrong >= EXPECTED_WRONG_MAX**2:
             mirrored = mirror_gain(pair, answer.motion, config, answer.reading)
-        scale = estimate_scale(pair, answer.motion, answer.reading)
+        at = answer.motion if answer.reading == "bent" else best
+        scale = estimate_scale(pair, at, answer.reading)
     elif found.search == "full" and decision.kind in found.image_after:
         mirrored = _image_gain(pair, config, answer, chances.trials)
     if mirrored is not None or scale is not None:
@@ -194,7 +194,7 @@ def _image_gain(pair: Pair, config: AlignConfig, answer: Answer, trials: float) 
     if not other.is_accepted or other.wrong >= answer.wrong:
         return None
     own = float(weigh(pair, answer.motion[None], other.reading).total[0])
-    return GAIN_MAX if own * GAIN_MAX <= other.total else other.total / own
+    return odds(other.total / (other.total + max(own, 0.0)))
 
 
 def _placed(pair: Pair, found: SearchResult, answer: Answer) -> tuple[F64, dict[str, float]]:

@@ -8,7 +8,7 @@ hypotheses, each piece by piece of wall (``hypotheses``): **another pose**, **a 
 
 Two maps of a place are read in three ways; n counts by a weight that tells how well a reading fits:
 
-    good      what stays unexplained contradicts         weight = odds(share) / ODDS_ONE, at most 4
+    good      what stays unexplained contradicts         weight = odds(share) / ODDS_ONE
     changed   sharp maps of two times: things moved      weight = odds(share) / ODDS_ONE, at most 1
     bent      walls lie next to each other, not on them  weight = share of the walls that do
     score = weight * least n
@@ -18,8 +18,7 @@ with odds(share) = share / (1 - share) of the common walls that the answer expla
 with the pieces is the tail of the best of many chance fits (Karlin and Altschul 1990, for
 sequences). The reading with the highest score answers; the wrong answers of the whole job that are
 to be expected to look as good must be fewer than ``EXPECTED_WRONG_MAX``. The prior is smaller near
-a start, and larger where there is more ground, where little of it is common or a search left poses
-out.
+a start, and larger where there is more ground or little of it is common.
 """
 
 from __future__ import annotations
@@ -52,17 +51,16 @@ EXPECTED_WRONG_MAX = 0.01
 # Wrong answers that no piece of wall contradicts: two widths of a wall, and an answer is the
 # best of some chances.
 TRIALS = 4.0
-# Poses that a search which was cut has left out, as further trials.
-CUT_TRIALS = 5.0
 # Ground on which the middle of the moving map may lie, square metres, at which TRIALS is what it
 # is: two maps of 45 m. On more ground there are as many more places that look right by chance.
 GROUND_ONE_M2 = 10_000.0
 # Starts that are wrong, of all that are given: a place away from the start that explains the walls
 # as well is so much less likely, and so are maps that have no relation.
 START_WRONG = 0.005
-# Odds of what is explained at which a piece counts as one: 0.89 of the common walls. Of two good
-# maps a piece counts this often at most (0.97 and more).
-ODDS_ONE, GOOD_MOST = 8.0, 4.0
+# Share of the walls that chance leaves unexplained or not, of halves of one map 0 to 0.03.
+UNEXPLAINED_MIN = 0.03
+# Odds of what is explained at which a piece counts as one: 0.89 of the common walls.
+ODDS_ONE = 8.0
 # Share of the common walls that two maps of one place and time explain at least, of recorded pairs
 # of two SLAMs 0.86 (MIT CSAIL) to 0.99 (offices). Others are no two good maps.
 SAME_TIME_SHARE = 0.85
@@ -79,8 +77,8 @@ STOREYS_SHARE = 0.7
 # to be alike. Of the common walls: what maps of two times explain at least. Of the evidence: what
 # another pose may have before the pieces against it count by what is left.
 MOST = 0.5
-# Scales that differ less are not said, those that differ more are refused.
-SCALE_SAID, SCALE_MAX = 0.01, 0.03
+# Maps whose scales differ more are refused.
+SCALE_MAX = 0.03
 # A known transform that was only refined: matched walls of all walls and beyond chance, or share
 # and pieces of the common ground; and walls of one map in the middle of the other's free space.
 MATCH_MIN, EXCESS_MIN, TRACKED_PIECES_MIN, CLASH_MAX = 0.45, 0.20, 12.0, 0.15
@@ -130,8 +128,8 @@ class MatchEvidence:
 
 
 def odds(share: float) -> float:
-    """Return what is explained over what is not."""
-    return share / max(1.0 - share, 1e-3)
+    """Return what is explained over what is not, ``UNEXPLAINED_MIN`` at least."""
+    return share / max(1.0 - share, UNEXPLAINED_MIN)
 
 
 def expected_wrong(score: float, trials: float) -> float:
@@ -183,7 +181,7 @@ def decide(
     )
     if strength == "weak":
         said += f"; {_contradiction(evidence)}"
-    if off >= SCALE_SAID:
+    if off > 0.0:
         said += f"; the maps differ in scale by {off:.1%}"
     return Decision(True, "accepted", said)
 

@@ -21,7 +21,6 @@ import numpy.typing as npt
 from slamfusion.align.cancel import check_cancelled
 from slamfusion.align.decide import (
     EXPECTED_WRONG_MAX,
-    GOOD_MOST,
     MOST,
     OBSERVED_M,
     ODDS_ONE,
@@ -53,30 +52,25 @@ from slamfusion.config import AlignConfig
 
 F64 = npt.NDArray[np.float64]
 
-# Points of walls by which shifts and scales are compared, and how many shifts are kept.
-POINTS, SHIFTS_KEPT = 1024, 12
+# Points of walls by which shifts and scales are compared.
+POINTS = 1024
 # Poses differ from this many widths of a wall or this turn on. Shifts of an answer are looked at up
 # to the last number of widths.
 APART_WIDTHS, APART_RAD, FARTHEST_WIDTHS = 4.0, math.radians(10.0), 12.0
-# Directions in which an answer is slid; what pieces say less than this of, as a share of the square
-# of a typical one, is rounding.
+# Directions in which an answer is slid, and shifts of it that are weighed; what pieces say less of
+# than this, as a share of the square of a typical one, is rounding.
 SLIDES, SLIDE_NOISE = 16, 0.1
 # What is another place for a robot on its way: cells.
 DISTINCT_CELLS = 20.0
-# Answers that are fitted narrowly, since they may be those of two good maps: the best by each of
-# two readings, and of both together, which explain this share of the common walls.
-NARROWED, NARROWED_MOST, NARROWED_SHARE = 5, 8, 0.6
+# Where no answer is that of two good maps as it was found, those that are fitted narrowly: the best
+# by each of two readings.
+NARROWED = 4
 # Shares of the walls of one map that the other shows again, which are tried.
 HIT_SHARES = np.linspace(0.01, 0.99, 50)
-# An answer that is so much of what the common ground could give needs no look at a mirror image.
-SURE_SHARE = 0.9
 # Scales that are tried, coarse and then around the best, with shifts in widths of a wall and turns:
 # a pose that fits a part of a map of another scale is not the one that fits all of it.
 COARSE_SCALES, FINE_SCALES = np.linspace(-0.12, 0.12, 25), np.linspace(-0.0075, 0.0075, 7)
-SCALE_REACH: dict[Reading, int] = {"good": 1, "changed": 4, "bent": 4}
 SCALE_TURNS = np.radians(np.linspace(-3.0, 3.0, 13))
-# Pieces that say that another scale is better.
-SCALE_PIECES = 1.5
 
 
 class How(NamedTuple):
@@ -86,8 +80,8 @@ class How(NamedTuple):
         widths: of a wall, in narrow ones (``Pair.widths``).
         sided: see ``wall_pieces``.
         doubt: see ``WallPieces``.
-        slide: how far the answer is slid, in widths of this wall: good maps hold it by each wall
-            that runs another way, of others the whole place has to.
+        slide: how far the answer is slid, in widths of this wall: good maps hold it to another
+            pose by each wall that runs another way, of others the whole place has to.
     """
 
     widths: float
@@ -97,9 +91,9 @@ class How(NamedTuple):
 
 
 READINGS: dict[Reading, How] = {
-    "good": How(1.0, True, GOOD_DOUBT, 3.0),
-    "changed": How(1.0, False, 0.0, 9.0),
-    "bent": How(2.0, False, 0.0, 9.0),
+    "good": How(1.0, True, GOOD_DOUBT, APART_WIDTHS),
+    "changed": How(1.0, False, 0.0, FARTHEST_WIDTHS),
+    "bent": How(2.0, False, 0.0, FARTHEST_WIDTHS),
 }
 
 
@@ -146,7 +140,8 @@ class Answer:
         is_good = self.reading == "good"
         if self.share < (SAME_TIME_SHARE if is_good else MOST):
             return 0.0
-        return min(odds(self.share) / ODDS_ONE, GOOD_MOST if is_good else 1.0)
+        weight = odds(self.share) / ODDS_ONE
+        return weight if is_good else min(weight, 1.0)
 
     def score(self, hypothesis: Hypothesis) -> float:
         """Return by how much it beats a hypothesis, see ``decide``."""
@@ -212,35 +207,36 @@ def best_answer(pair: Pair, found: SearchResult, chances: Chances) -> Answer:
         found: at least one motion.
         chances: of wrong answers.
     """
-    motions = found.motions
-    plain = weigh(pair, motions, "changed")
+    motions, rest = found.motions, (pair.widths[0], chances)
     if found.coarse is None:
-        return _answer(motions, "changed", plain, None, pair.widths[0], chances)
+        return _answer(motions, "changed", weigh(pair, motions, "changed"), None, *rest)
+    inside = None
+    if found.candidates is not None:
+        inside = np.arange(len(motions)) < found.candidates
     sided = weigh(pair, motions, "good")
+    good = _slid(pair, _answer(motions, "good", sided, inside, *rest))
+    if good.is_accepted:
+        return good
+    plain = weigh(pair, motions, "changed")
     best = [np.argsort(-by.total, kind="stable")[:NARROWED] for by in (sided, plain)]
     share = np.maximum(sided.share(), plain.share())
     # The best of all is always one of them.
     share[best[1][0]] = 1.0
     rows = np.array(
-        [k for k in dict.fromkeys(np.concatenate(best).tolist()) if share[k] >= NARROWED_SHARE]
-    )[:NARROWED_MOST]
+        [k for k in dict.fromkeys(np.concatenate(best).tolist()) if share[k] >= STOREYS_SHARE]
+    )
     fits = narrow_fits(pair, motions[rows])
     motions = np.concatenate((motions, fits))
-    inside = None
-    if found.candidates is not None:
-        inside = np.concatenate((np.arange(len(found.motions)), rows)) < found.candidates
-    rest = inside, pair.widths[0], chances
-    good = _answer(motions, "good", sided.joined(weigh(pair, fits, "good")), *rest)
+    if inside is not None:
+        inside = np.concatenate((inside, inside[rows]))
+    sided = sided.joined(weigh(pair, fits, "good"))
+    good = _slid(pair, _answer(motions, "good", sided, inside, *rest))
     if good.is_accepted:
-        good = _with_shifts(pair, good)
-        if good.is_accepted:
-            return good
-    changed = _answer(motions, "changed", plain.joined(weigh(pair, fits, "changed")), *rest)
-    bent = _answer(motions, "bent", weigh(pair, motions, "bent"), *rest)
-    bent = replace(bent, hit=hit_share(pair, bent.motion))
-    changed, bent = (
-        _with_shifts(pair, answer) if answer.is_accepted else answer for answer in (changed, bent)
-    )
+        return good
+    plain = plain.joined(weigh(pair, fits, "changed"))
+    changed = _slid(pair, _answer(motions, "changed", plain, inside, *rest))
+    bent = _answer(motions, "bent", weigh(pair, motions, "bent"), inside, *rest)
+    bent = _slid(pair, replace(bent, hit=hit_share(pair, bent.motion)))
     readings = [answer for answer in (good, changed, bent) if answer.is_related]
     return min(readings, key=lambda answer: answer.wrong, default=changed)
 
@@ -301,14 +297,16 @@ def is_distinct(a: F64, b: F64, cells: float = DISTINCT_CELLS) -> bool:
     return shift > cells or turn > APART_RAD
 
 
-def _with_shifts(pair: Pair, answer: Answer) -> Answer:
-    """Return the same, compared with shifts of itself.
+def _slid(pair: Pair, answer: Answer) -> Answer:
+    """Return the same; one that beats all other hypotheses is compared with shifts of itself.
 
     An answer is slid every way. Walls that run one way hold it across them and leave it free along
     them: there no piece of wall tells it from its slide but at the ends of the common ground, and
     what a slide leaves unseen says nothing. Of two good maps farther shifts are looked at as they
     are, by whole widths of a wall: rows of doors or desks.
     """
+    if not answer.is_accepted:
+        return answer
     slid = slides(pair, answer.motion, answer.reading)
     pieces = weigh(pair, np.concatenate((answer.motion[None], slid)), answer.reading)
     own, seen = pieces.weighed[0], pieces.most[0]
@@ -339,7 +337,7 @@ def shifts(pair: Pair, motion: F64) -> F64:
     width = pair.widths[0]
     moved = motion + np.stack((x, y, np.zeros_like(x)), axis=1)[kept] * (width, width, 1.0)
     scores = score_motions(pair, moved, 1, sigma=width, points=POINTS, doubt=GOOD_DOUBT)
-    return np.asarray(moved[np.argsort(-scores, kind="stable")[:SHIFTS_KEPT]])
+    return np.asarray(moved[np.argsort(-scores, kind="stable")[:SLIDES]])
 
 
 def hit_share(pair: Pair, motion: F64) -> float:
@@ -417,7 +415,9 @@ def estimate_scale(pair: Pair, motion: F64, reading: Reading) -> float:
     if not len(walls):
         return 1.0
     middle, reach = walls.mean(axis=0), math.sqrt(float(walls.var(axis=0).sum()))
-    steps = np.arange(-SCALE_REACH[reading], SCALE_REACH[reading] + 1.0)
+    # All of a good map fits at the right scale, where the answer is; of others only a part may.
+    far = 1.0 if READINGS[reading].sided else APART_WIDTHS
+    steps = np.arange(-far, far + 1.0)
     scale, at = 1.0, motion
     for offsets, turns, sigma in (
         (COARSE_SCALES, np.zeros(1), wide),
@@ -440,6 +440,8 @@ def estimate_scale(pair: Pair, motion: F64, reading: Reading) -> float:
         best = int(np.argmax(found))
         scale, at = float(scales[best]), motions[best]
     both = wall_pieces(pair, np.stack((at, motion)), narrow, scales=np.array([scale, 1.0]))
-    is_better = both.better(0, 1) >= SCALE_PIECES and both.share()[0] >= STOREYS_SHARE
+    # By less one of a few scales is better by chance.
+    is_better = expected_wrong(both.better(0, 1), TRIALS) < 1.0
+    is_better = is_better and both.share()[0] >= STOREYS_SHARE
     # A scale that moves common walls by less than half their width cannot be told from 1.
     return scale if is_better and abs(scale - 1.0) * reach >= 0.5 * narrow else 1.0

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from slamfusion.align.align import align_pair
-from slamfusion.align.decide import Reading
-from slamfusion.align.hypotheses import SURE_SHARE, estimate_scale
+from slamfusion.align.decide import SAME_TIME_SHARE, Reading
+from slamfusion.align.hypotheses import estimate_scale
 from slamfusion.align.pair import Pair
 from slamfusion.align.records import Alignment
 from slamfusion.compute import ComputeDevice
@@ -82,7 +82,7 @@ def test_little_common_ground_hides_no_scale(device: ComputeDevice) -> None:
     moving, _ = move_frame(high, np.random.default_rng(3), 1.04)
     found = align_pair(Pair(features_of(low, device), features_of(moving, device)), CONFIG)
     assert found.evidence is not None
-    assert found.evidence.share > SURE_SHARE
+    assert found.evidence.share > SAME_TIME_SHARE
     assert found.decision == "other scale", found.reason
 
 

@@ -9,9 +9,15 @@ from dataclasses import dataclass, replace
 
 from slamfusion.align.align import align_pair, track_pair
 from slamfusion.align.cancel import CancelledSearchError, CancelToken
-from slamfusion.align.decide import CLASH_MAX, MATCH_MIN, DecisionKind, decide_mirrored
+from slamfusion.align.decide import (
+    CLASH_MAX,
+    MATCH_MIN,
+    SAME_TIME_SHARE,
+    DecisionKind,
+    decide_mirrored,
+)
 from slamfusion.align.features import GridFeatures
-from slamfusion.align.hypotheses import SURE_SHARE, mirror_gain
+from slamfusion.align.hypotheses import mirror_gain
 from slamfusion.align.pair import Pair
 from slamfusion.align.records import Alignment
 from slamfusion.align.starts import StartPose, Starts
@@ -398,7 +404,7 @@ class Aligner:
     ) -> tuple[Alignment, Pose2] | None:
         """Return the fit of new walls, which is much worse than the old ones'; None: mirrored."""
         pair, reference = fit[0], held.features
-        if pair.evidence is not None and pair.evidence.share >= SURE_SHARE:
+        if pair.evidence is not None and pair.evidence.share >= SAME_TIME_SHARE:
             return fit
         own = self.features(track, cancel)
         maps = Pair(reference, own, cancel)
