@@ -164,7 +164,10 @@ def run_logs(
     """
     done: dict[LogTask, RunOfLog] = {}
     for task, (found, host) in as_done(executor, run_one, tasks, config):
-        done[task] = found if host == socket.gethostname() else _from_afar(found, host)
+        if found.error is not None and host != socket.gethostname():
+            # A folder may be missing on that machine.
+            found = replace(found, error=f"{found.error} (on {host})")  # noqa: PLW2901
+        done[task] = found
         if progress is not None:
             progress("logs", len(done), len(tasks))
     return tuple(done[task] for task in tasks)
@@ -191,8 +194,3 @@ def run_one(task: LogTask, config: RunConfig) -> tuple[RunOfLog, str]:
 def runs_document(runs: Sequence[RunOfLog], config: RunConfig) -> RunsDocument:
     """Return what ``slamfusion run`` prints as JSON of several logs."""
     return {"runs": runs, **settings_used(config)}
-
-
-def _from_afar(run: RunOfLog, host: str) -> RunOfLog:
-    """Return a run with the name of the machine in its error: a folder may be missing there."""
-    return run if run.error is None else replace(run, error=f"{run.error} (on {host})")

@@ -84,7 +84,7 @@ def path_picture(
         draw_grid(axes, grid, normalize)
     top = float(shown.max()) or 1.0
     lines = LineCollection(
-        list(_segments(poses[:, :2])),
+        list(np.stack((poses[:-1, :2], poses[1:, :2]), axis=1)),
         cmap=colours,
         norm=Normalize(0.0, top),
         linewidths=1.3,
@@ -198,19 +198,10 @@ def _draw_others(axes: Axes, others: Sequence[Trajectory], rgb: Rgb) -> None:
     """Draw paths faintly, the first of them on top."""
     poses = sum(len(path) for path in others)
     step = max(1, -(-poses // _OTHERS_POINTS))
-    lines = [path.poses[_kept(len(path), step), :2] for path in reversed(others)]
+    # At a fixed stride, and the last.
+    lines = [path.poses[np.r_[: len(path) - 1 : step, -1], :2] for path in reversed(others)]
     colour = (*unit_rgb(rgb), _OTHERS_OPACITY)
     axes.add_collection(LineCollection(lines, colors=[colour], linewidths=0.7), autolim=False)
-
-
-def _kept(count: int, step: int) -> npt.NDArray[np.int64]:
-    """Return the indices at a fixed stride, and the last."""
-    return np.append(np.arange(0, count - 1, step), count - 1)
-
-
-def _segments(places: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Return the lines between neighbouring places, (N - 1, 2, 2)."""
-    return np.stack((places[:-1], places[1:]), axis=1)
 
 
 def _part(colours: Colormap, span: tuple[float, float]) -> Colormap:
