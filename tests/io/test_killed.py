@@ -54,7 +54,7 @@ def test_a_map_that_is_replaced_all_the_time_is_never_mixed(tmp_path: Path) -> N
     save_map(grid_of(OLD), tmp_path / "map")
     script = (
         "import sys; from pathlib import Path; from tests.io.killed import *\n"
-        "for i in range(200): write_pair(Path(sys.argv[1]), 1 + i % 2)\n"
+        "for i in range(100): write_pair(Path(sys.argv[1]), 1 + i % 2)\n"
     )
     wanted = {
         version: (grid_of(version).resolution, grid_of(version).cells.tolist())

@@ -22,9 +22,7 @@ HEADER = "index,logger_timestamp,odom_x,odom_y,odom_theta,corrected_x,corrected_
 LOGGED = [(1.0 * k, 0.5, 0.25) for k in range(4)]
 ODOMETRY = [(1.1 * k, 0.02 * k, -0.01 * k) for k in range(4)]
 RECORDED = {
-    "radish-corrected/acapulco": (861, 806.6, True),
     "radish-corrected/fhw": (488, 398.3, True),
-    "radish-corrected/freiburg-campus": (2008, 1725.2, False),
     "mit-killian/infinite-corridor": (1941, 1914.0, False),
 }
 
