@@ -173,7 +173,8 @@ class _ScaleSearch:
         seen = self._ready(reference, max(cell, TRIED_CELL_M))
         tries = [self._aligned(seen, scale) for scale in self.scales[_peaks(gains)].tolist()]
         pair, best = min(tries, key=lambda one: _standing(one[1].alignment))
-        if not _is_here(best.alignment):
+        if not _is_here(best.alignment) and _standing(best.alignment)[1] >= 1.0:
+            # Not fewer than one wrong answer is to be expected to look as good.
             return best
         seen, settled = self._ready(reference, cell), []
         for _ in range(ROUNDS):
