@@ -29,6 +29,7 @@ def _start(context: LaunchContext) -> list[Node]:
             namespace=LaunchConfiguration("namespace"),
             parameters=[*parameters, own] if own else parameters,
             remappings=[
+                ("scan", LaunchConfiguration("scan")),
                 ("odom", LaunchConfiguration("odom")),
                 ("/tf", LaunchConfiguration("tf")),
                 ("/tf_static", LaunchConfiguration("tf_static")),
@@ -58,6 +59,7 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument(
                 "use_sim_time", default_value="false", description="time is that of /clock"
             ),
+            DeclareLaunchArgument("scan", default_value="scan", description="topic of the scans"),
             DeclareLaunchArgument("odom", default_value="odom", description="topic of odometry"),
             DeclareLaunchArgument("tf", default_value="/tf", description="topic of transforms"),
             DeclareLaunchArgument(

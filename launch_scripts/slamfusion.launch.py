@@ -110,7 +110,7 @@ def generate_launch_description() -> LaunchDescription:
                 _file("fusion.launch.py"),
                 launch_arguments={
                     **timed,
-                    "odom": topics["odom"],
+                    **topics,
                     "state_path": LaunchConfiguration("state_path"),
                 }.items(),
             ),

@@ -32,6 +32,7 @@ from slamfusion.config.ros import (
     FusionNodeConfig as FusionNodeConfig,
     PlayerNodeConfig as PlayerNodeConfig,
     ProducerNodeConfig as ProducerNodeConfig,
+    ScanNodeConfig as ScanNodeConfig,
 )
 from slamfusion.config.run import (
     PICTURE_FORMS as PICTURE_FORMS,

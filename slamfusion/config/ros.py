@@ -28,8 +28,8 @@ class NodeConfig(Checked):
 
 
 @dataclass(frozen=True)
-class ProducerNodeConfig(NodeConfig):
-    """The ROS node of a producer; not part of ``RunConfig``, whose sections it has beside these."""
+class ScanNodeConfig(NodeConfig):
+    """How a node reads the scans, the laser's place and the odometry."""
 
     odometry_source: Literal["topic", "tf", "none"] = option(
         "topic",
@@ -45,11 +45,6 @@ class ProducerNodeConfig(NodeConfig):
     )
     base_frame: str = option("base_link", "the robot's frame")
     odom_frame: str = option("odom", "the odometry frame")
-    map_frame: str | None = option(
-        None,
-        "frame of the map; default: the node's name and _map, after the node's namespace where it "
-        "has one",
-    )
     laser_source: Literal["tf", "parameter"] = option(
         "tf",
         "where the laser sits on the robot: by the transforms, or by laser_x, laser_y, laser_yaw",
@@ -64,6 +59,25 @@ class ProducerNodeConfig(NodeConfig):
     )
     deskew: Deskew = deskew_option()
     sweep_s: float | None = sweep_option()
+    reset_back_s: float = option(
+        1.0,
+        "several scans in a row that are older than the last one by more begin a new map; a single "
+        "one, or one that is older by less, is left out",
+        unit="s",
+        low=0.0,
+        high=1e6,
+    )
+
+
+@dataclass(frozen=True)
+class ProducerNodeConfig(ScanNodeConfig):
+    """The ROS node of a producer; not part of ``RunConfig``, whose sections it has beside these."""
+
+    map_frame: str | None = option(
+        None,
+        "frame of the map; default: the node's name and _map, after the node's namespace where it "
+        "has one",
+    )
     scan_queue: int = option(
         20, "scans that may wait; when one more comes the oldest is dropped", low=1, high=10_000
     )
@@ -85,19 +99,11 @@ class ProducerNodeConfig(NodeConfig):
     scans_stale_s: float = option(
         2.0, "no scan for this long is named in the diagnostics", unit="s", low=0.1, high=1e6
     )
-    reset_back_s: float = option(
-        1.0,
-        "several scans in a row that are older than the last one by more begin a new map; a single "
-        "one, or one that is older by less, is left out",
-        unit="s",
-        low=0.0,
-        high=1e6,
-    )
     seed: int = option(0, "seed of every random number", low=0)
 
 
 @dataclass(frozen=True)
-class FusionNodeConfig(NodeConfig):
+class FusionNodeConfig(ScanNodeConfig):
     """The ROS node of the fusion; not part of ``RunConfig``, whose sections it has beside these."""
 
     fused_frame: str = option("fused_map", "frame of the fused map")
@@ -118,13 +124,11 @@ class FusionNodeConfig(NodeConfig):
         "send the transform from fused_frame to odom_frame, by the pose of the healthiest input "
         "and the odometry; no other node may",
     )
-    odometry_source: Literal["topic", "tf"] = option(
-        "topic",
-        "for publish_tf: odometry from nav_msgs/Odometry on `odom`, or from the transforms between "
-        "odom_frame and base_frame",
+    draw: bool = option(
+        True,
+        "where scans and poses of the inputs are heard, the fused map is drawn from the scans at "
+        "the fused path; maps without poses vote next to it",
     )
-    base_frame: str = option("base_link", "the robot's frame")
-    odom_frame: str = option("odom", "the odometry frame")
     save_path: str = option(
         "fused_map",
         "save_map writes this path with .yaml and .pgm; a change leads nowhere but into the folder "

@@ -7,19 +7,17 @@ from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped
-from nav_msgs.msg import Odometry
 
 from slamfusion.config import FusionNodeConfig
-from slamfusion.errors import TrajectoryError
 from slamfusion.fusion.live.session import FusionState
 from slamfusion.geometry import Pose2
 from slamfusion.io.transforms import TransformError
 from slamfusion.ros import messages, qos
-from slamfusion.ros.base import SHOWN_S, Level, NodeBase
-from slamfusion.ros.frames import TransformInput, TransformOutput, TransformStore
+from slamfusion.ros.base import Level, NodeBase
+from slamfusion.ros.frames import TransformOutput, TransformStore
 from slamfusion.ros.input_health import HeardPose, MapSource
 
-ODOM_TOPIC, POSE_TOPIC = "odom", "fused/pose"
+POSE_TOPIC = "fused/pose"
 # A stamp of an input this far behind its last one begins a new time: a bag that loops.
 BACK_NS = 10**9
 # What a new fusion says of a stamp that has been told already is told this much later, so that no
@@ -112,12 +110,17 @@ class FusedFrames:
         settings: may be replaced.
         sources: the inputs whose frames are sent, by name; set by the node.
         state: of the fusion; set by the node.
+        corrections: by input that the scans support, the motion that carries its newest poses onto
+            the fused path; set by the node, empty without scans. The pose goes by it.
         leader: name of the input whose pose is taken; empty without.
         rival: name of another node that fuses into the same topic; empty without.
     """
 
-    def __init__(self, base: NodeBase, settings: FusionNodeConfig) -> None:
+    def __init__(
+        self, base: NodeBase, settings: FusionNodeConfig, odometry: TransformStore | None
+    ) -> None:
         self.settings = settings
+        self.corrections: Mapping[str, Pose2] = {}
         self.sources: Mapping[str, MapSource] = {}
         self.state = FusionState()
         self.leader = ""
@@ -133,12 +136,7 @@ class FusedFrames:
         self._told = self.state
         self._output = TransformOutput(base.node)
         self._pose_topic = base.node.create_publisher(PoseStamped, POSE_TOPIC, qos.STREAM)
-        self._odometry: TransformStore
-        if settings.odometry_source == "tf":
-            self._odometry = TransformInput(base.node)
-        else:
-            self._odometry = TransformStore()
-            base.subscribe(Odometry, ODOM_TOPIC, self._on_odometry, qos.SENSOR)
+        self._odometry = odometry or TransformStore()
 
     def on_pose(self, source: MapSource) -> None:
         """Send what a new pose of an input tells."""
@@ -154,15 +152,17 @@ class FusedFrames:
     def _tell(self, source: MapSource, heard: HeardPose, *, is_revised: bool) -> None:
         """Send what a pose says; ``is_revised``: it was told before, and may be told otherwise."""
         transform = self.state.transform(source.name)
-        if transform is None:
+        place = self.corrections.get(source.name, transform)
+        if place is None:
             return
         self._note(messages.stamp_s(heard.stamp))
-        self._send_frame(source, transform, heard.stamp)
+        if transform is not None:
+            self._send_frame(source, transform, heard.stamp)
         self.leader = self._choose()
         if source.name != self.leader:
             return
         settings = self.settings
-        pose = transform.compose(heard.pose)
+        pose = place.compose(heard.pose)
         stamp = self._fresh(POSE_TOPIC, heard.stamp, pose, is_revised=is_revised)
         if stamp is not None:
             frame = settings.fused_frame
@@ -201,7 +201,7 @@ class FusedFrames:
         fresh = {
             name: record
             for name, record in self.state.inputs.items()
-            if record.accepted
+            if (record.accepted or name in self.corrections)
             and (source := self.sources.get(name)) is not None
             and source.pose is not None
             and now_s - source.pose.heard_s < POSE_FRESH_S
@@ -235,9 +235,8 @@ class FusedFrames:
         self._base.diagnostics.say("rival", self._rival_words(), Level.ERROR)
         self._name_unsent()
 
-    def on_time_jump(self, now_s: float) -> None:
-        """Forget what came of a future that has not come; ``now_s`` is the node's time."""
-        self._odometry.forget_after(now_s)
+    def on_time_jump(self) -> None:
+        """Forget what was sent for a future that has not come."""
         self._newest_s = None
         self._sent.clear()
         self._heard_ns.clear()
@@ -325,15 +324,3 @@ class FusedFrames:
         if stamp is not None and child != parent:
             self._has_sent_odometry = True
             self._output.send(moved, parent, child, stamp)
-
-    def _on_odometry(self, message: Any) -> None:
-        """Keep a pose of the odometry."""
-        try:
-            pose = messages.pose2_from_message(message.pose.pose)
-        except TrajectoryError as error:
-            text = f"odometry left out: {error}"
-            self._base.diagnostics.add("odometry values", Level.WARN, text, SHOWN_S)
-            return
-        names = self.settings.odom_frame, self.settings.base_frame
-        stamp = message.header.stamp
-        self._odometry.add([messages.transform_to_message(pose, *names, stamp)])

@@ -22,8 +22,10 @@ from slamfusion.errors import GridError
 from slamfusion.fusion.live import LiveFusion, LiveInput, State
 from slamfusion.fusion.live.session import FusedMap, FusionSession, warm_up
 from slamfusion.geometry import Pose2
+from slamfusion.jobs.live_drive import DriveSolution
 from slamfusion.ros import messages, qos
 from slamfusion.ros.base import Level, NodeBase, Status, Worker, open_node_device
+from slamfusion.ros.drive_input import DriveInput
 from slamfusion.ros.fused_frames import FusedFrames
 from slamfusion.ros.fusion_inputs import ENTRY, FUSION, PREFIX, FusionInputs, load_saved
 from slamfusion.ros.fusion_services import MAP_TOPIC, FusionServices
@@ -31,6 +33,7 @@ from slamfusion.ros.fusion_state import StateKeeper
 from slamfusion.ros.input_health import Clocks, MapSource, Writers
 from slamfusion.ros.live_page import LivePage
 from slamfusion.ros.parameters import declare, declare_starts, parameter_names
+from slamfusion.trajectory import Trajectory
 
 AGREEMENT_TOPIC = "fused/agreement"
 CHANGEABLE = (
@@ -109,7 +112,14 @@ class FusionNode(NodeBase):
         self._page = LivePage(self, self.settings, self._carry_out) if self.settings.page else None
         self._clocks = Clocks(self.clock_s, self.diagnostics)
         # Before the inputs: of what has come the odometry is heard first, and then the poses.
-        self._frames = FusedFrames(self, self.settings)
+        self._drive = DriveInput(
+            self,
+            self.settings,
+            config.device.device,
+            lambda: self._session.snapshot,
+            self._on_solution,
+        )
+        self._frames = FusedFrames(self, self.settings, self._drive.scans.odometry)
         self.inputs.begin(
             lambda name, entry: load_saved(name, entry, config.map_files, self.log.warning),
             lambda name, topic: MapSource(
@@ -195,11 +205,18 @@ class FusionNode(NodeBase):
         """Let a pose be compared with the others', and send what it tells."""
         heard = source.pose
         if heard is not None:
-            self._session.hear(source.name, messages.stamp_s(heard.stamp), heard.pose)
-        self._frames.state = self._session.snapshot
+            stamp_s = messages.stamp_s(heard.stamp)
+            self._session.hear(source.name, stamp_s, heard.pose)
+            self._drive.put_pose(source.name, stamp_s, heard.pose)
+        self._show_frames()
         self._frames.on_pose(source)
         if self._page is not None:
             self._page.put_pose(source)
+
+    def _show_frames(self) -> None:
+        """Let the frames and the pose go by what is fused now, and by what the scans say."""
+        self._frames.state, solution = self._session.snapshot, self._drive.solution
+        self._frames.corrections = {} if solution is None else solution.supported
 
     def _look_turn(self) -> None:
         """Wake the worker for what had to wait for its turn, or for somebody who listens."""
@@ -215,7 +232,7 @@ class FusionNode(NodeBase):
             ):
                 self._wake()
         snapshot = self._session.snapshot
-        self._frames.state = snapshot
+        self._show_frames()
         self._frames.look()
         if snapshot.votes != self._told_votes:  # who votes is said at once, not within the second
             self._told_votes = snapshot.votes
@@ -237,6 +254,7 @@ class FusionNode(NodeBase):
         self._writers.look({name: source.topic for name, source in sources.items()})
         self._frames.rival = self._writers.rival
         self._clocks.look(sources)
+        self._drive.look(sources)
         self._wake()
 
     def _on_settings(self, settings: FusionNodeConfig) -> None:
@@ -254,7 +272,8 @@ class FusionNode(NodeBase):
         """Forget the odometry of a future that has not come; the maps speak for themselves."""
         if delta_s < 0.0:
             self._clocks.forget()
-            self._frames.on_time_jump(self.clock_s())
+            self._drive.scans.forget_after(self.clock_s())
+            self._frames.on_time_jump()
 
     def _carry_out(self, name: str) -> tuple[bool, str]:
         """Do what the page asks for."""
@@ -270,7 +289,21 @@ class FusionNode(NodeBase):
 
     def ask_reset(self) -> None:
         """Let the worker begin a new fused frame."""
+        self._drive.forget()
         self._session.ask_reset()
+        self._wake()
+
+    @property
+    def fused_path(self) -> Trajectory | None:
+        """The fused path so far; None without scans and poses."""
+        solution = self._drive.solution
+        return None if solution is None else solution.path
+
+    # --- the thread of the drive -------------------------------------------------------------
+
+    def _on_solution(self, solution: DriveSolution) -> None:
+        """Let the worker fuse by what the scans say."""
+        self._fusion.put_evidence(solution.evidence)
         self._wake()
 
     # --- the worker's thread -----------------------------------------------------------------
@@ -356,6 +389,7 @@ class FusionNode(NodeBase):
         snapshot, sent = self._session.snapshot, self._session.sent
         update, published = snapshot.update, self.published
         grid = None if published is None else published[1]
+        solution = self._drive.solution
         values: dict[str, object] = {
             "inputs": len(lines),
             "voters": voters,
@@ -366,6 +400,7 @@ class FusionNode(NodeBase):
             "full searches": snapshot.searches,
             "resets": snapshot.resets,
             "phantom cells": None if update is None else update.phantom_cells,
+            "scans": None if solution is None else len(solution.path),
             "map [cells]": "-" if grid is None else f"{grid.width} x {grid.height}",
             "latency median [ms]": sent.median_ms,
             "latency p95 [ms]": sent.high_ms,
@@ -410,4 +445,5 @@ class FusionNode(NodeBase):
         """End the worker; the map that is being fused is fused to its end, and the state kept."""
         if self._page is not None:
             self._page.close()
+        self._drive.close()
         self._keeper.close(is_whole=self._worker.close())

@@ -16,6 +16,7 @@ from std_srvs.srv import Trigger
 from slamfusion.errors import SlamFusionError
 from slamfusion.io.files import refuse_overwriting
 from slamfusion.io.map_server import map_sources, save_map, saved_files
+from slamfusion.io.trajectories import write_tum
 from slamfusion.ros import messages
 from slamfusion.ros.base import SHOWN_S, Level
 from slamfusion.ros.fusion_inputs import FILE_PREFIX, saved_path
@@ -180,6 +181,8 @@ class FusionServices:
                 [(f"the map {target}", file) for file in saved_files(target, **kind)],
             )
             written, _ = save_map(published[1], target, **rules)
+            if (driven := self._node.fused_path) is not None:
+                write_tum(target.with_name(f"{target.name}.tum"), driven)
         except (SlamFusionError, OSError) as error:
             text = f"not saved: {error}"
             self._node.diagnostics.add("save", Level.WARN, text, SHOWN_S)

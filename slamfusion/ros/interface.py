@@ -73,7 +73,14 @@ SENSOR, STREAM = "best effort", "reliable"
 MAP = "reliable, transient local, depth 1"
 
 TOPICS = (
-    Topic("scan", "sensor_msgs/LaserScan", ("player",), ("producers",), SENSOR, "laser scans"),
+    Topic(
+        "scan",
+        "sensor_msgs/LaserScan",
+        ("player",),
+        ("producers", "fusion"),
+        SENSOR,
+        "laser scans",
+    ),
     Topic(
         "odom",
         "nav_msgs/Odometry",
@@ -115,7 +122,14 @@ TOPICS = (
         f"{STREAM}, liveliness lease 0.5 s",
         "the robot in the map's frame, one for every scan that was used, with its stamp",
     ),
-    Topic("NAME/path", "nav_msgs/Path", ("producers",), (), MAP, "the path so far, corrected"),
+    Topic(
+        "NAME/path",
+        "nav_msgs/Path",
+        ("producers",),
+        (),
+        MAP,
+        "the path so far, corrected; the fusion listens while it hears scans",
+    ),
     Topic("fused/map", "nav_msgs/OccupancyGrid", ("fusion",), (), MAP, "the fused map"),
     Topic(
         "fused/agreement",
@@ -132,7 +146,17 @@ TOPICS = (
         ("fusion",),
         (),
         STREAM,
-        "the robot in fused_map, by the healthiest producer",
+        "the robot in fused_map: by the fused path where scans are heard, else by the healthiest "
+        "producer",
+    ),
+    Topic(
+        "fused/path",
+        "nav_msgs/Path",
+        ("fusion",),
+        (),
+        MAP,
+        "the fused path so far, corrected as the scans ask for it; sent only while somebody "
+        "listens, as the player that saves fused/map does, and only where scans are heard",
     ),
     Topic(
         "/diagnostics",

@@ -169,6 +169,17 @@ def path_to_message(
     return path
 
 
+def path_from_message(message: Any, name: str) -> Trajectory:
+    """Return a nav_msgs/Path as a path called ``name``, in the frame of the message.
+
+    Raises:
+        TrajectoryError: a pose that is none, or time that goes back.
+    """
+    poses = [pose2_from_message(item.pose) for item in message.poses]
+    rows = np.array([(pose.x, pose.y, pose.yaw_rad) for pose in poses]).reshape(-1, 3)
+    return Trajectory([stamp_s(item) for item in message.poses], rows, name)
+
+
 # --- grids -----------------------------------------------------------------------------------
 
 

@@ -16,6 +16,7 @@ from typing import Any
 
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import OccupancyGrid, Odometry
+from nav_msgs.msg import Path as PathMessage
 from rclpy.duration import Duration
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import LaserScan
@@ -29,11 +30,14 @@ from slamfusion.io.log import LogScan, ScanLog
 from slamfusion.io.logs import log_sources, open_log
 from slamfusion.io.map_server import save_map, saved_files
 from slamfusion.io.stamps import AHEAD_S, CONFIRMING
+from slamfusion.io.trajectories import write_tum
 from slamfusion.ros import messages, qos
 from slamfusion.ros.base import Level, NodeBase, Status
 from slamfusion.ros.frames import TransformOutput
 from slamfusion.ros.parameters import declare, declare_names
 
+# Of the fusion: a map that is saved, and the path that is saved with it.
+MAP_TOPIC, PATH_TOPIC = "fused/map", "fused/path"
 # A scan that is not answered is sent again after this long: best-effort readers may lose one.
 AGAIN_S = 1.0
 # After a jump of the log's time producers wait for a scan to be sent again, and are not made to
@@ -205,6 +209,7 @@ class PlayerNode(NodeBase):
         self._interrupt = Interrupt()
         # The newest map by topic, and where it is to be written; the stamp of each newest pose.
         self._maps: dict[str, Any] = {}
+        self._path: Any = None
         self._stems: dict[str, Path] = {}
         self._stamps_s: dict[str, float] = {}
         if self.settings.save is not None:
@@ -419,6 +424,8 @@ class PlayerNode(NodeBase):
             pass  # a file can be made there
         for topic in topics:
             self.subscribe(OccupancyGrid, topic, partial(self._on_map, topic), qos.MAP)
+        if MAP_TOPIC in topics:
+            self.subscribe(PathMessage, PATH_TOPIC, self._on_path, qos.MAP)
 
     def _save(self) -> None:
         """Write the newest map of every topic, as soon as they hold the last scan.
@@ -449,6 +456,9 @@ class PlayerNode(NodeBase):
             stem.parent.mkdir(parents=True, exist_ok=True)
             path, _ = save_map(messages.grid_from_message(message, topic), stem)
             self.log.info(f"wrote {path}")
+            if topic == MAP_TOPIC and self._path is not None:
+                driven = messages.path_from_message(self._path, "fused")
+                write_tum(stem.with_name(f"{stem.name}.tum"), driven)
 
     def _late(self, stamp_s: float) -> list[str]:
         """Return the topics whose newest map does not hold the scan of a stamp."""
@@ -458,6 +468,10 @@ class PlayerNode(NodeBase):
             if topic not in self._maps
             or messages.stamp_s(self._maps[topic]) < stamp_s - STAMP_TOLERANCE_S
         ]
+
+    def _on_path(self, message: Any) -> None:
+        """Keep the newest fused path."""
+        self._path = message
 
     def _on_map(self, topic: str, message: Any) -> None:
         """Keep the newest map of a topic."""

@@ -23,7 +23,7 @@ from slamfusion.ros import messages, qos
 from slamfusion.ros.base import SHOWN_S, Level, NodeBase, Status, Worker, open_node_device
 from slamfusion.ros.frames import TransformOutput
 from slamfusion.ros.parameters import declare
-from slamfusion.ros.scan_input import ArrivedScan, ScanInput
+from slamfusion.ros.scan_input import SCAN_TOPIC, ArrivedScan, ScanInput
 from slamfusion.slam.registry import producer, settings_of
 from slamfusion.slam.session import (
     Answer,
@@ -35,7 +35,6 @@ from slamfusion.slam.session import (
 
 # Scans that come for so long without a transform are a reason to name it, seconds.
 NEVER_SENT_S = 5.0
-SCAN_TOPIC = "scan"
 # Fields of ``ProducerNodeConfig`` that may be changed while the node runs.
 CHANGEABLE = (
     "odometry_wait_s",

@@ -1,4 +1,4 @@
-"""The scans of a producer: which are used by their stamps, where the laser sits, the odometry."""
+"""The scans of a node: which are used by their stamps, where the laser sits, the odometry."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from nav_msgs.msg import Odometry
 
-from slamfusion.config import ProducerNodeConfig
+from slamfusion.config import ScanNodeConfig
 from slamfusion.errors import ScanError, TrajectoryError
 from slamfusion.geometry import Pose2
 from slamfusion.io.log import FARTHEST_M
@@ -50,7 +50,7 @@ def _is_same(one: ArrivedScan, other: ArrivedScan) -> bool:
     return bool(one.message.ranges.tobytes() == other.message.ranges.tobytes())
 
 
-ODOM_TOPIC = "odom"
+SCAN_TOPIC, ODOM_TOPIC = "scan", "odom"
 NO_LASER_FRAME = "no transform from the laser"
 NO_SCAN = "angles or ranges that cannot be a scan"
 
@@ -68,7 +68,7 @@ class ScanInput:
         jumps_back: how often time has gone back so far.
     """
 
-    def __init__(self, base: NodeBase, settings: ProducerNodeConfig) -> None:
+    def __init__(self, base: NodeBase, settings: ScanNodeConfig) -> None:
         self.transforms: TransformStore | None = None
         self.odometry: TransformStore | None = None
         self.strays = self.jumps_back = 0
@@ -84,7 +84,7 @@ class ScanInput:
             self.odometry = TransformStore()
             base.subscribe(Odometry, ODOM_TOPIC, self._on_odometry, qos.SENSOR)
 
-    def configure(self, settings: ProducerNodeConfig) -> None:
+    def configure(self, settings: ScanNodeConfig) -> None:
         """Take changed settings."""
         self._settings = settings
         self._gate.back_s = settings.reset_back_s

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from slamfusion.fusion.live.fusion import LiveFusion, LiveInput, LiveUpdate
 from slamfusion.fusion.live.inputs import State
+from slamfusion.fusion.live.mailbox import Evidence
 from slamfusion.fusion.live.state import LiveState, StateError
 
-__all__ = ["LiveFusion", "LiveInput", "LiveState", "LiveUpdate", "State", "StateError"]
+__all__ = ["Evidence", "LiveFusion", "LiveInput", "LiveState", "LiveUpdate", "State", "StateError"]

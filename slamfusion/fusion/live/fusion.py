@@ -17,14 +17,21 @@ they ask of the code:
   each other and not with it; never because another looks better.
 * **Doubt.** A map in doubt does not vote, and neither does the older one before it. It takes no
   room in the fused map.
+* **Evidence.** Where scans are heard they decide whose poses are wrong, and not how far poses lie
+  apart. A map drawn from the scans takes the vote of all inputs whose poses it was drawn by; maps
+  without poses vote next to it. Before the first fusion it gives the fused frame, and inputs are
+  tried where their poses say that they lie.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import numpy as np
+
+from slamfusion.align.normalize import common_resolution
 from slamfusion.align.starts import place_starts
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import LiveConfig, RunConfig
@@ -33,15 +40,18 @@ from slamfusion.fusion.inputs import odd_resolution
 from slamfusion.fusion.live.align import Aligner
 from slamfusion.fusion.live.inputs import Event, Input, State
 from slamfusion.fusion.live.limits import too_large, unusable
-from slamfusion.fusion.live.mailbox import InputMessage, Mailbox
+from slamfusion.fusion.live.mailbox import Evidence, InputMessage, Mailbox
 from slamfusion.fusion.live.poses import PoseWatch
 from slamfusion.fusion.live.state import LiveState, StateError
 from slamfusion.fusion.live.supervisor import InputSupervisor
 from slamfusion.fusion.live.voting import FusedLayers
 from slamfusion.geometry import Pose2
-from slamfusion.grid import CellBox, OccupancyGrid
+from slamfusion.grid import IDENTITY, CellBox, OccupancyGrid
+from slamfusion.vote.lattice import Lattice
 from slamfusion.vote.tiles import check_votes
 
+# The input that is drawn from scans; no topic has a blank in its name.
+DRAWN = "the scans"
 SAVED = "since its only one; name a map that never changes as file:PATH in inputs"
 
 
@@ -155,6 +165,8 @@ class LiveFusion(Mailbox):
         with self._lock:
             self._poses = PoseWatch(self._live)
         self._restored: dict[str, Pose2] = {}
+        self._evidence: Evidence | None = None
+        self._drawn = Input(DRAWN, transform=IDENTITY)
 
     # -- what comes, beside maps ------------------------------------------------------------------
 
@@ -170,6 +182,11 @@ class LiveFusion(Mailbox):
 
     def reset(self) -> None:
         """Forget the fused frame; every input's newest map starts the next one."""
+        self.take_evidence()
+        self._refill()
+
+    def _refill(self) -> None:
+        """Forget all but what came last."""
         self.refill({t.name: t.grid for t in self._inputs.values() if t.is_live})
         self._clear()
 
@@ -222,7 +239,7 @@ class LiveFusion(Mailbox):
         if wanted is not None and wanted != found:
             message = f"the state has cells of {found:g} m, and resolution asks for {wanted:g} m"
             raise StateError(message)
-        self._clear()
+        self._refill()
         self._aligner.restore(state.lattice, state.scores)
         self._supervisor.problem = "no input has come yet"
         self._layers.restore(state)
@@ -241,6 +258,7 @@ class LiveFusion(Mailbox):
         """
         clock = [time.perf_counter()]
         before = self._state()
+        has_evidence = self._weigh()
         has_news, arrived_s = self._collect(now_s)
         self._contradict()
         clock.append(time.perf_counter())
@@ -248,11 +266,10 @@ class LiveFusion(Mailbox):
         self._place()
         self._layers.lattice = self._aligner.lattice
         clock.append(time.perf_counter())
-        supervisor = self._supervisor
-        box = self._layers.update(self._inputs.values(), supervisor.voters, supervisor.reference)
+        box = self._vote()
         fused, agreement = (None, None) if box is None else self._layers.grids()
         clock.append(time.perf_counter())
-        if not has_news and box is None and self._state() == before:
+        if not (has_news or has_evidence) and box is None and self._state() == before:
             return None
         steps = zip(("prepare", "align", "vote"), clock, clock[1:], strict=False)
         return LiveUpdate(
@@ -267,6 +284,44 @@ class LiveFusion(Mailbox):
             "" if self._layers.names else self._supervisor.problem,
             arrived_s,
         )
+
+    def _weigh(self) -> bool:
+        """Take what the scans say; return whether anything came."""
+        evidence = self.take_evidence()
+        if evidence is None:
+            return False
+        drawn = evidence.drawn
+        if drawn is not None and unusable(drawn, self._config.normalize):
+            evidence, drawn = replace(evidence, drawn=None), None
+        lattice = self._aligner.lattice
+        if drawn is not None and lattice is None:
+            first = evidence.lattice.cell_of(drawn) or (0, 0)
+            agreement = np.where(drawn.cells < 0, -1, 100).astype(np.int8)
+            place = LiveState(evidence.lattice, *first, drawn.cells, agreement, evidence.transforms)
+            self.restore(place)
+            lattice = evidence.lattice
+        self._evidence = evidence
+        if drawn is not None and lattice == evidence.lattice:
+            track = self._drawn
+            resolution, thresholds = lattice.resolution, self._config.normalize
+            change = track.follow(
+                drawn.with_name(DRAWN), resolution, thresholds, self._live, self._device
+            )
+            track.accept("drawn from the scans")
+            if change is not None:
+                self._layers.note(DRAWN, change.box)
+        else:
+            self._drawn = Input(DRAWN, transform=IDENTITY)
+        return True
+
+    def _vote(self) -> CellBox | None:
+        """Let the map drawn from scans vote, and those whose poses it was not drawn by."""
+        supervisor, drawn, evidence = self._supervisor, self._drawn, self._evidence
+        voters, reference = supervisor.voters, supervisor.reference
+        if drawn.votes and evidence is not None:
+            voters = [drawn, *(one for one in voters if one.name not in evidence.transforms)]
+            reference = DRAWN
+        return self._layers.update([*self._inputs.values(), drawn], voters, reference)
 
     def _collect(self, now_s: float) -> tuple[bool, float | None]:
         """Hand what came to the tracks; return whether there was any, and when the first map came.
@@ -333,6 +388,19 @@ class LiveFusion(Mailbox):
             self._supervisor.note(track, change)
         return None
 
+    @property
+    def lattice(self) -> Lattice | None:
+        """Of the fused frame; None before the first fusion."""
+        return self._aligner.lattice
+
+    @property
+    def resolution(self) -> float | None:
+        """Metres per cell of the fused map; before the first fusion as the maps that came give."""
+        grids = [track.grid for track in self._inputs.values() if track.grid is not None]
+        if self.lattice is None and grids:
+            return common_resolution(grids, self._config.normalize)
+        return self._layers.resolution
+
     def _state(self) -> tuple[object, ...]:
         inputs = tuple((t.name, t.state, t.why) for t in self._inputs.values())
         return (self._supervisor.reference, self._layers.names, inputs)
@@ -371,9 +439,16 @@ class LiveFusion(Mailbox):
     # -- poses ------------------------------------------------------------------------------------
 
     def _contradict(self) -> None:
-        """Take the vote of those whose poses contradict the others', and give it back."""
+        """Take the vote of those whose poses are contradicted, and give it back.
+
+        Scans decide for the inputs that were scored on them; for others the distances of poses do.
+        """
         with self._lock:
             reasons = self._poses.contradictions()
+        if self._evidence is not None:
+            scored, doubts = self._evidence.transforms, self._evidence.doubts
+            apart = {name: reason for name, reason in reasons.items() if name not in scored}
+            reasons = {**apart, **doubts}
         for name, track in self._inputs.items():
             track.contradiction = reasons.get(name, "")
 

@@ -33,7 +33,7 @@ class State(Enum):
 
     NEW = "new"  # its map, or the first since it was lost, waits to be aligned
     TRACKED = "tracked"  # its walls stand where its transform puts them
-    DOUBTED = "doubted"  # its walls or poses contradict others, or its map cannot be used
+    DOUBTED = "doubted"  # scans, walls or poses contradict it, or its map cannot be used
     JUMPED = "jumped"  # a search found it elsewhere, and a second one must confirm that
     LOST = "lost"  # it is silent: no process, or no recent map
 
@@ -50,7 +50,8 @@ class Event(Enum):
 
 
 # The next state by event and state; in a state that is left out the event changes nothing. While
-# the poses of a TRACKED input contradict those of others it is DOUBTED, see ``Input.state``.
+# the scans contradict a TRACKED input, or without scans the poses of others do, it is DOUBTED, see
+# ``Input.state``.
 TRANSITIONS: Mapping[Event, Mapping[State, State]] = {
     Event.MAP: dict.fromkeys((State.NEW, State.DOUBTED, State.LOST), State.NEW),
     Event.LOSS: dict.fromkeys(State, State.LOST),
@@ -129,7 +130,7 @@ class Input:
         reason: why it is in its state, one line.
         transform: its map frame into the fused frame, metres; the last that was accepted.
         fit: the last alignment.
-        contradiction: why its poses contradict those of others; empty: they do not.
+        contradiction: why scans or poses of others contradict its own; empty: they do not.
         jump: while it is JUMPED.
         tried: own version, and name and version of what it was last aligned to in vain; see
             ``recovery`` for those of the last fused map.
@@ -170,7 +171,7 @@ class Input:
 
     @property
     def state(self) -> State:
-        """The state; DOUBTED while its poses contradict those of others, though its walls stand."""
+        """The state; DOUBTED while its poses are contradicted, although its walls stand."""
         return State.DOUBTED if self.stands and self.contradiction else self._state
 
     @property

@@ -1,4 +1,4 @@
-"""``Mailbox``: what came of each input and was not fused yet, from any thread."""
+"""``Mailbox``: what came of each input and the scans and was not fused yet, from any thread."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
+from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
+from slamfusion.vote.lattice import Lattice
 
 # How much the newest interval counts in the rate.
 RATE_WEIGHT = 0.3
@@ -55,14 +57,38 @@ class InputMessage:
         return self.grid() if callable(self.grid) else self.grid
 
 
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What the scans of a drive say of the inputs that map it.
+
+    Attributes:
+        transforms: of each input whose poses were scored on the scans: its map frame into the fused
+            frame, as its poses say; metres, radians.
+        doubts: why an input has no vote, by name, one line.
+        lattice: of ``drawn``.
+        drawn: the map drawn from the scans, in the fused frame; None: the maps of all inputs vote.
+    """
+
+    transforms: Mapping[str, Pose2]
+    doubts: Mapping[str, str]
+    lattice: Lattice
+    drawn: OccupancyGrid | None = None
+
+
 class Mailbox:
-    """Keeps the newest map of each input until it is taken; for any thread."""
+    """Keeps the newest map of each input, and the evidence, until taken; for any thread."""
 
     def __init__(self) -> None:
         """Start empty."""
         self._lock = threading.Lock()
         self._received: dict[str, InputMessage] = {}
         self._removed: list[str] = []
+        self._evidence: Evidence | None = None
+
+    def put_evidence(self, evidence: Evidence) -> None:
+        """Take what the scans say now; what waits is replaced."""
+        with self._lock:
+            self._evidence = evidence
 
     def put(
         self,
@@ -124,7 +150,8 @@ class Mailbox:
     def has_new(self) -> bool:
         """Whether anything waits to be taken; quick, so that it may be asked often."""
         with self._lock:
-            return bool(self._removed) or any(item.is_new for item in self._received.values())
+            is_waiting = bool(self._removed) or self._evidence is not None
+            return is_waiting or any(item.is_new for item in self._received.values())
 
     def has_come(self, name: str) -> bool:
         """Whether an input has sent a message."""
@@ -143,6 +170,12 @@ class Mailbox:
             for item in self._received.values():
                 item.is_new, item.grid, item.waits_since_s = False, None, None
         return removed, fresh
+
+    def take_evidence(self) -> Evidence | None:
+        """Return the evidence that came since the last call; None: none did."""
+        with self._lock:
+            evidence, self._evidence = self._evidence, None
+        return evidence
 
     def counts(self) -> dict[str, InputMessage]:
         """Return a copy of what came of each input, by name."""

@@ -20,6 +20,7 @@ from slamfusion.config import LiveConfig, RunConfig
 from slamfusion.fusion.live.fusion import LiveFusion, LiveInput, LiveUpdate
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
+from slamfusion.vote.lattice import Lattice
 
 # Updates of one turn of the worker; it is to be woken again each second.
 ROUNDS = 8
@@ -45,6 +46,8 @@ class FusionState:
         votes: how often an input got or lost its vote, or came, or left with its vote.
         fused_maps: how many fused maps were made.
         fused_stamp_s: stamp of the newest of them, seconds.
+        lattice: of the fused frame; None before the first fusion.
+        resolution: metres per cell of the fused map; None before the first map.
     """
 
     inputs: Mapping[str, LiveInput] = field(default_factory=dict)
@@ -57,6 +60,8 @@ class FusionState:
     votes: int = 0
     fused_maps: int = 0
     fused_stamp_s: float = 0.0
+    lattice: Lattice | None = None
+    resolution: float | None = None
 
     @property
     def nothing_fused(self) -> str:
@@ -284,6 +289,8 @@ class FusionSession:
             updates=before.updates + 1,
             searches=before.searches + update.is_full_search,
             votes=before.votes + votes,
+            lattice=self._live.lattice,
+            resolution=self._live.resolution,
         )
         if update.fused is not None and update.agreement is not None:
             stamp_s = self._stamp_s([name for name, item in records.items() if item.accepted])

@@ -1,0 +1,210 @@
+"""A drive that is solved while it lasts: who is contradicted, the path, the map drawn along it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from slamfusion.compute import ComputeDevice
+from slamfusion.config import LiveConfig, RunConfig
+from slamfusion.fusion.live import LiveFusion
+from slamfusion.geometry import Pose2
+from slamfusion.jobs import live_drive
+from slamfusion.jobs.live_drive import DriveSolution, LiveDrive
+from slamfusion.trajectory import Trajectory
+from slamfusion.vote.lattice import Lattice
+from tests.slam.drives import drive
+
+SCANS = 160
+# Where the map of each input lies, seen from the world.
+FRAMES = {"a": Pose2(), "b": Pose2(3.0, -1.0, 0.8), "c": Pose2(-2.0, 5.0, -2.0)}
+
+
+def bent(pose: Pose2, step: int) -> Pose2:
+    """Return a pose of a path that turns away slowly from scan 50 on: 1.2 m at the end."""
+    turn = Pose2(0.0, 0.0, 0.004 * max(0, step - 50))
+    return turn.compose(pose)
+
+
+class Robot:
+    """Drives, and sends scans and poses of inputs, each in its own frame."""
+
+    def __init__(self, device: ComputeDevice, *, bent_ones: str = "", names: str = "abc") -> None:
+        self.live = LiveDrive(device)
+        self.scans, self.truth = drive(SCANS, turn_bias=0.002)
+        self.bent_ones, self.names = bent_ones, names
+        self.step = 0
+        self.noise = np.random.default_rng(7)
+
+    def pose_of(self, name: str) -> Pose2:
+        pose = self.truth[self.step]
+        if name in self.bent_ones:
+            pose = bent(pose, self.step)
+        noise = self.noise.normal(0.0, (0.01, 0.01, 0.003))
+        return FRAMES[name].compose(pose).compose(Pose2(*noise.tolist()))
+
+    def drive_to(self, step: int, names: str | None = None) -> None:
+        while self.step < step:
+            item = self.scans[self.step]
+            for name in self.names if names is None else names:
+                self.live.add_pose(name, item.scan.stamp_s, self.pose_of(name))
+            self.live.add_scan(item)
+            self.step += 1
+
+    def error_m(self, path: Trajectory) -> float:
+        """Return the root mean square error of a path in the frame of a."""
+        rows = np.array([(pose.x, pose.y) for pose in self.truth])
+        near = np.rint(path.stamps_s * 10.0).astype(int)
+        return float(np.sqrt(((path.poses[:, :2] - rows[near]) ** 2).sum(axis=1).mean()))
+
+
+def solved(robot: Robot, *, is_whole: bool = True, **given: object) -> DriveSolution:
+    solution = robot.live.solve(is_whole=is_whole, **given)  # type: ignore[arg-type]
+    assert solution is not None
+    return solution
+
+
+def in_frame_of_a(names: str = "abc") -> Mapping[str, Pose2]:
+    return {name: FRAMES[name].inverse() for name in names}
+
+
+LATTICE = Lattice(0.05, Pose2(-0.02, 0.01, 0.0))
+
+
+def test_nothing_is_said_of_a_few_scans(device: ComputeDevice) -> None:
+    robot = Robot(device)
+    robot.drive_to(20)
+    assert robot.live.solve(is_whole=True) is None
+
+
+def test_the_path_is_better_than_each_input_and_lies_in_the_fused_frame(
+    device: ComputeDevice,
+) -> None:
+    robot = Robot(device)
+    robot.drive_to(SCANS)
+    found = solved(robot, lattice=LATTICE, transforms=in_frame_of_a(), resolution=0.05)
+    assert not found.doubted_since_s
+    assert robot.error_m(found.path) < 0.01
+    for name, motion in found.corrections.items():
+        apart = motion.compose(FRAMES[name])
+        assert math.hypot(apart.x, apart.y) < 0.05, name
+    assert found.lattice == LATTICE
+    assert found.drawn is not None
+    assert LATTICE.cell_of(found.drawn) is not None
+    assert found.drawn.height * 0.05 == pytest.approx(6.0, abs=0.3)
+
+
+@pytest.mark.parametrize("bent_ones", ["b", "bc"])
+def test_bent_inputs_are_contradicted_and_the_path_is_right(
+    device: ComputeDevice, bent_ones: str
+) -> None:
+    names = "ab" if bent_ones == "b" else "abc"
+    robot = Robot(device, bent_ones=bent_ones, names=names)
+    robot.drive_to(SCANS)
+    found = solved(robot, lattice=LATTICE, transforms=in_frame_of_a("a"))
+    assert set(found.doubted_since_s) == set(bent_ones)
+    assert set(found.supported) == {"a"}
+    assert all(5.0 < since_s < 16.0 for since_s in found.doubted_since_s.values())
+    assert robot.error_m(found.path) < 0.02
+    assert all("since stamp" in why for why in found.evidence.doubts.values())
+
+
+def test_the_window_continues_the_path_of_the_whole_drive(
+    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(live_drive, "WINDOW_S", 5.0)
+    robot = Robot(device)
+    robot.drive_to(100)
+    first = solved(robot, lattice=LATTICE, transforms=in_frame_of_a())
+    robot.drive_to(120)
+    found = solved(robot, is_whole=False, lattice=LATTICE, transforms=in_frame_of_a())
+    assert len(found.path) == 120
+    # What the whole drive said of the past stays.
+    assert np.array_equal(found.path.poses[:95], first.path.poses[:95])
+    assert robot.error_m(found.path) < 0.015
+
+
+def test_the_frame_stays_when_the_voters_move(device: ComputeDevice) -> None:
+    robot = Robot(device)
+    robot.drive_to(100)
+    solved(robot, lattice=LATTICE, transforms=in_frame_of_a())
+    moved = {name: Pose2(0.4, 0.0, 0.0).compose(place) for name, place in in_frame_of_a().items()}
+    found = solved(robot, lattice=LATTICE, transforms=moved)
+    assert robot.error_m(found.path) < 0.015
+
+
+def test_a_corrected_path_takes_the_place_of_poses(device: ComputeDevice) -> None:
+    robot = Robot(device, bent_ones="b", names="ab")
+    robot.drive_to(SCANS)
+    assert set(solved(robot, lattice=LATTICE, transforms=in_frame_of_a("a")).doubted_since_s) == {
+        "b"
+    }
+    rows = [(pose.x, pose.y, pose.yaw_rad) for pose in robot.truth]
+    stamps_s = np.array([item.scan.stamp_s for item in robot.scans])
+    robot.live.set_path("b", Trajectory(stamps_s[::3], np.array(rows)[::3], "b"))
+    assert not solved(robot, lattice=LATTICE, transforms=in_frame_of_a("a")).doubted_since_s
+
+
+def test_poses_of_another_robot_and_of_a_silent_input_are_not_scored(
+    device: ComputeDevice,
+) -> None:
+    robot = Robot(device)
+    robot.drive_to(60)
+    for step in range(SCANS):
+        robot.live.add_pose("other", 0.1 * step + 0.033, Pose2(float(step), 0.0, 0.0))
+    robot.drive_to(SCANS, names="ab")
+    assert set(solved(robot).corrections) == {"a", "b"}
+
+
+def test_memory_is_bounded(device: ComputeDevice, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live_drive, "MOST_SCANS", 60)
+    monkeypatch.setattr(live_drive, "WINDOW_S", 2.5)
+    robot = Robot(device)
+    robot.drive_to(SCANS)
+    found = solved(robot, lattice=LATTICE, transforms=in_frame_of_a())
+    assert len(found.path) <= 60
+    assert np.diff(found.path.stamps_s)[-10:].max() < 0.11
+    assert found.path.stamps_s[0] < 1.0
+    assert robot.error_m(found.path) < 0.02
+
+
+def test_time_that_goes_back_starts_a_new_drive(device: ComputeDevice) -> None:
+    robot = Robot(device)
+    robot.drive_to(60)
+    assert len(solved(robot).path) == 60
+    robot.step = 0
+    robot.drive_to(40)
+    assert len(solved(robot).path) == 40
+
+
+def test_scans_without_odometry_are_left_out_where_others_have_it(device: ComputeDevice) -> None:
+    robot = Robot(device)
+    for index in (0, 1, 50):
+        robot.scans[index] = replace(robot.scans[index], odometry=None)
+    robot.drive_to(80)
+    assert len(solved(robot).path) == 77
+
+
+def test_a_live_fusion_draws_its_first_map_where_the_poses_say(device: ComputeDevice) -> None:
+    """Only one input sends a map, so no two can agree; the scans confirm it."""
+    live = LiveFusion(RunConfig(live=LiveConfig(search_pause_s=0.0)), device)
+    robot = Robot(device)
+    robot.drive_to(100)
+    found = solved(robot, resolution=0.05)
+    assert found.drawn is not None
+    own = found.corrections["b"].inverse()
+    grid = replace(found.drawn, origin=own.compose(found.drawn.origin)).with_name("b")
+    live.put("b", grid, 0.0)
+    live.update(0.0)
+    assert live.lattice is None
+    live.put_evidence(found.evidence)
+    update = live.update(1.0)
+    assert update is not None
+    assert update.fused is not None
+    assert np.count_nonzero(update.fused.cells == 100) == np.count_nonzero(found.drawn.cells == 100)
+    (record,) = update.inputs
+    assert record.accepted, record.reason
