@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from docs.generate.marks import PICTURE, ROOT, pages, with_parts
+from docs.generate.marks import DOCS, PICTURE, ROOT, by_hand, pages, with_parts
 from docs.generate.picture import node_picture
 from docs.generate.ros import parameter_file
 
@@ -16,6 +16,11 @@ def main() -> None:
         if not path.is_file() or path.read_text(encoding="utf-8") != text:
             path.write_text(text, encoding="utf-8")
             print(f"wrote {path.relative_to(ROOT)}")
+    own = [
+        text for path, text in wanted.items() if path.suffix == ".md" and path.is_relative_to(DOCS)
+    ]
+    own.append(wanted[ROOT / "README.md"])
+    print(f"{sum(len(by_hand(text).split()) for text in own)} words by hand in README and docs")
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from docs.generate import benchmarks, commands, notebooks, parameters, ros, schema
 
-__all__ = ["COMMAND", "DOCS", "PARTS", "PICTURE", "ROOT", "pages", "with_parts"]
+__all__ = ["COMMAND", "DOCS", "PARTS", "PICTURE", "ROOT", "by_hand", "pages", "with_parts"]
 
 DOCS = Path(__file__).resolve().parents[1]
 ROOT = DOCS.parent
@@ -37,6 +37,11 @@ def pages() -> list[Path]:
     """Return README, what the pages include, and every page, sorted."""
     kept = [path for path in DOCS.rglob("*.md") if "_build" not in path.parts]
     return [*(ROOT / name for name in OUTSIDE), *sorted(kept)]
+
+
+def by_hand(page: str) -> str:
+    """Return a page without its generated parts."""
+    return _PART.sub("", page)
 
 
 def with_parts(page: str) -> str:

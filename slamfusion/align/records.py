@@ -29,7 +29,7 @@ __all__ = [
 
 @dataclass(frozen=True)
 class RunnerUp:
-    """The best distinct peak of a search beside its answer."""
+    """The best distinct peak of a search other than its answer."""
 
     dx_m: float = field(init=False)
     """Pose of the moving map's frame in the reference's: x, metres."""
@@ -58,7 +58,7 @@ class AlignmentJson(TypedDict):
     reference: str
     """The reference map."""
     accepted: bool
-    """Whether the alignment may be believed."""
+    """Whether the alignment is accepted."""
     reason: str
     """Why (not)."""
     dx_m: float
@@ -74,7 +74,7 @@ class AlignmentJson(TypedDict):
     error: float
     """[F16] map error over the reference's known box; smaller is better."""
     runner_up: RunnerUp | None
-    """The best distinct peak beside the answer; null when there is none."""
+    """The best distinct peak other than the answer; null when there is none."""
     time_s: float
     """Wall time, seconds."""
     statistics: Mapping[str, float | None]

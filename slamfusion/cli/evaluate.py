@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class _Request:
-    """What is asked for beside the settings."""
+    """The request, without the settings."""
 
     maps: tuple[CaseFile, ...]
     truths: tuple[CaseFile, ...]
@@ -326,7 +326,7 @@ def _inputs(request: _Request, truths: Mapping[str, Path]) -> list[tuple[str, st
 
 
 def _print_distances(comparison: DistanceComparison) -> None:
-    """Print each measured distance beside the map's."""
+    """Print each measured distance next to the map's."""
     rows = [
         [
             row.name,

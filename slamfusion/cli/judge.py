@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class _Request:
-    """What is asked for beside the settings."""
+    """The request, without the settings."""
 
     log: CaseFile
     more_logs: tuple[CaseFile, ...]

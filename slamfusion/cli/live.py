@@ -71,15 +71,15 @@ def status_command(client: Any, as_json: bool) -> int:
 @_node_options
 def watch_command(client: Any, as_json: bool) -> int:
     """Print each change of a vote or warning until Ctrl-C; with --json one line each."""
-    told: dict[str, tuple[str, str]] = {}
+    printed: dict[str, tuple[str, str]] = {}
     try:
         while True:
             found = client.status()
             for line in (found["fusion"], *found["inputs"]):
                 # Figures within the words change all the time.
                 now = line["level"], "".join(c for c in line["message"] if not c.isdigit())
-                if told.get(line["name"]) != now:
-                    told[line["name"]] = now
+                if printed.get(line["name"]) != now:
+                    printed[line["name"]] = now
                     print(json.dumps(line) if as_json else _words(line), flush=True)
     except KeyboardInterrupt:
         return 0

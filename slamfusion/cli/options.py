@@ -179,7 +179,7 @@ open_option = click.option(
 
 
 def drive_files(judged: str, *, of_cases: bool = False) -> Callable[[F], F]:
-    """Give a command ``--relations``, ``--odometry``, ``--scan-odometry``: files beside LOG."""
+    """Give a command ``--relations``, ``--odometry``, ``--scan-odometry``: more files of LOG."""
     option = case_option if of_cases else file_option
     relations = option(
         "--relations",
@@ -215,7 +215,7 @@ def check_odometry(odometry: object, relations: object) -> None:
 
 
 def drive_options(judged: str) -> Callable[[F], F]:
-    """Give a command the files beside LOG, and ``--probabilities``."""
+    """Give a command the files that belong to LOG, and ``--probabilities``."""
     probabilities = click.option(
         "--probabilities",
         is_flag=True,
@@ -556,7 +556,7 @@ def with_starts(config: RunConfig, given: GivenStarts) -> RunConfig:
 
 @contextlib.contextmanager
 def start_errors(given: GivenStarts) -> Iterator[None]:
-    """Take a start that is refused beside the inputs for wrong usage, where the option gave it."""
+    """Report a start of the option that no input fits as wrong usage."""
     try:
         yield
     except StartError as error:

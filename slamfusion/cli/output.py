@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 # Narrower terminals break the lines themselves.
 LEAST_WIDTH = 40
-# Where nobody watches, a line tells this often how far a long stage is, seconds.
+# Without a terminal a line reports the progress of a long stage this often, seconds.
 TOLD_EVERY_S = 10.0
 # A stage with up to this many steps shows their number, too: pairs, maps, logs.
 MOST_COUNTED = 500

@@ -32,9 +32,9 @@ class _UserPath(click.ParamType):  # type: ignore[type-arg]  # generic from clic
         self.files = files
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return the path; one that begins with ``~NAME`` of nobody stays."""
+        """Return the path; ``~NAME`` stays if there is no user NAME."""
         del param, ctx
-        return Path(os.path.expanduser(value))  # noqa: PTH111 - pathlib's raises for nobody
+        return Path(os.path.expanduser(value))  # noqa: PTH111 - pathlib's raises for an unknown user
 
     def shell_complete(
         self, ctx: click.Context, param: click.Parameter, incomplete: str

@@ -49,8 +49,8 @@ EXIT_PIPE_CLOSED = 141
 # The variable by which a shell asks for completions: bash_source, zsh_complete, ...
 COMPLETE = "_SLAMFUSION_COMPLETE"
 OUT_OF_MEMORY = "out of memory; free some, crop the maps or use a coarser cell"
-# What they warn of is told: a changed library, a full cache, a producer that is not used, ...
-TOLD_LOGGERS = ("slamfusion.compute", "slamfusion.slam.registry")
+# Their warnings are printed: a changed library, a full cache, a SLAM that is not used, ...
+PRINTED_LOGGERS = ("slamfusion.compute", "slamfusion.slam.registry")
 
 
 @click.group(cls=Group, table=COMMANDS, context_settings={"help_option_names": ["-h", "--help"]})
@@ -66,10 +66,10 @@ def run_program(arguments: Sequence[str]) -> int:
         if hasattr(stream, "reconfigure"):  # file names need not be text
             stream.reconfigure(errors="backslashreplace")
     logging.getLogger("slamfusion").addHandler(logging.NullHandler())
-    for name in TOLD_LOGGERS:
-        told = logging.getLogger(name)
-        if not told.handlers:
-            told.addHandler(logging.StreamHandler())
+    for name in PRINTED_LOGGERS:
+        logger = logging.getLogger(name)
+        if not logger.handlers:
+            logger.addHandler(logging.StreamHandler())
     if wanted := os.environ.get(COMPLETE):
         return shell_complete(cli, {}, "slamfusion", COMPLETE, wanted)
     settings = Settings(arguments=tuple(arguments))
@@ -188,12 +188,12 @@ def _describe(error: OSError) -> str:
     """Say what the operating system said, file first."""
     reason = error.strerror or str(error)
     where = f"{os.fsdecode(error.filename)}: " if isinstance(error.filename, (str, bytes)) else ""
-    mend = {
+    advice = {
         FileNotFoundError: "; check the path",
         PermissionError: "; check who may use it",
         IsADirectoryError: "; name a file in it",
     }.get(type(error), "")
-    return f"{where}{reason}{mend}"
+    return f"{where}{reason}{advice}"
 
 
 def _drop_stdout() -> None:

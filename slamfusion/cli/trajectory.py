@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class _Request:
-    """What is asked for beside the settings."""
+    """The request, without the settings."""
 
     estimates: tuple[CaseFile, ...]
     relations: tuple[CaseFile, ...]

@@ -148,7 +148,7 @@ class LiveConfig(Checked):
     confirm_s: float = option(
         3.0,
         "a map that jumped and has not changed since is searched again after this time, or after "
-        "its second message, in another way; where that finds the same it is believed",
+        "its second message, in another way; it is accepted if that finds the same",
         unit="s",
         low=0.0,
         level="expert",

@@ -71,7 +71,7 @@ class ScanNodeConfig(NodeConfig):
 
 @dataclass(frozen=True)
 class ProducerNodeConfig(ScanNodeConfig):
-    """The ROS node of a producer; not part of ``RunConfig``, whose sections it has beside these."""
+    """The ROS node of a producer; not part of ``RunConfig``, whose sections it has too."""
 
     map_frame: str | None = option(
         None,
@@ -104,7 +104,7 @@ class ProducerNodeConfig(ScanNodeConfig):
 
 @dataclass(frozen=True)
 class FusionNodeConfig(ScanNodeConfig):
-    """The ROS node of the fusion; not part of ``RunConfig``, whose sections it has beside these."""
+    """The ROS node of the fusion; not part of ``RunConfig``, whose sections it has too."""
 
     fused_frame: str = option("fused_map", "frame of the fused map")
     discover: str | None = option(
@@ -141,7 +141,7 @@ class FusionNodeConfig(ScanNodeConfig):
     )
     lost_after_s: float = option(
         3.0,
-        "an input whose process shows no sign of life, or that nobody publishes, for this long is "
+        "an input whose process shows no sign of life, or that no node publishes, for this long is "
         "lost",
         unit="s",
         low=0.1,
@@ -183,7 +183,7 @@ class PlayerNodeConfig(NodeConfig):
     rate: float = option(1.0, "times as fast as it was recorded", low=1e-3, high=1e4)
     loop: bool = option(False, "begin again at the end; time jumps back")
     lockstep: bool = option(
-        False, "send the next scan when every producer of wait_for has told its pose at the last"
+        False, "send the next scan when every producer of wait_for has published its last pose"
     )
     lockstep_timeout_s: float = option(
         30.0, "give up when a producer has not answered for this long", unit="s", low=0.1, high=1e6

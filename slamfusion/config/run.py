@@ -44,8 +44,8 @@ class GraphOptimizerConfig(Checked):
 
     robust: Literal["consensus", "gnc", "dcs", "none"] = option(
         "consensus",
-        "how false closures are found: by those that bear each other out, by graduated "
-        "non-convexity, by dynamic covariance scaling; or none, and all are believed",
+        "how false closures are found: by those that support each other, by graduated "
+        "non-convexity, by dynamic covariance scaling; or none, and all are accepted",
     )
     start: Literal["best", "given", "odometry", "chordal"] = option(
         "best",
@@ -342,7 +342,7 @@ class SideBySideConfig(Checked):
         None, "stop a producer that takes longer and leave it out", unit="s", low=0.1, high=1e7
     )
     draw: bool = option(
-        False, "also draw a map from all scans at the fused path, beside the vote of the maps"
+        False, "also draw a map from all scans at the fused path, in addition to the vote"
     )
     path_gap_m: float = option(
         1.0,
@@ -365,7 +365,7 @@ class DeviceConfig(Checked):
 
 @dataclass(frozen=True)
 class ReportConfig(Checked):
-    """What reports write beside their pages."""
+    """What reports write in addition to their pages."""
 
     pictures: tuple[Literal["svg", "pdf"], ...] = option(
         (), "write the pictures of a report as these, too: svg, pdf, or both with a comma between"
@@ -374,7 +374,7 @@ class ReportConfig(Checked):
 
 @dataclass(frozen=True)
 class RunConfig(Checked):
-    """Everything that decides a result; written beside every result.
+    """Everything that decides a result; written with every result.
 
     ``producers`` holds the settings of producers by name, each a dataclass of its own; one that is
     not in it has its defaults (``slamfusion.slam.registry`` knows them all).

@@ -41,14 +41,14 @@ class MatcherConfig(Checked):
         0.2, "the same for each radian of odometry", low=0.0, high=10.0, level="expert"
     )
     prior_weight_xy: float = option(
-        0.04, "score lost one spread beside the guessed place", low=0.0, high=1.0, level="expert"
+        0.04, "score lost one spread from the guessed place", low=0.0, high=1.0, level="expert"
     )
     prior_weight_yaw: float = option(
         0.005, "the same for the guessed heading", low=0.0, high=1.0, level="expert"
     )
     jump_m: float = option(
         5.0,
-        "a longer step of the odometry between two scans is a reset and not believed; more for a "
+        "a longer step of the odometry between two scans is a reset and rejected; more for a "
         "robot that is fast or scans seldom",
         unit="m",
         low=0.01,
@@ -176,7 +176,7 @@ class GmappingConfig(Checked):
         None, "beams passed over after each that the likelihood looks at", low=0, high=1000
     )
     minimumScore: float | None = option(
-        None, "least sum over the hits for which a match is believed", low=0.0, high=1e6
+        None, "least sum over the hits for which a match is accepted", low=0.0, high=1e6
     )
     srr: float | None = option(None, "odometry: metres of error for a metre", low=0.0, high=10.0)
     srt: float | None = option(None, "odometry: radians of error for a metre", low=0.0, high=10.0)
@@ -246,7 +246,7 @@ class GmappingConfig(Checked):
     )
     climb_loss: float | None = option(
         None,
-        "score lost by a climb that ends one spread of the motion model beside what it expects",
+        "score lost by a climb that ends one spread of the motion model from what it expects",
         low=0.0,
         high=1.0,
     )

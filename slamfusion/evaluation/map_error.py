@@ -141,7 +141,7 @@ class MapError:
     faces: WallFaces
     """The faces of the map's walls against the true ones."""
     wall_thickness_m: WallThickness | None
-    """How thick the map's walls are; null when no wall is beside a free cell."""
+    """How thick the map's walls are; null when no wall is next to a free cell."""
     doubled_wall_share: float
     """Share of the map's wall cells that have a parallel wall close by, 0 to 1."""
     outside_m2: float

@@ -90,7 +90,7 @@ _DIRECTIONS = ((0, 1, 1.0), (1, 0, 1.0), (1, 1, math.sqrt(2.0)), (1, -1, math.sq
 
 @dataclass(frozen=True)
 class FaceAgreement:
-    """How the faces of walls (wall cells beside free ones) agree with the true ones."""
+    """How the faces of walls (wall cells next to free ones) agree with the true ones."""
 
     tolerance_m: float
     """A face this near counts as found, metres."""
@@ -125,7 +125,7 @@ class WallFaces:
 
 @dataclass(frozen=True)
 class WallThickness:
-    """How thick walls are, measured through each cell beside a free one, metres."""
+    """How thick walls are, measured through each cell next to a free one, metres."""
 
     mean: float
     """Mean, metres."""

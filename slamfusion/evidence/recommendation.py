@@ -72,7 +72,7 @@ class Check:
 
 @dataclass(frozen=True)
 class PathTime:
-    """How well a path is borne out in one part of the drive."""
+    """How well the scans support a path in one part of the drive."""
 
     time_s: float
     """Mean time of the part's scans, seconds since the first scan."""
@@ -93,7 +93,7 @@ class RankedPath:
     consistency: float
     """Mean log-likelihood of a hit under what other scans drew by the path; larger is better."""
     tied: bool
-    """Whether it is the recommended path, or cannot be told from it."""
+    """Whether it is the recommended path, or cannot be told apart from it."""
     behind: float
     """Score of the recommended path less this one's."""
     behind_95: tuple[float, float] | None
@@ -260,7 +260,7 @@ def _checks(
         found.append((weight, Check(from_s, to_s, x, y, what)))
 
     for part in displaced:
-        what = f"walls stand {part.away_m:.1f} m beside where they were seen at other times"
+        what = f"walls stand {part.away_m:.1f} m away from where they were seen at other times"
         # What is sure comes before what is open.
         add(part.from_s, part.to_s, 0.5 * (part.from_s + part.to_s), 1e3 + part.away_m, what)
     since_s = evidence.scans.stamps_s[evidence.is_judged] - evidence.scans.stamps_s[0]
@@ -268,7 +268,7 @@ def _checks(
         here = (since_s >= span.from_s) & (since_s <= span.to_s)
         gap_m = np.where(here, path_gap_m(evidence, name, path), 0.0)
         if gap_m.max() > PART_M:
-            what = f"{name} is {gap_m.max():.1f} m beside {path}, and no scan tells which is right"
+            what = f"{name} is {gap_m.max():.1f} m from {path}, and no scan shows which is right"
             add(span.from_s, span.to_s, float(since_s[gap_m.argmax()]), float(gap_m.max()), what)
     if evidence.scores[path].seen_share < LITTLE_SEEN:
         what = "little was seen a second time, so nothing confirms the path"

@@ -45,7 +45,7 @@ def settings_used(config: RunConfig) -> SettingsJson:
 
 
 def circumstances(config: RunConfig, device: str) -> CircumstancesJson:
-    """Return what a computed result depends on beside its inputs, for a JSON document."""
+    """Return what a computed result depends on besides its inputs, for a JSON document."""
     return {
         "device": device,
         "seed": config.seed,

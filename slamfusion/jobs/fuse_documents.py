@@ -155,7 +155,7 @@ class FuseDocument(FusionJson, GivenMapsJson, CircumstancesJson):
     store: str | None
     """Zarr store of both, with -o OUT.zarr; else null."""
     groups: Sequence[FusedGroupJson]
-    """Groups of inputs that share ground, the largest, which is told above, first."""
+    """Groups of inputs that share ground, the largest, which is listed above, first."""
     evaluations: Sequence[Evaluation]
     """Errors of the inputs and of the fused map, with --truth."""
     time_s: float | None

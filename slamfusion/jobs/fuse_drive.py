@@ -2,7 +2,7 @@
 
 A map of a producer that was right for a part of the drive holds what it drew while it was wrong,
 and nothing in the map says which cells these are. The producer's path and scans do: if it has no
-vote for some time, its layer is drawn anew from its scans at its own path without that time. What
+vote for some time, its layer is redrawn from its scans at its own path without that time. What
 was seen then is drawn at the fused path, where there is one: one of the votes would miss it, and of
 two every difference is a wall. The producer's own map stays as it is.
 
@@ -69,7 +69,7 @@ class PartialVote:
         )
         if self.left_out:
             return f"{words}; {self.left_out}."
-        drawn = f"{words}; its layer is drawn anew from its other scans"
+        drawn = f"{words}; its layer is redrawn from its other scans"
         if self.filled:
             return f"{drawn}, and from those of that time at the fused path."
         return f"{drawn}."

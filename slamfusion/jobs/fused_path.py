@@ -46,7 +46,7 @@ class FusedPathJson(MeasuresJson):
     poses: int
     """Its poses."""
     trust: Mapping[str, float]
-    """How much each path was believed by what the scans say of it, 0 to 1."""
+    """Weight of each path in the fused path, from the scans, 0 to 1."""
     excluded_share: Mapping[str, float]
     """Share of each path's poses that had no weight, as it had left the others, 0 to 1."""
     refinement: RefinedPath | None
@@ -61,7 +61,7 @@ class DrawnMapJson(TypedDict):
     doubled_wall_share: float
     """Share of its wall cells that have a parallel wall close by, 0 to 1."""
     wall_thickness_m: WallThickness | None
-    """How thick its walls are; null when no wall is beside a free cell."""
+    """How thick its walls are; null when no wall is next to a free cell."""
 
 
 @dataclass(frozen=True, eq=False)

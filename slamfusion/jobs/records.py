@@ -32,7 +32,7 @@ class FailureDocument(TypedDict):
 
 
 class SettingsJson(TypedDict):
-    """What a result depends on beside its inputs."""
+    """What a result depends on besides its inputs."""
 
     config: Mapping[str, Any]
     """The settings in effect, as --config takes them."""
@@ -41,7 +41,7 @@ class SettingsJson(TypedDict):
 
 
 class CircumstancesJson(SettingsJson):
-    """What a computed result depends on beside its inputs."""
+    """What a computed result depends on besides its inputs."""
 
     device: str
     """What computed it, in words."""
@@ -54,7 +54,7 @@ class Evaluation(MapError):  # noqa: N818  (a measure, no exception)
     """A map's errors, and the alignment with the truth that they rest on."""
 
     aligned: bool
-    """Whether the alignment may be believed; a map taken as it lies counts as aligned."""
+    """Whether the alignment is accepted; a map that is used as it is counts as aligned."""
     alignment: Alignment | None
     """The alignment with the truth; null: the map was taken as it lies."""
 

@@ -79,7 +79,7 @@ class RunFilesJson(LogFilesJson):
 
 
 class RunRecordDocument(RunFilesJson, CircumstancesJson):
-    """The record NAME.json that ``slamfusion run`` writes beside a producer's map."""
+    """The record NAME.json that ``slamfusion run`` writes next to a producer's map."""
 
     producers: Sequence[RunProducerJson]
     """The one producer."""

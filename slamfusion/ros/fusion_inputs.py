@@ -225,7 +225,7 @@ class FusionInputs:
     def discover(self, settings: FusionNodeConfig) -> None:
         """Let topics that fit ``discover`` be inputs, as many as can be; not those removed.
 
-        Topics that nobody publishes are none. The maps that a fusion makes are never found, neither
+        Topics without a publisher are none. The maps that a fusion makes are never found, neither
         this one's nor another's: theirs hold the inputs once more.
         """
         now_s = time.monotonic()

@@ -416,7 +416,7 @@ class FusionNode(NodeBase):
         if record is None:
             topic = "" if source is None else self.node.resolve_topic_name(source.topic)
             is_published = source is not None and source.silent_since_s is None
-            who = "a node could publish it" if is_published else "nobody publishes it"
+            who = "a node could publish it" if is_published else "no node publishes it"
             said = f"no map on {topic!r} yet; {who}"
             return Status(PREFIX + name, Level.STALE, said, {ENTRY: entry})
         frame = "-" if source is None else self._frames.child_frame(source) or source.frame

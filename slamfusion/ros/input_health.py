@@ -186,7 +186,7 @@ class Heartbeat:
         try:
             return listen(event_callbacks=events)
         except UnsupportedEventTypeError:
-            # This middleware has no leases; its own word that nobody publishes must do.
+            # This middleware has no leases; its own word that no node publishes must do.
             return listen()
 
     def _on_liveliness(self, event: Any) -> None:
@@ -384,7 +384,7 @@ class MapSource:
     Args:
         topic: of its maps.
         lost_after_s: an input whose process gave no sign of life for this long is lost, and one
-            that nobody publishes; may be replaced by ``ask``.
+            that no node publishes; may be replaced by ``ask``.
         clocks: of all inputs.
         on_map: called with this and the message when a map has come, and with None when its
             process fell silent or is back.
@@ -395,7 +395,7 @@ class MapSource:
         frame: of the newest map that was read; empty before the first.
         stamp_s: of the newest map that was read whose stamp can be right; None before the first.
         pose: the newest; None before the first.
-        silent_since_s: since when nobody publishes the map, ``time.monotonic``; None: somebody
+        silent_since_s: since when no node publishes the map, ``time.monotonic``; None: somebody
             does.
     """
 
@@ -449,7 +449,7 @@ class MapSource:
         since_s = self.silent_since_s
         if since_s is not None and time.monotonic() - since_s > self._lost_after_s:
             topic = self._base.node.resolve_topic_name(self.topic)
-            return f"lost: nobody publishes {topic!r} any more"
+            return f"lost: no node publishes {topic!r} any more"
         return ""
 
     @property

@@ -33,7 +33,7 @@ class Topic:
     """A topic of one of our nodes.
 
     Attributes:
-        name: relative unless it begins with a slash; NAME is the producer's name.
+        name: relative unless it starts with a slash; NAME is the producer's name.
         type: of its messages.
         writers, readers: of our nodes; ``producers`` stands for the three.
         qos: what is written, or asked for where only others write it.
@@ -138,7 +138,7 @@ TOPICS = (
         (),
         MAP,
         "share of the votes for each cell's value, in percent; -1 unknown; sent only while "
-        "somebody listens, the last one at once to who comes late",
+        "a node listens; a late listener gets the last one at once",
     ),
     Topic(
         "fused/pose",

@@ -277,7 +277,7 @@ class PlayerNode(NodeBase):
             if time.monotonic() > until_s:
                 topic = self.node.resolve_topic_name(SCAN_TOPIC)
                 if not self.wait_for:
-                    self.log.warning(f"nobody listens on {topic!r}; playing all the same")
+                    self.log.warning(f"no node listens on {topic!r}; playing all the same")
                     return
                 who = ", ".join(absent) or f"only {listeners} node(s) listen on {topic!r}"
                 message = (

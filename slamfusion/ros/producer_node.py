@@ -379,7 +379,7 @@ class ProducerNode(NodeBase):
             self.node.resolve_topic_name(SCAN_TOPIC),
             self.node.count_publishers(SCAN_TOPIC),
         )
-        who = f"{writers} node(s) could send them" if writers else "nobody sends them"
+        who = f"{writers} node(s) could send them" if writers else "no node sends them"
         since = "yet" if not self._received else "any more"
         # Without the time, which would be news each second.
         text = f"no scans on {topic!r} {since}; {who}"

@@ -40,7 +40,7 @@ class GraphJson(TypedDict):
     submaps: int
     """Submaps, each of which holds some of the nodes."""
     restarts: int
-    """Times that tracking was lost and a submap of its own was begun."""
+    """Times that tracking was lost and a new submap was started."""
     breaks: int
     """Times that tracking failed for a while and only odometry bridges the gap."""
     refound: int

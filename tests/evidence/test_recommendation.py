@@ -137,7 +137,7 @@ def test_a_map_that_shows_its_walls_twice_is_red(device: ComputeDevice, away_m: 
     for place in answer.check:
         near = place_at(torn, 0.5 * (place.from_s + place.to_s))
         assert (place.x, place.y) == pytest.approx(near, abs=0.3)
-        assert "beside where they were seen at other times" in place.what
+        assert "away from where they were seen at other times" in place.what
 
 
 def test_walls_displaced_in_one_part_alone_are_amber(device: ComputeDevice):
@@ -163,7 +163,7 @@ def test_where_two_paths_part_and_no_scan_tells_is_a_place_to_check(device: Comp
     (place,) = answer.check
     assert 14.0 < place.from_s < 16.0
     assert 20.0 < place.to_s < 22.0
-    assert place.what.endswith("and no scan tells which is right")
+    assert place.what.endswith("and no scan shows which is right")
 
 
 def test_a_drive_that_sees_nothing_twice_is_not_confirmed(device: ComputeDevice):

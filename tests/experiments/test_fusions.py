@@ -54,7 +54,7 @@ def test_who_left_the_others_votes_in_part_and_has_no_part_where_it_was_harmed()
     assert set(found.paths) == {*PATHS, FUSED_PATH}
     assert found.choice in {"tinyslam", "graph"}
     assert list(found.notes) == ["majority, gmapping in part"]
-    assert "drawn anew from its other scans, and" in found.notes["majority, gmapping in part"]
+    assert "redrawn from its other scans, and" in found.notes["majority, gmapping in part"]
     ate_m = found.path_errors(TRUTH)
     assert ate_m[FUSED_PATH] < 0.1 * ate_m["gmapping"]
 

@@ -126,7 +126,7 @@ def test_a_layer_is_drawn_anew_without_the_time_in_which_its_producer_had_left(
     (words,) = layers.sentences()
     assert words == (
         f"c has no vote from 7 to 12 s, up to {span.gap_m:.1f} m away, where the others agree; its "
-        "layer is drawn anew from its other scans."
+        "layer is redrawn from its other scans."
     )
     assert plain(vote)["excluded_spans"] == [
         {"from_s": 7.0, "to_s": span.to_s, "gap_m": span.gap_m, "ground": "outvoted"}

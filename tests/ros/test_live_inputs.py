@@ -134,7 +134,7 @@ def test_inputs_come_and_go_while_the_node_runs(
 
     # One whose publisher has gone is not forgotten, but dead as others are.
     makers.stop("b")
-    observer.wait_status("fusion: input b", "lost: nobody publishes '/b/map'")
+    observer.wait_status("fusion: input b", "lost: no node publishes '/b/map'")
     observer.wait_status(FUSION, "3 of 4 inputs vote; not: b")
     assert node.interrupt() == 0
     assert "Traceback" not in node.text()

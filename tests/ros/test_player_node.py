@@ -172,7 +172,7 @@ def test_without_listeners_it_plays_all_the_same_and_says_so(processes: Processe
     log = write_log(tmp_path, COUNT)
     player = processes.node("player", file=str(log), rate=20.0, start_timeout_s=0.2)
     assert player.wait(30.0) == 0
-    assert any("nobody listens on '/scan'" in line for line in said(player))
+    assert any("no node listens on '/scan'" in line for line in said(player))
 
 
 @pytest.mark.parametrize(

@@ -208,7 +208,7 @@ class Anchor:
         An input that fits nowhere, as one that has come back, is searched on one of them; without
         any, the one whose place was looked for last. Where it is found both go on.
         """
-        problem = _doubt(inputs, f"{', '.join(found)} disagree and nobody can say who is right")
+        problem = _doubt(inputs, f"{', '.join(found)} disagree and no majority decides")
         rivals = [one for one, _, _ in found.values()]
         absent = [one for one in inputs if one not in rivals]
         wanted = absent or [max(rivals, key=lambda one: one.pace.last_s)]

@@ -184,7 +184,7 @@ class InputSupervisor:
             self._hand_over(max(able, key=lambda one: one.walls))
         reasons = [one.contradiction for one in able if one.contradiction]
         if reasons and not self.voters:
-            self.problem = f"{reasons[0]}, and nobody can say who is right"
+            self.problem = f"{reasons[0]}, and no majority decides"
         return True
 
     def _hand_over(self, one: Input) -> None:

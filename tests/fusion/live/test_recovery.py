@@ -55,7 +55,7 @@ def test_a_third_that_comes_while_two_disagree_says_who_is_right(device: Compute
     drive = Drive(live_fusion(device))
     drive.step(three()["a"], three()["b"])
     update = bend_until(drive, lambda: drive.accepted() == "")
-    assert update.problem == "a, b disagree and nobody can say who is right"
+    assert update.problem == "a, b disagree and no majority decides"
     drive.step(moved_frame(three()["c"], AWAY))
     for _ in range(3):
         if not drive.accepted():
