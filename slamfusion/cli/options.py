@@ -243,8 +243,10 @@ def scale_option(text: str) -> Callable[[F], F]:
     """Give a command ``--scale``: the size that the pixels of a floor plan may have, metres."""
 
     def sizes(_: click.Context, __: click.Parameter, value: str | None) -> PixelSizes | None:
-        if value is None or value == "free":
-            return value
+        if value is None:
+            return None
+        if value == "free":
+            return "free"
         try:
             low, high = (float(part) for part in value.split(":"))
         except ValueError:

@@ -212,7 +212,7 @@ def compare_to_truth(
     if is_plan:
         is_seen = _within(found != UNKNOWN, tolerance_m / truth.resolution)
         is_wall = expected == 1
-        mapped = np.count_nonzero(is_wall & is_seen) / max(1, np.count_nonzero(is_wall))
+        mapped = float((is_wall & is_seen).sum() / max(1, int(is_wall.sum())))
         expected = np.where(is_seen, expected, np.int8(UNKNOWN))
         true_classes = np.full_like(true_classes, UNKNOWN)
         true_classes[box.row0 : box.row1, box.col0 : box.col1] = expected

@@ -95,7 +95,7 @@ def drawn(
     factor = truth.resolution / FINE_M
     walls = (truth.cells == OCCUPIED).view(np.uint8)[::-1] * np.uint8(255)
     walls = cv2.resize(walls, None, fx=factor, fy=factor, interpolation=cv2.INTER_NEAREST)
-    walls = cv2.copyMakeBorder(walls, *[MARGIN] * 4, cv2.BORDER_CONSTANT, value=0)
+    walls = np.pad(walls, MARGIN)
     picture = draw(walls)
     side = 2 * math.ceil(math.hypot(*walls.shape) / 2.0)
     turn = cv2.getRotationMatrix2D((walls.shape[1] / 2.0, walls.shape[0] / 2.0), yaw_deg, 1.0)
