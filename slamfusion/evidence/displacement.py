@@ -149,7 +149,7 @@ def _p_values(gains: F64) -> F64:
     p_values = np.ones(CHUNKS)
     differ = np.ptp(tested, axis=1) > 0.0
     means, deviations = tested[differ].mean(axis=1), tested[differ].std(axis=1, ddof=1)
-    count = tested.shape[1]
+    count = gains.shape[2]
     # The one-sided t-test; scipy.stats, which has it too, takes a second to load.
     p_values[differ] = scipy.special.stdtr(count - 1, -means / deviations * np.sqrt(count))
     return p_values

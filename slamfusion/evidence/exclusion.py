@@ -77,7 +77,7 @@ def path_gap_m(evidence: PathEvidence, name: str, other: str) -> F64:
     """Return how far a path lies from another at each judged scan, metres; see ``lay_on``."""
     moving, still = (evidence.scores[one].path.poses[evidence.is_judged] for one in (name, other))
     aligned, _ = lay_on(moving, still)
-    return np.hypot(*(aligned[:, :2] - still[:, :2]).T)
+    return np.asarray(np.hypot(*(aligned[:, :2] - still[:, :2]).T))
 
 
 def long_runs(flags: B8, stamps_s: F64) -> Iterator[slice]:

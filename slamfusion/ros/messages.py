@@ -177,7 +177,7 @@ def path_from_message(message: Any, name: str) -> Trajectory:
     """
     poses = [pose2_from_message(item.pose) for item in message.poses]
     rows = np.array([(pose.x, pose.y, pose.yaw_rad) for pose in poses]).reshape(-1, 3)
-    return Trajectory([stamp_s(item) for item in message.poses], rows, name)
+    return Trajectory(np.array([stamp_s(item) for item in message.poses]), rows, name)
 
 
 # --- grids -----------------------------------------------------------------------------------
