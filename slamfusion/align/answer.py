@@ -164,7 +164,8 @@ def _decided(
         # Two good maps of a place that is nearly its own image fit both ways; a limit of its own
         # would be the square of this one.
         if answer.reading != "good" or evidence.expected_wrong >= EXPECTED_WRONG_MAX**2:
-            mirrored = mirror_gain(pair, answer.motion, config, answer.reading)
+            is_near = "a pose away from the start" in answer.against
+            mirrored = mirror_gain(pair, answer.motion, config, answer.reading, is_near=is_near)
         at = answer.motion if answer.reading == "bent" else best
         scale = estimate_scale(pair, at, answer.reading)
     elif found.search == "full" and decision.kind in found.image_after:

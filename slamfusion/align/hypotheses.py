@@ -378,7 +378,12 @@ def _distances2(own: GridFeatures, other: GridFeatures, lattice: F64) -> npt.NDA
 
 @watched
 def mirror_gain(
-    pair: Pair, motion: F64, config: AlignConfig, reading: Reading = "changed"
+    pair: Pair,
+    motion: F64,
+    config: AlignConfig,
+    reading: Reading = "changed",
+    *,
+    is_near: bool = False,
 ) -> float | None:
     """Return the evidence for the best fit of the moving map's image over that for a motion.
 
@@ -387,6 +392,7 @@ def mirror_gain(
         motion: (3,) of the map as it is: where its centre lands, cells, and yaw.
         config: settings of the search; everywhere, since no start holds for an image.
         reading: of the maps.
+        is_near: the motion is near a start, which is evidence for it.
 
     Returns:
         None where the motion has no evidence.
@@ -394,6 +400,7 @@ def mirror_gain(
     own = float(weigh(pair, motion[None], reading).total[0])
     if own <= 0.0:
         return None
+    own -= OBSERVED_M * math.log(START_WRONG) if is_near else 0.0
     image = pair.mirrored()
     _, motions, _ = search(image, config, SearchWindow())
     if not len(motions):

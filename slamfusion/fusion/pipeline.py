@@ -122,7 +122,8 @@ def align_inputs(
             in_part, executor,
         )  # fmt: skip
     except AlignmentError as error:
-        wrong = _wrong_resolutions(voters[0], voters[1:], config, device, second_look)
+        whole = [grid for grid in voters if grid.name not in prepared.reasons]
+        wrong = _wrong_resolutions(whole[0], whole[1:], config, device, second_look)
         if not wrong:
             raise
         message = f"{error}; {'; '.join(wrong.values())}"

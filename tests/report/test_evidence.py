@@ -28,7 +28,7 @@ def test_the_fused_path_has_its_colour_and_the_slams_theirs() -> None:
     colours = {entry.text: entry.rgb for entry in picture.legend}
     assert colours == {name: NAMED[name] for name in ("graph", "fused", "gmapping")}
     (table,) = section.tables
-    column = table.columns.index("from the fused path m")
+    column = table.columns.index("from the fused path [m]")
     assert table.folded, "the reasons stand below the answer"
     found = {row[0].text: row[column].text for row in table.rows}
     assert found["fused"] == "-"

@@ -23,6 +23,7 @@ from slamfusion.grid import OccupancyGrid
 from slamfusion.io.map_server import load_map, save_map
 from slamfusion.ros.base import Diagnostics
 from slamfusion.ros.fusion_services import FusionServices
+from slamfusion.trajectory import Trajectory
 from tests.fusion.live.maps import three
 
 pytestmark = pytest.mark.once
@@ -38,6 +39,7 @@ class Node:
     def __init__(self, folder: Path) -> None:
         self.settings = FusionNodeConfig(save_path=str(folder / "lab"))
         self.published: Any = (None, three()["a"])
+        self.fused_path: Trajectory | None = None
         self.inputs: Any = SimpleNamespace(entries={"a": "a/map"})
         self.answers: dict[str, Any] = {}
         quiet = SimpleNamespace(info=str, warning=str, error=str)
