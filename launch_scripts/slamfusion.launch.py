@@ -7,11 +7,7 @@ frame_prefix:=robot1/ tf:=tf tf_static:=tf_static
 """
 
 from launch import LaunchDescription
-from launch.actions import (
-    DeclareLaunchArgument,
-    IncludeLaunchDescription,
-    SetEnvironmentVariable,
-)
+from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription, SetEnvironmentVariable
 from launch.conditions import IfCondition
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import (
@@ -95,16 +91,13 @@ def generate_launch_description() -> LaunchDescription:
                 "OMP_NUM_THREADS", EnvironmentVariable("OMP_NUM_THREADS", default_value="1")
             ),
             IncludeLaunchDescription(
-                _file("tinyslam.launch.py"),
-                launch_arguments={**timed, **topics}.items(),
+                _file("tinyslam.launch.py"), launch_arguments={**timed, **topics}.items()
             ),
             IncludeLaunchDescription(
-                _file("gmapping.launch.py"),
-                launch_arguments={**timed, **topics}.items(),
+                _file("gmapping.launch.py"), launch_arguments={**timed, **topics}.items()
             ),
             IncludeLaunchDescription(
-                _file("graph.launch.py"),
-                launch_arguments={**timed, **topics}.items(),
+                _file("graph.launch.py"), launch_arguments={**timed, **topics}.items()
             ),
             IncludeLaunchDescription(
                 _file("fusion.launch.py"),

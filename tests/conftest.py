@@ -28,10 +28,7 @@ FEW = 2
 PROFILES = {"suite": 12, "full": FULL, "brief": 10}
 for profile, count in PROFILES.items():
     settings.register_profile(
-        profile,
-        deadline=None,
-        suppress_health_check=[HealthCheck.too_slow],
-        max_examples=count,
+        profile, deadline=None, suppress_health_check=[HealthCheck.too_slow], max_examples=count
     )
 settings.load_profile("suite")
 

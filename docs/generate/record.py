@@ -67,12 +67,10 @@ RECIPES = {
     ),
     "real-logs": Recipe(("experiment real-logs --datasets {datasets} -o {out}",), tables.real_logs),
     "cell-models": Recipe(
-        (f"experiment cell-models-trajectories {MODEL_LOGS} -o {{out}}",),
-        tables.repeated_runs,
+        (f"experiment cell-models-trajectories {MODEL_LOGS} -o {{out}}",), tables.repeated_runs
     ),
     "occupancy-estimator": Recipe(
-        (f"experiment occupancy-estimator {ESTIMATOR_LOG} -o {{out}}",),
-        tables.repeated_runs,
+        (f"experiment occupancy-estimator {ESTIMATOR_LOG} -o {{out}}",), tables.repeated_runs
     ),
     "fused-path-recordings": Recipe(
         (

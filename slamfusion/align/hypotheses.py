@@ -436,11 +436,7 @@ def estimate_scale(pair: Pair, motion: F64, reading: Reading) -> float:
         cos, sin = np.array((np.cos(turn), np.sin(turn))) * (scales / scale)
         x, y = at[:2] - middle
         motions = np.stack(
-            (
-                middle[0] + cos * x - sin * y + dx,
-                middle[1] + sin * x + cos * y + dy,
-                at[2] + turn,
-            ),
+            (middle[0] + cos * x - sin * y + dx, middle[1] + sin * x + cos * y + dy, at[2] + turn),
             axis=1,
         )
         found = score_motions(pair, motions, 1, sigma=sigma, points=POINTS, scales=scales)

@@ -96,13 +96,5 @@ def print_devices(devices: Sequence[DeviceInfo]) -> None:
         ]
         for device in devices
     ]
-    columns = (
-        "index",
-        "name ",
-        "platform ",
-        "type ",
-        "units",
-        "memory [MB]",
-        "usable ",
-    )
+    columns = ("index", "name ", "platform ", "type ", "units", "memory [MB]", "usable ")
     print_table(columns, rows, notes=[device.note for device in devices])

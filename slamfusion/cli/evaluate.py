@@ -276,11 +276,7 @@ def _write_cases(
 
 def _compare(request: _Request, config: RunConfig) -> int:
     """Compare maps with each other."""
-    from slamfusion.jobs.evaluate import (  # noqa: PLC0415
-        agreement_items,
-        compare_maps,
-        evaluate_document,
-    )
+    from slamfusion.jobs.evaluate import agreement_items, compare_maps, evaluate_document  # noqa: PLC0415
 
     grids = load_maps(request.paths, request.resolution, config.map_files, notice)
     device = device_for(config)

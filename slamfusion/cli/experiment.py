@@ -142,8 +142,7 @@ def _log_option(name: str, help_text: str, metavar: str = "FILE") -> Callable[[F
 @_log_option("log", "A recorded drive, in addition to the simulated floors.", "LOG")
 @_log_option("relations", "Known motions of the recorded drive [K09].")
 @_log_option(
-    "odometry",
-    "Raw odometry of its whole run. It carries poses to the times of the relations.",
+    "odometry", "Raw odometry of its whole run. It carries poses to the times of the relations."
 )
 @_log_option("reference", "The best known trajectory of the recorded drive.")
 @_experiment("experiment.occupancy_estimator", "report", "device", "")
@@ -254,11 +253,7 @@ def failures(setup: Setup) -> Found:
     help="Folder with the recordings mit-csail/ and intel/.",
 )
 @case_option(
-    "--inputs",
-    "maps",
-    "MAP",
-    "Saved map of another SLAM. Its name contains the drive.",
-    CASE_MAP,
+    "--inputs", "maps", "MAP", "Saved map of another SLAM. Its name contains the drive.", CASE_MAP
 )
 @case_option("--paths", "paths", "PATH", "The path of such a map, with the same name.")
 @_experiment("report", "device", "")

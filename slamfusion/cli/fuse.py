@@ -112,13 +112,7 @@ def _report_folders(folder: Path, _: Mapping[str, Any]) -> list[Path]:
     "record OUT.json. Further groups of maps that overlap only each other: OUT-2.yaml ... "
     "OUT.zarr writes a Zarr store, for maps larger than memory.",
 )
-@file_option(
-    "--truth",
-    "truth_path",
-    "MAP",
-    "The true map. Adds the errors of all maps.",
-    MAP,
-)
+@file_option("--truth", "truth_path", "MAP", "The true map. Adds the errors of all maps.", MAP)
 @truth_scale_option
 @click.option(
     "--format",
@@ -171,12 +165,7 @@ def command(
     named and left out; at least two must fit. The fused map covers all maps that fit, in the frame
     of the first of them.
     """
-    from slamfusion.jobs.fuse import (  # noqa: PLC0415
-        check_count,
-        check_stores,
-        fuse_maps,
-        save_fused_maps,
-    )
+    from slamfusion.jobs.fuse import check_count, check_stores, fuse_maps, save_fused_maps  # noqa: PLC0415
 
     config, store = with_starts(config, starts), out if out.suffix == STORE_END else None
     check_count(maps)

@@ -21,13 +21,7 @@ from slamfusion.cli.options import (
     report_option,
     with_config,
 )
-from slamfusion.cli.output import (
-    notice,
-    print_facts,
-    print_json,
-    print_table,
-    progress_bar,
-)
+from slamfusion.cli.output import notice, print_facts, print_json, print_table, progress_bar
 from slamfusion.cli.paths import CASE_FILE
 from slamfusion.cli.results import (
     print_items,

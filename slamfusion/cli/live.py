@@ -99,11 +99,7 @@ def _words(line: LiveLineJson) -> str:
 @click.option("--mode", type=Choice(["trinary", "scale", "raw"]), help="Map value mode.")
 @_node_options
 def save_command(
-    client: Any,
-    path: str | None,
-    image_format: str | None,
-    mode: str | None,
-    as_json: bool,
+    client: Any, path: str | None, image_format: str | None, mode: str | None, as_json: bool
 ) -> int:
     """Save the fused map to the node's save_path, or to --path in its folder."""
     rules = {"path": path, "format": image_format, "mode": mode}

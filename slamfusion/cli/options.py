@@ -157,10 +157,7 @@ _LIKE_PAPER = click.option(
 )
 
 
-def report_option(
-    parameter: str,
-    folders: Files = lambda folder, _: [folder],
-) -> Callable[[F], F]:
+def report_option(parameter: str, folders: Files = lambda folder, _: [folder]) -> Callable[[F], F]:
     """Return the option ``--report`` of a command that can write one."""
     return output_option(
         "--report",
@@ -231,10 +228,7 @@ def drive_options(judged: str) -> Callable[[F], F]:
 def map_resolution_option(function: F) -> F:
     """Give a command ``--resolution`` for images that come without a YAML file."""
     decorate = click.option(
-        "--resolution",
-        type=float,
-        metavar="M",
-        help="Cell size of images without YAML, in metres.",
+        "--resolution", type=float, metavar="M", help="Cell size of images without YAML, in metres."
     )
     return decorate(function)
 

@@ -75,10 +75,7 @@ if TYPE_CHECKING:
 # Columns of the table of SLAMs without --verbose.
 BRIEF = 7
 # Suffixes of what may follow an option's value as one more; no log has such a name.
-MORE = {
-    "--inputs": {".yaml", ".yml", ".pgm", ".png", ".bmp", ".pnm"},
-    "--paths": {".tum", ".csv"},
-}
+MORE = {"--inputs": {".yaml", ".yml", ".pgm", ".png", ".bmp", ".pnm"}, "--paths": {".tum", ".csv"}}
 
 
 class _ManyInputs(Command):
@@ -166,10 +163,7 @@ def _files(out: Path, given: Mapping[str, Any]) -> list[Path]:
 @file_option("--truth", "truth", "MAP", "The true map. Adds the errors of all maps.", MAP)
 @truth_scale_option
 @file_option(
-    "--truth-trajectory",
-    "truth_trajectory",
-    "FILE",
-    "The true path. Adds the errors of all paths.",
+    "--truth-trajectory", "truth_trajectory", "FILE", "The true path. Adds the errors of all paths."
 )
 @start_option(
     "Expected pose of the saved map or SLAM NAME. Several starts share one frame. A single start "
@@ -256,12 +250,7 @@ def _run(
 
     with progress_bar() as progress:
         run = run_log(
-            log,
-            config,
-            **_run_options(asked),
-            progress=progress,
-            warn=notice,
-            prepare=load_report,
+            log, config, **_run_options(asked), progress=progress, warn=notice, prepare=load_report
         )
         progress(REPORT, 0, 1)
         saved = save_run(run, out, probabilities=probabilities)

@@ -75,11 +75,7 @@ def command(
     of walls, which a lidar can see), truth.tum (the true poses) and course.yaml, which reproduces
     these files.
     """
-    from slamfusion.jobs.simulate import (  # noqa: PLC0415
-        choose_course,
-        save_simulated_drive,
-        simulate_course,
-    )
+    from slamfusion.jobs.simulate import choose_course, save_simulated_drive, simulate_course  # noqa: PLC0415
 
     is_seed_given = (
         context.get_parameter_source("config_seed") != click.core.ParameterSource.DEFAULT

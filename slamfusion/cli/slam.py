@@ -120,10 +120,7 @@ def _state_options(function: Any) -> Any:
         "Continue from a saved state with its settings; skip the scans of LOG that it knows.",
     )
     save_state = output_option(
-        "--save-state",
-        "state",
-        metavar="FILE",
-        help="Write the final state, for --resume.",
+        "--save-state", "state", metavar="FILE", help="Write the final state, for --resume."
     )
     return save_state(resume(stop_after(function)))
 
@@ -153,14 +150,7 @@ def _make_command(name: str) -> click.Command:
     @report_option("report")
     @(_state_options if record.load is not None else lambda function: function)
     @with_config(
-        f"producers.{name}",
-        "log",
-        "trajectory",
-        "map_files",
-        "report",
-        "device",
-        "",
-        base=base,
+        f"producers.{name}", "log", "trajectory", "map_files", "report", "device", "", base=base
     )
     @common_options
     @table_option

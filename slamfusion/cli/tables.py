@@ -14,13 +14,7 @@ from slamfusion.cli.output import is_verbose, notice, print_table, say, wrapped
 from slamfusion.jobs.documents import number
 
 if TYPE_CHECKING:
-    from slamfusion.align.records import (
-        Alignment,
-        Fusion,
-        FusionResult,
-        InputRecord,
-        StoredFusion,
-    )
+    from slamfusion.align.records import Alignment, Fusion, FusionResult, InputRecord, StoredFusion
     from slamfusion.evaluation import DensePoses, Figure
     from slamfusion.evidence import RankedPath, Recommendation
     from slamfusion.jobs.fuse_documents import DoubledWalls

@@ -12,10 +12,7 @@ from slamfusion.evaluation.distances import (
     compare_distances,
     load_distances,
 )
-from slamfusion.evaluation.doubled_walls import (
-    doubled_wall_share,
-    fused_doubled_shares,
-)
+from slamfusion.evaluation.doubled_walls import doubled_wall_share, fused_doubled_shares
 from slamfusion.evaluation.map_error import (
     AGREE_FREE,
     AGREE_UNKNOWN,

@@ -106,10 +106,7 @@ def fused_doubled_shares(
 
 
 def _take_doubled(
-    doubled: Bools,
-    cells: npt.NDArray[np.int8],
-    box: CellBox,
-    is_wall: IsWall,
+    doubled: Bools, cells: npt.NDArray[np.int8], box: CellBox, is_wall: IsWall
 ) -> None:
     """Clear the doubled cells near which an input has doubled walls, in place.
 

@@ -97,9 +97,7 @@ def match_odometry(
     candidates = [
         rows[np.abs(odometry.stamps_s[rows] - stamp_s) <= _WINDOW_S]
         for rows, stamp_s in zip(
-            (np.array(found, dtype=np.int64) for found in near),
-            scan_odometry.stamps_s,
-            strict=True,
+            (np.array(found, dtype=np.int64) for found in near), scan_odometry.stamps_s, strict=True
         )
     ]
     sure = np.array([len(rows) == 1 for rows in candidates])

@@ -15,12 +15,7 @@ from __future__ import annotations
 
 from slamfusion.evidence.beams import CoveredPath, JudgedScans, cover_stamps, judged_scans
 from slamfusion.evidence.displacement import Displacement, find_displacements
-from slamfusion.evidence.exclusion import (
-    ExcludedSpan,
-    Exclusions,
-    UndecidedSpan,
-    find_exclusions,
-)
+from slamfusion.evidence.exclusion import ExcludedSpan, Exclusions, UndecidedSpan, find_exclusions
 from slamfusion.evidence.fused_path import FusedPath, fuse_paths, trust_in_paths
 from slamfusion.evidence.predictive import (
     Comparison,

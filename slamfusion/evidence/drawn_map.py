@@ -339,8 +339,7 @@ def fuse_with_drawn(
     agreement = _agreement(fused, [own, *aligned.values()])
     records = tuple(
         replace(
-            record,
-            layer=GridLayer.of(aligned[record.name], _dissent(fused, aligned[record.name])),
+            record, layer=GridLayer.of(aligned[record.name], _dissent(fused, aligned[record.name]))
         )
         if record.name in aligned
         else record

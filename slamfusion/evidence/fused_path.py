@@ -243,12 +243,7 @@ def _between(laid: LaidPaths, starts: I64, ends: I64) -> _Motions:
         trust = np.where(is_step, _agreement(told, trust, float(deviation[0])), trust)
     at = np.broadcast_to(np.arange(len(starts)), has.shape)[has]
     return _Motions(
-        starts[at],
-        ends[at],
-        told[has],
-        np.tile(deviation, (len(at), 1)),
-        trust[has],
-        is_step[at],
+        starts[at], ends[at], told[has], np.tile(deviation, (len(at), 1)), trust[has], is_step[at]
     )
 
 

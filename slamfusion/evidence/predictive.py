@@ -260,10 +260,7 @@ def score_paths(
 
 
 def with_path(
-    evidence: PathEvidence,
-    name: str,
-    path: Trajectory,
-    device: ComputeDevice,
+    evidence: PathEvidence, name: str, path: Trajectory, device: ComputeDevice
 ) -> PathEvidence:
     """Score one more path of a drive; the same as if all were scored together.
 
@@ -290,10 +287,7 @@ def with_path(
 
 
 def without_scans(
-    evidence: PathEvidence,
-    names: Collection[str],
-    left_out: B8,
-    device: ComputeDevice,
+    evidence: PathEvidence, names: Collection[str], left_out: B8, device: ComputeDevice
 ) -> PathEvidence:
     """Score some paths of a drive on fewer scans, by the same model.
 

@@ -211,10 +211,7 @@ def _fuse(
 
 
 def vote_every_way(
-    layers: Layers,
-    config: RunConfig,
-    device: ComputeDevice,
-    notes: dict[str, str],
+    layers: Layers, config: RunConfig, device: ComputeDevice, notes: dict[str, str]
 ) -> dict[str, OccupancyGrid | None]:
     """Return the fused map of every way to vote; all have the same voters, or the same one map.
 
@@ -235,10 +232,7 @@ def vote_every_way(
 
 
 def _vote_plainly(
-    layers: Layers,
-    config: RunConfig,
-    device: ComputeDevice,
-    notes: dict[str, str],
+    layers: Layers, config: RunConfig, device: ComputeDevice, notes: dict[str, str]
 ) -> FusionResult | OccupancyGrid:
     """Return the plain vote, or the map to go on with alone; ``notes`` say what went wrong."""
     first, *others = layers.grids

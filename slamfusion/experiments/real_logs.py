@@ -108,10 +108,7 @@ def logs_there(folder: Path, warn: Warn) -> list[str]:
 
 
 def compare_on_logs(
-    folder: Path,
-    names: Sequence[str],
-    setup: Setup,
-    others: Mapping[str, SavedMaps] | None = None,
+    folder: Path, names: Sequence[str], setup: Setup, others: Mapping[str, SavedMaps] | None = None
 ) -> Experiment:
     """Run the producers on recorded drives, fuse their maps in every way, and measure all maps.
 

@@ -90,10 +90,7 @@ def check_address(where: str) -> int | None:
 
 
 def as_done(
-    executor: Executor | None,
-    function: Callable[..., Result],
-    items: Iterable[Item],
-    *more: Any,
+    executor: Executor | None, function: Callable[..., Result], items: Iterable[Item], *more: Any
 ) -> Iterator[tuple[Item, Result]]:
     """Yield each item with ``function(item, *more)``, in the order in which they are done."""
     if executor is None:

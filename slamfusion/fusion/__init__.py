@@ -10,11 +10,4 @@ from slamfusion.align.align import align_grids
 from slamfusion.align.records import Alignment, FusionResult, InputRecord, RunnerUp
 from slamfusion.fusion.pipeline import fuse_grids
 
-__all__ = [
-    "Alignment",
-    "FusionResult",
-    "InputRecord",
-    "RunnerUp",
-    "align_grids",
-    "fuse_grids",
-]
+__all__ = ["Alignment", "FusionResult", "InputRecord", "RunnerUp", "align_grids", "fuse_grids"]

@@ -240,10 +240,7 @@ class ImpliedPairs:
             and wrong < EXPECTED_WRONG_MAX
             and found.statistics["wall_clash"] <= CLASH_MAX
         )
-        went = is_distinct(
-            pair.motion_of(found.transform),
-            pair.motion_of(transform),
-        )
+        went = is_distinct(pair.motion_of(found.transform), pair.motion_of(transform))
         words = f"{evidence.share:.0%} of what {evidence.common_m:.0f} m of common walls could give"
         # On little ground a few walls meet in a wrong place, too.
         is_borne_out = fits and not went and (found.accepted or not little)

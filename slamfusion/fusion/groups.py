@@ -511,11 +511,7 @@ def _own(features: GridFeatures) -> Alignment:
 
 
 def _left_out(
-    name: str,
-    reference: str,
-    group: MapGroup,
-    pairs: Sequence[Alignment],
-    implied: ImpliedPairs,
+    name: str, reference: str, group: MapGroup, pairs: Sequence[Alignment], implied: ImpliedPairs
 ) -> tuple[str, Alignment | None]:
     """Return why an input is not in the group, in one line, and the alignment that shows it.
 

@@ -599,9 +599,7 @@ def contradicting(
 
 
 def bent_maps(
-    trust: Trust | None,
-    worst: Sequence[Mapping[str, tuple[int, int, int]]],
-    grid: Lattice,
+    trust: Trust | None, worst: Sequence[Mapping[str, tuple[int, int, int]]], grid: Lattice
 ) -> dict[str, Bent]:
     """Return the maps whose walls do not agree with the others', and where they agree least.
 

@@ -289,10 +289,7 @@ class _Search:
     def _agrees(self, pair: Alignment, transform: Pose2, steps: int) -> bool:
         """Whether an alignment is where a path of so many others puts it."""
         maps = Pair(self.features[pair.reference], self.features[pair.moving])
-        shift, turn = displacement(
-            maps.motion_of(pair.transform),
-            maps.motion_of(transform),
-        )
+        shift, turn = displacement(maps.motion_of(pair.transform), maps.motion_of(transform))
         parts = (1 + steps) / TRIANGLE
         return shift <= CLOSURE_CELLS * parts and turn <= CLOSURE_YAW_RAD * parts
 
@@ -555,10 +552,7 @@ def solve_poses(
     return {name: first.compose(pose) for name, pose in poses.items()}, out
 
 
-def placed(
-    pair: Pair,
-    transform: Pose2,
-) -> Alignment:
+def placed(pair: Pair, transform: Pose2) -> Alignment:
     """Return the record of a map that other alignments place, with the numbers of its walls there.
 
     Args:

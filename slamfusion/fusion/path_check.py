@@ -24,12 +24,7 @@ import numpy.typing as npt
 from slamfusion.align.align import track_pair
 from slamfusion.align.decide import CLASH_MAX
 from slamfusion.align.pair import Pair
-from slamfusion.align.records import (
-    Alignment,
-    FusionResult,
-    InputRecord,
-    RunnerUp,
-)
+from slamfusion.align.records import Alignment, FusionResult, InputRecord, RunnerUp
 from slamfusion.align.starts import Starts
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig
@@ -226,10 +221,7 @@ def fit_paths(moving: Trajectory, still: Trajectory) -> Pose2:
 
 
 def place_by_path(
-    pair: Alignment,
-    maps: Pair,
-    paths: Mapping[str, Trajectory],
-    limit_m: float,
+    pair: Alignment, maps: Pair, paths: Mapping[str, Trajectory], limit_m: float
 ) -> Alignment:
     """Return an alignment as it is, or the one that the paths give where the walls leave it open.
 

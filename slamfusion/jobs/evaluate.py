@@ -26,14 +26,7 @@ from slamfusion.io import AtomicFiles
 from slamfusion.jobs.cases import CaseFile, Placed, place_files
 from slamfusion.jobs.documents import circumstances, path_text, settings_used
 from slamfusion.jobs.fuse_documents import FusedInputJson, UnalignedInputJson, input_document
-from slamfusion.jobs.inputs import (
-    MapInput,
-    PixelSizes,
-    Progress,
-    as_grids,
-    device_for,
-    load_truth,
-)
+from slamfusion.jobs.inputs import MapInput, PixelSizes, Progress, as_grids, device_for, load_truth
 from slamfusion.jobs.plan import align_plan_with_all
 from slamfusion.jobs.records import CircumstancesJson, Evaluation, SettingsJson, SummariesJson
 from slamfusion.json_values import record_keys
@@ -278,10 +271,7 @@ def write_evaluation(
     """
     if report is None and image is None:
         return
-    from slamfusion.report import (  # noqa: PLC0415  (an extra)
-        write_difference_image,
-        write_evaluation_report,
-    )
+    from slamfusion.report import write_difference_image, write_evaluation_report  # noqa: PLC0415  (an extra)
 
     with AtomicFiles() if files is None else nullcontext(files) as together:
         if report is not None:

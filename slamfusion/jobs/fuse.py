@@ -282,9 +282,7 @@ def _fuse_into(
 
 
 def _require_all(
-    inputs: Sequence[InputRecord],
-    pairs: tuple[Alignment, ...],
-    result: FusionResult | None = None,
+    inputs: Sequence[InputRecord], pairs: tuple[Alignment, ...], result: FusionResult | None = None
 ) -> None:
     """Refuse a fusion that had to leave an input out."""
     rejected = [item for item in inputs if not item.accepted and item.copy_of is None]

@@ -82,10 +82,7 @@ class DoubledWalls:
 
     @classmethod
     def of(
-        cls,
-        result: FusionResult,
-        config: RunConfig,
-        known: Mapping[str, float] | None = None,
+        cls, result: FusionResult, config: RunConfig, known: Mapping[str, float] | None = None
     ) -> DoubledWalls:
         """Measure a fusion."""
         known, normalize = known or {}, config.fusion.normalize
@@ -98,8 +95,7 @@ class DoubledWalls:
         layers = (record.layer for record in result.accepted if record.layer is not None)
         aligned = ((layer.codes, layer.box) for layer in layers)
         return cls(
-            shares,
-            *fused_doubled_shares(result.fused.cells, aligned, is_wall=occupied_codes),
+            shares, *fused_doubled_shares(result.fused.cells, aligned, is_wall=occupied_codes)
         )
 
 

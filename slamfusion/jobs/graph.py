@@ -14,13 +14,7 @@ from slamfusion.io import AtomicFiles, write_tum
 from slamfusion.jobs.documents import path_text, settings_used
 from slamfusion.jobs.inputs import as_path
 from slamfusion.jobs.records import SettingsJson
-from slamfusion.pose_graph import (
-    GraphFile,
-    Optimized,
-    optimize,
-    read_g2o,
-    write_g2o,
-)
+from slamfusion.pose_graph import GraphFile, Optimized, optimize, read_g2o, write_g2o
 from slamfusion.trajectory import Trajectory
 
 

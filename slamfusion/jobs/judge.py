@@ -171,9 +171,7 @@ class JudgedPaths:
             "path_evidence": self.recommendation.paths,
             "paths": [
                 SavedPath(
-                    files.paths[name],
-                    replace(path, name=name),
-                    self.measures.get(name, Measures()),
+                    files.paths[name], replace(path, name=name), self.measures.get(name, Measures())
                 ).to_json()
                 for name, path in self.paths.items()
             ],

@@ -22,11 +22,7 @@ from slamfusion.jobs.outputs import PROBABILITY, output_files
 from slamfusion.jobs.records import CircumstancesJson, Evaluation
 from slamfusion.jobs.trajectory import Measures, MeasuresJson, Yardsticks
 from slamfusion.slam.common.mapper import Mapper
-from slamfusion.slam.common.runner import (
-    ProducerRun,
-    Resumable,
-    run_producer,
-)
+from slamfusion.slam.common.runner import ProducerRun, Resumable, run_producer
 from slamfusion.slam.records import ProducerRunJson
 from slamfusion.slam.registry import make_producer, open_producer_device, resume_producer
 from slamfusion.trajectory import Trajectory
@@ -270,11 +266,7 @@ def map_log(
 
 
 def _run(
-    mapper: Mapper,
-    files: LogFiles,
-    config: RunConfig,
-    limit: int | None,
-    progress: Progress | None,
+    mapper: Mapper, files: LogFiles, config: RunConfig, limit: int | None, progress: Progress | None
 ) -> ProducerRun:
     """Run the producer over the log; progress follows the file."""
     log = open_log(files.log, config.log, files.scan_odometry)

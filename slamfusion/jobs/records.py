@@ -17,9 +17,7 @@ from importlib import resources
 from typing import Any, TypedDict
 
 from slamfusion.align.records import Alignment, AlignmentJson
-from slamfusion.evaluation import (
-    MapError,
-)
+from slamfusion.evaluation import MapError
 
 # --- what many documents share ----------------------------------------------------------------
 

@@ -232,10 +232,7 @@ def _add_producers(
 
 
 def run_document(
-    run: LogRun,
-    files: Mapping[str, Sequence[Path]],
-    stages: Mapping[str, float],
-    time_s: float,
+    run: LogRun, files: Mapping[str, Sequence[Path]], stages: Mapping[str, float], time_s: float
 ) -> RunDocument:
     """Return what ``slamfusion run`` prints as JSON.
 

@@ -16,12 +16,7 @@ from slamfusion.palette import NAMED, Rgb
 from slamfusion.report import paths
 from slamfusion.report.canvas import LegendEntry
 from slamfusion.report.errors import MeasuredPath, error_facts, errors_section
-from slamfusion.report.evidence import (
-    evidence_section,
-    path_colours,
-    place_lines,
-    strip_picture,
-)
+from slamfusion.report.evidence import evidence_section, path_colours, place_lines, strip_picture
 from slamfusion.report.fusion_report import (
     alignment_section,
     doubtful_lines,
@@ -325,9 +320,7 @@ def _paths_section(run: LogRun) -> Section:
             Picture(
                 f"path-{item.run.name}",
                 paths.path_picture(
-                    item.run.trajectory,
-                    grid=item.run.grid,
-                    normalize=run.config.fusion.normalize,
+                    item.run.trajectory, grid=item.run.grid, normalize=run.config.fusion.normalize
                 ),
                 f"{item.run.name}: its path over its map",
                 legend=mark_legend(),

@@ -306,10 +306,7 @@ def _read_maps(folder: Path, files: Mapping[str, Path]) -> Finished:
 
 def _read_drive(folder: Path, drive: str) -> Finished:
     """Read the maps of one drive of an experiment, over the truth."""
-    from slamfusion.experiments.runs import (  # noqa: PLC0415  (the SLAMs load slowly)
-        kept_maps,
-        kept_runs,
-    )
+    from slamfusion.experiments.runs import kept_maps, kept_runs  # noqa: PLC0415  (the SLAMs load slowly)
 
     names = kept_runs(folder)
     if not names:

@@ -142,10 +142,7 @@ def pool_cells(codes: Classes, origin: Pose2) -> tuple[Classes, int]:
     if factor == 1:
         return codes, 1
     height, width = (math.ceil(side / factor) for side in codes.shape)
-    padding = (
-        (0, height * factor - codes.shape[0]),
-        (0, width * factor - codes.shape[1]),
-    )
+    padding = ((0, height * factor - codes.shape[0]), (0, width * factor - codes.shape[1]))
     padded = np.pad(codes, padding, mode="edge")
     blocks = padded.reshape(height, factor, width, factor)
     return np.asarray(blocks.max(axis=(1, 3)), dtype=np.int8), factor

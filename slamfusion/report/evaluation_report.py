@@ -13,12 +13,7 @@ from slamfusion.evaluation import MapError
 from slamfusion.io.files import AtomicFiles, write_atomic
 from slamfusion.report.canvas import to_form
 from slamfusion.report.layers import error_layers
-from slamfusion.report.maps import (
-    alignment_table,
-    difference_picture,
-    error_section,
-    yaw_pictures,
-)
+from slamfusion.report.maps import alignment_table, difference_picture, error_section, yaw_pictures
 from slamfusion.report.page import Banner, Fact, Page, Section, write_page
 
 

@@ -10,16 +10,7 @@ from slamfusion.evidence.predictive import PathEvidence
 from slamfusion.evidence.recommendation import Recommendation
 from slamfusion.io.files import AtomicFiles
 from slamfusion.report.evidence import evidence_section, path_colours, place_lines, strip_picture
-from slamfusion.report.page import (
-    Banner,
-    Cell,
-    Fact,
-    Page,
-    Section,
-    Table,
-    number,
-    write_page,
-)
+from slamfusion.report.page import Banner, Cell, Fact, Page, Section, Table, number, write_page
 
 
 def write_judge_report(

@@ -10,13 +10,7 @@ import numpy.typing as npt
 
 from slamfusion.align.records import Alignment
 from slamfusion.config import NormalizeConfig
-from slamfusion.evaluation import (
-    Figure,
-    MapError,
-    doubled_wall_share,
-    face_figures,
-    shown_figures,
-)
+from slamfusion.evaluation import Figure, MapError, doubled_wall_share, face_figures, shown_figures
 from slamfusion.evaluation.distances import sample_on_lattice
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, OccupancyGrid, known_box, trinary_cells
@@ -99,9 +93,7 @@ def pair_overlay(
 
 
 def pairs_section(
-    grids: Sequence[OccupancyGrid],
-    pairs: Sequence[Alignment],
-    normalize: NormalizeConfig,
+    grids: Sequence[OccupancyGrid], pairs: Sequence[Alignment], normalize: NormalizeConfig
 ) -> Section:
     """Return the pairs that were tried if nothing was fused: first overlays, a table of all."""
     by_name = {grid.name: grid for grid in grids}

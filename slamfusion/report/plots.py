@@ -207,11 +207,7 @@ def agreement_colour(percent: int) -> Rgb:
 
 
 def _codes_figure(
-    codes: Classes,
-    colours: Sequence[Rgb],
-    resolution: float,
-    origin: Pose2,
-    box: CellBox | None,
+    codes: Classes, colours: Sequence[Rgb], resolution: float, origin: Pose2, box: CellBox | None
 ) -> Figure:
     """Draw cells by their codes, from -1 on; of a block of cells the largest code shows."""
     box = box or crop_box(codes != -1)

@@ -13,15 +13,7 @@ from slamfusion.report import paths
 from slamfusion.report.errors import MeasuredPath, error_facts, errors_section
 from slamfusion.report.layers import map_layers
 from slamfusion.report.maps import input_picture, statistics_table
-from slamfusion.report.page import (
-    Banner,
-    Fact,
-    Page,
-    Picture,
-    Section,
-    Table,
-    write_page,
-)
+from slamfusion.report.page import Banner, Fact, Page, Picture, Section, Table, write_page
 from slamfusion.report.series import drawable, series_picture
 from slamfusion.report.trajectory_report import path_pictures
 from slamfusion.slam.common.runner import ProducerRun

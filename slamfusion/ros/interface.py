@@ -74,12 +74,7 @@ MAP = "reliable, transient local, depth 1"
 
 TOPICS = (
     Topic(
-        "scan",
-        "sensor_msgs/LaserScan",
-        ("player",),
-        ("producers", "fusion"),
-        SENSOR,
-        "laser scans",
+        "scan", "sensor_msgs/LaserScan", ("player",), ("producers", "fusion"), SENSOR, "laser scans"
     ),
     Topic(
         "odom",
@@ -107,12 +102,7 @@ TOPICS = (
         needs_tf2=True,
     ),
     Topic(
-        "NAME/map_metadata",
-        "nav_msgs/MapMetaData",
-        ("producers",),
-        (),
-        MAP,
-        "its size and place",
+        "NAME/map_metadata", "nav_msgs/MapMetaData", ("producers",), (), MAP, "its size and place"
     ),
     Topic(
         "NAME/pose",
@@ -246,9 +236,7 @@ NAME_LISTS = {
     ),
     "player": (
         NameList(
-            "wait_for",
-            (),
-            "producers that must answer the first scan, and in lockstep every one",
+            "wait_for", (), "producers that must answer the first scan, and in lockstep every one"
         ),
         NameList(
             "maps",

@@ -41,10 +41,7 @@ class LivePage:
     """
 
     def __init__(
-        self,
-        base: NodeBase,
-        settings: FusionNodeConfig,
-        command: Callable[[str], tuple[bool, str]],
+        self, base: NodeBase, settings: FusionNodeConfig, command: Callable[[str], tuple[bool, str]]
     ) -> None:
         # Nobody else needs what it stands on.
         try:

@@ -25,13 +25,7 @@ from slamfusion.ros.frames import TransformOutput
 from slamfusion.ros.parameters import declare
 from slamfusion.ros.scan_input import SCAN_TOPIC, ArrivedScan, ScanInput
 from slamfusion.slam.registry import producer, settings_of
-from slamfusion.slam.session import (
-    Answer,
-    ProducerSession,
-    QueuedScan,
-    Snapshot,
-    UndrawnMap,
-)
+from slamfusion.slam.session import Answer, ProducerSession, QueuedScan, Snapshot, UndrawnMap
 
 # Scans that come for so long without a transform are a reason to name it, seconds.
 NEVER_SENT_S = 5.0

@@ -58,10 +58,7 @@ def padded(box: CellBox, cells: int) -> CellBox:
 
 def slices(box: CellBox, row0: int, col0: int) -> tuple[slice, slice]:
     """Return the indices of a box in an array whose first cell is (row0, col0)."""
-    return (
-        slice(box.row0 - row0, box.row1 - row0),
-        slice(box.col0 - col0, box.col1 - col0),
-    )
+    return (slice(box.row0 - row0, box.row1 - row0), slice(box.col0 - col0, box.col1 - col0))
 
 
 def grown_inside(box: CellBox, cells: int, whole: CellBox) -> CellBox:

@@ -86,9 +86,7 @@ def test_a_search_with_a_token_is_that_without_and_asks_between_all_operations(
     assert figures(track_pair(Pair(plain[0], plain[1]), start)) == figures(tracked)
 
 
-def test_a_search_is_given_up_at_any_question_and_can_be_begun_again(
-    device: ComputeDevice,
-) -> None:
+def test_a_search_is_given_up_at_any_question_and_can_be_begun_again(device: ComputeDevice) -> None:
     config = AlignConfig()
 
     def asking(answer: Callable[[int], bool]) -> tuple[CancelToken, list[int]]:

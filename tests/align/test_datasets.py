@@ -26,14 +26,7 @@ from slamfusion.io.map_server import load_map
 from tests.fusion.drawings import features_of, fusion_config, off_by
 from tests.support import halmstad
 from tests.support.datasets import MAPS, MapEntry, load_entry, map_entries
-from tests.support.overlap import (
-    Draft,
-    drawn,
-    half_pairs,
-    load_source,
-    mirrored,
-    scaled,
-)
+from tests.support.overlap import Draft, drawn, half_pairs, load_source, mirrored, scaled
 
 pytestmark = pytest.mark.datasets
 
@@ -73,9 +66,7 @@ def test_three_slams_of_one_home_come_together(device: ComputeDevice) -> None:
     assert_home(result, grids, dict.fromkeys(HOME, Pose2()))
 
 
-def test_a_lost_slam_is_rejected_and_the_other_two_fused(
-    device: ComputeDevice,
-) -> None:
+def test_a_lost_slam_is_rejected_and_the_other_two_fused(device: ComputeDevice) -> None:
     grids = load("mit-csail", "gmapping", "karto", "tinyslam-lost")
     result = fuse_grids(grids, QUICK, device)
     assert [record.name for record in result.accepted] == ["gmapping", "karto"]

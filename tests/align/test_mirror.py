@@ -81,9 +81,7 @@ def test_what_is_refused_is_named_if_its_image_would_be_believed(device: Compute
     assert found.evidence.mirrored is not None
     assert found.evidence.mirrored > 1.0
     unnamed = align_pair(
-        Pair(features_of(low, device), features_of(mirrored(high), device)),
-        CONFIG,
-        thorough=False,
+        Pair(features_of(low, device), features_of(mirrored(high), device)), CONFIG, thorough=False
     )
     assert not unnamed.accepted
     assert unnamed.decision != "mirrored"

@@ -12,11 +12,7 @@ import pytest
 from slamfusion.align.align import align_pair
 from slamfusion.align.features import GridFeatures
 from slamfusion.align.pair import Pair, displacement
-from slamfusion.align.shifts import (
-    parallel_motions,
-    parallel_yaws,
-    wall_directions,
-)
+from slamfusion.align.shifts import parallel_motions, parallel_yaws, wall_directions
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import AlignConfig
 from slamfusion.geometry import Pose2
@@ -66,9 +62,7 @@ def test_the_right_motion_is_among_the_best(site: ManyMaps, features: list[GridF
 
 @pytest.mark.once
 def test_where_walls_fill_the_coarse_cells_parallel_walls_lead_to_the_answer(
-    site: ManyMaps,
-    features: list[GridFeatures],
-    monkeypatch: pytest.MonkeyPatch,
+    site: ManyMaps, features: list[GridFeatures], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As in maps of hundreds of metres, of which no finer cells can be searched at every yaw."""
     config = replace(AlignConfig(), coarse_cells=16)

@@ -14,12 +14,7 @@ from slamfusion.align.pair import Pair
 from slamfusion.align.scores import PIECE_M, PIECE_POINTS, WallPieces, pieces_for, wall_pieces
 from slamfusion.align.search import score_motions
 from slamfusion.compute import ComputeDevice
-from slamfusion.compute.layout import (
-    FACES,
-    FACES_NOWHERE,
-    FACING_PARTS,
-    OPPOSED_PARTS,
-)
+from slamfusion.compute.layout import FACES, FACES_NOWHERE, FACING_PARTS, OPPOSED_PARTS
 from slamfusion.compute.wall_pieces import is_another
 from slamfusion.grid import OccupancyGrid
 from tests.align.definitions import Side, landings, landings_back, look_up, side_of

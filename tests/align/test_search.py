@@ -19,11 +19,7 @@ from slamfusion.align.search import (
     score_motions,
     search,
 )
-from slamfusion.align.shifts import (
-    COARSE_SIGMA,
-    SearchWindow,
-    score_shifts,
-)
+from slamfusion.align.shifts import COARSE_SIGMA, SearchWindow, score_shifts
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import AlignConfig
 from slamfusion.grid import OccupancyGrid

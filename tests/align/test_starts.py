@@ -188,11 +188,7 @@ def test_only_pairs_that_both_have_a_start_are_searched_there(device: ComputeDev
     starts = place_starts({"a": _values(poses[0]), "b": _values(wrong)}, "abc")
     result = fuse_grids(grids, QUICK, device, starts=starts)
     believed = {frozenset((pair.reference, pair.moving)): pair.accepted for pair in result.pairs}
-    assert believed == {
-        frozenset("ab"): False,
-        frozenset("ac"): True,
-        frozenset("bc"): True,
-    }
+    assert believed == {frozenset("ab"): False, frozenset("ac"): True, frozenset("bc"): True}
     assert len(fuse_grids(grids, QUICK, device).accepted) == 3
     with pytest.raises(AlignmentError, match=r"a to b|b to a"):
         fuse_grids(grids[:2], QUICK, device, starts=starts)

@@ -37,11 +37,7 @@ from tests.benchmarks.record import add_record_option, console_for
 from tests.support.evidence_drives import read_drive
 
 BEST, BEST_DRAWN = "best map", "best drawn"
-COLUMNS = (
-    *(*BUILT_IN, BEST),
-    *(*map(drawn_at, BUILT_IN), BEST_DRAWN),
-    *(RUN_VOTE, DRAWN),
-)
+COLUMNS = (*(*BUILT_IN, BEST), *(*map(drawn_at, BUILT_IN), BEST_DRAWN), *(RUN_VOTE, DRAWN))
 FACES_M = 0.1
 
 

@@ -56,10 +56,7 @@ def overhead(maps: int, workers: int, cells: int, runs: int, record: Path | None
     for name in ("tasks on", "wall s", "CPU s here", "CPU s of workers", "CPU s in all"):
         table.add_column(name, justify="left" if name == "tasks on" else "right")
     found: dict[str, list[tuple[float, float, float]]] = {}
-    with (
-        executor_for(processes=workers) as processes,
-        executor_for(f"local:{workers}") as cluster,
-    ):
+    with executor_for(processes=workers) as processes, executor_for(f"local:{workers}") as cluster:
         executors = {"processes": processes, "Dask": cluster}
         for executor in executors.values():
             fuse_maps(grids, CONFIG, device, executor=executor)

@@ -161,10 +161,7 @@ def courses(bench: Bench) -> None:
     bench.console.print(table)
 
 
-PARTS: Parts = {
-    "recordings": (recordings, 5),
-    "courses": (courses, 5),
-}
+PARTS: Parts = {"recordings": (recordings, 5), "courses": (courses, 5)}
 
 
 def main() -> None:

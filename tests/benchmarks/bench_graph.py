@@ -410,11 +410,7 @@ def floors(bench: Bench, only: Sequence[str] = ()) -> None:
 
 
 PRODUCER = "graph"
-PARTS: Parts = {
-    "recordings": (recordings, 5),
-    "logs": (logs, 1),
-    "floors": (floors, 5),
-}
+PARTS: Parts = {"recordings": (recordings, 5), "logs": (logs, 1), "floors": (floors, 5)}
 
 
 def main() -> None:

@@ -34,13 +34,7 @@ import numpy.typing as npt
 from rich.table import Table
 
 from slamfusion.compute import ComputeDevice, open_device
-from slamfusion.evidence import (
-    Exclusions,
-    JudgedScans,
-    find_exclusions,
-    judged_scans,
-    score_paths,
-)
+from slamfusion.evidence import Exclusions, JudgedScans, find_exclusions, judged_scans, score_paths
 from slamfusion.evidence.drawn_map import DrawnScan, draw_map, drawn_scans
 from slamfusion.evidence.exclusion import parted
 from slamfusion.evidence.path_frames import fit_frame, fit_onto, pose_distances
@@ -144,10 +138,7 @@ class Cell:
 
 
 def fused_measures(
-    layers: Layers,
-    reference: str,
-    truth: OccupancyGrid,
-    device: ComputeDevice,
+    layers: Layers, reference: str, truth: OccupancyGrid, device: ComputeDevice
 ) -> tuple[dict[str, float], int]:
     """Return precision and recall of a fused map, or of the one fallen back to, and its voters."""
     vote = replace(RUN_DEFAULTS.fusion.vote, mode="consensus")
@@ -166,10 +157,7 @@ def measures_of(
     """Return precision and recall of a map."""
     (found,) = evaluate_maps([grid], truth, RUN_DEFAULTS, device)
     faces = {item.tolerance_m: item for item in found.faces.agreements}[FACES_M]
-    values = (
-        *(faces.precision, faces.recall),
-        *(found.wall_precision, found.wall_recall),
-    )
+    values = (*(faces.precision, faces.recall), *(found.wall_precision, found.wall_recall))
     return {name: value or 0.0 for name, value in zip(MEASURES, values, strict=True)}
 
 

@@ -35,12 +35,7 @@ from slamfusion.fusion.lattice_vote import warp_onto
 from slamfusion.grid import CellBox
 from tests.benchmarks.record import add_record_option, console_for
 from tests.support.datasets import MapEntry, load_entry, map_entries
-from tests.support.halmstad import (
-    RIGHT_DEGREES,
-    RIGHT_PIXELS,
-    annotated_error,
-    load_place,
-)
+from tests.support.halmstad import RIGHT_DEGREES, RIGHT_PIXELS, annotated_error, load_place
 from tests.support.overlap import are_different_places
 
 Pair = tuple[MapEntry, MapEntry]

@@ -53,11 +53,7 @@ BEST = {
     "intel-2726-raw": INTEL / "intel-estimate-11439.txt.gz",
     "intel-910-raw": INTEL / "intel-estimate-11439.txt.gz",
 }
-UNMEASURED = (
-    "tinyslam/exp1.dat.gz",
-    "tinyslam/exp2.dat.gz",
-    "rosbags/test_turtlebot.bag",
-)
+UNMEASURED = ("tinyslam/exp1.dat.gz", "tinyslam/exp2.dat.gz", "rosbags/test_turtlebot.bag")
 SIMULATED: tuple[tuple[str, LidarName], ...] = (
     *(("office", "hokuyo"), ("office", "rplidar"), ("hall", "hokuyo"), ("hall", "rplidar")),
     *(("office", "kinect"), ("f16", "kinect")),

@@ -71,9 +71,7 @@ def run(
     )
 
 
-def _without_progress(
-    done: subprocess.CompletedProcess[str],
-) -> subprocess.CompletedProcess[str]:
+def _without_progress(done: subprocess.CompletedProcess[str]) -> subprocess.CompletedProcess[str]:
     done.stderr = without_progress(done.stderr)
     return done
 

@@ -213,8 +213,7 @@ def test_bare_images_take_the_resolution_option(tmp_path: Path) -> None:
 def test_options_override_the_config_file(tmp_path: Path) -> None:
     config = tmp_path / "config.yaml"
     config.write_text(
-        "seed: 7\nfusion: {vote: {unknown: abstain}, align: {candidates: 6}}\n",
-        encoding="utf-8",
+        "seed: 7\nfusion: {vote: {unknown: abstain}, align: {candidates: 6}}\n", encoding="utf-8"
     )
     arguments = ("fuse", *MAPS[:2], "-o", tmp_path / "out", "--config", config)
     done = run(*arguments, "--unknown", "value", "--json")

@@ -199,10 +199,7 @@ class Terminal(io.StringIO):
     ],
 )
 def test_without_matplotlib_what_draws_is_refused_before_any_file_is_read(
-    words: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """None in ``sys.modules`` is how Python says that a module is not there."""
     monkeypatch.chdir(tmp_path)

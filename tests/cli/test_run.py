@@ -16,13 +16,7 @@ import pytest
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import load_map, read_trajectory, save_map, write_carmen, write_tum
 from slamfusion.trajectory import Trajectory
-from tests.cli.command import (
-    INSTALLED,
-    assert_one_line_failure,
-    json_of,
-    run,
-    tree,
-)
+from tests.cli.command import INSTALLED, assert_one_line_failure, json_of, run, tree
 from tests.cli.run_folder import MAPS_OF_FUSION, a_producer_of, files_of, outputs
 from tests.slam.drives import drive
 from tests.support.datasets import ABSENT, DATASETS

@@ -40,10 +40,7 @@ def draw(*rows: str, resolution: float = 1.0, origin: Pose2 = IDENTITY) -> Occup
 
 
 def compare(
-    grid: OccupancyGrid,
-    truth: OccupancyGrid,
-    transform: Pose2 = IDENTITY,
-    tolerance_m: float = 1.0,
+    grid: OccupancyGrid, truth: OccupancyGrid, transform: Pose2 = IDENTITY, tolerance_m: float = 1.0
 ) -> MapError:
     return compare_to_truth(grid, truth, transform, normalize=NORMALIZE, tolerance_m=tolerance_m)
 

@@ -223,49 +223,15 @@ def test_a_packed_file_that_ends_early_is_refused(tmp_path: Path) -> None:
     ("run", "file", "used", "translation", "rotation"),
     [
         ("mit-csail", "mit-csail.clf.gz", 1172, (1.6815, 5.2922), (5.07, 8.24)),
-        (
-            "mit-csail",
-            "mit-csail-reference-graph.log.gz",
-            1172,
-            (0.0045, 0.0093),
-            (0.046, 0.087),
-        ),
-        (
-            "mit-csail",
-            "mit-csail-estimate-1592.txt.gz",
-            927,
-            (0.0364, 0.1121),
-            (0.33, 0.29),
-        ),
-        (
-            "intel",
-            "intel-910-corrected.poses.csv.gz",
-            90,
-            (0.0363, 0.0266),
-            (0.42, 0.46),
-        ),
-        (
-            "intel",
-            "intel-reference-graph.log.gz",
-            301,
-            (0.0287, 0.0192),
-            (0.39, 0.34),
-        ),
-        (
-            "intel",
-            "intel-estimate-11439.txt.gz",
-            2518,
-            (0.0224, 0.0410),
-            (0.39, 0.56),
-        ),
+        ("mit-csail", "mit-csail-reference-graph.log.gz", 1172, (0.0045, 0.0093), (0.046, 0.087)),
+        ("mit-csail", "mit-csail-estimate-1592.txt.gz", 927, (0.0364, 0.1121), (0.33, 0.29)),
+        ("intel", "intel-910-corrected.poses.csv.gz", 90, (0.0363, 0.0266), (0.42, 0.46)),
+        ("intel", "intel-reference-graph.log.gz", 301, (0.0287, 0.0192), (0.39, 0.34)),
+        ("intel", "intel-estimate-11439.txt.gz", 2518, (0.0224, 0.0410), (0.39, 0.56)),
     ],
 )
 def test_the_recordings_have_their_known_errors(
-    run: str,
-    file: str,
-    used: int,
-    translation: tuple[float, float],
-    rotation: tuple[float, float],
+    run: str, file: str, used: int, translation: tuple[float, float], rotation: tuple[float, float]
 ) -> None:
     known = read_relations(DATASETS / run / f"{run}.relations")
     found = relation_errors(read_trajectory(DATASETS / run / file), known, EXACT_S)

@@ -51,17 +51,7 @@ def faces(*rows: str) -> list[str]:
 
 
 def test_faces_are_the_wall_cells_that_share_a_side_with_a_free_one() -> None:
-    assert faces(
-        "####?",
-        "####?",
-        "..#??",
-        "..#??",
-    ) == [
-        "-----",
-        "ff---",
-        "--f--",
-        "--f--",
-    ]
+    assert faces("####?", "####?", "..#??", "..#??") == ["-----", "ff---", "--f--", "--f--"]
 
 
 def test_a_map_against_itself_has_perfect_faces() -> None:

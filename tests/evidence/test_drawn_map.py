@@ -10,11 +10,7 @@ import pytest
 
 from slamfusion.compute import ComputeDevice, NumpyDevice, open_device
 from slamfusion.errors import TrajectoryError
-from slamfusion.evidence.drawn_map import (
-    DrawnScan,
-    SensorModel,
-    draw_map,
-)
+from slamfusion.evidence.drawn_map import DrawnScan, SensorModel, draw_map
 from slamfusion.geometry import Pose2, compose_poses
 from slamfusion.grid import FREE, OCCUPIED, OccupancyGrid
 from slamfusion.trajectory import Trajectory

@@ -147,8 +147,7 @@ def test_noise_averages_out_below_the_best_input() -> None:
 
 
 @pytest.mark.parametrize(
-    ("which", "motion"),
-    [(0, (0.0, 0.0, 0.5)), (1, (2.0, -1.0, 0.0)), (2, (0.3, 0.0, 0.05))],
+    ("which", "motion"), [(0, (0.0, 0.0, 0.5)), (1, (2.0, -1.0, 0.0)), (2, (0.3, 0.0, 0.05))]
 )
 def test_a_path_that_broke_away_does_not_drag_the_others(
     which: int, motion: tuple[float, float, float]

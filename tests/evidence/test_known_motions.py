@@ -146,11 +146,7 @@ def test_odometry_of_another_unit_is_none(corridor: JudgedScans, scale: float) -
 
 
 @settings(max_examples=25, deadline=None)
-@given(
-    scale=st.floats(0.6, 1.6),
-    turn_rad=st.floats(-0.3, 0.3),
-    seed=st.integers(0, 2**16),
-)
+@given(scale=st.floats(0.6, 1.6), turn_rad=st.floats(-0.3, 0.3), seed=st.integers(0, 2**16))
 def test_the_usual_calibration_is_found_whatever_a_part_does(
     scale: float, turn_rad: float, seed: int
 ) -> None:

@@ -12,12 +12,7 @@ from slamfusion.compute import NumpyDevice
 from slamfusion.config import RunConfig, TrajectoryConfig
 from slamfusion.errors import LogError
 from slamfusion.evaluation import read_relations, relation_errors
-from slamfusion.experiments.drives import (
-    ATE,
-    RELATIONS,
-    read_drive,
-    simulated_office,
-)
+from slamfusion.experiments.drives import ATE, RELATIONS, read_drive, simulated_office
 from slamfusion.io import read_trajectory, write_carmen, write_tum
 from slamfusion.jobs.map_log import LogFiles
 from slamfusion.jobs.trajectory import Yardsticks
@@ -40,10 +35,7 @@ def shifted(drive_name: str = "room") -> Trajectory:
 
 def test_errors_by_hand() -> None:
     errors = room().errors(shifted(), CONFIG)
-    assert errors == {
-        RELATIONS: pytest.approx(0.3),
-        ATE: pytest.approx(np.sqrt(0.3**2 / 12)),
-    }
+    assert errors == {RELATIONS: pytest.approx(0.3), ATE: pytest.approx(np.sqrt(0.3**2 / 12))}
 
 
 def test_only_what_is_known_is_measured() -> None:

@@ -19,12 +19,7 @@ from slamfusion.evaluation import result_rows
 from slamfusion.experiments.drives import ATE
 from slamfusion.experiments.page import Experiment
 from slamfusion.experiments.runs import Setup
-from slamfusion.experiments.tinyslam import (
-    PAIRS,
-    case_of,
-    method_sentences,
-    sweep_estimators,
-)
+from slamfusion.experiments.tinyslam import PAIRS, case_of, method_sentences, sweep_estimators
 from tests.experiments.drives import room_files
 
 pytestmark = pytest.mark.once

@@ -10,12 +10,7 @@ import numpy as np
 import pytest
 
 from slamfusion.compute import open_device
-from slamfusion.config import (
-    ExperimentConfig,
-    FailuresConfig,
-    GroundObstacleConfig,
-    RunConfig,
-)
+from slamfusion.config import ExperimentConfig, FailuresConfig, GroundObstacleConfig, RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.experiments.fusions import (
     CHOICE,

@@ -68,10 +68,7 @@ def test_one_process_is_this_one() -> None:
 
 
 def test_a_process_that_dies_ends_the_job() -> None:
-    with (
-        pytest.raises(FleetError, match="a process died"),
-        executor_for(processes=2) as executor,
-    ):
+    with pytest.raises(FleetError, match="a process died"), executor_for(processes=2) as executor:
         list(as_done(executor, end_by_force, [1]))
 
 

@@ -10,11 +10,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from slamfusion.align.records import Alignment
-from slamfusion.fusion.consistency import (
-    Implied,
-    ImpliedPairs,
-    largest_group,
-)
+from slamfusion.fusion.consistency import Implied, ImpliedPairs, largest_group
 from slamfusion.geometry import Pose2
 
 SIZE = 0.05

@@ -86,9 +86,7 @@ def test_groups_of_many_maps_lie_in_their_places(
 
 @pytest.mark.once
 def test_a_false_pair_is_named_and_the_maps_lie_right_without_it(
-    site: ManyMaps,
-    features: dict[str, GridFeatures],
-    device: ComputeDevice,
+    site: ManyMaps, features: dict[str, GridFeatures], device: ComputeDevice
 ) -> None:
     """The pair that is believed first is put 5 m aside, of those that loops are about."""
     wrong: list[frozenset[str]] = []

@@ -9,21 +9,10 @@ import pytest
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.fusion import lattice_vote
-from slamfusion.fusion.lattice_vote import (
-    LatticeVote,
-    decide_tile,
-    prepare_votes,
-)
+from slamfusion.fusion.lattice_vote import LatticeVote, decide_tile, prepare_votes
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
-from tests.fusion.test_lattice_vote import (
-    SIZE,
-    Placed,
-    Places,
-    placed,
-    scattered,
-    voted,
-)
+from tests.fusion.test_lattice_vote import SIZE, Placed, Places, placed, scattered, voted
 
 
 def packed(inputs: Placed, device: ComputeDevice) -> LatticeVote:

@@ -111,12 +111,7 @@ def test_a_bomb_in_a_bag_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 def packed_bag(folder: Path, bag: Any, mode: str, plugin: str = "MCAP") -> Path:
     """Write a bag's messages to a folder that is packed with zstd."""
-    from rosbags.rosbag2 import (  # noqa: PLC0415
-        CompressionFormat,
-        CompressionMode,
-        StoragePlugin,
-        Writer,
-    )
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer  # noqa: PLC0415
     from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
 
     from tests.io import bags  # noqa: PLC0415

@@ -8,20 +8,11 @@ from pathlib import Path
 import pytest
 
 from slamfusion.config import VoteConfig
-from slamfusion.errors import (
-    AlignmentError,
-    ConfigError,
-    SlamFusionError,
-)
+from slamfusion.errors import AlignmentError, ConfigError, SlamFusionError
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import load_map
 from slamfusion.jobs import fuse_documents
-from slamfusion.jobs.fuse import (
-    AllRequiredError,
-    fuse_maps,
-    save_fused_maps,
-    write_failed_fusion,
-)
+from slamfusion.jobs.fuse import AllRequiredError, fuse_maps, save_fused_maps, write_failed_fusion
 from slamfusion.jobs.fuse_documents import DoubledWalls, failed_fuse_document
 from slamfusion.json_values import plain
 from tests.fusion.drawings import building, degraded

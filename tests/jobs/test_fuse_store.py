@@ -22,11 +22,7 @@ from slamfusion.io import load_map
 from slamfusion.io.map_store import read_stored_map
 from slamfusion.jobs import fuse
 from slamfusion.jobs.documents import record_bytes
-from slamfusion.jobs.fuse import (
-    AllRequiredError,
-    FusedMaps,
-    fuse_maps,
-)
+from slamfusion.jobs.fuse import AllRequiredError, FusedMaps, fuse_maps
 from slamfusion.json_values import plain
 from tests.fusion.test_lattice_vote import SIZE, placed
 from tests.support.documents import check_document

@@ -149,9 +149,7 @@ def test_a_corrected_path_takes_the_place_of_poses(device: ComputeDevice) -> Non
     assert not solved(robot, lattice=LATTICE, transforms=in_frame_of_a("a")).doubted_since_s
 
 
-def test_poses_of_another_robot_and_of_a_silent_input_are_not_scored(
-    device: ComputeDevice,
-) -> None:
+def test_poses_of_another_robot_and_of_a_silent_input_are_not_scored(device: ComputeDevice) -> None:
     robot = Robot(device)
     robot.drive_to(60)
     for step in range(SCANS):

@@ -10,10 +10,7 @@ import pytest
 
 from slamfusion.config import RunConfig
 from slamfusion.io import read_trajectory
-from slamfusion.jobs.trajectory import (
-    Yardsticks,
-    measure_trajectory,
-)
+from slamfusion.jobs.trajectory import Yardsticks, measure_trajectory
 from slamfusion.trajectory import Trajectory
 
 

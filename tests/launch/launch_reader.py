@@ -216,12 +216,7 @@ class _Node:
         ]
         remappings = {old: context.text(new) for old, new in self.remappings}
         context.started.append(
-            Started(
-                *self.names,
-                context.text(self.namespace),
-                parameters,
-                remappings,
-            )
+            Started(*self.names, context.text(self.namespace), parameters, remappings)
         )
 
 

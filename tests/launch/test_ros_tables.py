@@ -55,16 +55,10 @@ def started(
         # Longer than the tests take: it ends when nobody comes.
         more = {"file": str(log), "wait_for": ["tinyslam"], "save": "maps"}
         more["start_timeout_s"] = 600.0
-    with (
-        pytest.MonkeyPatch.context() as patch,
-        free_domain() as domain,
-    ):
+    with pytest.MonkeyPatch.context() as patch, free_domain() as domain:
         for key, value in ros_environment(domain).items():
             patch.setenv(key, value)
-        with (
-            Observer(domain) as listener,
-            Processes(ros_environment(domain), folder) as running,
-        ):
+        with Observer(domain) as listener, Processes(ros_environment(domain), folder) as running:
             process = running.node(name, "--params-file", str(PARAMETER_FILE), **more)
             statuses = listener.statuses()
             listener.wait(

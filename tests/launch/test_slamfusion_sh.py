@@ -42,10 +42,7 @@ def nodes_in(domain: int) -> dict[int, str]:
 
 
 def start(
-    processes: Processes,
-    *words: str,
-    before: tuple[str, ...] = (),
-    command: Path = INSTALLED,
+    processes: Processes, *words: str, before: tuple[str, ...] = (), command: Path = INSTALLED
 ) -> Process:
     env = {"SLAMFUSION": str(command)}
     return processes.start("slamfusion.sh", [*before, SCRIPT, *words], env)

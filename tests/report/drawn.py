@@ -10,13 +10,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.align.records import (
-    Alignment,
-    FusionResult,
-    InputRecord,
-    MatchEvidence,
-    RunnerUp,
-)
+from slamfusion.align.records import Alignment, FusionResult, InputRecord, MatchEvidence, RunnerUp
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.report.canvas import to_form

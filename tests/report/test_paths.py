@@ -16,13 +16,7 @@ from slamfusion.evaluation import RelationErrors, trajectory_errors
 from slamfusion.geometry import compose_poses
 from slamfusion.grid import OccupancyGrid
 from slamfusion.palette import END_RGB, NAMED, OTHERS, START_RGB, Rgb
-from slamfusion.report import (
-    Fact,
-    MeasuredPath,
-    paths,
-    write_slam_report,
-    write_trajectory_report,
-)
+from slamfusion.report import Fact, MeasuredPath, paths, write_slam_report, write_trajectory_report
 from slamfusion.report.errors import distribution_figure
 from slamfusion.report.page import Cell, Table
 from slamfusion.slam.common.mapper import Series
@@ -145,13 +139,7 @@ def test_the_report_of_a_run_has_all_parts(tmp_path: Path) -> None:
     truth = Trajectory(in_room().stamps_s, compose_poses((5.0, 6.0, 1.0), in_room().poses), "true")
     page = write_slam_report(
         tmp_path,
-        run_of(
-            NASTY,
-            own_map(),
-            in_room(wrong=0.1),
-            odometry=in_room(wrong=0.3),
-            low_in_a_row=8,
-        ),
+        run_of(NASTY, own_map(), in_room(wrong=0.1), odometry=in_room(wrong=0.3), low_in_a_row=8),
         config=CONFIG,
         facts=[Fact("1.25 ms", "mean time a scan")],
         tables=[Table("Health", ("what", "value"), [[Cell("low scores"), Cell("3")]])],

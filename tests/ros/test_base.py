@@ -150,10 +150,7 @@ def test_jumps_of_simulated_time_are_told(spun: Spun, observer: Observer):
 
         wait(observer, spun, is_there, f"the time {time_s}")
     assert base.jumps_s == pytest.approx([100.0, -595.3])
-    assert base.diagnostics.worst() == (
-        Level.WARN,
-        "time jumped back by 595.300 s to 5.000 s",
-    )
+    assert base.diagnostics.worst() == (Level.WARN, "time jumped back by 595.300 s to 5.000 s")
 
 
 def test_a_writer_that_offers_too_little_is_named(spun: Spun, observer: Observer):

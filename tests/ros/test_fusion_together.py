@@ -38,9 +38,7 @@ def offline(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, FusionResul
 
 @pytest.mark.full
 def test_the_fused_map_of_a_log_is_that_of_the_offline_run(
-    processes: Processes,
-    observer: Observer,
-    offline: tuple[Path, FusionResult],
+    processes: Processes, observer: Observer, offline: tuple[Path, FusionResult]
 ):
     """In a namespace, by other names and by the log's time."""
     log, wanted = offline
@@ -61,12 +59,7 @@ def test_the_fused_map_of_a_log_is_that_of_the_offline_run(
     for kind, given in SETTINGS.items():
         settings = {f"{kind}__{name}": value for name, value in given.items()}
         processes.node(
-            kind,
-            *names,
-            *renamed,
-            map_update_interval_s=0.3,
-            use_sim_time=True,
-            **settings,
+            kind, *names, *renamed, map_update_interval_s=0.3, use_sim_time=True, **settings
         )
     observer.wait_status(f"{prefix}fusion: fusion", "nothing is fused", timeout_s=60.0)
     player = processes.node(

@@ -63,10 +63,7 @@ def a_saved_map_becomes_an_input(observer: Observer, folder: Path) -> None:
 
 
 def test_a_running_fusion_answers(
-    processes: Processes,
-    observer: Observer,
-    tmp_path: Path,
-    capfd: pytest.CaptureFixture[str],
+    processes: Processes, observer: Observer, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     def live(*words: str, code: int = 0) -> dict[str, Any]:
         assert run_program(["live", *words, "--node", NODE, "--json"]) == code

@@ -73,10 +73,7 @@ def refuse_what_cannot_be() -> None:
 
 @pytest.mark.once
 def test_inputs_come_and_go_while_the_node_runs(
-    processes: Processes,
-    observer: Observer,
-    tmp_path: Path,
-    capfd: pytest.CaptureFixture[str],
+    processes: Processes, observer: Observer, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     def live(*words: str) -> str:
         assert run_program(["live", *words, "--json"]) == 0

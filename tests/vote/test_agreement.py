@@ -13,18 +13,7 @@ from hypothesis import strategies as st
 from slamfusion.config import FusionMode
 from slamfusion.vote.agreement import WallCounts, trust_of
 from tests.support.examples import examples
-from tests.vote.rooms import (
-    EDGE,
-    HEIGHT,
-    INNER,
-    WIDTH,
-    bent,
-    cells_of,
-    decide,
-    fuse,
-    moved,
-    room,
-)
+from tests.vote.rooms import EDGE, HEIGHT, INNER, WIDTH, bent, cells_of, decide, fuse, moved, room
 
 
 def test_a_bent_map_has_no_say_and_is_named_with_the_place() -> None:

@@ -16,13 +16,7 @@ from slamfusion.config import FusionMode, VoteConfig
 from slamfusion.errors import ConfigError, GridError
 from slamfusion.grid import CellBox
 from slamfusion.vote.boxes import slices
-from slamfusion.vote.tiles import (
-    TileVoter,
-    check_votes,
-    sum_counts,
-    tiles_of,
-    vote_grids,
-)
+from slamfusion.vote.tiles import TileVoter, check_votes, sum_counts, tiles_of, vote_grids
 from slamfusion.vote.walls import wall_codes
 from tests.support.examples import examples
 from tests.vote.rooms import bent, room, shown_by

@@ -153,11 +153,7 @@ class LiveFusion(Mailbox):
 
     def _clear(self) -> None:
         self._aligner = Aligner(
-            self._config,
-            self._live,
-            self._device,
-            self._starts,
-            is_wanted=lambda: self.has_new,
+            self._config, self._live, self._device, self._starts, is_wanted=lambda: self.has_new
         )
         self._layers = FusedLayers(self._config, self._live, self._device)
         self._supervisor = InputSupervisor(self._aligner, self._layers)

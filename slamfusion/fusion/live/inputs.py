@@ -55,11 +55,7 @@ class Event(Enum):
 TRANSITIONS: Mapping[Event, Mapping[State, State]] = {
     Event.MAP: dict.fromkeys((State.NEW, State.DOUBTED, State.LOST), State.NEW),
     Event.LOSS: dict.fromkeys(State, State.LOST),
-    Event.DOUBT: {
-        State.NEW: State.NEW,
-        State.TRACKED: State.DOUBTED,
-        State.DOUBTED: State.DOUBTED,
-    },
+    Event.DOUBT: {State.NEW: State.NEW, State.TRACKED: State.DOUBTED, State.DOUBTED: State.DOUBTED},
     Event.REJECTION: dict.fromkeys(State, State.DOUBTED),
     Event.JUMP: dict.fromkeys(State, State.JUMPED),
     Event.ACCEPTANCE: dict.fromkeys(State, State.TRACKED),

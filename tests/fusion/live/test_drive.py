@@ -25,11 +25,7 @@ pytestmark = pytest.mark.once
 
 SCANS, EVERY = 140, 20
 # The frames of the three maps are as foreign to each other as those of any three programs.
-FRAMES = {
-    "tinyslam": Pose2(),
-    "gmapping": Pose2(5.0, -3.0, 1.0),
-    "graph": Pose2(-20.0, 7.0, -2.2),
-}
+FRAMES = {"tinyslam": Pose2(), "gmapping": Pose2(5.0, -3.0, 1.0), "graph": Pose2(-20.0, 7.0, -2.2)}
 
 
 @pytest.fixture(scope="module")

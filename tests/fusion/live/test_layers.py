@@ -26,12 +26,7 @@ RULES = NormalizeConfig()
 
 @pytest.mark.parametrize(
     ("mode", "unknown"),
-    [
-        ("majority", "auto"),
-        ("majority", "value"),
-        ("majority", "abstain"),
-        ("consensus", "auto"),
-    ],
+    [("majority", "auto"), ("majority", "value"), ("majority", "abstain"), ("consensus", "auto")],
 )
 def test_boxes_voted_on_one_by_one_are_one_vote(
     device: ComputeDevice, mode: str, unknown: str

@@ -11,15 +11,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.fusion.live.fusion import LiveUpdate
 from slamfusion.fusion.live.recovery import LAST_AGREED
 from slamfusion.grid import OccupancyGrid
-from tests.fusion.live.maps import (
-    AWAY,
-    Drive,
-    live_fusion,
-    moved_frame,
-    started,
-    three,
-    touched,
-)
+from tests.fusion.live.maps import AWAY, Drive, live_fusion, moved_frame, started, three, touched
 
 
 def bent(grid: OccupancyGrid, aside: int) -> OccupancyGrid:

@@ -11,15 +11,7 @@ import pytest
 from slamfusion.compute import ComputeDevice
 from slamfusion.grid import OccupancyGrid
 from tests.fusion.drawings import building
-from tests.fusion.live.maps import (
-    AWAY,
-    Drive,
-    live_fusion,
-    moved_frame,
-    started,
-    three,
-    touched,
-)
+from tests.fusion.live.maps import AWAY, Drive, live_fusion, moved_frame, started, three, touched
 
 pytestmark = pytest.mark.once
 
