@@ -69,8 +69,7 @@ def paths_and_faces(documents: Sequence[Document]) -> TableText:
     document = _only(documents)
     pairs = [item for item in document["comparisons"] if item["first"] in {"fused path", DRAWN}]
     if not any(item["first"] == DRAWN for item in pairs):
-        message = "wanted drives of which maps were drawn; give --draw to the experiment"
-        raise ValueError(message)
+        raise ValueError("wanted drives of which maps were drawn; give --draw to the experiment")
     names = {"ate_rmse_m": "ATE m", "faces_f1": "faces F1 at 0.1 m"}
     against = list(dict.fromkeys(item["second"] for item in pairs))
     rows = []
@@ -97,8 +96,7 @@ def failures(documents: Sequence[Document]) -> TableText:
         for document in documents
     ]
     if any(ratios.keys() != by_world[0].keys() for ratios in by_world):
-        message = "wanted documents of the same conditions; found others in one of them"
-        raise ValueError(message)
+        raise ValueError("wanted documents of the same conditions; found others in one of them")
     cases = list(dict.fromkeys(case for case, _ in by_world[0]))
     votes = list(dict.fromkeys(vote for _, vote in by_world[0]))
     rows = [
@@ -175,8 +173,7 @@ def fused_path(documents: Sequence[Document]) -> TableText:
 
 def _only(documents: Sequence[Document]) -> Document:
     if len(documents) != 1:
-        message = f"wanted one document; found {len(documents)}"
-        raise ValueError(message)
+        raise ValueError(f"wanted one document; found {len(documents)}")
     return documents[0]
 
 

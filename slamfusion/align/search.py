@@ -347,11 +347,10 @@ def fixed_step_search(pair: Pair, step: int, window: SearchWindow) -> F64:
         turns = np.radians(step * np.arange(-(turn // step), turn // step + 1))
         count = len(shifts) ** 2 * len(turns)
         if count > POSES_MAX:
-            message = (
+            raise ConfigError(
                 f"a first step of {step} cells means {count:.3g} poses to try; choose a larger "
                 "step, or a narrower window (window_m, window_yaw_rad)"
             )
-            raise ConfigError(message)
         grid = np.stack(np.meshgrid(shifts, shifts, turns, indexing="ij"), axis=-1).reshape(-1, 3)
         best = _least_error(pair, best + grid, max(1, step // 2))
         if step == 1:

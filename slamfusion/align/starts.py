@@ -161,11 +161,10 @@ def place_starts(
     (only,) = given
     frame = _frame(only, inputs, reference, drive)
     if not frame:
-        message = (
+        raise StartError(
             f"the start of {only!r} alone says nothing of where it lies to the other "
             f"{len(inputs) - 1} inputs; give one of theirs too, or name the reference"
         )
-        raise StartError(message)
     return Starts(given, frame)
 
 

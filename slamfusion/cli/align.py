@@ -85,11 +85,9 @@ def command(
     from slamfusion.jobs.align import align_document, align_maps  # noqa: PLC0415
 
     if scale is None and output is not None:
-        message = "-o saves what --scale finds; give both, or neither"
-        raise click.UsageError(message)
+        raise click.UsageError("-o saves what --scale finds; give both, or neither")
     if scale is not None and starts:
-        message = "--scale searches everywhere; leave --start out"
-        raise click.UsageError(message)
+        raise click.UsageError("--scale searches everywhere; leave --start out")
     check_report(output)
     device = device_for(config)
     if scale is not None:
@@ -117,8 +115,7 @@ def command(
     else:
         _print_alignment(found, device.name, None if scale is None else moved.resolution)
     if not found.accepted:
-        message = f"{moving} does not align with {reference}: {found.reason}"
-        raise AlignmentError(message)
+        raise AlignmentError(f"{moving} does not align with {reference}: {found.reason}")
     if output is not None and not as_json:
         _print_files(output)
     return 0

@@ -208,8 +208,7 @@ def _drive_files(text: Path) -> LogFiles:
 def _floors(count: int, recorded: Sequence[LogFiles]) -> range:
     """Return the seeds of the simulated floors; there must be something to run on."""
     if not recorded and not count:
-        message = "nothing to run on: give --log, or --floors of at least 1"
-        raise click.UsageError(message)
+        raise click.UsageError("nothing to run on: give --log, or --floors of at least 1")
     return range(FIRST_FLOOR, FIRST_FLOOR + count)
 
 

@@ -73,8 +73,7 @@ if TYPE_CHECKING:
 def _stem(out: Path) -> Path:
     """Take ``OUT`` as a stem; a .yaml written out by the user is dropped."""
     if out.name in {"", ".."} or (out.is_dir() and out.suffix != STORE_END):
-        message = f"-o {out}: name the map too, e.g. -o {out / 'fused'}"
-        raise click.UsageError(message)
+        raise click.UsageError(f"-o {out}: name the map too, e.g. -o {out / 'fused'}")
     return out.with_suffix("") if out.suffix in {".yaml", ".yml", STORE_END} else out
 
 

@@ -106,8 +106,7 @@ def _files(out: Path, given: Mapping[str, Any]) -> list[Path]:
     from slamfusion.jobs.run_many import log_tasks  # noqa: PLC0415
 
     if out.exists() and not out.is_dir():
-        message = f"-o {out} is not a folder; name one for the maps and the report"
-        raise click.UsageError(message)
+        raise click.UsageError(f"-o {out} is not a folder; name one for the maps and the report")
     logs = given["logs"]
     seeds = given["seeds"]
     runs = (
@@ -274,8 +273,7 @@ def _run(
     reason = "; ".join(run.not_measured) if run.failure is None else str(run.failure)
     if reason:
         earlier = "" if saved.folder == out else f"; {out} keeps its earlier results"
-        message = f"{reason} (what was made lies in {saved.folder}{earlier})"
-        raise SlamFusionError(message)
+        raise SlamFusionError(f"{reason} (what was made lies in {saved.folder}{earlier})")
     return 0
 
 
@@ -477,8 +475,7 @@ def _refuse_files_of_one_log(config: RunConfig, asked: Mapping[str, Any]) -> Non
             message = f"{option} belongs to one log; run each log that has such a file alone"
             raise click.UsageError(message)
     if config.start:
-        message = "--start belongs to one log; run each log that needs it alone"
-        raise click.UsageError(message)
+        raise click.UsageError("--start belongs to one log; run each log that needs it alone")
 
 
 def _print_logs(runs: Sequence[RunOfLog]) -> None:

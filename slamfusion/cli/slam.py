@@ -86,8 +86,7 @@ def command() -> None:
 def _stem(out: Path) -> Path:
     """Take ``OUT`` as a stem; a suffix of its files written out by the user is dropped."""
     if out.name in {"", ".."} or out.is_dir():
-        message = f"-o {out}: name the map too, e.g. -o {out / 'map'}"
-        raise click.UsageError(message)
+        raise click.UsageError(f"-o {out}: name the map too, e.g. -o {out / 'map'}")
     return out.with_suffix("") if out.suffix in SUFFIXES else out
 
 
@@ -254,8 +253,7 @@ def _run_seeds(
             errors = {} if result.evaluation is None else map_figures(result.evaluation)
             rows += result_rows(log.stem, str(seed), name, {**figures, **errors})
             if mapped.failure is not None:
-                message = f"seed {seed}: {mapped.failure}"
-                raise SlamFusionError(message) from mapped.failure
+                raise SlamFusionError(f"seed {seed}: {mapped.failure}") from mapped.failure
     if as_json:
         print_json(document)
     else:

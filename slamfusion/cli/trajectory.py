@@ -53,18 +53,15 @@ class _Request:
     def check(self) -> None:
         """Refuse what cannot be measured before any work."""
         if not self.relations and not self.truths:
-            message = "give --relations FILE, --truth FILE, or both"
-            raise click.UsageError(message)
+            raise click.UsageError("give --relations FILE, --truth FILE, or both")
         check_odometry(self.odometry, self.relations)
         if self.logs and not self.odometry:
             message = "--log places the scans in the odometry of the run; give --odometry FILE"
             raise click.UsageError(message)
         if self.map_path is not None and self.report_dir is None:
-            message = "--map is drawn in the report; give --report DIR"
-            raise click.UsageError(message)
+            raise click.UsageError("--map is drawn in the report; give --report DIR")
         if self.map_path is not None and not self.is_one:
-            message = "--map lies under one path; give one EST with it"
-            raise click.UsageError(message)
+            raise click.UsageError("--map lies under one path; give one EST with it")
         check_report(self.report_dir)
 
     def placed(self) -> tuple[list[Placed], CaseFiles]:

@@ -211,8 +211,7 @@ def load_distances(path: str | Path) -> tuple[MeasuredDistance, ...]:
         message = f"{path}: cannot read the distances ({error.strerror}); check the path"
         raise MapFileError(message) from None
     if not rows:
-        message = f"{path}: no distance in the file; add rows of {', '.join(_COLUMNS)}"
-        raise MapFileError(message)
+        raise MapFileError(f"{path}: no distance in the file; add rows of {', '.join(_COLUMNS)}")
     return tuple(_distance(row, f"{path}: {where}", where) for where, row in rows)
 
 
@@ -221,8 +220,7 @@ def _read_csv(path: Path) -> list[tuple[str, dict[str, Any]]]:
     try:
         text = read_small(path, MapFileError, "a file of distances").decode("utf-8-sig")
     except UnicodeDecodeError:
-        message = f"{path}: not UTF-8 text; save the distances as UTF-8"
-        raise MapFileError(message) from None
+        raise MapFileError(f"{path}: not UTF-8 text; save the distances as UTF-8") from None
     try:
         lines = list(csv.reader(io.StringIO(text, newline=""), skipinitialspace=True, strict=True))
     except csv.Error as error:
@@ -236,11 +234,10 @@ def _read_csv(path: Path) -> list[tuple[str, dict[str, Any]]]:
     header = [column.strip() for column in numbered[0][1]]
     missing = [column for column in _NUMBERS if column not in header]
     if missing:
-        message = (
+        raise MapFileError(
             f"{path}: the header lacks {', '.join(missing)}; the first line must be "
             f"{','.join(_COLUMNS)}"
         )
-        raise MapFileError(message)
     rows = []
     for number, line in numbered[1:]:
         if len(line) != len(header):
@@ -258,16 +255,14 @@ def _read_yaml(path: Path) -> list[tuple[str, dict[str, Any]]]:
     if values is None:
         return []
     if not isinstance(values, list):
-        message = f"{path}: wanted a list of distances, found {type(values).__name__}"
-        raise MapFileError(message)
+        raise MapFileError(f"{path}: wanted a list of distances, found {type(values).__name__}")
     rows = []
     for number, entry in enumerate(values, start=1):
         if not isinstance(entry, dict):
-            message = (
+            raise MapFileError(
                 f"{path}: entry {number}: wanted a mapping with {', '.join(_COLUMNS)}, "
                 f"found {type(entry).__name__}"
             )
-            raise MapFileError(message)
         rows.append((f"entry {number}", entry))
     return rows
 
@@ -283,12 +278,10 @@ def _distance(values: dict[str, Any], where: str, default_name: str) -> Measured
             number = math.nan
         if not math.isfinite(number):
             found = "nothing" if raw is None else shown(raw)
-            message = f"{where}: {column} must be a number of metres, found {found}"
-            raise MapFileError(message)
+            raise MapFileError(f"{where}: {column} must be a number of metres, found {found}")
         numbers[column] = number
     if numbers["distance_m"] <= 0:
-        message = f"{where}: distance_m must be above 0, found {numbers['distance_m']:g}"
-        raise MapFileError(message)
+        raise MapFileError(f"{where}: distance_m must be above 0, found {numbers['distance_m']:g}")
     name = values.get("name")
     return MeasuredDistance(
         _name(name).strip() if name not in (None, "") else default_name,

@@ -199,11 +199,10 @@ def compare_to_truth(
     map_classes = trinary_cells(grid.cells, normalize)
     box = known_box(true_classes)
     if box is None:
-        message = (
+        raise GridError(
             f"{truth.name}: the truth has no cell that is surely free or occupied; "
             "give a map with known cells or other thresholds"
         )
-        raise GridError(message)
 
     # The cells, on the truth's lattice.
     expected = true_classes[box.row0 : box.row1, box.col0 : box.col1]

@@ -102,11 +102,10 @@ def match_odometry(
     ]
     sure = np.array([len(rows) == 1 for rows in candidates])
     if not any(len(rows) for rows in candidates):
-        message = (
+        raise TrajectoryError(
             f"{odometry.name}: no row equals the odometry of a scan of {scan_odometry.name} to "
             f"{tolerance_m:g} m; give the odometry of the same run, or leave out --log"
         )
-        raise TrajectoryError(message)
     turns = np.arange(len(candidates))
     if sure.any():
         known = [int(candidates[turn][0]) for turn in np.flatnonzero(sure)]
@@ -241,12 +240,11 @@ def _refuse_none(
     """Say that no pose of the estimate belongs to the other file, with both ranges of time."""
     if len(used):
         return
-    message = (
+    raise TrajectoryError(
         f"{estimate.name}: no pose belongs to one of {other.name} within {tolerance_s:g} s; the "
         f"first is from {estimate.stamps_s[0]:.3f} to {estimate.stamps_s[-1]:.3f} s, the other "
         f"from {other.stamps_s[0]:.3f} to {other.stamps_s[-1]:.3f} s; give the files of one run"
     )
-    raise TrajectoryError(message)
 
 
 def _nearest_in_rows(rows: npt.NDArray[np.int64], count: int) -> npt.NDArray[np.int64]:

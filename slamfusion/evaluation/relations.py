@@ -52,8 +52,7 @@ class Relations:
             message = f"{self.name}: {len(stamps)} pairs of times for {len(motions)} motions"
             raise TrajectoryError(message)
         if not (np.isfinite(stamps).all() and np.isfinite(motions).all()):
-            message = f"{self.name}: times and motions must be finite"
-            raise TrajectoryError(message)
+            raise TrajectoryError(f"{self.name}: times and motions must be finite")
         stamps.flags.writeable = False
         motions.flags.writeable = False
         object.__setattr__(self, "stamps_s", stamps)
@@ -168,8 +167,7 @@ def _row(fields: list[bytes], where: str) -> list[float]:
     except ValueError:
         row = [math.nan]
     if not all(map(math.isfinite, row)):
-        message = f"{where}: wanted finite numbers {wanted}; mend or remove the line"
-        raise TrajectoryError(message)
+        raise TrajectoryError(f"{where}: wanted finite numbers {wanted}; mend or remove the line")
     return row
 
 

@@ -161,6 +161,5 @@ def _checked(values: npt.ArrayLike) -> npt.NDArray[np.float64]:
     """Return the values as a row, refusing what has no statistics."""
     row = np.asarray(values, dtype=np.float64).ravel()
     if row.size == 0 or not np.isfinite(row).all():
-        message = f"statistics need at least one value, all finite; found {row.size} values"
-        raise ValueError(message)
+        raise ValueError(f"statistics need at least one value, all finite; found {row.size} values")
     return row

@@ -51,11 +51,10 @@ def on_clock(path: Trajectory, reference: Trajectory | None, offset: str) -> Tra
     if offset != "auto":
         seconds = float(offset)
     elif reference is None:
-        message = (
+        raise TrajectoryError(
             f"{path.name}: the log has no odometry to find the offset of the clocks by; give "
             "--time-offset in seconds"
         )
-        raise TrajectoryError(message)
     else:
         seconds = clock_offset_s(path, reference)
     return path if seconds == 0.0 else path.later(seconds)

@@ -105,11 +105,10 @@ def judged_scans(scans: Iterable[LogScan], most_hits: int = MOST_HITS) -> Judged
             kept = [own[number % (2 * step) // step :: 2] for number, own in enumerate(kept)]
             step, count = 2 * step, sum(map(len, kept))
     if len(kept) < CHUNKS:
-        message = (
+        raise LogError(
             f"{len(kept)} scans hit something, but paths are scored on at least {CHUNKS}; give "
             "a longer log"
         )
-        raise LogError(message)
     known = [pose for pose in odometry if pose is not None]
     hits = np.concatenate(kept)
     return JudgedScans(

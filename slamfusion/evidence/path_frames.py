@@ -61,8 +61,7 @@ def lay_paths(
             default, also for paths that are not named: 1.
     """
     if not paths:
-        message = "there is no path to fuse; give at least one"
-        raise TrajectoryError(message)
+        raise TrajectoryError("there is no path to fuse; give at least one")
     given = weights or {}
     longest = max(paths.values(), key=len)
     stamps_s = longest.stamps_s
@@ -72,11 +71,10 @@ def lay_paths(
         own = _checked_weights(name, path, given.get(name))
         near, meets = path.matches(stamps_s)
         if not meets.any():
-            message = (
+            raise TrajectoryError(
                 f"{name}: no pose at the time of one of {longest.name} within {SAME_STAMP_S:g} s; "
                 "give paths of the same scans"
             )
-            raise TrajectoryError(message)
         poses[row, meets] = path.poses[near[meets]]
         believed[row, meets] = own[near[meets]]
     return LaidPaths(tuple(paths), stamps_s, _in_one_frame(poses, believed), believed)
@@ -183,8 +181,7 @@ def _weighted_median(values: F64, weights: F64) -> float:
 def _checked_weights(name: str, path: Trajectory, weights: npt.ArrayLike | None) -> F64:
     """Return the weights of a path's poses, (poses,)."""
     if not len(path):
-        message = f"{name}: the path has no pose; leave it out"
-        raise TrajectoryError(message)
+        raise TrajectoryError(f"{name}: the path has no pose; leave it out")
     if weights is None:
         return np.ones(len(path))
     own = np.asarray(weights, dtype=np.float64)

@@ -253,8 +253,7 @@ def score_paths(
             that spreads over many kilometres.
     """
     if not paths:
-        message = "there is no path to score; give at least one"
-        raise TrajectoryError(message)
+        raise TrajectoryError("there is no path to score; give at least one")
     covered = {name: _covered(name, path, scans) for name, path in paths.items()}
     return _score_covered(covered, scans, device, model)
 
@@ -296,8 +295,7 @@ def without_scans(
     """
     scans, is_judged = evidence.scans, evidence.is_judged & ~left_out
     if not is_judged[scans.hit_scans].any():
-        message = "every scan is left out; leave some to score the paths on"
-        raise TrajectoryError(message)
+        raise TrajectoryError("every scan is left out; leave some to score the paths on")
     scores = {}
     for name in names:
         old = evidence.scores[name]
@@ -308,8 +306,7 @@ def without_scans(
 def _covered(name: str, path: Trajectory, scans: JudgedScans) -> CoveredPath:
     """Return a path's pose at each scan; refuse one that has none."""
     if not len(path):
-        message = f"{name}: the path has no pose; give one with poses"
-        raise TrajectoryError(message)
+        raise TrajectoryError(f"{name}: the path has no pose; give one with poses")
     covered = cover_stamps(path, scans)
     if not covered.is_covered.any():
         raise no_common_time(name, path, scans.stamps_s)
@@ -472,11 +469,10 @@ def _placed_beams(
     width, height = (page.reshape(-1, 2).max(axis=0) + 2 - low).astype(np.int64)
     if width * height > MOST_PAGES:
         side_m = TILE * model.cell_m
-        message = (
+        raise TrajectoryError(
             f"{name}: what it sees spreads over {width * side_m:.0f} x {height * side_m:.0f} m, "
             "more than can be scored; check the unit and the frame of its poses"
         )
-        raise TrajectoryError(message)
     cells -= np.tile(low * TILE, 2)
     beams = np.asarray(np.floor(cells * BEAM_ONE), dtype=np.int32)
     col, row = (beams[:, :2] // BEAM_ONE).T

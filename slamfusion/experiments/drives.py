@@ -83,8 +83,7 @@ def read_drive(files: LogFiles, config: RunConfig) -> Drive:
     scans = tuple(log)
     if not scans:
         reasons = "; ".join(log.skips.sentences())
-        message = f"{files.log}: no scan of it can be used: {reasons}"
-        raise LogError(message)
+        raise LogError(f"{files.log}: no scan of it can be used: {reasons}")
     held = Yardsticks.read(config, files.relations, files.odometry, files.truth)
     return Drive(Path(strip_gz(files.log.name)).stem, scans, held)
 

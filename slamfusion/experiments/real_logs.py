@@ -174,8 +174,7 @@ def other_slams(
         of_drive = [key for key in files if key[0] == item.case]
         key = of_drive[0] if len(of_drive) == 1 else (item.case, item.method)
         if key not in files or key in found:
-            message = f"{item.path}: which map of {item.case} is it of? name it as that is"
-            raise ConfigError(message)
+            raise ConfigError(f"{item.path}: which map of {item.case} is it of? name it as that is")
         found[key] = item.path
     return {
         name: SavedMaps(
@@ -207,8 +206,7 @@ def _compare_on_log(folder: Path, name: str, setup: Setup, saved: SavedMaps) -> 
     produced = produce_maps(dict.fromkeys(BUILT_IN, scans), config, device, tell)
     if not produced.paths:
         reasons = "; ".join(produced.notes.values())
-        message = f"{name}: no producer made a map ({reasons})"
-        raise SlamFusionError(message)
+        raise SlamFusionError(f"{name}: no producer made a map ({reasons})")
     made = fuse_in_every_way(
         produced,
         scans,
@@ -264,8 +262,7 @@ def reference_map(
     stamps = np.array([item.scan.stamp_s for item in scans])
     nearest, is_known = trajectory.matches(stamps, SAME_TIME_S)
     if not is_known.any():
-        message = f"no scan of the log has a pose at its time in {trajectory.name}"
-        raise SlamFusionError(message)
+        raise SlamFusionError(f"no scan of the log has a pose at its time in {trajectory.name}")
     nodes = []
     for index in np.flatnonzero(is_known).tolist():
         scan = scans[index].scan

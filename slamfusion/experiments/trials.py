@@ -259,8 +259,7 @@ def _work(trial: Trial, config: RunConfig) -> RunResult:
     try:
         return measure_trial(trial, config, shared_device(config.device.device))
     except SlamFusionError as error:
-        message = f"{trial.key}: {error}"
-        raise SlamFusionError(message) from None
+        raise SlamFusionError(f"{trial.key}: {error}") from None
 
 
 def measure_trial(trial: Trial, config: RunConfig, device: ComputeDevice) -> RunResult:

@@ -64,8 +64,7 @@ def executor_for(
             with threads_limited(max(1, usable_cores() // processes)):
                 yield pool
         except BrokenProcessPool:
-            message = "a process died (out of memory?); fewer processes need less"
-            raise FleetError(message) from None
+            raise FleetError("a process died (out of memory?); fewer processes need less") from None
         finally:
             # Those at work come to their end unheard, which takes seconds; others do not begin.
             pool.shutdown(cancel_futures=True)
@@ -81,11 +80,10 @@ def check_address(where: str) -> int | None:
     if local is not None:
         return int(local[1]) if local[1] else usable_cores()
     if REMOTE.fullmatch(where) is None:
-        message = (
+        raise ConfigError(
             f"wanted local, local:N, tcp://HOST:PORT or tls://HOST:PORT as a scheduler, found "
             f"{where!r}"
         )
-        raise ConfigError(message)
     return None
 
 

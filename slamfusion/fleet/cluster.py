@@ -58,12 +58,11 @@ def dask_executor(where: str, processes: int | None, device: str) -> Iterator[Ex
         try:
             yield executor
         except distributed.KilledWorker as error:
-            message = (
+            raise FleetError(
                 f"several workers of {where} died of one task, the last at "
                 f"{error.last_worker.address}; out of memory, perhaps: give workers more, or start "
                 "fewer on a machine"
-            )
-            raise FleetError(message) from None
+            ) from None
         except (CancelledError, distributed.comm.CommClosedError):
             raise FleetError(_gone(where)) from None
 
@@ -85,11 +84,10 @@ class _Workers(ClientExecutor):  # type: ignore[misc]  # Dask has no types
         try:
             client.wait_for_workers(1, WORKERS_S)
         except distributed.TimeoutError:
-            message = (
+            raise FleetError(
                 f"the scheduler at {where} has no workers; start some with "
                 f"`dask worker {where} --nthreads 1`"
-            )
-            raise FleetError(message) from None
+            ) from None
         self.slots = len(client.scheduler_info(n_workers=-1)["workers"])
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
@@ -163,15 +161,13 @@ def check_workers(where: str, found: Mapping[str, tuple[str, str] | BaseExceptio
     for address, facts in sorted(found.items()):
         if isinstance(facts, BaseException):
             words = " ".join(str(facts).split())
-            message = f"the worker at {address} cannot do the work: {words}"
-            raise FleetError(message)
+            raise FleetError(f"the worker at {address} cannot do the work: {words}")
         version, device = facts
         if version != __version__:
-            message = (
+            raise FleetError(
                 f"the worker at {address} has version {version} of slamfusion, and here is "
                 f"{__version__}; install one version on all machines"
             )
-            raise FleetError(message)
         devices[device].append(address)
     if len(devices) > 1:
         listed = [f"{device} ({', '.join(on)})" for device, on in sorted(devices.items())]

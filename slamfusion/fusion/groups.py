@@ -323,11 +323,10 @@ def choose_reference(
     if name is not None:
         if name not in members:
             state = "was rejected" if name in names else "is none of them"
-            message = (
+            raise ConfigError(
                 f"reference {wanted!r} {state}; the inputs that fit together are "
                 f"{', '.join(members)}"
             )
-            raise ConfigError(message)
         return name
     return _whole(members, in_part)[0]
 
@@ -477,8 +476,7 @@ def _over_others(
     """Return the alignment of a member that was aligned the other way round, or over others."""
     start = path_transform(name, reference, group.members, pairs)
     if start is None:  # pragma: no cover - a group is connected by construction
-        message = f"{name} has no path of accepted pairs to {reference}"
-        raise AlignmentError(message, tuple(pairs))
+        raise AlignmentError(f"{name} has no path of accepted pairs to {reference}", tuple(pairs))
     tracked = track_pair(Pair(features[reference], features[name]), start)
     if turned is None:
         return replace(tracked, accepted=True, reason=words_over(name, tracked))

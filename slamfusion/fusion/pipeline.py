@@ -120,8 +120,7 @@ def align_inputs(
         wrong = _wrong_resolutions(whole[0], whole[1:], config, device, second_look)
         if not wrong:
             raise
-        message = f"{error}; {'; '.join(wrong.values())}"
-        raise AlignmentError(message, error.pairs) from error
+        raise AlignmentError(f"{error}; {'; '.join(wrong.values())}", error.pairs) from error
     finally:
         prepared.release()
     reasons |= {name: reason for name, (reason, _) in group.left_out.items()}
@@ -191,13 +190,11 @@ def _wrong_resolutions(
 def _check_names(grids: Sequence[OccupancyGrid]) -> None:
     """Refuse no inputs, and names given twice."""
     if not grids:
-        message = "wanted at least one map to fuse, found none"
-        raise AlignmentError(message)
+        raise AlignmentError("wanted at least one map to fuse, found none")
     names = [grid.name for grid in grids]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
-        message = f"inputs need distinct names; given twice: {', '.join(twice)}"
-        raise ConfigError(message)
+        raise ConfigError(f"inputs need distinct names; given twice: {', '.join(twice)}")
 
 
 def _copies(
@@ -210,11 +207,10 @@ def _copies(
     known = {named_input(config.reference, names), *(starts.given if starts is not None else ())}
     copies = find_copies(grids, {name for name in known if name is not None})
     if copies and len(grids) - len(copies) < LEAST_FUSED:
-        message = (
+        raise AlignmentError(
             f"{', '.join(names)} are one map, given {len(grids)} times: nothing bears it out, so "
             "nothing is fused; keep_duplicates counts each as a voter"
         )
-        raise AlignmentError(message)
     return copies
 
 

@@ -59,8 +59,7 @@ def read_dxf(
             conversion_factor(InsertUnits(drawing.units), InsertUnits.Meters) if has_unit else 0.0
         )
     except (OSError, DXFError, ValueError) as error:
-        message = f"{path} cannot be read as a DXF drawing: {error}"
-        raise MapFileError(message) from error
+        raise MapFileError(f"{path} cannot be read as a DXF drawing: {error}") from error
     shown = [entity for entity in recursive_decompose(drawing.modelspace()) if _is_built(entity)]
     boxes = [corner for one in to_primitives(shown) for corner in _corners(one)]
     if not boxes:

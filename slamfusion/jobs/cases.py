@@ -77,11 +77,9 @@ def case_names(files: Sequence[CaseFile]) -> list[str]:
     names = [file.case or _stem(file.path) for file in files]
     for name, count in Counter(names).items():
         if count > 1:
-            message = f"{count} files of the case {name!r}; write another name: NAME=FILE"
-            raise ConfigError(message)
+            raise ConfigError(f"{count} files of the case {name!r}; write another name: NAME=FILE")
         if name in {"", ".", ".."}:
-            message = f"{name!r} cannot name a case; write NAME=FILE"
-            raise ConfigError(message)
+            raise ConfigError(f"{name!r} cannot name a case; write NAME=FILE")
     return names
 
 
@@ -166,16 +164,14 @@ def _case_of(cases: Sequence[str], file: CaseFile) -> str:
         if len(named) == 1:
             return named[0]
         if named:
-            message = f"{file.path}: of {' or '.join(named)}? write CASE={file.path}"
-            raise ConfigError(message)
+            raise ConfigError(f"{file.path}: of {' or '.join(named)}? write CASE={file.path}")
     named = [case for case in cases if "/" in case and _has_all_words(file.path, case)]
     if len(named) == 1:
         return named[0]
-    message = (
+    raise ConfigError(
         f"{file.path}: its name says none of the cases {known}; write CASE={file.path}, with one "
         "of them for CASE"
     )
-    raise ConfigError(message)
 
 
 def _has_all_words(path: Path, case: str) -> bool:

@@ -135,11 +135,10 @@ def compare_results(files: Sequence[str | Path]) -> ComparedResults:
     names = distinct_names([path.with_suffix("") for path in paths])
     results = _compared(list(map(read_results, paths, names)))
     if len(results) < 2:
-        message = (
+        raise SlamFusionError(
             f"wanted two files of --save-results, or one with several methods of a case, found "
             f"{', '.join(map(str, paths)) or 'none'}; name another file"
         )
-        raise SlamFusionError(message)
     figures: list[ComparisonJson] = []
     series: list[ComparisonJson] = []
     pairings, notes, apart, is_paired = [], [], [], set()
@@ -166,8 +165,7 @@ def compare_results(files: Sequence[str | Path]) -> ComparedResults:
         series += _compare_paths(first, second, keys) if "seed" in keys else []
         notes += [*_alone(first, second, keys), *_other_yardsticks(first, second)]
     if not figures:
-        message = f"{apart[0]}; compare results of the same kind"
-        raise SlamFusionError(message)
+        raise SlamFusionError(f"{apart[0]}; compare results of the same kind")
     _correct(figures)
     document: CompareDocument = {
         "results": results,

@@ -116,8 +116,7 @@ class FusedMaps:
         """
         if isinstance(self.result, FusionResult):
             return self.result
-        message = f"{self.stores[0]}: the fused map is there and not in memory"
-        raise SlamFusionError(message)
+        raise SlamFusionError(f"{self.stores[0]}: the fused map is there and not in memory")
 
     @property
     def grid(self) -> OccupancyGrid:
@@ -162,8 +161,7 @@ def check_count(maps: Sequence[object]) -> None:
             only = maps[0]
             name = f"{only.name if isinstance(only, OccupancyGrid) else only}: one map alone"
             name += " cannot be fused"
-        message = f"{name}; fuse needs at least two"
-        raise SlamFusionError(message)
+        raise SlamFusionError(f"{name}; fuse needs at least two")
 
 
 def fuse_maps(

@@ -182,8 +182,7 @@ def _log_info(path: Path, config: RunConfig, progress: Progress | None) -> InfoD
         if progress is not None:
             progress("reading", round(SHARES * log.fraction_read), SHARES)
     if not stamps:
-        message = f"{path}: no scan in it can be used; {'; '.join(log.skips.sentences())}"
-        raise LogError(message)
+        raise LogError(f"{path}: no scan in it can be used; {'; '.join(log.skips.sentences())}")
     steps_s = np.diff(stamps)
     period_s = float(np.median(steps_s)) if len(steps_s) else math.nan
     moves_m = np.diff(np.reshape(poses, (-1, 2)), axis=0)

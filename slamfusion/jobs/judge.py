@@ -247,8 +247,7 @@ def judge_paths(
         OSError: a file cannot be opened.
     """
     if not paths:
-        message = f"{log}: no path to judge; give at least one file of poses"
-        raise TrajectoryError(message)
+        raise TrajectoryError(f"{log}: no path to judge; give at least one file of poses")
     config = config or RunConfig()
     if not isinstance(paths, Mapping):
         given = [Path(path) for path in paths]
@@ -361,11 +360,10 @@ def _check_fused(files: JudgeFiles) -> None:
         message = f"{len(files.paths)} path cannot be fused; give at least {LEAST_FUSED}"
         raise TrajectoryError(message)
     if FUSED in files.paths:
-        message = (
+        raise TrajectoryError(
             f"{files.paths[FUSED]}: the path that is made of the others is called {FUSED}, too; "
             "give this one another name, or leave it out"
         )
-        raise TrajectoryError(message)
 
 
 def _fuse(
@@ -380,6 +378,5 @@ def _fuse(
         try:
             at_scans[name] = path_at_scans(path, evidence.scans)
         except TrajectoryError as error:
-            message = f"{name}: {error}"
-            raise TrajectoryError(message) from error
+            raise TrajectoryError(f"{name}: {error}") from error
     return fuse_weighed_paths(at_scans, evidence, exclusions, device)

@@ -379,8 +379,7 @@ def save_mapped_log(
 def _add_state(files: AtomicFiles, target: Path, mapper: Mapper) -> None:
     """Stage the state of a producer with the other files."""
     if not isinstance(mapper, Resumable):
-        message = f"{mapper.name} cannot save its state"
-        raise SlamFusionError(message)
+        raise SlamFusionError(f"{mapper.name} cannot save its state")
     with TemporaryDirectory(prefix="slamfusion-") as name:
         draft = Path(name) / target.name
         try:

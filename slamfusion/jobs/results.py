@@ -240,8 +240,7 @@ def read_results(path: str | Path, name: str | None = None) -> SavedResults:
         try:
             with zipfile.ZipFile(file) as packed:
                 if sum(entry.file_size for entry in packed.infolist()) > MOST_BYTES:
-                    message = f"it unpacks to more than {MOST_BYTES} bytes"
-                    raise ValueError(message)
+                    raise ValueError(f"it unpacks to more than {MOST_BYTES} bytes")
                 manifest = json.loads(packed.read(MANIFEST))
                 _check_version(where, manifest)
                 yardsticks = {
@@ -253,27 +252,24 @@ def read_results(path: str | Path, name: str | None = None) -> SavedResults:
                 return SavedResults(name or where.stem, where, *made_by, table, yardsticks)
         except _BROKEN as error:
             why = _short(error)
-    message = (
+    raise ResultsFileError(
         f"{where}: wanted a zip of --save-results, found a damaged one or none ({why}); save the "
         "results again"
     )
-    raise ResultsFileError(message)
 
 
 def _check_version(where: Path, manifest: dict[str, Any]) -> None:
     """Refuse what another program wrote, or another version of this one."""
     if manifest["format"] != FORMAT:
-        message = f"its {MANIFEST} is that of another program"
-        raise ValueError(message)
+        raise ValueError(f"its {MANIFEST} is that of another program")
     found = manifest["format_version"]
     if found != FORMAT_VERSION:
         is_newer = isinstance(found, int) and found > FORMAT_VERSION
-        message = (
+        raise ResultsFileError(
             f"{where}: wanted results of format {FORMAT_VERSION}, found {_short(shown(found))}, "
             f"written by SLAMfusion {_short(shown(manifest['version']))}; "
             + ("update SLAMfusion" if is_newer else "run its command with --save-results again")
         )
-        raise ResultsFileError(message)
 
 
 def _read_table(data: bytes) -> pd.DataFrame:
@@ -291,11 +287,9 @@ def _read_table(data: bytes) -> pd.DataFrame:
         usecols=COLUMNS,
     )[COLUMNS]
     if np.isinf(table[NUMBERS]).any(axis=None):
-        message = f"{TABLE} has an infinite number"
-        raise ValueError(message)
+        raise ValueError(f"{TABLE} has an infinite number")
     if table[table["at"].isna()].duplicated(texts).any():
-        message = f"{TABLE} has two rows of one case, seed, method and figure"
-        raise ValueError(message)
+        raise ValueError(f"{TABLE} has two rows of one case, seed, method and figure")
     return table
 
 

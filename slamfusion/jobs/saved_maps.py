@@ -110,10 +110,9 @@ def path_at_scans(path: Trajectory, scans: JudgedScans) -> Trajectory:
     """
     covered = cover_stamps(path, scans)
     if covered.covered_share < LEAST_COVERED:
-        message = (
+        raise TrajectoryError(
             f"it has poses for {covered.covered_share:.0%} of the scans, wanted "
             f"{LEAST_COVERED:.0%}: all paths are judged where each has one; give a longer path"
         )
-        raise TrajectoryError(message)
     own = covered.is_covered
     return Trajectory(scans.stamps_s[own], covered.poses[own], path.name)

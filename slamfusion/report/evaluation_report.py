@@ -38,8 +38,7 @@ def write_evaluation_report(
         ValueError: there is no evaluation.
     """
     if not evaluations:
-        message = "an evaluation report needs at least one evaluated map"
-        raise ValueError(message)
+        raise ValueError("an evaluation report needs at least one evaluated map")
     section = error_section(evaluations, alignments)
     sections = [replace(section, layers=error_layers(evaluations))]
     searched = [alignment for alignment in alignments if alignment is not None]
@@ -81,7 +80,6 @@ def write_difference_image(
     path = Path(path)
     form = path.suffix.lower().removeprefix(".")
     if form not in PICTURE_FORMS:
-        message = f"{path}: wanted a name that ends in .{', .'.join(PICTURE_FORMS)}"
-        raise MapFileError(message)
+        raise MapFileError(f"{path}: wanted a name that ends in .{', .'.join(PICTURE_FORMS)}")
     picture = difference_picture(evaluation, None)
     write_atomic(path, to_form(picture.figure, form), files=files)

@@ -166,8 +166,7 @@ def yaw_picture(alignment: Alignment) -> Figure:
     """
     profile = alignment.yaw_profile
     if profile is None or len(profile) == 0:
-        message = f"the alignment of {alignment.moving!r} has no scores over yaw to draw"
-        raise ValueError(message)
+        raise ValueError(f"the alignment of {alignment.moving!r} has no scores over yaw to draw")
     order = np.argsort(profile[:, 0])
     yaw_deg, score = np.rad2deg(profile[order, 0]), profile[order, 1]
 

@@ -523,8 +523,7 @@ def run_node(make: Callable[[], NodeBase], arguments: Sequence[str] | None = Non
         # Without the places in rcl's sources.
         words = str(error).partition(", at /")[0].removeprefix("failed to initialize rcl: ")
         words = words.replace(". Error: error not set", "; wanted FROM:=TO with two valid names")
-        message = f"ROS arguments: {words}"
-        raise ConfigError(message) from error
+        raise ConfigError(f"ROS arguments: {words}") from error
     try:
         base = _made(make)
         if mark := os.environ.get(STARTED_VARIABLE):

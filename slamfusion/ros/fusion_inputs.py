@@ -53,16 +53,14 @@ def input_names(entries: Sequence[str], before: Mapping[str, str] | None = None)
         ConfigError: one is given twice, or two are given one name.
     """
     if len(set(entries)) < len(entries):
-        message = f"inputs names one map twice: {', '.join(entries)}"
-        raise ConfigError(message)
+        raise ConfigError(f"inputs names one map twice: {', '.join(entries)}")
     kept = {entry: name for name, entry in (before or {}).items() if entry in entries}
     called = {entry: kept.get(entry) or _short_name(entry) for entry in entries}
     names: dict[str, str] = {}
     for entry, name in called.items():
         is_shared = list(called.values()).count(name) > 1 and entry not in kept
         if is_shared and _given_name(entry):
-            message = f"inputs calls two maps {name!r}: {', '.join(entries)}"
-            raise ConfigError(message)
+            raise ConfigError(f"inputs calls two maps {name!r}: {', '.join(entries)}")
         names[entry if is_shared else name] = entry
     return names
 
@@ -191,8 +189,7 @@ class FusionInputs:
             on_change=self._change,
         )
         if not given and not is_open:
-            message = "inputs is empty; name at least one map: -p inputs:=[a/map,b/map]"
-            raise ConfigError(message)
+            raise ConfigError("inputs is empty; name at least one map: -p inputs:=[a/map,b/map]")
         self.entries = input_names(given)
         self.sources: dict[str, MapSource] = {}
         self.saved: dict[str, OccupancyGrid] = {}
@@ -288,8 +285,7 @@ class FusionInputs:
             MapFileError: a saved map cannot be read.
         """
         if not entries and self.entries:
-            message = "inputs: one at least must stay; end the node to fuse nothing"
-            raise ConfigError(message)
+            raise ConfigError("inputs: one at least must stay; end the node to fuse nothing")
         if len(entries) > MOST_INPUTS:
             message = f"inputs: at most {MOST_INPUTS} maps can be fused, found {len(entries)}"
             raise ConfigError(message)
@@ -297,8 +293,7 @@ class FusionInputs:
         topics = self._topics(names)
         twice = {topic for topic in topics if topics.count(topic) > 1}
         if twice:
-            message = f"inputs names one map twice: {', '.join(entries)} ({twice.pop()})"
-            raise ConfigError(message)
+            raise ConfigError(f"inputs names one map twice: {', '.join(entries)} ({twice.pop()})")
         self._loaded = {
             entry: self._load(name, entry) for name, entry in _others(names, self.entries).items()
         }
@@ -318,8 +313,7 @@ class FusionInputs:
                 whole = expand_topic_name(topic, node.get_name(), node.get_namespace())
                 validate_full_topic_name(whole)
         except NameValidationException as error:
-            message = f"inputs: {invalid_name(error)}"
-            raise ConfigError(message) from None
+            raise ConfigError(f"inputs: {invalid_name(error)}") from None
         return [str(node.resolve_topic_name(topic)) for topic in topics]
 
     def _change(self, entries: Sequence[str]) -> None:

@@ -216,15 +216,13 @@ def save_target(save_path: str, root: Path, name: str) -> Path:
     """
     given = Path(save_path)
     if given.name in {"", ".."} or "\0" in save_path:
-        message = f"{name} {save_path!r} names no file; add a name"
-        raise SlamFusionError(message)
+        raise SlamFusionError(f"{name} {save_path!r} names no file; add a name")
     folder = Path(os.path.realpath(given.parent))
     if folder != root and root not in folder.parents:
-        message = (
+        raise SlamFusionError(
             f"{name} {save_path!r} leads out of {str(root)!r}, the folder that the node was "
             "started with; name a path in it, or start the node with another save_path"
         )
-        raise SlamFusionError(message)
     if not folder.is_dir():
         message = f"{name} {save_path!r}: there is no folder {str(folder)!r}; make it first"
         raise SlamFusionError(message)

@@ -178,9 +178,7 @@ class StateKeeper:
 def _check_place(path: Path) -> None:
     """Refuse a path that no file can have; folders are not made."""
     if path.is_dir():
-        message = f"state_path: {path} is a folder; name a file in it"
-        raise ConfigError(message)
+        raise ConfigError(f"state_path: {path} is a folder; name a file in it")
     folder = Path(os.path.realpath(path)).parent
     if not folder.is_dir():
-        message = f"state_path: there is no folder {folder}; make it, or name another path"
-        raise ConfigError(message)
+        raise ConfigError(f"state_path: there is no folder {folder}; make it, or name another path")

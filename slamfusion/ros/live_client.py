@@ -181,12 +181,11 @@ class LiveClient:
                     for name, folder in self._node.get_node_names_and_namespaces()
                     if name != self._node.get_name()
                 )
-                message = (
+                raise LiveNodeError(
                     f"{self._target}: heard no {what} in {self._timeout_s:g} s; nodes that are "
                     f"there: {', '.join(names) or 'none'} (ROS_DOMAIN_ID "
                     f"{os.environ.get('ROS_DOMAIN_ID', '0')}); name it with --node"
                 )
-                raise LiveNodeError(message)
             self._executor.spin_once(timeout_sec=SPIN_S)
 
 

@@ -58,8 +58,7 @@ class LivePage:
         self._scene = Scene(f"SLAMfusion: {base.name}", is_live=True)
         token = os.environ.get(PAGE_TOKEN, "")
         if token and not TOKEN.fullmatch(token):
-            message = f"{PAGE_TOKEN}: wanted 24 or more of A-Z, a-z, 0-9, - and _"
-            raise ConfigError(message)
+            raise ConfigError(f"{PAGE_TOKEN}: wanted 24 or more of A-Z, a-z, 0-9, - and _")
         self._server = PageServer(
             self._scene,
             host=settings.page_host,

@@ -63,8 +63,7 @@ def to_stamp(seconds: float) -> Time:
     whole = math.floor(seconds)
     nanoseconds = whole * NS + round((seconds - whole) * NS)
     if not -(2**31) <= nanoseconds // NS < 2**31:
-        message = f"{seconds} s is no ROS time; wanted less than 2^31 s"
-        raise ValueError(message)
+        raise ValueError(f"{seconds} s is no ROS time; wanted less than 2^31 s")
     return Time(sec=nanoseconds // NS, nanosec=nanoseconds % NS)
 
 
@@ -88,8 +87,7 @@ def pose2_from_message(pose: Any) -> Pose2:
         raise TrajectoryError(message)
     length = math.hypot(turn.x, turn.y, turn.z, turn.w)
     if not LENGTH_MIN <= length <= LENGTH_MAX:
-        message = f"quaternion {_words(turn)} is no rotation; for none send w = 1"
-        raise TrajectoryError(message)
+        raise TrajectoryError(f"quaternion {_words(turn)} is no rotation; for none send w = 1")
     if math.hypot(turn.x, turn.y) > TILT_MAX * length:
         message = f"quaternion {_words(turn)} tilts or turns over; wanted a turn about z alone"
         raise TrajectoryError(message)

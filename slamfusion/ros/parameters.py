@@ -153,8 +153,7 @@ def declare_names(
         try:
             return names_of(parameter.value)
         except ConfigError as error:
-            message = f"{_where(node)}: {name}: {error}"
-            raise ConfigError(message) from None
+            raise ConfigError(f"{_where(node)}: {name}: {error}") from None
 
     def each(function: Callable[[tuple[str, ...]], object], changes: list[Any]) -> None:
         for item in changes:
@@ -186,8 +185,7 @@ def names_of(given: Any) -> tuple[str, ...]:
         given = given.split(",")
     names = list(given) if isinstance(given, (list, tuple)) else [given] * (given is not None)
     if not all(isinstance(item, str) for item in names):
-        message = f"wanted a list of names, found {given!r}"
-        raise ConfigError(message)
+        raise ConfigError(f"wanted a list of names, found {given!r}")
     return tuple(item.strip() for item in names if item.strip())
 
 
@@ -280,11 +278,9 @@ class _Fields:
                 given = getattr(self._node, "_parameter_overrides", {})[full].value
                 where = f"{_where(self._node)}: {full}"
                 checked_value(info, given, where)
-                message = f"{where}: {given!r} is out of range"
-                raise ConfigError(message) from None
+                raise ConfigError(f"{where}: {given!r} is out of range") from None
             except (ParameterException, ValueError) as error:
-                message = f"{_where(self._node)}: {full}: {error}"
-                raise ConfigError(message) from None
+                raise ConfigError(f"{_where(self._node)}: {full}: {error}") from None
             if info.kind is float:
                 self._floats.add(full)
             self._names.append(name)

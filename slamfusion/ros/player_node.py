@@ -201,8 +201,7 @@ class PlayerNode(NodeBase):
         text = "map topics that are written to the folder `save` at the end of the log"
         map_topics = declare_names(node, "maps", topics, text)
         if self.settings.file is None:
-            message = "player: name the log or bag with the parameter file: -p file:=PATH"
-            raise ConfigError(message)
+            raise ConfigError("player: name the log or bag with the parameter file: -p file:=PATH")
         if self.settings.lockstep and not self.wait_for:
             message = "player: lockstep needs to know whom to wait for: -p wait_for:=[NAME]"
             raise ConfigError(message)
@@ -280,11 +279,10 @@ class PlayerNode(NodeBase):
                     self.log.warning(f"no node listens on {topic!r}; playing all the same")
                     return
                 who = ", ".join(absent) or f"only {listeners} node(s) listen on {topic!r}"
-                message = (
+                raise SlamFusionError(
                     f"waited {self.settings.start_timeout_s:g} s for {', '.join(self.wait_for)}; "
                     f"missing: {who}"
                 )
-                raise SlamFusionError(message)
             self._interrupt.pause(0.05)
 
     def _play(self) -> None:
@@ -378,12 +376,11 @@ class PlayerNode(NodeBase):
                     silent = self._silent(stamp_s)
                 if not silent:  # the last answer came with the end of the wait
                     return
-                message = (
+                raise SlamFusionError(
                     f"no pose at {stamp_s:.3f} s from {', '.join(silent)} within "
                     f"{timeout_s:g} s; the producer may have ended, or "
                     "leaves the scan out: see its diagnostics"
                 )
-                raise SlamFusionError(message)
             if now_s >= again_s:
                 self._sender.send_again(item)
                 again_s = now_s + (pauses_s.pop() if pauses_s else AGAIN_S)
@@ -449,8 +446,7 @@ class PlayerNode(NodeBase):
             what = "it is older than the last scan" if topic in maps else "no map came"
             self.log.warning(f"the map on {self.node.resolve_topic_name(topic)!r}: {what}")
         if not maps and not is_early:
-            message = f"no map came on {', '.join(self._stems) or '(no topic)'}"
-            raise SlamFusionError(message)
+            raise SlamFusionError(f"no map came on {', '.join(self._stems) or '(no topic)'}")
         for topic, message in maps.items():
             stem = self._stems[topic]
             stem.parent.mkdir(parents=True, exist_ok=True)

@@ -395,8 +395,7 @@ def vote_grids(grids: list[I8], device: ComputeDevice, *, unknown_votes: bool) -
     shape, dtype = next(iter(kinds))
     if len(kinds) > 1 or dtype != "int8" or len(shape) != 2 or 0 in shape:
         found = ", ".join(f"{dtype} {shape}" for shape, dtype in sorted(kinds))
-        message = f"grids that vote must be (H, W) int8 of one shape, found {found}"
-        raise GridError(message)
+        raise GridError(f"grids that vote must be (H, W) int8 of one shape, found {found}")
     return device.vote_majority(grids, unknown_votes=unknown_votes)
 
 
@@ -408,11 +407,10 @@ def check_votes(config: VoteConfig) -> None:
     """
     votes = get_args(VoteMode)
     if config.mode not in votes:
-        message = (
+        raise ConfigError(
             f"mode {config.mode!r} draws the map from the scans of a log, and here are only maps; "
             f"use {' or '.join(votes)}, or pass the log to `slamfusion run`"
         )
-        raise ConfigError(message)
 
 
 def tiles_of(whole: CellBox, side: int) -> Iterator[CellBox]:
@@ -434,5 +432,4 @@ def tiles_of(whole: CellBox, side: int) -> Iterator[CellBox]:
 
 def _check_count(grids: list[Any]) -> None:
     if not 1 <= len(grids) <= MOST_INPUTS:
-        message = f"a vote takes 1 to {MOST_INPUTS} grids, found {len(grids)}"
-        raise GridError(message)
+        raise GridError(f"a vote takes 1 to {MOST_INPUTS} grids, found {len(grids)}")

@@ -51,8 +51,7 @@ def recorded(bench: Bench, name: str) -> Drive:
             if not files.log.exists():
                 raise SystemExit(ABSENT)
             return read_drive(files, bench.config)
-    message = f"{name} is none of the measured drives"
-    raise SystemExit(message)
+    raise SystemExit(f"{name} is none of the measured drives")
 
 
 def relations_m(bench: Bench, drive: Drive, run: ProducerRun) -> float:

@@ -93,8 +93,7 @@ def closure_errors(closures: Sequence[ClosureLike], truth: Trajectory) -> npt.ND
     stamps_s = np.array([(item.start_s, item.end_s) for item in closures])
     nearest = truth.nearest(stamps_s)
     if np.abs(truth.stamps_s[nearest] - stamps_s).max() > 1e-6:
-        message = "a closure joins times at which the truth has no pose"
-        raise ValueError(message)
+        raise ValueError("a closure joins times at which the truth has no pose")
     first, second = truth.poses[nearest[:, 0]], truth.poses[nearest[:, 1]]
     true = compose_poses(invert_poses(first), second)
     said = np.array([(m.x, m.y, m.yaw_rad) for m in (item.motion for item in closures)])
@@ -119,8 +118,7 @@ def _odometry(item: LogScan) -> Pose2:
         ValueError: it has none.
     """
     if item.odometry is None:
-        message = f"scan {item.line} has no odometry"
-        raise ValueError(message)
+        raise ValueError(f"scan {item.line} has no odometry")
     return item.odometry
 
 

@@ -119,8 +119,7 @@ def json_of(done: subprocess.CompletedProcess[str]) -> dict[str, Any]:
     """
 
     def refuse(constant: str) -> float:
-        message = f"{constant} in JSON"
-        raise ValueError(message)
+        raise ValueError(f"{constant} in JSON")
 
     document = json.loads(done.stdout, parse_constant=refuse)
     assert isinstance(document, dict)

@@ -38,5 +38,4 @@ def a_producer_of(parent: int) -> int:
         if found := producers_of(parent):
             return found[0]
         time.sleep(0.02)
-    message = "no producer was started"
-    raise AssertionError(message)
+    raise AssertionError("no producer was started")

@@ -18,8 +18,7 @@ from slamfusion.fleet import as_done, check_address, executor_for, in_order, tas
 
 def half(number: int, less: int = 0) -> int:
     if number % 2:
-        message = f"{number} is odd"
-        raise ConfigError(message)
+        raise ConfigError(f"{number} is odd")
     return number // 2 - less
 
 

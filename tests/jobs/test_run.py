@@ -299,8 +299,7 @@ def test_where_nothing_can_be_drawn_the_maps_vote(place: Path) -> None:
 
 def test_what_goes_wrong_while_preparing_ends_the_run(place: Path) -> None:
     def prepare() -> None:
-        message = "no plots here"
-        raise SlamFusionError(message)
+        raise SlamFusionError("no plots here")
 
     with pytest.raises(SlamFusionError, match="no plots here"):
         run_log(place / "flat.log", prepare=prepare)

@@ -52,8 +52,7 @@ def free_domain() -> Iterator[int]:
                 continue
             yield number
             return
-    message = f"all {DOMAINS} domains are in use"
-    raise RuntimeError(message)
+    raise RuntimeError(f"all {DOMAINS} domains are in use")
 
 
 def ros_environment(domain: int) -> dict[str, str]:
@@ -233,8 +232,7 @@ class Observer:
         while not (found := is_done()):
             left_s = until_s - time.monotonic()
             if left_s <= 0.0:
-                message = f"waited {timeout_s} s for {what or 'it'}; it did not come"
-                raise AssertionError(message)
+                raise AssertionError(f"waited {timeout_s} s for {what or 'it'}; it did not come")
             self._executor.spin_once(timeout_sec=min(left_s, 0.1))
         return found
 

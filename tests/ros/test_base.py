@@ -273,8 +273,7 @@ class Gate:
         self.begun.set()
         assert self.go.wait(20.0)
         if item == "bad":
-            message = "no good"
-            raise ValueError(message)
+            raise ValueError("no good")
         self.seen.append(item)
 
     def fail(self, item: object, error: Exception) -> None:

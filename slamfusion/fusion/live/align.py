@@ -166,8 +166,7 @@ class Aligner:
     def fixed(self) -> Lattice:
         """Return the lattice of the fused frame, which must be fixed."""
         if self.lattice is None:
-            message = "nothing was fused yet"
-            raise ValueError(message)
+            raise ValueError("nothing was fused yet")
         return self.lattice
 
     def features(self, track: Input, cancel: CancelToken | None = None) -> GridFeatures:

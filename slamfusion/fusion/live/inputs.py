@@ -315,8 +315,7 @@ class Input:
             if self._changed - changed <= stale_share * self.walls:
                 return features
         if self.grid is None:
-            message = f"{self.name} has no map"
-            raise ValueError(message)
+            raise ValueError(f"{self.name} has no map")
         with watched_by(cancel):
             normalized = normalize_grid(self.grid, resolution, thresholds, device)
         features = GridFeatures(normalized, device)

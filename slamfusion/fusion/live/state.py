@@ -73,15 +73,12 @@ class LiveState:
         numbers = [lattice.resolution, self.stamp_s, *self.scores.values()]
         numbers += [value for pose in poses for value in (pose.x, pose.y, pose.yaw_rad)]
         if not all(math.isfinite(value) for value in numbers) or lattice.resolution <= 0.0:
-            message = "a state with numbers that are not finite, or cells without a size"
-            raise StateError(message)
+            raise StateError("a state with numbers that are not finite, or cells without a size")
         if len(shape) != 2 or not self.fused.size or shape != self.agreement.shape:
-            message = f"a state with grids of shapes {shape} and {self.agreement.shape}"
-            raise StateError(message)
+            raise StateError(f"a state with grids of shapes {shape} and {self.agreement.shape}")
         for cells in (self.fused, self.agreement):
             if cells.dtype != np.int8 or int(cells.min()) < UNKNOWN or int(cells.max()) > 100:
-                message = "a state with cells other than -1 and 0 to 100"
-                raise StateError(message)
+                raise StateError("a state with cells other than -1 and 0 to 100")
             cells.flags.writeable = False
 
     @property
@@ -128,17 +125,14 @@ class LiveState:
         """
         head, _, rest = data.partition(b"\n")
         if not is_state(data):
-            message = "this is no state of a live fusion"
-            raise StateError(message)
+            raise StateError("this is no state of a live fusion")
         version = head.removeprefix(KIND).strip()
         if version != b"%d" % VERSION:
             found = version.decode(errors="replace")[:20]
-            message = f"wanted a state of version {VERSION}, found {found!r}"
-            raise StateError(message)
+            raise StateError(f"wanted a state of version {VERSION}, found {found!r}")
         digest, _, body = rest.partition(b"\n")
         if hashlib.sha256(body).hexdigest().encode() != digest:
-            message = "the state is damaged or not whole: its digest is another"
-            raise StateError(message)
+            raise StateError("the state is damaged or not whole: its digest is another")
         line, _, packed = body.partition(b"\n")
         try:
             return cls._from_record(json.loads(line), packed)
@@ -150,8 +144,7 @@ class LiveState:
     def _from_record(cls, record: dict[str, Any], packed: bytes) -> LiveState:
         height, width = (int(side) for side in record["shape"])
         if not (0 < height <= SIDE_MAX and 0 < width <= SIDE_MAX):
-            message = f"a state with {height} x {width} cells"
-            raise StateError(message)
+            raise StateError(f"a state with {height} x {width} cells")
         row, col = record["first"]
         split = int(record["bytes"][0])
         return cls(
@@ -178,8 +171,7 @@ def _cells(packed: bytes, height: int, width: int) -> I8:
     # One byte more than wanted tells a longer stream, however long it would be.
     raw = reader.decompress(packed, height * width + 1)
     if len(raw) != height * width or not reader.eof:
-        message = f"cells of another number than {height} x {width}"
-        raise ValueError(message)
+        raise ValueError(f"cells of another number than {height} x {width}")
     return np.frombuffer(raw, dtype=np.int8).reshape(height, width)
 
 

@@ -142,8 +142,7 @@ class InputSupervisor:
             message = f"no memory is left to align {len(usable)} maps at {resolution:g} m a cell"
             raise MemoryBudgetError(message) from None
         if len(group.alignments) < least:
-            message = f"{len(group.alignments)} of the {least} inputs needed agree"
-            raise AlignmentError(message)
+            raise AlignmentError(f"{len(group.alignments)} of the {least} inputs needed agree")
         base = features[group.reference].grid.grid
         return group, Lattice(base.resolution, base.origin)
 

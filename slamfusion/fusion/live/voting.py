@@ -107,8 +107,7 @@ class FusedLayers:
     def _fixed(self) -> Lattice:
         """The lattice, which must be fixed."""
         if self.lattice is None:
-            message = "nothing was fused yet"
-            raise ValueError(message)
+            raise ValueError("nothing was fused yet")
         return self.lattice
 
     @property
@@ -284,8 +283,7 @@ class FusedLayers:
         """
         box = self.box
         if box is None or layer.known is None:
-            message = "grow the layers before a map with known cells is laid on them"
-            raise ValueError(message)
+            raise ValueError("grow the layers before a map with known cells is laid on them")
         if name not in self._laid:
             shape = box.height, box.width
             unknown = np.full(shape, UNKNOWN, dtype=np.int8)
@@ -342,8 +340,7 @@ class FusedLayers:
         """
         whole = self.box
         if whole is None:
-            message = "grow the layers before their cells are voted on"
-            raise ValueError(message)
+            raise ValueError("grow the layers before their cells are voted on")
         config = self._config.vote
         if has_young and config.unknown == "auto":
             config = replace(config, unknown="abstain")
@@ -417,8 +414,7 @@ class FusedLayers:
     def grids(self) -> tuple[OccupancyGrid, OccupancyGrid]:
         """Return the fused map (cells -1, 0, 100) and the agreement (0..100, -1 without votes)."""
         if self.box is None:
-            message = "nothing was fused yet"
-            raise ValueError(message)
+            raise ValueError("nothing was fused yet")
         values = np.array([FREE, OCCUPIED] + [UNKNOWN] * 254, dtype=np.int8).view(np.uint8)
         cells = np.asarray(cv2.LUT(self._fused.view(np.uint8), values)).view(np.int8)
         agreement = self._agreement.copy()

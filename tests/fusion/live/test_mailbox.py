@@ -58,8 +58,7 @@ def test_what_cannot_be_used_is_counted_and_says_why(device: ComputeDevice) -> N
     drive = started(device)
 
     def fail() -> OccupancyGrid:
-        message = "cannot be read"
-        raise GridError(message)
+        raise GridError("cannot be read")
 
     drive.live.put("a", noise(), drive.now_s)
     drive.live.put("b", replace(three()["b"], resolution=40 * 0.1), drive.now_s)

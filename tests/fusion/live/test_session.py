@@ -112,8 +112,7 @@ def test_what_cannot_be_read_is_counted_and_named(device: ComputeDevice) -> None
     session, desk = started(device)
 
     def fail() -> OccupancyGrid:
-        message = "no cells"
-        raise GridError(message)
+        raise GridError("no cells")
 
     desk.live.put("b", fail, 101.0)
     session.turn()

@@ -96,8 +96,7 @@ class DeadReckoning:
             SlamFusionError: no scan could be used.
         """
         if not self._seen:
-            message = f"{self.name}: no scan could be used, so there is no map"
-            raise SlamFusionError(message)
+            raise SlamFusionError(f"{self.name}: no scan could be used, so there is no map")
         cell = self._config.resolution
         points = np.concatenate([np.vstack((laser, hits)) for laser, hits in self._seen])
         low = np.floor(points.min(axis=0) / cell) - 1.0
