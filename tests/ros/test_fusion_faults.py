@@ -122,7 +122,7 @@ def test_the_fused_map_goes_on_through_a_bad_day(processes: Processes, observer:
     for kind in PRODUCERS:
         start(kind)
     robot = Robot(observer)
-    observer.wait(lambda: robot.scans.get_subscription_count() == 3, 60.0, "three producers")
+    observer.wait(lambda: robot.scans.get_subscription_count() == 4, 60.0, "all four nodes")
     robot.drive_until(says("all 3 inputs vote"), "the first fused map")
     robot.drive_until(lambda: robot.count >= 80, "a fair map")
     first = fused()
