@@ -117,7 +117,7 @@ def align_inputs(
         )  # fmt: skip
     except AlignmentError as error:
         whole = [grid for grid in voters if grid.name not in prepared.reasons]
-        wrong = _wrong_resolutions(whole[0], whole[1:], config, device, second_look)
+        wrong = _wrong_resolutions(whole, config, device, second_look)
         if not wrong:
             raise
         raise AlignmentError(f"{error}; {'; '.join(wrong.values())}", error.pairs) from error
@@ -130,10 +130,10 @@ def align_inputs(
     shown = {name: alignment for name, (_, alignment) in group.left_out.items()}
     by_name = {grid.name: grid for grid in grids}
     alone = set(shown) - {name for members in group.others for name in members.alignments}
+    looked_at = [group.reference, *(name for name in shown if name in alone)]
     reasons |= _wrong_resolutions(
-        by_name[group.reference], [by_name[name] for name in shown if name in alone],
-        config, device, second_look,
-    )  # fmt: skip
+        [by_name[name] for name in looked_at], config, device, second_look
+    )
     others = {
         grid.name: InputRecord(grid, shown.get(grid.name), False, reasons[grid.name])
         for grid in grids
@@ -171,18 +171,18 @@ def vote_again(result: FusionResult, config: FusionConfig, device: ComputeDevice
 
 
 def _wrong_resolutions(
-    reference: OccupancyGrid,
-    left_out: Sequence[OccupancyGrid],
+    grids: Sequence[OccupancyGrid],
     config: FusionConfig,
     device: ComputeDevice,
     second_look: SecondLook | None,
 ) -> dict[str, str]:
-    """Return in words what is wrong with the resolutions of inputs, by name.
+    """Return in words what is wrong with the resolutions of maps if that of the first is right.
 
     Only of a few saved maps: the SLAMs of one drive have one resolution.
     """
-    if second_look is not None or not 0 < len(left_out) <= LOOKED_AT or config.align.step:
+    if second_look is not None or not 1 < len(grids) <= 1 + LOOKED_AT or config.align.step:
         return {}
+    reference, *left_out = grids
     words = {grid.name: wrong_resolution(reference, grid, config, device) for grid in left_out}
     return {name: said for name, said in words.items() if said is not None}
 

@@ -201,6 +201,13 @@ def test_two_unrelated_maps_fuse_to_nothing_and_both_are_named(device: ComputeDe
     assert {error.value.pairs[0].moving, error.value.pairs[0].reference} == {"stranger", "a"}
 
 
+def test_maps_without_known_cells_are_named(device: ComputeDevice) -> None:
+    cells = np.full((20, 20), -1, dtype=np.int8)
+    blank = [OccupancyGrid(cells, size, name=name) for name, size in (("a", 0.05), ("b", 0.1))]
+    with pytest.raises(AlignmentError, match="all 20 x 20 cells are unknown"):
+        fuse_grids(blank, QUICK, device)
+
+
 def test_a_single_map_is_its_own_fusion(device: ComputeDevice) -> None:
     grid = padded(with_origin(place().with_name("only"), Pose2(1.0, 2.0, 0.4)), 5, 0, 7, 3)
     result = fuse_grids([grid], QUICK, device)
