@@ -143,6 +143,22 @@ class Deskewer:
         count = 1 + math.ceil(abs(sweep_s) / SAMPLE_S)
         return np.asarray(scan.stamp_s + np.linspace(0.0, sweep_s, count))
 
+    def follow(self, scan: LaserScan, odometry_at: Track) -> tuple[F64 | None, Pose2 | None]:
+        """Take in the next scan of a live laser, and learn of its sweep.
+
+        Args:
+            odometry_at: returns the odometry at (K,) ``times``, as ``moved`` takes it.
+
+        Returns:
+            What it returned, and the odometry at the scan's stamp.
+        """
+        self.note(scan.stamp_s)
+        poses = odometry_at(self.times(scan))
+        odometry = None if poses is None else Pose2(*poses[0].tolist())
+        if odometry is not None:
+            self.learn(scan, odometry)
+        return poses, odometry
+
     def moved(self, scan: LaserScan, poses: F64 | None) -> LaserScan:
         """Return the scan with the robot's motion at each beam; as it is where that is too little.
 

@@ -124,11 +124,9 @@ class DriveInput:
             scan = self.scans.read(arrived)
         except LeftOutError:
             return  # named by who reads it
-        self._deskewer.note(scan.stamp_s)
-        within = self.scans.odometry_at(arrived, self._deskewer.times(scan), is_first=False)
-        odometry = None if within is None else Pose2(*within[0].tolist())
-        if odometry is not None:
-            self._deskewer.learn(scan, odometry)
+        within, odometry = self._deskewer.follow(
+            scan, lambda times_s: self.scans.odometry_at(arrived, times_s, is_first=False)
+        )
         self._drive.add_scan(LogScan(self._deskewer.moved(scan, within), odometry, 1))
         self._count += 1
         self._solver.put(None)

@@ -267,11 +267,7 @@ class ProducerSession:
             # Sent again: who waits for the answer gets it again.
             return Answer(self.snapshot.pose, is_new=False)
         scan = item.read()
-        self._deskewer.note(scan.stamp_s)
-        within = item.odometry(self._deskewer.times(scan))
-        odometry = None if within is None else Pose2(*within[0].tolist())
-        if odometry is not None:
-            self._deskewer.learn(scan, odometry)
+        within, odometry = self._deskewer.follow(scan, item.odometry)
         if odometry is None and self._wants_odometry:
             self._change(without_odometry=self.snapshot.without_odometry + 1)
             if fed_s is None:
