@@ -6,9 +6,6 @@ import time
 from collections.abc import Collection
 from dataclasses import replace
 
-import numpy as np
-import numpy.typing as npt
-
 from slamfusion.align.answer import conclude, rejected_alignment
 from slamfusion.align.decide import DECISIONS, DecisionKind
 from slamfusion.align.features import GridFeatures
@@ -29,8 +26,6 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import AlignConfig, FusionConfig
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
-
-F64 = npt.NDArray[np.float64]
 
 
 def align_grids(

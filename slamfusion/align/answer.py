@@ -7,7 +7,6 @@ import time
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.align.cancel import check_cancelled
 from slamfusion.align.decide import (
@@ -41,9 +40,7 @@ from slamfusion.align.search import CoarseSearch, SearchResult, meeting_cells, p
 from slamfusion.align.shifts import SearchWindow
 from slamfusion.compute.lattice import fixed_poses
 from slamfusion.config import AlignConfig
-from slamfusion.geometry import Pose2, wrap_angle
-
-F64 = npt.NDArray[np.float64]
+from slamfusion.geometry import F64, Pose2, wrap_angle
 
 # A bent map whose walls meet less than this share of the other's is fitted as a whole, by a wide
 # scale in cells.

@@ -49,8 +49,7 @@ from slamfusion.align.search import SearchResult, search
 from slamfusion.align.shifts import SearchWindow
 from slamfusion.compute.lattice import fixed_cells, fixed_poses
 from slamfusion.config import AlignConfig
-
-F64 = npt.NDArray[np.float64]
+from slamfusion.geometry import F64
 
 # Points of walls by which shifts and scales are compared.
 POINTS = 1024

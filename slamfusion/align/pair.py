@@ -20,9 +20,7 @@ from slamfusion.align.features import GridFeatures
 from slamfusion.align.normalize import NormalizedGrid
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.layout import FIXED_ONE
-from slamfusion.geometry import Pose2, wrap_angle
-
-F64 = npt.NDArray[np.float64]
+from slamfusion.geometry import F64, Pose2, wrap_angle
 
 P = ParamSpec("P")
 R = TypeVar("R")

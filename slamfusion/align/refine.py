@@ -18,8 +18,7 @@ from slamfusion.align.pair import Pair, both_ways, invert, to_lattice, turned_ab
 from slamfusion.align.scores import GOOD_DOUBT, score_motions
 from slamfusion.compute.lattice import fixed_poses
 from slamfusion.compute.search import FitSide
-
-F64 = npt.NDArray[np.float64]
+from slamfusion.geometry import F64
 
 REFINE_POINTS = 768
 FINE_POINTS = 1536

@@ -32,9 +32,8 @@ from slamfusion.align.shifts import (
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig
 from slamfusion.errors import ConfigError, MemoryBudgetError
+from slamfusion.geometry import F64
 from slamfusion.grid import OccupancyGrid
-
-F64 = npt.NDArray[np.float64]
 
 # A scale is searched from half to twice what a map says.
 FACTOR = 2.0

@@ -23,8 +23,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.compute.lattice import fixed_poses
 from slamfusion.compute.layout import FACING_PARTS
 from slamfusion.compute.search import ScoredSide
-
-F64 = npt.NDArray[np.float64]
+from slamfusion.geometry import F64
 
 # Side of a piece, metres, where a wall is as wide as this; wider walls have larger pieces.
 PIECE_M, PIECE_WIDTH_M = 1.0, 0.15

@@ -35,9 +35,7 @@ from slamfusion.align.starts import StartPose, pose_of
 from slamfusion.compute.lattice import fixed_poses
 from slamfusion.config import AlignConfig
 from slamfusion.errors import ConfigError
-from slamfusion.geometry import Pose2
-
-F64 = npt.NDArray[np.float64]
+from slamfusion.geometry import F64, Pose2
 
 # A level on which a wall of any other place finds this much tells little: a finer one is taken.
 # Where a search found nothing to believe, one that takes longer does so sooner.

@@ -23,8 +23,8 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.lattice import fixed_poses, grouped, shift_spans
 from slamfusion.compute.layout import SHIFT_LANES
+from slamfusion.geometry import F64
 
-F64 = npt.NDArray[np.float64]
 I32 = npt.NDArray[np.int32]
 F32 = npt.NDArray[np.float32]
 C64 = npt.NDArray[np.complex64]

@@ -8,10 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.compute.layout import FIXED_ONE, FIXED_TO_CELL_SHIFT, SHIFT_POINTS
+from slamfusion.geometry import F64
 
 I32 = npt.NDArray[np.int32]
 I64 = npt.NDArray[np.int64]
-F64 = npt.NDArray[np.float64]
 
 # The place of a point after a pose stays below this, so that it fits 32 bits with its sign and what
 # rounding adds.

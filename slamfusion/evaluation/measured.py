@@ -11,19 +11,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.evaluation.map_error import MapError
 from slamfusion.evaluation.relations import RelationErrors, RelationErrorsAtScans
 from slamfusion.evaluation.statistics import ErrorStatistics
 from slamfusion.evaluation.trajectory_error import TrajectoryErrors
+from slamfusion.geometry import F64
 
 # A row of a table of results: case, seed, method, figure, value, at, to. ``at`` is NaN for a figure
 # of the whole map or path. For a single error it says where: the time of a pose in s, or the metres
 # travelled to the end of a pair of poses. A relation has two times, ``at`` and ``to``.
 Row = tuple[str, str, str, str, float, float, float]
-
-F64 = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

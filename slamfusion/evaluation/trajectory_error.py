@@ -16,6 +16,7 @@ from slamfusion.config import TrajectoryConfig
 from slamfusion.errors import TrajectoryError
 from slamfusion.evaluation.statistics import ErrorStatistics
 from slamfusion.geometry import (
+    F64,
     Pose2,
     compose_poses,
     fit_motion,
@@ -27,8 +28,6 @@ from slamfusion.geometry import (
 )
 from slamfusion.grid import IDENTITY
 from slamfusion.trajectory import Trajectory, clock_advice
-
-F64 = npt.NDArray[np.float64]
 
 # Motion is compared at steps of this length, seconds, and then over windows of this length.
 STEP_S, WINDOW_S = 0.1, 1.0

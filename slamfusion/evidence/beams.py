@@ -16,11 +16,17 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.errors import LogError, TrajectoryError
-from slamfusion.geometry import blend_poses, compose_poses, invert_poses, travelled, wrap_angles
+from slamfusion.geometry import (
+    F64,
+    blend_poses,
+    compose_poses,
+    invert_poses,
+    travelled,
+    wrap_angles,
+)
 from slamfusion.io import LogScan
 from slamfusion.trajectory import Trajectory, clock_advice
 
-F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
 # Parts of a drive that are predicted by the others.

@@ -27,8 +27,8 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.evidence.beams import CHUNKS
 from slamfusion.evidence.exclusion import PART_M
 from slamfusion.evidence.predictive import NEIGHBOURS, OTHERS, SURE, DrawnChunks, PathEvidence
+from slamfusion.geometry import F64
 
-F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 U32 = npt.NDArray[np.uint32]
 

@@ -31,7 +31,7 @@ from slamfusion.config import FusionConfig
 from slamfusion.errors import TrajectoryError
 from slamfusion.evidence.beams import no_common_time
 from slamfusion.fusion.lattice_vote import warp_onto
-from slamfusion.geometry import Pose2, moved_poses, transform_points
+from slamfusion.geometry import F64, Pose2, moved_poses, transform_points
 from slamfusion.grid import FREE, IDENTITY, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, known_box
 from slamfusion.io import LogScan
 from slamfusion.slam.common.tile_map import SharedTileMaps
@@ -40,7 +40,6 @@ from slamfusion.vote.boxes import hull
 from slamfusion.vote.tiles import GridLayer, TileVoter
 
 F32 = npt.NDArray[np.float32]
-F64 = npt.NDArray[np.float64]
 
 # Parts of a cell that points are rounded to, as the kernel sees them.
 POINT_PARTS = 1024.0

@@ -29,10 +29,9 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.evidence.beams import CHUNKS
 from slamfusion.evidence.path_frames import pose_distances
 from slamfusion.evidence.predictive import BLOCKS, SURE, PathEvidence, compare_sums, without_scans
-from slamfusion.geometry import fit_motion, moved_poses, with_levers
+from slamfusion.geometry import F64, fit_motion, moved_poses, with_levers
 from slamfusion.trajectory import flag_runs, nearest_stamps
 
-F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 B8 = npt.NDArray[np.bool_]
 

@@ -41,11 +41,10 @@ from slamfusion.evidence.path_frames import (
     pose_distances,
 )
 from slamfusion.evidence.predictive import PathEvidence
-from slamfusion.geometry import compose_poses, invert_poses, travelled
+from slamfusion.geometry import F64, compose_poses, invert_poses, travelled
 from slamfusion.pose_graph import PoseGraph, optimize
 from slamfusion.trajectory import Trajectory
 
-F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
 # Scans that a motion spans; longer ones begin at every quarter of their length.

@@ -27,9 +27,8 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.evidence.path_frames import geman_mcclure
-from slamfusion.geometry import compose_poses, invert_poses, wrap_angles
+from slamfusion.geometry import F64, compose_poses, invert_poses, wrap_angles
 
-F64 = npt.NDArray[np.float64]
 B8 = npt.NDArray[np.bool_]
 
 # Deviations of the motion from one scan to the next, metres and radians. On 24 simulated drives

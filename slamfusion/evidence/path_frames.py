@@ -14,10 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.errors import TrajectoryError
-from slamfusion.geometry import Pose2, fit_motion, moved_poses, with_levers, wrap_angles
+from slamfusion.geometry import F64, Pose2, fit_motion, moved_poses, with_levers, wrap_angles
 from slamfusion.trajectory import SAME_STAMP_S, Trajectory
-
-F64 = npt.NDArray[np.float64]
 
 # Metres that a turn of one radian counts for: what it moves at the range of most walls.
 TURN_M = 2.0

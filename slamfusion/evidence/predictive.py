@@ -28,10 +28,8 @@ from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.layout import BEAM_ONE, FACINGS, TILE
 from slamfusion.errors import TrajectoryError
 from slamfusion.evidence.beams import CHUNKS, CoveredPath, JudgedScans, cover_stamps, no_common_time
-from slamfusion.geometry import compose_poses, invert_poses, transform_points
+from slamfusion.geometry import F64, compose_poses, invert_poses, transform_points
 from slamfusion.trajectory import Trajectory
-
-F64 = npt.NDArray[np.float64]
 
 # Parts of the judged scans that are drawn anew: four for each chunk, so that a path that is wrong
 # for a tenth of the drive is wrong in many of them.

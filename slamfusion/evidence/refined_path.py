@@ -32,10 +32,9 @@ import scipy
 from slamfusion.evidence.beams import JudgedScans, cover_stamps
 from slamfusion.evidence.known_motions import KnownMotions, MotionEquations
 from slamfusion.evidence.path_frames import FROM_MEDIAN, geman_mcclure, laid_onto
-from slamfusion.geometry import compose_poses, invert_poses, wrap_angles
+from slamfusion.geometry import F64, compose_poses, invert_poses, wrap_angles
 from slamfusion.trajectory import Trajectory
 
-F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
 # A patch of wall: its side, metres, and the directions that its normal is told apart by.

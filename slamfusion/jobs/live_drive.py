@@ -18,7 +18,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.errors import SlamFusionError
@@ -43,8 +42,6 @@ from slamfusion.jobs.fused_path import DrivePath, fuse_weighed_paths
 from slamfusion.jobs.outputs import DRAWN, FUSED
 from slamfusion.trajectory import SAME_STAMP_S, Trajectory, nearest_stamps
 from slamfusion.vote.lattice import Lattice
-
-F64 = npt.NDArray[np.float64]
 
 # The window that is solved between two solutions of the whole drive, seconds.
 WINDOW_S = 20.0

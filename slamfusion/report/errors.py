@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes  # noqa: TID251
 from matplotlib.figure import Figure  # noqa: TID251
 
@@ -18,6 +17,7 @@ from slamfusion.evaluation import (
     error_kinds,
 )
 from slamfusion.evaluation.relations import RelationErrorsAtScans
+from slamfusion.geometry import F64
 from slamfusion.palette import Rgb
 from slamfusion.report.canvas import (
     INK,
@@ -31,8 +31,6 @@ from slamfusion.report.canvas import (
 from slamfusion.report.page import Cell, Fact, Picture, Section, Table, number
 from slamfusion.report.series import thinned
 from slamfusion.trajectory import Trajectory
-
-F64 = npt.NDArray[np.float64]
 
 FIGURES = ("mean", "std", "rmse", "median", "min", "max")
 # Distributions are drawn up to this share of the errors: the few beyond would hide the others.

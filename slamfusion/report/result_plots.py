@@ -12,6 +12,7 @@ from matplotlib.figure import Figure  # noqa: TID251
 from matplotlib.layout_engine import ConstrainedLayoutEngine  # noqa: TID251
 
 from slamfusion.evaluation import figure_of
+from slamfusion.geometry import F64
 from slamfusion.palette import Rgb, colours_of
 from slamfusion.report.canvas import (
     DPI,
@@ -23,7 +24,7 @@ from slamfusion.report.canvas import (
     to_form,
     unit_rgb,
 )
-from slamfusion.report.errors import F64, draw_shares
+from slamfusion.report.errors import draw_shares
 
 # The most cases with single errors, and the most figures, that a readable picture holds.
 MOST_PATHS, MOST_FIGURES = 6, 6

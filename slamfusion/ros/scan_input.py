@@ -7,12 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from nav_msgs.msg import Odometry
 
 from slamfusion.config import ScanNodeConfig
 from slamfusion.errors import ScanError, TrajectoryError
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import F64, Pose2
 from slamfusion.io.log import FARTHEST_M
 from slamfusion.io.stamps import Passed, StampGate
 from slamfusion.io.transforms import Mount, TransformError
@@ -21,8 +20,6 @@ from slamfusion.ros.base import SHOWN_S, Level, NodeBase
 from slamfusion.ros.frames import TransformInput, TransformStore
 from slamfusion.scan import LaserScan
 from slamfusion.slam.session import LeftOutError
-
-F64 = npt.NDArray[np.float64]
 
 # Odometry that has not been heard for longer has no say, seconds.
 ODOMETRY_ALIVE_S = 1.0

@@ -29,11 +29,11 @@ from slamfusion.compute.layout import (
     WALL_OCCUPIED,
     WALL_SIDES,
 )
+from slamfusion.geometry import F64
 
 U8 = npt.NDArray[np.uint8]
 U16 = npt.NDArray[np.uint16]
 I64 = npt.NDArray[np.int64]
-F64 = npt.NDArray[np.float64]
 
 # Maps of one place that are not bent agree in this share of their walls, and more.
 AGREEING = 0.8
