@@ -28,7 +28,7 @@ NAMED: Mapping[str, Rgb] = {
 # Of all other names, in their order.
 OTHERS: tuple[Rgb, ...] = ((68, 195, 230), (100, 80, 235), (191, 183, 102), (246, 158, 156))
 
-# What speaks against something: cells on which the votes were divided or a map was outvoted,
+# What contradicts something: cells on which the votes were divided or a map was outvoted,
 # closures that do not hold, revisits.
 DISAGREEMENT_RGB: Rgb = (195, 0, 30)
 # Walls that are not what one looks for: of both maps in a difference, of the map below.

@@ -13,7 +13,7 @@ moved, doubled, or never there. A sum of L over walls is evidence in nats: a lon
 outweighs a short one, and a large false overlap does not outweigh a small true one.
 
 The fields are whole numbers from 0, so that kernels can add them: ``value = base + L / unit``.
-Partly free cells of a coarse level weigh what speaks against by their share of free space.
+Partly free cells of a coarse level weigh what contradicts by their share of free space.
 """
 
 from __future__ import annotations

@@ -217,7 +217,7 @@ class InputRecord:
 
 @dataclass(frozen=True, kw_only=True)
 class Fusion:
-    """What became of the inputs of a fusion.
+    """The outcome for the inputs of a fusion.
 
     Attributes:
         reference: name of the reference input, whose frame and lattice the fused map has.

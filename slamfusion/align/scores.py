@@ -31,7 +31,7 @@ PIECE_POINTS = 8192
 # Wall points of each map by which motions are compared, each stands for its share.
 SCORED_POINTS = 4096
 # Where an answer leaves at most a quarter unexplained both maps may be good: then so many times
-# what an answer leaves unexplained speaks against it. With 1 a large common ground that fits badly
+# what an answer leaves unexplained contradicts it. With 1 a large common ground that fits badly
 # holds a small right one back (of 90 halves that share a fifth 60 are believed, with 2 and with 3
 # about 70); the highest counts of 156 wrong answers between recorded maps were 0.9, 1.8 and 3.5.
 GOOD_DOUBT = 2.0
@@ -50,7 +50,7 @@ class WallPieces:
             other map knows its ground; elsewhere what the pieces give, since what was not seen
             contradicts nothing: a strip of common ground ends in cuts through walls.
         seen_m: (P,) metres of wall that lie where the other map has seen something.
-        doubt: how much what a piece could have given and does not give speaks against a motion.
+        doubt: how much what a piece could have given and does not give contradicts a motion.
             The table of evidence is kind to maps that are bent or old; of two good maps of one
             place little stays unexplained, and 1 doubts each motion that leaves more.
     """

@@ -47,7 +47,7 @@ class DeviceInfo:
 
 @dataclass(frozen=True)
 class PoclState:
-    """What became of the PoCL that came with the package."""
+    """How the PoCL that came with the package was changed."""
 
     state: Literal["absent", "known", "patched", "refused"]
     """Not installed; knows the processor; was made to know it; was left and is not used."""

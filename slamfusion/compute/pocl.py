@@ -9,7 +9,7 @@ its devices, by one that returns the best name which both sides know. Nothing is
 and where PoCL knows the processor, or comes from elsewhere, nothing is touched.
 
 It is done only to a library that was looked at: its SHA-256 stands in ``CHECKED``, and the function
-begins as it did then. The first command of an installation reports it, and ``slamfusion doctor``
+starts as it did then. The first command of an installation reports it, and ``slamfusion doctor``
 always does. ``SLAMFUSION_PATCH_POCL=0`` switches it off; 1 agrees to it without a report. Where it
 is needed and not done, the wheel's devices cannot be used, and ``PoclState`` says what to install.
 

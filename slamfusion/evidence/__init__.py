@@ -7,7 +7,7 @@ beside those. ``PathEvidence.compare`` tells better paths from those that cannot
 gives the one answer: which map and path, which SLAM alone, what to check.
 ``fuse_paths`` makes one path of several, each believed as far as the scans bear it out,
 ``refine_path`` lays all scans of the drive on each other along it, and ``refine_borne_out`` does so
-where the scans do not speak against what comes of it.
+where the scans do not contradict what comes of it.
 ``find_exclusions`` says when a path has left the others and must not vote.
 """
 

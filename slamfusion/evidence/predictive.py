@@ -31,7 +31,7 @@ from slamfusion.evidence.beams import CHUNKS, CoveredPath, JudgedScans, cover_st
 from slamfusion.geometry import F64, compose_poses, invert_poses, transform_points
 from slamfusion.trajectory import Trajectory
 
-# Parts of the judged scans that are drawn anew: four for each chunk, so that a path that is wrong
+# Parts of the judged scans that are drawn again: four for each chunk, so that a path that is wrong
 # for a tenth of the drive is wrong in many of them.
 BLOCKS = 96
 DRAWS = 2000

@@ -73,7 +73,7 @@ class RefinedPath:
 def refine_borne_out(
     evidence: PathEvidence, path: Trajectory, device: ComputeDevice
 ) -> RefinedPath:
-    """Lay the scans of a drive on each other along a path, unless they speak against what comes.
+    """Lay the scans of a drive on each other along a path, unless they contradict what comes.
 
     Args:
         evidence: of other paths of the drive; none has the name of ``path``.
@@ -116,7 +116,7 @@ def refine_borne_out(
 def _from_odometry(
     evidence: PathEvidence, path: Trajectory, device: ComputeDevice
 ) -> tuple[Trajectory, PathEvidence] | None:
-    """Lay the scans on each other along the odometry; None where they speak against it."""
+    """Lay the scans on each other along the odometry; None where they contradict it."""
     wheels = _odometry_at(evidence.scans, path)
     if wheels is None:
         return None

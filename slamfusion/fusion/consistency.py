@@ -130,7 +130,7 @@ def _closes(
 def _stands(
     members: Sequence[str], pairs: Sequence[Alignment], implied: ImpliedPairs | None
 ) -> bool:
-    """Whether no rejected pair among the members speaks against them."""
+    """Whether no rejected pair among the members contradicts them."""
     if implied is None:
         return True
     for pair in pairs:
@@ -182,11 +182,11 @@ def _reached(
 
 @dataclass(frozen=True)
 class Implied:
-    """What came of a rejected pair under the transform that others imply.
+    """The outcome for a rejected pair under the transform that others imply.
 
     Attributes:
         alignment: refined from there.
-        stands: whether the pair speaks against no group.
+        stands: whether the pair contradicts no group.
         words: why, in a few words.
         is_borne_out: whether walls on common ground, be it much or little, say that it lies there.
     """

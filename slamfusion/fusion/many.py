@@ -66,7 +66,7 @@ LOOPS, LINKS = 3, 4
 GROUND_POINTS = 24
 # Alignments in a triangle that may each be off by a share of what it may be.
 TRIANGLE = 3.0
-# Of alignments that loops speak against alike the weakest is false, and those up to so many times
+# Of alignments that loops contradict alike the weakest is false, and those up to so many times
 # as strong: of them none is known to be right.
 NEARLY_AS_STRONG = 2.0
 # What an alignment may be off in the middle between the two maps, metres and radians: maps are
@@ -265,7 +265,7 @@ class _Search:
         return self.ground[a].share_of(self.ground[b], transform)
 
     def _closes(self, a: str, b: str, transform: Pose2) -> bool:
-        """Whether the walls of a pair bear out where the tree puts it; note what speaks against."""
+        """Whether the walls of a pair bear out where the tree puts it; note what contradicts it."""
         look = self.implied.look(a, b, transform)
         key = frozenset((a, b))
         if look.is_borne_out:
@@ -423,9 +423,9 @@ class AlignmentGraph:
         )
 
     def drop_false(self) -> bool:
-        """Take back the links that contradictions speak against most; tell whether there was one.
+        """Take back the links that most contradictions count against; tell if there was one.
 
-        A contradiction speaks against each link of its path, a loop that closes speaks for it.
+        A contradiction counts against each link of its path, a loop that closes for it.
         """
         blame = Counter[Key]()
         for key in self.against:

@@ -52,7 +52,7 @@ class DoctorDocument(TypedDict):
     devices: Sequence[DeviceInfo]
     """The OpenCL devices; may be empty."""
     pocl: PoclState | None
-    """What became of the PoCL that came with the package; null where no OpenCL was looked at."""
+    """How the PoCL that came with the package was changed; null where no OpenCL was looked at."""
     device: str | None
     """The one that was tested, in words; null where it cannot be opened."""
     self_test: Sequence[SelfTestJson]

@@ -81,9 +81,9 @@ class Layers:
 
     Attributes:
         maps: as they are: the producers', then the saved ones.
-        grids: those that take part, some of them drawn anew.
+        grids: those that take part, some of them drawn again.
         paths: by producer, also of the times in which it has no vote.
-        votes: of the producers whose layers were drawn anew: at which of its poses it has a vote.
+        votes: of the producers whose layers were drawn again: at which of its poses it has a vote.
         partial: the producers that have no vote for some time.
         undecided: times in which producers have parted, and vote because nothing tells who is
             right.
@@ -145,7 +145,7 @@ def draw_layers(
     layers = {grid.name: grid for grid in maps}
     votes: dict[str, B8] = {}
     partial = []
-    # Whoever was with the others least goes first.
+    # The one that was with the others least goes first.
     for name in sorted(exclusions.names, key=exclusions.excluded_share, reverse=True):
         share, left_out, is_filled = exclusions.excluded_share(name), None, False
         if share > 1.0 - LEAST_SHARE:
@@ -203,7 +203,7 @@ def _span_words(span: ExcludedSpan) -> str:
     """Return when a producer has no vote, how far it was from the others then, and why."""
     why = {
         "outvoted": "where the others agree",
-        "contradicted by the scans": "where the scans speak against it",
+        "contradicted by the scans": "where the scans contradict it",
     }
     return f"{_times(span)}, up to {span.gap_m:.1f} m away, {why[span.ground]}"
 

@@ -122,7 +122,7 @@ def fuse_weighed_paths(
 ) -> DrivePath:
     """Make one path of several, each believed as far as the scans bear it out.
 
-    Then all scans are laid on each other along it, where they do not speak against what comes.
+    Then all scans are laid on each other along it, where they do not contradict what comes.
 
     Raises:
         TrajectoryError: the paths have no times in common.

@@ -186,7 +186,7 @@ class MappedLog:
         return self.result.run.trajectory
 
     def notices(self) -> tuple[str, ...]:
-        """Say what was passed over, that more was to come, and what speaks against the map."""
+        """Say what was passed over, that more was to come, and what contradicts the map."""
         run, log = self.result.run, self.files.log
         sentences = []
         if run.known_scans:

@@ -77,7 +77,7 @@ class LogRun:
         saved_paths: the paths of these that were given, by the maps' names.
         grids: the producers' maps, then the saved ones.
         layers: what took part in the vote of these, and who has none for some of the drive.
-        fusion: what came of fusing them, also where it may not be used.
+        fusion: the outcome of fusing them, also where it may not be used.
         fused_path: one path made of the producers' paths; None where fewer than two have one, or
             where no fused map may be used.
         drawn: the map drawn from all scans at the fused path, beside the fused map; None where it

@@ -89,7 +89,7 @@ class RunDocument(FusionJson, RunFilesJson, CircumstancesJson):
     """``slamfusion run``; exit code 1 where there is an ``error`` or something ``not_measured``."""
 
     producers: Sequence[RunProducerJson | FailedProducerJson]
-    """What became of each producer."""
+    """The outcome of each producer."""
     fused: str | None
     """YAML file of the fused map; null where nothing was fused."""
     fused_mode: FusionMode | None

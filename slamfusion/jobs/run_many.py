@@ -51,7 +51,7 @@ class LogTask:
 
 @dataclass(frozen=True, kw_only=True)
 class RunOfLog:
-    """What came of one of several logs."""
+    """The outcome of one of several logs."""
 
     log: Path
     """The log."""
@@ -160,7 +160,7 @@ def run_logs(
     the same folders under the same names.
 
     Returns:
-        What came of each, in order. One that fails is told there and raises nothing.
+        The outcome of each, in order. One that fails is named there and raises nothing.
     """
     done: dict[LogTask, RunOfLog] = {}
     for task, (found, host) in as_done(executor, run_one, tasks, config):
@@ -174,7 +174,7 @@ def run_logs(
 
 
 def run_one(task: LogTask, config: RunConfig) -> tuple[RunOfLog, str]:
-    """Run the main job on a log; return what came of it, and the machine that did it."""
+    """Run the main job on a log; return the outcome, and the machine that did it."""
     # Where the task is done, not where it is handed over: the SLAMs load slowly.
     from slamfusion.jobs.run import run_log  # noqa: PLC0415
     from slamfusion.jobs.run_files import load_report, save_run  # noqa: PLC0415

@@ -180,7 +180,7 @@ def gnc(problem: Problem, start: F64 | None = None) -> InlierSet:
         start: (N, 3) poses to descend from; default: along the odometry, where nothing fits yet.
 
     All closures are hardened from the odometry even if there are given poses: from these, what was
-    believed so far would be believed again, however many speak against it.
+    believed so far would be believed again, however many contradict it.
     """
     search = _Search(problem, LIMIT)
     if start is not None:

@@ -145,7 +145,7 @@ class LivePage:
     # -- in the server's threads ------------------------------------------------------------------
 
     def _ask(self, name: str) -> tuple[bool, str]:
-        """Let a command wait for the node's thread, and return what came of it."""
+        """Let a command wait for the node's thread, and return its outcome."""
         future: Future[tuple[bool, str]] = Future()
         with self._lock:
             if self._is_closed:

@@ -153,7 +153,7 @@ class ProducerRunJson(TypedDict):
     low_scores_in_a_row: int
     """Most matches one after the other whose score was below half of the mean."""
     warnings: Sequence[str]
-    """What speaks against the map, a sentence each."""
+    """What contradicts the map, a sentence each."""
     complete: bool
     """Whether the scans came to their end; false: it was stopped before."""
     known_scans: int

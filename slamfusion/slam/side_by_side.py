@@ -45,7 +45,7 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What became of one producer.
+    """The outcome of one producer.
 
     Attributes:
         run: what it made; None where it made nothing.

@@ -1,4 +1,4 @@
-"""``Mailbox``: what came of each input and the scans and was not fused yet, from any thread."""
+"""``Mailbox``: what inputs and scans sent and was not fused yet, from any thread."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ RATE_WEIGHT = 0.3
 
 @dataclass(eq=False)
 class InputMessage:
-    """What came of one input.
+    """What one input sent.
 
     Attributes:
         maps: messages that came, usable or not.
@@ -178,6 +178,6 @@ class Mailbox:
         return evidence
 
     def counts(self) -> dict[str, InputMessage]:
-        """Return a copy of what came of each input, by name."""
+        """Return a copy of what each input sent, by name."""
         with self._lock:
             return {name: replace(item) for name, item in self._received.items()}

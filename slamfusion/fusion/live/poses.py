@@ -9,8 +9,8 @@ side; inputs that are not linked are never compared. Linked inputs are *apart* w
 have differed by more than ``pose_apart_m`` or ``pose_apart_rad`` for ``pose_apart_s`` seconds of
 stamps without a break, and are so until they have been within 0.7 of both limits for as long.
 
-Whoever is apart from the most others contradicts them; it is left out and the rest is looked at
-again. Where several are apart from equally many, no majority decides, and all of these
+The input that is apart from the most others contradicts them; it is left out and the rest is
+looked at again. Where several are apart from equally many, no majority decides, and all of these
 contradict. An input that was aligned again is given a fresh start, but stays linked.
 """
 

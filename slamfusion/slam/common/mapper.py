@@ -45,7 +45,7 @@ class Health:
     skips: Skips = field(default_factory=Skips)
 
     def warnings(self) -> tuple[str, ...]:
-        """Return what speaks against the map in the producer's own words, a sentence each."""
+        """Return what contradicts the map in the producer's own words, a sentence each."""
         return ()
 
     def to_json(self) -> HealthJson:

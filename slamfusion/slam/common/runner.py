@@ -127,7 +127,7 @@ class ProducerRun:
         return None
 
     def warnings(self) -> tuple[str, ...]:
-        """Return what speaks against the map, a sentence each; empty where nothing does."""
+        """Return what contradicts the map, a sentence each; empty where nothing does."""
         sentences = []
         health = self.health
         is_often_low = health.low_scores > MANY_LOW_SHARE * health.scans_used

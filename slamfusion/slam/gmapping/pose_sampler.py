@@ -189,7 +189,7 @@ MOST_TRIES = 40
 
 @dataclass(frozen=True, eq=False)
 class Sampled:
-    """What became of N particles.
+    """The outcome for N particles.
 
     Attributes:
         poses: (N, 3) drawn from each one's proposal, metres and radians.

@@ -217,7 +217,7 @@ class GraphHealth(Health):
         return {**super().to_json(), "graph": cast("GraphJson", own)}
 
     def warnings(self) -> tuple[str, ...]:
-        """Return what speaks against the map; see ``Health.warnings``."""
+        """Return what contradicts the map; see ``Health.warnings``."""
         sentences = []
         if self.map_components > 1:
             sentences.append(
