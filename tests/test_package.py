@@ -42,6 +42,30 @@ def test_the_core_loads_no_opencl_plots_or_ros_and_jobs_start_light():
         assert not set(loaded.split()) & (EDGES | others), name
 
 
+HELP = """
+import click, sys
+from slamfusion.cli.program import cli, run_program
+
+def walk(command, *names):
+    run_program([*names, "--help"])
+    if isinstance(command, click.Group):
+        context = click.Context(command)
+        for name in command.list_commands(context):
+            walk(command.get_command(context, name), *names, name)
+
+walk(cli)
+print(*sys.modules, file=sys.stderr)
+"""
+
+
+def test_no_help_loads_numpy_or_what_else_is_slow() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", HELP], check=True, capture_output=True, text=True, timeout=60
+    )
+    assert "slamfusion node fusion" in done.stdout
+    assert not set(done.stderr.split()) & (EDGES | LATE)
+
+
 @pytest.fixture
 def import_linter() -> None:
     if sys.version_info < (3, 11):

@@ -10,7 +10,6 @@ from pathlib import Path
 import click
 
 from slamfusion.cli.help import Command, Group
-from slamfusion.cli.slam import producer_summaries
 from slamfusion.errors import SlamFusionError
 
 # The nodes that are no producer's: the module, which has ``make_node(kind)``, and a summary.
@@ -38,10 +37,15 @@ class _Nodes(Group):
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Return the command of one node; None if there is none of this name."""
-        return _make_command(cmd_name) if cmd_name in self.list_commands(ctx) else None
+        from slamfusion.slam.registry import BUILT_IN  # noqa: PLC0415  (loads slowly)
+
+        known = cmd_name in (*NODES, *BUILT_IN) or cmd_name in self.list_commands(ctx)
+        return _make_command(cmd_name) if known else None
 
     def summaries(self) -> list[tuple[str, str]]:
         """Return each node and what it does; of a broken producer, what is wrong with it."""
+        from slamfusion.cli.slam import producer_summaries  # noqa: PLC0415  (loads slowly)
+
         return [*producer_summaries(), *((name, text) for name, (_, text) in NODES.items())]
 
 

@@ -12,7 +12,7 @@ from slamfusion.cli.help import Command
 from slamfusion.cli.options import common_options, output_option, with_config
 from slamfusion.cli.output import notice, print_json, print_table, progress_bar
 from slamfusion.cli.paths import MAP, InputPath
-from slamfusion.config import RunConfig
+from slamfusion.config import COURSES, RunConfig
 from slamfusion.jobs.documents import number
 
 if TYPE_CHECKING:
@@ -25,8 +25,6 @@ class _Command(Command):
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
         """Write the courses."""
-        from slamfusion.sim import COURSES  # noqa: PLC0415  (SciPy loads slowly)
-
         with formatter.section("Courses"):
             formatter.write_dl([(name, words) for name, (words, _) in COURSES.items()])
 

@@ -58,6 +58,7 @@ from slamfusion.config.run import (
     checked_starts as checked_starts,
 )
 from slamfusion.config.sim import (
+    COURSES as COURSES,
     ActionConfig as ActionConfig,
     DrawnPlace as DrawnPlace,
     DriveConfig as DriveConfig,

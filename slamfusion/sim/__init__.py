@@ -7,12 +7,11 @@ seeded: same seed, same bytes.
 from __future__ import annotations
 
 from slamfusion.sim.building import draw_building
-from slamfusion.sim.courses import COURSES, Course, load_course, named_course, with_overrides
+from slamfusion.sim.courses import Course, load_course, named_course, with_overrides
 from slamfusion.sim.simulate import Recording, simulate, write_recording
 from slamfusion.sim.world import thin_walls
 
 __all__ = [
-    "COURSES",
     "Course",
     "Recording",
     "draw_building",

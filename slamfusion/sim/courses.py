@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, TypeVar, cast, get_args
 
 from slamfusion.config import (
+    COURSES,
     INTEGER_MAX,
     ActionConfig,
     DrawnPlace,
@@ -51,93 +52,6 @@ KEYS = (
     "people",
     "obstacles",
 )
-
-# Long drives are driven and recorded at a brisk pace; a short view leaves look-alikes alike.
-_BRISK = {"model": "differential", "speed_mps": 1.2}
-_SPARSE = {"model": "hokuyo", "beams": 361, "rate_hz": 5.0}
-_SHORT = {**_SPARSE, "range_max_m": 8.0}
-
-# Name: what it is, and its course file.
-COURSES: dict[str, tuple[str, dict[str, Any]]] = {
-    "office": (
-        "a floor of rooms: every room, through its doors",
-        {"world": {"name": "office", "glass_share": 0.02}, "people": 2},
-    ),
-    "corridor": ("a corridor loop with few features, once around and on", {"world": "corridor"}),
-    "hall": ("a large hall with clutter", {"world": "hall", "people": 3}),
-    "atrium": ("a small atrium with pillars and benches", {"world": "atrium", "lidar": "kinect"}),
-    "yard": (
-        "a yard of barricades outdoors [B16]",
-        {
-            "world": {"name": "yard", "wall_height_m": 1.0},
-            "lidar": "rplidar",
-            "drive": "bicycle",
-            "people": 1,
-        },
-    ),
-    "yard-tracks": (
-        "the yard on tracks, of which the right one slips by 15 %",
-        {
-            "world": {"name": "yard", "wall_height_m": 1.0},
-            "lidar": "rplidar",
-            "drive": {"model": "tracks", "slip_left": 0.0, "slip_right": 0.15},
-            "people": 1,
-        },
-    ),
-    "ring-100": (
-        "a ring of 100 m of corridor, once around and on",
-        {"world": "ring-100", "lidar": _SPARSE, "drive": _BRISK},
-    ),
-    "ring-300": (
-        "a ring of 300 m of corridor, once around and on",
-        {"world": "ring-300", "lidar": _SPARSE, "drive": _BRISK},
-    ),
-    "wings": (
-        "two wings that are copies of each other, seen to 8 m",
-        {"world": "wings", "lidar": _SHORT},
-    ),
-    "pillars": (
-        "a ring of 80 m whose pillars and doors are all alike, seen to 8 m",
-        {"world": "pillars", "lidar": _SHORT, "drive": _BRISK},
-    ),
-    "rooms": (
-        "eight rooms in a row that are copies of each other, seen to 8 m",
-        {"world": "rooms", "lidar": _SHORT},
-    ),
-    "loop": (
-        "a corridor loop with few features, driven briskly once around and on",
-        {"world": "corridor", "lidar": _SPARSE, "drive": _BRISK},
-    ),
-    "glass": (
-        "an office floor of whose walls three in ten are glass",
-        {"world": {"name": "office", "glass_share": 0.3}, "lidar": _SPARSE, "drive": _BRISK},
-    ),
-    "crowd": (
-        "an office floor in which ten people walk about",
-        {"world": "office", "lidar": _SPARSE, "drive": _BRISK, "people": 10},
-    ),
-    "slip": (
-        "an office floor on tracks that slip throughout, the right one more",
-        {
-            "world": "office",
-            "lidar": _SPARSE,
-            "drive": {"model": "tracks", "speed_mps": 1.2, "slip_left": 0.1, "slip_right": 0.2},
-        },
-    ),
-    "f16": (
-        "turn 360 deg at 90 deg/s, 5 m forward at 0.5 m/s over an obstacle, turn 360 deg [F16]",
-        {
-            "world": "atrium",
-            "lidar": "kinect",
-            "obstacles": True,
-            "script": [
-                {"turn_deg": 360.0, "speed_deg_s": 90.0},
-                {"forward_m": 5.0, "speed_mps": 0.5},
-                {"turn_deg": 360.0, "speed_deg_s": 90.0},
-            ],
-        },
-    ),
-}
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,13 @@ import numpy as np
 import pytest
 
 from slamfusion.compute import open_device
-from slamfusion.config import ExperimentConfig, FailuresConfig, GroundObstacleConfig, RunConfig
+from slamfusion.config import (
+    COURSES,
+    ExperimentConfig,
+    FailuresConfig,
+    GroundObstacleConfig,
+    RunConfig,
+)
 from slamfusion.errors import SlamFusionError
 from slamfusion.experiments.fusions import (
     CHOICE,
@@ -35,7 +41,6 @@ from slamfusion.experiments.trials import (
 from slamfusion.grid import OccupancyGrid
 from slamfusion.jobs.fuse_drive import Layers
 from slamfusion.jobs.outputs import DRAWN
-from slamfusion.sim import COURSES
 from slamfusion.slam.registry import BUILT_IN, with_settings
 from slamfusion.trajectory import Trajectory
 from tests.fusion.drawings import building, fusion_config

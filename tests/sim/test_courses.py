@@ -8,16 +8,10 @@ from typing import Any
 import pytest
 import yaml
 
-from slamfusion.config import ObstacleConfig, PersonConfig, SimulateConfig
+from slamfusion.config import COURSES, ObstacleConfig, PersonConfig, SimulateConfig
 from slamfusion.errors import ConfigError, SimulationError
 from slamfusion.geometry import Pose2
-from slamfusion.sim.courses import (
-    COURSES,
-    course_to_mapping,
-    load_course,
-    named_course,
-    with_overrides,
-)
+from slamfusion.sim.courses import course_to_mapping, load_course, named_course, with_overrides
 from slamfusion.sim.drive import DRIVES
 from slamfusion.sim.world import LIDARS
 
