@@ -124,6 +124,17 @@ class FusionNodeConfig(ScanNodeConfig):
         "send the transform from fused_frame to odom_frame, by the pose of the healthiest input "
         "and the odometry; no other node may",
     )
+    correction_speed: float = option(
+        0.2,
+        "the transform to odom_frame moves a robot that it corrects at most this fast; more than "
+        "its odometry drifts, less than its controller can follow",
+        unit="m/s",
+        low=1e-3,
+        high=1e3,
+    )
+    correction_turn: float = option(
+        0.2, "and turns it at most this fast", unit="rad/s", low=1e-3, high=1e3
+    )
     draw: bool = option(
         True,
         "where scans and poses of the inputs are heard, the fused map is drawn from the scans at "

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseWithCovarianceStamped
 
-from slamfusion.config import FusionNodeConfig
+from slamfusion.config import FusionNodeConfig, LiveConfig
+from slamfusion.fusion.live.driving import OdomFrame, PoseSpread
 from slamfusion.fusion.live.session import FusionState
 from slamfusion.geometry import Pose2
 from slamfusion.io.transforms import TransformError
@@ -27,6 +29,8 @@ STEP_NS = 1000
 POSE_FRESH_S = 2.0
 # publish_tf that has sent nothing for so long since somebody votes is named, seconds.
 TF_LATE_S = 5.0
+# A correction of fused_map -> odom that takes longer is named, seconds.
+LONG_S = 2.0
 
 
 class ChildFrames:
@@ -105,9 +109,10 @@ class FusedFrames:
     reference, or else the best score; it stays with one until that one votes no more or is silent.
     The stamps of each of them only grow: what a new fusion changes of a stamp that was told already
     is told a microsecond later, and the pose of a new leader is told from its first newer stamp on.
+    The transform to the odometry frame is told at stamps of the odometry; see ``OdomFrame``.
 
     Attributes:
-        settings: may be replaced.
+        settings, live: may be replaced.
         sources: the inputs whose frames are sent, by name; set by the node.
         state: of the fusion; set by the node.
         corrections: by input that the scans support, the motion that carries its newest poses onto
@@ -117,9 +122,13 @@ class FusedFrames:
     """
 
     def __init__(
-        self, base: NodeBase, settings: FusionNodeConfig, odometry: TransformStore | None
+        self,
+        base: NodeBase,
+        settings: FusionNodeConfig,
+        live: LiveConfig,
+        odometry: TransformStore | None,
     ) -> None:
-        self.settings = settings
+        self.settings, self.live = settings, live
         self.corrections: Mapping[str, Pose2] = {}
         self.sources: Mapping[str, MapSource] = {}
         self.state = FusionState()
@@ -132,10 +141,14 @@ class FusedFrames:
         self._sent: dict[str, tuple[int, Pose2]] = {}
         self._heard_ns: dict[str, int] = {}
         self._has_sent_odometry = False
+        self._resets = 0
         self._wanted_since_s: float | None = None
         self._told = self.state
         self._output = TransformOutput(base.node)
-        self._pose_topic = base.node.create_publisher(PoseStamped, POSE_TOPIC, qos.STREAM)
+        self._spread, self._odom_frame = PoseSpread(), OdomFrame()
+        self._pose_topic = base.node.create_publisher(
+            PoseWithCovarianceStamped, POSE_TOPIC, qos.STREAM
+        )
         self._odometry = odometry or TransformStore()
 
     def on_pose(self, source: MapSource) -> None:
@@ -159,16 +172,20 @@ class FusedFrames:
         if transform is not None:
             self._send_frame(source, transform, heard.stamp)
         self.leader = self._choose()
+        pose = place.compose(heard.pose)
+        if not is_revised:
+            stamp_ns = messages.stamp_ns(heard.stamp)
+            self._spread.hear(self.leader, source.name, stamp_ns, pose)
         if source.name != self.leader:
             return
-        settings = self.settings
-        pose = place.compose(heard.pose)
         stamp = self._fresh(POSE_TOPIC, heard.stamp, pose, is_revised=is_revised)
         if stamp is not None:
-            frame = settings.fused_frame
-            self._pose_topic.publish(messages.pose_to_message(pose, frame, stamp))
-        if settings.publish_tf:
-            self._send_odometry(pose, heard, is_revised=is_revised)
+            alone = self.live.pose_apart_m, self.live.pose_apart_rad
+            covariance = self._spread.covariance(messages.stamp_s(stamp), *alone)
+            frame = self.settings.fused_frame
+            self._pose_topic.publish(messages.sure_pose_to_message(pose, covariance, frame, stamp))
+        if self.settings.publish_tf:
+            self._correct(pose, messages.stamp_s(heard.stamp))
 
     def _fresh(self, key: str, stamp: Any, value: Pose2, *, is_revised: bool) -> Any:
         """Return the stamp that a value is to be sent with; None where it is not to be sent.
@@ -190,7 +207,7 @@ class FusedFrames:
 
     def _go_back(self, stamp_ns: int) -> None:
         """Forget what was sent for a future that has not come: time begins at a stamp."""
-        self._newest_s = None
+        self._newest_s, self._odom_frame = None, OdomFrame()
         future = [key for key, (sent_ns, _) in self._sent.items() if sent_ns > stamp_ns + BACK_NS]
         for key in future:
             del self._sent[key]
@@ -237,7 +254,7 @@ class FusedFrames:
 
     def on_time_jump(self) -> None:
         """Forget what was sent for a future that has not come."""
-        self._newest_s = None
+        self._newest_s, self._odom_frame = None, OdomFrame()
         self._sent.clear()
         self._heard_ns.clear()
 
@@ -307,20 +324,47 @@ class FusedFrames:
         text = f"publish_tf: {settings.fused_frame} -> {settings.odom_frame} was never sent: {why}"
         self._base.diagnostics.say("unsent", text)
 
-    def _send_odometry(self, pose: Pose2, heard: HeardPose, *, is_revised: bool) -> None:
-        """Send where the odometry frame lies, from the robot's pose in the fused frame."""
+    def _correct(self, pose: Pose2, stamp_s: float) -> None:
+        """Take the robot's pose in the fused frame, from which ``drive`` goes on."""
         settings, diagnostics = self.settings, self._base.diagnostics
-        parent, child = settings.fused_frame, settings.odom_frame
+        frames = settings.odom_frame, settings.base_frame
         try:
-            odometry = self._odometry.lookup(
-                child, settings.base_frame, messages.stamp_s(heard.stamp)
-            )
+            odometry = self._odometry.lookup(*frames, stamp_s)
         except TransformError as error:
-            diagnostics.add("odometry", Level.WARN, f"no odometry for {parent} -> {child}: {error}")
+            text = f"no odometry for {settings.fused_frame} -> {frames[0]}: {error}"
+            diagnostics.add("odometry", Level.WARN, text)
             return
         diagnostics.clear("odometry")
-        moved = pose.compose(odometry.inverse())
-        stamp = self._fresh(child, heard.stamp, moved, is_revised=is_revised)
-        if stamp is not None and child != parent:
+        if self._resets != self.state.resets:
+            self._resets, self._odom_frame = self.state.resets, OdomFrame()
+        self._odom_frame.correct(stamp_s, pose, odometry)
+        left = self._odom_frame.left(odometry)
+        away_m, turn_rad = math.hypot(left.x, left.y), abs(left.yaw_rad)
+        speeds = settings.correction_speed, settings.correction_turn
+        text = (
+            f"{settings.fused_frame} -> {frames[0]} is corrected by {away_m:.1f} m and "
+            f"{math.degrees(turn_rad):.0f} degrees, {speeds[0]:g} m and "
+            f"{math.degrees(speeds[1]):.0f} degrees a second (correction_speed, correction_turn)"
+        )
+        is_long = away_m > LONG_S * speeds[0] or turn_rad > LONG_S * speeds[1]
+        diagnostics.say("correction", text if is_long else None)
+
+    def drive(self) -> None:
+        """Send where the odometry frame lies, at the stamp of the newest odometry."""
+        settings = self.settings
+        frames = settings.odom_frame, settings.base_frame
+        if not settings.publish_tf or settings.odom_frame == settings.fused_frame:
+            return
+        stamp_s = self._odometry.heard_s(*frames)
+        if stamp_s is None:
+            return
+        try:
+            odometry = self._odometry.lookup(*frames, stamp_s)
+        except TransformError:
+            return  # named at the next pose
+        speeds = settings.correction_speed, settings.correction_turn
+        moved = self._odom_frame.move(stamp_s, odometry, *speeds)
+        if moved is not None:
             self._has_sent_odometry = True
-            self._output.send(moved, parent, child, stamp)
+            stamp = messages.to_stamp(stamp_s)
+            self._output.send(moved, settings.fused_frame, settings.odom_frame, stamp)

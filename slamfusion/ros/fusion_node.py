@@ -39,10 +39,11 @@ AGREEMENT_TOPIC = "fused/agreement"
 CHANGEABLE = (
     *("discover", "discovery_rate_hz"),
     *("max_publish_rate_hz", "publish_tf", "save_path", "lost_after_s"),
+    *("correction_speed", "correction_turn"),
 )
 # How often the node looks whether a fused map may go out, at frames, and who publishes its inputs;
-# and shows itself on the page.
-TURN_S, LOOK_S, LOOK_AROUND_S, SHOW_S = 0.02, 0.1, 1.0, 0.5
+# and shows itself on the page; and how often it sends what the robot drives by.
+TURN_S, LOOK_S, LOOK_AROUND_S, SHOW_S, DRIVE_S = 0.02, 0.1, 1.0, 0.5, 0.05
 # Of an input in the diagnostics, by its state; WARN in the others.
 LEVELS = {State.TRACKED: Level.OK, State.LOST: Level.STALE}
 # From so many inputs on the executor rests so many times as long as it works.
@@ -119,7 +120,7 @@ class FusionNode(NodeBase):
             lambda: self._session.snapshot,
             self._on_solution,
         )
-        self._frames = FusedFrames(self, self.settings, self._drive.scans.odometry)
+        self._frames = FusedFrames(self, self.settings, live, self._drive.scans.odometry)
         self.inputs.begin(
             lambda name, entry: load_saved(name, entry, config.map_files, self.log.warning),
             lambda name, topic: MapSource(
@@ -160,6 +161,7 @@ class FusionNode(NodeBase):
         self._worker: Worker[None] = Worker(self._turn, 1, self.failed, "fusion")
         self.timer(TURN_S, self._look_turn)
         self.timer(LOOK_S, self._look)
+        self.timer(DRIVE_S, self._frames.drive)
         self.timer(SHOW_S, self._show)
         self.timer(LOOK_AROUND_S, self._look_around)
         self.log.info(
@@ -264,7 +266,7 @@ class FusionNode(NodeBase):
             source.ask(settings.lost_after_s)
 
     def _on_live(self, live: LiveConfig) -> None:
-        self._least = live.minimum_inputs
+        self._least, self._frames.live = live.minimum_inputs, live
         self._session.ask_settings(live)
         self._wake()
 

@@ -132,12 +132,12 @@ TOPICS = (
     ),
     Topic(
         "fused/pose",
-        "geometry_msgs/PoseStamped",
+        "geometry_msgs/PoseWithCovarianceStamped",
         ("fusion",),
         (),
         STREAM,
         "the robot in fused_map: by the fused path where scans are heard, else by the healthiest "
-        "producer",
+        "producer; its covariance is the spread of the voters' poses",
     ),
     Topic(
         "fused/path",

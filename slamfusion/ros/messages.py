@@ -12,20 +12,22 @@ from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Pose, PoseStamped, TransformStamped
+from geometry_msgs.msg import Pose, PoseStamped, PoseWithCovarianceStamped, TransformStamped
 from nav_msgs.msg import MapMetaData, OccupancyGrid, Odometry, Path
 from sensor_msgs.msg import LaserScan
 
 from slamfusion import grid as grids
 from slamfusion import scan as scans
 from slamfusion.errors import GridError, ScanError, TrajectoryError
-from slamfusion.geometry import Pose2, quaternion_yaw_rad
+from slamfusion.geometry import F64, Pose2, quaternion_yaw_rad
 from slamfusion.grid import IDENTITY
 from slamfusion.trajectory import Trajectory
 
 NS = 10**9
 # A quaternion whose axis leaves the vertical by more (sine of half the tilt) is no yaw rotation.
 TILT_MAX = 0.02
+# Rows of x, y and yaw in the covariance of a geometry_msgs/PoseWithCovariance.
+PLANE = (0, 1, 5)
 # A quaternion shorter or longer than these says nothing.
 LENGTH_MIN, LENGTH_MAX = 1e-3, 1e3
 
@@ -115,6 +117,23 @@ def pose_to_message(pose: Pose2, frame_id: str, stamp: Time) -> PoseStamped:
     message = PoseStamped()
     message.header.frame_id, message.header.stamp = frame_id, stamp
     message.pose = _pose(pose)
+    return message
+
+
+def sure_pose_to_message(
+    pose: Pose2, covariance: F64, frame_id: str, stamp: Time
+) -> PoseWithCovarianceStamped:
+    """Return a geometry_msgs/PoseWithCovarianceStamped.
+
+    Args:
+        covariance: (3, 3) float64, of x, y and yaw; metres and radians. The rest stays 0.
+    """
+    message = PoseWithCovarianceStamped()
+    message.header.frame_id, message.header.stamp = frame_id, stamp
+    message.pose.pose = _pose(pose)
+    whole = np.zeros((6, 6))
+    whole[np.ix_(PLANE, PLANE)] = covariance
+    message.pose.covariance = whole.ravel()
     return message
 
 

@@ -14,7 +14,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="rclpy is absent: install the extra ros, or source a ROS")
 
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
 from nav_msgs.srv import GetMap
 from rosgraph_msgs.msg import Clock
@@ -280,7 +280,7 @@ def test_pose_and_transforms_agree_and_a_point_lands_on_its_fused_cell(
 ):
     tf2.skip_without()
     fused = observer.collect(OccupancyGrid, "fused/map", qos.MAP)
-    poses = observer.collect(PoseStamped, "fused/pose")
+    poses = observer.collect(PoseWithCovarianceStamped, "fused/pose")
     frames = TransformInput(observer.node)
     start_fusion(processes, publish_tf=True)
     robot = Robot(observer)
@@ -302,7 +302,7 @@ def test_pose_and_transforms_agree_and_a_point_lands_on_its_fused_cell(
     observer.listen(0.5)
     last = poses[-1]
     time_s = messages.stamp_s(last)
-    told = messages.pose2_from_message(last.pose)
+    told = messages.pose2_from_message(last.pose.pose)
     assert last.header.frame_id == "fused_map"
     assert_near(told, place, 0.02, 0.01)
     # fused_map -> odom, then the odometry, is the pose.
@@ -341,5 +341,5 @@ def test_pose_and_transforms_agree_and_a_point_lands_on_its_fused_cell(
         return len(poses) > count + 10
 
     observer.wait(go_on, what="the pose of another input")
-    assert_near(messages.pose2_from_message(poses[-1].pose), place, 0.02, 0.01)
+    assert_near(messages.pose2_from_message(poses[-1].pose.pose), place, 0.02, 0.01)
     observer.node.destroy_publisher(silent)

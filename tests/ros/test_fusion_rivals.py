@@ -11,7 +11,8 @@ import pytest
 
 pytest.importorskip("rclpy", reason="rclpy is absent: install the extra ros, or source a ROS")
 
-from geometry_msgs.msg import PoseStamped
+import numpy as np
+from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
 
 from slamfusion.geometry import Pose2
@@ -44,7 +45,7 @@ class Told(TransformInput):
 def test_no_stamp_comes_twice_and_none_is_of_tomorrow(processes: Processes, observer: Observer):
     makers = Makers(observer)
     fused = observer.collect(OccupancyGrid, "fused/map", qos.MAP)
-    poses = observer.collect(PoseStamped, "fused/pose")
+    poses = observer.collect(PoseWithCovarianceStamped, "fused/pose")
     told = Told(observer.node)
     start_fusion(processes, publish_tf=True)
     robot = Robot(observer)
@@ -56,6 +57,9 @@ def test_no_stamp_comes_twice_and_none_is_of_tomorrow(processes: Processes, obse
         robot.at(200.0 + 0.1 * number, Pose2(2.0, 1.5, 0.01 * number), transforms)
         makers.send(touched(three()["abc"[number % 3]], number))
         observer.listen(0.08)
+    # All three inputs agree on the pose, to the four digits of their transforms.
+    deviations = np.sqrt(np.diag(np.array(poses[-1].pose.covariance).reshape(6, 6)))
+    assert deviations == pytest.approx([0.025, 0.025, 0.0, 0.0, 0.0, 0.01], abs=0.01)
     # The next ones are of tomorrow: named, and no stamp of ours is.
     tomorrow = messages.to_stamp(time.time() + DAY_S)
     robot.poses["c"].publish(messages.pose_to_message(Pose2(), "c_map", tomorrow))

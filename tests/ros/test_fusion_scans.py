@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("rclpy", reason="rclpy is absent: install the extra ros, or source a ROS")
 
 import numpy as np
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid, Odometry
 from nav_msgs.msg import Path as PathMessage
 from sensor_msgs.msg import LaserScan
@@ -40,7 +40,7 @@ def test_scans_say_who_is_wrong_and_the_map_is_drawn_from_them(
     path = Trajectory([item.scan.stamp_s for item in scans], rows)
     grid = draw_map(drawn_scans(scans), path, NumpyDevice(), resolution=0.05)
     maps = observer.collect(OccupancyGrid, "fused/map", qos.MAP)
-    poses = observer.collect(PoseStamped, "fused/pose")
+    poses = observer.collect(PoseWithCovarianceStamped, "fused/pose")
     paths = observer.collect(PathMessage, "fused/path", qos.MAP)
     scan_topic = observer.publisher(LaserScan, "scan")
     odometry = observer.publisher(Odometry, "odom")
@@ -77,7 +77,7 @@ def test_scans_say_who_is_wrong_and_the_map_is_drawn_from_them(
         place = messages.pose2_from_message(item.pose)
         assert math.hypot(place.x - truth[number].x, place.y - truth[number].y) < 0.05
     number = round((messages.stamp_s(poses[-1]) - FIRST_S) * 10.0)
-    place = messages.pose2_from_message(poses[-1].pose)
+    place = messages.pose2_from_message(poses[-1].pose.pose)
     assert math.hypot(place.x - truth[number].x, place.y - truth[number].y) < 0.1
     fused = messages.grid_from_message(maps[-1], "fused")
     assert not np.array_equal(fused.cells, grid.cells)  # drawn, and no vote of equal maps

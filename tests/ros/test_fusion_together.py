@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="rclpy is absent: install the extra ros, or source a ROS")
 
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
 
 from slamfusion.compute import open_device
@@ -44,7 +44,7 @@ def test_the_fused_map_of_a_log_is_that_of_the_offline_run(
     log, wanted = offline
     space, prefix = "/robot1", "robot1/"
     fused = observer.collect(OccupancyGrid, f"{space}/fused/map", qos.MAP)
-    poses = observer.collect(PoseStamped, f"{space}/fused/pose")
+    poses = observer.collect(PoseWithCovarianceStamped, f"{space}/fused/pose")
     names = ("-r", f"__ns:={space}")
     renamed = ("-r", "scan:=front/scan", "-r", "odom:=wheels")
     processes.node(
