@@ -160,11 +160,13 @@ def _decided(
     if decision.accepted:
         # Two good maps of a place that is nearly its own image fit both ways; a limit of its own
         # would be the square of this one.
+        others = np.empty((0, 3))
         if answer.reading != "good" or evidence.expected_wrong >= EXPECTED_WRONG_MAX**2:
             is_near = "a pose away from the start" in answer.against
             mirrored = mirror_gain(pair, answer.motion, config, answer.reading, is_near=is_near)
+            others = answer.others
         at = answer.motion if answer.reading == "bent" else best
-        scale = estimate_scale(pair, at, answer.reading)
+        scale = estimate_scale(pair, at, answer.reading, others)
     elif found.search == "full" and decision.kind in found.image_after:
         mirrored = _image_gain(pair, config, answer, chances.trials)
     if mirrored is not None or scale is not None:

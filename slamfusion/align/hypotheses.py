@@ -96,11 +96,13 @@ READINGS: dict[Reading, How] = {
 }
 
 
-def weigh(pair: Pair, motions: F64, reading: Reading) -> WallPieces:
-    """Return what the pieces of wall say of motions (P, 3) in a reading."""
+def weigh(pair: Pair, motions: F64, reading: Reading, scales: F64 | None = None) -> WallPieces:
+    """Return what the pieces of wall say of motions (P, 3) in a reading, at scales (P,)."""
     how = READINGS[reading]
-    pieces = wall_pieces(pair, motions, how.widths * pair.widths[0], sided=how.sided)
-    return replace(pieces, doubt=how.doubt)
+    sigma = how.widths * pair.widths[0]
+    return replace(
+        wall_pieces(pair, motions, sigma, scales=scales, sided=how.sided), doubt=how.doubt
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -407,19 +409,42 @@ def mirror_gain(
     return max(0.0, float(weigh(image, motions, reading).total.max())) / own
 
 
-def estimate_scale(pair: Pair, motion: F64, reading: Reading) -> float:
+def estimate_scale(pair: Pair, motion: F64, reading: Reading, others: F64) -> float:
     """Return the scale at which two maps fit best; 1.0 unless another is better.
+
+    The answer may be the fit of a small part, where all of a map of another scale fits elsewhere.
+    So the pose of most evidence gets a scale of its own, too.
 
     Args:
         pair: the two maps.
-        motion: (3,) where the moving centre lands, cells, and yaw: right in the common ground.
+        motion: (3,) the answer: where the moving centre lands, cells, and yaw.
         reading: of the maps.
+        others: (K, 3) other poses; those of an answer that is beyond doubt need no look.
     """
+    narrow = pair.widths[0]
+    poses = np.concatenate((motion[None], others))
+    strongest = int(np.argmax(weigh(pair, poses, "changed").total))
+    found = [_scaled(pair, start, reading) for start in poses[np.unique((0, strongest))]]
+    motions, scales, reaches = (np.array(column) for column in zip(*found, strict=True))
+    best = int(np.argmax(weigh(pair, motions, reading, scales).total))
+    scale = float(scales[best])
+    both = wall_pieces(
+        pair, np.stack((motions[best], motion)), narrow, scales=np.array([scale, 1.0])
+    )
+    # By less one of a few scales is better by chance.
+    is_better = expected_wrong(both.better(0, 1), TRIALS) < 1.0
+    is_better = is_better and both.share()[0] >= STOREYS_SHARE
+    # A scale that moves common walls by less than half their width cannot be told from 1.
+    return scale if is_better and abs(scale - 1.0) * reaches[best] >= 0.5 * narrow else 1.0
+
+
+def _scaled(pair: Pair, motion: F64, reading: Reading) -> tuple[F64, float, float]:
+    """Return a motion (3,) at its best scale, the scale, and how far its common walls reach."""
     narrow = pair.widths[0]
     wide = READINGS[reading].widths * narrow
     walls = common_walls(pair, motion, wide)
     if not len(walls):
-        return 1.0
+        return motion, 1.0, 0.0
     middle, reach = walls.mean(axis=0), math.sqrt(float(walls.var(axis=0).sum()))
     # All of a good map fits at the right scale, where the answer is; of others only a part may.
     far = 1.0 if READINGS[reading].sided else APART_WIDTHS
@@ -441,9 +466,4 @@ def estimate_scale(pair: Pair, motion: F64, reading: Reading) -> float:
         found = score_motions(pair, motions, 1, sigma=sigma, points=POINTS, scales=scales)
         best = int(np.argmax(found))
         scale, at = float(scales[best]), motions[best]
-    both = wall_pieces(pair, np.stack((at, motion)), narrow, scales=np.array([scale, 1.0]))
-    # By less one of a few scales is better by chance.
-    is_better = expected_wrong(both.better(0, 1), TRIALS) < 1.0
-    is_better = is_better and both.share()[0] >= STOREYS_SHARE
-    # A scale that moves common walls by less than half their width cannot be told from 1.
-    return scale if is_better and abs(scale - 1.0) * reach >= 0.5 * narrow else 1.0
+    return at, scale, reach

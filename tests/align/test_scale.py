@@ -23,6 +23,7 @@ from tests.support.cuts import along, kept, move_frame
 pytestmark = pytest.mark.once
 
 CONFIG = AlignConfig()
+NO_OTHERS = np.empty((0, 3))
 
 
 def scaled(seed: int, factor: float) -> tuple[OccupancyGrid, OccupancyGrid]:
@@ -93,11 +94,11 @@ def test_a_scale_is_estimated_about_the_common_ground(device: ComputeDevice) -> 
     found = align_pair(Pair(a, b), CONFIG)
     motion = Pair(a, b).motion_of(found.transform)
     for reading in get_args(Reading):
-        scale = estimate_scale(Pair(a, b), motion, reading)
+        scale = estimate_scale(Pair(a, b), motion, reading, NO_OTHERS)
         assert scale == pytest.approx(1.0 / 1.02, abs=0.003), reading
     # Elsewhere nothing is better at another scale by as much as an answer needs.
     away = motion + np.array([0.0, 0.0, 1.0])
-    assert estimate_scale(Pair(a, b), away, "good") == 1.0
+    assert estimate_scale(Pair(a, b), away, "good", NO_OTHERS) == 1.0
 
 
 @pytest.mark.parametrize("degrees", [0.0, 2.0])
@@ -111,5 +112,21 @@ def test_a_scale_is_found_though_the_answer_is_turned(
     pair = Pair(features_of(truth, device), features_of(moving, device))
     motion = np.array([*pair.reference.centre, np.radians(degrees)])
     for reading in get_args(Reading):
-        scale = estimate_scale(pair, motion, reading)
+        scale = estimate_scale(pair, motion, reading, NO_OTHERS)
         assert scale == pytest.approx(1.0 / 1.08, abs=0.005), reading
+
+
+@pytest.mark.parametrize("factor", [1.0, 1.1])
+def test_the_pose_of_most_evidence_may_be_of_another_scale(
+    device: ComputeDevice, factor: float
+) -> None:
+    """A wrong answer that fits a small part is no match for all of the map at its own scale."""
+    truth = building(2, 14.0, 11.0, 0.05)
+    rows, cols = ((np.arange(round(factor * n)) / factor).astype(int) for n in truth.cells.shape)
+    moving = OccupancyGrid(truth.cells[np.ix_(rows, cols)], 0.05, name="larger")
+    pair = Pair(features_of(truth, device), features_of(moving, device))
+    right = np.array([*pair.reference.centre, 0.0])
+    wrong = right + np.array([100.0, 70.0, 1.0])
+    for reading in get_args(Reading):
+        scale = estimate_scale(pair, wrong, reading, right[None])
+        assert scale == pytest.approx(1.0 / factor, abs=0.012), reading
