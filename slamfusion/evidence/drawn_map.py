@@ -316,7 +316,7 @@ def fuse_with_drawn(
         box = hull(box, grid.extent.on(lattice, transform))
 
     def placed(grid: NormalizedGrid, transform: Pose2) -> I8:
-        return warp_onto(grid, grid.cells, transform, lattice, box, device)
+        return warp_onto(grid, transform, lattice, box, device)
 
     own = placed(layer, Pose2())
     aligned = {name: placed(*item) for name, item in inputs.items()}

@@ -4,15 +4,13 @@ The vote goes tile by tile, of those that know something there: an input that ab
 knows nothing changes nothing. So many maps may vote that lie apart, and large ones fit into memory.
 Tiles overlap as far as a cell has a say in what others become.
 
-In memory each input is laid on all of its box at once (``GridLayer``). Of a vote that does not fit
-into memory the blocks of cells under a tile travel packed (``PackedLayer``), so that any process
-can decide it (``fleet``). An input is then laid on the tile alone, by the motion that would lay it
-on all of its box: the cells are the same, bit for bit.
+Each input is laid on its box of the fused lattice once: as an array (``GridLayer``), or, of a vote
+that does not fit into memory, in packed blocks (``PackedLayer``), of which those under a tile
+travel to the process that decides it (``fleet``).
 """
 
 from __future__ import annotations
 
-import itertools
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
@@ -61,107 +59,50 @@ BLOCK = 512
 
 
 @dataclass(frozen=True, eq=False)
-class PackedBlocks:
-    """Cells (H, W) int8 as they travel: in blocks, of which a tile needs some.
-
-    Attributes:
-        shape: rows and columns.
-        blocks: ``BLOCK`` cells on a side, compressed, by row and column of blocks; of those that
-            are not here all cells are unknown, or not needed.
-    """
-
-    shape: tuple[int, int]
-    blocks: Mapping[tuple[int, int], bytes]
-
-    @classmethod
-    def of(cls, cells: I8) -> PackedBlocks:
-        """Pack cells."""
-        height, width = cells.shape
-        blocks = {}
-        for box in tiles_of(CellBox(0, 0, height, width), BLOCK):
-            block = cells[slices(box, 0, 0)]
-            if (block != UNKNOWN).any():
-                packed = zlib.compress(block.tobytes(), 1)
-                blocks[box.row0 // BLOCK, box.col0 // BLOCK] = packed
-        return cls((height, width), blocks)
-
-    def under(self, window: CellBox | None) -> PackedBlocks:
-        """Return what holds the cells of a box; None: no cell."""
-        if window is None:
-            return replace(self, blocks={})
-        rows = range(window.row0 // BLOCK, (window.row1 - 1) // BLOCK + 1)
-        cols = range(window.col0 // BLOCK, (window.col1 - 1) // BLOCK + 1)
-        wanted = itertools.product(rows, cols)
-        return replace(self, blocks={at: self.blocks[at] for at in wanted if at in self.blocks})
-
-    def unpack(self, window: CellBox) -> I8:
-        """Return the cells of a box."""
-        cells = np.full((window.height, window.width), UNKNOWN, dtype=np.int8)
-        for (row, col), packed in self.under(window).blocks.items():
-            row0, col0 = row * BLOCK, col * BLOCK
-            row1, col1 = (
-                min(at + BLOCK, end) for at, end in zip((row0, col0), self.shape, strict=True)
-            )
-            part = overlap(CellBox(row0, col0, row1, col1), window)
-            if part is not None:
-                block = np.frombuffer(zlib.decompress(packed), np.int8)
-                block = block.reshape(row1 - row0, col1 - col0)
-                cells[slices(part, window.row0, window.col0)] = block[slices(part, row0, col0)]
-        return cells
-
-
-@dataclass(frozen=True, eq=False)
 class PackedLayer:
     """What an input shows on the fused lattice, packed, so that it travels to any process.
 
     Attributes:
-        cells: in {-1, 0, 1}.
-        pose: see ``warp_pose``: of the cells that it may know.
-        box: these, counted from the first fused cell; all of them where unknown is a vote.
+        box: cells that it may know, counted from the first fused cell.
+        blocks: its cells in {-1, 0, 1}, ``BLOCK`` on a side, compressed, by row and column of
+            blocks in the box; of those that are not here no cell is known, or needed.
     """
 
-    cells: PackedBlocks
-    pose: npt.NDArray[np.int64]
     box: CellBox
+    blocks: Mapping[tuple[int, int], bytes]
+
+    @classmethod
+    def of(cls, box: CellBox, cells: I8) -> PackedLayer:
+        """Pack the cells of a box."""
+        blocks = {}
+        for part in tiles_of(CellBox(0, 0, *cells.shape), BLOCK):
+            block = cells[slices(part, 0, 0)]
+            if (block != UNKNOWN).any():
+                packed = zlib.compress(block.tobytes(), 1)
+                blocks[part.row0 // BLOCK, part.col0 // BLOCK] = packed
+        return cls(box, blocks)
 
     def under(self, wide: CellBox) -> PackedLayer:
-        """Return the layer with what is laid on a box of the fused lattice."""
-        found = self._read_for(wide)
-        return replace(self, cells=self.cells.under(None if found is None else found[1]))
+        """Return the layer with what it shows on a box of the fused lattice."""
+        return replace(self, blocks={at: self.blocks[at] for at, _ in self._meeting(wide)})
 
-    def on(self, box: CellBox, device: ComputeDevice) -> I8:
+    def on(self, box: CellBox) -> I8:
         """Return its cells on a box of the fused lattice, unknown outside of its own."""
         out = np.full((box.height, box.width), UNKNOWN, dtype=np.int8)
-        found = self._read_for(box)
-        if found is not None:
-            part, window, pose = found
-            pose[0, 2:] -= 2 * FIXED_ONE * np.array([window.col0, window.row0])
-            cells = device.upload(self.cells.unpack(window))
-            warped = device.warp(cells, pose, (part.height, part.width), UNKNOWN)
-            out[slices(part, box.row0, box.col0)] = device.download(warped)[0]
+        for at, place in self._meeting(box):
+            block = np.frombuffer(zlib.decompress(self.blocks[at]), np.int8)
+            block = block.reshape(place.height, place.width)
+            part = overlap(place, box) or place
+            out[slices(part, box.row0, box.col0)] = block[slices(part, place.row0, place.col0)]
         return out
 
-    def _read_for(self, box: CellBox) -> tuple[CellBox, CellBox, npt.NDArray[np.int64]] | None:
-        """Return the layer's part of a box, the input's cells under it, and its motion into them.
-
-        None: no cell of the input lies there.
-        """
-        part = overlap(self.box, box)
-        if part is None:
-            return None
-        row, col = part.row0 - self.box.row0, part.col0 - self.box.col0
-        pose = self.pose.copy()
-        # Positions are in half cells, and motions are linear: exact.
-        pose[0, 2] += 2 * (pose[0, 0] * col - pose[0, 1] * row)
-        pose[0, 3] += 2 * (pose[0, 1] * col + pose[0, 0] * row)
-        # So what the corners read bounds what all others do.
-        x2, y2 = (
-            np.array([1, 2 * count - 1], dtype=np.int64) for count in (part.width, part.height)
-        )
-        rows, cols = fixed_cells(pose[0], x2[np.newaxis], y2[:, np.newaxis])
-        read = CellBox(int(rows.min()), int(cols.min()), int(rows.max()) + 1, int(cols.max()) + 1)
-        window = overlap(read, CellBox(0, 0, *self.cells.shape))
-        return None if window is None else (part, window, pose)
+    def _meeting(self, box: CellBox) -> Iterator[tuple[tuple[int, int], CellBox]]:
+        """Yield each block that has cells of a box, with its own cells."""
+        for row, col in self.blocks:
+            square = moved(CellBox(0, 0, BLOCK, BLOCK), row * BLOCK, col * BLOCK)
+            place = overlap(moved(square, self.box.row0, self.box.col0), self.box)
+            if place is not None and overlap(place, box) is not None:
+                yield (row, col), place
 
 
 Layer: TypeAlias = GridLayer | PackedLayer
@@ -193,10 +134,7 @@ class LatticeVote:
         return Extent(Lattice(self.voter.resolution, self.origin), (whole.height, whole.width))
 
     def trusting(
-        self,
-        device: ComputeDevice,
-        executor: Executor | None = None,
-        progress: Progress | None = None,
+        self, executor: Executor | None = None, progress: Progress | None = None
     ) -> LatticeVote:
         """Return the vote with the trust in its inputs, found by all of their walls."""
         if not self.voter.weighs:
@@ -204,25 +142,23 @@ class LatticeVote:
         vote, whole = self, self.voter.whole
         is_small = max(whole.height, whole.width) <= TILE and len(self.layers) <= MOST_INPUTS
         if is_small and all(isinstance(layer, GridLayer) for layer in self.layers.values()):
-            vote = replace(self, prepared=_shown(self.voter, whole, self.layers, device))
-        found = vote.each(count_tile, "compare", device, executor, progress)
+            vote = replace(self, prepared=_shown(self.voter, whole, self.layers))
+        found = vote.each(count_tile, "compare", executor, progress)
         voter = self.voter.trusting(sum_counts([counts for _, counts in found]))
         return replace(vote, voter=voter)
 
     def each(
         self,
-        task: Callable[[TileVoter, CellBox, Mapping[str, Any], ComputeDevice], Result],
+        task: Callable[[TileVoter, CellBox, Mapping[str, Any]], Result],
         what: str,
-        device: ComputeDevice,
         executor: Executor | None = None,
         progress: Progress | None = None,
     ) -> Iterator[tuple[CellBox, Result]]:
         """Yield the result of a task for each tile of ``TILE`` cells on a side.
 
         Args:
-            task: ``count_tile``, ``decide_tile`` or ``decide_parts``.
+            task: ``count_tile``; ``decide_tile`` or ``decide_parts`` with their device.
             what: name of the stage, for ``progress``.
-            device: computes, here or one like it elsewhere.
             executor: does the tasks; None: they are done here.
             progress: called with ``what``, the tiles done and all tiles.
 
@@ -230,7 +166,7 @@ class LatticeVote:
             GridError: more inputs than a vote takes know one place.
         """
         tiles = list(self.voter.tiles(TILE))
-        calls = ((self.voter, tile, self.prepared or self._under(tile), device) for tile in tiles)
+        calls = ((self.voter, tile, self.prepared or self._under(tile)) for tile in tiles)
         for done, made in enumerate(in_order(executor, task, calls)):
             yield tiles[done], made
             if progress is not None:
@@ -242,7 +178,7 @@ class LatticeVote:
         return {
             name: layer.under(wide) if isinstance(layer, PackedLayer) else layer
             for name, layer in self.layers.items()
-            if overlap(layer.box, wide) is not None
+            if self.voter.unknown_votes or overlap(layer.box, wide) is not None
         }
 
     def records(
@@ -310,7 +246,7 @@ class LatticeVote:
         fused = np.full(self.extent.shape, UNKNOWN, dtype=np.int8)
         agreement = np.full_like(fused, UNKNOWN)
         phantom_cells, worst = 0, []
-        for _, decided_parts in self.each(decide_parts, "vote", device):
+        for _, decided_parts in self.each(partial(decide_parts, device=device), "vote"):
             for part, decided in decided_parts:
                 window = slices(part, 0, 0)
                 fused[window], agreement[window] = decided.fused, decided.agreement
@@ -375,7 +311,8 @@ def prepare_votes(
         groups: those that vote.
         lattices: gives each input at the common resolution.
         config: settings of the vote.
-        device, executor, progress: see ``LatticeVote.each``.
+        device: lays the inputs.
+        executor, progress: see ``LatticeVote.each``.
         is_stored: no fused map will be in memory, nor more than one input at a time.
 
     Returns:
@@ -387,7 +324,7 @@ def prepare_votes(
     votes = []
     for group in groups:
         vote = _prepare(group, lattices, config, device, is_stored=is_stored)
-        vote = vote.trusting(device, executor, progress)
+        vote = vote.trusting(executor, progress)
         trust = vote.voter.trust
         apart = () if trust is None else second_opinion(trust)
         if apart:
@@ -410,16 +347,20 @@ def _prepare(
     is_stored: bool,
 ) -> LatticeVote:
     """Lay the inputs of one group on its fused lattice; see ``prepare_votes``."""
-    base, packed, extents = lattices(group.reference), {}, {}
+    base = lattices(group.reference)
     lattice, box = base.extent.lattice, base.extent.box
     is_union = config.vote.extent == "union"
-    for name, pair in group.alignments.items() if is_stored or is_union else ():
-        known = base if name == group.reference else lattices(name)
-        extents[name] = known.extent
-        if is_stored:
-            packed[name] = PackedBlocks.of(known.cells)
+    laid: dict[str, PackedLayer | tuple[CellBox, I8]] = {}
+    for name, pair in group.alignments.items():
+        grid = base if name == group.reference else lattices(name)
+        covered = grid.extent.on(lattice, pair.transform)
+        own = padded(covered, 1)
         if is_union:
-            box = hull(box, known.extent.on(lattice, pair.transform))
+            box = hull(box, covered)
+        else:
+            own = overlap(own, box) or CellBox(box.row0, box.col0, box.row0, box.col0)
+        cells = warp_onto(grid, pair.transform, lattice, own, device)
+        laid[name] = PackedLayer.of(own, cells) if is_stored else (own, cells)
     if not is_stored:
         check_memory(
             VOTED_BYTES * box.area,
@@ -427,37 +368,32 @@ def _prepare(
             group.reference,
             "free memory, use a coarser cell, or fuse into a store tile by tile (-o OUT.zarr)",
         )
-    shape, names, first = (box.height, box.width), tuple(group.alignments), (box.row0, box.col0)
-    voter = TileVoter(CellBox(0, 0, *shape), config.vote, lattice.resolution, names, first)
-
+    whole, first = CellBox(0, 0, box.height, box.width), (box.row0, box.col0)
+    voter = TileVoter(whole, config.vote, lattice.resolution, tuple(laid), first)
     layers: dict[str, Layer] = {}
-    for name, pair in group.alignments.items():
-        grid = None if is_stored else base if name == group.reference else lattices(name)
-        extent = extents[name] if grid is None else grid.extent
-        own: CellBox | None = box
-        if not voter.unknown_votes:
-            own = overlap(padded(extent.on(lattice, pair.transform), 1), box)
-        place = CellBox(0, 0, 0, 0) if own is None else moved(own, -box.row0, -box.col0)
-        if grid is None:
-            pose = warp_pose(extent.lattice, pair.transform, lattice, own or box)
-            layers[name] = PackedLayer(packed[name], pose, place)
+    for name, found in laid.items():
+        if isinstance(found, PackedLayer):
+            layers[name] = replace(found, box=moved(found.box, -box.row0, -box.col0))
         else:
-            cells = np.zeros((0, 0), dtype=np.int8)
-            if own is not None:
-                cells = warp_onto(grid, grid.cells, pair.transform, lattice, own, device)
-            layers[name] = GridLayer(shape, place, cells)
+            own, cells = found
+            part = overlap(own, box) or own
+            place = moved(part, -box.row0, -box.col0)
+            layer = GridLayer(
+                (box.height, box.width), place, cells[slices(part, own.row0, own.col0)]
+            )
+            if voter.unknown_votes:
+                layer = replace(layer, box=whole, codes=layer.aligned())
+            layers[name] = layer
     return LatticeVote(group, voter, layers, box_origin(lattice.origin, lattice.resolution, box))
 
 
 # --- where tiles are decided -----------------------------------------------------------------
 
 
-def count_tile(
-    voter: TileVoter, tile: CellBox, layers: Mapping[str, Any], device: ComputeDevice
-) -> WallCounts:
+def count_tile(voter: TileVoter, tile: CellBox, layers: Mapping[str, Any]) -> WallCounts:
     """Count how the walls of inputs agree in a tile; see ``TileVoter.count``."""
     return sum_counts(
-        voter.count(part, _shown(voter, part, layers, device)) for part in _parts(tile, layers)
+        voter.count(part, _shown(voter, part, layers)) for part in _parts(tile, layers)
     )
 
 
@@ -467,7 +403,7 @@ def decide_parts(
     """Decide a tile, in smaller ones where many inputs show something; empty where none does."""
     found = []
     for part in _parts(tile, layers):
-        decided = voter.decide(part, _shown(voter, part, layers, device), device)
+        decided = voter.decide(part, _shown(voter, part, layers), device)
         if decided is not None:
             found.append((part, decided))
     return found
@@ -498,16 +434,15 @@ def _parts(tile: CellBox, layers: Mapping[str, Any]) -> Iterator[CellBox]:
 
 
 def _shown(
-    voter: TileVoter, tile: CellBox, layers: Mapping[str, Any], device: ComputeDevice
+    voter: TileVoter, tile: CellBox, layers: Mapping[str, Any]
 ) -> dict[str, npt.NDArray[Any]]:
     """Return what those inputs show around a tile that may know a cell there."""
     around, found = voter.around(tile), dict[str, npt.NDArray[Any]]()
     for name, layer in layers.items():
         if isinstance(layer, np.ndarray):  # it was prepared before
             found[name] = layer
-        elif overlap(layer.box, around) is not None:
-            on = partial(layer.on, device=device) if isinstance(layer, PackedLayer) else layer.on
-            found[name] = voter.prepare(around, on)
+        elif voter.unknown_votes or overlap(layer.box, around) is not None:
+            found[name] = voter.prepare(around, layer.on)
     return found
 
 
@@ -515,30 +450,31 @@ def _shown(
 
 
 def warp_onto(
-    grid: VotingGrid,
-    cells: npt.NDArray[np.int8],
-    transform: Pose2,
-    lattice: Lattice,
-    box: CellBox,
-    device: ComputeDevice,
-) -> npt.NDArray[np.int8]:
-    """Return cells of one grid on the box of another's lattice, nearest cell, unknown outside.
+    grid: VotingGrid, transform: Pose2, lattice: Lattice, box: CellBox, device: ComputeDevice
+) -> I8:
+    """Return the cells of a grid on a box of another's lattice, nearest cell, unknown outside.
 
     Args:
-        grid: gives the lattice of ``cells``.
-        cells: (H, W) int8 on the grid's lattice.
+        grid: is laid.
         transform: maps the grid's map frame into the lattice's, metres.
-        lattice: the target.
-        box: cells of it.
+        lattice: the target, of the same resolution.
+        box: cells of it; may be empty.
         device: computes.
     """
-    pose = warp_pose(grid.extent.lattice, transform, lattice, box)
+    shape = (box.height, box.width)
+    if box.area == 0:
+        return np.zeros(shape, dtype=np.int8)
+    own = grid.extent.lattice
+    into = own.origin.inverse().compose(transform.inverse()).compose(lattice.origin)
+    size = lattice.resolution
+    corner = into.transform((box.col0 * size, box.row0 * size)) / size
+    pose = fixed_poses((corner[0], corner[1], into.yaw_rad))
     if tuple(pose[0, :2]) == (FIXED_ONE, 0):
         # Nothing is turned: all cells move by as much as the first.
         first = np.ones(1, dtype=np.int64)
         (row,), (col,) = fixed_cells(pose[0], first, first)
-        return _shifted(cells, int(row), int(col), box)
-    warped = device.warp(device.upload(cells), pose, (box.height, box.width), UNKNOWN)
+        return _shifted(grid.cells, int(row), int(col), box)
+    warped = device.warp(device.upload(grid.cells), pose, shape, UNKNOWN)
     return np.asarray(device.download(warped)[0])
 
 
@@ -550,23 +486,6 @@ def _shifted(cells: npt.NDArray[np.int8], row: int, col: int, box: CellBox) -> n
     if known is not None:
         out[slices(known, row, col)] = cells[slices(known, 0, 0)]
     return out
-
-
-def warp_pose(
-    own: Lattice, transform: Pose2, lattice: Lattice, box: CellBox
-) -> npt.NDArray[np.int64]:
-    """Return the motion of a box of a lattice into a grid, (1, 4), see ``fixed_poses``.
-
-    Args:
-        own: of the grid.
-        transform: maps the grid's map frame into the lattice's, metres.
-        lattice: of the box, of the same resolution.
-        box: cells of the lattice.
-    """
-    into = own.origin.inverse().compose(transform.inverse()).compose(lattice.origin)
-    size = lattice.resolution
-    corner = into.transform((box.col0 * size, box.row0 * size)) / size
-    return fixed_poses((corner[0], corner[1], into.yaw_rad))
 
 
 def contradicting(

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from concurrent.futures import Executor
 from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -304,8 +305,8 @@ def _vote_into(
     facts = {"reference": group.reference, "inputs": list(group.alignments)}
     names = (FUSED, AGREEMENT_ARRAY)
     opened = open_stores.enter_context(MapStore(path, names, shape, TILE, size, origin, facts))
-    phantom_cells, worst = 0, []
-    for box, decided in vote.each(decide_tile, "vote", device, executor, progress):
+    phantom_cells, worst, task = 0, [], partial(decide_tile, device=device)
+    for box, decided in vote.each(task, "vote", executor, progress):
         if decided is not None:
             fused = np.where(decided.fused == 1, np.int8(OCCUPIED), decided.fused)
             opened.write(FUSED, box, fused)

@@ -95,7 +95,7 @@ def draw_pair(
     box = CellBox(-margin, -margin, height + margin, width + margin)
     lattice = reference.grid.extent.lattice
     own = np.pad(reference.grid.cells, margin, constant_values=-1)
-    other = warp_onto(moving.grid, moving.grid.cells, alignment.transform, lattice, box, device)
+    other = warp_onto(moving.grid, alignment.transform, lattice, box, device)
     picture = np.full((*own.shape, 3), 255, dtype=np.uint8)
     picture[(own == 0) | (other == 0)] = (238, 238, 238)
     picture[own == 1] = (230, 120, 0)

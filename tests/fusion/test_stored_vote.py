@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -33,7 +34,7 @@ def both_votes(
     shape = ready.extent.shape
     fused, agreement = np.full(shape, -1, np.int8), np.full(shape, -1, np.int8)
     phantom_cells = 0
-    for tile, decided in ready.each(decide_tile, "vote", device):
+    for tile, decided in ready.each(partial(decide_tile, device=device), "vote"):
         if decided is None:
             continue
         window = np.s_[tile.row0 : tile.row1, tile.col0 : tile.col1]
