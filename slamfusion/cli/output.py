@@ -142,25 +142,24 @@ def progress_bar() -> Iterator[Progress]:
     if not sys.stderr.isatty():
         yield _Lines()
         return
+    from rich import progress as bars  # noqa: PLC0415
     from rich.console import Console  # noqa: PLC0415
-    from rich.progress import BarColumn, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn  # noqa: PLC0415
-    from rich.progress import Progress as Bar  # noqa: PLC0415
 
-    tasks: dict[str, TaskID] = {}
+    tasks: dict[str, bars.TaskID] = {}
     columns = (
-        TextColumn("{task.description}"),
-        BarColumn(bar_width=20),
-        TextColumn("{task.percentage:>3.0f} %"),
-        TimeElapsedColumn(),
-        TextColumn("left:"),
-        TimeRemainingColumn(),
+        bars.TextColumn("{task.description}"),
+        bars.BarColumn(bar_width=20),
+        bars.TaskProgressColumn("{task.percentage:>3.0f} %"),
+        bars.TimeElapsedColumn(),
+        bars.TextColumn("left:"),
+        bars.TimeRemainingColumn(),
     )
-    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
+    with bars.Progress(*columns, console=Console(stderr=True), transient=True) as bar:
 
-        def report(stage: str, done: int, total: int) -> None:
+        def report(stage: str, done: float, total: int) -> None:
             if stage not in tasks:
                 tasks[stage] = bar.add_task(stage, total=None)
-            count = f": {done} of {total}" if 1 < total <= MOST_COUNTED else ""
+            count = f": {int(done)} of {total}" if 1 < total <= MOST_COUNTED else ""
             total_known = total if done else None
             bar.update(tasks[stage], description=stage + count, completed=done, total=total_known)
 
@@ -174,12 +173,12 @@ class _Lines:
         self._told_s = time.monotonic()
         self._begun_s: dict[str, float] = {}
 
-    def __call__(self, stage: str, done: int, total: int) -> None:
+    def __call__(self, stage: str, done: float, total: int) -> None:
         now_s = time.monotonic()
         taken_s = now_s - self._begun_s.setdefault(stage, now_s)
         if now_s - self._told_s >= TOLD_EVERY_S:
             self._told_s = now_s
-            share = f"{100 * done // max(total, 1)} %, " if done else ""
+            share = f"{100 * done // max(total, 1):.0f} %, " if done else ""
             left = (
                 f", about {taken_s * (total - done) / done:.0f} s left" if 0 < done < total else ""
             )

@@ -12,7 +12,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import LogError
 from slamfusion.evaluation import Row, path_figures, result_rows
-from slamfusion.experiments.runs import RunResult, Setup, run_all
+from slamfusion.experiments.runs import RunResult, Setup, Tell, run_all
 from slamfusion.io import LogScan, open_log
 from slamfusion.io.lines import strip_gz
 from slamfusion.jobs.inputs import Progress
@@ -140,10 +140,10 @@ def run_on_drives(
     drives += [simulated_office(seed, device, setup.progress) for seed in floors]
     by_name = {drive.name: drive for drive in drives}
 
-    def work(run: DriveRun, _: RunConfig) -> RunResult:
-        drive = by_name[run.drive]
-        made = run_producer(make(run), drive.scans)
-        errors = drive.errors(made.trajectory, config)
+    def work(run: DriveRun, _: RunConfig, tell: Tell) -> RunResult:
+        scans = by_name[run.drive].scans
+        made = run_producer(make(run), scans, progress=lambda done: tell(done / len(scans)))
+        errors = by_name[run.drive].errors(made.trajectory, config)
         figures = {**errors, TIME: made.time_per_scan_ms()["mean"]}
         return RunResult(result_rows(run.case, str(run.seed), run.method, figures))
 

@@ -23,6 +23,7 @@ from slamfusion.errors import GridError, SlamFusionError
 from slamfusion.evaluation import MapError, compare_to_truth, trajectory_errors
 from slamfusion.evidence import PathEvidence, choose_path, find_exclusions, judged_scans
 from slamfusion.evidence.drawn_map import draw_map, drawn_scans
+from slamfusion.experiments.runs import Tell
 from slamfusion.fusion.groups import LEAST_FUSED
 from slamfusion.fusion.pipeline import vote_again
 from slamfusion.geometry import wrap_angle
@@ -30,11 +31,10 @@ from slamfusion.grid import IDENTITY, UNKNOWN, OccupancyGrid
 from slamfusion.io import LogScan
 from slamfusion.jobs.fuse_drive import Filling, Layers, draw_layers, fuse_layers
 from slamfusion.jobs.fused_path import fuse_weighed_paths
-from slamfusion.jobs.inputs import Progress
 from slamfusion.jobs.outputs import DRAWN
 from slamfusion.jobs.run import score_all_paths
 from slamfusion.slam.common.runner import run_producer
-from slamfusion.slam.registry import BUILT_IN, make_producer
+from slamfusion.slam.registry import BUILT_IN, make_producer, producer
 from slamfusion.trajectory import SAME_STAMP_S, Trajectory
 
 # Every way to vote.
@@ -93,27 +93,33 @@ def produce_maps(
     scans: Mapping[str, Sequence[LogScan]],
     config: RunConfig,
     device: ComputeDevice,
-    progress: Progress | None = None,
+    tell: Tell | None = None,
 ) -> DriveMaps:
     """Run producers on scans in memory, one after the other; one that fails has a note.
 
     Args:
         scans: of each producer, by its name in the registry.
+        tell: called with the share of the work that is done, 0 to 1.
     """
     maps: dict[str, OccupancyGrid | None] = dict.fromkeys(scans)
     paths, notes = {}, {}
+    costs = {name: producer(name).cost for name in scans}
+    before = 0.0
     for name, items in scans.items():
 
-        def tell(done: int, name: str = name, total: int = len(items)) -> None:
-            if progress is not None:
-                progress(name, done, total)
+        def progress(
+            done: int, before: float = before, cost: float = costs[name], total: int = len(items)
+        ) -> None:
+            if tell is not None:
+                tell((before + cost * done / total) / sum(costs.values()))
 
         try:
-            run = run_producer(make_producer(name, config, device), items, progress=tell)
+            run = run_producer(make_producer(name, config, device), items, progress=progress)
         except SlamFusionError as error:
             notes[name] = str(error)
         else:
             maps[name], paths[name] = run.grid, run.trajectory
+        before += costs[name]
     return DriveMaps(maps, paths, notes)
 
 

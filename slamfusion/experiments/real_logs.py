@@ -27,7 +27,7 @@ from slamfusion.experiments.fusions import (
     produce_maps,
 )
 from slamfusion.experiments.page import Experiment
-from slamfusion.experiments.runs import RunResult, Setup, packed_maps, run_all
+from slamfusion.experiments.runs import RunResult, Setup, Tell, packed_maps, run_all
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan, open_log, read_trajectory
 from slamfusion.jobs.cases import CaseFile, place_files
@@ -126,8 +126,8 @@ def compare_on_logs(
     records = [record for own in log_inputs(folder, names, given) for record in input_records(*own)]
     facts = [setup.device.name, *(record["sha256"] for record in records)]
 
-    def work(name: str, _: RunConfig) -> RunResult:
-        return _compare_on_log(folder, name, setup, given.get(name, SavedMaps((), (), {})))
+    def work(name: str, _: RunConfig, tell: Tell) -> RunResult:
+        return _compare_on_log(folder, name, setup, given.get(name, SavedMaps((), (), {})), tell)
 
     found = run_all({name: name for name in names}, work, setup, facts)
     inputs = [*BUILT_IN, *(name for saved in given.values() for name in saved.names)]
@@ -190,7 +190,9 @@ def other_slams(
     }
 
 
-def _compare_on_log(folder: Path, name: str, setup: Setup, saved: SavedMaps) -> RunResult:
+def _compare_on_log(
+    folder: Path, name: str, setup: Setup, saved: SavedMaps, tell: Tell
+) -> RunResult:
     """Return the maps of one drive."""
     config, device, files = setup.config, setup.device, REAL_LOGS[name]
     normalize = config.fusion.normalize
@@ -198,10 +200,6 @@ def _compare_on_log(folder: Path, name: str, setup: Setup, saved: SavedMaps) -> 
     trajectory = read_trajectory(folder / files.reference, config.log)
     reference, count = reference_map(scans, trajectory, config, device)
     others, their_paths = saved.load(config, None, _LOG.warning)
-
-    def tell(producer: str, done: int, total: int) -> None:
-        if setup.progress is not None:
-            setup.progress(f"{name}, {producer}", done, total)
 
     produced = produce_maps(dict.fromkeys(BUILT_IN, scans), config, device, tell)
     if not produced.paths:

@@ -30,6 +30,8 @@ from slamfusion.jobs.documents import record_bytes
 from slamfusion.jobs.inputs import Progress
 
 T = TypeVar("T")
+# Takes the share of a run that is done.
+Tell = Callable[[float], None]
 
 # Parts of the package that do not change a result.
 FACES = {"cli", "page", "report", "ros", "viewer"}
@@ -73,7 +75,7 @@ class Setup:
 
 def run_all(
     tasks: Mapping[str, T],
-    work: Callable[[T, RunConfig], RunResult],
+    work: Callable[[T, RunConfig, Tell], RunResult],
     setup: Setup,
     facts: Sequence[str] = (),
 ) -> list[RunResult]:
@@ -95,18 +97,20 @@ def run_all(
     done = {key: kept for key in tasks if (kept := _read(folder, key, marks[key])) is not None}
     missing = {key: task for key, task in tasks.items() if key not in done}
 
-    def tell() -> None:
-        if setup.progress is not None:
-            setup.progress("runs", len(done), len(tasks))
+    kept_count = len(done)
 
-    tell()
+    def tell(count: float) -> None:
+        if setup.progress is not None:
+            setup.progress("runs", kept_count + count, len(tasks))
+
+    tell(0.0)
     processes = max(1, min(setup.processes, len(missing)))
     try:
         with executor_for(setup.scheduler, processes, config.device.device) as executor:
-            for (key, _), result in as_done(executor, _work, missing.items(), work, config):
+            runs = as_done(executor, _work, missing.items(), work, config, progress=tell)
+            for (key, _), result in runs:
                 _write(folder, key, marks[key], result)
                 done[key] = result
-                tell()
     except FleetError as error:
         message = f"{error}; what is done stays done: start the experiment again, it goes on"
         raise SlamFusionError(message) from None
@@ -114,9 +118,12 @@ def run_all(
 
 
 def _work(
-    task: tuple[str, T], work: Callable[[T, RunConfig], RunResult], config: RunConfig
+    task: tuple[str, T],
+    work: Callable[[T, RunConfig, Tell], RunResult],
+    config: RunConfig,
+    tell: Tell,
 ) -> RunResult:
-    return work(task[1], config)
+    return work(task[1], config, tell)
 
 
 @cache

@@ -36,7 +36,7 @@ from slamfusion.experiments.fusions import (
     produce_maps,
 )
 from slamfusion.experiments.page import Experiment, percent
-from slamfusion.experiments.runs import RunResult, Setup, packed_maps, run_all
+from slamfusion.experiments.runs import RunResult, Setup, Tell, packed_maps, run_all
 from slamfusion.geometry import Pose2
 from slamfusion.io import LogScan
 from slamfusion.jobs.inputs import RUN_VOTE
@@ -254,15 +254,17 @@ def fusion_experiment(
     return replace(experiment, remarks=remarks)
 
 
-def _work(trial: Trial, config: RunConfig) -> RunResult:
+def _work(trial: Trial, config: RunConfig, tell: Tell) -> RunResult:
     """Run a trial in a worker."""
     try:
-        return measure_trial(trial, config, shared_device(config.device.device))
+        return measure_trial(trial, config, shared_device(config.device.device), tell)
     except SlamFusionError as error:
         raise SlamFusionError(f"{trial.key}: {error}") from None
 
 
-def measure_trial(trial: Trial, config: RunConfig, device: ComputeDevice) -> RunResult:
+def measure_trial(
+    trial: Trial, config: RunConfig, device: ComputeDevice, tell: Tell | None = None
+) -> RunResult:
     """Drive, run the producers, fuse their maps in every way, and measure all maps.
 
     Each map is placed on the truth where its [F16] error is smallest: in the frame that drive and
@@ -281,7 +283,7 @@ def measure_trial(trial: Trial, config: RunConfig, device: ComputeDevice) -> Run
     # What befalls all of them befalls the robot.
     seen = recording.scans if trial.harmed else faulty
     made = fuse_in_every_way(
-        produce_maps(fed, config, device),
+        produce_maps(fed, config, device, tell),
         seen,
         fed,
         config,

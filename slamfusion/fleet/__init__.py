@@ -13,10 +13,12 @@ import os
 import re
 import signal
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from functools import partial
 from multiprocessing import resource_tracker
 from types import FrameType
 from typing import Any, TypeVar
@@ -30,6 +32,10 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 LOCAL = re.compile(r"local(?::([1-9][0-9]{0,3}))?")
+# Time between two reports of a process on the share of its task that is done, seconds.
+REPORT_S = 0.5
+# In a process of ``_Processes``: takes (number of the task, share that is done).
+_reports: Any = None
 REMOTE = re.compile(r"(?:tcp|tls)://(?:[^\s:/]+|\[[0-9a-fA-F:.]+\]):[0-9]{1,5}")
 
 
@@ -59,7 +65,7 @@ def executor_for(
     elif processes is None or processes == 1:
         yield None
     else:
-        pool = _Processes(processes, multiprocessing.get_context("spawn"), _begin)
+        pool = _Processes(processes)
         try:
             with threads_limited(max(1, usable_cores() // processes)):
                 yield pool
@@ -88,15 +94,62 @@ def check_address(where: str) -> int | None:
 
 
 def as_done(
-    executor: Executor | None, function: Callable[..., Result], items: Iterable[Item], *more: Any
+    executor: Executor | None,
+    function: Callable[..., Result],
+    items: Iterable[Item],
+    *more: Any,
+    progress: Callable[[float], None] | None = None,
 ) -> Iterator[tuple[Item, Result]]:
-    """Yield each item with ``function(item, *more)``, in the order in which they are done."""
+    """Yield each item with its result, in the order in which they are done.
+
+    Args:
+        function: called as ``function(item, *more)``; with ``progress`` a last argument follows, to
+            be called with the share of the item that is done, 0 to 1.
+        progress: called with the number of items that are done. The parts of those at work count,
+            except on the workers of a cluster.
+    """
+    shares: dict[int, float] = {}
+
+    def tell(number: int, share: float) -> None:
+        shares[number] = share
+        if progress is not None:
+            progress(sum(shares.values()))
+
     if executor is None:
-        yield from ((item, function(item, *more)) for item in items)
+        for number, item in enumerate(items):
+            told = () if progress is None else (partial(tell, number),)
+            result = function(item, *more, *told)
+            tell(number, 1.0)
+            yield item, result
         return
-    jobs = {executor.submit(function, item, *more): item for item in items}
-    for job in as_completed(jobs):
-        yield jobs[job], job.result()
+    reports = getattr(executor, "reports", None)
+    jobs = {}
+    for number, item in enumerate(items):
+        task = (function,) if progress is None else (_report, function, number)
+        jobs[executor.submit(*task, item, *more)] = (number, item)
+    waiting = set(jobs)
+    while waiting:
+        ended, waiting = wait(waiting, REPORT_S, FIRST_COMPLETED)
+        while reports is not None and not reports.empty():
+            tell(*reports.get())
+        for job in ended:
+            number, item = jobs[job]
+            result = job.result()
+            tell(number, 1.0)
+            yield item, result
+
+
+def _report(function: Callable[..., Result], number: int, *arguments: Any) -> Result:
+    """Do a task in another process, and report the share that is done now and then."""
+    last_s = time.monotonic()
+
+    def tell(share: float) -> None:
+        nonlocal last_s
+        if _reports is not None and time.monotonic() - last_s >= REPORT_S:
+            last_s = time.monotonic()
+            _reports.put((number, share))
+
+    return function(*arguments, tell)
 
 
 def in_order(
@@ -125,17 +178,20 @@ def tasks_ahead(executor: Executor) -> int:
 class _Processes(ProcessPoolExecutor):
     """Processes of this machine; they are started as tasks come."""
 
-    def __init__(self, slots: int, *context: Any) -> None:
-        super().__init__(slots, *context)
-        self.slots = slots
+    def __init__(self, slots: int) -> None:
+        context = multiprocessing.get_context("spawn")
+        self.slots, self.reports = slots, context.SimpleQueue()
+        super().__init__(slots, context, _begin, (self.reports,))
 
     def submit(self, *task: Any, **named: Any) -> Future[Any]:
         with interrupts_held():
             return super().submit(*task, **named)
 
 
-def _begin() -> None:
+def _begin(reports: Any) -> None:
     """Prepare a process: the caller alone is interrupted, and none outlives it."""
+    global _reports  # noqa: PLW0603 - of this process
+    _reports = reports
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_follow, daemon=True).start()
 

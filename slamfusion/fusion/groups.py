@@ -35,7 +35,7 @@ from slamfusion.geometry import Pose2, wrap_angles
 from slamfusion.io.files import return_freed_memory
 
 # Told what is being done, how many steps are done, and of how many.
-Progress = Callable[[str, int, int], None]
+Progress = Callable[[str, float, int], None]
 # Receives an alignment and its two maps; returns the alignment to go by.
 SecondLook = Callable[[Alignment, Pair], Alignment]
 
@@ -191,11 +191,12 @@ class _Aligner:
         """Align two inputs by name, and take what else is known of them into account."""
         pair, start = self._pair(a, b)
         self.tell("aligning pairs", self.done)
-        self.done += 1
         if self.tasks is not None:
             found = self.tasks.result(pair, start)
         else:
             found = align_pair(pair, self.config, start, self.count, thorough=self.is_thorough)
+        self.done += 1
+        self.tell("aligning pairs", self.done)
         return found if self.second_look is None else self.second_look(found, pair)
 
     def ahead(self, coming: Iterable[tuple[str, str]]) -> None:

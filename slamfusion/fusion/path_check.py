@@ -305,7 +305,7 @@ def fuse_with_paths(
     config: FusionConfig,
     limit_m: float,
     device: ComputeDevice,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Callable[[str, float, int], None] | None = None,
     starts: Starts | None = None,
     votes: Votes | None = None,
 ) -> tuple[FusionResult, tuple[PathGap, ...]]:

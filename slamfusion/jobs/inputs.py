@@ -24,8 +24,8 @@ _LOG = logging.getLogger(__name__)
 MapInput: TypeAlias = "OccupancyGrid | str | Path"
 # The least and the greatest size of a plan's pixels, metres; free: half and twice what they say.
 PixelSizes: TypeAlias = tuple[float, float] | Literal["free"]
-# Told the stage, and how much of how much of it is done.
-Progress = Callable[[str, int, int], None]
+# Called with a stage, the number of its steps that are done, parts included, and of all of them.
+Progress = Callable[[str, float, int], None]
 # Told in a sentence what is doubtful about an input.
 Warn = Callable[[str], None]
 

@@ -29,9 +29,6 @@ from slamfusion.trajectory import Trajectory
 
 _LOG = logging.getLogger(__name__)
 
-# A log's progress is told in these parts of its whole length.
-PROGRESS_STEPS = 1000
-
 
 class ProducerJson(ProducerRunJson, MeasuresJson):
     """What one producer made of a log, what it took, and the errors that could be measured."""
@@ -273,7 +270,7 @@ def _run(
 
     def tell(_: int) -> None:
         if progress is not None:
-            progress(mapper.name, round(PROGRESS_STEPS * log.fraction_read), PROGRESS_STEPS)
+            progress(mapper.name, log.fraction_read, 1)
 
     return run_producer(mapper, log, log=log, progress=tell, limit=limit)
 

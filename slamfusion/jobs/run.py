@@ -51,19 +51,23 @@ from slamfusion.jobs.inputs import (
     device_for,
     load_truth,
 )
-from slamfusion.jobs.map_log import PROGRESS_STEPS, LogFiles, ProducerResult, measure_run
+from slamfusion.jobs.map_log import LogFiles, ProducerResult, measure_run
 from slamfusion.jobs.outputs import DRAWN, FUSED
 from slamfusion.jobs.records import Evaluation
 from slamfusion.jobs.saved_maps import SavedMaps, SavedPath, path_at_scans
 from slamfusion.jobs.trajectory import Measures, Yardsticks
 from slamfusion.slam.common.odometry_check import laser_fault
-from slamfusion.slam.registry import BUILT_IN
+from slamfusion.slam.registry import BUILT_IN, producer
 from slamfusion.slam.side_by_side import Outcome, SideBySide
 from slamfusion.trajectory import Trajectory
 
 _LOG = logging.getLogger(__name__)
 Result = TypeVar("Result")
 
+# The progress of all stages together, the share of the time that the SLAMs take (of two drives on
+# two cores), and the number of stages that follow, with the report, which counts as two.
+WHOLE = "whole run"
+SLAM_SHARE, LATE_STAGES = 0.65, 9
 NO_PATH = "fewer than two producers have a path, so there is no fused path to draw at"
 
 
@@ -227,7 +231,7 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
     starts = place_starts(
         config.start, (*names, *saved.names), config.fusion.reference, drive=names
     )
-    stages = _Stages(progress)
+    stages = _Stages(progress, names)
 
     # Run the SLAMs side by side. Read all else meanwhile: a bad file ends the run at once.
     with (
@@ -245,7 +249,7 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
         held = Yardsticks.read(config, files.relations, files.odometry, files.truth, warn)
         others, their_paths = saved.load(config, resolution, warn)
         device = device_for(config)
-        outcomes = work.wait(_share_teller(progress))
+        outcomes = work.wait(stages.tell_slam)
     runs = {item.name: item.run for item in outcomes if item.run is not None}
     grids = (*(run.grid for run in runs.values()), *others)
     paths = {name: run.trajectory for name, run in runs.items() if len(run.trajectory)}
@@ -388,22 +392,39 @@ class _Stages:
 
     Attributes:
         begun_s: when the run began, seconds of ``time.perf_counter``.
+        slams: of each SLAM the share of the log that it has read.
+        ended: the number of blocks that have ended.
     """
 
-    def __init__(self, progress: Progress | None = None) -> None:
-        self.begun_s, self.progress = time.perf_counter(), progress
+    def __init__(self, progress: Progress | None, slams: Sequence[str]) -> None:
+        self.begun_s = time.perf_counter()
+        self.progress: Progress = progress or (lambda *_: None)
+        self.progress(WHOLE, 0, 1)
+        self.ended = 0
+        self.slams = dict.fromkeys(slams, 0.0)
         self.times_s: dict[str, float] = {}
         self.troubles: list[str] = []
+
+    def tell_slam(self, name: str, share: float) -> None:
+        """Report the share of the log that a SLAM has read."""
+        self.slams[name] = share
+        costs = {slam: producer(slam).cost for slam in self.slams}
+        done = sum(costs[slam] * share for slam, share in self.slams.items())
+        self.progress(WHOLE, SLAM_SHARE * done / sum(costs.values()), 1)
+        self.progress(name, share, 1)
 
     @contextmanager
     def timed(self, name: str) -> Iterator[None]:
         """Add the time of a block to that of a stage, and report that it begins and ends."""
         began_s = time.perf_counter()
-        if self.progress is not None:
+        is_late = self.ended > 0  # before, each SLAM reports for itself
+        if is_late:
             self.progress(name, 0, 1)
         yield
-        if self.progress is not None:
+        if is_late:
             self.progress(name, 1, 1)
+        self.progress(WHOLE, SLAM_SHARE + (1.0 - SLAM_SHARE) * self.ended / LATE_STAGES, 1)
+        self.ended += 1
         self.times_s[name] = self.times_s.get(name, 0.0) + time.perf_counter() - began_s
 
     def attempt(
@@ -420,17 +441,6 @@ class _Stages:
         except SlamFusionError as error:
             self.troubles.append(f"{what}: {error}" if what else str(error))
             return otherwise
-
-
-def _share_teller(progress: Progress | None) -> Callable[[str, float], None] | None:
-    """Return what is told a producer and the share of the log that it has read."""
-    if progress is None:
-        return None
-
-    def tell(name: str, share: float) -> None:
-        progress(name, round(PROGRESS_STEPS * share), PROGRESS_STEPS)
-
-    return tell
 
 
 def score_all_paths(

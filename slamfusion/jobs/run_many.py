@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import socket
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -163,26 +163,40 @@ def run_logs(
         The outcome of each, in order. One that fails is named there and raises nothing.
     """
     done: dict[LogTask, RunOfLog] = {}
-    for task, (found, host) in as_done(executor, run_one, tasks, config):
+
+    def tell(count: float) -> None:
+        if progress is not None:
+            progress("logs", count, len(tasks))
+
+    tell(0.0)
+    for task, (found, host) in as_done(executor, run_one, tasks, config, progress=tell):
         if found.error is not None and host != socket.gethostname():
             # A folder may be missing on that machine.
             found = replace(found, error=f"{found.error} (on {host})")  # noqa: PLW2901
         done[task] = found
-        if progress is not None:
-            progress("logs", len(done), len(tasks))
     return tuple(done[task] for task in tasks)
 
 
-def run_one(task: LogTask, config: RunConfig) -> tuple[RunOfLog, str]:
+def run_one(
+    task: LogTask, config: RunConfig, tell: Callable[[float], None]
+) -> tuple[RunOfLog, str]:
     """Run the main job on a log; return the outcome, and the machine that did it."""
     # Where the task is done, not where it is handed over: the SLAMs load slowly.
-    from slamfusion.jobs.run import run_log  # noqa: PLC0415
+    from slamfusion.jobs.run import WHOLE, run_log  # noqa: PLC0415
     from slamfusion.jobs.run_files import load_report, save_run  # noqa: PLC0415
 
     warnings: list[str] = []
+
+    def progress(stage: str, done: float, total: int) -> None:
+        if stage == WHOLE:
+            tell(done / total)
+
     try:
         own = config if task.seed is None else replace(config, seed=task.seed)
-        run = run_log(task.log, own, **task.options, warn=warnings.append, prepare=load_report)
+        run = run_log(
+            task.log, own, **task.options,
+            progress=progress, warn=warnings.append, prepare=load_report,
+        )  # fmt: skip
         saved = save_run(run, task.folder, probabilities=task.probabilities)
     except (SlamFusionError, OSError) as error:
         words = " ".join(str(error).split())

@@ -15,19 +15,20 @@ from slamfusion.config import ExperimentConfig, FailuresConfig, RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.evaluation import result_rows
 from slamfusion.experiments import runs as module
-from slamfusion.experiments.runs import RunResult, Setup, run_all
+from slamfusion.experiments.runs import RunResult, Setup, Tell, run_all
 from slamfusion.slam.registry import with_settings
 
 TASKS = {"first": 1, "second": 2}
 
 
-def double(task: int, config: RunConfig) -> RunResult:
+def double(task: int, config: RunConfig, tell: Tell) -> RunResult:
+    tell(0.5)
     figures = {"error": 2.0 * task + config.seed, "ssim": None}
     rows = result_rows("hall", str(task), "graph", figures)
     return RunResult(rows, {"graph": "bent"}, b"maps" if task == 1 else None, "a remark")
 
 
-def die(_: int, __: RunConfig) -> RunResult:
+def die(_: int, __: RunConfig, ___: Tell) -> RunResult:
     os._exit(1)
 
 
@@ -37,17 +38,17 @@ class Counted:
     def __init__(self) -> None:
         self.tasks: list[int] = []
 
-    def __call__(self, task: int, config: RunConfig) -> RunResult:
+    def __call__(self, task: int, config: RunConfig, tell: Tell) -> RunResult:
         self.tasks.append(task)
-        return double(task, config)
+        return double(task, config, tell)
 
 
 def test_what_is_done_is_not_run_again_and_the_rest_is(tmp_path: Path) -> None:
-    told: list[tuple[int, int]] = []
+    told: list[tuple[float, int]] = []
     work, setup = Counted(), Setup(RunConfig(), NumpyDevice(), tmp_path)
     telling = replace(setup, progress=lambda _, n, of: told.append((n, of)))
     first = run_all(TASKS, work, telling)
-    assert told == [(0, 2), (1, 2), (2, 2)]
+    assert told == [(0, 2), (0.5, 2), (1, 2), (1.5, 2), (2, 2)]
     assert [own.rows[0][4] for own in first] == [2.0, 4.0]
     again = run_all(TASKS, work, setup)
     assert work.tasks == [1, 2]

@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import pickle
 import signal
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
 from typing import Any
 
@@ -13,7 +14,7 @@ import pytest
 
 from slamfusion.compute import open_device, shared_device
 from slamfusion.errors import ConfigError, FleetError
-from slamfusion.fleet import as_done, check_address, executor_for, in_order, tasks_ahead
+from slamfusion.fleet import REPORT_S, as_done, check_address, executor_for, in_order, tasks_ahead
 
 
 def half(number: int, less: int = 0) -> int:
@@ -44,6 +45,21 @@ def test_tasks_are_done_and_errors_come_back(pool: Executor, *, here: bool) -> N
         list(as_done(executor, half, [5]))
     with pytest.raises(ConfigError, match="5 is odd"):
         list(in_order(executor, half, [(5,)]))
+
+
+def slowly(number: int, tell: Callable[[float], None]) -> int:
+    time.sleep(1.2 * REPORT_S)
+    tell(0.5)
+    time.sleep(1.2 * REPORT_S)
+    return number
+
+
+@pytest.mark.parametrize("here", [True, False])
+def test_the_part_of_a_task_that_is_done_is_reported(pool: Executor, *, here: bool) -> None:
+    counts: list[float] = []
+    done = as_done(None if here else pool, slowly, [7], progress=counts.append)
+    assert list(done) == [(7, 7)]
+    assert counts == [0.5, 1.0]
 
 
 def test_few_calls_are_handed_over_at_a_time() -> None:

@@ -19,7 +19,7 @@ DEVICE = NumpyDevice()
 
 @pytest.mark.once
 def test_a_log_is_mapped_measured_saved_and_gone_on_with(place: Path, tmp_path: Path) -> None:
-    told: list[tuple[str, int, int]] = []
+    told: list[tuple[str, float, int]] = []
     begun = map_log(
         place / "flat.log", "graph", limit=20, truth=place / "truth.tum",
         relations=place / "flat.relations", progress=lambda *words: told.append(words),

@@ -22,7 +22,7 @@ from slamfusion.jobs.cases import CaseFile
 from slamfusion.jobs.fuse_drive import DriveFusion
 from slamfusion.jobs.fused_path import DrivePath
 from slamfusion.jobs.inputs import RUN_DEFAULTS
-from slamfusion.jobs.run import LogRun, draw_run, run_log, score_all_paths
+from slamfusion.jobs.run import WHOLE, LogRun, draw_run, run_log, score_all_paths
 from slamfusion.jobs.run_files import SavedRun, save_run
 from slamfusion.jobs.run_many import LogTask, RunOfLog
 from slamfusion.jobs.saved_maps import SavedMaps
@@ -40,13 +40,17 @@ def test_the_main_job_from_a_log_to_files(place: Path, tmp_path: Path) -> None:
     vote = replace(RUN_DEFAULTS.fusion.vote, mode="consensus")
     config = replace(RUN_DEFAULTS, run=two, fusion=replace(RUN_DEFAULTS.fusion, vote=vote))
     prepared: list[bool] = []
-    told: list[str] = []
+    told: list[tuple[str, float, int]] = []
     run = run_log(
         place / "flat.log", config, truth=place / "truth.tum",
-        progress=lambda *words: told.append(words[0]), prepare=lambda: prepared.append(True),
+        progress=lambda *words: told.append(words), prepare=lambda: prepared.append(True),
     )  # fmt: skip
     assert prepared == [True]
-    assert {"tinyslam", "graph"} <= set(told)
+    assert {"tinyslam", "graph"} <= {stage for stage, _, _ in told}
+    whole = [done for stage, done, _ in told if stage == WHOLE]
+    assert whole == sorted(whole)
+    assert len(set(whole)) > 5
+    assert (whole[0], round(whole[-1], 2)) == (0, 0.92)  # the report follows
     assert [grid.name for grid in run.grids] == ["tinyslam", "graph"]
     assert run.failure is None
     assert run.grid is not None

@@ -107,24 +107,24 @@ def test_a_scheduler_is_for_several_logs(
 def test_an_error_of_another_machine_names_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def elsewhere(task: run_many.LogTask, _: object) -> tuple[RunOfLog, str]:
+    def elsewhere(task: run_many.LogTask, *_: object) -> tuple[RunOfLog, str]:
         error = "no such file" if task.log.stem == "a" else None
         return RunOfLog(log=task.log, error=error), "robot-7"
 
     monkeypatch.setattr(run_many, "run_one", elsewhere)
     tasks = log_tasks([tmp_path / "a.log", tmp_path / "b.log"], tmp_path)
-    told: list[tuple[str, int, int]] = []
+    told: list[tuple[str, float, int]] = []
     first, second = run_logs(
         tasks, replace(RUN_DEFAULTS), progress=lambda *words: told.append(words)
     )
     assert (first.error, second.error) == ("no such file (on robot-7)", None)
-    assert told == [("logs", 1, 2), ("logs", 2, 2)]
+    assert told == [("logs", 0, 2), ("logs", 1, 2), ("logs", 2, 2)]
 
 
 def test_what_could_not_be_measured_is_told_by_the_code_as_of_one_log(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def mapped(task: run_many.LogTask, _: object) -> tuple[RunOfLog, str]:
+    def mapped(task: run_many.LogTask, *_: object) -> tuple[RunOfLog, str]:
         troubles = ("the fused path: no pose in time",) if task.log.stem == "a" else ()
         answer = Recommendation("graph", "graph", "graph")
         done = RunOfLog(log=task.log, recommendation=answer, not_measured=troubles, time_s=1.0)
