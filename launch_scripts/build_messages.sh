@@ -42,8 +42,8 @@ fi
 
 say "building tf2_msgs and map_msgs for the tests into $prefix"
 rm -rf "$folder"
-"$python" -m venv "$venv"
-"$venv/bin/python" -m pip install -qq "${packages[@]}"
+"$python" -m venv --without-pip "$venv"
+pip_install "$venv" "${packages[@]}"
 
 # The exported targets name folders of the machine that built the wheels; CMake wants those that it
 # is told to include from to exist.

@@ -31,9 +31,10 @@ find_python() {
     die "no Python from 3.10 to 3.13 found; install one or set PYTHON to it"
 }
 
-# make_venv FOLDER: create it unless it is there and works.
+# make_venv FOLDER [OPTIONS]: create it unless it is there and works.
 make_venv() {
     local venv="$1" python
+    local options=("${@:2}")
     if "$venv/bin/python" -c '' >/dev/null 2>&1; then
         return
     fi
@@ -43,30 +44,42 @@ make_venv() {
         apt_install python3-venv
     fi
     say "making $venv with $("$python" --version)"
-    local options=()
     if [ -n "${ROS_DISTRO:-}" ]; then
         options+=(--system-site-packages) # a sourced ROS brings its own rclpy
     fi
     "$python" -m venv --clear ${options[@]+"${options[@]}"} "$venv"
 }
 
+# pip_install FOLDER WORDS...: install with uv where .venv has it, in a tenth of pip's processor time;
+# where it has none, or that fails, with pip, which says why it fails.
+pip_install() {
+    local python="$1/bin/python"
+    shift
+    "$root/.venv/bin/uv" pip install -q --python "$python" "$@" 2>/dev/null && return
+    "$python" -m pip --version >/dev/null 2>&1 || "$python" -m ensurepip >/dev/null
+    "$python" -m pip install -qq "$@"
+}
+
 # install_into FOLDER EXTRAS [CONSTRAINTS [LOCK]]: install the project unless nothing has changed.
-# What it needs is first taken from the lock, versions and hashes, where that fits this machine; the
-# lock names everything, and pip's own look at what packages need fails on their extras.
+# What it needs is taken from the lock, versions and hashes, where that fits this machine. The lock
+# names everything, and pip's own look at what packages need fails on their extras.
 install_into() {
     local venv="$1" extras="$2" constraints="${3:-}" lock="${4:-}" stamp wanted reason
+    local options=(${constraints:+-c "$constraints"})
     stamp="$venv/.installed-$extras"
     wanted="$(cat "$root/pyproject.toml" ${constraints:+"$constraints"} ${lock:+"$lock"} | sha256sum)"
     if [ -f "$stamp" ] && [ "$(cat "$stamp")" = "$wanted" ]; then
         return
     fi
     say "installing slamfusion[$extras] into $venv"
-    if [ -n "$lock" ] && ! reason="$("$venv/bin/python" -m pip install -qq --no-deps \
-        --require-hashes -r "$lock" 2>&1)"; then
-        say "$(basename "$lock") does not fit $("$venv/bin/python" --version) here: versions are chosen anew"
-        printf '%s\n' "$reason" | tail -n 3 >&2
+    if [ -n "$lock" ]; then
+        if reason="$(pip_install "$venv" --no-deps --require-hashes -r "$lock" 2>&1)"; then
+            options=(--no-deps)
+        else
+            say "$(basename "$lock") does not fit $("$venv/bin/python" --version) here: pip chooses versions"
+            printf '%s\n' "$reason" | tail -n 3 >&2
+        fi
     fi
-    "$venv/bin/python" -m pip install -qq -e "$root[$extras]" \
-        ${constraints:+-c "$constraints"} || return
+    pip_install "$venv" ${options[@]+"${options[@]}"} -e "$root[$extras]" || return
     printf '%s\n' "$wanted" >"$stamp"
 }

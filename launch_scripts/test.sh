@@ -25,7 +25,8 @@ export PIP_NO_COMPILE=0
 
 install_all() {
     make_venv "$venv"
-    make_venv "$jazzy"
+    [ -x "$venv/bin/uv" ] || "$venv/bin/python" -m pip install -qq uv || say "no uv: pip takes longer"
+    make_venv "$jazzy" --without-pip
     install_into "$jazzy" test "$constraints" "$root/launch_scripts/lock-jazzy.txt" &
     local of_jazzy=$!
     if [ -n "${ROS_DISTRO:-}" ]; then
