@@ -56,7 +56,6 @@ LONGEST = (
     "golden/test_golden.py",
     "fusion/live/test_doubts.py",
     "ros/test_fusion_rivals.py",
-    "jobs/test_partial.py",
     "kernels/test_pocl.py",
     "fusion/live/test_fusion.py",
     "jobs/test_results.py",

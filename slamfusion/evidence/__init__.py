@@ -8,14 +8,12 @@ gives the one answer: which map and path, which SLAM alone, what to check.
 ``fuse_paths`` makes one path of several, each believed as far as the scans bear it out,
 ``refine_path`` lays all scans of the drive on each other along it, and ``refine_borne_out`` does so
 where the scans do not contradict what comes of it.
-``find_exclusions`` says when a path has left the others and must not vote.
 """
 
 from __future__ import annotations
 
 from slamfusion.evidence.beams import CoveredPath, JudgedScans, cover_stamps, judged_scans
 from slamfusion.evidence.displacement import Displacement, find_displacements
-from slamfusion.evidence.exclusion import ExcludedSpan, Exclusions, UndecidedSpan, find_exclusions
 from slamfusion.evidence.fused_path import FusedPath, fuse_paths, trust_in_paths
 from slamfusion.evidence.predictive import (
     Comparison,
@@ -39,8 +37,6 @@ __all__ = [
     "Comparison",
     "CoveredPath",
     "Displacement",
-    "ExcludedSpan",
-    "Exclusions",
     "FusedPath",
     "JudgedScans",
     "PathEvidence",
@@ -48,11 +44,9 @@ __all__ = [
     "RankedPath",
     "Recommendation",
     "RefinedPath",
-    "UndecidedSpan",
     "choose_path",
     "cover_stamps",
     "find_displacements",
-    "find_exclusions",
     "fuse_paths",
     "judged_scans",
     "recommend",

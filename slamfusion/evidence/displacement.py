@@ -25,7 +25,7 @@ import scipy
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.evidence.beams import CHUNKS
-from slamfusion.evidence.exclusion import PART_M
+from slamfusion.evidence.parting import PART_M
 from slamfusion.evidence.predictive import NEIGHBOURS, OTHERS, SURE, DrawnChunks, PathEvidence
 from slamfusion.geometry import F64
 

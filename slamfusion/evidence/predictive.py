@@ -283,24 +283,6 @@ def with_path(
     return _score_covered({**covered, name: own}, scans, device, model)
 
 
-def without_scans(
-    evidence: PathEvidence, names: Collection[str], left_out: B8, device: ComputeDevice
-) -> PathEvidence:
-    """Score some paths of a drive on fewer scans, by the same model.
-
-    Args:
-        left_out: (N,) bool, scans that neither draw nor are judged.
-    """
-    scans, is_judged = evidence.scans, evidence.is_judged & ~left_out
-    if not is_judged[scans.hit_scans].any():
-        raise TrajectoryError("every scan is left out; leave some to score the paths on")
-    scores = {}
-    for name in names:
-        old = evidence.scores[name]
-        scores[name] = _score(name, old.path, scans, is_judged, device, old.model)
-    return PathEvidence(scans, is_judged, scores)
-
-
 def _covered(name: str, path: Trajectory, scans: JudgedScans) -> CoveredPath:
     """Return a path's pose at each scan; refuse one that has none."""
     if not len(path):

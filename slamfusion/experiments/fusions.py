@@ -1,7 +1,7 @@
 """The maps of one drive: of each producer, fused in every way, and drawn at every path.
 
-The stages are those of ``run``: the producers, what the scans say of their paths, the path that is
-fused of these, and the layers of the vote. Then the layers vote in every way.
+The stages are those of ``run``: the producers, what the scans say of their paths, and the path that
+is fused of these. Then the maps vote in every way.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, RunConfig, TrajectoryConfig, VoteMode
 from slamfusion.errors import GridError, SlamFusionError
 from slamfusion.evaluation import MapError, compare_to_truth, trajectory_errors
-from slamfusion.evidence import PathEvidence, choose_path, find_exclusions, judged_scans
+from slamfusion.evidence import PathEvidence, choose_path, judged_scans
 from slamfusion.evidence.drawn_map import draw_map, drawn_scans
 from slamfusion.experiments.runs import Tell
 from slamfusion.fusion.groups import LEAST_FUSED
@@ -29,7 +29,7 @@ from slamfusion.fusion.pipeline import vote_again
 from slamfusion.geometry import wrap_angle
 from slamfusion.grid import IDENTITY, UNKNOWN, OccupancyGrid
 from slamfusion.io import LogScan
-from slamfusion.jobs.fuse_drive import Filling, Layers, draw_layers, fuse_layers
+from slamfusion.jobs.fuse_drive import fuse_drive
 from slamfusion.jobs.fused_path import fuse_weighed_paths
 from slamfusion.jobs.outputs import DRAWN
 from slamfusion.jobs.run import score_all_paths
@@ -126,7 +126,6 @@ def produce_maps(
 def fuse_in_every_way(
     made: DriveMaps,
     scans: Sequence[LogScan],
-    fed: Mapping[str, Sequence[LogScan]],
     config: RunConfig,
     device: ComputeDevice,
     *,
@@ -138,7 +137,6 @@ def fuse_in_every_way(
     """Fuse the maps and paths of producers as ``run`` does, with every way to vote.
 
     Args:
-        fed: the scans that a producer was fed, where they are others.
         saved: maps of other SLAMs, which may have any frame.
         saved_paths: paths of some of them, by name.
         harmed: a producer without which the others are fused, too; empty: none.
@@ -162,14 +160,14 @@ def fuse_in_every_way(
     if reason is not None and paths:
         notes[CHOICE] = reason
 
-    votes, fused, choice = _fuse(grids, paths, evidence, scans, fed, config, device, notes)
+    votes, fused, choice = _fuse(grids, paths, evidence, config, device, notes)
     maps = {**made.maps, **{grid.name: grid for grid in saved}, **votes}
     if harmed:
         rest = [grid for grid in grids if grid.name != harmed]
         others = {name: path for name, path in paths.items() if name != harmed}
         theirs = None if evidence is None or not others else evidence.of_paths(others)
         own_notes: dict[str, str] = {}
-        votes, _, _ = _fuse(rest, others, theirs, scans, fed, config, device, own_notes)
+        votes, _, _ = _fuse(rest, others, theirs, config, device, own_notes)
         maps |= {alone(mode): votes[mode] for mode in FUSIONS}
         notes |= {alone(name): reason for name, reason in own_notes.items()}
     if fused is not None:
@@ -190,34 +188,31 @@ def _fuse(
     grids: Sequence[OccupancyGrid],
     paths: Mapping[str, Trajectory],
     evidence: PathEvidence | None,
-    scans: Sequence[LogScan],
-    fed: Mapping[str, Sequence[LogScan]],
     config: RunConfig,
     device: ComputeDevice,
     notes: dict[str, str],
 ) -> tuple[dict[str, OccupancyGrid | None], Trajectory | None, str]:
     """Return every vote on maps, the path fused of theirs, and the name of the path to take."""
-    exclusions = None if evidence is None else find_exclusions(evidence, device)
     choice = "" if evidence is None else choose_path(evidence, paths)[1]
-    fused, filling = None, None
+    fused = None
     if len(paths) >= LEAST_FUSED:
         try:
-            found = fuse_weighed_paths(paths, evidence, exclusions, device)
+            found = fuse_weighed_paths(paths, evidence, device)
         except SlamFusionError as error:
             notes[FUSED_PATH] = str(error)
         else:
             fused = found.trajectory
-            filling = Filling(fused, lambda: drawn_scans(scans))
             if found.refined is not None:
                 choice = choose_path(found.refined.evidence, paths, fused.name)[1]
-    layers = draw_layers(
-        grids, paths, exclusions, lambda name: drawn_scans(fed.get(name, scans)), device, filling
-    )
-    return vote_every_way(layers, config, device, notes), fused, choice
+    return vote_every_way(grids, paths, config, device, notes), fused, choice
 
 
 def vote_every_way(
-    layers: Layers, config: RunConfig, device: ComputeDevice, notes: dict[str, str]
+    grids: Sequence[OccupancyGrid],
+    paths: Mapping[str, Trajectory],
+    config: RunConfig,
+    device: ComputeDevice,
+    notes: dict[str, str],
 ) -> dict[str, OccupancyGrid | None]:
     """Return the fused map of every way to vote; all have the same voters, or the same one map.
 
@@ -227,28 +222,31 @@ def vote_every_way(
     Returns:
         By way to vote; None where there is no map at all.
     """
-    if not layers.maps:
+    if not grids:
         notes[PLAIN] = "no map was made"
         return dict.fromkeys(FUSIONS)
-    notes |= {f"{PLAIN}, {vote.name} in part": vote.sentence() for vote in layers.partial}
-    plain = _vote_plainly(layers, config, device, notes)
+    plain = _vote_plainly(grids, paths, config, device, notes)
     if isinstance(plain, OccupancyGrid):
         return dict.fromkeys(FUSIONS, plain)
     return {mode: vote_again(plain, _voting(config.fusion, mode), device).fused for mode in FUSIONS}
 
 
 def _vote_plainly(
-    layers: Layers, config: RunConfig, device: ComputeDevice, notes: dict[str, str]
+    grids: Sequence[OccupancyGrid],
+    paths: Mapping[str, Trajectory],
+    config: RunConfig,
+    device: ComputeDevice,
+    notes: dict[str, str],
 ) -> FusionResult | OccupancyGrid:
     """Return the plain vote, or the map to go on with alone; ``notes`` say what went wrong."""
-    first, *others = layers.grids
+    first, *others = grids
     if not others:
         notes[PLAIN] = f"{first.name} alone: it made the only map"
         return first
     config = replace(config, fusion=_voting(config.fusion, PLAIN))
     # The producers of a drive share its frame; saved maps, none of which has such a name, may not.
-    shared_frame = {grid.name for grid in layers.maps} <= set(BUILT_IN)
-    fusion = fuse_layers(layers, config, device, shared_frame=shared_frame)
+    shared_frame = {grid.name for grid in grids} <= set(BUILT_IN)
+    fusion = fuse_drive(grids, paths, config, device, shared_frame=shared_frame)
     if fusion.result is None:
         best = fusion.fallback or first
         notes[PLAIN] = f"{best.name} alone: {fusion.failure}"

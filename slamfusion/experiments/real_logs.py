@@ -208,7 +208,6 @@ def _compare_on_log(
     made = fuse_in_every_way(
         produced,
         scans,
-        {},
         config,
         device,
         saved=others,

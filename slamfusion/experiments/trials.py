@@ -285,7 +285,6 @@ def measure_trial(
     made = fuse_in_every_way(
         produce_maps(fed, config, device, tell),
         seen,
-        fed,
         config,
         device,
         harmed=trial.harmed,

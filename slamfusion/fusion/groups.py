@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from statistics import median
@@ -100,7 +100,6 @@ def align_group(
     progress: Progress | None = None,
     second_look: SecondLook | None = None,
     starts: Starts | None = None,
-    in_part: Collection[str] = (),
     executor: Executor | None = None,
 ) -> AlignedGroup:
     """Align pairs, find the groups that fit together, and choose their frames.
@@ -113,7 +112,7 @@ def align_group(
         config: settings of the search; ``reference`` may name the reference.
         device: computes.
         names: all inputs, in order.
-        progress, second_look, starts, in_part, executor: see ``fuse_grids``.
+        progress, second_look, starts, executor: see ``fuse_grids``.
 
     Raises:
         AlignmentError: fewer than two of several inputs agree; ``pairs`` holds the alignments.
@@ -139,8 +138,8 @@ def align_group(
     elif not found or len(found[0].members) < LEAST_FUSED:
         raise _nothing_fused(names, pairs, reasons)
     group = found[0]
-    reference = choose_reference(group.members, features, config.reference, names, in_part)
-    anchor = _most_agreeing(_whole(group.members, in_part), pairs)
+    reference = choose_reference(group.members, features, config.reference, names)
+    anchor = _most_agreeing(group.members, pairs)
     alignments = _to_reference(reference, anchor, group, features, pairs)
     left_out = {
         name: _left_out(name, reference, group, pairs, implied)
@@ -303,7 +302,6 @@ def choose_reference(
     features: Mapping[str, GridFeatures],
     wanted: str | None,
     names: Sequence[str],
-    in_part: Collection[str] = (),
 ) -> str:
     """Return the name of the member in whose frame and lattice the fused map is.
 
@@ -311,16 +309,15 @@ def choose_reference(
         members: of the group, in the order of the inputs.
         features: of the members.
         wanted: the setting: a name or an index of the inputs, or ``SMALLEST``; None: the first
-            member, one that shows a part only if all do.
+            member.
         names: all inputs, in order.
-        in_part: see ``fuse_grids``.
 
     Raises:
         ConfigError: the wanted one is no input, or was rejected.
     """
     name = named_input(wanted, names)
     if name == SMALLEST and name not in names:
-        return _smallest(members, features, in_part)
+        return _smallest(members, features)
     if name is not None:
         if name not in members:
             state = "was rejected" if name in names else "is none of them"
@@ -329,12 +326,7 @@ def choose_reference(
                 f"{', '.join(members)}"
             )
         return name
-    return _whole(members, in_part)[0]
-
-
-def _whole(members: Sequence[str], in_part: Collection[str]) -> Sequence[str]:
-    """Return the members that show all of their place; all members where none does."""
-    return [name for name in members if name not in in_part] or members
+    return members[0]
 
 
 def _most_agreeing(members: Sequence[str], pairs: Sequence[Alignment]) -> str:
@@ -355,14 +347,11 @@ def _most_agreeing(members: Sequence[str], pairs: Sequence[Alignment]) -> str:
     return max(agreement, key=lambda name: agreement[name])
 
 
-def _smallest(
-    members: Sequence[str], features: Mapping[str, GridFeatures], in_part: Collection[str] = ()
-) -> str:
-    """Return the member of the smallest known box; one that shows a part only if all do.
+def _smallest(members: Sequence[str], features: Mapping[str, GridFeatures]) -> str:
+    """Return the member of the smallest known box.
 
     Members that know less than half the group's median known area do not count.
     """
-    members = _whole(members, in_part)
     typical = median(features[name].known_cells for name in members)
     grown = [
         name for name in members if features[name].known_cells >= REFERENCE_AREA_SHARE * typical

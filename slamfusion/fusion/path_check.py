@@ -43,10 +43,6 @@ from slamfusion.geometry import (
 from slamfusion.grid import OccupancyGrid
 from slamfusion.trajectory import Trajectory
 
-# Of each path that has no vote for some of the drive, by its name: at which of its poses it has
-# one, (N,) bool.
-Votes = Mapping[str, npt.NDArray[np.bool_]]
-
 # Of two paths each pose of one is held against where the other was at its time, which is known
 # between two of its poses that are no farther apart, or beside one, seconds: a path need not be
 # told for the whole drive, and at 1 m/s the pose of a second ago is a metre away.
@@ -79,7 +75,7 @@ class PathsApartError(AlignmentError):
 
 @dataclass(frozen=True, eq=False)
 class PathGap:
-    """How far two paths of one drive lie apart in one frame, also while one has no vote."""
+    """How far two paths of one drive lie apart in one frame."""
 
     a: str
     """One producer."""
@@ -93,41 +89,23 @@ class PathGap:
     """How far apart they begin, metres."""
     median_yaw_rad: float = field(init=False)
     """Median of the differences of the headings, 0 to pi, radians."""
-    voting_median_m: float | None = field(init=False)
-    """``median_m`` over the times in which both have a vote; null where there are none."""
-    voting_max_m: float | None = field(init=False)
-    """``max_m`` over the times in which both have a vote; null where there are none."""
     stamps_s: npt.NDArray[np.float64] = field(repr=False)
     """(N,), of the poses of ``a`` at whose time it is known where ``b`` is."""
     gaps_m: npt.NDArray[np.float64] = field(repr=False)
     """(N,), distance to where ``b`` is then."""
     yaws_rad: npt.NDArray[np.float64] = field(repr=False)
     """(N,), difference of the headings then, 0 to pi."""
-    both_vote: npt.NDArray[np.bool_] = field(repr=False)
-    """(N,), whether both have a vote then."""
 
     def __post_init__(self) -> None:
-        gaps_m, voting_m = self.gaps_m, self.gaps_m[self.both_vote]
+        gaps_m = self.gaps_m
         figures = {
             "median_m": float(np.median(gaps_m)),
             "max_m": float(gaps_m.max()),
             "start_m": float(gaps_m[0]),
             "median_yaw_rad": float(np.median(self.yaws_rad)),
-            "voting_median_m": float(np.median(voting_m)) if len(voting_m) else None,
-            "voting_max_m": float(voting_m.max()) if len(voting_m) else None,
         }
         for name, value in figures.items():
             object.__setattr__(self, name, value)
-
-    @property
-    def voting(self) -> PathGap | None:
-        """The same while both have a vote; None where they never do."""
-        kept = self.both_vote
-        if not kept.any():
-            return None
-        return PathGap(
-            self.a, self.b, self.stamps_s[kept], self.gaps_m[kept], self.yaws_rad[kept], kept[kept]
-        )
 
     @property
     def late_m(self) -> float:
@@ -135,17 +113,11 @@ class PathGap:
         return float(np.quantile(self.gaps_m, 0.75))
 
     def sentence(self) -> str:
-        """Say how far the paths are apart over the drive and, if it differs, while both vote."""
-        words = (
+        """Say how far the paths are apart over the drive."""
+        return (
             f"{self.a} and {self.b} are {self.median_m:.2f} m apart over the drive (median; "
             f"{self.max_m:.2f} m at most)"
         )
-        if self.both_vote.all():
-            return words
-        if self.voting_median_m is None:
-            return f"{words}, and never vote at one time"
-        while_both = f"{self.voting_median_m:.2f} m while both vote ({self.voting_max_m:.2f} m"
-        return f"{words}, {while_both} at most)"
 
 
 def moved_path(path: Trajectory, transform: Pose2) -> Trajectory:
@@ -158,23 +130,18 @@ def moved_path(path: Trajectory, transform: Pose2) -> Trajectory:
     return Trajectory(path.stamps_s, moved_poses(transform, path.poses), path.name)
 
 
-def path_gaps(paths: Mapping[str, Trajectory], votes: Votes | None = None) -> tuple[PathGap, ...]:
-    """Return how far every two paths lie apart, also while one of them has no vote.
+def path_gaps(paths: Mapping[str, Trajectory]) -> tuple[PathGap, ...]:
+    """Return how far every two paths lie apart.
 
     Args:
         paths: by producer, all in one frame, at least one pose each.
-        votes: when those of them vote that do not do so for all of the drive.
     """
-    has_vote = {name: np.ones(len(path), dtype=np.bool_) for name, path in paths.items()}
-    has_vote |= votes or {}
     gaps = []
     for (a, path), (b, other) in itertools.combinations(paths.items(), 2):
         at, there = _together(path, other)
         apart = np.hypot(*(path.poses[at, :2] - there[:, :2]).T)
         turned = np.abs(wrap_angles(path.poses[at, 2] - there[:, 2]))
-        stamps_s = path.stamps_s[at]
-        both_vote = has_vote[a][at] & has_vote[b][other.nearest(stamps_s)]
-        gaps.append(PathGap(a, b, stamps_s, apart, turned, both_vote))
+        gaps.append(PathGap(a, b, path.stamps_s[at], apart, turned))
     return tuple(gaps)
 
 
@@ -307,12 +274,10 @@ def fuse_with_paths(
     device: ComputeDevice,
     progress: Callable[[str, float, int], None] | None = None,
     starts: Starts | None = None,
-    votes: Votes | None = None,
 ) -> tuple[FusionResult, tuple[PathGap, ...]]:
     """Fuse maps; leave out a producer whose path then lies elsewhere than those of the others.
 
-    Maps that the walls alone leave open are placed by their paths. Where a path was while it has no
-    vote counts for neither.
+    Maps that the walls alone leave open are placed by their paths.
 
     Args:
         grids: see ``fuse_grids``.
@@ -322,8 +287,6 @@ def fuse_with_paths(
         limit_m: two paths agree when their median gap is at most this, metres.
         device: computes.
         progress, starts: see ``fuse_grids``.
-        votes: when those of them vote that do not do so for all of the drive; their maps show a
-            part of it.
 
     Returns:
         The fusion, and the gaps between the paths of all producers whose walls fit, also of those
@@ -332,19 +295,17 @@ def fuse_with_paths(
     Raises:
         AlignmentError: fewer than two inputs fit; ``PathsApartError``: or are left for their paths.
     """
-    votes = votes or {}
-    counting = {name: _voting(path, votes.get(name)) for name, path in paths.items()}
 
     def look(pair: Alignment, maps: Pair) -> Alignment:
-        return place_by_path(pair, maps, counting, limit_m)
+        return place_by_path(pair, maps, paths, limit_m)
 
-    result = fuse_grids(grids, config, device, progress, look, starts, votes)
+    result = fuse_grids(grids, config, device, progress, look, starts)
     placed = {
         record.name: moved_path(paths[record.name], record.alignment.transform)
         for record in result.accepted
         if record.name in paths and record.alignment is not None
     }
-    gaps = path_gaps(placed, votes)
+    gaps = path_gaps(placed)
     _, reasons = agreeing(tuple(placed), gaps, limit_m)
     if not reasons:
         return result, gaps
@@ -353,7 +314,7 @@ def fuse_with_paths(
         message = f"the walls of the maps fit, but the paths do not, so nothing is fused ({words})"
         raise PathsApartError(message, result.pairs, gaps)
     rest = [grid for grid in grids if grid.name not in reasons]
-    again = fuse_grids(rest, config, device, second_look=look, starts=starts, in_part=votes)
+    again = fuse_grids(rest, config, device, second_look=look, starts=starts)
     kept = {record.name: record for record in again.inputs}
     inputs = [
         kept[record.name]
@@ -376,10 +337,10 @@ def agreeing(
 
     Args:
         names: the producers, in order.
-        gaps: between every two of them; while both have a vote they count, or ever if never.
+        gaps: between every two of them.
         limit_m: two paths agree when their median gap is at most this, metres.
     """
-    found = {frozenset((gap.a, gap.b)): gap.voting or gap for gap in gaps}
+    found = {frozenset((gap.a, gap.b)): gap for gap in gaps}
     if len(names) < 2:
         return tuple(names), {}
     for late_limit_m in (LOST_LIMITS * limit_m, math.inf):
@@ -388,13 +349,6 @@ def agreeing(
             out = [name for name in names if name not in members]
             return members, {name: _why(name, members, found) for name in out}
     return (), {name: _why(name, names, found) for name in names}
-
-
-def _voting(path: Trajectory, has_vote: npt.NDArray[np.bool_] | None) -> Trajectory:
-    """Return a path without the poses at which it has no vote."""
-    if has_vote is None:
-        return path
-    return Trajectory(path.stamps_s[has_vote], path.poses[has_vote], path.name)
 
 
 def _largest_group(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
@@ -31,7 +31,6 @@ def fuse_grids(
     progress: Progress | None = None,
     second_look: SecondLook | None = None,
     starts: Starts | None = None,
-    in_part: Collection[str] = (),
     executor: Executor | None = None,
 ) -> FusionResult:
     """Bring the grids into one frame and let them vote.
@@ -44,8 +43,6 @@ def fuse_grids(
         second_look: what else is known of a pair: given each alignment, returns the one that is
             believed; None: the walls alone decide.
         starts: where the inputs are expected; a pair of which both are is searched only there.
-        in_part: names of inputs that do not show all of their place: they are not the reference,
-            whose box the fused map may have, where there is another.
         executor: aligns pairs, on devices like this one, see ``slamfusion.fleet``; None: they are
             aligned here.
 
@@ -58,7 +55,7 @@ def fuse_grids(
         MemoryBudgetError: the grids are too large for the memory that is free.
     """
     began = time.perf_counter()
-    aligned = align_inputs(grids, config, device, progress, second_look, starts, in_part, executor)
+    aligned = align_inputs(grids, config, device, progress, second_look, starts, executor)
     result = vote_in_memory(grids, aligned.groups, aligned.lattices, aligned.others, config, device)
     return replace(result, pairs=aligned.pairs, time_s=time.perf_counter() - began)
 
@@ -87,7 +84,6 @@ def align_inputs(
     progress: Progress | None = None,
     second_look: SecondLook | None = None,
     starts: Starts | None = None,
-    in_part: Collection[str] = (),
     executor: Executor | None = None,
     *,
     is_stored: bool = False,
@@ -95,7 +91,7 @@ def align_inputs(
     """Bring the grids into one frame; see ``fuse_grids``.
 
     Args:
-        grids, config, device, progress, second_look, starts, in_part, executor: as there.
+        grids, config, device, progress, second_look, starts, executor: as there.
         is_stored: the vote will be held tile by tile, and take no memory to speak of.
 
     Raises:
@@ -113,7 +109,7 @@ def align_inputs(
     try:
         group = align_group(
             prepared.features, reasons, config, device, names, progress, second_look, starts,
-            in_part, executor,
+            executor,
         )  # fmt: skip
     except AlignmentError as error:
         whole = [grid for grid in voters if grid.name not in prepared.reasons]

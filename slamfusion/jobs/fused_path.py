@@ -11,15 +11,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TypedDict
 
-import numpy as np
-import numpy.typing as npt
-
 from slamfusion.align.records import FusionResult
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.evaluation import WallThickness, doubled_wall_share, wall_thickness
 from slamfusion.evidence import (
-    Exclusions,
     FusedPath,
     PathEvidence,
     RefinedPath,
@@ -47,8 +43,6 @@ class FusedPathJson(MeasuresJson):
     """Its poses."""
     trust: Mapping[str, float]
     """Weight of each path in the fused path, from the scans, 0 to 1."""
-    excluded_share: Mapping[str, float]
-    """Share of each path's poses that had no weight, as it had left the others, 0 to 1."""
     refinement: RefinedPath | None
     """What laying all scans on each other made of it; null where the scans could not be asked."""
 
@@ -72,13 +66,11 @@ class DrivePath:
         fused: the path, in the frame of one of the producers' paths, or after ``in_fused_frame`` in
             that of the fused map.
         trust: how much each producer's path was believed, by name, 0 to 1.
-        excluded_share: share of each producer's poses that had no weight, by name, 0 to 1.
         refined: what laying all scans on each other made of it; None where there was no evidence.
     """
 
     fused: FusedPath
     trust: Mapping[str, float]
-    excluded_share: Mapping[str, float]
     refined: RefinedPath | None = None
     measures: Measures = field(default_factory=Measures)
 
@@ -109,16 +101,12 @@ class DrivePath:
             "file": str(file),
             "poses": len(self.trajectory),
             "trust": dict(self.trust),
-            "excluded_share": dict(self.excluded_share),
             "refinement": self.refined,
         }
 
 
 def fuse_weighed_paths(
-    paths: Mapping[str, Trajectory],
-    evidence: PathEvidence | None,
-    exclusions: Exclusions | None,
-    device: ComputeDevice,
+    paths: Mapping[str, Trajectory], evidence: PathEvidence | None, device: ComputeDevice
 ) -> DrivePath:
     """Make one path of several, each believed as far as the scans bear it out.
 
@@ -129,22 +117,14 @@ def fuse_weighed_paths(
         GraphError: the equations cannot be solved.
     """
     trust = dict.fromkeys(paths, 1.0) if evidence is None else trust_in_paths(evidence)
-    votes = {
-        name: np.ones(len(path), dtype=np.bool_)
-        if exclusions is None
-        else exclusions.votes_at(name, path.stamps_s)
-        for name, path in paths.items()
-    }
-    weights: dict[str, npt.ArrayLike] = {name: trust[name] * votes[name] for name in paths}
     closers = loop_closers(paths)
     drifting = [name for name in paths if name not in closers]
-    fused = fuse_paths(paths, weights, sharing_fault=drifting, name=FUSED)
+    fused = fuse_paths(paths, trust, sharing_fault=drifting, name=FUSED)
     refined = None
     if evidence is not None:
         refined = refine_borne_out(evidence, fused.trajectory, device)
         fused = replace(fused, trajectory=refined.path)
-    shares = {name: float((~own).mean()) for name, own in votes.items()}
-    return DrivePath(fused, trust, shares, refined)
+    return DrivePath(fused, trust, refined)
 
 
 def draw_like(

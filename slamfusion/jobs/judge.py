@@ -20,11 +20,9 @@ from slamfusion.evaluation import (
     result_rows,
 )
 from slamfusion.evidence import (
-    Exclusions,
     PathEvidence,
     RankedPath,
     Recommendation,
-    find_exclusions,
     judged_scans,
     recommend,
     score_paths,
@@ -273,12 +271,11 @@ def judge_paths(
     read = {name: on_clock(path, wheels, offset) for name, path in read.items()}
     evidence = score_paths(scans, read, device)
     made, fused = None, None
-    exclusions = find_exclusions(evidence, device)
     if files.fused is not None:
-        made, fused = _fuse(read, evidence, exclusions, device), FUSED
+        made, fused = _fuse(read, evidence, device), FUSED
         if made.refined is not None:
             evidence = made.refined.evidence
-    found = recommend(evidence, tuple(read), exclusions, device, fused=fused)
+    found = recommend(evidence, tuple(read), device, fused=fused)
     every = read if made is None else {**read, FUSED: made.trajectory}
     found = _with_sensor_faults(found, wheels, every.get(found.path or ""), warn)
     measures, not_measured = {}, []
@@ -367,10 +364,7 @@ def _check_fused(files: JudgeFiles) -> None:
 
 
 def _fuse(
-    paths: Mapping[str, Trajectory],
-    evidence: PathEvidence,
-    exclusions: Exclusions,
-    device: ComputeDevice,
+    paths: Mapping[str, Trajectory], evidence: PathEvidence, device: ComputeDevice
 ) -> DrivePath:
     """Make one path of several, each at the scans that it has a pose for or odometry gives one."""
     at_scans = {}
@@ -379,4 +373,4 @@ def _fuse(
             at_scans[name] = path_at_scans(path, evidence.scans)
         except TrajectoryError as error:
             raise TrajectoryError(f"{name}: {error}") from error
-    return fuse_weighed_paths(at_scans, evidence, exclusions, device)
+    return fuse_weighed_paths(at_scans, evidence, device)

@@ -1,10 +1,10 @@
 """``LiveDrive``: what the scans of a drive say of several SLAMs while it lasts, and one path.
 
-The method is that of ``run``: predictive consistency scores the paths, ``find_exclusions`` finds
-when a path has left the others, and ``fuse_weighed_paths`` makes one path of all, along which all
-scans are aligned. An input is doubted if it has parted from that path and the scans surely support
-the path more. The method is applied to the whole drive so far now and then, and in between to the
-last ``WINDOW_S`` seconds, whose path continues that of the whole drive.
+The method is that of ``run``: predictive consistency scores the paths, and ``fuse_weighed_paths``
+makes one path of all, along which all scans are aligned. An input is doubted if it has parted from
+that path and the scans surely support the path more. The method is applied to the whole drive so
+far now and then, and in between to the last ``WINDOW_S`` seconds, whose path continues that of the
+whole drive.
 
 The cost of a solution is bounded, and so is the memory. A solution of the whole drive takes
 ``MOST_SCANS`` scans and ``MOST_HITS`` hits at most. Of more scans every second one is dropped,
@@ -21,17 +21,10 @@ import numpy as np
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.errors import SlamFusionError
-from slamfusion.evidence import (
-    JudgedScans,
-    PathEvidence,
-    cover_stamps,
-    find_exclusions,
-    judged_scans,
-    score_paths,
-)
+from slamfusion.evidence import JudgedScans, PathEvidence, cover_stamps, judged_scans, score_paths
 from slamfusion.evidence.beams import CHUNKS
 from slamfusion.evidence.drawn_map import DrawnScan, draw_map, drawn_scans
-from slamfusion.evidence.exclusion import path_spans
+from slamfusion.evidence.parting import path_spans
 from slamfusion.evidence.path_frames import fit_onto
 from slamfusion.fusion.live import Evidence
 from slamfusion.fusion.path_check import moved_path
@@ -315,7 +308,7 @@ def _solved(
 ) -> DrivePath:
     """Score paths on scans and make one of them, as ``run`` does."""
     evidence = score_paths(judged, paths, device)
-    return fuse_weighed_paths(paths, evidence, find_exclusions(evidence, device), device)
+    return fuse_weighed_paths(paths, evidence, device)
 
 
 def _doubts(evidence: PathEvidence) -> dict[str, float]:

@@ -21,11 +21,9 @@ from slamfusion.config import FusionMode, RunConfig
 from slamfusion.errors import AlignmentError, SlamFusionError, TrajectoryError
 from slamfusion.evaluation import on_clock
 from slamfusion.evidence import (
-    Exclusions,
     JudgedScans,
     PathEvidence,
     Recommendation,
-    find_exclusions,
     judged_scans,
     recommend,
     score_paths,
@@ -39,7 +37,7 @@ from slamfusion.jobs.cases import CaseFile
 from slamfusion.jobs.evaluate import evaluate_maps
 from slamfusion.jobs.fuse import AllRequiredError
 from slamfusion.jobs.fuse_documents import DoubledWalls, left_out_sentences
-from slamfusion.jobs.fuse_drive import DriveFusion, Filling, Layers, draw_layers, fuse_layers
+from slamfusion.jobs.fuse_drive import DriveFusion, fuse_drive
 from slamfusion.jobs.fused_path import DrivePath, draw_like, fuse_weighed_paths
 from slamfusion.jobs.inputs import (
     RUN_DEFAULTS,
@@ -80,7 +78,6 @@ class LogRun:
         saved_maps: files of other SLAMs' maps that voted too.
         saved_paths: the paths of these that were given, by the maps' names.
         grids: the producers' maps, then the saved ones.
-        layers: what took part in the vote of these, and who has none for some of the drive.
         fusion: the outcome of fusing them, also where it may not be used.
         fused_path: one path made of the producers' paths; None where fewer than two have one, or
             where no fused map may be used.
@@ -108,7 +105,6 @@ class LogRun:
     config: RunConfig
     outcomes: tuple[Outcome, ...]
     grids: tuple[OccupancyGrid, ...]
-    layers: Layers
     fusion: DriveFusion
     fused_path: DrivePath | None
     drawn: OccupancyGrid | None
@@ -160,7 +156,6 @@ class LogRun:
         found = [f"no map: {outcome.name}: {outcome.reason}" for outcome in self.failed]
         if self.fusion.result is not None:
             found += left_out_sentences(self.fusion.result)
-        found += self.layers.sentences()
         by_sentence: dict[str, list[str]] = {}
         for name, result in self.results.items():
             for sentence in result.run.warnings():
@@ -269,26 +264,20 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
             device,
             lambda name, why: stages.troubles.append(f"{name}: its path was not used: {why}"),
         )
-        exclusions = None if evidence is None else find_exclusions(evidence, device)
 
     # Make one path of all.
     fused_path: DrivePath | None = None
     with stages.timed("path"):
         if len(paths) >= LEAST_FUSED:
             fused_path = stages.attempt(
-                "the fused path", None, fuse_weighed_paths, paths, evidence, exclusions, device
+                "the fused path", None, fuse_weighed_paths, paths, evidence, device
             )
 
-    # Vote, without what producers drew after they had left the others.
+    # Vote.
     with stages.timed("fusion"):
-        filling = None if fused_path is None else Filling(fused_path.trajectory, scans)
-        layers = stages.attempt(
-            "the layers of the vote",
-            Layers.as_made(grids, paths),
-            draw_layers, grids, paths, exclusions, lambda _: scans(), device, filling,
-        )  # fmt: skip
-        fusion = fuse_layers(
-            layers,
+        fusion = fuse_drive(
+            grids,
+            paths,
             voting_config(config),
             device,
             shared_frame=not others,
@@ -312,7 +301,7 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
         if fused_path is not None and fused_path.refined is not None:
             evidence = fused_path.refined.evidence
         recommendation = _recommend(
-            paths, evidence, exclusions, fused_path, fusion, device, is_fused=usable is not None
+            paths, evidence, fused_path, fusion, device, is_fused=usable is not None
         )
         if recommendation is not None:
             every = paths if fused_path is None else {**paths, FUSED: fused_path.trajectory}
@@ -367,7 +356,6 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
         config=config,
         outcomes=outcomes,
         grids=grids,
-        layers=layers,
         fusion=fusion,
         fused_path=fused_path,
         drawn=drawn,
@@ -494,7 +482,6 @@ def _why_not_fused(
 def _recommend(
     paths: Mapping[str, Trajectory],
     evidence: PathEvidence | None,
-    exclusions: Exclusions | None,
     fused_path: DrivePath | None,
     fusion: DriveFusion,
     device: ComputeDevice,
@@ -503,12 +490,12 @@ def _recommend(
 ) -> Recommendation | None:
     """Say which map and path to use; None if there is no map."""
     fallback = None if fusion.fallback is None else fusion.fallback.name
-    if evidence is None or exclusions is None:
+    if evidence is None:
         path = FUSED if fused_path is not None else fallback if fallback in paths else None
         use = FUSED if is_fused else fallback
         return None if use is None else Recommendation(use, path, fallback)
     frames = paths if fused_path is None else {**paths, FUSED: fused_path.trajectory}
-    found = recommend(evidence, tuple(paths), exclusions, device, fused=FUSED, frames=frames)
+    found = recommend(evidence, tuple(paths), device, fused=FUSED, frames=frames)
     is_one_map = found.path == FUSED or (is_fused and fused_path is None)
     return replace(found, use=FUSED if is_one_map else found.path)
 

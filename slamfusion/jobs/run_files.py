@@ -14,7 +14,6 @@ from slamfusion.fusion.path_check import PathGap
 from slamfusion.io import AtomicFiles, save_map, write_tum
 from slamfusion.jobs.documents import circumstances, record_bytes
 from slamfusion.jobs.fuse_documents import FusionJson, failure_document, fusion_document
-from slamfusion.jobs.fuse_drive import PartialVote
 from slamfusion.jobs.fused_path import DrawnMapJson, FusedPathJson, drawn_document
 from slamfusion.jobs.map_log import LogFilesJson, ProducerJson, add_run
 from slamfusion.jobs.outputs import (
@@ -100,8 +99,6 @@ class RunDocument(FusionJson, RunFilesJson, CircumstancesJson):
     """YAML file of the agreement map; null where nothing was fused."""
     best_founded: str | None
     """Where nothing was fused, the map of ``recommendation``; else null."""
-    partial_votes: Sequence[PartialVote]
-    """Producers that have no vote for the time in which they left the others."""
     path_gaps: Sequence[PathGap]
     """Between every two producers' paths in the fused frame."""
     path_evidence: Sequence[RankedPath]
@@ -257,7 +254,6 @@ def run_document(
         "why_voted": run.why_voted,
         "agreement": None if usable is None else str(files[AGREEMENT][0]),
         "best_founded": None if usable is not None or found is None else found.use,
-        "partial_votes": run.layers.partial,
         "path_gaps": run.fusion.gaps,
         "recommendation": found,
         "path_evidence": [] if found is None else found.paths,

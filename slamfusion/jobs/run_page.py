@@ -48,7 +48,6 @@ from slamfusion.report.page import (
 from slamfusion.report.series import broken, drawable, series_picture
 from slamfusion.slam.common.mapper import Series
 from slamfusion.slam.common.runner import ProducerRun
-from slamfusion.trajectory import flag_runs
 
 BYTES_PER_MB = 1e6
 # What the path is called that is made of those of the producers; among those of the verdict; and
@@ -162,14 +161,10 @@ def _facts(run: LogRun) -> list[Fact]:
         facts.append(Fact(f"{length_m:.0f} m in {duration_s:.0f} s", f"drive, {first.scans} scans"))
     if result is not None:
         facts += fusion_facts(result, len(run.failed))
-    for gaps, when in (
-        (all_gaps, "over the drive"),
-        ([gap.voting for gap in all_gaps if not gap.both_vote.all()], "while both vote"),
-    ):
-        widest = max((gap.median_m for gap in gaps if gap is not None), default=None)
-        if widest is not None:
-            what = f"between the paths farthest apart in the fused map, {when} (median)"
-            more.append(Fact(f"{widest:.2f} m", what))
+    if all_gaps:
+        widest = max(gap.median_m for gap in all_gaps)
+        what = "between the paths farthest apart in the fused map (median)"
+        more.append(Fact(f"{widest:.2f} m", what))
     more += [fact for item in _measured_paths(run) for fact in error_facts(item)]
     more += [Fact(f"{item.error:.1f}", f"{item.name}: map error [F16]") for item in run.evaluations]
     time = Fact(f"{sum(run.stages.values()):.1f} s", "for all, without this page")
@@ -205,11 +200,7 @@ def _strip(run: LogRun) -> list[Picture]:
     answer, evidence = run.recommendation, run.evidence
     if answer is None or evidence is None:
         return []
-    no_vote = {
-        own.name: [(span.from_s, span.to_s) for span in own.excluded_spans]
-        for own in run.layers.partial
-    }
-    return [strip_picture(answer, no_vote, path_colours(answer, evidence, _colours(run)))]
+    return [strip_picture(answer, path_colours(answer, evidence, _colours(run)))]
 
 
 def _drive_section(run: LogRun) -> Section:
@@ -339,52 +330,36 @@ def _paths_section(run: LogRun) -> Section:
             )
             for gap in gaps
         ]
-        shaded = {f"{gap.a} to {gap.b}": _without_vote(gap) for gap in gaps}
         start_s = float(gaps[0].stamps_s[0])
         pictures.append(
             Picture(
                 "path-gaps",
-                series_picture(over_time, start_s=start_s, shaded=shaded),
+                series_picture(over_time, start_s=start_s),
                 "Distance between the paths in the fused map",
                 "All SLAMs ran on one robot: where two paths part, one of them or the alignment of "
-                "their maps is wrong. Shaded: one of the two has no vote.",
+                "their maps is wrong.",
             )
         )
         tables.append(_gaps_table(gaps, limit_m))
     return Section("Paths", "", pictures, tables)
 
 
-def _without_vote(gap: PathGap) -> list[tuple[float, float]]:
-    """Return the times, stamps in seconds, in which one of two paths has no vote."""
-    last = len(gap.stamps_s) - 1
-    return [
-        (float(gap.stamps_s[here.start]), float(gap.stamps_s[min(here.stop, last)]))
-        for here in flag_runs(~gap.both_vote)
-    ]
-
-
 def _gaps_table(gaps: Sequence[PathGap], limit_m: float) -> Table:
-    """Return how far every two paths are apart, over the drive and while both have a vote."""
-
-    def while_voting(gap: PathGap) -> Cell:
-        median_m = None if gap.voting is None else gap.voting.median_m
-        tone = "bad" if median_m is not None and median_m > limit_m else "plain"
-        return number(median_m, tone=tone)
-
+    """Return how far every two paths are apart over the drive."""
     return Table.of(
         "The paths against each other",
         gaps,
         {
             "paths": lambda gap: f"{gap.a} to {gap.b}",
-            "at the start [m]": lambda gap: number(float(gap.gaps_m[0])),
-            "median [m]": lambda gap: number(gap.median_m),
+            "at the start [m]": lambda gap: number(gap.start_m),
+            "median [m]": lambda gap: number(
+                gap.median_m, tone="bad" if gap.median_m > limit_m else "plain"
+            ),
             "at most [m]": lambda gap: number(gap.max_m),
             "median yaw °": lambda gap: number(math.degrees(gap.median_yaw_rad), 2),
-            "median m, both vote": while_voting,
-            "at most m, both vote": lambda gap: number(gap.voting.max_m if gap.voting else None),
         },
-        "In the fused map. A SLAM whose path is more than "
-        f"{limit_m:g} m (median, while both vote) from those of the others has no vote.",
+        f"In the fused map. A SLAM whose path is more than {limit_m:g} m (median) from those of "
+        "the others has no vote.",
     )
 
 

@@ -176,10 +176,6 @@ def _finished(title: str) -> Finished:
 def _events(record: Mapping[str, Any]) -> Iterator[tuple[float, Literal["ok", "warn"], str]]:
     for number, place in enumerate((record.get("recommendation") or {}).get("check", ()), start=1):
         yield place["from_s"], "warn", f"place {number} to check: {place['what']}"
-    for vote in record.get("partial_votes") or ():
-        for span in vote["excluded_spans"]:
-            yield span["from_s"], "warn", f"{vote['name']} loses its vote: {span['ground']}"
-            yield span["to_s"], "ok", f"{vote['name']} votes again"
     for path in record.get("path_evidence") or ():
         for span in path["spans"]:
             if not span["agrees"]:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 from matplotlib.figure import Figure  # noqa: TID251
 
-from slamfusion.evidence.exclusion import PART_M, path_gap_m
+from slamfusion.evidence.parting import PART_M, path_gap_m
 from slamfusion.evidence.predictive import PathEvidence
 from slamfusion.evidence.recommendation import Recommendation
 from slamfusion.palette import DISAGREEMENT_RGB, NAMED, Rgb, colours_of
@@ -82,16 +82,8 @@ def place_lines(answer: Recommendation) -> list[tuple[str, str]]:
     ]
 
 
-def strip_picture(
-    answer: Recommendation,
-    no_vote: Mapping[str, Sequence[tuple[float, float]]],
-    colours: Mapping[str, Rgb],
-) -> Picture:
-    """Draw who was off when: a bar for each path over the drive, the places to check across them.
-
-    Args:
-        no_vote: by path, spans without a vote, seconds since the first scan.
-    """
+def strip_picture(answer: Recommendation, colours: Mapping[str, Rgb]) -> Picture:
+    """Draw who was off when: a bar for each path, and the places to check across them."""
     names = [path.name for path in answer.paths]
     figure, (axes,) = stacked_axes(1, 0.16 + 0.2 * len(names))
     for row, path in enumerate(answer.paths):
@@ -99,9 +91,6 @@ def strip_picture(
             colour = colours[path.name] if span.agrees else DISAGREEMENT_RGB
             extent = [(span.from_s, span.to_s - span.from_s)]
             axes.broken_barh(extent, (row - 0.3, 0.6), facecolor=unit_rgb(colour))
-        spans = [(from_s, to_s - from_s) for from_s, to_s in no_vote.get(path.name, ())]
-        hatched = axes.broken_barh(spans, (row - 0.3, 0.6), facecolor="none", linewidth=0.0)
-        hatched.set(edgecolor="white", hatch="////")
     for nth, place in enumerate(answer.check, start=1):
         axes.axvspan(place.from_s, place.to_s, color=INK, alpha=0.2, lw=0)
         middle_s = 0.5 * (place.from_s + place.to_s)
@@ -111,7 +100,7 @@ def strip_picture(
     axes.margins(x=0.0)
     label_axes(axes, x="time since the start [s]")
     legend = [LegendEntry(f"{PART_M:g} m or more from the recommended path", DISAGREEMENT_RGB)]
-    caption = "Hatched: no vote. Numbers and grey bands: the places to check."
+    caption = "Numbers and grey bands: the places to check."
     return Picture("who-was-off", figure, "Who was off when", caption, legend=tuple(legend))
 
 

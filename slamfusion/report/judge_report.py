@@ -33,7 +33,7 @@ def write_judge_report(
             that could not be measured is missing.
         not_measured: what could not be measured, a sentence each.
     """
-    strip = strip_picture(answer, {}, path_colours(answer, evidence, {}))
+    strip = strip_picture(answer, path_colours(answer, evidence, {}))
     sections = [Section("Over the drive", "", [strip]), evidence_section(answer, evidence)]
     known = {name: errors for name, errors in (errors_m or {}).items() if errors}
     if known:

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure  # noqa: TID251
 
 from slamfusion.palette import INK_RGB, Rgb
-from slamfusion.report.canvas import INK, label_axes, stacked_axes, unit_rgb, write_note
+from slamfusion.report.canvas import label_axes, stacked_axes, unit_rgb, write_note
 from slamfusion.slam.common.mapper import Series
 
 # Half the columns of a picture: each shows the least and the greatest of what falls on it.
 _COLUMNS = 400
-_SHADE = 0.25
 _FEW = 50
 # No line is drawn over a time so much longer than that between most values, and than this, seconds.
 _PAUSE, _PAUSE_S = 5.0, 2.0
@@ -38,11 +37,7 @@ def broken(
 
 
 def series_picture(
-    series: Sequence[Series],
-    *,
-    colours: Sequence[Rgb] = (),
-    start_s: float | None = None,
-    shaded: Mapping[str, Sequence[tuple[float, float]]] | None = None,
+    series: Sequence[Series], *, colours: Sequence[Rgb] = (), start_s: float | None = None
 ) -> Figure:
     """Draw quantities over time, axes above each other; series of one name share axes.
 
@@ -52,7 +47,6 @@ def series_picture(
         series: at least one, each ``drawable``.
         colours: of the line of each series; default: the same for all.
         start_s: stamp that counts as 0 s; default: the earliest of all series.
-        shaded: times that are shaded behind the line of a series, by its name: two stamps each.
     """
     first_s = min(float(item.stamps_s[0]) for item in series)
     begin = first_s if start_s is None else start_s
@@ -66,8 +60,6 @@ def series_picture(
         since, values = thinned(item.stamps_s - begin, item.values)
         marker = "o" if len(values) <= _FEW else ""  # one value alone makes no line
         place.plot(since, values, color=drawn, lw=0.9, marker=marker, ms=2.0)
-        for one_s, other_s in (shaded or {}).get(item.name, ()):
-            place.axvspan(one_s - begin, other_s - begin, color=INK, alpha=_SHADE, lw=0)
         if item.limit is not None:
             place.axhline(item.limit, color=drawn, lw=0.8, ls=":")
             write_note(place, f"limit {item.limit:.4g}" if len(series) == len(names) else "")

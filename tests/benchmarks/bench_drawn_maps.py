@@ -62,12 +62,7 @@ def measure(folder: Path, device: ComputeDevice) -> tuple[dict[str, MapError], d
     truth = load_map(folder / "truth.yaml")
     maps = {name: load_map(folder / f"{name}.yaml").with_name(name) for name in drive.paths}
     made = fuse_in_every_way(
-        DriveMaps(maps, drive.paths),
-        drive.scans,
-        drive.fed(),
-        config,
-        device,
-        drawn_cell_m=truth.resolution,
+        DriveMaps(maps, drive.paths), drive.scans, config, device, drawn_cell_m=truth.resolution
     )
     errors = {
         name: against_truth(grid, truth, config, device, same_heading=True)

@@ -28,14 +28,8 @@ from rich.table import Table
 
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.evaluation import trajectory_errors
-from slamfusion.evidence import (
-    choose_path,
-    find_displacements,
-    find_exclusions,
-    judged_scans,
-    score_paths,
-)
-from slamfusion.evidence.exclusion import PART_M
+from slamfusion.evidence import choose_path, find_displacements, judged_scans, score_paths
+from slamfusion.evidence.parting import PART_M
 from slamfusion.evidence.predictive import HitModel
 from slamfusion.geometry import compose_poses, invert_poses
 from slamfusion.io import LogScan
@@ -157,8 +151,7 @@ def judge_drive(folder: Path, device: ComputeDevice, model: HitModel) -> Iterato
         judged = judged_scans(scans)
         alone = score_paths(judged, parts, device, model)
         time_s = time.perf_counter() - began_s
-        exclusions = find_exclusions(alone, device)
-        fused = {FUSED: fuse_weighed_paths(parts, alone, exclusions, device).trajectory}
+        fused = {FUSED: fuse_weighed_paths(parts, alone, device).trajectory}
         evidence = score_paths(judged, {TRUTH: truth, **parts, **fused, **wrong}, device, model)
         contest = evidence.of_paths((TRUTH, *parts))
         _, taken, _ = choose_path(evidence.of_paths((*parts, FUSED)), parts, FUSED)

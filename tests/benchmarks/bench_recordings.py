@@ -24,7 +24,7 @@ from rich.table import Table
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import RunConfig
 from slamfusion.evaluation import doubled_wall_share
-from slamfusion.evidence import find_exclusions, judged_scans, score_paths
+from slamfusion.evidence import judged_scans, score_paths
 from slamfusion.evidence.drawn_map import draw_map, drawn_scans
 from slamfusion.evidence.path_frames import consensus_poses, lay_paths
 from slamfusion.io import LogScan, open_log, read_trajectory
@@ -99,9 +99,8 @@ def candidates(
 ) -> tuple[dict[str, Trajectory], dict[str, float]]:
     """Return every path that may be chosen, and what the even scans say of each."""
     evidence = score_paths(judged_scans(even), paths, device)
-    exclusions = find_exclusions(evidence, device)
     laid = lay_paths(paths)
-    refined = fuse_weighed_paths(paths, evidence, exclusions, device).refined
+    refined = fuse_weighed_paths(paths, evidence, device).refined
     assert refined is not None
     found = {
         **paths,

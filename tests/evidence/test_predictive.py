@@ -13,7 +13,6 @@ from slamfusion.compute import ComputeDevice, NumpyDevice
 from slamfusion.errors import LogError, TrajectoryError
 from slamfusion.evidence import JudgedScans, judged_scans, score_paths, with_path
 from slamfusion.evidence.beams import CHUNKS
-from slamfusion.evidence.predictive import without_scans
 from slamfusion.trajectory import Trajectory
 from tests.evidence.rooms import bent, circuit, moved, recorded
 from tests.support.examples import examples
@@ -97,25 +96,6 @@ def test_path_added_later_must_meet_a_scan(device: ComputeDevice, scans: JudgedS
     late = Trajectory(TRUTH.stamps_s + 1e6, TRUTH.poses)
     with pytest.raises(TrajectoryError, match=r"late: its poses are of .*give a path of this log"):
         with_path(evidence, "late", late, device)
-
-
-def test_scans_that_are_left_out_neither_draw_nor_are_judged(
-    device: ComputeDevice, scans: JudgedScans
-):
-    truth = circuit()
-    half = len(truth) // 2
-    torn = moved(truth, (0.5, 0.0, 0.0), first=half)
-    evidence = score_paths(scans, {"truth": truth, "torn": torn}, device)
-    second = np.arange(len(scans)) >= half
-    found = without_scans(evidence, ("torn", "truth"), second, device)
-    assert not found.is_judged[second].any()
-    assert found.scores["torn"].beams[second].sum() == 0
-    # Of the half that is left both tell the same.
-    assert np.array_equal(found.scores["torn"].sums, found.scores["truth"].sums)
-    first = slice(0, half)
-    assert evidence.scores["torn"].sums[first].sum() < evidence.scores["truth"].sums[first].sum()
-    with pytest.raises(TrajectoryError, match="every scan is left out"):
-        without_scans(evidence, ("truth",), np.ones(len(scans), dtype=np.bool_), device)
 
 
 def test_too_few_scans_are_refused():

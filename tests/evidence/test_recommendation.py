@@ -14,7 +14,6 @@ from slamfusion.evidence import (
     PathEvidence,
     Recommendation,
     find_displacements,
-    find_exclusions,
     judged_scans,
     recommend,
     score_paths,
@@ -41,8 +40,7 @@ def answer_of(
     evidence: PathEvidence, device: ComputeDevice, fused: str | None = None
 ) -> Recommendation:
     slams = [name for name in evidence.scores if name != fused]
-    exclusions = find_exclusions(evidence.of_paths(slams), device)
-    return recommend(evidence, slams, exclusions, device, fused=fused)
+    return recommend(evidence, slams, device, fused=fused)
 
 
 def place_at(path: Trajectory, at_s: float) -> tuple[float, float]:

@@ -39,7 +39,6 @@ from slamfusion.experiments.trials import (
     run_trials,
 )
 from slamfusion.grid import OccupancyGrid
-from slamfusion.jobs.fuse_drive import Layers
 from slamfusion.jobs.outputs import DRAWN
 from slamfusion.slam.registry import BUILT_IN, with_settings
 from slamfusion.trajectory import Trajectory
@@ -142,12 +141,11 @@ def test_where_no_two_maps_agree_the_fallback_map_counts_alone() -> None:
     }
     notes: dict[str, str] = {}
     config = replace(RunConfig(), fusion=fusion_config())
-    fused = vote_every_way(Layers.as_made(grids, paths), config, device, notes)
+    fused = vote_every_way(grids, paths, config, device, notes)
     (grid,) = {id(item): item for item in fused.values()}.values()
     assert grid is not None
     assert notes["majority"].startswith(f"{grid.name} alone: no two of the inputs")
-    nobody = Layers.as_made([], {})
-    assert vote_every_way(nobody, config, device, notes) == dict.fromkeys(FUSIONS)
+    assert vote_every_way([], {}, config, device, notes) == dict.fromkeys(FUSIONS)
 
 
 def test_failures_are_courses_times_lasers() -> None:

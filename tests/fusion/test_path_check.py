@@ -56,27 +56,7 @@ def test_gaps_are_measured_between_the_poses_of_one_moment() -> None:
     assert plain(gap) == {
         "a": "a", "b": "b", "median_m": pytest.approx(5.0), "max_m": pytest.approx(5.0),
         "start_m": pytest.approx(5.0), "median_yaw_rad": 0.0,
-        "voting_median_m": pytest.approx(5.0), "voting_max_m": pytest.approx(5.0),
     }  # fmt: skip
-
-
-def test_a_gap_is_known_also_while_one_path_has_no_vote() -> None:
-    poses = TRUE_PATH.poses.copy()
-    poses[20:, 1] += 2.0
-    paths = {"a": TRUE_PATH, "b": Trajectory(TRUE_PATH.stamps_s, poses, "b")}
-    (gap,) = path_gaps(paths, {"b": TRUE_PATH.stamps_s < 20.0})
-    assert gap.stamps_s.tolist() == TRUE_PATH.stamps_s.tolist()
-    assert gap.both_vote.tolist() == [True] * 20 + [False] * 30
-    assert (gap.median_m, gap.max_m) == (2.0, 2.0)
-    assert gap.voting is not None
-    assert (gap.voting.median_m, gap.voting.max_m) == (0.0, 0.0)
-    assert (gap.median_m, gap.voting_median_m) == (2.0, 0.0)
-    assert gap.sentence() == (
-        "a and b are 2.00 m apart over the drive (median; 2.00 m at most), "
-        "0.00 m while both vote (0.00 m at most)"
-    )
-    # What was far off without a vote is held against nobody.
-    assert agreeing(("a", "b"), [gap], 1.0) == (("a", "b"), {})
 
 
 # A robot that drives 1 m/s along x, and turns on its way.

@@ -363,19 +363,6 @@ def test_a_name_or_an_index_chooses_the_reference(device: ComputeDevice) -> None
         assert fuse_grids(grids, replace(QUICK, reference=wanted), device).reference == name
 
 
-def test_what_shows_a_part_is_no_reference_but_where_it_is_asked_for_or_all_do(
-    device: ComputeDevice,
-) -> None:
-    grids, _ = three()
-    usual = fuse_grids(grids, QUICK, device).reference
-    found = fuse_grids(grids, QUICK, device, in_part=[usual])
-    assert found.reference != usual
-    assert len(found.accepted) == 3
-    asked = replace(QUICK, reference=usual)
-    assert fuse_grids(grids, asked, device, in_part=[usual]).reference == usual
-    assert fuse_grids(grids, QUICK, device, in_part=["a", "b", "c"]).reference == usual
-
-
 @pytest.mark.parametrize(
     ("wanted", "words"),
     [("nobody", "is none of them"), ("7", "is none of them"), ("stranger", "was rejected")],

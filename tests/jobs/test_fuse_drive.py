@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from slamfusion.errors import AlignmentError
-from slamfusion.jobs.fuse_drive import Layers, fuse_layers
+from slamfusion.jobs.fuse_drive import fuse_drive
 from slamfusion.trajectory import Trajectory
 from tests.fusion.drawings import building
 from tests.jobs.maps import CONFIG, device
@@ -17,12 +17,12 @@ def test_where_nothing_is_fused_a_map_to_go_on_with_is_named() -> None:
         name: Trajectory(np.arange(2.0), np.array([[0.0, 0, 0], [9.0 * index, 0, 0]]))
         for index, name in enumerate("ab")
     }
-    none = fuse_layers(Layers.as_made([], {}), CONFIG, device(), shared_frame=True)
+    none = fuse_drive([], {}, CONFIG, device(), shared_frame=True)
     assert (none.result, none.fallback) == (None, None)
     assert "none of at least 2" in str(none.failure)
-    single = fuse_layers(Layers.as_made(grids[:1], paths), CONFIG, device(), shared_frame=True)
+    single = fuse_drive(grids[:1], paths, CONFIG, device(), shared_frame=True)
     assert single.fallback is grids[0]
-    apart = fuse_layers(Layers.as_made(grids, paths), CONFIG, device(), shared_frame=False)
+    apart = fuse_drive(grids, paths, CONFIG, device(), shared_frame=False)
     assert apart.result is None
     assert apart.fallback in grids
     assert len(apart.pairs) == 1

@@ -12,7 +12,7 @@ from scipy.spatial import KDTree
 from slamfusion.compute import NumpyDevice
 from slamfusion.errors import ConfigError, SlamFusionError, StartError
 from slamfusion.evaluation.distances import wall_centres
-from slamfusion.evidence import FusedPath, UndecidedSpan, judged_scans, score_paths
+from slamfusion.evidence import FusedPath, judged_scans, score_paths
 from slamfusion.evidence.drawn_map import drawn_scans
 from slamfusion.fusion.path_check import moved_path
 from slamfusion.geometry import Pose2
@@ -94,7 +94,6 @@ def assert_all_that_is_doubtful_is_told(run: LogRun, saved: SavedRun) -> None:
         run,
         outcomes=(*run.outcomes, Outcome("gmapping", None, "it was killed", "")),
         fusion=fusion,
-        layers=replace(run.layers, undecided=(UndecidedSpan(1.0, 2.0),)),
         results=results,
         no_verdict="no scan saw a wall twice",
         why_voted="there is no path",
@@ -111,7 +110,6 @@ def assert_all_that_is_doubtful_is_told(run: LogRun, saved: SavedRun) -> None:
         "no map: gmapping: it was killed",
         f"rejected: {first.name}: it fits nothing",
         f"{second.name}: a copy; --keep-duplicates counts each",
-        *less.layers.sentences(),
         "the scans could not be asked about the paths: no scan saw a wall twice",
         "the fused map is not drawn, the maps vote (consensus): there is no path",
     ]
@@ -288,7 +286,7 @@ def test_where_nothing_can_be_drawn_the_maps_vote(place: Path) -> None:
     a_map = written_map("a", "|#..#|")
     vote = DriveFusion(fits(a_map, a_map.with_name("b")))
     late = Trajectory(np.array([1e6, 1e6 + 1.0]), np.zeros((2, 3)), "fused")
-    no_scan = DrivePath(FusedPath(late, ("a", "b"), np.zeros((2, 2))), {}, {})
+    no_scan = DrivePath(FusedPath(late, ("a", "b"), np.zeros((2, 2))), {})
     for path, why in (
         (None, "fewer than two producers have a path"),
         (no_scan, "give a path of this"),

@@ -17,7 +17,7 @@ from slamfusion.evidence import FusedPath
 from slamfusion.fusion.path_check import moved_path, path_gaps
 from slamfusion.geometry import Pose2
 from slamfusion.jobs.fuse_documents import DoubledWalls
-from slamfusion.jobs.fuse_drive import DriveFusion, Layers
+from slamfusion.jobs.fuse_drive import DriveFusion
 from slamfusion.jobs.fused_path import DrivePath
 from slamfusion.jobs.map_log import LogFiles, ProducerResult
 from slamfusion.jobs.records import Evaluation
@@ -78,11 +78,9 @@ def everything() -> LogRun:
         config=CONFIG,
         outcomes=(*(Outcome(run.name, run, "", 4.0, 3.5, "numpy") for run in runs), died),
         grids=grids,
-        layers=Layers.as_made(grids, {}),
         fusion=DriveFusion(result, gaps),
         fused_path=DrivePath(
             FusedPath(path, NAMES, np.zeros((3, len(path)))),
-            {},
             {},
             measures=Measures(relation_errors(path, standing(path), 0.01), truth=errors),
         ),

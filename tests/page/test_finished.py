@@ -73,9 +73,6 @@ def write_run(folder: Path, **changes: Any) -> None:
             "confidence": "medium",
             "check": [{"from_s": 1, "to_s": 3.0, "x": 2.0, "y": -1.0, "what": "walls stand twice"}],
         },
-        "partial_votes": [
-            {"name": "b", "excluded_spans": [{"from_s": 2.0, "to_s": 4.5, "ground": "outvoted"}]}
-        ],
         "saved_maps": [],
         **changes,
     }
@@ -101,11 +98,7 @@ def test_a_run_is_shown_as_its_record_says(tmp_path: Path) -> None:
     assert status["places"] == [[2.0, -1.0]]
     events = [(item["stamp_s"], item["text"]) for item in texts(messages, "event")]
     # In the order of the drive, with its times.
-    assert events == [
-        (1.0, "place 1 to check: walls stand twice"),
-        (2.0, "b loses its vote: outvoted"),
-        (4.5, "b votes again"),
-    ]
+    assert events == [(1.0, "place 1 to check: walls stand twice")]
     places = {item["name"]: item["transform"] for item in status["inputs"]}
     assert places == {"a": [0, 0, 0], "b": [1, 2, 0.5], "c": None, "drawn": [0, 0, 0]}
     assert texts(messages, "trail") == [

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from slamfusion.compute import open_device
-from slamfusion.evidence import find_exclusions, judged_scans, recommend, score_paths
+from slamfusion.evidence import judged_scans, recommend, score_paths
 from slamfusion.palette import NAMED
 from slamfusion.report.evidence import evidence_section
 from slamfusion.trajectory import Trajectory
@@ -21,8 +21,7 @@ def test_the_fused_path_has_its_colour_and_the_slams_theirs() -> None:
         judged_scans(recorded(TRUTH)), {"graph": NEAR, "fused": TRUTH, "gmapping": NEAR}, device
     )
     slams = ("graph", "gmapping")
-    exclusions = find_exclusions(evidence.of_paths(slams), device)
-    answer = recommend(evidence, slams, exclusions, device, fused="fused")
+    answer = recommend(evidence, slams, device, fused="fused")
     section = evidence_section(answer, evidence)
     (picture,) = section.pictures
     colours = {entry.text: entry.rgb for entry in picture.legend}
@@ -34,6 +33,6 @@ def test_the_fused_path_has_its_colour_and_the_slams_theirs() -> None:
     assert found["fused"] == "-"
     assert found["graph"] == found["gmapping"] == "0.000"
     # A path that only has this name is one like the others.
-    answer = recommend(evidence, tuple(evidence.scores), exclusions, device)
+    answer = recommend(evidence, tuple(evidence.scores), device)
     section = evidence_section(answer, evidence)
     assert [row[column].text for row in section.tables[0].rows] == ["-"] * 3

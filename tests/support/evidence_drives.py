@@ -65,14 +65,6 @@ class Drive:
     paths: dict[str, Trajectory]
     folder: Path
 
-    def fed(self) -> dict[str, Sequence[LogScan]]:
-        """Return the scans that each producer was fed: one that a fault befell, others."""
-        fault, harmed = self.trial["fault"], self.trial["harmed"]
-        return {
-            name: FAULTS[fault](self.scans) if fault and name == harmed else self.scans
-            for name in self.paths
-        }
-
 
 def drive_trials(
     worlds: Sequence[int],

@@ -1,0 +1,100 @@
+"""Where one path of a drive leaves another, and where the two go together again.
+
+Two paths may have frames of their own. One is aligned with the other where most of their poses
+agree: of a path that went wrong half-way the right half is aligned, and not the mean of both.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.evidence.path_frames import pose_distances
+from slamfusion.evidence.predictive import PathEvidence
+from slamfusion.geometry import F64, fit_motion, moved_poses, with_levers
+from slamfusion.trajectory import flag_runs
+
+# Two paths part where they are this far from each other, metres: from where they last were within
+# half of it, to where they are so again. Good paths of one drive differ by up to 0.2 m.
+PART_M, NEAR_M = 0.3, 0.15
+# Shorter spans are none, seconds.
+LEAST_S = 1.0
+# Two paths are fitted from each of as many parts of the drive, in as many rounds at most.
+BEGINNINGS, FITS = 8, 20
+# Of two fits the one from the earlier part, unless the other takes in more poses by this factor: of
+# a path that broke in two equal halves, the second one is wrong.
+MORE_POSES = 1.05
+
+
+@dataclass(frozen=True)
+class Span:
+    """A part of a drive in which a path goes with another one, or does not."""
+
+    from_s: float
+    """Where it begins, seconds since the first scan."""
+    to_s: float
+    """Where it ends, seconds since the first scan."""
+    agrees: bool
+    """Whether the two are near each other."""
+    gap_m: float
+    """How far they are apart at most, metres."""
+
+
+def path_spans(evidence: PathEvidence, name: str, other: str) -> tuple[Span, ...]:
+    """Return the spans of a drive in which a path agrees with another one, and in which not.
+
+    Returns:
+        Spans in the order of time that together cover the judged part of the drive.
+    """
+    since_s = evidence.scans.stamps_s[evidence.is_judged] - evidence.scans.stamps_s[0]
+    gap_m = path_gap_m(evidence, name, other)
+    apart = _parted(gap_m, since_s)
+    cuts = np.flatnonzero(np.diff(apart)) + 1
+    ends_s = since_s[np.r_[0, cuts, -1]].tolist()
+    widest_m = np.maximum.reduceat(gap_m, np.r_[0, cuts]).tolist()
+    agrees = (~apart[np.r_[0, cuts]]).tolist()
+    return tuple(map(Span, ends_s, ends_s[1:], agrees, widest_m))
+
+
+def path_gap_m(evidence: PathEvidence, name: str, other: str) -> F64:
+    """Return how far a path is from another at each judged scan, (M,) metres."""
+    moving, still = (evidence.scores[one].path.poses[evidence.is_judged] for one in (name, other))
+    return np.asarray(np.hypot(*(_aligned(moving, still)[:, :2] - still[:, :2]).T))
+
+
+def _parted(gap_m: F64, stamps_s: F64) -> npt.NDArray[np.bool_]:
+    """Return at which scans two paths have parted, (M,) bool; for less than a second they have not.
+
+    Args:
+        gap_m: (M,) how far apart they are, metres.
+        stamps_s: (M,) seconds.
+    """
+    away = np.zeros(len(gap_m), dtype=np.bool_)
+    for here in flag_runs(gap_m > NEAR_M):
+        if stamps_s[min(here.stop, len(stamps_s) - 1)] - stamps_s[here.start] >= LEAST_S:
+            away[here] = gap_m[here].max() > PART_M
+    return away
+
+
+def _aligned(moving: F64, still: F64) -> F64:
+    """Return a path in the frame of another, (M, 3), aligned where most of their poses agree."""
+    count = len(moving)
+    found, most = moving, -1
+    for part in range(BEGINNINGS):
+        first = part * count // BEGINNINGS
+        kept = np.zeros(count, dtype=np.bool_)
+        kept[first : max(first + 1, (part + 1) * count // BEGINNINGS)] = True
+        aligned = moving
+        for _ in range(FITS):
+            motion = fit_motion(with_levers(moving[kept]), with_levers(still[kept]))
+            aligned = moved_poses(motion, moving)
+            is_near = pose_distances(aligned, still) <= NEAR_M
+            if not is_near.any() or np.array_equal(is_near, kept):
+                break
+            kept = is_near
+        near = int(np.count_nonzero(is_near))
+        if most < 0 or near > MORE_POSES * most:
+            found, most = aligned, near
+    return found
