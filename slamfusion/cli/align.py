@@ -85,7 +85,7 @@ def command(
     from slamfusion.jobs.align import align_document, align_maps  # noqa: PLC0415
 
     if scale is None and output is not None:
-        raise click.UsageError("-o saves what --scale finds; give both, or neither")
+        raise click.UsageError("-o and --scale belong together; give both or neither")
     if scale is not None and starts:
         raise click.UsageError("--scale searches everywhere; leave --start out")
     check_report(output)

@@ -82,10 +82,10 @@ class _Request:
             message = "give --truth MAP, --distances FILE, or more maps to compare with each other"
             raise click.UsageError(message)
         if self.is_mutual and self.results_path:
-            message = "--save-results holds errors; give --truth MAP or --distances FILE"
+            message = "--save-results needs --truth MAP or --distances FILE"
             raise click.UsageError(message)
         if not self.truths and (self.report_dir or self.image_path):
-            message = "--report and --image show the difference to a truth; give --truth MAP"
+            message = "--report and --image need --truth MAP"
             raise click.UsageError(message)
         if self.scale is not None and not self.align:
             message = "--scale searches where the maps lie on the plan; leave --no-align out"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import math
 import pkgutil
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -65,6 +66,29 @@ class Choice(click.Choice):  # type: ignore[type-arg]  # generic from click 8.2 
         return value if value in self.choices else self.fail(unknown(value, self.choices))
 
 
+class Number(click.ParamType):  # type: ignore[type-arg]  # generic from click 8.3 on
+    """A number in a range, with the words of the settings where it is none."""
+
+    name = "number"
+
+    def __init__(
+        self, kind: type[int | float], low: float = -math.inf, high: float = math.inf
+    ) -> None:
+        self.kind, self.low, self.high = kind, low, high
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the number."""
+        try:
+            found = self.kind(value)
+        except ValueError:
+            whole = "whole " if self.kind is int else ""
+            self.fail(f"wanted a {whole}number, found {value!r}", param, ctx)
+        if found < self.low or found > self.high:
+            message = f"must lie in [{self.low:g}, {self.high:g}], found {value}"
+            self.fail(message, param, ctx)
+        return found
+
+
 class Setting(click.Option):
     """The option of a setting, which belongs to a section of the configuration."""
 
@@ -95,6 +119,14 @@ class Command(click.Command):
     def __init__(self, *args: Any, examples: Sequence[str] = (), **named: Any) -> None:
         super().__init__(*args, **named)
         self.examples = examples
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Read the arguments; what is wrong with them is an error of this command."""
+        try:
+            return super().parse_args(ctx, args)
+        except click.UsageError as error:
+            error.ctx = error.ctx or ctx
+            raise
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
         """Return the parameters; those of a long command end in --help-all and --help."""
@@ -185,6 +217,13 @@ class Group(Command, click.Group):
         if not ctx.resilient_parsing and self.get_command(ctx, args[0]) is None:
             raise click.UsageError(unknown(args[0], self.list_commands(ctx)), ctx)
         return super().resolve_command(ctx, args)
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Read the arguments; where there are none, show the help as wrong usage."""
+        if not args and not ctx.resilient_parsing:
+            click.echo(ctx.get_help(), err=True)
+            ctx.exit(2)
+        return super().parse_args(ctx, args)
 
     def summaries(self) -> list[tuple[str, str]]:
         """Return each command's name and what it does."""

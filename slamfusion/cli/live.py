@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slamfusion.cli.help import Choice, Group
+from slamfusion.cli.help import Choice, Group, Number
 from slamfusion.cli.node import import_rclpy
 from slamfusion.cli.options import common_options
 from slamfusion.cli.output import one_line, print_json, print_table
@@ -38,7 +38,7 @@ def _node_options(function: Callable[..., int]) -> Callable[..., int]:
     timeout = click.option(
         "--timeout",
         "timeout_s",
-        type=click.FloatRange(0.1, 3600.0),
+        type=Number(float, 0.1, 3600.0),
         default=10.0,
         metavar="S",
         help="Time to wait for the node. [default: 10 s]",

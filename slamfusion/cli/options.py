@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from slamfusion.cli.help import Choice, Setting
+from slamfusion.cli.help import Choice, Number, Setting
 from slamfusion.cli.output import Settings
 from slamfusion.cli.paths import (
     CASE_FILE,
@@ -207,7 +207,7 @@ def drive_files(judged: str, *, of_cases: bool = False) -> Callable[[F], F]:
 def check_odometry(odometry: object, relations: object) -> None:
     """Refuse odometry of a run without the relations that it is for."""
     if odometry and not relations:
-        message = "--odometry carries poses to the times of relations; give --relations FILE"
+        message = "--odometry needs --relations FILE"
         raise click.UsageError(message)
 
 
@@ -228,7 +228,10 @@ def drive_options(judged: str) -> Callable[[F], F]:
 def map_resolution_option(function: F) -> F:
     """Give a command ``--resolution`` for images that come without a YAML file."""
     decorate = click.option(
-        "--resolution", type=float, metavar="M", help="Cell size of images without YAML, in metres."
+        "--resolution",
+        type=Number(float),
+        metavar="M",
+        help="Cell size of images without YAML, in metres.",
     )
     return decorate(function)
 
@@ -347,6 +350,8 @@ def _click_option(option: ConfigOption) -> Callable[[Any], Any]:
     kind: Any = Choice(info.choices) if info.choices else info.kind
     if info.is_list:
         kind = _List(info)
+    elif kind in {int, float}:
+        kind = Number(kind)
     word = info.unit or info.kind.__name__
     metavar = None if info.choices and not info.is_list else METAVARS.get(word, word.upper())
     return click.option(
@@ -425,7 +430,7 @@ def processes_option(tasks: str) -> Callable[[F], F]:
     return click.option(
         "--processes",
         "processes",
-        type=click.IntRange(1, 64),
+        type=Number(int, 1, 64),
         metavar="N",
         help=f"Run {tasks} in this number of processes.",
     )

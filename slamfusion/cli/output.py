@@ -154,7 +154,11 @@ def progress_bar() -> Iterator[Progress]:
         bars.TextColumn("left:"),
         bars.TimeRemainingColumn(),
     )
-    with bars.Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    console = Console(stderr=True)
+    # The stages of a run differ in speed; only its whole time so far says what is left.
+    with bars.Progress(
+        *columns, console=console, transient=True, speed_estimate_period=3600.0
+    ) as bar:
 
         def report(stage: str, done: float, total: int) -> None:
             if stage not in tasks:

@@ -149,12 +149,16 @@ def _run(arguments: list[str], settings: Settings) -> int:
 
 
 def _usage_message(error: click.UsageError) -> str:
-    """Return what is wrong with the command line; where the value is right, where to look."""
+    """Return what is wrong with the command line, in the words of our other errors."""
     message = error.format_message().removesuffix(".")
     if type(error) is click.BadParameter:
         return message.removeprefix("Invalid value for ").removeprefix("Invalid value: ")
+    if isinstance(error, click.exceptions.NoSuchOption):
+        near = (error.possibilities or [])[:1]
+        ask = f"; did you mean {near[0]!r}?" if near else ""
+        message = f"{error.option_name!r} is not an option{ask}"
     path = error.ctx.command_path if error.ctx is not None else "slamfusion"
-    return f"{message}; see {path} --help"
+    return f"{message[0].lower()}{message[1:]}; see {path} --help"
 
 
 def _message(error: Exception) -> str:
@@ -186,11 +190,12 @@ def _say(message: str) -> None:
 
 def _describe(error: OSError) -> str:
     """Say what the operating system said, file first."""
-    reason = error.strerror or str(error)
+    is_absent = isinstance(error, FileNotFoundError)
+    reason = "no such file" if is_absent else error.strerror or str(error)
     where = f"{os.fsdecode(error.filename)}: " if isinstance(error.filename, (str, bytes)) else ""
     advice = {
         FileNotFoundError: "; check the path",
-        PermissionError: "; check who may use it",
+        PermissionError: "; check its permissions",
         IsADirectoryError: "; name a file in it",
     }.get(type(error), "")
     return f"{where}{reason}{advice}"

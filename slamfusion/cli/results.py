@@ -188,7 +188,7 @@ def table_option(function: F) -> F:
             message = f"{table_path}: wanted a name that ends in {', '.join(FORMS)}"
             raise click.BadParameter(message, param_hint="'--table'")
         if given.get("as_json"):
-            raise click.UsageError("--table writes what is printed; leave out --json")
+            raise click.UsageError("--table and --json exclude each other; leave one out")
         import slamfusion.jobs.results  # noqa: F401, PLC0415  (says what to install)
 
         settings = click.get_current_context().ensure_object(Settings)

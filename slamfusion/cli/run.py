@@ -225,7 +225,9 @@ def command(
                 seeds=seeds, results_path=results_path, as_json=as_json,
             )  # fmt: skip
         if scheduler is not None:
-            message = "--scheduler does several logs or seeds; the SLAMs of one log run in parallel"
+            message = (
+                "--scheduler is for several logs or seeds; the SLAMs of one log run in parallel"
+            )
             raise click.UsageError(message)
         return _run(
             logs[0], out, config, results_path, is_opened=is_opened, as_json=as_json, **asked
@@ -273,7 +275,7 @@ def _run(
     reason = "; ".join(run.not_measured) if run.failure is None else str(run.failure)
     if reason:
         earlier = "" if saved.folder == out else f"; {out} keeps its earlier results"
-        raise SlamFusionError(f"{reason} (what was made lies in {saved.folder}{earlier})")
+        raise SlamFusionError(f"{reason} (the files so far are in {saved.folder}{earlier})")
     return 0
 
 

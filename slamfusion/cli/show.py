@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from slamfusion.cli.help import Command
+from slamfusion.cli.help import Command, Number
 from slamfusion.cli.options import common_options
 from slamfusion.cli.output import notice, print_json
 from slamfusion.cli.paths import FILE
@@ -26,7 +26,7 @@ DEFAULTS = FusionNodeConfig()
 @click.argument("folder", metavar="DIR", type=FILE)
 @click.option(
     "--port",
-    type=click.IntRange(0, 65535),
+    type=Number(int, 0, 65535),
     default=0,
     metavar="N",
     help="Port of the page. [default: any free port]",

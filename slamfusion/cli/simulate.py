@@ -84,7 +84,7 @@ def command(
     made = save_simulated_drive(drive, folder)
     if drive.recording.left_out:
         count = len(drive.recording.left_out)
-        notice(f"planned waypoints left out, as this robot cannot drive to them: {count}")
+        notice(f"waypoints left out, which this robot cannot reach: {count}")
     if as_json:
         print_json(made)
     else:

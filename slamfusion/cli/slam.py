@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slamfusion.cli.help import Command, Group
+from slamfusion.cli.help import Command, Group, Number
 from slamfusion.cli.options import (
     check_odometry,
     check_report,
@@ -106,11 +106,7 @@ def _files(out: Path, given: Mapping[str, Any]) -> list[Path]:
 def _state_options(function: Any) -> Any:
     """Give the command of a producer that can go on from a file what that takes."""
     stop_after = click.option(
-        "--stop-after",
-        "stop_after",
-        type=click.IntRange(min=1),
-        metavar="N",
-        help="Stop after N scans.",
+        "--stop-after", "stop_after", type=Number(int, 1), metavar="N", help="Stop after N scans."
     )
     resume = file_option(
         "--resume",

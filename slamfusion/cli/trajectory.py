@@ -56,12 +56,12 @@ class _Request:
             raise click.UsageError("give --relations FILE, --truth FILE, or both")
         check_odometry(self.odometry, self.relations)
         if self.logs and not self.odometry:
-            message = "--log places the scans in the odometry of the run; give --odometry FILE"
+            message = "--log needs --odometry FILE, the raw odometry of the run"
             raise click.UsageError(message)
         if self.map_path is not None and self.report_dir is None:
-            raise click.UsageError("--map is drawn in the report; give --report DIR")
+            raise click.UsageError("--map needs --report DIR, where it is drawn")
         if self.map_path is not None and not self.is_one:
-            raise click.UsageError("--map lies under one path; give one EST with it")
+            raise click.UsageError("--map is for one path; give one EST")
         check_report(self.report_dir)
 
     def placed(self) -> tuple[list[Placed], CaseFiles]:

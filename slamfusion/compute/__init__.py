@@ -59,8 +59,8 @@ def open_device(wanted: str = "auto", *, small_kernels: bool = False) -> Compute
         if cache.folder is not None:
             raise
         if wanted != "auto":
-            mend = "free some space, or run with `--device numpy`"
-            raise DeviceError(f"{cache.detail}; {mend}") from error
+            advice = "free some space, or run with `--device numpy`"
+            raise DeviceError(f"{cache.detail}; {advice}") from error
         _LOG.warning("%s: NumPy computes instead, which takes longer", cache.detail)
         return NumpyDevice()
 

@@ -189,7 +189,7 @@ def choose_device(wanted: str = "auto", *, small_kernels: bool = False) -> tuple
             context = cl.create_some_context(interactive=False)
         except (cl.Error, RuntimeError) as error:
             wish = os.environ["PYOPENCL_CTX"]
-            message = f"PYOPENCL_CTX={wish!r} names no device ({error}); mend it or unset it"
+            message = f"PYOPENCL_CTX={wish!r} names no device ({error}); correct or unset it"
             raise DeviceError(message) from error
         return context.devices[0], "PYOPENCL_CTX"
     real = [

@@ -73,8 +73,8 @@ def _temporary(problem: str) -> PoclCache:
         shutil.rmtree(folder, ignore_errors=True)
         return PoclCache(None, f"{problem}, and {folder.parent} neither ({reason})")
     atexit.register(_remove, folder, os.getpid())
-    mend = f"free some space there, or let {FOLDER} name another folder"
-    return PoclCache(folder, f"{problem}: kernels are built for this process only; {mend}")
+    advice = f"free some space there, or let {FOLDER} name another folder"
+    return PoclCache(folder, f"{problem}: kernels are built for this process only; {advice}")
 
 
 def _remove(folder: Path, owner: int) -> None:

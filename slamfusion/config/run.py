@@ -269,7 +269,7 @@ class LogConfig(Checked):
     odom_frame: str = option("odom", "the odometry frame in a bag's transforms")
     no_return_m: float | None = option(
         None,
-        "readings at or above this saw nothing; default: found from the log",
+        "readings at or above this are no return; default: found from the log",
         unit="m",
         low=0.1,
     )

@@ -160,14 +160,14 @@ def _row(fields: list[bytes], where: str) -> list[float]:
     """Return the numbers of one line."""
     wanted = f"'{' '.join(_COLUMNS)}'"
     if len(fields) != len(_COLUMNS):
-        message = f"{where}: wanted {wanted}, found {len(fields)} columns; mend or remove the line"
+        message = f"{where}: wanted {wanted}, found {len(fields)} columns; fix or remove the line"
         raise TrajectoryError(message)
     try:
         row = [float(field) for field in fields]
     except ValueError:
         row = [math.nan]
     if not all(map(math.isfinite, row)):
-        raise TrajectoryError(f"{where}: wanted finite numbers {wanted}; mend or remove the line")
+        raise TrajectoryError(f"{where}: wanted finite numbers {wanted}; fix or remove the line")
     return row
 
 

@@ -109,8 +109,8 @@ def read_small(path: Path, error: type[SlamFusionError], what: str) -> bytes:
 def _check_regular(path: Path, mode: int, error: type[SlamFusionError]) -> None:
     if not stat.S_ISREG(mode):
         found = next((name for is_kind, name in _KINDS if is_kind(mode)), "a device")
-        mend = "name a file in it" if stat.S_ISDIR(mode) else "save it to a file and name that"
-        raise error(f"{path}: wanted a file, found {found}; {mend}")
+        advice = "name a file in it" if stat.S_ISDIR(mode) else "save it to a file and name that"
+        raise error(f"{path}: wanted a file, found {found}; {advice}")
 
 
 def refuse_overwriting(

@@ -348,11 +348,11 @@ def _load(
             if has_alpha
             else f"under 'free_thresh' {entry.rules.free_thresh:g}"
         )
-        mend = "save it without alpha" if has_alpha else "write free_thresh: 0.196"
+        advice = "save it without alpha" if has_alpha else "write free_thresh: 0.196"
         warn(
             f"{path}: {count} cells of grey 205, which map savers write for unknown, do not read "
             f"as unknown {cause}; read them so with --legacy-unknown (nodes: "
-            f"legacy_unknown:=true), or {mend}"
+            f"legacy_unknown:=true), or {advice}"
         )
     return OccupancyGrid(cells, entry.resolution, entry.origin, name or stem)
 

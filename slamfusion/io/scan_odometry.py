@@ -116,13 +116,13 @@ def _row(fields: list[str], columns: list[str], index: int, where: str) -> list[
     if not has_all or not all(math.isfinite(values[columns.index(n)]) for n in (INDEX, *POSE)):
         raise LogError(
             f"{where}: wanted {len(columns)} finite numbers, found {','.join(fields)[:60]!r}; "
-            "mend the line"
+            "fix the line"
         )
     found = values[columns.index(INDEX)]
     if found != index:
         raise LogError(
             f"{where}: wanted the row of index {index}, found {found:g}: a row is missing or out "
-            "of order; mend the file"
+            "of order; fix the file"
         )
     return values
 

@@ -171,14 +171,14 @@ def _rows(where: Path, first: list[bytes], columns: list[int] | None) -> Iterato
         if len(fields) != len(first):
             raise TrajectoryError(
                 f"{where}: line {number}: wanted {len(first)} columns as in the lines before, "
-                f"found {len(fields)}; mend or remove the line"
+                f"found {len(fields)}; fix or remove the line"
             )
         values = _floats([fields[i] for i in columns], where, number)
         wrong = [columns[i] + 1 for i, value in enumerate(values) if not math.isfinite(value)]
         if wrong or not any(values[4:] or [1.0]):
             which = f"column {wrong[0]}" if wrong else "the quaternion of columns 5 to 8"
             raise TrajectoryError(
-                f"{where}: line {number}, {which} of {len(fields)}: not a finite pose; mend or "
+                f"{where}: line {number}, {which} of {len(fields)}: not a finite pose; fix or "
                 "remove the line"
             )
         if abs(values[0]) >= _NANOSECONDS_FROM:
@@ -212,7 +212,7 @@ def _floats(fields: list[bytes], where: Path, number: int) -> list[float]:
         shown = _printable(fields[wrong][:60].decode("ascii", "replace"))
         raise TrajectoryError(
             f"{where}: line {number}, column {wrong + 1} of {len(fields)}: wanted a number, found "
-            f"{shown!r}; mend or remove the line"
+            f"{shown!r}; fix or remove the line"
         ) from None
 
 
@@ -298,14 +298,14 @@ def _read_graph(where: Path, name: str) -> Trajectory | None:
         if line.startswith(b"VERTEX2"):
             fields = line.split()
             if len(fields) != 5:
-                message = f"{where}: line {number}: wanted 'VERTEX2 id x y theta'; mend the line"
+                message = f"{where}: line {number}: wanted 'VERTEX2 id x y theta'; fix the line"
                 raise TrajectoryError(message)
             pose = _floats(fields[2:], where, number)
             vertices += 1
         elif pose is not None and line.startswith(b"ROBOTLASER1"):
             row = _vertex_row(pose, line.rsplit(None, 11))
             if not all(map(math.isfinite, row)):
-                message = f"{where}: line {number}: pose or time not finite; mend the line"
+                message = f"{where}: line {number}: pose or time not finite; fix the line"
                 raise TrajectoryError(message)
             rows.append(row)
             pose = None

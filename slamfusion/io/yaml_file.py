@@ -85,4 +85,4 @@ def read_yaml(
         reason = "a value that is none of its kind"
         if isinstance(failure, (yaml.YAMLError, ValueError)):
             reason = " ".join(str(failure).split())[:200]
-        raise error(f"{path}: not YAML ({reason}); mend the file or give {what}") from None
+        raise error(f"{path}: not YAML ({reason}); fix the file or give {what}") from None

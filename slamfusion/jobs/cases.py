@@ -164,7 +164,9 @@ def _case_of(cases: Sequence[str], file: CaseFile) -> str:
         if len(named) == 1:
             return named[0]
         if named:
-            raise ConfigError(f"{file.path}: of {' or '.join(named)}? write CASE={file.path}")
+            raise ConfigError(
+                f"{file.path}: its name fits {' and '.join(named)}; write CASE={file.path}"
+            )
     named = [case for case in cases if "/" in case and _has_all_words(file.path, case)]
     if len(named) == 1:
         return named[0]

@@ -61,8 +61,7 @@ def fuse_drive(
         The fusion; where there are too few maps, or too few fit, why there is none.
     """
     if len(grids) < LEAST_FUSED:
-        count = len(grids) or "none"
-        failure = AlignmentError(f"{count} of at least {LEAST_FUSED} maps that a vote needs")
+        failure = AlignmentError(f"a vote needs at least {LEAST_FUSED} maps, found {len(grids)}")
         return DriveFusion(fallback=grids[0] if grids else None, failure=failure)
     fusion = config.fusion
     if shared_frame:

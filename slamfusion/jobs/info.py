@@ -24,7 +24,6 @@ from slamfusion.slam.registry import BUILT_IN, producer
 
 # A pause between two scans that is this many times as long as usual is a gap.
 GAP_PERIODS = 5.0
-SHARES = 100
 # Recorded on mit-csail (1988 scans, 361 beams, two cores of an AMD EPYC): time of tinySLAM for a
 # scan, of alignment, vote and report together, and memory of all processes.
 SCAN_S, OTHER_STAGES_S, RUN_MB = 0.0022, 8.0, 1400.0
@@ -180,7 +179,7 @@ def _log_info(path: Path, config: RunConfig, progress: Progress | None) -> InfoD
             poses.append((item.odometry.x, item.odometry.y))
             posed_s.append(scan.stamp_s)
         if progress is not None:
-            progress("reading", round(SHARES * log.fraction_read), SHARES)
+            progress("reading", log.fraction_read, 1)
     if not stamps:
         raise LogError(f"{path}: no scan in it can be used; {'; '.join(log.skips.sentences())}")
     steps_s = np.diff(stamps)

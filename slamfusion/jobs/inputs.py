@@ -119,7 +119,7 @@ def map_file(path: Path) -> Path:
     if len(chosen) == 1:
         return chosen[0]
     found = ", ".join(item.name for item in maps[:MOST_NAMED]) or "no YAML file"
-    raise MapFileError(f"{path}: a folder, wanted one map; found {found}: name a map in it")
+    raise MapFileError(f"{path}: wanted a map, found a folder with {found}; name a map in it")
 
 
 def as_grids(

@@ -65,7 +65,7 @@ class SavedMaps:
         files = tuple(map(Path, maps))
         own = distinct_names(files)
         if paths and not files:
-            message = f"{paths[0].path}: a path of which map? give its map with --inputs MAP"
+            message = f"{paths[0].path}: the path needs its map; give it with --inputs MAP"
             raise ConfigError(message)
         names = [free_name(name) for name in own]
         found = files_by_case(own, paths, "--paths")

@@ -97,7 +97,7 @@ def read_finished(place: Path, drive: str = "") -> Finished:
     if record is not None:
         return _read_record(record)
     if not place.is_dir():
-        raise MapFileError(f"{place}: wanted the folder of a run, or one with maps; name that")
+        raise MapFileError(f"{place}: found no run and no maps there; name a folder with either")
     files = {path.stem: path for path in sorted(place.glob("*.yaml"))}
     if not files:
         return _read_drive(place, drive)

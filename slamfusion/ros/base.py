@@ -557,7 +557,7 @@ def _made(make: Callable[[], NodeBase]) -> NodeBase:
     try:
         return make()
     except NameValidationException as error:
-        message = f"{invalid_name(error)}; mend it in the parameters or remappings"
+        message = f"{invalid_name(error)}; correct it in the parameters or remappings"
         raise ConfigError(message) from None
 
 

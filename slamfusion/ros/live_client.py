@@ -182,8 +182,8 @@ class LiveClient:
                     if name != self._node.get_name()
                 )
                 raise LiveNodeError(
-                    f"{self._target}: heard no {what} in {self._timeout_s:g} s; nodes that are "
-                    f"there: {', '.join(names) or 'none'} (ROS_DOMAIN_ID "
+                    f"{self._target}: no {what} within {self._timeout_s:g} s; running nodes: "
+                    f"{', '.join(names) or 'none'} (ROS_DOMAIN_ID "
                     f"{os.environ.get('ROS_DOMAIN_ID', '0')}); name it with --node"
                 )
             self._executor.spin_once(timeout_sec=SPIN_S)

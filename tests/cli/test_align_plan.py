@@ -65,7 +65,7 @@ def test_a_plan_serves_as_truth_before_its_scale_is_known(tmp_path: Path) -> Non
     [
         (("--scale", "2:1"), "wanted free, or metres per pixel as LOW:HIGH"),
         (("--scale", "free", "--start", "1,2,0"), "--scale searches everywhere; leave --start out"),
-        (("-o", "placed"), "-o saves what --scale finds; give both, or neither"),
+        (("-o", "placed"), "-o and --scale belong together; give both or neither"),
     ],
 )
 def test_options_that_do_not_go_together_are_refused(

@@ -77,7 +77,13 @@ def test_the_list_of_commands_says_what_their_help_says() -> None:
         ("fuse a.yaml b.yaml -o out --mode consenus", "'--mode': 'consenus' is not one of "),
         ("fuse a.yaml b.yaml -o out --mode consenus", "did you mean 'consensus'?"),
         ("node fussion", "did you mean 'fusion'?"),
-        ("fuse a.yaml b.yaml", "Missing option '-o' / '--output'; see slamfusion fuse --help"),
+        ("fuse a.yaml b.yaml", "missing option '-o' / '--output'; see slamfusion fuse --help"),
+        ("run --truth", "option '--truth' requires an argument; see slamfusion run --help"),
+        ("run a.log --bogus", "did you mean '--verbose'?; see slamfusion run --help"),
+        ("info", "missing argument 'LOG|BAG|MAP|RUN'; see slamfusion info --help"),
+        ("fuse a b -o x --window-m foo", "'--window-m': wanted a number, found 'foo'"),
+        ("fuse a b -o x --seed 1.5", "'--seed': wanted a whole number, found '1.5'"),
+        ("fuse a b -o x --processes 65", "'--processes': must lie in [1, 64], found 65"),
     ],
 )
 def test_wrong_usage_is_one_line_with_the_nearest_name(
@@ -87,6 +93,17 @@ def test_wrong_usage_is_one_line_with_the_nearest_name(
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("slamfusion: error: ")
     assert said in line
+
+
+@pytest.mark.parametrize("group", ["", "slam", "experiment", "node"])
+def test_a_group_without_a_command_shows_its_help_as_wrong_usage(
+    group: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run_program(group.split()) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.startswith(f"Usage: slamfusion {group}".rstrip())
+    assert "\nCommands:\n" in printed.err
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
@@ -256,7 +273,7 @@ def test_a_path_may_begin_with_the_home_folder(monkeypatch: pytest.MonkeyPatch) 
 
 def test_the_map_of_a_folder_is_the_fused_or_the_only_one(tmp_path: Path) -> None:
     sample = ROOT / "data" / "sample"
-    with pytest.raises(MapFileError, match=r"map_a\.yaml, map_b\.yaml, .*: name a map in it"):
+    with pytest.raises(MapFileError, match=r"map_a\.yaml, map_b\.yaml, .*; name a map in it"):
         load_maps([sample], None, MapFileConfig())
     for name in ("map_a.yaml", "map_a.pgm"):
         (tmp_path / name).write_bytes((sample / name).read_bytes())

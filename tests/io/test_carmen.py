@@ -189,7 +189,7 @@ def test_the_user_says_what_saw_nothing(tmp_path: Path) -> None:
 def test_the_range_limit_of_a_robotlaser_line_is_said(tmp_path: Path) -> None:
     log = log_of(tmp_path, robotlaser(1, [1.0, 8.5, 81.91], range_max=8.0))
     assert next(iter(log)).scan.is_clear().tolist() == [False, True, True]
-    assert log.notes == ["readings from 8 m on saw nothing, as the lines say"]
+    assert log.notes == ["readings from 8 m on are no return, as the lines say"]
 
 
 def test_zero_and_negative_readings_measured_nothing(tmp_path: Path) -> None:

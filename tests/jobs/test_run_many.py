@@ -101,7 +101,7 @@ def test_a_scheduler_is_for_several_logs(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run_program(["run", "a.log", "-o", str(tmp_path), "--scheduler", "local"]) == 2
-    assert "--scheduler does several logs" in capsys.readouterr().err
+    assert "--scheduler is for several logs" in capsys.readouterr().err
 
 
 def test_an_error_of_another_machine_names_it(

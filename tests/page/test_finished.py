@@ -152,7 +152,7 @@ def test_a_damaged_record_is_refused(tmp_path: Path, text: str) -> None:
 def test_a_folder_without_a_map_is_refused(tmp_path: Path) -> None:
     with pytest.raises(MapFileError, match="no map in it"):
         read_finished(tmp_path)
-    with pytest.raises(MapFileError, match="wanted the folder of a run"):
+    with pytest.raises(MapFileError, match="found no run and no maps"):
         read_finished(tmp_path / "none")
 
 

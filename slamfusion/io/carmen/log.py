@@ -66,7 +66,7 @@ class NoReturn:
     """What the readings of a log say about readings that saw nothing.
 
     Attributes:
-        from_m: readings at or above this saw nothing; None where no value is repeated.
+        from_m: readings at or above this are no return; None where no value is repeated.
         code_m: the commonest value that stands for it; None likewise.
         largest_m: the largest finite reading, metres; 0 without any.
     """
@@ -215,7 +215,7 @@ class MountEstimate:
             note = (
                 "the laser's pose on the robot changes by up to "
                 f"{max(spread[0], spread[1]):.3g} m and {spread[2]:.3g} rad, so it is not where "
-                f"the laser sits (a corrected log?); taken instead: {setting}"
+                f"the laser sits (a corrected log?); used instead: {setting}"
             )
             return Pose2(offset_m, 0.0, 0.0), [note]
         x, y, yaw_rad = self.total / self.scans
@@ -334,11 +334,11 @@ def no_return_notes(survey: Survey, found: NoReturn, config: LogConfig) -> list[
     if config.no_return_m is not None or survey.said_no_return_m is not None:
         return []
     if survey.own_limit_m < (math.inf if found.from_m is None else found.from_m):
-        return [f"readings from {survey.own_limit_m:g} m on saw nothing, as the lines say"]
+        return [f"readings from {survey.own_limit_m:g} m on are no return, as the lines say"]
     if found.from_m is None:
-        return ["no reading is repeated as lasers do that saw nothing; all count as hits"]
+        return ["no reading is repeated, as lasers do without a return; all count as hits"]
     return [
-        f"readings from {found.from_m:.2f} m on saw nothing (the log repeats {found.code_m:g} m)"
+        f"readings from {found.from_m:.2f} m on are no return (the log repeats {found.code_m:g} m)"
     ]
 
 
@@ -362,7 +362,7 @@ def _no_laser(survey: Survey) -> str:
     wanted = "FLASER, ROBOTLASER1, LASER_READING or Laser lines"
     if survey.skips.total:
         reasons = "; ".join(survey.skips.sentences())
-        return f"{survey.path}: no readable laser scan among its lines: {reasons}; mend the file"
+        return f"{survey.path}: no readable laser scan among its lines: {reasons}; fix the file"
     if not survey.words:
         return f"{survey.path}: wanted {wanted}, found no line at all; the log is empty"
     found = ", ".join(f"{count} {word.decode()}" for word, count in survey.words.most_common(5))
