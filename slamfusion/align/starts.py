@@ -83,19 +83,22 @@ class Starts:
     Attributes:
         given: by name of the input.
         frame: inputs in whose frame these are told; they lie at its origin.
+        pairs: where a map frame is expected in another's, by the other's name and its own; for
+            pairs of which ``given`` says nothing.
     """
 
     given: Mapping[str, StartPose] = field(default_factory=dict)
     frame: frozenset[str] = frozenset()
+    pairs: Mapping[tuple[str, str], StartPose] = field(default_factory=dict)
 
     def between(self, reference: str, moving: str) -> StartPose | None:
         """Return where the map frame of ``moving`` is expected in that of ``reference``.
 
         Returns:
-            None where at least one has no start: nothing is known of the pair.
+            None where nothing is known of the pair.
         """
         if not {reference, moving} & set(self.given):
-            return None
+            return self.pairs.get((reference, moving))
         still, moved = (self._start(name) for name in (reference, moving))
         return None if still is None or moved is None else moved.seen_from(still)
 

@@ -12,7 +12,15 @@ where the scans do not contradict what comes of it.
 
 from __future__ import annotations
 
-from slamfusion.evidence.beams import CoveredPath, JudgedScans, cover_stamps, judged_scans
+from slamfusion.evidence.beams import (
+    CoveredPath,
+    JudgedScans,
+    ScanHits,
+    cover_stamps,
+    judged_hits,
+    judged_scans,
+    scan_hits,
+)
 from slamfusion.evidence.displacement import Displacement, find_displacements
 from slamfusion.evidence.fused_path import FusedPath, fuse_paths, trust_in_paths
 from slamfusion.evidence.predictive import (
@@ -44,14 +52,17 @@ __all__ = [
     "RankedPath",
     "Recommendation",
     "RefinedPath",
+    "ScanHits",
     "choose_path",
     "cover_stamps",
     "find_displacements",
     "fuse_paths",
+    "judged_hits",
     "judged_scans",
     "recommend",
     "refine_borne_out",
     "refine_path",
+    "scan_hits",
     "score_paths",
     "trust_in_paths",
     "with_path",

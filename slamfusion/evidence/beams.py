@@ -18,6 +18,7 @@ import numpy.typing as npt
 from slamfusion.errors import LogError, TrajectoryError
 from slamfusion.geometry import (
     F64,
+    Pose2,
     blend_poses,
     compose_poses,
     invert_poses,
@@ -76,15 +77,56 @@ class JudgedScans:
         return Trajectory(self.stamps_s, self.odometry, "odometry")
 
 
-def judged_scans(scans: Iterable[LogScan], most_hits: int = MOST_HITS) -> JudgedScans:
-    """Choose what paths of a drive are scored on.
+@dataclass(frozen=True, eq=False)
+class ScanHits:
+    """What paths can be scored on of one scan.
+
+    Attributes:
+        stamp_s: its time, seconds.
+        laser: x and y of the laser in the robot's base frame, metres.
+        odometry: pose of the base in the odometry frame; None without.
+        rows: (H, 3) float64, hits about ``SPACING_M`` apart in the base frame, metres, and the
+            direction that the surface faces at each, radians.
+        total: hits of the scan.
+    """
+
+    stamp_s: float
+    laser: tuple[float, float]
+    odometry: Pose2 | None
+    rows: F64
+    total: int
+
+
+def scan_hits(item: LogScan) -> ScanHits | None:
+    """Return what paths can be scored on of a scan; None where it hit nothing.
 
     Of the hits of a scan that lie in one square of ``SPACING_M`` the first is kept: walls beside
-    the robot get most of the beams, and those far away tell most of its heading. Where more than
-    ``most_hits`` are left, every second one of each scan, every fourth, and so on.
+    the robot get most of the beams, and those far away tell most of its heading.
+    """
+    ends, mount = item.scan.points(), item.scan.mount
+    if not len(ends):
+        return None
+    laser = mount.x, mount.y
+    rows = np.column_stack((ends, surface_facings(ends, laser)))[spaced(ends)]
+    return ScanHits(item.scan.stamp_s, laser, item.odometry, rows, len(ends))
+
+
+def judged_scans(scans: Iterable[LogScan], most_hits: int = MOST_HITS) -> JudgedScans:
+    """Choose what paths of a drive are scored on; see ``judged_hits``.
 
     Args:
         scans: of a log, in the order of time.
+    """
+    return judged_hits((hits for item in scans if (hits := scan_hits(item))), most_hits)
+
+
+def judged_hits(scans: Iterable[ScanHits], most_hits: int = MOST_HITS) -> JudgedScans:
+    """Choose what paths of a drive are scored on.
+
+    Where more than ``most_hits`` are given, every second one of each scan, every fourth, and so on.
+
+    Args:
+        scans: in the order of time.
         most_hits: that are judged at most.
 
     Raises:
@@ -95,16 +137,12 @@ def judged_scans(scans: Iterable[LogScan], most_hits: int = MOST_HITS) -> Judged
     total = count = 0
     step = 1
     for item in scans:
-        ends = item.scan.points()
-        if not len(ends):
-            continue
-        total += len(ends)
-        stamps.append(item.scan.stamp_s)
-        lasers.append((item.scan.mount.x, item.scan.mount.y))
-        pose = item.odometry
-        odometry.append(None if pose is None else (pose.x, pose.y, pose.yaw_rad))
-        rows = np.column_stack((ends, surface_facings(ends, lasers[-1])))
-        kept.append(rows[spaced(ends)][len(kept) % step :: step])
+        total += item.total
+        stamps.append(item.stamp_s)
+        lasers.append(item.laser)
+        if (pose := item.odometry) is not None:
+            odometry.append((pose.x, pose.y, pose.yaw_rad))
+        kept.append(item.rows[len(kept) % step :: step])
         count += len(kept[-1])
         if count > most_hits:
             # Each scan begins elsewhere: what stays is what the wider step would have kept.
@@ -115,12 +153,11 @@ def judged_scans(scans: Iterable[LogScan], most_hits: int = MOST_HITS) -> Judged
             f"{len(kept)} scans hit something, but paths are scored on at least {CHUNKS}; give "
             "a longer log"
         )
-    known = [pose for pose in odometry if pose is not None]
     hits = np.concatenate(kept)
     return JudgedScans(
         stamps_s=np.array(stamps),
         chunks=np.arange(len(kept), dtype=np.int64) * CHUNKS // len(kept),
-        odometry=np.array(known) if len(known) == len(kept) else None,
+        odometry=np.array(odometry) if len(odometry) == len(kept) else None,
         lasers=np.array(lasers),
         hits=hits[:, :2],
         facings_rad=hits[:, 2],

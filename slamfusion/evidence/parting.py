@@ -50,7 +50,7 @@ def path_spans(evidence: PathEvidence, name: str, other: str) -> tuple[Span, ...
     """
     since_s = evidence.scans.stamps_s[evidence.is_judged] - evidence.scans.stamps_s[0]
     gap_m = path_gap_m(evidence, name, other)
-    apart = _parted(gap_m, since_s)
+    apart = parted(gap_m, since_s)
     cuts = np.flatnonzero(np.diff(apart)) + 1
     ends_s = since_s[np.r_[0, cuts, -1]].tolist()
     widest_m = np.maximum.reduceat(gap_m, np.r_[0, cuts]).tolist()
@@ -64,7 +64,7 @@ def path_gap_m(evidence: PathEvidence, name: str, other: str) -> F64:
     return np.asarray(np.hypot(*(_aligned(moving, still)[:, :2] - still[:, :2]).T))
 
 
-def _parted(gap_m: F64, stamps_s: F64) -> npt.NDArray[np.bool_]:
+def parted(gap_m: F64, stamps_s: F64) -> npt.NDArray[np.bool_]:
     """Return at which scans two paths have parted, (M,) bool; for less than a second they have not.
 
     Args:

@@ -1,14 +1,18 @@
 """``LiveDrive``: what the scans of a drive say of several SLAMs while it lasts, and one path.
 
 The method is that of ``run``: predictive consistency scores the paths, and ``fuse_weighed_paths``
-makes one path of all, along which all scans are aligned. An input is doubted if it has parted from
-that path and the scans surely support the path more. The method is applied to the whole drive so
-far now and then, and in between to the last ``WINDOW_S`` seconds, whose path continues that of the
-whole drive.
+makes one path of all, along which all scans are aligned. It is applied to the whole drive so far
+now and then, and in between to the last ``WINDOW_S`` seconds, whose path continues that of the
+whole drive (``Pace``). When no scan comes any more it is applied with all hits that ``run`` scores,
+so that the answer is that of ``run``.
 
-The cost of a solution is bounded, and so is the memory. A solution of the whole drive takes
-``MOST_SCANS`` scans and ``MOST_HITS`` hits at most. Of more scans every second one is dropped,
-except those of the window, so that a longer drive is drawn and scored from fewer scans per metre.
+After each solution all scans say which inputs are bent: what such an input saw at one time of the
+drive lies beside what it saw at another, compared with the fused path, and the scans surely support
+that path more.
+
+The cost of a solution is bounded, and so is the memory. A solution takes ``MOST_SCANS`` scans and
+``MOST_HITS`` hits at most. Of more scans every second one is dropped, except those of the window,
+so that a longer drive is drawn and scored from fewer scans per metre.
 """
 
 from __future__ import annotations
@@ -16,19 +20,32 @@ from __future__ import annotations
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
+import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.errors import SlamFusionError
-from slamfusion.evidence import JudgedScans, PathEvidence, cover_stamps, judged_scans, score_paths
+from slamfusion.evidence import (
+    JudgedScans,
+    PathEvidence,
+    ScanHits,
+    beams,
+    cover_stamps,
+    judged_hits,
+    scan_hits,
+    score_paths,
+)
 from slamfusion.evidence.beams import CHUNKS
 from slamfusion.evidence.drawn_map import DrawnScan, draw_map, drawn_scans
-from slamfusion.evidence.parting import path_spans
+from slamfusion.evidence.parting import parted
 from slamfusion.evidence.path_frames import fit_onto
+from slamfusion.evidence.predictive import SURE
+from slamfusion.evidence.recommendation import LEAST_DIFFERENCE
 from slamfusion.fusion.live import Evidence
 from slamfusion.fusion.path_check import moved_path
-from slamfusion.geometry import Pose2, fit_motion, with_levers
+from slamfusion.geometry import Pose2, fit_motion, moved_poses, with_levers
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan
 from slamfusion.jobs.fused_path import DrivePath, fuse_weighed_paths
@@ -36,10 +53,12 @@ from slamfusion.jobs.outputs import DRAWN, FUSED
 from slamfusion.trajectory import SAME_STAMP_S, Trajectory, nearest_stamps
 from slamfusion.vote.lattice import Lattice
 
-# The window that is solved between two solutions of the whole drive, seconds.
-WINDOW_S = 20.0
-# Scans that are kept, and hits that are judged, at most.
+# The window that is solved between two solutions of the whole drive, seconds and scans at least.
+WINDOW_S, LEAST_SCANS = 20.0, 2 * CHUNKS
+# Scans that are kept, and hits that are judged while scans come, at most.
 MOST_SCANS, MOST_HITS = 4000, 60_000
+# A path is laid on the fused one by as many parts of the drive in turn.
+PARTS = 4
 # An input whose last pose is older than this, seconds, is left out: paths are scored on the scans
 # for which each of them has a pose.
 SILENT_S = 5.0
@@ -50,6 +69,49 @@ OF_SCANS = 0.5
 CORRECTED_S = 1.0
 # A stamp that goes back by more, seconds, is that of a new drive.
 BACK_S = 1.0
+# After a solution of the window there is a rest this many times as long as it took, and at least so
+# many seconds; likewise between solutions of the whole drive. Together at most 35 % of a core.
+REST, REST_S = 3.0, 1.0
+WHOLE_REST, WHOLE_REST_S = 9.0, 5.0
+# Without a scan for so long, seconds, the drive is solved with all hits.
+STILL_S = 2.0
+
+# How much of a drive is solved: its last seconds, all of it, or all of it with all hits.
+Depth: TypeAlias = Literal["window", "whole", "final"]
+DEPTHS: tuple[Depth, ...] = get_args(Depth)
+
+
+class Pace:
+    """Says when a drive is solved, and how much of it; for one thread, on any clock in seconds."""
+
+    def __init__(self) -> None:
+        """Let the whole drive be solved first."""
+        self._scans = 0
+        self._seen: dict[Depth, int] = dict.fromkeys(DEPTHS, 0)
+        self._due_s: dict[Depth, float] = dict.fromkeys(DEPTHS, -np.inf)
+
+    def due(self, now_s: float, scans: int) -> Depth | None:
+        """Return what is due; None while nothing is.
+
+        Args:
+            scans: that have come so far.
+        """
+        if scans != self._scans:
+            self._scans = scans
+            self._due_s["final"] = now_s + STILL_S
+        for depth in reversed(DEPTHS):
+            if now_s >= self._due_s[depth] and self._seen[depth] != scans:
+                return depth
+        return None
+
+    def done(self, depth: Depth, began_s: float, done_s: float) -> None:
+        """Take note of a solution, of what ``due`` said last."""
+        self._seen |= dict.fromkeys(DEPTHS[: DEPTHS.index(depth) + 1], self._scans)
+        took_s = done_s - began_s
+        if depth == "window":
+            self._due_s["window"] = done_s + max(REST_S, REST * took_s)
+        else:
+            self._due_s["whole"] = done_s + max(WHOLE_REST_S, WHOLE_REST * took_s)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,9 +135,10 @@ class DriveSolution:
 
     @property
     def supported(self) -> Mapping[str, Pose2]:
-        """The corrections of the inputs that the scans do not contradict."""
+        """The corrections of the inputs that the scans do not contradict; of all if they do all."""
         doubted = self.doubted_since_s
-        return {name: motion for name, motion in self.corrections.items() if name not in doubted}
+        found = {name: motion for name, motion in self.corrections.items() if name not in doubted}
+        return found or self.corrections
 
     @property
     def evidence(self) -> Evidence:
@@ -85,6 +148,13 @@ class DriveSolution:
             for name, since_s in self.doubted_since_s.items()
         }
         return Evidence(self.corrections, doubts, self.lattice, self.drawn)
+
+
+class _Kept(NamedTuple):
+    """A scan as it is scored, and as it is drawn."""
+
+    hits: ScanHits
+    drawn: DrawnScan
 
 
 class LiveDrive:
@@ -98,7 +168,7 @@ class LiveDrive:
         self._device = device
         self._lock = threading.Lock()
         self._generation = 0
-        self._scans: list[tuple[LogScan, DrawnScan]] = []
+        self._scans: list[_Kept] = []
         self._poses: dict[str, list[tuple[float, Pose2]]] = {}
         self._solved = 0
         self._path: Trajectory | None = None
@@ -111,20 +181,21 @@ class LiveDrive:
 
     def add_scan(self, item: LogScan) -> None:
         """Take a scan, deskewed, with the odometry at its stamp if there is any."""
-        drawn = drawn_scans([item])
-        if not drawn:
+        hits, drawn = scan_hits(item), drawn_scans([item])
+        if hits is None:
             return
         with self._lock:
-            if self._scans and item.scan.stamp_s <= self._scans[-1][1].stamp_s:
-                if item.scan.stamp_s > self._scans[-1][1].stamp_s - BACK_S:
+            last = self._scans[-1].hits if self._scans else None
+            if last is not None and hits.stamp_s <= last.stamp_s:
+                if hits.stamp_s > last.stamp_s - BACK_S:
                     return
                 self._forget()
             # Paths are scored with odometry at every scan, or with none.
-            if self._scans and (item.odometry is None) != (self._scans[-1][0].odometry is None):
-                if item.odometry is None:
+            elif last is not None and (hits.odometry is None) != (last.odometry is None):
+                if hits.odometry is None:
                     return
                 self._scans.clear()
-            self._scans.append((item, drawn[0]))
+            self._scans.append(_Kept(hits, *drawn))
             if len(self._scans) > MOST_SCANS:
                 self._thin_out()
 
@@ -164,11 +235,11 @@ class LiveDrive:
 
     def _thin_out(self) -> None:
         """Drop every second scan before the window, and the poses that belong to none."""
-        stamps_s = np.array([drawn.stamp_s for _, drawn in self._scans])
+        stamps_s = np.array([kept.hits.stamp_s for kept in self._scans])
         old = int(np.searchsorted(stamps_s, stamps_s[-1] - WINDOW_S))
         old = max(old, MOST_SCANS // 2)
         self._scans = self._scans[:old:2] + self._scans[old:]
-        kept_s = np.array([drawn.stamp_s for _, drawn in self._scans])
+        kept_s = np.array([kept.hits.stamp_s for kept in self._scans])
         for name, own in self._poses.items():
             if own:
                 nearest = nearest_stamps(np.array([stamp_s for stamp_s, _ in own]), kept_s)
@@ -179,8 +250,8 @@ class LiveDrive:
 
     def solve(
         self,
+        depth: Depth,
         *,
-        is_whole: bool,
         lattice: Lattice | None = None,
         transforms: Mapping[str, Pose2] | None = None,
         resolution: float | None = None,
@@ -188,7 +259,7 @@ class LiveDrive:
         """Solve the drive so far; None while there are too few scans or poses for it.
 
         Args:
-            is_whole: solve the whole drive, and not the window alone.
+            depth: how much of it; the first solution is of the whole drive.
             lattice: of the fused frame; None while there is none, and the drive gives it.
             transforms: of the inputs that vote, map frame into the fused frame.
             resolution: draw the map, with cells of this many metres; None: do not.
@@ -202,34 +273,32 @@ class LiveDrive:
             poses = {name: list(own) for name, own in self._poses.items()}
         if len(kept) < CHUNKS:
             return None
-        newest_s = kept[-1][1].stamp_s
-        is_whole = is_whole or self._path is None
-        first_s = -np.inf if is_whole else newest_s - WINDOW_S
-        scans = [item for item, drawn in kept if drawn.stamp_s >= first_s]
-        if len(scans) < CHUNKS:
-            return None
-        judged = judged_scans(scans, MOST_HITS)
-        paths = self._at_scans(judged, poses, newest_s)
-        if not is_whole:
-            right = {name: own for name, own in paths.items() if name not in self._doubted_since_s}
-            paths = right or paths
-        if not paths:
-            return None
+        scans = judged_hits(
+            (one.hits for one in kept), beams.MOST_HITS if depth == "final" else MOST_HITS
+        )
+        paths = self._at_scans(scans, poses)
+        is_whole = depth != "window" or self._path is None
         try:
-            found = _solved(judged, paths, self._device)
+            found = (
+                _solved(scans, paths, self._device) if is_whole else self._continued(kept, paths)
+            )
+            if found is None:
+                return None
+            self._place(found.trajectory, paths, lattice, transforms or {}, is_whole=is_whole)
+            path = self._path
+            assert path is not None  # noqa: S101  (just placed)
+            evidence = None if found.refined is None else found.refined.evidence
+            if evidence is None or not is_whole:
+                evidence = score_paths(scans, {**paths, FUSED: path}, self._device)
         except SlamFusionError:
             return None  # the paths have no scan in common yet
-        if is_whole and found.refined is not None:
-            self._doubted_since_s = _doubts(found.refined.evidence)
-        self._place(found.trajectory, paths, lattice, transforms or {}, is_whole=is_whole)
-        path = self._path
-        assert path is not None  # noqa: S101  (just placed)
+        self._doubted_since_s = _doubts(evidence)
         own_lattice = self._lattice or Lattice(resolution or 0.05, Pose2())
         drawn = None
         if resolution is not None:
             self._lattice = own_lattice
             drawn = draw_map(
-                [item for _, item in kept],
+                [one.drawn for one in kept],
                 path,
                 self._device,
                 resolution=own_lattice.resolution,
@@ -241,16 +310,29 @@ class LiveDrive:
         corrections = {name: _correction(own, path) for name, own in paths.items()}
         return DriveSolution(path, corrections, self._doubted_since_s, own_lattice, drawn)
 
+    def _continued(
+        self, kept: Sequence[_Kept], paths: Mapping[str, Trajectory]
+    ) -> DrivePath | None:
+        """Solve the last seconds, and what was not solved yet, by the inputs that are right."""
+        assert self._path is not None  # noqa: S101  (there is what is continued)
+        stamps_s = [one.hits.stamp_s for one in kept[-LEAST_SCANS:]]
+        solved_s = float(self._path.stamps_s[-1])
+        first_s = min(stamps_s[0], stamps_s[-1] - WINDOW_S, solved_s - 0.5 * WINDOW_S)
+        hits = [one.hits for one in kept if one.hits.stamp_s >= first_s]
+        last = {name: _part(own, first_s - SAME_STAMP_S, np.inf) for name, own in paths.items()}
+        last = {name: own for name, own in last.items() if len(own) >= CHUNKS}
+        right = {name: own for name, own in last.items() if name not in self._doubted_since_s}
+        if len(hits) < CHUNKS or not last:
+            return None
+        return _solved(judged_hits(hits, MOST_HITS), right or last, self._device)
+
     def _at_scans(
-        self,
-        judged: JudgedScans,
-        poses: Mapping[str, Sequence[tuple[float, Pose2]]],
-        newest_s: float,
+        self, judged: JudgedScans, poses: Mapping[str, Sequence[tuple[float, Pose2]]]
     ) -> dict[str, Trajectory]:
         """Return the path of each input at the scans, if it maps them and is not silent."""
         paths = {}
         for name, own in poses.items():
-            if not own or newest_s - own[-1][0] > SILENT_S:
+            if not own or judged.stamps_s[-1] - own[-1][0] > SILENT_S:
                 continue
             rows = np.array([(pose.x, pose.y, pose.yaw_rad) for _, pose in own])
             stamps_s = np.array([stamp_s for stamp_s, _ in own])
@@ -290,7 +372,8 @@ class LiveDrive:
         if before is not None:
             still = before
             if not is_whole:
-                cut_s = max(self._whole_until_s, newest_s - 0.5 * WINDOW_S)
+                until_s = min(float(before.stamps_s[-1]), newest_s - 0.5 * WINDOW_S)
+                cut_s = max(self._whole_until_s, until_s)
                 still = _part(before, -np.inf, cut_s)
             motion = fit_onto(found, [still])
             found = found if motion is None else moved_path(found, motion)
@@ -312,18 +395,35 @@ def _solved(
 
 
 def _doubts(evidence: PathEvidence) -> dict[str, float]:
-    """Return which inputs the scans contradict, by name, and since which stamp.
-
-    Such an input has parted from the fused path, and the scans surely support that one more. Its
-    map shows what it drew then for as long as its path says so.
-    """
+    """Return which inputs are bent and surely contradicted, by name, and since which stamp."""
     found = {}
     for name in evidence.scores:
-        if name != FUSED and evidence.compare(FUSED, name).verdict == "better":
-            apart_s = [span.from_s for span in path_spans(evidence, name, FUSED) if not span.agrees]
-            if apart_s:
-                found[name] = float(evidence.scans.stamps_s[0]) + apart_s[0]
+        told = evidence.compare(FUSED, name)
+        if name == FUSED or told.difference <= LEAST_DIFFERENCE or told.p_value >= SURE:
+            continue
+        bent = _bent_at(evidence, name)
+        if bent.any():
+            found[name] = float(evidence.scans.stamps_s[evidence.is_judged][np.argmax(bent)])
     return found
+
+
+def _bent_at(evidence: PathEvidence, name: str) -> npt.NDArray[np.bool_]:
+    """Return at which judged scans a path has parted from the fused one, (M,) bool.
+
+    It is laid on that one by the first part of the drive that shows it. Laid where most of its
+    poses agree, a path that turns away slowly parts late, however far from each other its first and
+    its last walls lie.
+    """
+    judged = evidence.is_judged
+    moving, still = (evidence.scores[one].path.poses[judged] for one in (name, FUSED))
+    stamps_s = evidence.scans.stamps_s[judged]
+    bent = np.zeros(len(still), dtype=np.bool_)
+    for part in np.array_split(np.arange(len(still)), PARTS):
+        if len(part) and not bent.any():
+            motion = fit_motion(with_levers(moving[part]), with_levers(still[part]))
+            gap_m = np.hypot(*(moved_poses(motion, moving)[:, :2] - still[:, :2]).T)
+            bent = parted(gap_m, stamps_s)
+    return bent
 
 
 def _part(path: Trajectory, after_s: float, until_s: float) -> Trajectory:

@@ -15,7 +15,7 @@ from slamfusion.errors import TrajectoryError
 from slamfusion.fusion.live.session import FusionState
 from slamfusion.geometry import Pose2
 from slamfusion.io import LogScan
-from slamfusion.jobs.live_drive import DriveSolution, LiveDrive
+from slamfusion.jobs.live_drive import DriveSolution, LiveDrive, Pace
 from slamfusion.ros import messages, qos
 from slamfusion.ros.base import SHOWN_S, Level, NodeBase, Worker, open_node_device
 from slamfusion.ros.input_health import MAP_SUFFIX, MapSource
@@ -27,9 +27,6 @@ PATH_TOPIC = "fused/path"
 PATH_POSES = 2000
 # Scans that wait to be read; of more the oldest is dropped.
 SCAN_QUEUE = 20
-# The last seconds are solved this often, and the whole drive, at most; and after each solution
-# there is a rest this many times as long as it took.
-SOLVE_S, WHOLE_S, REST = 1.0, 5.0, 3.0
 
 
 class DriveInput:
@@ -60,11 +57,8 @@ class DriveInput:
         self._state, self._on_solution = state, on_solution
         self._deskewer = Deskewer(LogConfig(deskew=settings.deskew, sweep_s=settings.sweep_s))
         self._drive = LiveDrive(open_node_device(device, base.diagnostics))
-        # Scans that were read, and of these the ones that the last solution of each kind has seen.
-        self._count = 0
-        self._seen = {True: 0, False: 0}
+        self._count, self._pace = 0, Pace()
         self._paths: dict[str, tuple[MapSource, Any]] = {}
-        self._due_s = self._whole_due_s = float("-inf")
         self._path_topic = base.node.create_publisher(Path, PATH_TOPIC, qos.MAP)
         self._reader: Worker[ArrivedScan] = Worker(self._read, SCAN_QUEUE, base.failed, "scans")
         self._solver: Worker[None] = Worker(self._solve, 1, base.failed, "drive")
@@ -133,24 +127,19 @@ class DriveInput:
 
     def _solve(self, _: None) -> None:
         """Solve the drive if it is time to, and if scans have come since."""
-        began_s, count = time.monotonic(), self._count
-        is_whole = began_s >= self._whole_due_s
-        if began_s < self._due_s or count == self._seen[is_whole]:
+        began_s = time.monotonic()
+        depth = self._pace.due(began_s, self._count)
+        if depth is None:
             return
         state = self._state()
         transforms = {name: state.transform(name) for name in state.inputs}
         solution = self._drive.solve(
-            is_whole=is_whole,
+            depth,
             lattice=state.lattice,
             transforms={name: place for name, place in transforms.items() if place is not None},
             resolution=state.resolution if self._settings.draw else None,
         )
-        done_s = time.monotonic()
-        rest_s = REST * (done_s - began_s)
-        self._due_s = done_s + max(SOLVE_S, rest_s)
-        self._seen[False] = count
-        if is_whole:
-            self._whole_due_s, self._seen[True] = done_s + max(WHOLE_S, rest_s), count
+        self._pace.done(depth, began_s, time.monotonic())
         if solution is None:
             return
         self.solution = solution

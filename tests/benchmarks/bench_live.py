@@ -1,5 +1,8 @@
 """Map in to fused map out, live: ``python -m tests.benchmarks.bench_live [SIDE ...]``.
 
+With ``--drive office slip f16 LOG:RELATIONS`` whole drives are fused live instead, scan by scan,
+and compared with ``run``; see ``live_drives``.
+
 Three maps of one building, each in a frame of its own, grow as a robot drives through: every round
 all three change around it, by a window of 20 m, and are put one after the other, each followed by
 its update. Then every cell of all three is shaken in every round (2 % flipped), which is the worst
@@ -16,6 +19,7 @@ import time
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 from rich.progress import track
@@ -27,6 +31,7 @@ from slamfusion.fusion.live import LiveFusion, LiveUpdate
 from slamfusion.geometry import Pose2
 from slamfusion.grid import UNKNOWN, OccupancyGrid
 from slamfusion.sim import draw_building
+from tests.benchmarks.live_drives import CASES, drive_table
 from tests.benchmarks.record import add_record_option, console_for
 from tests.support.degrade import Degradation, degrade_map
 
@@ -181,8 +186,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("sides", type=int, nargs="*", default=[800, 4000], help="in cells")
     parser.add_argument("--rounds", type=int, help="default: 20, of 2000 cells and more 6")
+    parser.add_argument("--drive", nargs="+", default=[], metavar="COURSE|LOG:RELATIONS")
+    parser.add_argument("--case", nargs="+", type=int, default=range(len(CASES)), help="of CASES")
+    parser.add_argument("--keep", type=Path, help="a folder that keeps what producers told")
     add_record_option(parser)
     options = parser.parse_args()
+    if options.drive:
+        shown = drive_table(options.drive, options.keep, options.case, open_device())
+        console_for("live-drives", options.record, width=200).print(shown)
+        return
     table = Table(*COLUMNS, title=f"three maps on {open_device().name}")
     for side in options.sides:
         run(side, options.rounds or (20 if side < 2000 else 6), table)

@@ -11,10 +11,12 @@ import pytest
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import LiveConfig, RunConfig
+from slamfusion.evidence import judged_scans, score_paths
 from slamfusion.fusion.live import LiveFusion
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import Pose2, fit_motion, moved_poses, with_levers
 from slamfusion.jobs import live_drive
-from slamfusion.jobs.live_drive import DriveSolution, LiveDrive
+from slamfusion.jobs.fused_path import fuse_weighed_paths
+from slamfusion.jobs.live_drive import Depth, DriveSolution, LiveDrive, Pace
 from slamfusion.trajectory import Trajectory
 from slamfusion.vote.lattice import Lattice
 from tests.slam.drives import drive
@@ -30,6 +32,14 @@ def bent(pose: Pose2, step: int) -> Pose2:
     return turn.compose(pose)
 
 
+def slowly_bent(pose: Pose2, step: int) -> Pose2:
+    """Return a pose of a path that turns away all the time: 0.5 m at the end.
+
+    Laid where most of its poses agree, it is nowhere 0.3 m off.
+    """
+    return Pose2(0.0, 0.0, 0.0005 * step).compose(pose)
+
+
 class Robot:
     """Drives, and sends scans and poses of inputs, each in its own frame."""
 
@@ -38,12 +48,13 @@ class Robot:
         self.scans, self.truth = drive(SCANS, turn_bias=0.002)
         self.bent_ones, self.names = bent_ones, names
         self.step = 0
+        self.bend = bent
         self.noise = np.random.default_rng(7)
 
     def pose_of(self, name: str) -> Pose2:
         pose = self.truth[self.step]
         if name in self.bent_ones:
-            pose = bent(pose, self.step)
+            pose = self.bend(pose, self.step)
         noise = self.noise.normal(0.0, (0.01, 0.01, 0.003))
         return FRAMES[name].compose(pose).compose(Pose2(*noise.tolist()))
 
@@ -62,8 +73,8 @@ class Robot:
         return float(np.sqrt(((path.poses[:, :2] - rows[near]) ** 2).sum(axis=1).mean()))
 
 
-def solved(robot: Robot, *, is_whole: bool = True, **given: object) -> DriveSolution:
-    solution = robot.live.solve(is_whole=is_whole, **given)  # type: ignore[arg-type]
+def solved(robot: Robot, depth: Depth = "whole", **given: object) -> DriveSolution:
+    solution = robot.live.solve(depth, **given)  # type: ignore[arg-type]
     assert solution is not None
     return solution
 
@@ -78,7 +89,7 @@ LATTICE = Lattice(0.05, Pose2(-0.02, 0.01, 0.0))
 def test_nothing_is_said_of_a_few_scans(device: ComputeDevice) -> None:
     robot = Robot(device)
     robot.drive_to(20)
-    assert robot.live.solve(is_whole=True) is None
+    assert robot.live.solve("whole") is None
 
 
 def test_the_path_is_better_than_each_input_and_lies_in_the_fused_frame(
@@ -113,15 +124,88 @@ def test_bent_inputs_are_contradicted_and_the_path_is_right(
     assert all("since stamp" in why for why in found.evidence.doubts.values())
 
 
+@pytest.mark.parametrize("depth", ["whole", "window"])
+def test_an_input_that_bends_slowly_is_contradicted_by_each_kind_of_solution(
+    device: ComputeDevice, depth: Depth
+) -> None:
+    robot = Robot(device, bent_ones="b", names="ab")
+    robot.bend = slowly_bent
+    robot.drive_to(60)
+    assert not solved(robot).doubted_since_s
+    robot.drive_to(SCANS)
+    assert set(solved(robot, depth).doubted_since_s) == {"b"}
+
+
+def test_the_window_reaches_back_to_what_was_solved(device: ComputeDevice) -> None:
+    """A solution of the whole drive may take longer than the window is."""
+    robot = Robot(device)
+    robot.drive_to(40)
+    solved(robot, lattice=LATTICE, transforms=in_frame_of_a())
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(live_drive, "WINDOW_S", 3.0)
+        patch.setattr(live_drive, "LEAST_SCANS", 30)
+        robot.drive_to(SCANS)
+        found = solved(robot, "window", lattice=LATTICE, transforms=in_frame_of_a())
+    assert len(found.path) == SCANS
+    assert robot.error_m(found.path) < 0.02
+
+
+def test_when_no_scan_comes_the_answer_is_that_of_run(
+    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With all hits, and by the method of ``run``; while scans come fewer hits are judged."""
+    monkeypatch.setattr(live_drive, "MOST_HITS", 5000)
+    robot = Robot(device)
+    robot.noise = np.random.default_rng(7)
+    robot.drive_to(SCANS)
+    final = solved(robot, "final").path
+    robot.noise = np.random.default_rng(7)
+    paths: dict[str, list[tuple[float, float, float]]] = {name: [] for name in "abc"}
+    for robot.step in range(SCANS):
+        for name in "abc":
+            pose = robot.pose_of(name)
+            paths[name].append((pose.x, pose.y, pose.yaw_rad))
+    stamps_s = np.array([item.scan.stamp_s for item in robot.scans])
+    given = {name: Trajectory(stamps_s, np.array(rows), name) for name, rows in paths.items()}
+    evidence = score_paths(judged_scans(robot.scans), given, device)
+    wanted = fuse_weighed_paths(given, evidence, device).trajectory
+    motion = fit_motion(with_levers(final.poses), with_levers(wanted.poses))
+    assert np.abs(moved_poses(motion, final.poses) - wanted.poses).max() < 1e-9
+
+
+def test_the_last_seconds_are_solved_between_solutions_of_the_whole_drive() -> None:
+    """And all of it with all hits once scans cease; a drive that is known is not solved again."""
+    pace, seen = Pace(), []
+    busy_s = 0.0
+    for step in range(1000):
+        now_s, scans = 0.1 * step, min(step, 600)
+        if now_s >= busy_s and (depth := pace.due(now_s, scans)) is not None:
+            busy_s = now_s + {"window": 0.5, "whole": 3.0, "final": 9.0}[depth]
+            pace.done(depth, now_s, busy_s)
+            seen.append((now_s, depth))
+    depths = [depth for _, depth in seen]
+    assert depths[0] == "whole"
+    assert depths.count("final") == 1
+    last_s, last = seen[-1]
+    assert last == "final"
+    assert 61.0 < last_s < 66.0
+    waits_s = np.diff([now_s for now_s, _ in seen])
+    assert waits_s.max() < 5.0
+    # Three seconds of 30 for the whole drive, half a second of two for the window.
+    assert depths.count("whole") == pytest.approx(60.0 / 30.0, abs=1.0)
+    assert depths.count("window") == pytest.approx(54.0 / 2.0, abs=3.0)
+
+
 def test_the_window_continues_the_path_of_the_whole_drive(
     device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(live_drive, "WINDOW_S", 5.0)
+    monkeypatch.setattr(live_drive, "LEAST_SCANS", 30)
     robot = Robot(device)
     robot.drive_to(100)
     first = solved(robot, lattice=LATTICE, transforms=in_frame_of_a())
     robot.drive_to(120)
-    found = solved(robot, is_whole=False, lattice=LATTICE, transforms=in_frame_of_a())
+    found = solved(robot, "window", lattice=LATTICE, transforms=in_frame_of_a())
     assert len(found.path) == 120
     # What the whole drive said of the past stays.
     assert np.array_equal(found.path.poses[:95], first.path.poses[:95])

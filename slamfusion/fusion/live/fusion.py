@@ -257,6 +257,7 @@ class LiveFusion(Mailbox):
         has_evidence = self._weigh()
         has_news, arrived_s = self._collect(now_s)
         self._contradict()
+        self._expect()
         clock.append(time.perf_counter())
         self._supervisor.align(now_s, is_idle=not has_news)
         self._place()
@@ -447,6 +448,14 @@ class LiveFusion(Mailbox):
             reasons = {**apart, **doubts}
         for name, track in self._inputs.items():
             track.contradiction = reasons.get(name, "")
+
+    def _expect(self) -> None:
+        """Let inputs without a place be looked for where poses of equal stamps put them."""
+        unplaced = [t.name for t in self._inputs.values() if t.is_live and t.transform is None]
+        if unplaced:
+            with self._lock:
+                pairs = self._poses.starts(unplaced)
+            self._aligner.starts = replace(self._starts, pairs=pairs)
 
     def _place(self) -> None:
         """Let the poses of those be compared whose maps are believed."""

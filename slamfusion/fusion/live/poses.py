@@ -12,17 +12,23 @@ stamps without a break, and are so until they have been within 0.7 of both limit
 The input that is apart from the most others contradicts them; it is left out and the rest is
 looked at again. Where several are apart from equally many, no majority decides, and all of these
 contradict. An input that was aligned again is given a fresh start, but stays linked.
+
+Poses of equal stamps also say where the map of an input lies in that of another, before either is
+aligned (``starts``), if both have driven and one motion carries all of them onto the others.
 """
 
 from __future__ import annotations
 
 import math
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
+from slamfusion.align.starts import StartPose
 from slamfusion.config import LiveConfig
-from slamfusion.geometry import Pose2, wrap_angle
+from slamfusion.geometry import Pose2, fit_motion, moved_poses, travelled, with_levers, wrap_angle
 from slamfusion.trajectory import SAME_STAMP_S
 
 # Metres that two inputs drive together before they are taken to track one robot.
@@ -33,6 +39,10 @@ LINK_SHARE, RETURN_SHARE = 0.3, 0.7
 KEPT = 512
 # Stamps that go back by more, seconds, begin a new time.
 BACK_S = 1.0
+# Poses tell where maps lie from so many equal stamps on, which are at least this share of all, and
+# from so many metres on; a map lies within so many metres and radians of there.
+LEAST_EQUAL, EQUAL_SHARE, DRIVEN_M = 10, 0.5, 0.5
+START_M, START_RAD = 0.5, 0.1
 
 
 @dataclass
@@ -116,7 +126,6 @@ class PoseWatch:
             before, now = self._placed.get(name), transforms.get(name)
             if before is not None and now is not None and not self._is_moved(name, before, now):
                 continue
-            self._poses.pop(name, None)
             for names, pair in self._pairs.items():
                 if name in names:
                     pair.restart()
@@ -127,8 +136,8 @@ class PoseWatch:
         poses = self._poses.get(name)
         if before == now or not poses:
             return False
-        newest = poses[next(reversed(poses))]
-        moved = now.compose(before.inverse()).compose(newest)
+        own = poses[next(reversed(poses))]
+        newest, moved = before.compose(own), now.compose(own)
         away_m = math.dist((moved.x, moved.y), (newest.x, newest.y))
         turn_rad = abs(wrap_angle(moved.yaw_rad - newest.yaw_rad))
         live = self.live
@@ -149,23 +158,53 @@ class PoseWatch:
             stamp_s: of the scan that it is for, seconds.
             pose: of the robot in the input's map frame; metres, radians.
         """
-        transform = self._placed.get(name)
-        if transform is None:
-            return
-        here = transform.compose(pose)
         key = round(stamp_s / SAME_STAMP_S)
-        for other, poses in self._poses.items():
-            there = poses.get(key)
-            if other == name or there is None:
-                continue
-            first, second = sorted((name, other))
-            pair = self._pairs.setdefault((first, second), _Pair())
-            pair.compare(stamp_s, *((here, there) if first == name else (there, here)), self.live)
         own = self._poses.setdefault(name, OrderedDict())
-        own[key] = here
+        own[key] = pose
+        for other in self._placed if name in self._placed else ():
+            if other != name and key in self._poses.get(other, ()):
+                names = (name, other) if name < other else (other, name)
+                a, b = (self._placed[one].compose(self._poses[one][key]) for one in names)
+                self._pairs.setdefault(names, _Pair()).compare(stamp_s, a, b, self.live)
         own.move_to_end(key)
         if len(own) > KEPT:
             own.popitem(last=False)
+
+    def starts(self, names: Collection[str]) -> dict[tuple[str, str], StartPose]:
+        """Return where map frames lie in those of others, as far as equal stamps say it.
+
+        Args:
+            names: inputs whose pairs are wanted.
+
+        Returns:
+            By the name of the other and of the input, both ways.
+        """
+        found = {}
+        for name in names:
+            for other in self._poses:
+                start = None if other == name else self._start(other, name)
+                if start is not None:
+                    found[other, name], found[name, other] = start, start.inverse()
+        return found
+
+    def _start(self, still: str, moving: str) -> StartPose | None:
+        """Return where an input's map frame lies in another's; None where poses do not say it."""
+        theirs, ours = self._poses[still], self._poses.get(moving)
+        if ours is None:
+            return None
+        equal = [key for key in ours if key in theirs]
+        if len(equal) < max(LEAST_EQUAL, EQUAL_SHARE * min(len(ours), len(theirs))):
+            return None
+        own, other = (
+            np.array([(p.x, p.y, p.yaw_rad) for p in map(poses.__getitem__, equal)])
+            for poses in (ours, theirs)
+        )
+        if travelled(own)[-1] < DRIVEN_M:
+            return None
+        motion = fit_motion(with_levers(own), with_levers(other))
+        apart_m = np.hypot(*(moved_poses(motion, own) - other)[:, :2].T)
+        is_one = apart_m.max() <= LINK_SHARE * self.live.pose_apart_m
+        return StartPose(motion, START_M, START_RAD) if is_one else None
 
     def contradictions(self) -> dict[str, str]:
         """Return whose poses contradict those of others, by name, and why in one line."""

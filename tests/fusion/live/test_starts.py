@@ -15,7 +15,7 @@ from slamfusion.fusion.live import LiveFusion
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from tests.fusion.drawings import building, degraded, draw, off_by
-from tests.fusion.live.maps import Drive
+from tests.fusion.live.maps import Drive, moved_frame
 
 ROOM = "\n".join(["#" * 40, *["#" + "." * 38 + "#"] * 38, "#" * 40])
 Values = tuple[float, ...]
@@ -118,3 +118,48 @@ def test_starts_that_cannot_hold_are_refused(device: ComputeDevice) -> None:
             drive(device, names, **given)
     # Where the inputs are not known yet, any may come.
     drive(device, None, c=(0.0, 0.0, 0.0))
+
+
+def tell_poses(drive: Drive, places: dict[str, Pose2], seconds: float, speed: float) -> None:
+    """Drive along x of the place that map frames lie in, and tell each where the robot is."""
+    for step in range(round(10.0 * seconds)):
+        here = Pose2(4.0 + 0.1 * step * speed, 5.0, 0.3)
+        for name, place in places.items():
+            drive.live.hear(name, 0.1 * step, place.inverse().compose(here))
+
+
+@pytest.mark.parametrize(("speed", "voters"), [(0.5, "ab"), (0.1, "")])
+def test_poses_of_equal_stamps_decide_the_first_fusion_of_a_square_room(
+    device: ComputeDevice, speed: float, voters: str
+) -> None:
+    """Of a robot that has hardly driven they say nothing."""
+    a, b = draw(ROOM, name="a"), draw(ROOM, name="b")
+    without_starts = drive(device)
+    tell_poses(without_starts, {"a": Pose2(), "b": Pose2(0.0, 0.0, 0.05)}, 2.0, speed)
+    without_starts.step(a, b)
+    assert without_starts.accepted() == voters
+
+
+@pytest.mark.parametrize(("late_s", "voters"), [(0.0, "abc"), (0.05, "ab")])
+def test_an_input_that_comes_later_is_looked_for_where_its_poses_put_it(
+    device: ComputeDevice, late_s: float, voters: str
+) -> None:
+    """A square room looks alike from four sides; poses of other stamps do not say which it is."""
+    frames = {"a": Pose2(), "b": Pose2(0.1, 0.0, 0.02), "c": Pose2(4.0, 0.0, 0.5 * np.pi)}
+    maps = {
+        name: moved_frame(draw(ROOM, name=name), place.inverse()) for name, place in frames.items()
+    }
+    robot = drive(device)
+    tell_poses(robot, {name: frames[name] for name in "ab"}, 2.0, 0.5)
+    robot.step(maps["a"], maps["b"])
+    assert robot.accepted() == "ab"
+    for step in range(20):
+        here = Pose2(4.0 + 0.05 * step, 5.0, 0.3)
+        robot.live.hear("c", 0.1 * step + late_s, frames["c"].inverse().compose(here))
+    robot.step(maps["c"])
+    assert robot.accepted() == voters
+    if voters == "abc":
+        a, c = (robot.input(name).transform or Pose2() for name in "ac")
+        shift, turn = off_by(maps["c"], c, a.compose(frames["c"]))
+        assert shift < 2.0
+        assert turn < 1.0
