@@ -30,10 +30,7 @@ LEADING = ("error", "wall_f1", "ate_rmse_m", "relations_mean_m", "consistency")
 )
 @click.argument("files", metavar="A.zip [B.zip...]", nargs=-1, required=True, type=FILE)
 @output_option(
-    "--plot",
-    "plot_path",
-    metavar="FILE",
-    help="Draw the errors along the paths and by case: .png, .svg or .pdf.",
+    "--plot", "plot_path", metavar="FILE", help="Draw the figures by case: .png, .svg or .pdf."
 )
 @common_options
 @table_option
@@ -62,17 +59,13 @@ def command(files: tuple[Path, ...], plot_path: Path | None, as_json: bool) -> i
 
 
 def print_comparison(found: ComparedResults) -> None:
-    """Print a table of the figures, then those of each case over its seeds.
-
-    Without seeds, the second table has the errors along the paths.
-    """
+    """Print a table of the figures, then those of each case over its seeds."""
     import pandas as pd  # noqa: PLC0415  (an extra)
 
     from slamfusion.jobs.results import KEYS, figures_of, means_of  # noqa: PLC0415
 
     _print_figures(found)
     if not any((item.table["seed"] != "").any() for item in found.results):
-        _print_series(found)
         return
     by_seed = {
         item.name: means_of(figures_of(item.table), ["case", "seed"]) for item in found.results
@@ -117,34 +110,6 @@ def _print_figures(found: ComparedResults) -> None:
     title = "; ".join((title, *(same if len(same) == 1 else sentences)))
     columns = (*columns, "std first", "std second", tests[0])
     print_table(columns, rows, title=title, names=1 + len(names))
-
-
-def _print_series(found: ComparedResults) -> None:
-    """Print the errors that two paths have at the same times."""
-    from slamfusion.evaluation import figure_of  # noqa: PLC0415  (loads slowly)
-
-    series = found.document["series"]
-    if not series:
-        return
-    has_names = len({(item["first"], item["second"]) for item in series}) > 1
-    rows = [
-        [
-            item["case"],
-            *([item["first"], item["second"]] if has_names else []),
-            figure_of(item["figure"]).label,
-            *_numbers(item["mean_first"], item["mean_second"], item["difference"]),
-            p_text(item["p_t"]),
-            _interval(item),
-            p_text(item["p_rank"]),
-            str(item["count_first"]),
-        ]
-        for item in series
-    ]
-    names = ("case ", *(("first ", "second ") if has_names else ()), "errors ")
-    means = ("mean first", "mean second", "difference")
-    columns = (*names, *means, "p paired t", "95 % interval", "p Wilcoxon", "common")
-    title = "Errors along the paths; the pairs of the tests are means over spans of neighbours"
-    print_table(columns, rows, title=title, names=len(names))
 
 
 def _numbers(*values: float | None) -> list[str]:

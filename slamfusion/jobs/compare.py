@@ -7,7 +7,7 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypedDict
+from typing import TYPE_CHECKING, TypedDict
 
 import numpy as np
 import scipy.stats
@@ -25,10 +25,6 @@ if TYPE_CHECKING:
 # Rows of two results are paired by the first of these that any two rows have in common. Without the
 # seed among them, the means over the seeds are paired.
 PAIRED_BY = (["case", "seed", "method"], ["case", "seed"], ["case", "method"], ["case"])
-# Errors whose places differ by less than this are at one place: seconds or metres.
-SAME_PLACE = 1e-6
-# A path is cut into at most this many spans of neighbours, each with at least this many errors.
-SPANS, SPAN_ERRORS = 24, 5
 # A difference with a smaller p-value counts as one.
 SIGNIFICANT = 0.05
 # Rows without a partner that a note names.
@@ -38,20 +34,18 @@ _YARDSTICKS = {"truth", "truth image", "relations", "odometry", "scan odometry",
 
 
 class ComparisonJson(TypedDict):
-    """One figure of two results or methods, or the single errors of two paths."""
+    """One figure of two results or methods."""
 
     figure: str
-    """The figure's name; an error along a path ends in its unit."""
+    """The figure's name."""
     case: str
     """The case; empty for a figure over all cases."""
-    seed: str
-    """The seed of two paths; empty where there is none."""
     first: str
-    """One of the results or methods; of two paths of other methods, with the method."""
+    """One of the results or methods."""
     second: str
     """The other."""
     count_first: int
-    """Maps, paths or single errors of the first; of pairs, those that both have."""
+    """Maps or paths of the first; of pairs, those that both have."""
     count_second: int
     """The same of the second."""
     mean_first: float
@@ -91,9 +85,6 @@ class CompareDocument(TypedDict):
     """For every two results, which of their rows are pairs."""
     figures: Sequence[ComparisonJson]
     """Every figure of every two results."""
-    series: Sequence[ComparisonJson]
-    """The single errors of every two paths of one case and seed. The tests compare the means over
-    spans of neighbours."""
     notes: Sequence[str]
     """What was not compared, and what makes the comparison doubtful."""
     versions: Mapping[str, str | None]
@@ -140,7 +131,6 @@ def compare_results(files: Sequence[str | Path]) -> ComparedResults:
             f"{', '.join(map(str, paths)) or 'none'}; name another file"
         )
     figures: list[ComparisonJson] = []
-    series: list[ComparisonJson] = []
     pairings, notes, apart, is_paired = [], [], [], set()
     for first, second in itertools.combinations(results, 2):
         keys, rows = _paired(first, second)
@@ -162,7 +152,6 @@ def compare_results(files: Sequence[str | Path]) -> ComparedResults:
         )
         is_paired.add(bool(keys))
         figures += own
-        series += _compare_paths(first, second, keys) if "seed" in keys else []
         notes += [*_alone(first, second, keys), *_other_yardsticks(first, second)]
     if not figures:
         raise SlamFusionError(f"{apart[0]}; compare results of the same kind")
@@ -171,7 +160,6 @@ def compare_results(files: Sequence[str | Path]) -> ComparedResults:
         "results": results,
         "pairings": pairings,
         "figures": figures,
-        "series": series,
         "notes": list(dict.fromkeys([*apart, *notes, *_too_few(figures, is_paired)])),
         "versions": versions(),
     }
@@ -244,7 +232,6 @@ def compare_values(
     is_paired: bool,
     figure: str,
     case: str = "",
-    seed: str = "",
 ) -> ComparisonJson:
     """Compare a figure."""
     if is_paired:
@@ -255,7 +242,6 @@ def compare_values(
     return {
         "figure": figure,
         "case": case,
-        "seed": seed,
         "first": names[0],
         "second": names[1],
         "count_first": len(first),
@@ -317,41 +303,6 @@ def _too_few(figures: Sequence[ComparisonJson], is_paired: Collection[bool]) -> 
     return [f"{found}: too few for {test}, whose p cannot be below {least_p}; add cases or seeds"]
 
 
-def _compare_paths(
-    first: SavedResults, second: SavedResults, keys: Sequence[str]
-) -> list[ComparisonJson]:
-    """Compare the single errors of every two paths that are a pair."""
-    both = (first, second)
-    tables = [own.table.dropna(subset="at") for own in both]
-    # Places are compared as whole numbers of ``SAME_PLACE``; each counts once.
-    places = ["at", "to"]
-    for index, own in enumerate(tables):
-        rounded = (own[places] / SAME_PLACE).round().fillna(-1.0)
-        tables[index] = own.assign(**rounded).drop_duplicates([*KEYS, "figure", *places])
-    on = [*keys, "figure", *places]
-    common = tables[0].merge(tables[1], on=on, suffixes=("_first", "_second"))
-    by = ["case", "seed", *(["method"] if "method" in keys else ["method_first", "method_second"])]
-    found: list[Any] = []
-    for key, own in common.groupby([*by, "figure"], sort=False):
-        methods = key[2:-1] if len(by) > 3 else (key[2], key[2])
-        told = [
-            item.name if item.name == method or len(set(methods)) == 1 else f"{item.name}: {method}"
-            for item, method in zip(both, methods, strict=True)
-        ]
-        names = told[0], told[1]
-        errors = own.sort_values(places)[["value_first", "value_second"]]
-        figure = {"figure": key[-1], "case": key[0], "seed": key[1]}
-        compared = compare_values(names, *(errors[n] for n in errors), is_paired=True, **figure)
-        # Errors of neighbouring poses share their causes, so they are no independent pairs: the
-        # pairs of the tests are means over spans of neighbours.
-        spans = max(1, min(SPANS, len(errors) // SPAN_ERRORS))
-        ends = -(-np.arange(1, spans) * len(errors) // spans)
-        means = [part.mean(axis=0) for part in np.array_split(errors.to_numpy(), ends)]
-        tested = difference_test(*np.transpose(means), paired=True)
-        found.append({**compared, **tested._asdict(), "p_holm": tested.p_t})
-    return found
-
-
 def _alone(first: SavedResults, second: SavedResults, keys: Sequence[str]) -> list[str]:
     """Return a sentence for each of two results that has rows without a partner in the other."""
     found = []
@@ -381,7 +332,7 @@ def _other_yardsticks(first: SavedResults, second: SavedResults) -> list[str]:
 
 
 def write_comparison_plot(found: ComparedResults, path: str | Path) -> None:
-    """Write the comparison as one picture: errors along the paths, and figures by case.
+    """Write the comparison as one picture: figures by case.
 
     Args:
         path: PNG, SVG or PDF, by its suffix.

@@ -39,7 +39,7 @@ except ImportError as _error:
     )
     raise SlamFusionError(_message) from _error
 
-FORMAT, FORMAT_VERSION = "slamfusion-results", 3
+FORMAT, FORMAT_VERSION = "slamfusion-results", 4
 MANIFEST, DOCUMENT, TABLE = "manifest.json", "document.json", "results.csv"
 # The most that a file of results may unpack to: a thousand paths of ten thousand poses.
 MOST_BYTES = 2**30
@@ -53,8 +53,7 @@ _BROKEN = (
 
 # The columns that name a map or path, and all columns.
 KEYS = ["case", "seed", "method"]
-NUMBERS = ["value", "at", "to"]
-COLUMNS = [*KEYS, "figure", *NUMBERS]
+COLUMNS = [*KEYS, "figure", "value"]
 
 
 class ResultsFileError(SlamFusionError):
@@ -74,10 +73,9 @@ def figures_of(table: pd.DataFrame) -> pd.DataFrame:
 
     Rows and columns keep the order of the table. NaN: not defined.
     """
-    own = table[table["at"].isna()]
-    wide = own.set_index([*KEYS, "figure"])["value"].unstack()  # noqa: PD010 - there is no mean
-    order = pd.MultiIndex.from_frame(own[KEYS].drop_duplicates())
-    return wide.reindex(order)[own["figure"].unique()].dropna(axis="columns", how="all")
+    wide = table.set_index([*KEYS, "figure"])["value"].unstack()  # noqa: PD010 - there is no mean
+    order = pd.MultiIndex.from_frame(table[KEYS].drop_duplicates())
+    return wide.reindex(order)[table["figure"].unique()].dropna(axis="columns", how="all")
 
 
 def means_of(figures: pd.DataFrame, keys: Sequence[str], how: str = "mean") -> pd.DataFrame:
@@ -281,14 +279,14 @@ def _read_table(data: bytes) -> pd.DataFrame:
     texts = [*KEYS, "figure"]
     table = pd.read_csv(
         io.BytesIO(data),
-        dtype={**dict.fromkeys(texts, str), **dict.fromkeys(NUMBERS, float)},
+        dtype={**dict.fromkeys(texts, str), "value": float},
         keep_default_na=False,
-        na_values={name: [""] for name in NUMBERS},
+        na_values={"value": [""]},
         usecols=COLUMNS,
     )[COLUMNS]
-    if np.isinf(table[NUMBERS]).any(axis=None):
+    if np.isinf(table["value"]).any():
         raise ValueError(f"{TABLE} has an infinite number")
-    if table[table["at"].isna()].duplicated(texts).any():
+    if table.duplicated(texts).any():
         raise ValueError(f"{TABLE} has two rows of one case, seed, method and figure")
     return table
 

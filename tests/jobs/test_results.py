@@ -10,13 +10,12 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 import pytest
 from scipy import stats
 
 from slamfusion.errors import SlamFusionError
-from slamfusion.evaluation import Row, error_series, result_rows
+from slamfusion.evaluation import Row, result_rows
 from slamfusion.jobs import results
 from slamfusion.jobs.cases import CaseFile, place_files
 from slamfusion.jobs.compare import CompareDocument, compare_results, write_comparison_plot
@@ -28,22 +27,13 @@ from slamfusion.jobs.results import (
     write_results_file,
 )
 from slamfusion.json_values import plain
-from slamfusion.report.result_plots import running
 from tests.cli.command import MAPS
 from tests.support.documents import check_document
 
-Series = npt.NDArray[np.float64]
 CASES = ("intel", "mit", "office", "hall")
 ROWS = [
     *result_rows(
-        "intel",
-        "",
-        "graph",
-        {"ate_rmse_m": 0.1 + 0.2, "rpe_mean_m": 1e-300, "ssim": None},
-        {
-            "ate_m": error_series(np.array([0.1, 1 / 3]), np.array([1e9 + 0.1, 1e9 + 0.3])),
-            "relations_m": error_series(np.array([0.5]), np.zeros(1), np.ones(1)),
-        },
+        "intel", "", "graph", {"ate_rmse_m": 0.1 + 0.2, "rpe_mean_m": 1e-300, "ssim": None}
     ),
     *result_rows("NA", "07", "graph", {"ate_rmse_m": 2.0}),
 ]
@@ -51,16 +41,6 @@ ROWS = [
 
 def item(case: str, method: str, seed: str = "", **figures: float) -> list[Row]:
     return result_rows(case, seed, method, figures)
-
-
-def series(errors: Sequence[float], first_s: float = 0.0) -> Series:
-    return error_series(np.array(errors), first_s + np.arange(len(errors), dtype=float))
-
-
-def path_item(case: str, method: str, error_m: float) -> list[Row]:
-    errors = error_m * (1.0 + 0.2 * np.sin(np.arange(120.0) / 7.0 + error_m))
-    rmse = float(np.sqrt(np.mean(errors**2)))
-    return result_rows(case, "", method, {"ate_rmse_m": rmse}, {"ate_m": series(list(errors))})
 
 
 def joined(parts: Iterable[Sequence[Row]]) -> list[Row]:
@@ -137,7 +117,7 @@ def test_the_file_says_how_it_was_made_and_is_a_table(saved: Path, tmp_path: Pat
     (truth,) = manifest["inputs"]
     assert (truth["role"], truth["case"], truth["bytes"]) == ("truth", "intel", 6)
     assert document == {"config": {"seed": 3}, "ate": None}
-    assert list(table.columns) == ["case", "seed", "method", "figure", "value", "at", "to"]
+    assert list(table.columns) == ["case", "seed", "method", "figure", "value"]
     assert times == {(1980, 1, 1, 0, 0, 0)}
     again = save(tmp_path / "b.zip", ROWS, [("truth", "intel", tmp_path / "true.tum")])
     assert again.read_bytes() == saved.read_bytes()
@@ -179,10 +159,10 @@ def test_no_zip_and_others_zips_are_refused(saved: Path, tmp_path: Path) -> None
 
 
 def test_older_and_newer_formats_say_what_to_do(saved: Path) -> None:
-    with pytest.raises(ResultsFileError, match=r"format 3, found 4, .*'9\.1'; update"):
-        read_results(with_manifest(saved, format_version=4, version="9.1"))
-    with pytest.raises(ResultsFileError, match=r"format 3, found 2, .*; run its command with"):
-        read_results(with_manifest(saved, format_version=2))
+    with pytest.raises(ResultsFileError, match=r"format 4, found 5, .*'9\.1'; update"):
+        read_results(with_manifest(saved, format_version=5, version="9.1"))
+    with pytest.raises(ResultsFileError, match=r"format 4, found 3, .*; run its command with"):
+        read_results(with_manifest(saved, format_version=3))
 
 
 def test_a_bomb_is_refused_before_it_is_unpacked(
@@ -269,9 +249,11 @@ def test_methods_of_one_file_are_compared_with_each_other(tmp_path: Path) -> Non
 
 
 def test_two_files_are_compared_case_by_case(tmp_path: Path) -> None:
-    old = joined(path_item(case, "old", 0.3 + 0.05 * n) for n, case in enumerate(CASES))
+    old = joined(item(case, "old", ate_rmse_m=0.3 + 0.05 * n) for n, case in enumerate(CASES))
     new, best = (
-        joined(path_item(case, "new", error + 0.05 * n) for n, case in enumerate(CASES))
+        joined(
+            item(case, "new", ate_rmse_m=error * (1.0 + 0.2 * n)) for n, case in enumerate(CASES)
+        )
         for error in (0.2, 0.15)
     )
     found = compared(tmp_path, old, new)
@@ -279,8 +261,6 @@ def test_two_files_are_compared_case_by_case(tmp_path: Path) -> None:
     assert (figure["count_first"], figure["better"]) == (4, "b")
     assert figure["p_t"] is not None
     assert figure["p_t"] < 0.01
-    assert [own["case"] for own in found["series"]] == list(CASES)
-    assert all(own["count_first"] == 120 for own in found["series"])
     few = "4 pairs: too few for Wilcoxon's test, whose p cannot be below 0.12; add cases or seeds"
     assert found["notes"] == [few]
     check_document(plain(found), "compare")
@@ -343,8 +323,8 @@ def test_rows_without_a_partner_and_another_truth_are_told(tmp_path: Path) -> No
     for name in ("one", "other"):
         (tmp_path / name).write_text(name, encoding="ascii")
         inputs[name] = [("truth", "", tmp_path / name)]
-    all_items = joined(path_item(case, "new", 0.2) for case in CASES)
-    some = [*path_item("intel", "new", 0.2), *item("attic", "new", "3", ate_rmse_m=1.0)]
+    all_items = joined(item(case, "new", ate_rmse_m=0.2) for case in CASES)
+    some = [*item("intel", "new", ate_rmse_m=0.2), *item("attic", "new", "3", ate_rmse_m=1.0)]
     new = save(tmp_path / "new.zip", all_items, inputs["one"])
     few = save(tmp_path / "few.zip", some, inputs["other"])
     assert compare_results([new, few]).document["notes"] == [
@@ -367,47 +347,6 @@ def test_some_figures_are_better_when_they_are_larger(
     assert found["better"] == better
 
 
-def paths_compared(folder: Path, first: Series, second: Series) -> CompareDocument:
-    sets = (result_rows("a", "", "x", {"error": 1.0}, {"ate_m": own}) for own in (first, second))
-    return compared(folder, *sets)
-
-
-def test_errors_are_compared_where_both_paths_have_one(tmp_path: Path) -> None:
-    first = series([0.1 + 0.001 * (n % 7) for n in range(200)])
-    second = series([0.2 + 0.001 * (n % 5) for n in range(100)], first_s=150.0)
-    (found,) = paths_compared(tmp_path, first, second)["series"]
-    assert found["count_first"] == 50
-    means = (found["mean_first"], found["mean_second"])
-    assert means == pytest.approx((0.103, 0.202), abs=0.001)
-    assert found["p_t"] is not None
-    assert found["p_t"] < 0.001
-    # 10 spans, all of one sign.
-    assert found["p_rank"] == pytest.approx(2 / 2**10)
-    pairs = error_series(np.array([0.5]), np.zeros(1), np.ones(1))
-    for other in (series([1.0], first_s=1e6), pairs):
-        assert paths_compared(tmp_path, first, other)["series"] == []
-    (few,) = paths_compared(tmp_path, series([0.1, 0.2]), series([0.3, 0.4]))["series"]
-    assert few["count_first"] == 2
-    assert few["p_t"] is not None
-    assert np.isnan(few["p_t"])
-    (relations,) = paths_compared(tmp_path, pairs, pairs)["series"]
-    assert relations["count_first"] == 1
-
-
-def test_a_slow_drift_is_no_proof(tmp_path: Path) -> None:
-    """Errors of neighbours share their causes: 2000 of them are no 2000 pairs."""
-    rng = np.random.default_rng(3)
-    cases: list[list[Row]] = [[], []]
-    for case in range(40):
-        walks = np.abs(np.cumsum(rng.normal(0.0, 0.01, (2000, 2)), axis=0) % 0.5 - 0.25)
-        for own, walk in zip(cases, walks.T, strict=True):
-            errors = {"ate_m": series(list(walk))}
-            own.extend(result_rows(str(case), "", "x", {"ate_rmse_m": 1.0}, errors))
-    p_values = [own["p_t"] for own in compared(tmp_path, *cases)["series"]]
-    assert len(p_values) == 40
-    assert sum(p_value is not None and p_value < 0.001 for p_value in p_values) <= 4
-
-
 # --- the picture --------------------------------------------------------------------------------
 
 HEADS = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}
@@ -416,7 +355,7 @@ HEADS = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}
 @pytest.mark.once
 def test_the_plot_is_drawn_alike_each_time_and_names_as_they_are_written(tmp_path: Path) -> None:
     names = ("$one", "_two$")
-    item_of = path_item("a$b_{c}$", "x", 0.1)
+    item_of = item("a$b_{c}$", "x", ate_rmse_m=0.1)
     found = compare_results([save(tmp_path / f"{name}.zip", item_of) for name in names])
     for form, head in HEADS.items():
         plots = [tmp_path / f"{name}.{form}" for name in "ab"]
@@ -427,14 +366,5 @@ def test_the_plot_is_drawn_alike_each_time_and_names_as_they_are_written(tmp_pat
         if form == "svg":
             assert data == plots[1].read_bytes()
     text = (tmp_path / "a.svg").read_text(encoding="utf-8")
-    assert all(f">{words}<" in text for words in ("$one", "_two$", "a$b_{c}$", "ATE [m]"))
-
-
-def test_one_large_error_does_not_move_the_running_median() -> None:
-    at, values = np.arange(100.0), np.full(100, 0.1)
-    values[37] = 40.0
-    middles, (low, median, high) = running(at, values)
-    assert list(middles[:2]) == [2.0, 7.0]  # windows of five errors
-    assert (low == 0.1).all()
-    assert (median == 0.1).all()
-    assert np.flatnonzero(high > 0.1).tolist() == [7]
+    label = "ATE rmse [m] (smaller is better)"
+    assert all(f">{words}<" in text for words in ("$one", "_two$", "a$b_{c}$", label))
