@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gc
 import os
-from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from unittest import mock
@@ -20,12 +19,10 @@ from tests.support.searches import CALLERS, RememberedSearches
 TESTS = Path(__file__).parent
 # Where PoCL does not know the processor each command would say so; one test looks at that.
 os.environ.setdefault("SLAMFUSION_PATCH_POCL", "1")
-# Sets of parameters of one test under --few-each.
-FEW = 2
 
 # Examples of each property: in every run, under --full, and where NumPy and OpenCV are looked at
 # alone. A busy machine is no fault of the code.
-PROFILES = {"suite": 12, "full": FULL, "brief": 10}
+PROFILES = {"suite": 12, "full": FULL, "brief": 3}
 for profile, count in PROFILES.items():
     settings.register_profile(
         profile, deadline=None, suppress_health_check=[HealthCheck.too_slow], max_examples=count
@@ -74,7 +71,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
         "--few-each",
         action="store_true",
-        help=f"of tests that differ in their parameters alone run {FEW}, and all marked jazzy",
+        help="of tests that differ in their parameters alone run one, and all marked jazzy",
     )
 
 
@@ -96,13 +93,14 @@ def pytest_configure(config: pytest.Config) -> None:
 
 def few_of_each(items: list[pytest.Item]) -> list[pytest.Item]:
     """Return the items without those that only have other parameters than some before them."""
-    seen: Counter[tuple[Path, str]] = Counter()
+    seen: set[tuple[Path, str]] = set()
     kept = []
     for item in items:
         function = item.path, item.nodeid.partition("[")[0]
-        if seen[function] < FEW or "jazzy" in item.keywords:
+        if function not in seen or "jazzy" in item.keywords:
             kept.append(item)
-        seen[function] += "full" not in item.keywords
+        if "full" not in item.keywords:
+            seen.add(function)
     return kept
 
 

@@ -66,6 +66,7 @@ def test_three_slams_of_one_home_come_together(device: ComputeDevice) -> None:
     assert_home(result, grids, dict.fromkeys(HOME, Pose2()))
 
 
+@pytest.mark.full  # strangers are rejected in every run, and one of these maps below
 def test_a_lost_slam_is_rejected_and_the_other_two_fused(device: ComputeDevice) -> None:
     grids = load("mit-csail", "gmapping", "karto", "tinyslam-lost")
     result = fuse_grids(grids, QUICK, device)
@@ -101,7 +102,10 @@ def assert_triangles_close(grids: tuple[OccupancyGrid, ...], pairs: list[Alignme
         assert math.degrees(turn) <= 1.0, (a.name, b.name, c.name)
 
 
-@pytest.mark.parametrize(("folder", "names"), [("nanobot-new", ROOM), ("nanorobot-real", HOME)])
+@pytest.mark.parametrize(
+    ("folder", "names"),
+    [("nanobot-new", ROOM), pytest.param("nanorobot-real", HOME, marks=pytest.mark.full)],
+)
 def test_all_pairs_of_a_place_are_accepted_and_their_triangles_close(
     device: ComputeDevice, folder: str, names: tuple[str, ...]
 ) -> None:

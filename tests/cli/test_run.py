@@ -209,6 +209,7 @@ def test_a_run_that_fuses_nothing_leaves_the_earlier_results(
     assert len(shown) == html.count("<img ")
 
 
+@pytest.mark.full  # a run that fuses nothing: above; --require-all: tests of jobs and of fuse
 def test_require_all_fuses_nothing_without_everyone(
     made: tuple[Path, dict[str, Any]], place: Path, tmp_path: Path
 ) -> None:

@@ -76,7 +76,7 @@ def scattered(count: int) -> Places:
     ]
 
 
-@pytest.mark.parametrize("count", [1, 2, 3, 5])
+@pytest.mark.parametrize("count", [2, 5])
 @pytest.mark.parametrize(
     "vote",
     [

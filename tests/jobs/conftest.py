@@ -10,6 +10,12 @@ import pytest
 from slamfusion.io import write_carmen, write_tum
 from slamfusion.trajectory import Trajectory
 from tests.slam.drives import drive
+from tests.support.searches import RememberedSearches
+
+
+@pytest.fixture(autouse=True)
+def _remembered(remembered_searches: RememberedSearches) -> None:
+    """Many of these tests align the sample maps."""
 
 
 @pytest.fixture(scope="module")

@@ -34,18 +34,27 @@ from tests.slam.drives import CELL_M, draw_flat
 from tests.support.documents import check_document
 from tests.support.written_maps import fits, written_map
 
+TWO = replace(RUN_DEFAULTS, run=replace(RUN_DEFAULTS.run, producers=("tinyslam", "graph")))
 
-def test_the_main_job_from_a_log_to_files(place: Path, tmp_path: Path) -> None:
-    two = replace(RUN_DEFAULTS.run, producers=("tinyslam", "graph"), draw=True)
-    vote = replace(RUN_DEFAULTS.fusion.vote, mode="consensus")
-    config = replace(RUN_DEFAULTS, run=two, fusion=replace(RUN_DEFAULTS.fusion, vote=vote))
-    prepared: list[bool] = []
+
+@pytest.fixture(scope="module")
+def told_run(place: Path) -> tuple[LogRun, list[tuple[str, float, int]]]:
+    """The main job of two producers, and its progress."""
+    vote = replace(TWO.fusion.vote, mode="consensus")
+    config = replace(TWO, run=replace(TWO.run, draw=True), fusion=replace(TWO.fusion, vote=vote))
     told: list[tuple[str, float, int]] = []
     run = run_log(
         place / "flat.log", config, truth=place / "truth.tum",
-        progress=lambda *words: told.append(words), prepare=lambda: prepared.append(True),
+        progress=lambda *words: told.append(words), prepare=lambda: told.append(("ready", 0, 0)),
     )  # fmt: skip
-    assert prepared == [True]
+    return run, told
+
+
+def test_the_main_job_from_a_log_to_files(
+    told_run: tuple[LogRun, list[tuple[str, float, int]]], tmp_path: Path
+) -> None:
+    run, told = told_run
+    assert [stage for stage, _, _ in told].count("ready") == 1
     assert {"tinyslam", "graph"} <= {stage for stage, _, _ in told}
     whole = [done for stage, done, _ in told if stage == WHOLE]
     assert whole == sorted(whole)
@@ -166,19 +175,18 @@ def test_a_start_that_names_no_input_ends_the_run_before_any_work(place: Path) -
 
 @pytest.mark.once
 def test_a_saved_map_is_searched_around_its_start_in_the_frame_of_the_drive(
-    place: Path, tmp_path: Path
+    place: Path, told_run: tuple[LogRun, list[tuple[str, float, int]]], tmp_path: Path
 ) -> None:
     """The producers, which begin in one frame, are searched everywhere all the same.
 
     Where it fits it votes beside the drawn map, which keeps all that it knows.
     """
-    two = replace(RUN_DEFAULTS, run=replace(RUN_DEFAULTS.run, producers=("tinyslam", "graph")))
-    made = run_log(place / "flat.log", two)
-    assert made.grid is not None
+    grid = told_run[0].drawn
+    assert grid is not None
     moved = Pose2(6.0, -2.0, 1.0)
-    save_map(replace(made.grid, origin=moved.compose(made.grid.origin)), place / "saved")
+    save_map(replace(grid, origin=moved.compose(grid.origin)), place / "saved")
     right = moved.inverse()
-    config = replace(two, start={"saved": (right.x + 0.5, right.y, right.yaw_rad)})
+    config = replace(TWO, start={"saved": (right.x + 0.5, right.y, right.yaw_rad)})
     run = run_log(place / "flat.log", config, saved_maps=[place / "saved.yaml"])
     assert run.usable is not None
     became = {record.name: record.accepted for record in run.usable.inputs}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -50,6 +51,7 @@ def standing(path: Trajectory) -> Relations:
     return Relations(path.stamps_s[:2].reshape(1, 2), np.zeros((1, 3)))
 
 
+@cache
 def everything() -> LogRun:
     """Three producers of which one is lost, a fourth that died, a rejected map, all errors."""
     runs = [produced(name, lost=name == "room 1") for name in NAMES]

@@ -1,8 +1,8 @@
 """Run kernels on the Oclgrind simulator: ``python -m tests.kernels.simulated WHAT``.
 
-``checks`` runs every operation on one small size, ``sizes`` on several; ``beyond`` (its bounds),
-``race`` and ``sound`` run a toy kernel each. Oclgrind writes what it finds to the file that
-``OCLGRIND_LOG`` names.
+``checks`` runs every operation on one small size, ``sizes`` on several; ``toys`` runs a kernel that
+writes beyond its bounds, one with a race, and a sound one. Oclgrind writes what it finds to the
+file that ``OCLGRIND_LOG`` names.
 """
 
 from __future__ import annotations
@@ -37,17 +37,18 @@ def run_checks(samples: Sequence[Sample]) -> int:
     return sum(1 for words in found if words)
 
 
-def run_toy(name: str) -> int:
-    """Run one toy kernel on 16 cells."""
+def run_toys() -> int:
+    """Run every toy kernel on 16 cells."""
     device = open_device("oclgrind")
     program = cl.Program(device.context, TOYS).build()
-    cells = device.upload(np.zeros(16, dtype=np.int32))
-    getattr(program, name)(device.queue, (16,), (4,), cells.buffer)
-    device.download(cells)
+    for kernel in program.all_kernels():
+        cells = device.upload(np.zeros(16, dtype=np.int32))
+        kernel(device.queue, (16,), (4,), cells.buffer)
+        device.download(cells)
     return 0
 
 
 if __name__ == "__main__":
     checked = {"checks": SAMPLES[:1], "sizes": SAMPLES}
     what = sys.argv[1]
-    sys.exit(run_checks(checked[what]) if what in checked else run_toy(what))
+    sys.exit(run_checks(checked[what]) if what in checked else run_toys())

@@ -34,7 +34,7 @@ pytestmark = pytest.mark.ros
 
 COUNT = 40
 LAST_S = FIRST_S + 0.1 * (COUNT - 1)
-SETTINGS = {"tinyslam": {}, "gmapping": {"particles": 6}, "graph": {}}
+SETTINGS = {"tinyslam": {}, "gmapping": {"particles": 3}, "graph": {}}
 MOUNT = Pose2(0.21, -0.04, 0.3)
 
 
@@ -133,9 +133,6 @@ def test_in_lockstep_the_map_is_that_of_the_offline_run(
     assert_same_map(message, wanted)
     assert message.header.frame_id == f"{kind}_map"
     observer.wait(lambda: metadata and metadata[-1] == message.info, what="the map's metadata")
-    # Without the way through messages (angles of float32) the map is all but the same.
-    raw = offline(kind, open_log(log), **SETTINGS[kind])
-    assert abs(raw.width - wanted.width) <= 1
     # A scan that was not acknowledged soon is sent again, and so is its pose.
     heard = observer.wait(
         lambda: {messages.stamp_s(pose) for pose in poses} if len(poses) >= COUNT else None,
