@@ -140,6 +140,11 @@ class FusionNodeConfig(ScanNodeConfig):
         "where scans and poses of the inputs are heard, the fused map is drawn from the scans at "
         "the fused path; maps without poses vote next to it",
     )
+    on_new_place: Literal["ask", "reset", "keep"] = option(
+        "ask",
+        "when the scans show that the robot was carried away, or is on another floor: ask for a "
+        "reset in the diagnostics, reset at once, or keep the map and only name it",
+    )
     save_path: str = option(
         "fused_map",
         "save_map writes this path with .yaml and .pgm; a change leads nowhere but into the folder "

@@ -21,7 +21,13 @@ from slamfusion.evidence.beams import (
     judged_scans,
     scan_hits,
 )
-from slamfusion.evidence.displacement import Displacement, find_displacements
+from slamfusion.evidence.conditions import CONDITIONS, Condition, drive_conditions
+from slamfusion.evidence.displacement import (
+    Contradiction,
+    Displacement,
+    find_contradiction,
+    find_displacements,
+)
 from slamfusion.evidence.fused_path import FusedPath, fuse_paths, trust_in_paths
 from slamfusion.evidence.predictive import (
     Comparison,
@@ -41,8 +47,11 @@ from slamfusion.evidence.refined_path import refine_path
 from slamfusion.evidence.refinement import RefinedPath, refine_borne_out
 
 __all__ = [
+    "CONDITIONS",
     "Check",
     "Comparison",
+    "Condition",
+    "Contradiction",
     "CoveredPath",
     "Displacement",
     "FusedPath",
@@ -55,6 +64,8 @@ __all__ = [
     "ScanHits",
     "choose_path",
     "cover_stamps",
+    "drive_conditions",
+    "find_contradiction",
     "find_displacements",
     "fuse_paths",
     "judged_hits",

@@ -32,6 +32,11 @@ from slamfusion.geometry import F64
 I64 = npt.NDArray[np.int64]
 U32 = npt.NDArray[np.uint32]
 
+# If most of what the robot sees was free when it was there before, it is elsewhere.
+CONTRADICTED = 0.5
+# Hits that show it, at least.
+LEAST_ASKED = 200
+
 # How far hits are moved at most, and in which steps, metres: a step of twice the deviation of a hit
 # about its wall misses no place.
 REACH_M, STEP_M = 0.8, 0.1
@@ -61,6 +66,27 @@ class Displacement:
     to_s: float
     away_m: float
     p_value: float
+
+
+@dataclass(frozen=True)
+class Contradiction:
+    """From some time on most of what a robot sees stands where it saw free space before.
+
+    Attributes:
+        since_s: seconds since the first scan.
+        share: of the hits in places that were seen before, ``CONTRADICTED`` to 1.
+        moved_share: the share that remains if the hits of each chunk are moved to where they fit
+            best, by ``REACH_M`` at most.
+    """
+
+    since_s: float
+    share: float
+    moved_share: float
+
+    @property
+    def is_elsewhere(self) -> bool:
+        """Whether the robot was carried away or is on another floor: nothing near it fits."""
+        return self.moved_share > CONTRADICTED
 
 
 def find_displacements(
@@ -122,6 +148,46 @@ def contradicted_share(evidence: PathEvidence, name: str, device: ComputeDevice)
     (now, _), (then, is_seen) = (drawn.look_up(among=bits) for bits in (NEIGHBOURS, OTHERS))
     is_asked = is_seen & (now > price)
     return float(np.mean(then[is_asked] < price)) if is_asked.any() else 0.0
+
+
+def find_contradiction(
+    evidence: PathEvidence, name: str, device: ComputeDevice
+) -> Contradiction | None:
+    """Return since when most of what a robot sees was free space before; None: there is no time."""
+    scans, score = evidence.scans, evidence.scores[name]
+    drawn = DrawnChunks.of(name, score.path, scans, evidence.is_judged, device, score.model)
+    some = np.arange(0, len(drawn.hit_scans), -(-len(drawn.hit_scans) // MOST_HITS))
+    price = np.log(score.model.unknown)
+    # What the laser and the place allow is what the scans of just before and after explain.
+    some = some[drawn.look_up(some, among=NEIGHBOURS)[0] > price]
+    shares = np.zeros(CHUNKS)
+    for first in range(2, CHUNKS):
+        late = some[drawn.chunks[some] >= first]
+        if len(late) < LEAST_ASKED:
+            break
+        then, is_seen = drawn.look_up(late, among=_before(first))
+        if np.count_nonzero(is_seen) >= LEAST_ASKED:
+            shares[first] = np.mean(then[is_seen] < price)
+    first = int(shares.argmax())
+    if shares[first] <= CONTRADICTED:
+        return None
+    late = some[drawn.chunks[some] >= first]
+    late = late[drawn.look_up(late, among=_before(first))[1]]
+    found = [
+        drawn.look_up(late, (float(x), float(y)), _before(first))[0] for x, y in _moves().tolist()
+    ]
+    likelihoods = np.maximum(found, price)
+    chunks = drawn.chunks[late]
+    by_chunk = [np.bincount(chunks, row, CHUNKS) for row in likelihoods]
+    best = np.argmax(by_chunk, axis=0)
+    moved = likelihoods[best[chunks], np.arange(len(late))]
+    since_s = scans.stamps_s[np.flatnonzero(scans.chunks == first)[0]] - scans.stamps_s[0]
+    return Contradiction(float(since_s), float(shares[first]), float(np.mean(moved <= price)))
+
+
+def _before(first: int) -> U32:
+    """Return for each chunk the bits of those before one that are neither it nor next to it."""
+    return np.asarray(OTHERS & np.uint32((1 << first) - 1))
 
 
 def _moves() -> F64:

@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.evidence.beams import CHUNKS
-from slamfusion.evidence.displacement import contradicted_share, find_displacements
+from slamfusion.evidence.displacement import CONTRADICTED, contradicted_share, find_displacements
 from slamfusion.evidence.parting import PART_M, Span, path_gap_m, path_spans
 from slamfusion.evidence.predictive import BLOCKS, SURE, PathEvidence, compare_sums
 from slamfusion.geometry import fit_motion, moved_poses
@@ -31,9 +31,9 @@ from slamfusion.trajectory import Trajectory, nearest_stamps
 
 # Places that are named at most.
 MOST_CHECKS = 3
-# If most of what the robot saw was free space at other times, it was elsewhere; if more than the
-# second share was, the map is worth a look: people and moved furniture make up to a quarter.
-CONTRADICTED, DOUBTED = 0.5, 0.25
+# If more of what the robot saw was free space at other times than this share, the map is worth a
+# look: people and moved furniture make up to a quarter.
+DOUBTED = 0.25
 # If walls are displaced in more of the drive than this share, the map is wrong as a whole.
 BENT = 0.25
 # If fewer of the hits were seen at another time than this share, nothing confirms the path.

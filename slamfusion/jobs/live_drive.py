@@ -28,11 +28,13 @@ import numpy.typing as npt
 from slamfusion.compute import ComputeDevice
 from slamfusion.errors import SlamFusionError
 from slamfusion.evidence import (
+    Condition,
     JudgedScans,
     PathEvidence,
     ScanHits,
     beams,
     cover_stamps,
+    drive_conditions,
     judged_hits,
     scan_hits,
     score_paths,
@@ -123,6 +125,7 @@ class DriveSolution:
         corrections: by input, the motion of its map frame that carries its newest poses onto the
             path; metres and radians.
         doubted_since_s: by input that the scans contradict, since when: a stamp.
+        conditions: what the robot suffers, in words.
         lattice: of ``drawn``, in the fused frame.
         drawn: the map drawn from the scans at the path; None: it was not asked for.
     """
@@ -130,6 +133,7 @@ class DriveSolution:
     path: Trajectory
     corrections: Mapping[str, Pose2]
     doubted_since_s: Mapping[str, float]
+    conditions: Mapping[Condition, str]
     lattice: Lattice
     drawn: OccupancyGrid | None = None
 
@@ -308,7 +312,9 @@ class LiveDrive:
         if self._generation != generation:
             return None  # it was forgotten meanwhile
         corrections = {name: _correction(own, path) for name, own in paths.items()}
-        return DriveSolution(path, corrections, self._doubted_since_s, own_lattice, drawn)
+        conditions = drive_conditions(evidence, FUSED, self._device)
+        doubted_since_s = self._doubted_since_s
+        return DriveSolution(path, corrections, doubted_since_s, conditions, own_lattice, drawn)
 
     def _continued(
         self, kept: Sequence[_Kept], paths: Mapping[str, Trajectory]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -19,6 +19,7 @@ from slamfusion.config import (
     RunConfig,
 )
 from slamfusion.errors import GridError
+from slamfusion.evidence import CONDITIONS, Condition
 from slamfusion.fusion.live import LiveFusion, LiveInput, State
 from slamfusion.fusion.live.session import FusedMap, FusionSession, warm_up
 from slamfusion.geometry import Pose2
@@ -39,11 +40,17 @@ AGREEMENT_TOPIC = "fused/agreement"
 CHANGEABLE = (
     *("discover", "discovery_rate_hz"),
     *("max_publish_rate_hz", "publish_tf", "save_path", "lost_after_s"),
-    *("correction_speed", "correction_turn"),
+    *("correction_speed", "correction_turn", "on_new_place"),
 )
 # How often the node looks whether a fused map may go out, at frames, and who publishes its inputs;
 # and shows itself on the page; and how often it sends what the robot drives by.
 TURN_S, LOOK_S, LOOK_AROUND_S, SHOW_S, DRIVE_S = 0.02, 0.1, 1.0, 0.5, 0.05
+# What to do in a new place, by ``on_new_place``.
+NEW_PLACE = {
+    "ask": "; start a new map: slamfusion live reset",
+    "reset": "; a new map starts",
+    "keep": "; the map is kept (on_new_place)",
+}
 # Of an input in the diagnostics, by its state; WARN in the others.
 LEVELS = {State.TRACKED: Level.OK, State.LOST: Level.STALE}
 # From so many inputs on the executor rests so many times as long as it works.
@@ -292,6 +299,7 @@ class FusionNode(NodeBase):
     def ask_reset(self) -> None:
         """Let the worker begin a new fused frame."""
         self._drive.forget()
+        self._name_conditions({})
         self._session.ask_reset()
         self._wake()
 
@@ -304,9 +312,21 @@ class FusionNode(NodeBase):
     # --- the thread of the drive -------------------------------------------------------------
 
     def _on_solution(self, solution: DriveSolution) -> None:
-        """Let the worker fuse by what the scans say."""
+        """Let the worker fuse by what the scans say, and name what the robot suffers."""
         self._fusion.put_evidence(solution.evidence)
+        self._name_conditions(solution.conditions)
+        if "new place" in solution.conditions and self.settings.on_new_place == "reset":
+            self.ask_reset()
         self._wake()
+
+    def _name_conditions(self, found: Mapping[Condition, str]) -> None:
+        """Name what the robot suffers, as its scans show it."""
+        for condition in CONDITIONS:
+            text = found.get(condition)
+            if text is not None and condition == "new place":
+                text += NEW_PLACE[self.settings.on_new_place]
+            level = Level.ERROR if condition == "new place" else Level.WARN
+            self.diagnostics.say(f"drive {condition}", text, level)
 
     # --- the worker's thread -----------------------------------------------------------------
 

@@ -99,6 +99,7 @@ def test_the_path_is_better_than_each_input_and_lies_in_the_fused_frame(
     robot.drive_to(SCANS)
     found = solved(robot, lattice=LATTICE, transforms=in_frame_of_a(), resolution=0.05)
     assert not found.doubted_since_s
+    assert not found.conditions
     assert robot.error_m(found.path) < 0.01
     for name, motion in found.corrections.items():
         apart = motion.compose(FRAMES[name])
@@ -231,6 +232,17 @@ def test_a_corrected_path_takes_the_place_of_poses(device: ComputeDevice) -> Non
     stamps_s = np.array([item.scan.stamp_s for item in robot.scans])
     robot.live.set_path("b", Trajectory(stamps_s[::3], np.array(rows)[::3], "b"))
     assert not solved(robot, lattice=LATTICE, transforms=in_frame_of_a("a")).doubted_since_s
+
+
+def test_frozen_odometry_is_named(device: ComputeDevice) -> None:
+    robot = Robot(device)
+    robot.scans[90:] = [
+        replace(item, odometry=robot.scans[90].odometry) for item in robot.scans[90:]
+    ]
+    robot.drive_to(SCANS)
+    found = solved(robot, lattice=LATTICE, transforms=in_frame_of_a())
+    assert found.conditions.keys() == {"odometry"}
+    assert "stands still from 9 s to 16 s" in found.conditions["odometry"]
 
 
 def test_poses_of_another_robot_and_of_a_silent_input_are_not_scored(device: ComputeDevice) -> None:

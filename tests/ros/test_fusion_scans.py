@@ -34,7 +34,10 @@ SCANS, FIRST_S = 140, 100.0
 def test_scans_say_who_is_wrong_and_the_map_is_drawn_from_them(
     processes: Processes, observer: Observer, tmp_path: Path
 ):
-    """The input b turns away slowly in its poses, while its map stays as it was."""
+    """The input b turns away slowly in its poses, while its map stays as it was.
+
+    And the odometry stands still from some time on.
+    """
     scans, truth = drive(SCANS)
     rows = np.array([(pose.x, pose.y, pose.yaw_rad) for pose in truth])
     path = Trajectory([item.scan.stamp_s for item in scans], rows)
@@ -54,7 +57,9 @@ def test_scans_say_who_is_wrong_and_the_map_is_drawn_from_them(
         message = messages.scan_to_message(item.scan, "base_link")
         message.header.stamp = stamp = messages.to_stamp(FIRST_S + item.scan.stamp_s)
         turned = Pose2(0.0, 0.0, 0.005 * max(0, number - 50))
-        odometry.publish(messages.odometry_to_message(place, "odom", "base_link", stamp))
+        odometry.publish(
+            messages.odometry_to_message(truth[min(number, 90)], "odom", "base_link", stamp)
+        )
         for name, topic in pose_topics.items():
             pose = turned.compose(place) if name == "b" else place
             topic.publish(messages.pose_to_message(pose, f"{name}_map", stamp))
@@ -67,6 +72,7 @@ def test_scans_say_who_is_wrong_and_the_map_is_drawn_from_them(
     status = observer.wait_status("fusion: input b", why, timeout_s=90.0)
     assert values(status)["state"] == "doubted"
     assert "1 of 2 inputs votes; not: b" in observer.wait_status("fusion: fusion", "not: b").message
+    observer.wait_status("fusion: fusion", "the odometry stands still from 9 s to")
     observer.wait(lambda: paths and len(paths[-1].poses) > SCANS // 2, 60.0, "the fused path")
 
     # The fused frame is a's or b's map frame; both maps are the same.

@@ -1,0 +1,54 @@
+"""``drive_conditions``: what the robot suffers, as the scans and the odometry tell; a line each.
+
+Each condition is a check that ``judge`` makes of a whole drive, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal, TypeAlias, get_args
+
+from slamfusion.compute import ComputeDevice
+from slamfusion.evidence.displacement import REACH_M, find_contradiction
+from slamfusion.evidence.predictive import PathEvidence
+from slamfusion.slam.common.odometry_check import contradictions
+from slamfusion.trajectory import Trajectory
+
+Condition: TypeAlias = Literal["odometry", "new place", "doubled walls"]
+CONDITIONS: tuple[Condition, ...] = get_args(Condition)
+# Odometry is compared with the path over the last time of this length, seconds.
+RECENT_S = 60.0
+
+
+def drive_conditions(
+    evidence: PathEvidence, name: str, device: ComputeDevice
+) -> Mapping[Condition, str]:
+    """Return what is wrong with a drive so far, in words.
+
+    Args:
+        evidence: of the path called ``name``, at least.
+        name: of the path that the robot goes by.
+    """
+    scans, covered = evidence.scans, evidence.scores[name].path
+    here = covered.is_own
+    path = Trajectory(scans.stamps_s[here], covered.poses[here], name)
+    found: dict[Condition, str] = {}
+    if scans.odometry is not None:
+        recent = scans.stamps_s >= scans.stamps_s[-1] - RECENT_S
+        wheels = Trajectory(scans.stamps_s[recent], scans.odometry[recent], "odometry")
+        if text := "; ".join(contradictions(wheels, path)):
+            found["odometry"] = text
+    broken = find_contradiction(evidence, name, device)
+    if broken is not None:
+        since = f"since stamp {scans.stamps_s[0] + broken.since_s:.0f} s"
+        if broken.is_elsewhere:
+            found["new place"] = (
+                f"{since} {broken.share:.0%} of what the robot sees was free space before: it was "
+                "carried away, or is on another floor"
+            )
+        else:
+            found["doubled walls"] = (
+                f"{since} {broken.share:.0%} of the walls that the robot sees again are drawn "
+                f"twice, at most {REACH_M:g} m apart: every input has drifted"
+            )
+    return found
