@@ -19,10 +19,12 @@
 #include "walk.h"
 
 #define HIT (1u << HITS_SHIFT)
+/* A tile's side with all that is near it. */
+#define SPAN (TILE + 2 * MOST_REACH)
+#define FULL_ROW 0xfffffffful
 /* Bits of a count that is full. A scan has fewer beams than FULL_HITS, so that no half of a word of
  * `counts` or `sums` flows over. */
 #define FULL ((uint)FULL_HITS << HITS_SHIFT | FULL_VISITS)
-#define BLOCK (4 * MOST_REACH + 1)
 
 /* What every kernel is told of a scan; work item = map * beams + beam.
  *
@@ -88,6 +90,14 @@ INLINE int kept_page(const int page, const int pages) {
   return page < 0 ? 0 : page < pages ? page : pages - 1;
 }
 
+/* Cells that a walk may go on along one axis before the page of cell + reach or cell - reach is
+ * another one; at least 1. */
+INLINE int to_next_page(const int cell, const int reach, const long step) {
+  const int high = (cell + reach) & TILE_MASK, low = (cell - reach) & TILE_MASK;
+  const int up = TILE - (high > low ? high : low), down = 1 + (high < low ? high : low);
+  return step < 0 ? down : up;
+}
+
 /* Say which pages a scan will come near.
  *
  * reach    cells
@@ -104,36 +114,42 @@ __kernel void touch_pages(SCAN, const int reach, __global uchar *touched) {
   const int2 laser = placed(poses[map], (float2)(laser_x, laser_y), width, height);
   const walk w = walk_of(end.x, end.y, laser.x, laser.y);
   __global uchar *own = touched + map * width * height;
-  /* Both sides of the square move the same way: where neither sum changes, no page does. */
-  int across = INT_MIN, along = INT_MIN;
-  for (int i = 0; i <= (int)w.steps; i++) {
+  for (int i = 0; i <= (int)w.steps;) {
     const int2 cell = walked_cell(w, i);
-    const int west = (cell.x - reach) >> TILE_SHIFT, east = (cell.x + reach) >> TILE_SHIFT;
-    const int south = (cell.y - reach) >> TILE_SHIFT, north = (cell.y + reach) >> TILE_SHIFT;
-    if (west + east != across || south + north != along) {
-      across = west + east;
-      along = south + north;
-      __global uchar *low = own + kept_page(south, height) * width;
-      __global uchar *high = own + kept_page(north, height) * width;
-      const int left = kept_page(west, width), right = kept_page(east, width);
-      low[left] = 1;
-      low[right] = 1;
-      high[left] = 1;
-      high[right] = 1;
-    }
+    __global uchar *low = own + kept_page((cell.y - reach) >> TILE_SHIFT, height) * width;
+    __global uchar *high = own + kept_page((cell.y + reach) >> TILE_SHIFT, height) * width;
+    const int left = kept_page((cell.x - reach) >> TILE_SHIFT, width);
+    const int right = kept_page((cell.x + reach) >> TILE_SHIFT, width);
+    low[left] = 1;
+    low[right] = 1;
+    high[left] = 1;
+    high[right] = 1;
+    const int across = to_next_page(cell.x, reach, w.step_x);
+    const int along = to_next_page(cell.y, reach, w.step_y);
+    i += across < along ? across : along;
   }
+}
+
+/* Whether a cell with this word of `counts` is occupied: more hits than a share `occupied` of its
+ * visits, in 1/65536, and at least `least_hits` of them, 1 or more. */
+INLINE bool is_wall(const uint count, const uint occupied, const uint least_hits) {
+  const uint hits = count >> HITS_SHIFT, visits = count & VISITS_MASK;
+  return hits >= least_hits && (ulong)hits * SHARE_ONE > (ulong)occupied * visits;
 }
 
 /* Count a scan: all cells from the end to the laser are visited, the end is hit if something was.
  *
- * is_hit  uchar per beam
- * pages   int, width x height per map; cells of page 0 are left out
- * sign    1, or -1 to take back a scan that was counted at the same places
- * full    int: becomes 1 when a cell is FULL
+ * is_hit   uchar per beam
+ * pages    int, width x height per map; cells of page 0 are left out
+ * sign     1, or -1 to take back a scan that was counted at the same places
+ * full     int: becomes 1 when a cell is FULL
+ * changed  uint, a word per row of a tile, 0 before: cells that are hit, or whether they are occupied
+ *          changes; see is_wall. Unused where least_hits is 0
  */
 __kernel void count_beams(
     SCAN, __global const uchar *is_hit, __global const int *pages, __global uint *counts,
-    __global uint *sums, const int sign, __global int *full) {
+    __global uint *sums, const int sign, __global int *full, __global uint *changed,
+    const uint occupied, const uint least_hits) {
   const int item = get_global_id(0);
   if (item >= maps * beams) {
     return;
@@ -149,7 +165,7 @@ __kernel void count_beams(
     if (at >= TILE_CELLS) {
       const uint x = (uint)(end.x & BEAM_MASK) >> OFFSET_SHIFT;
       const uint y = (uint)(end.y & BEAM_MASK) >> OFFSET_SHIFT;
-      atomic_add(sums + at, (uint)sign * (x << SUM_SHIFT | y));
+      add_to_word(sums + at, (uint)sign * (x << SUM_SHIFT | y));
     }
     more = (uint)sign * (HIT + 1);
   }
@@ -158,7 +174,12 @@ __kernel void count_beams(
     const int n = look_ahead(w, first, own, width, counts, places);
     for (int k = 0; k < n; k++) {
       if (places[k] >= TILE_CELLS) {
-        seen |= atomic_add(counts + places[k], more) + more;
+        const uint before = add_to_word(counts + places[k], more), after = before + more;
+        seen |= after;
+        if ((before | after) >= HIT && least_hits != 0 &&
+            (more > 1 || is_wall(before, occupied, least_hits) != is_wall(after, occupied, least_hits))) {
+          join_word(changed + (places[k] >> TILE_SHIFT), 1u << (places[k] & TILE_MASK));
+        }
       }
       more = (uint)sign;
     }
@@ -168,141 +189,121 @@ __kernel void count_beams(
   }
 }
 
-/* Place in a pool of a cell of four tiles, counted from the corner of the first. */
-INLINE int block_cell(int tiles[2][2], const int col, const int row) {
-  const int tile = tiles[row >> TILE_SHIFT][col >> TILE_SHIFT];
+/* Place in a pool of a cell around a tile, of which the tile's neighbours are known; its column and
+ * row count from the corner of the tile. */
+INLINE int near_cell(int tiles[3][3], const int col, const int row) {
+  const int tile = tiles[(row >> TILE_SHIFT) + 1][(col >> TILE_SHIFT) + 1];
   return tile * TILE_CELLS + ((row & TILE_MASK) << TILE_SHIFT) + (col & TILE_MASK);
 }
 
-/* Bits 0 to n - 1. */
-INLINE ulong first_bits(const int n) { return (1ul << n) - 1ul; }
-
-/* The bits, and those up to `reach` places away from them. */
+/* Bits with those up to `reach` places away from them. */
 INLINE ulong widened(ulong bits, const int reach) {
-  for (int k = 0; k < reach; k++) {
+  for (int n = 0; n < reach; n++) {
     bits |= bits << 1 | bits >> 1;
   }
   return bits;
 }
 
-/* Renew the field around one cell: gather the occupied cells of the block that bears on it, then
- * look for the nearest of them to every cell of the inner square that nobody else has claimed. */
-INLINE void settle_cell(
-    const int2 cell, __global const int *pages, const int width, const int height,
-    __global const uint *counts, __global const uint *sums, __global uchar *field,
-    __global uint *claimed, __global const uchar *table, const int shift, const int reach,
-    const uint occupied, const uint least_hits) {
-  /* The block lies in up to four tiles; its columns and rows count from the corner of the first. */
-  const int west = (cell.x - 2 * reach) >> TILE_SHIFT, left = (cell.x - 2 * reach) & TILE_MASK;
-  const int south = (cell.y - 2 * reach) >> TILE_SHIFT, low = (cell.y - 2 * reach) & TILE_MASK;
-  int tiles[2][2];
-  for (int k = 0; k < 4; k++) {
-    const int col = west + (k & 1), row = south + (k >> 1);
-    const int inside = col >= 0 && row >= 0 && col < width && row < height;
-    tiles[k >> 1][k & 1] = inside ? pages[row * width + col] : 0;
-  }
+/* Number of the lowest of some bits. */
+INLINE int lowest(const ulong bits) { return 63 - (int)clz(bits & -bits); }
 
-  /* Claim the cells of the inner square; a row of a tile is a word. */
-  ulong mine[2 * MOST_REACH + 1];
-  ulong cols = 0, rows = 0;
-  const ulong square = first_bits(2 * reach + 1) << (left + reach);
-  for (int k = 0; k <= 2 * reach; k++) {
-    const int row = low + reach + k;
-    mine[k] = 0;
-    for (int side = 0; side < 2; side++) {
-      const int tile = tiles[row >> TILE_SHIFT][side];
-      const uint bits = (uint)(square >> (side * TILE));
-      if (tile != 0 && bits != 0) {
-        const uint before = atomic_or(claimed + tile * TILE + (row & TILE_MASK), bits);
-        mine[k] |= (ulong)(bits & ~before) << (side * TILE);
-      }
-    }
-    cols |= mine[k];
-    rows |= (ulong)(mine[k] != 0) << row;
-  }
-  if (cols == 0) {
-    return;
-  }
-
-  /* Gather the occupied cells near them: where their hits are on average, in 1/256 cell. */
-  int wall_x[BLOCK * BLOCK], wall_y[BLOCK * BLOCK];
-  int walls = 0;
-  cols = widened(cols, reach);
-  rows = widened(rows, reach);
-  for (int row = low; row <= low + 4 * reach; row++) {
-    if (!(rows >> row & 1)) {
-      continue;
-    }
-    for (int col = left; col <= left + 4 * reach; col++) {
-      const int at = block_cell(tiles, col, row);
-      const uint count = counts[at], hits = count >> HITS_SHIFT, visits = count & VISITS_MASK;
-      if (hits >= least_hits && (ulong)hits * SHARE_ONE > (ulong)occupied * visits &&
-          (cols >> col & 1)) {
-        const uint sum_x = sums[at] >> SUM_SHIFT, sum_y = sums[at] & SUM_MASK;
-        wall_x[walls] = (col << CELL_SHIFT) + OFFSET_HALF + (int)(sum_x * OFFSET_ONE / hits);
-        wall_y[walls] = (row << CELL_SHIFT) + OFFSET_HALF + (int)(sum_y * OFFSET_ONE / hits);
-        walls++;
-      }
-    }
-  }
-
-  for (int k = 0; k <= 2 * reach; k++) {
-    const int row = low + reach + k;
-    for (int col = left + reach; col <= left + 3 * reach; col++) {
-      if (!(mine[k] >> col & 1)) {
-        continue;
-      }
-      /* No branches: this loop turns into vectors. */
-      int least = INT_MAX;
-      for (int n = 0; n < walls; n++) {
-        const int across = (wall_x[n] >> CELL_SHIFT) - col, along = (wall_y[n] >> CELL_SHIFT) - row;
-        const int is_far =
-            (across > reach) | (across < -reach) | (along > reach) | (along < -reach);
-        const int dx = wall_x[n] - (col << CELL_SHIFT) - CELL_HALF;
-        const int dy = wall_y[n] - (row << CELL_SHIFT) - CELL_HALF;
-        const int distance2 = is_far ? INT_MAX : dx * dx + dy * dy;
-        least = distance2 < least ? distance2 : least;
-      }
-      const int step = least >> shift;
-      field[block_cell(tiles, col, row)] =
-          least == INT_MAX ? 0 : table[step < TABLE_LAST ? step : TABLE_LAST];
-    }
-  }
-}
-
-/* Renew the field around the walked cells that have hits.
+/* Renew the field around the changed cells, a page an item.
  *
+ * places      int per page: of those to look at, the place in `pages`
+ * pages       int, width x height per map
  * field       uchar pool: the best that the table gives an occupied cell within `reach` cells
- * claimed     uint, a word per row of a tile, 0 before: cells whose field somebody renews
+ * changed     uint, a word per row of a tile, as count_beams left it
  * table       uchar, TABLE_LAST + 1, never rising: of the squared distance, in 1/256 cell, from the
  *             cell's centre to the mean hit of the occupied cell, shifted right by `shift`; the last for
  *             all beyond
  * reach       cells, 0 to MOST_REACH
- * occupied    a cell is occupied with more hits than this share of its visits, in 1/65536,
- * least_hits  and at least this many, 1 or more
+ * occupied, least_hits  see is_wall
  */
 __kernel void settle_field(
-    SCAN, __global const int *pages, __global const uint *counts, __global const uint *sums,
-    __global uchar *field, __global uint *claimed, __global const uchar *table, const int shift,
-    const int reach, const uint occupied, const uint least_hits) {
+    __global const int *places, const int count, __global const int *pages, const int width,
+    const int height, __global const uint *counts, __global const uint *sums, __global uchar *field,
+    __global const uint *changed, __global const uchar *table, const int shift, const int reach,
+    const uint occupied, const uint least_hits) {
   const int item = get_global_id(0);
-  if (item >= maps * beams) {
+  if (item >= count || pages[places[item]] == 0) {
     return;
   }
-  const int map = item / beams;
-  const int2 end = placed(poses[map], ends[item - map * beams], width, height);
-  const int2 laser = placed(poses[map], (float2)(laser_x, laser_y), width, height);
-  const walk w = walk_of(end.x, end.y, laser.x, laser.y);
-  __global const int *own = pages + map * width * height;
-  int places[AHEAD];
-  for (int first = 0; first <= (int)w.steps; first += AHEAD) {
-    const int n = look_ahead(w, first, own, width, counts, places);
-    for (int k = 0; k < n; k++) {
-      if (counts[places[k]] >= HIT) {
-        settle_cell(
-            walked_cell(w, first + k), own, width, height, counts, sums, field, claimed, table,
-            shift, reach, occupied, least_hits);
+  const int page = places[item] % (width * height), row0 = page / width, col0 = page % width;
+  int tiles[3][3];
+  for (int k = 0; k < 9; k++) {
+    const int row = row0 + k / 3 - 1, col = col0 + k % 3 - 1;
+    const bool inside = row >= 0 && col >= 0 && row < height && col < width;
+    tiles[k / 3][k % 3] = inside ? pages[places[item] - page + row * width + col] : 0;
+  }
+
+  /* Cells with a changed one within reach along their row; bit `reach` is the first column. */
+  ulong wide[SPAN], any = 0;
+  const int span = TILE + 2 * reach;
+  for (int k = 0; k < span; k++) {
+    const int *across = tiles[((k - reach) >> TILE_SHIFT) + 1];
+    const int row = (k - reach) & TILE_MASK;
+    const ulong west = changed[across[0] * TILE + row], east = changed[across[2] * TILE + row];
+    const ulong bits = west << reach >> TILE | (ulong)changed[across[1] * TILE + row] << reach |
+                       east << (TILE + reach);
+    wide[k] = widened(bits, reach);
+    any |= wide[k];
+  }
+  if ((uint)(any >> reach) == 0) {
+    return;
+  }
+
+  /* Cells to renew, and those within reach of them; of these the occupied ones, and where their hits
+   * are on average, in 1/256 cell from the cell's middle. */
+  uint mine[TILE];
+  ulong walls[SPAN];
+  short wall_x[SPAN * SPAN], wall_y[SPAN * SPAN];
+  for (int k = 0; k < span; k++) {
+    wide[k] = (wide[k] >> reach & FULL_ROW) << reach;
+    walls[k] = 0;
+  }
+  for (int row = 0; row < TILE; row++) {
+    ulong near = 0;
+    for (int k = row; k <= row + 2 * reach; k++) {
+      near |= wide[k];
+    }
+    mine[row] = (uint)(near >> reach);
+    near = widened(near, reach);
+    for (int k = row; k <= row + 2 * reach; k++) {
+      walls[k] |= near;
+    }
+  }
+  for (int k = 0; k < span; k++) {
+    ulong near = walls[k];
+    walls[k] = 0;
+    for (; near != 0; near &= near - 1) {
+      const int n = lowest(near), at = near_cell(tiles, n - reach, k - reach);
+      const uint seen = counts[at], hits = seen >> HITS_SHIFT;
+      if (hits != 0 && is_wall(seen, occupied, least_hits)) {
+        const uint sum_x = sums[at] >> SUM_SHIFT, sum_y = sums[at] & SUM_MASK;
+        walls[k] |= 1ul << n;
+        wall_x[k * SPAN + n] = (short)(sum_x * OFFSET_ONE / hits) + OFFSET_HALF - CELL_HALF;
+        wall_y[k * SPAN + n] = (short)(sum_y * OFFSET_ONE / hits) + OFFSET_HALF - CELL_HALF;
       }
+    }
+  }
+
+  for (int row = 0; row < TILE; row++) {
+    for (uint left = mine[row]; left != 0; left &= left - 1) {
+      const int col = lowest(left);
+      int least = INT_MAX;
+      for (int y = 0; y <= 2 * reach; y++) {
+        uint near = (uint)(walls[row + y] >> col) & ((2u << (2 * reach)) - 1u);
+        for (; near != 0; near &= near - 1) {
+          const int x = lowest(near), at = (row + y) * SPAN + col + x;
+          const int dx = (x - reach) * CELL_ONE + wall_x[at];
+          const int dy = (y - reach) * CELL_ONE + wall_y[at];
+          const int distance2 = dx * dx + dy * dy;
+          least = distance2 < least ? distance2 : least;
+        }
+      }
+      const int step = least >> shift;
+      field[near_cell(tiles, col, row)] =
+          least == INT_MAX ? 0 : table[step < TABLE_LAST ? step : TABLE_LAST];
     }
   }
 }

@@ -209,17 +209,22 @@ def _walks(scan: BeamScan, shape: tuple[int, ...]) -> _Walks:
     return _Walks(beam // max(1, len(scan.ends)), row, col)
 
 
+def _is_wall(counts: U32, rule: FieldRule) -> npt.NDArray[np.bool_]:
+    """Return which cells are occupied."""
+    hits, visits = (counts >> HITS_SHIFT).astype(np.int64), (counts & VISITS_MASK).astype(np.int64)
+    return np.asarray((hits >= rule.least_hits) & (hits * SHARE_ONE > rule.occupied * visits))
+
+
 def _field_of(counts: U32, sums: U32, offset: tuple[int, int], rule: FieldRule) -> I64:
     """Return what cells give the field of those from which they lie at an offset."""
-    hits, visits = (counts >> HITS_SHIFT).astype(np.int64), (counts & VISITS_MASK).astype(np.int64)
-    occupied = (hits >= rule.least_hits) & (hits * SHARE_ONE > rule.occupied * visits)
+    hits = (counts >> HITS_SHIFT).astype(np.int64)
     halves = (sums >> SUM_SHIFT).astype(np.int64), (sums & SUM_MASK).astype(np.int64)
     dx, dy = (
         cells * CELL_ONE + OFFSET_HALF + total * OFFSET_ONE // np.maximum(hits, 1) - CELL_HALF
         for cells, total in zip(offset, halves, strict=True)
     )
     step = np.minimum((dx * dx + dy * dy) >> rule.shift, TABLE_LAST)
-    return np.where(occupied, rule.table[step], 0).astype(np.int64)
+    return np.where(_is_wall(counts, rule), rule.table[step], 0).astype(np.int64)
 
 
 def _square(reach: int) -> list[tuple[int, int]]:
@@ -262,6 +267,27 @@ def _launch_beams(
         name, (maps * beams,), device.upload(scan.ends), beams, *scan.laser,
         device.upload(scan.poses), *(maps, width, height), *arguments,
     )  # fmt: skip
+
+
+def _count(
+    device: OpenCLDevice,
+    counts: DeviceArray[np.uint32],
+    sums: DeviceArray[np.uint32],
+    pages: DeviceArray[np.int32],
+    scan: BeamScan,
+    changed: DeviceArray[np.uint32],
+    sign: int,
+    rule: FieldRule | None = None,
+) -> DeviceArray[np.int32]:
+    """Start counting a scan; return the flag that a cell is full. No rule: nothing is marked."""
+    full = device.upload(np.zeros(1, dtype=np.int32))
+    if pages.size and len(scan.ends):
+        occupied, least_hits = (0, 0) if rule is None else (rule.occupied, rule.least_hits)
+        _launch_beams(
+            device, "count_beams", pages, scan, device.upload(scan.is_hit), pages, counts, sums,
+            sign, full, changed, np.uint32(occupied), np.uint32(least_hits),
+        )  # fmt: skip
+    return full
 
 
 class HitCountDevice(ArrayDevice):
@@ -320,24 +346,16 @@ class HitCountDevice(ArrayDevice):
 
         Returns:
             Whether a cell has now been visited ``FULL_VISITS`` or hit ``FULL_HITS`` times: halve
-            all hits, visits and sums, and take the field from ``full_field``, as ``settle_field``
-            only sees what a scan crosses.
+            all hits, visits and sums, and take the field from ``full_field``.
 
         Raises:
             DeviceError: the scan has more beams.
         """
         check_beams(scan)
         if self.opencl:
-            full = np.zeros(1, dtype=np.int32)
-            if pages.size and len(scan.ends):
-                flag = self.upload(full)
-                is_hit = self.upload(scan.is_hit)
-                sign = -1 if take_back else 1
-                _launch_beams(
-                    self.opencl, "count_beams", pages, scan, is_hit, pages, counts, sums, sign, flag
-                )
-                full = self.download(flag)
-            return bool(full[0])
+            unmarked = self.opencl.table(np.zeros(1, dtype=np.uint32))
+            full = _count(self.opencl, counts, sums, pages, scan, unmarked, -1 if take_back else 1)
+            return bool(self.opencl.first(full))
         counts, sums, pages = host(counts), host(sums), host(pages)
         w = _walks(scan, pages.shape)
         places = tile_places(pages, *w)
@@ -357,46 +375,53 @@ class HitCountDevice(ArrayDevice):
         hits, visits = counts[places] >> HITS_SHIFT, counts[places] & VISITS_MASK
         return bool(((hits >= FULL_HITS) | (visits >= FULL_VISITS)).any())
 
-    def settle_field(
+    def count_and_settle(
         self,
         counts: DeviceArray[np.uint32],
         sums: DeviceArray[np.uint32],
         field: DeviceArray[np.uint8],
         pages: DeviceArray[np.int32],
+        touched: U8,
         scan: BeamScan,
         rule: FieldRule,
-    ) -> None:
-        """Renew the score field, in place, wherever counting a scan may have changed it.
+    ) -> bool:
+        """Count a scan in every map, as ``count_beams``, and renew the score field, in place.
 
-        That is within ``rule.reach`` cells, on both axes, of the walked cells that have hits. There
-        the field becomes the greatest value that ``rule`` gives the occupied cells within reach, 0
-        where there are none: it depends on the counts alone, and after every scan equals
-        ``full_field``.
+        The field is the greatest value that ``rule`` gives the occupied cells within reach, on both
+        axes, 0 where there are none. It is computed again around the cells that the scan hits, and
+        around those that are no longer occupied: if it was ``full_field`` before, it is afterwards.
 
         Args:
-            counts: (T, TILE, TILE) uint32, the scan counted.
-            sums: (T, TILE, TILE) uint32, each half 15 or less a hit.
+            counts, sums, pages, scan: as for ``count_beams``.
             field: (T, TILE, TILE) uint8.
-            pages: (N, PH, PW) int32; cells of pages without a tile are left out.
-            scan: see ``BeamScan``.
+            touched: (N, PH, PW) uint8, on the host: what ``touch_pages`` returns for this scan and
+                ``rule.reach``.
             rule: see ``FieldRule``.
+
+        Returns:
+            As ``count_beams``.
         """
         check_rule(rule)
+        check_beams(scan)
         if self.opencl:
-            if not (pages.size and len(scan.ends)):
-                return
-            _launch_beams(
-                self.opencl, "settle_field", pages, scan, pages, counts, sums, field,
-                self.opencl.cleared((counts.shape[0], TILE), np.uint32),
-                self.opencl.table(rule.table), rule.shift, rule.reach, np.uint32(rule.occupied),
-                np.uint32(rule.least_hits),
-            )  # fmt: skip
-            return
-        counts, sums, field = host(counts), host(sums), host(field)
-        pages = host(pages)
-        w = _walks(scan, pages.shape)
-        is_changed = counts[tile_places(pages, *w)] >> HITS_SHIFT > 0
-        changed = np.unique(np.stack(w, axis=1)[is_changed], axis=0)
+            changed = self.opencl.cleared((counts.shape[0], TILE), np.uint32)
+            full = _count(self.opencl, counts, sums, pages, scan, changed, 1, rule)
+            places = np.flatnonzero(touched).astype(np.int32)
+            if len(places):
+                self.opencl.launch(
+                    "settle_field", (len(places),), self.opencl.upload(places), len(places), pages,
+                    pages.shape[2], pages.shape[1], counts, sums, field, changed,
+                    self.opencl.table(rule.table), rule.shift, rule.reach,
+                    np.uint32(rule.occupied), np.uint32(rule.least_hits),
+                )  # fmt: skip
+            return bool(self.opencl.first(full))
+        before = host(counts).copy()
+        full = self.count_beams(counts, sums, pages, scan)
+        counts, sums, field, pages = host(counts), host(sums), host(field), host(pages)
+        is_hit = counts >> HITS_SHIFT != before >> HITS_SHIFT
+        is_changed = is_hit | (_is_wall(counts, rule) != _is_wall(before, rule))
+        maps, page_row, page_col, in_row, in_col = np.nonzero(is_changed[pages])
+        changed = np.column_stack((maps, page_row * TILE + in_row, page_col * TILE + in_col))
         around = [changed + (0, dy, dx) for dx, dy in _square(rule.reach)]  # noqa: RUF005 - a sum
         maps, row, col = np.unique(np.concatenate(around), axis=0).T
 
@@ -408,3 +433,4 @@ class HitCountDevice(ArrayDevice):
             np.maximum(best, field_there, out=best)
         has_tile = targets[0] != 0
         field[tuple(part[has_tile] for part in targets)] = best[has_tile].astype(np.uint8)
+        return full

@@ -101,12 +101,11 @@ class KernelProgram:
 
         Args:
             arguments: of a launch. The types of the numbers among them are those of every launch:
-                pyopencl is told them once, as it takes 4 us to find out that of each number.
+                pyopencl receives them once, as it takes 4 us to find out that of each number.
         """
         kernel = self._kernels[name]
         if name not in self._typed:
-            types = [type(item) if isinstance(item, np.generic) else None for item in arguments]
-            kernel.set_scalar_arg_dtypes(types)
+            kernel.set_scalar_arg_dtypes([_number_type(item) for item in arguments])
             self._typed.add(name)
         return kernel
 
@@ -220,7 +219,8 @@ class OpenCLDevice(ComputeDevice):
             array: must outlive the device's use of it; kernels access it in words of 8 bytes.
             writable: a result, to be fetched with ``map_host``; its content is not sent.
         """
-        is_aligned = array.flags.c_contiguous and array.ctypes.data % EACH_LANE.itemsize == 0
+        address: int = array.__array_interface__["data"][0]  # a third of the time of ctypes.data
+        is_aligned = array.flags.c_contiguous and address % EACH_LANE.itemsize == 0
         if not (self.shares_memory and is_aligned):
             return self.empty(array.shape, array.dtype) if writable else self.upload(array)
         access = cl.mem_flags.READ_WRITE if writable else cl.mem_flags.READ_ONLY
@@ -296,7 +296,7 @@ class OpenCLDevice(ComputeDevice):
         """
         local = LOCAL_SIZES[len(size)]
         rounded = tuple(-(-s // part) * part for s, part in zip(size, local, strict=True))
-        plain = [_argument(item) for item in arguments]
+        plain = [item.buffer if type(item) is OpenCLArray else item for item in arguments]
         try:
             self.program.kernel(name, plain)(self.queue, rounded, local, *plain)
         except cl.Error as error:
@@ -324,9 +324,10 @@ class OpenCLDevice(ComputeDevice):
         return DeviceError(message)
 
 
-def _argument(item: Any) -> Any:
-    if isinstance(item, OpenCLArray):
-        return item.buffer
+def _number_type(item: Any) -> Any:
+    """Return the type of a number in a kernel; None of a buffer."""
     if isinstance(item, (int, np.int64)):
-        return np.int32(item)
-    return np.float32(item) if isinstance(item, float) else item
+        return np.int32
+    if isinstance(item, float):
+        return np.float32
+    return type(item) if isinstance(item, np.generic) else None

@@ -8,6 +8,7 @@ takes part in ``slam``, ``run`` and ``node`` by that name. Nothing else knows pr
 from __future__ import annotations
 
 import logging
+import os
 import pkgutil
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
@@ -16,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from slamfusion.config import GmappingConfig, GraphConfig, RunConfig, TinySlamConfig, from_mapping
+from slamfusion.cores import usable_cores
 from slamfusion.errors import ConfigError, SlamFusionError, shown, unknown
 
 if TYPE_CHECKING:
@@ -224,10 +226,16 @@ def load_config(path: str | Path, base: RunConfig | None = None) -> RunConfig:
 
 
 def open_producer_device(name: str, config: RunConfig) -> ComputeDevice:
-    """Return the device for a producer that has a process to itself."""
+    """Return the device for a producer that has a process to itself.
+
+    Where PoCL may use one thread only, it runs the kernels in the thread that asks: a second one
+    takes turns with it, and a launch costs five times as much.
+    """
     from slamfusion.compute import open_device  # noqa: PLC0415  (loads slowly)
 
-    return open_device(config.device.device, small_kernels=producer(name).prefers_small_kernels)
+    threads = os.environ.get("POCL_MAX_PTHREAD_COUNT") or str(usable_cores())
+    is_small = producer(name).prefers_small_kernels or threads == "1"
+    return open_device(config.device.device, small_kernels=is_small)
 
 
 def make_producer(name: str, config: RunConfig, device: ComputeDevice) -> Mapper:

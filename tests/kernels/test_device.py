@@ -205,12 +205,14 @@ def test_the_single_thread_device_is_for_small_kernels_only(
 
 
 @needs_wheels
-def test_a_small_producer_gets_the_single_thread_device_of_the_wheel(
-    monkeypatch: pytest.MonkeyPatch,
+@pytest.mark.parametrize(("threads", "of_gmapping"), [("2", "pthread"), ("1", "basic")])
+def test_a_small_producer_and_one_of_one_thread_get_the_single_thread_device_of_the_wheel(
+    monkeypatch: pytest.MonkeyPatch, threads: str, of_gmapping: str
 ):
     """In a process of its own, since a process lists its devices once."""
     for name in ("POCL_DEVICES", "PYOPENCL_CTX"):
         monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("POCL_MAX_PTHREAD_COUNT", threads)
     code = (
         "from slamfusion.compute import list_devices\n"
         "from slamfusion.config import RunConfig\n"
@@ -221,5 +223,5 @@ def test_a_small_producer_gets_the_single_thread_device_of_the_wheel(
         "print([one.note for one in list_devices() if one.name.startswith('basic')])\n"
     )
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert found.stdout.split("\n")[:3] == ["basic", "pthread", "basic"]
+    assert found.stdout.split("\n")[:3] == ["basic", of_gmapping, "basic"]
     assert "one thread; for many small kernels" in found.stdout

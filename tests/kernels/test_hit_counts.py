@@ -79,16 +79,14 @@ class CopiedTiles:
     def write(self, scan: BeamScan, rule: FieldRule) -> None:
         """Give every touched page a fresh tile, count, and settle."""
         device = self.device
-        touched = device.touch_pages(device.upload(self.pages), scan, rule.reach) != 0
+        touched = device.touch_pages(device.upload(self.pages), scan, rule.reach)
         targets = self.used + np.arange(touched.sum())
-        pairs = np.column_stack((self.pages[touched], targets)).astype(np.int32)
+        pairs = np.column_stack((self.pages[touched != 0], targets)).astype(np.int32)
         device.copy_tiles(tuple(self.pools), pairs)
-        self.pages[touched] = targets
+        self.pages[touched != 0] = targets
         self.used += len(targets)
         table = device.upload(self.pages)
-        counts, sums, field = self.pools
-        assert not device.count_beams(counts, sums, table, scan)
-        device.settle_field(counts, sums, field, table, scan, rule)
+        assert not device.count_and_settle(*self.pools, table, touched, scan, rule)
 
 
 def random_scan(rng: np.random.Generator, size: int, beams: int, maps: int) -> BeamScan:
@@ -125,16 +123,16 @@ def test_nothing_flows_over_where_all_beams_of_two_scans_end(device: ComputeDevi
     table = device.upload(own_pages(1, 1, 1))
     scan = scan_of(*[(0.49, 0.49)] * MOST_BEAMS, poses=[(20.5, 20.5, 0.0)])
     pools = pools_of(device, 2)
+    rule = FieldRule(FALLING, shift=8, reach=1, occupied=16384, least_hits=1)
+    touched = device.touch_pages(table, scan, rule.reach)
     hits = 0
     for is_full in (False, True):
-        assert device.count_beams(pools[0], pools[1], table, scan) is is_full
+        assert device.count_and_settle(*pools, table, touched, scan, rule) is is_full
         hits += MOST_BEAMS
         counts, sums = (device.download(pool) for pool in pools[:2])
         assert counts[1, 20, 20] == counts.sum() == hits << 16 | hits
         assert sums[1, 20, 20] == sums.sum() == 15 * hits << 16 | 15 * hits
     # And its mean is still the middle of the last sixteenth of the cell: 8 + 240 of 256.
-    rule = FieldRule(FALLING, shift=8, reach=1, occupied=16384, least_hits=1)
-    device.settle_field(*pools, table, scan, rule)
     assert device.download(pools[2])[1, 20, 20] == 255 - 2 * 120 * 120 // 256
 
 

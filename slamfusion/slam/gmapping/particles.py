@@ -244,14 +244,12 @@ class ParticleMaps(Stateful):
         )
         pages = maps.page_tables_of(alive)
         written = np.zeros(maps.pages.shape, dtype=np.bool_)
-        written[alive] = device.touch_pages(pages, scan, config.kernelSize)
+        written[alive] = touched = device.touch_pages(pages, scan, config.kernelSize)
         maps.make_writable(written)
         pages, pools = maps.page_tables_of(alive), maps.pools
-        if device.count_beams(pools["counts"], pools["sums"], pages, scan):
+        layers = pools["counts"], pools["sums"], pools["field"]
+        if device.count_and_settle(*layers, pages, touched, scan, self._field_rule):
             halve_counts(device, pools)
-        device.settle_field(
-            pools["counts"], pools["sums"], pools["field"], pages, scan, self._field_rule
-        )
 
     def _make_field_rule(self) -> FieldRule:
         """Return how the score field follows from the counts."""

@@ -285,22 +285,22 @@ def _count_beams(device: ComputeDevice, sample: Sample) -> Arrays:
     return results
 
 
-def _settle_field(device: ComputeDevice, sample: Sample) -> Arrays:
+def _count_and_settle(device: ComputeDevice, sample: Sample) -> Arrays:
     pages, pools = _hit_maps(sample)
     table, scan = device.upload(pages), _beam_scan(sample, pages)
-    counts, sums = (device.upload(pool) for pool in pools[:2])
     falling = np.arange(255, -1, -1).astype(np.uint8)
-    results = []
+    results: Arrays = []
     for reach, shift, occupied, least_hits in (
         (1, 10, 20000, 1),
         (3, 13, 0, 2),
         (0, 9, 1 << 16, 1),
     ):
         rule = FieldRule(falling, shift, reach, occupied, least_hits)
-        field = device.upload(pools[2])
-        device.settle_field(counts, sums, field, table, scan, rule)
-        results.append(field)
-    return fetch(device, results)
+        own = [device.upload(pool) for pool in pools]
+        touched = device.touch_pages(table, scan, reach)
+        full = device.count_and_settle(*own, table, touched, scan, rule)
+        results += [np.array(full), *fetch(device, own)]
+    return results
 
 
 def _marks(sample: Sample) -> tuple[Arrays, Arrays]:
@@ -357,7 +357,7 @@ MAP_CHECKS: dict[str, Check] = {
     "copy_tiles": _copy_tiles,
     "take_tiles": _take_tiles,
     "count_beams": _count_beams,
-    "settle_field": _settle_field,
+    "count_and_settle": _count_and_settle,
     "mark_chunks": _mark_chunks,
     "nearest_marks": _nearest_marks,
 }
