@@ -142,9 +142,6 @@ class LiveConfig(Checked):
         unit="m",
         low=0.0,
     )
-    jump_rad: float = option(
-        0.05, "the same for a turn", unit="rad", low=0.0, high=math.pi, level="expert"
-    )
     confirm_s: float = option(
         3.0,
         "a map that jumped and has not changed since is searched again after this time, or after "
@@ -176,20 +173,6 @@ class LiveConfig(Checked):
         unit="cells",
         low=0.0,
         high=10.0,
-        level="expert",
-    )
-    track_share: float = option(
-        0.01,
-        "align again once this share of the wall cells has changed",
-        low=0.0,
-        high=1.0,
-        level="expert",
-    )
-    steady_share: float = option(
-        0.75,
-        "a new map belongs to its old transform where this share of the old walls still stands",
-        low=0.0,
-        high=1.0,
         level="expert",
     )
     track_cells: int = option(

@@ -23,7 +23,7 @@ from slamfusion.align.records import Alignment
 from slamfusion.align.starts import StartPose, Starts
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, LiveConfig
-from slamfusion.fusion.live.inputs import Event, Fit, Input, Jump
+from slamfusion.fusion.live.inputs import CHANGED_SHARE, Event, Fit, Input, Jump
 from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY
 from slamfusion.vote.lattice import Lattice
@@ -32,6 +32,8 @@ from slamfusion.vote.lattice import Lattice
 # believed since its place stood out among all others, by this share of the walls that met then.
 CLEAR_MATCH = MATCH_MIN + 0.05
 LASTING_SHARE = 0.85
+# Transforms that differ by a greater turn are two places, as with ``live.jump_m``.
+JUMP_RAD = 0.05
 CLASH_MORE = 0.05
 
 
@@ -172,7 +174,7 @@ class Aligner:
     def features(self, track: Input, cancel: CancelToken | None = None) -> GridFeatures:
         """Return what alignment looks at in an input's map."""
         size, thresholds = self.fixed().resolution, self.config.normalize
-        return track.features(size, thresholds, self.live.track_share, self.device, cancel)
+        return track.features(size, thresholds, CHANGED_SHARE, self.device, cancel)
 
     def held(self, track: Input) -> AnchorMap:
         """Return an input as something to align others to."""
@@ -370,7 +372,7 @@ class Aligner:
     def is_jump(self, track: Input, a: Pose2, b: Pose2) -> bool:
         """Whether two transforms carry an input's map too far apart to be one."""
         centre, turn, _ = track.apart(a, b)
-        return centre > self.live.jump_m or turn > self.live.jump_rad
+        return centre > self.live.jump_m or turn > JUMP_RAD
 
     def is_worth_a_move(self, track: Input, a: Pose2, b: Pose2) -> bool:
         """Whether two transforms carry an input's map far enough apart to go by the other."""

@@ -301,9 +301,7 @@ class LiveFusion(Mailbox):
         if drawn is not None and lattice == evidence.lattice:
             track = self._drawn
             resolution, thresholds = lattice.resolution, self._config.normalize
-            change = track.follow(
-                drawn.with_name(DRAWN), resolution, thresholds, self._live, self._device
-            )
+            change = track.follow(drawn.with_name(DRAWN), resolution, thresholds, self._device)
             track.accept("drawn from the scans")
             if change is not None:
                 self._layers.note(DRAWN, change.box)
@@ -372,7 +370,7 @@ class LiveFusion(Mailbox):
                 or too_large(grid, resolution or grid.resolution)
             ):
                 return reason
-            change = track.follow(grid, resolution, thresholds, self._live, self._device)
+            change = track.follow(grid, resolution, thresholds, self._device)
         except SlamFusionError as error:
             return str(error)
         except MemoryError:

@@ -17,7 +17,7 @@ from slamfusion.align.cancel import CancelToken, watched_by
 from slamfusion.align.features import GridFeatures
 from slamfusion.align.normalize import normalize_grid
 from slamfusion.compute import ComputeDevice
-from slamfusion.config import LiveConfig, NormalizeConfig
+from slamfusion.config import NormalizeConfig
 from slamfusion.fusion.live.layers import Change, Layer, compare, lay_out, measured
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.grid import OccupancyGrid
@@ -25,6 +25,9 @@ from slamfusion.grid import OccupancyGrid
 # A map with less than the first share of the walls of the one before has restarted, and is young
 # until it has the second.
 RESTARTED_SHARE, GROWN_SHARE = 0.5, 0.75
+# An input is aligned again once this share of its wall cells has changed; a new map belongs to its
+# old transform where the second share of the old walls still stands.
+CHANGED_SHARE, STEADY_SHARE = 0.01, 0.75
 YOUNG = "its map restarted: what it does not know yet is no vote"
 
 
@@ -244,7 +247,6 @@ class Input:
         grid: OccupancyGrid,
         resolution: float | None,
         thresholds: NormalizeConfig,
-        live: LiveConfig,
         device: ComputeDevice,
     ) -> Change | None:
         """Take a new map; return what it changed, None where that is unknown.
@@ -253,7 +255,6 @@ class Input:
             grid: the map.
             resolution: of the fused map; None before the first fusion.
             thresholds: what is a wall, and what is free.
-            live: the share of the old walls that must stand for the transform to hold.
             device: resamples.
         """
         before, last = self.layer, self.grid
@@ -280,22 +281,20 @@ class Input:
             self.young_below = 0.0
         self.drift += change.walls
         self._changed += change.walls
-        if not (change.is_steady(live.steady_share) and self._is_steady(thresholds, live, device)):
+        if not (change.is_steady(STEADY_SHARE) and self._is_steady(thresholds, device)):
             self.doubt("its walls moved; not aligned again yet")
             self._features = None
         return change
 
-    def _is_steady(
-        self, thresholds: NormalizeConfig, live: LiveConfig, device: ComputeDevice
-    ) -> bool:
+    def _is_steady(self, thresholds: NormalizeConfig, device: ComputeDevice) -> bool:
         """Whether the walls still stand as in the map that was accepted last."""
         if self._key is None or self.layer is None:
             return True
         before, compared = self._key
-        if self._changed - compared <= live.track_share * self.walls:
+        if self._changed - compared <= CHANGED_SHARE * self.walls:
             return True
         self._key = before, self._changed
-        return compare(before, self.layer, thresholds, device).is_steady(live.steady_share)
+        return compare(before, self.layer, thresholds, device).is_steady(STEADY_SHARE)
 
     def features(
         self,

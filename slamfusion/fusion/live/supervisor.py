@@ -12,7 +12,7 @@ from slamfusion.errors import AlignmentError, MemoryBudgetError, SlamFusionError
 from slamfusion.fusion.groups import AlignedGroup, align_group
 from slamfusion.fusion.inputs import odd_resolution, odd_resolutions
 from slamfusion.fusion.live.align import Aligner
-from slamfusion.fusion.live.inputs import RESTARTED_SHARE, Input
+from slamfusion.fusion.live.inputs import CHANGED_SHARE, RESTARTED_SHARE, Input
 from slamfusion.fusion.live.layers import Change
 from slamfusion.fusion.live.limits import too_large
 from slamfusion.fusion.live.recovery import Anchor
@@ -302,4 +302,4 @@ class InputSupervisor:
 
     def _few(self, one: Input, reference: Input) -> float:
         """Return the changed wall cells below which nothing needs to be aligned again."""
-        return self._aligner.live.track_share * min(one.walls, reference.walls)
+        return CHANGED_SHARE * min(one.walls, reference.walls)

@@ -66,7 +66,7 @@ def test_an_alignment_that_may_wait_is_given_up_and_begun_again(device: ComputeD
 
 
 def test_what_changed_too_much_to_wait_is_aligned_whatever_comes(device: ComputeDevice) -> None:
-    drive = started(device, track_cells=1, track_share=1e-4, steady_share=0.5)
+    drive = started(device, track_cells=1)
     bell = Doorbell(1)
     drive.live.put("b", touched(three()["b"], 1, 0.05), drive.now_s)
     assert rest(drive, bell) is not None

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.config import LiveConfig, NormalizeConfig
+from slamfusion.config import NormalizeConfig
 from slamfusion.fusion.live import limits
 from slamfusion.fusion.live.inputs import TRANSITIONS, Event, Input, State
 from slamfusion.geometry import Pose2
@@ -34,12 +34,12 @@ def test_what_is_kept_of_a_map_is_as_if_all_of_it_had_been_looked_at(
 ) -> None:
     rng = np.random.default_rng(seed)
     grid = replace(random_grid(seed), resolution=0.1)
-    one, live = Input("a"), LiveConfig()
+    one = Input("a")
     with pytest.MonkeyPatch.context() as patch:
         # Several bands in a map of a few cells.
         patch.setattr(limits, "BAND_CELLS", 100)
         for box in boxes:
-            one.follow(grid, 0.1, RULES, live, device)
+            one.follow(grid, 0.1, RULES, device)
             layer = one.layer
             assert layer is not None
             known = layer.known

@@ -21,7 +21,7 @@ SIZE = 0.1
 def voter(name: str, x: float, device: ComputeDevice) -> Input:
     grid = OccupancyGrid(random_cells(3, 30, 40), SIZE, Pose2(x, 0.0, 0.0), name)
     one = Input(name, transform=Pose2())
-    one.follow(grid, SIZE, FusionConfig().normalize, LiveConfig(), device)
+    one.follow(grid, SIZE, FusionConfig().normalize, device)
     one.turn(Event.MAP, "new")
     one.accept("fits")
     return one
