@@ -22,6 +22,8 @@ from slamfusion.geometry import Pose2
 from slamfusion.io import read_trajectory
 from slamfusion.ros import messages, qos
 from slamfusion.trajectory import Trajectory
+from tests.evidence.rooms import circuit, recorded
+from tests.evidence.test_conditions import CHANGED, UPSTAIRS
 from tests.fusion.live.maps import share_standing
 from tests.ros.live import Observer, Processes, values
 from tests.slam.drives import drive
@@ -92,3 +94,26 @@ def test_scans_say_who_is_wrong_and_the_map_is_drawn_from_them(
 
     assert observer.call(Trigger, "save_map", Trigger.Request()).success
     assert len(read_trajectory(f"{save}.tum")) > SCANS // 2
+
+
+def test_on_another_floor_a_new_map_starts_if_that_is_wanted(
+    processes: Processes, observer: Observer
+):
+    told = circuit()
+    scans = [*recorded(told)[:CHANGED], *recorded(told, walls=UPSTAIRS)[CHANGED:]]
+    scan_topic = observer.publisher(LaserScan, "scan")
+    odometry = observer.publisher(Odometry, "odom")
+    pose_topic = observer.publisher(PoseStamped, "a/pose")
+    node = processes.node("fusion", inputs=["a/map"], on_new_place="reset")
+    observer.wait_status("fusion: fusion", "nothing is fused")
+    for number, item in enumerate(scans):
+        message = messages.scan_to_message(item.scan, "base_link")
+        message.header.stamp = stamp = messages.to_stamp(FIRST_S + item.scan.stamp_s)
+        odometry.publish(
+            messages.odometry_to_message(told.pose(number), "odom", "base_link", stamp)
+        )
+        pose_topic.publish(messages.pose_to_message(told.pose(number), "a_map", stamp))
+        scan_topic.publish(message)
+        observer.listen(0.05)
+    observer.wait(lambda: values(observer.statuses()["fusion: fusion"])["resets"] == "1", 60.0)
+    assert "was carried away, or is on another floor; a new map starts" in node.text()
