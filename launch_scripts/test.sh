@@ -12,12 +12,11 @@ venv="$root/.venv"
 jazzy="$root/.venv-jazzy"
 constraints="$root/launch_scripts/constraints-jazzy.txt"
 
-# One test process more than cores, since those with nodes mostly wait, and PoCL threads that share
-# the cores.
+# A test process for each core, and one PoCL thread in each: the second leg runs while tests with nodes
+# wait. Each process takes some 20 s of processor time to collect and load what its tests need.
 cores="$(nproc)"
-workers=$((cores < 2 ? 1 : cores < 8 ? cores + 1 : 8))
-threads=$((cores < workers ? 1 : cores / workers))
-export POCL_MAX_PTHREAD_COUNT="${POCL_MAX_PTHREAD_COUNT:-$threads}"
+workers=$((cores < 8 ? cores : 8))
+export POCL_MAX_PTHREAD_COUNT="${POCL_MAX_PTHREAD_COUNT:-1}"
 # Hundreds of tests start a command, which would compile the whole package each time.
 unset PYTHONDONTWRITEBYTECODE
 # pip compiles nothing ahead (a false value says so): what is imported is a small part of it.
@@ -87,14 +86,9 @@ finish() {
 install_all
 check "ruff check" "$venv/bin/ruff" check .
 check "ruff format" "$venv/bin/ruff" format --check .
-# Tests with nodes wait a lot, so there is time for both legs at once.
 log="$(mktemp)"
 trap 'rm -f "$log"' EXIT
 types_and_jazzy "$@" >"$log" 2>&1 &
-if [ ! -d tests/__pycache__ ]; then
-    say "compiling the tests once for all processes"
-    "$venv/bin/python" -m pytest --collect-only -q -p no:cacheprovider >/dev/null || true
-fi
 # In the order of tests/conftest.py, not by the number of tests in a file.
 check "tests" "$venv/bin/python" -m pytest -n "$workers" --dist loadfile --no-loadscope-reorder "$@"
 check "types and tests under the Jazzy constraints" finish "$!" "$log"

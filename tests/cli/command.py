@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import io
 import json
 import os
 import re
@@ -11,9 +12,11 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any
 
+from slamfusion.cli.program import run_program
 from tests.support.documents import check_document, command_of
 from tests.support.forks import Server
 
@@ -69,6 +72,17 @@ def run(
             check=False,
         )
     )
+
+
+def run_here(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    """Run a command in this process, which may remember searches; see ``run``."""
+    words = [str(word) for word in arguments]
+    with redirect_stdout(io.StringIO()) as out, redirect_stderr(io.StringIO()) as err:
+        code = run_program(words)
+    done = subprocess.CompletedProcess(
+        [str(INSTALLED), *words], code, out.getvalue(), err.getvalue()
+    )
+    return _without_progress(done)
 
 
 def _without_progress(done: subprocess.CompletedProcess[str]) -> subprocess.CompletedProcess[str]:

@@ -16,9 +16,9 @@ import yaml
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.grid import OCCUPIED, UNKNOWN, CellBox, OccupancyGrid
 from slamfusion.io import load_map, save_map
-from tests.cli.command import MAPS, SAMPLE, TRUTH, json_of, run, tree
+from tests.cli.command import MAPS, SAMPLE, TRUTH, json_of, run, run_here, tree
 
-pytestmark = pytest.mark.once
+pytestmark = [pytest.mark.once, pytest.mark.usefixtures("remembered_searches")]
 
 
 @pytest.fixture(scope="module")
@@ -113,11 +113,11 @@ def test_transforms_are_printed_ready_to_paste(tmp_path: Path) -> None:
         shutil.copy(path, tmp_path)
     odd = (tmp_path / "map_b.yaml").rename(tmp_path / "map b's.yaml")
     maps = (MAPS[0], odd)
-    first = run("fuse", *maps, "-o", tmp_path / "first", "--verbose")
+    first = run_here("fuse", *maps, "-o", tmp_path / "first", "--verbose")
     assert "\nFused 2 of 2 maps in the frame of map_a (the first map given).\n" in first.stdout
     (starts,) = (shlex.split(line) for line in first.stdout.splitlines() if "--start" in line)
     (transform,) = (shlex.split(line) for line in first.stdout.splitlines() if "--yaw" in line)
-    document = json_of(run("fuse", *maps, "-o", tmp_path / "again", *starts, "--json"))
+    document = json_of(run_here("fuse", *maps, "-o", tmp_path / "again", *starts, "--json"))
     assert document["config"]["start"]["map_a"] == [0.0, 0.0, 0.0]
     found = pose_of(document["inputs"][1])
     assert document["config"]["start"]["map b's"] == pytest.approx(
@@ -131,7 +131,7 @@ def test_transforms_are_printed_ready_to_paste(tmp_path: Path) -> None:
 
 
 def test_the_frame_is_that_of_the_first_map_that_is_fused(tmp_path: Path, stranger: Path) -> None:
-    done = run("fuse", stranger, *MAPS[:2], "-o", tmp_path / "out")
+    done = run_here("fuse", stranger, *MAPS[:2], "-o", tmp_path / "out")
     assert "in the frame of map_a (the first map that fits; before it: stranger)." in done.stdout
 
 
@@ -140,7 +140,7 @@ def test_like_paper_names_what_the_box_of_the_smallest_map_leaves_out(tmp_path: 
     save_map(large.crop(CellBox(0, 0, large.height, large.width // 2)), tmp_path / "half")
     asked = ("fuse", TRUTH, tmp_path / "half.yaml", "-o", tmp_path / "out", "--like-paper")
     report = tmp_path / "report"
-    done = run(*asked, "--report", report, "--json")
+    done = run_here(*asked, "--report", report, "--json")
     document = json_of(done)
     assert document["reference"] == "half"
     assert document["config"]["fusion"]["vote"]["unknown"] == "value"
@@ -150,13 +150,13 @@ def test_like_paper_names_what_the_box_of_the_smallest_map_leaves_out(tmp_path: 
     area = f"{document['left_out_m2']['truth']:.1f}"
     assert f"left out, outside the box of half: {area} m2 of truth; --extent union" in done.stderr
     assert f"{area} m² of truth" in (report / "report.html").read_text(encoding="utf-8")
-    document = json_of(run(*asked, "--extent", "union", "--json"))
+    document = json_of(run_here(*asked, "--extent", "union", "--json"))
     assert document["left_out_m2"] == {}
 
 
 def test_two_strangers_fuse_nothing_and_report_why(tmp_path: Path, stranger: Path) -> None:
     report = tmp_path / "report"
-    done = run("fuse", MAPS[0], stranger, "-o", tmp_path / "out", "--report", report, "--json")
+    done = run_here("fuse", MAPS[0], stranger, "-o", tmp_path / "out", "--report", report, "--json")
     assert done.returncode == 1
     assert "map_a" in done.stderr
     assert "stranger" in done.stderr
@@ -173,9 +173,9 @@ def test_a_fusion_that_fails_leaves_the_earlier_map_and_report(
     tmp_path: Path, stranger: Path
 ) -> None:
     options = ("-o", tmp_path / "out", "--report", tmp_path / "report")
-    assert run("fuse", *MAPS[:2], *options).returncode == 0
+    assert run_here("fuse", *MAPS[:2], *options).returncode == 0
     before = tree(tmp_path)
-    assert run("fuse", MAPS[0], stranger, *options).returncode == 1
+    assert run_here("fuse", MAPS[0], stranger, *options).returncode == 1
     after = tree(tmp_path)
     assert after.items() >= before.items()
     assert after["report/failed/report.html"]
@@ -193,7 +193,7 @@ def test_same_stems_get_distinct_names(tmp_path: Path) -> None:
 
 
 def test_a_map_given_twice_has_one_vote_and_is_named(tmp_path: Path) -> None:
-    done = run("fuse", *MAPS[:2], MAPS[0], "-o", tmp_path / "out", "--json")
+    done = run_here("fuse", *MAPS[:2], MAPS[0], "-o", tmp_path / "out", "--json")
     assert done.returncode == 0, done.stderr
     (line,) = done.stderr.splitlines()
     assert line.startswith("slamfusion: map_a#2: the same map as map_a")
@@ -205,7 +205,7 @@ def test_a_map_given_twice_has_one_vote_and_is_named(tmp_path: Path) -> None:
 
 def test_bare_images_take_the_resolution_option(tmp_path: Path) -> None:
     images = [SAMPLE / "map_a.pgm", SAMPLE / "map_b.pgm"]
-    done = run("fuse", *images, "-o", tmp_path / "out", "--resolution", "0.05", "--json")
+    done = run_here("fuse", *images, "-o", tmp_path / "out", "--resolution", "0.05", "--json")
     assert done.returncode == 0, done.stderr
     assert json_of(done)["fused_count"] == 2
 
@@ -216,7 +216,7 @@ def test_options_override_the_config_file(tmp_path: Path) -> None:
         "seed: 7\nfusion: {vote: {unknown: abstain}, align: {candidates: 6}}\n", encoding="utf-8"
     )
     arguments = ("fuse", *MAPS[:2], "-o", tmp_path / "out", "--config", config)
-    done = run(*arguments, "--unknown", "value", "--json")
+    done = run_here(*arguments, "--unknown", "value", "--json")
     assert done.returncode == 0, done.stderr
     effective = json_of(done)["config"]
     assert effective["seed"] == 7
@@ -230,7 +230,7 @@ def test_evaluate_measures_pictures_and_distances(tmp_path: Path) -> None:
         "name,x1,y1,x2,y2,distance_m\nheight,-2.0,-4.875,-2.0,3.575,8.45\n", encoding="utf-8"
     )
     image, report = tmp_path / "difference.png", tmp_path / "report"
-    done = run(
+    done = run_here(
         "evaluate",
         TRUTH,
         *("--truth", TRUTH, "--no-align", "--distances", distances),
@@ -274,6 +274,6 @@ def test_maps_that_are_mirrored_against_the_truth_are_named(tmp_path: Path) -> N
     truth = load_map(TRUTH)
     image = OccupancyGrid(truth.cells[:, ::-1], truth.resolution, truth.origin, "image")
     save_map(image, tmp_path / "image")
-    done = run("fuse", *MAPS, "-o", tmp_path / "fused", "--truth", tmp_path / "image.yaml")
+    done = run_here("fuse", *MAPS, "-o", tmp_path / "fused", "--truth", tmp_path / "image.yaml")
     assert done.returncode == 0
     assert "not aligned: fused: fits its mirror image" in done.stderr
