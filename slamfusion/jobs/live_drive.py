@@ -128,6 +128,7 @@ class DriveSolution:
         conditions: what the robot suffers, in words.
         lattice: of ``drawn``, in the fused frame.
         drawn: the map drawn from the scans at the path; None: it was not asked for.
+        is_final: whether it is the answer of ``run``; otherwise there is a better one to come.
     """
 
     path: Trajectory
@@ -136,6 +137,7 @@ class DriveSolution:
     conditions: Mapping[Condition, str]
     lattice: Lattice
     drawn: OccupancyGrid | None = None
+    is_final: bool = False
 
     @property
     def supported(self) -> Mapping[str, Pose2]:
@@ -312,9 +314,15 @@ class LiveDrive:
         if self._generation != generation:
             return None  # it was forgotten meanwhile
         corrections = {name: _correction(own, path) for name, own in paths.items()}
-        conditions = drive_conditions(evidence, FUSED, self._device)
-        doubted_since_s = self._doubted_since_s
-        return DriveSolution(path, corrections, doubted_since_s, conditions, own_lattice, drawn)
+        return DriveSolution(
+            path,
+            corrections,
+            self._doubted_since_s,
+            drive_conditions(evidence, FUSED, self._device),
+            own_lattice,
+            drawn,
+            depth == "final",
+        )
 
     def _continued(
         self, kept: Sequence[_Kept], paths: Mapping[str, Trajectory]

@@ -37,6 +37,8 @@ from slamfusion.ros.parameters import declare, declare_starts, parameter_names
 from slamfusion.trajectory import Trajectory
 
 AGREEMENT_TOPIC = "fused/agreement"
+# In the diagnostics: the stamp of the last scan, once the map is what ``run`` makes of the drive.
+FINAL = "final at [s]"
 CHANGEABLE = (
     *("discover", "discovery_rate_hz"),
     *("max_publish_rate_hz", "publish_tf", "save_path", "lost_after_s"),
@@ -165,6 +167,8 @@ class FusionNode(NodeBase):
             self._session.offer(FusedMap(*kept.grids(), kept.stamp_s))
         self._put_saved(self.inputs.saved.values())
         self._told_votes = 0
+        # The stamp of the last scan when its final solution was published.
+        self._final_s: float | None = None
         self._worker: Worker[None] = Worker(self._turn, 1, self.failed, "fusion")
         self.timer(TURN_S, self._look_turn)
         self.timer(LOOK_S, self._look)
@@ -335,7 +339,10 @@ class FusionNode(NodeBase):
         if self._keeper.is_waiting(self._fusion.has_come):
             self._session.send()
             return
+        solution = self._drive.solution
         self._session.turn()
+        if solution is not None and solution.is_final and self._session.waiting is None:
+            self._final_s = float(solution.path.stamps_s[-1])
         self._keeper.note(self._session.snapshot)
 
     def _read(self, source: MapSource, message: Any) -> grids.OccupancyGrid:
@@ -423,6 +430,7 @@ class FusionNode(NodeBase):
             "resets": snapshot.resets,
             "phantom cells": None if update is None else update.phantom_cells,
             "scans": None if solution is None else len(solution.path),
+            FINAL: None if self._final_s is None else f"{self._final_s:.3f}",
             "map [cells]": "-" if grid is None else f"{grid.width} x {grid.height}",
             "latency median [ms]": sent.median_ms,
             "latency p95 [ms]": sent.high_ms,

@@ -14,6 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import OccupancyGrid, Odometry
 from nav_msgs.msg import Path as PathMessage
@@ -32,18 +33,22 @@ from slamfusion.io.map_server import save_map, saved_files
 from slamfusion.io.stamps import AHEAD_S, CONFIRMING
 from slamfusion.io.trajectories import write_tum
 from slamfusion.ros import messages, qos
-from slamfusion.ros.base import Level, NodeBase, Status
+from slamfusion.ros.base import DIAGNOSTICS_TOPIC, Level, NodeBase, Status, shown
 from slamfusion.ros.frames import TransformOutput
 from slamfusion.ros.parameters import declare, declare_names
 
 # Of the fusion: a map that is saved, and the path that is saved with it.
 MAP_TOPIC, PATH_TOPIC = "fused/map", "fused/path"
+# In the diagnostics of a fusion: the stamp of the last scan, once its map is that of ``run``.
+FINAL = "final at [s]"
 # A scan that is not answered is sent again after this long: best-effort readers may lose one.
 AGAIN_S = 1.0
 # After a jump of the log's time producers wait for a scan to be sent again, and are not made to
 # wait long for that.
 AGAIN_AT_JUMP_S = 0.1
 STAMP_TOLERANCE_S = 1e-6
+# The last scans may have been dropped by the fusion, seconds.
+FINAL_S = 1.0
 
 
 class Interrupt(threading.Condition):
@@ -209,6 +214,7 @@ class PlayerNode(NodeBase):
         # The newest map by topic, and where it is to be written; the stamp of each newest pose.
         self._maps: dict[str, Any] = {}
         self._path: Any = None
+        self._final_s = -math.inf
         self._stems: dict[str, Path] = {}
         self._stamps_s: dict[str, float] = {}
         if self.settings.save is not None:
@@ -423,6 +429,7 @@ class PlayerNode(NodeBase):
             self.subscribe(OccupancyGrid, topic, partial(self._on_map, topic), qos.MAP)
         if MAP_TOPIC in topics:
             self.subscribe(PathMessage, PATH_TOPIC, self._on_path, qos.MAP)
+            self.subscribe(DiagnosticArray, DIAGNOSTICS_TOPIC, self._on_diagnostics, qos.STREAM)
 
     def _save(self) -> None:
         """Write the newest map of every topic, as soon as they hold the last scan.
@@ -457,13 +464,27 @@ class PlayerNode(NodeBase):
                 write_tum(stem.with_name(f"{stem.name}.tum"), driven)
 
     def _late(self, stamp_s: float) -> list[str]:
-        """Return the topics whose newest map does not hold the scan of a stamp."""
+        """Return the topics whose newest map does not hold the scan of a stamp.
+
+        A fused map that is drawn from scans is that of ``run`` a little later.
+        """
+        is_drawn = self._path is not None
         return [
             topic
             for topic in self._stems
             if topic not in self._maps
             or messages.stamp_s(self._maps[topic]) < stamp_s - STAMP_TOLERANCE_S
+            or (topic == MAP_TOPIC and is_drawn and self._final_s < stamp_s - FINAL_S)
         ]
+
+    def _on_diagnostics(self, message: Any) -> None:
+        """Note how far the fused map is final."""
+        told = [own.value for status in message.status for own in status.values if own.key == FINAL]
+        with self._interrupt:
+            for value in told:
+                if value != shown(None):
+                    self._final_s = float(value)
+            self._interrupt.notify_all()
 
     def _on_path(self, message: Any) -> None:
         """Keep the newest fused path."""

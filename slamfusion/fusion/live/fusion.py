@@ -161,7 +161,7 @@ class LiveFusion(Mailbox):
         with self._lock:
             self._poses = PoseWatch(self._live)
         self._restored: dict[str, Pose2] = {}
-        self._evidence: Evidence | None = None
+        self._said: Evidence | None = None
         self._drawn = Input(DRAWN, transform=IDENTITY)
 
     # -- what comes, beside maps ------------------------------------------------------------------
@@ -297,7 +297,7 @@ class LiveFusion(Mailbox):
             place = LiveState(evidence.lattice, *first, drawn.cells, agreement, evidence.transforms)
             self.restore(place)
             lattice = evidence.lattice
-        self._evidence = evidence
+        self._said = evidence
         if drawn is not None and lattice == evidence.lattice:
             track = self._drawn
             resolution, thresholds = lattice.resolution, self._config.normalize
@@ -311,7 +311,7 @@ class LiveFusion(Mailbox):
 
     def _vote(self) -> CellBox | None:
         """Let the map drawn from scans vote, and those whose poses it was not drawn by."""
-        supervisor, drawn, evidence = self._supervisor, self._drawn, self._evidence
+        supervisor, drawn, evidence = self._supervisor, self._drawn, self._said
         voters, reference = supervisor.voters, supervisor.reference
         if drawn.votes and evidence is not None:
             voters = [drawn, *(one for one in voters if one.name not in evidence.transforms)]
@@ -440,8 +440,8 @@ class LiveFusion(Mailbox):
         """
         with self._lock:
             reasons = self._poses.contradictions()
-        if self._evidence is not None:
-            scored, doubts = self._evidence.transforms, self._evidence.doubts
+        if self._said is not None:
+            scored, doubts = self._said.transforms, self._said.doubts
             apart = {name: reason for name, reason in reasons.items() if name not in scored}
             reasons = {**apart, **doubts}
         for name, track in self._inputs.items():

@@ -41,6 +41,7 @@ def tell(
     drive.live.put_evidence(Evidence(transforms, doubts or {}, lattice, drawn))
     assert drive.live.has_new
     drive.step()
+    assert not drive.live.has_new
 
 
 def test_scans_take_a_vote_and_give_it_back(device: ComputeDevice) -> None:
