@@ -141,10 +141,9 @@ class DriveSolution:
 
     @property
     def supported(self) -> Mapping[str, Pose2]:
-        """The corrections of the inputs that the scans do not contradict; of all if they do all."""
+        """The corrections of the inputs that the scans do not contradict."""
         doubted = self.doubted_since_s
-        found = {name: motion for name, motion in self.corrections.items() if name not in doubted}
-        return found or self.corrections
+        return {name: motion for name, motion in self.corrections.items() if name not in doubted}
 
     @property
     def evidence(self) -> Evidence:
@@ -354,9 +353,12 @@ class LiveDrive:
             near_s = judged.stamps_s[nearest_stamps(judged.stamps_s, during)]
             if np.mean(np.abs(near_s - during) <= SAME_STAMP_S) < OF_SCANS:
                 continue
-            covered = cover_stamps(Trajectory(stamps_s, rows, name), judged)
-            if np.count_nonzero(covered.is_covered) >= CHUNKS:
-                here = covered.is_covered
+            own_path = Trajectory(stamps_s, rows, name)
+            covered = cover_stamps(own_path, judged)
+            here = covered.is_covered
+            if covered.is_own.all():
+                paths[name] = own_path  # with its poses at scans that hit nothing
+            elif np.count_nonzero(here) >= CHUNKS:
                 paths[name] = Trajectory(judged.stamps_s[here], covered.poses[here], name)
         return paths
 
@@ -409,7 +411,10 @@ def _solved(
 
 
 def _doubts(evidence: PathEvidence) -> dict[str, float]:
-    """Return which inputs are bent and surely contradicted, by name, and since which stamp."""
+    """Return which inputs are bent and surely contradicted, by name, and since which stamp.
+
+    A fused path that all inputs leave is confirmed by none: then it contradicts no input.
+    """
     found = {}
     for name in evidence.scores:
         told = evidence.compare(FUSED, name)
@@ -418,7 +423,7 @@ def _doubts(evidence: PathEvidence) -> dict[str, float]:
         bent = _bent_at(evidence, name)
         if bent.any():
             found[name] = float(evidence.scans.stamps_s[evidence.is_judged][np.argmax(bent)])
-    return found
+    return found if len(found) < len(evidence.scores) - 1 else {}
 
 
 def _bent_at(evidence: PathEvidence, name: str) -> npt.NDArray[np.bool_]:

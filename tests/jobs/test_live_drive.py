@@ -137,6 +137,13 @@ def test_an_input_that_bends_slowly_is_contradicted_by_each_kind_of_solution(
     assert set(solved(robot, depth).doubted_since_s) == {"b"}
 
 
+def test_a_fused_path_that_no_input_confirms_contradicts_none(device: ComputeDevice) -> None:
+    robot = Robot(device, bent_ones="ab", names="ab")
+    robot.bend = slowly_bent
+    robot.drive_to(SCANS)
+    assert not solved(robot).doubted_since_s
+
+
 def test_the_window_reaches_back_to_what_was_solved(device: ComputeDevice) -> None:
     """A solution of the whole drive may take longer than the window is."""
     robot = Robot(device)
@@ -154,9 +161,13 @@ def test_the_window_reaches_back_to_what_was_solved(device: ComputeDevice) -> No
 def test_when_no_scan_comes_the_answer_is_that_of_run(
     device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """With all hits, and by the method of ``run``; while scans come fewer hits are judged."""
+    """With all hits, and with poses at scans without any, by the method of ``run``."""
     monkeypatch.setattr(live_drive, "MOST_HITS", 5000)
     robot = Robot(device)
+    for index in (50, 51, 90):
+        scan = robot.scans[index].scan
+        nothing = replace(scan, ranges=np.full_like(scan.ranges, np.inf))
+        robot.scans[index] = replace(robot.scans[index], scan=nothing)
     robot.noise = np.random.default_rng(7)
     robot.drive_to(SCANS)
     final = solved(robot, "final").path
@@ -280,7 +291,8 @@ def test_scans_without_odometry_are_left_out_where_others_have_it(device: Comput
     for index in (0, 1, 50):
         robot.scans[index] = replace(robot.scans[index], odometry=None)
     robot.drive_to(80)
-    assert len(solved(robot).path) == 77
+    solved(robot)
+    assert len(robot.live._scans) == 77
 
 
 def test_a_live_fusion_draws_its_first_map_where_the_poses_say(device: ComputeDevice) -> None:
