@@ -45,7 +45,9 @@ def found_in(
     return align_at_any_scale(seen, plan, FusionConfig(), device, (0.82 * about, 1.25 * about))
 
 
-@pytest.mark.parametrize(("seed", "factor"), [(0, 1.83), (1, 1.0), (2, 0.61)])
+@pytest.mark.parametrize(
+    ("seed", "factor"), [(0, 1.83), pytest.param(1, 1.0, marks=pytest.mark.full), (2, 0.61)]
+)
 def test_a_plan_finds_its_scale(device: ComputeDevice, seed: int, factor: float) -> None:
     truth = building(seed, 24.0, 18.0, 0.05)
     # The robot saw the larger part of it.
@@ -85,7 +87,11 @@ def test_impossible_scales_are_refused(device: ComputeDevice, scales: tuple[floa
 @pytest.mark.skipif(not places(), reason=ABSENT)
 @pytest.mark.parametrize(
     ("seen", "place", "is_own"),
-    [("F5_12", "F5", True), ("HIH_02", "HIH", True), ("HIH_04", "F5", False)],
+    [
+        ("F5_12", "F5", True),
+        pytest.param("HIH_02", "HIH", True, marks=pytest.mark.full),
+        ("HIH_04", "F5", False),
+    ],
 )
 def test_a_recorded_map_finds_its_place_on_its_plan_alone(
     device: ComputeDevice, seen: str, place: str, is_own: bool
@@ -97,7 +103,7 @@ def test_a_recorded_map_finds_its_place_on_its_plan_alone(
         assert marked_error_m(seen, found.plan, found.alignment.transform) < 1.0
 
 
-@pytest.mark.parametrize("said", [0.055, 0.04])
+@pytest.mark.parametrize("said", [0.055, pytest.param(0.04, marks=pytest.mark.full)])
 def test_a_wrong_resolution_is_named_with_the_right_one(device: ComputeDevice, said: float) -> None:
     """In a YAML file a wrong number may stand; ``align`` and ``fuse`` say what it should be."""
     a, b, c = (
