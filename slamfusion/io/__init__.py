@@ -10,14 +10,7 @@ refused with numbers before it is allocated (``check_memory``).
 from __future__ import annotations
 
 from slamfusion.io.carmen import write_carmen
-from slamfusion.io.files import (
-    AtomicFiles,
-    available_memory,
-    check_memory,
-    write_atomic,
-    write_json_atomic,
-    write_text_atomic,
-)
+from slamfusion.io.files import AtomicFiles, available_memory, check_memory, write_atomic
 from slamfusion.io.log import LogScan, ScanLog, Skips
 from slamfusion.io.logs import open_log
 from slamfusion.io.map_server import load_map, save_map
@@ -36,7 +29,5 @@ __all__ = [
     "save_map",
     "write_atomic",
     "write_carmen",
-    "write_json_atomic",
-    "write_text_atomic",
     "write_tum",
 ]

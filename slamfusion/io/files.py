@@ -9,7 +9,6 @@ from __future__ import annotations
 import ctypes
 import errno
 import fcntl
-import json
 import os
 import secrets
 import stat
@@ -17,7 +16,6 @@ from collections.abc import Hashable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from io import BufferedReader
 from pathlib import Path
-from typing import Any
 
 import psutil
 
@@ -265,16 +263,6 @@ def write_atomic(
         return
     with AtomicFiles() as own:
         own.add(path, data)
-
-
-def write_text_atomic(path: str | Path, text: str) -> None:
-    """Write text as UTF-8, whole or not at all."""
-    write_atomic(path, text.encode())
-
-
-def write_json_atomic(path: str | Path, value: Any) -> None:
-    """Write a value as indented JSON, whole or not at all; NaN and infinity are refused."""
-    write_text_atomic(path, json.dumps(value, indent=2, allow_nan=False) + "\n")
 
 
 def _mode_of_regular(target: Path) -> int | None:
