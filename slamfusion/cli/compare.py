@@ -30,7 +30,10 @@ LEADING = ("error", "wall_f1", "ate_rmse_m", "relations_mean_m", "consistency")
 )
 @click.argument("files", metavar="A.zip [B.zip...]", nargs=-1, required=True, type=FILE)
 @output_option(
-    "--plot", "plot_path", metavar="FILE", help="Draw the figures by case: .png, .svg or .pdf."
+    "--plot",
+    "plot_path",
+    metavar="FILE",
+    help="Draw the errors along the paths and by case: .png, .svg or .pdf.",
 )
 @common_options
 @table_option

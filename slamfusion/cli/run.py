@@ -319,7 +319,7 @@ def _print_slams(run: LogRun) -> None:
 
     errors = {item.name: item for item in run.evaluations}
     accepted = {item.name for item in (run.usable.accepted if run.usable is not None else ())}
-    voted = dict.fromkeys(accepted, "100")
+    voted = dict.fromkeys(accepted, "yes")
     names = [item.name for item in run.outcomes]
     names += [grid.name for grid in run.grids if grid.name not in names]
     measures = {name: item.measures for name, item in run.results.items()}
@@ -334,7 +334,7 @@ def _print_slams(run: LogRun) -> None:
     rows = []
     for name in names:
         own, found = measures.get(name, Measures()), run.results.get(name)
-        row = [name, voted.get(name, "-" if name == FUSED else "0")]
+        row = [name, voted.get(name, "-" if name == FUSED else "no")]
         row += _path_cells(own)
         row.append(number(errors[name].error if name in errors else None, 1))
         row.append(number(errors[name].wall_f1 if name in errors else None))
@@ -345,7 +345,7 @@ def _print_slams(run: LogRun) -> None:
             row += [number(made.time_s, 1), number(ms["mean"], 1), number(ms["p95"], 1)]
             row += [str(made.scans_used), number(made.peak_memory_bytes / 1e6, 1)]
             rows.append([*row, number(made.health.mean_match_score)])
-    columns = ["SLAM ", "vote [%]", "ATE rmse [m]", "relations mean [m]", "map error", "wall F1"]
+    columns = ["SLAM ", "votes", "ATE rmse [m]", "relations mean [m]", "map error", "wall F1"]
     columns += ["time [s]", "scan mean [ms]", "scan 95 % [ms]", "scans used", "memory [MB]"]
     columns.append("match score, mean")
     shown = len(columns) if is_verbose() else BRIEF

@@ -10,13 +10,18 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from slamfusion.evaluation.map_error import MapError
 from slamfusion.evaluation.relations import RelationErrors, RelationErrorsAtScans
 from slamfusion.evaluation.statistics import ErrorStatistics
 from slamfusion.evaluation.trajectory_error import TrajectoryErrors
+from slamfusion.geometry import F64
 
-# A row of a table of results: case, seed, method, figure, value.
-Row = tuple[str, str, str, str, float]
+# A row of a table of results: case, seed, method, figure, value, at, to. ``at`` is NaN for a figure
+# of the whole map or path. For a single error it says where: the time of a pose in s, or the metres
+# travelled to the end of a pair of poses. A relation has two times, ``at`` and ``to``.
+Row = tuple[str, str, str, str, float, float, float]
 
 
 @dataclass(frozen=True)
@@ -60,6 +65,12 @@ _FIGURES = {
     "consistency": Figure("log-likelihood per hit, mean", 4, larger_is_better=True),
     "seen_share": Figure("seen again, share", larger_is_better=None),
     "distance_error_mean_m": Figure("distances mean [m]"),
+    # Series of single errors.
+    "ate_m": Figure("ATE [m]", 4),
+    "ate_rotation_deg": Figure("ATE [deg]"),
+    "rpe_m": Figure("RPE [m]", 4),
+    "relations_m": Figure("relations [m]", 4),
+    "relations_rotation_deg": Figure("relations [deg]"),
     # Of experiments.
     "time_per_scan_ms": Figure("time per scan [ms]", 2),
     "value": Figure("value of the cell", larger_is_better=None),
@@ -79,7 +90,11 @@ def figure_of(name: str) -> Figure:
 
 
 def result_rows(
-    case: str, seed: str, method: str, figures: Mapping[str, float | None]
+    case: str,
+    seed: str,
+    method: str,
+    figures: Mapping[str, float | None],
+    series: Mapping[str, F64] | None = None,
 ) -> list[Row]:
     """Return the rows that one map or path adds to a table of results.
 
@@ -87,11 +102,15 @@ def result_rows(
         case: what it was measured against: a place, a log or a truth.
         seed: number of the repetition of this method in this case; empty for a single one.
         figures: by name; None: not defined.
+        series: by name (N, 3) float64, single errors: value, ``at`` and ``to``; see ``Row``.
     """
-    return [
-        (case, seed, method, name, math.nan if value is None else float(value))
+    rows: list[Row] = [
+        (case, seed, method, name, math.nan if value is None else float(value), math.nan, math.nan)
         for name, value in figures.items()
     ]
+    for name, errors in (series or {}).items():
+        rows += [(case, seed, method, name, *error) for error in errors.tolist()]
+    return rows
 
 
 def map_figures(error: MapError) -> dict[str, float | None]:
@@ -192,3 +211,23 @@ def path_figures(
         }
     first = {} if truth is None else {"ate_rmse_m": truth.ate.rmse}
     return first | {name: own.mean for name, own in statistics.items() if own is not None}
+
+
+def path_series(truth: TrajectoryErrors | None, relations: RelationErrors | None) -> dict[str, F64]:
+    """Return the single errors of a path by name, as ``result_rows`` takes them."""
+    found = {}
+    if truth is not None:
+        found["ate_m"] = error_series(truth.translation_m, truth.stamps_s)
+        found["ate_rotation_deg"] = error_series(np.rad2deg(truth.rotation_rad), truth.stamps_s)
+        found["rpe_m"] = error_series(truth.relative_translation_m, truth.relative_travelled_m)
+    if relations is not None:
+        found["relations_m"] = error_series(relations.translation_m, *relations.stamps_s.T)
+        found["relations_rotation_deg"] = error_series(
+            np.rad2deg(relations.rotation_rad), *relations.stamps_s.T
+        )
+    return found
+
+
+def error_series(errors: F64, at: F64, to: F64 | None = None) -> F64:
+    """Return (N, 3) single errors with their places; ``to`` is NaN where one place tells."""
+    return np.column_stack((errors, at, np.full(len(errors), np.nan) if to is None else to))

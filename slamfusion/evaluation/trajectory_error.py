@@ -201,6 +201,8 @@ class TrajectoryErrors:
     """(K,), error of the motion between the poses of each pair."""
     relative_rotation_rad: npt.NDArray[np.float64] = field(repr=False)
     """(K,), the same of the turn, 0 to pi."""
+    relative_travelled_m: npt.NDArray[np.float64] = field(repr=False)
+    """(K,), true path up to the end of each pair."""
 
 
 def trajectory_errors(
@@ -268,6 +270,7 @@ def trajectory_errors(
         pose_truth_estimate=motion,
         relative_translation_m=relative_m,
         relative_rotation_rad=relative_rad,
+        relative_travelled_m=travelled_m[second],
     )
 
 

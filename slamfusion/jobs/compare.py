@@ -332,7 +332,7 @@ def _other_yardsticks(first: SavedResults, second: SavedResults) -> list[str]:
 
 
 def write_comparison_plot(found: ComparedResults, path: str | Path) -> None:
-    """Write the comparison as one picture: figures by case.
+    """Write the comparison as one picture: errors along the paths, and figures by case.
 
     Args:
         path: PNG, SVG or PDF, by its suffix.

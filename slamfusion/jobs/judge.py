@@ -11,7 +11,14 @@ from typing import TypedDict
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError, TrajectoryError
-from slamfusion.evaluation import Row, on_clock, path_figures, result_rows
+from slamfusion.evaluation import (
+    Row,
+    error_series,
+    on_clock,
+    path_figures,
+    path_series,
+    result_rows,
+)
 from slamfusion.evidence import (
     PathEvidence,
     RankedPath,
@@ -180,7 +187,7 @@ class JudgedPaths:
         }
 
     def rows(self, case: str, placed: Sequence[Placed]) -> list[Row]:
-        """Return figures of each path as rows of a table of results.
+        """Return figures and single scores of each path as rows of a table of results.
 
         The recommended path comes first.
         """
@@ -190,9 +197,15 @@ class JudgedPaths:
             score = self.evidence.scores[path.name]
             keys = by_name.get(path.name, Placed(case, path.name, Path())).keys
             measures = self.measures.get(path.name, Measures())
+            held = (measures.truth, measures.relations)
             figures = {"consistency": score.consistency, "seen_share": score.seen_share}
-            figures |= path_figures(measures.truth, measures.relations)
-            rows += result_rows(*keys, figures)
+            is_judged = score.beams > 0
+            likelihoods = error_series(
+                score.sums[is_judged] / score.beams[is_judged],
+                self.evidence.scans.stamps_s[is_judged],
+            )
+            series = {"consistency": likelihoods, **path_series(*held)}
+            rows += result_rows(*keys, {**figures, **path_figures(*held)}, series)
         return rows
 
 

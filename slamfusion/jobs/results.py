@@ -39,7 +39,7 @@ except ImportError as _error:
     )
     raise SlamFusionError(_message) from _error
 
-FORMAT, FORMAT_VERSION = "slamfusion-results", 4
+FORMAT, FORMAT_VERSION = "slamfusion-results", 3
 MANIFEST, DOCUMENT, TABLE = "manifest.json", "document.json", "results.csv"
 # The most that a file of results may unpack to: a thousand paths of ten thousand poses.
 MOST_BYTES = 2**30
@@ -53,7 +53,8 @@ _BROKEN = (
 
 # The columns that name a map or path, and all columns.
 KEYS = ["case", "seed", "method"]
-COLUMNS = [*KEYS, "figure", "value"]
+NUMBERS = ["value", "at", "to"]
+COLUMNS = [*KEYS, "figure", *NUMBERS]
 
 
 class ResultsFileError(SlamFusionError):
@@ -73,9 +74,10 @@ def figures_of(table: pd.DataFrame) -> pd.DataFrame:
 
     Rows and columns keep the order of the table. NaN: not defined.
     """
-    wide = table.set_index([*KEYS, "figure"])["value"].unstack()  # noqa: PD010 - there is no mean
-    order = pd.MultiIndex.from_frame(table[KEYS].drop_duplicates())
-    return wide.reindex(order)[table["figure"].unique()].dropna(axis="columns", how="all")
+    own = table[table["at"].isna()]
+    wide = own.set_index([*KEYS, "figure"])["value"].unstack()  # noqa: PD010 - there is no mean
+    order = pd.MultiIndex.from_frame(own[KEYS].drop_duplicates())
+    return wide.reindex(order)[own["figure"].unique()].dropna(axis="columns", how="all")
 
 
 def means_of(figures: pd.DataFrame, keys: Sequence[str], how: str = "mean") -> pd.DataFrame:
@@ -279,14 +281,14 @@ def _read_table(data: bytes) -> pd.DataFrame:
     texts = [*KEYS, "figure"]
     table = pd.read_csv(
         io.BytesIO(data),
-        dtype={**dict.fromkeys(texts, str), "value": float},
+        dtype={**dict.fromkeys(texts, str), **dict.fromkeys(NUMBERS, float)},
         keep_default_na=False,
-        na_values={"value": [""]},
+        na_values={name: [""] for name in NUMBERS},
         usecols=COLUMNS,
     )[COLUMNS]
-    if np.isinf(table["value"]).any():
+    if np.isinf(table[NUMBERS]).any(axis=None):
         raise ValueError(f"{TABLE} has an infinite number")
-    if table.duplicated(texts).any():
+    if table[table["at"].isna()].duplicated(texts).any():
         raise ValueError(f"{TABLE} has two rows of one case, seed, method and figure")
     return table
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
-from slamfusion.evaluation import Row, map_figures, path_figures, result_rows
+from slamfusion.evaluation import Row, map_figures, path_figures, path_series, result_rows
 from slamfusion.evidence.recommendation import Recommendation
 from slamfusion.fleet import as_done
 from slamfusion.jobs.documents import settings_used
@@ -113,7 +113,7 @@ def run_rows(run: LogRun, case: str, seed: str = "") -> list[Row]:
         own = measures.get(name)
         held = (None, None) if own is None else (own.truth, own.relations)
         figures = {**path_figures(*held), **maps.get(name, {})}
-        rows += result_rows(case, seed, name, figures)
+        rows += result_rows(case, seed, name, figures, path_series(*held))
     return rows
 
 

@@ -18,6 +18,7 @@ from slamfusion.evaluation import (
     TrajectoryErrors,
     errors_at_scans,
     path_figures,
+    path_series,
     poses_by_odometry,
     read_relations,
     relation_errors,
@@ -317,8 +318,9 @@ class MeasuredTrajectory:
         }
 
     def rows(self, placed: Placed) -> list[Row]:
-        """Return figures as rows of a table of results."""
-        return result_rows(*placed.keys, path_figures(self.measures.truth, self.measures.relations))
+        """Return figures and single errors as rows of a table of results."""
+        held = (self.measures.truth, self.measures.relations)
+        return result_rows(*placed.keys, path_figures(*held), path_series(*held))
 
 
 def measure_trajectories(

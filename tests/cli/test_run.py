@@ -146,7 +146,7 @@ def test_the_tables_name_the_same_and_the_vote_is_that_of_fuse(
     options = (*TWO, *vote, "--relations", place / "flat.relations")
     done = run("run", place / "flat.log", "-o", out, *options)
     assert done.returncode == 0, done.stderr
-    for word in ("tinyslam", "graph", "relations mean [m]", "vote [%]",
+    for word in ("tinyslam", "graph", "relations mean [m]", "votes",
                  "fused.yaml (consensus)", "report.html"):  # fmt: skip
         assert word in done.stdout
     assert "gmapping" not in done.stdout

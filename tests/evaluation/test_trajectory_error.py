@@ -98,6 +98,7 @@ def test_a_pair_spans_what_was_asked(delta: float, unit: str, pairs: int, error_
     config = replace(CONFIG, rpe_delta=delta, rpe_unit=unit)
     found = trajectory_errors(longer, line(), config)
     assert found.relative_translation_m == pytest.approx(np.full(pairs, error_m))
+    assert len(found.relative_travelled_m) == pairs
 
 
 def test_a_jump_is_one_relative_error_and_turns_what_follows() -> None:

@@ -43,7 +43,12 @@ VOLATILE = re.compile(
 MASKS = (
     (re.compile(r"(pthread|basic)-.{1,80}? \(Portable Computing Language\)"), "DEVICE"),
     (re.compile(r"^(time[^\t:\n]*|peak memory)[\t:].*$", re.MULTILINE), r"\1 MASKED"),
-    (re.compile(r"^(\w+(?:\t(?:-|[\d.]+)){5})\t[\d.]+(?=\t|$)", re.MULTILINE), r"\1 MASKED"),
+    (
+        re.compile(
+            r"^(\w+\t(?:-|yes|no)(?:\t(?:-|[\d.]+)){4})\t[\d.]+(?=(?:\t[^\t\n]*)?$)", re.MULTILINE
+        ),
+        r"\1 MASKED",
+    ),
     (re.compile(r", \d+\.\d+ s\.?$", re.MULTILINE), ", MASKED"),
 )
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[-+]?\d+)?")

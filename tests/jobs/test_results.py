@@ -10,12 +10,13 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import pandas as pd
 import pytest
 from scipy import stats
 
 from slamfusion.errors import SlamFusionError
-from slamfusion.evaluation import Row, result_rows
+from slamfusion.evaluation import Row, error_series, result_rows
 from slamfusion.jobs import results
 from slamfusion.jobs.cases import CaseFile, place_files
 from slamfusion.jobs.compare import CompareDocument, compare_results, write_comparison_plot
@@ -27,13 +28,22 @@ from slamfusion.jobs.results import (
     write_results_file,
 )
 from slamfusion.json_values import plain
+from slamfusion.report.result_plots import running
 from tests.cli.command import MAPS
 from tests.support.documents import check_document
 
+Series = npt.NDArray[np.float64]
 CASES = ("intel", "mit", "office", "hall")
 ROWS = [
     *result_rows(
-        "intel", "", "graph", {"ate_rmse_m": 0.1 + 0.2, "rpe_mean_m": 1e-300, "ssim": None}
+        "intel",
+        "",
+        "graph",
+        {"ate_rmse_m": 0.1 + 0.2, "rpe_mean_m": 1e-300, "ssim": None},
+        {
+            "ate_m": error_series(np.array([0.1, 1 / 3]), np.array([1e9 + 0.1, 1e9 + 0.3])),
+            "relations_m": error_series(np.array([0.5]), np.zeros(1), np.ones(1)),
+        },
     ),
     *result_rows("NA", "07", "graph", {"ate_rmse_m": 2.0}),
 ]
@@ -41,6 +51,16 @@ ROWS = [
 
 def item(case: str, method: str, seed: str = "", **figures: float) -> list[Row]:
     return result_rows(case, seed, method, figures)
+
+
+def series(errors: Sequence[float], first_s: float = 0.0) -> Series:
+    return error_series(np.array(errors), first_s + np.arange(len(errors), dtype=float))
+
+
+def path_item(case: str, method: str, error_m: float) -> list[Row]:
+    errors = error_m * (1.0 + 0.2 * np.sin(np.arange(120.0) / 7.0 + error_m))
+    rmse = float(np.sqrt(np.mean(errors**2)))
+    return result_rows(case, "", method, {"ate_rmse_m": rmse}, {"ate_m": series(list(errors))})
 
 
 def joined(parts: Iterable[Sequence[Row]]) -> list[Row]:
@@ -117,7 +137,7 @@ def test_the_file_says_how_it_was_made_and_is_a_table(saved: Path, tmp_path: Pat
     (truth,) = manifest["inputs"]
     assert (truth["role"], truth["case"], truth["bytes"]) == ("truth", "intel", 6)
     assert document == {"config": {"seed": 3}, "ate": None}
-    assert list(table.columns) == ["case", "seed", "method", "figure", "value"]
+    assert list(table.columns) == ["case", "seed", "method", "figure", "value", "at", "to"]
     assert times == {(1980, 1, 1, 0, 0, 0)}
     again = save(tmp_path / "b.zip", ROWS, [("truth", "intel", tmp_path / "true.tum")])
     assert again.read_bytes() == saved.read_bytes()
@@ -159,10 +179,10 @@ def test_no_zip_and_others_zips_are_refused(saved: Path, tmp_path: Path) -> None
 
 
 def test_older_and_newer_formats_say_what_to_do(saved: Path) -> None:
-    with pytest.raises(ResultsFileError, match=r"format 4, found 5, .*'9\.1'; update"):
-        read_results(with_manifest(saved, format_version=5, version="9.1"))
-    with pytest.raises(ResultsFileError, match=r"format 4, found 3, .*; run its command with"):
-        read_results(with_manifest(saved, format_version=3))
+    with pytest.raises(ResultsFileError, match=r"format 3, found 4, .*'9\.1'; update"):
+        read_results(with_manifest(saved, format_version=4, version="9.1"))
+    with pytest.raises(ResultsFileError, match=r"format 3, found 2, .*; run its command with"):
+        read_results(with_manifest(saved, format_version=2))
 
 
 def test_a_bomb_is_refused_before_it_is_unpacked(
@@ -249,11 +269,9 @@ def test_methods_of_one_file_are_compared_with_each_other(tmp_path: Path) -> Non
 
 
 def test_two_files_are_compared_case_by_case(tmp_path: Path) -> None:
-    old = joined(item(case, "old", ate_rmse_m=0.3 + 0.05 * n) for n, case in enumerate(CASES))
+    old = joined(path_item(case, "old", 0.3 + 0.05 * n) for n, case in enumerate(CASES))
     new, best = (
-        joined(
-            item(case, "new", ate_rmse_m=error * (1.0 + 0.2 * n)) for n, case in enumerate(CASES)
-        )
+        joined(path_item(case, "new", error + 0.05 * n) for n, case in enumerate(CASES))
         for error in (0.2, 0.15)
     )
     found = compared(tmp_path, old, new)
@@ -323,8 +341,8 @@ def test_rows_without_a_partner_and_another_truth_are_told(tmp_path: Path) -> No
     for name in ("one", "other"):
         (tmp_path / name).write_text(name, encoding="ascii")
         inputs[name] = [("truth", "", tmp_path / name)]
-    all_items = joined(item(case, "new", ate_rmse_m=0.2) for case in CASES)
-    some = [*item("intel", "new", ate_rmse_m=0.2), *item("attic", "new", "3", ate_rmse_m=1.0)]
+    all_items = joined(path_item(case, "new", 0.2) for case in CASES)
+    some = [*path_item("intel", "new", 0.2), *item("attic", "new", "3", ate_rmse_m=1.0)]
     new = save(tmp_path / "new.zip", all_items, inputs["one"])
     few = save(tmp_path / "few.zip", some, inputs["other"])
     assert compare_results([new, few]).document["notes"] == [
@@ -355,7 +373,7 @@ HEADS = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}
 @pytest.mark.once
 def test_the_plot_is_drawn_alike_each_time_and_names_as_they_are_written(tmp_path: Path) -> None:
     names = ("$one", "_two$")
-    item_of = item("a$b_{c}$", "x", ate_rmse_m=0.1)
+    item_of = path_item("a$b_{c}$", "x", 0.1)
     found = compare_results([save(tmp_path / f"{name}.zip", item_of) for name in names])
     for form, head in HEADS.items():
         plots = [tmp_path / f"{name}.{form}" for name in "ab"]
@@ -366,5 +384,14 @@ def test_the_plot_is_drawn_alike_each_time_and_names_as_they_are_written(tmp_pat
         if form == "svg":
             assert data == plots[1].read_bytes()
     text = (tmp_path / "a.svg").read_text(encoding="utf-8")
-    label = "ATE rmse [m] (smaller is better)"
-    assert all(f">{words}<" in text for words in ("$one", "_two$", "a$b_{c}$", label))
+    assert all(f">{words}<" in text for words in ("$one", "_two$", "a$b_{c}$", "ATE [m]"))
+
+
+def test_one_large_error_does_not_move_the_running_median() -> None:
+    at, values = np.arange(100.0), np.full(100, 0.1)
+    values[37] = 40.0
+    middles, (low, median, high) = running(at, values)
+    assert list(middles[:2]) == [2.0, 7.0]  # windows of five errors
+    assert (low == 0.1).all()
+    assert (median == 0.1).all()
+    assert np.flatnonzero(high > 0.1).tolist() == [7]
