@@ -124,13 +124,14 @@ def align_pair(
 
 
 @watched
-def track_pair(pair: Pair, start: Pose2) -> Alignment:
-    """Refine a known transform without a search; the decision rests on the fit alone.
+def track_pair(pair: Pair, start: Pose2, pairs: int = 1) -> Alignment:
+    """Refine a known transform without a search, and decide as with a start there.
 
     Args:
         pair: the two maps.
         start: pose of the moving map frame in the reference's, within about half a metre and a few
             degrees.
+        pairs: see ``align_pair``.
 
     Raises:
         CancelledSearchError: ``pair.cancel`` says so.
@@ -138,4 +139,4 @@ def track_pair(pair: Pair, start: Pose2) -> Alignment:
     began = time.perf_counter()
     motion = settle(pair, pair.motion_of(start)[None])
     found = SearchResult(motion, None, "tracked")
-    return conclude(pair, AlignConfig(), found, start, 1, began)
+    return conclude(pair, AlignConfig(), found, start, pairs, began)

@@ -18,7 +18,6 @@ from slamfusion.align.decide import (
     Decision,
     MatchEvidence,
     decide,
-    decide_fit,
     odds,
 )
 from slamfusion.align.features import FINE_TABLE, spread_sample
@@ -108,11 +107,9 @@ def _chances(pair: Pair, found: SearchResult, start: Pose2 | None, pairs: int) -
 
     More where the ground is large, fewer near a start.
     """
-    if found.coarse is None:
-        return Chances(pairs)
     ground_m2 = meeting_cells(pair) * pair.resolution**2
     trials = pairs * max(1.0, ground_m2 / GROUND_ONE_M2)
-    if found.search == "full" and start is not None:
+    if found.search != "window" and start is not None:
         prior = prior_within(pair, DISTINCT_CELLS, APART_RAD)
         return Chances(trials, pair.motion_of(start), prior)
     return Chances(trials, prior=found.prior)
@@ -148,8 +145,6 @@ def _decided(
     if walls < WALLS_MIN:
         words = f"too few walls to judge: {walls} of the {WALLS_MIN} needed"
         return evidence, Decision(False, "too little in common", words)
-    if found.search not in {"full", "window"}:
-        return evidence, decide_fit(evidence, statistics, found.search)
     rival = None
     if runner_up is not None:
         pose = runner_up.transform
@@ -157,6 +152,8 @@ def _decided(
     trials = TRIALS * patches * answer.trials[0]
     decision = decide(evidence, statistics, rival, trials)
     mirrored = scale = None
+    if found.coarse is None:
+        return evidence, replace(decision, reason=f"{found.search}: {decision.reason}")
     if decision.accepted:
         # Two good maps of a place that is nearly its own image fit both ways; a limit of its own
         # would be the square of this one.
@@ -172,7 +169,7 @@ def _decided(
     if mirrored is not None or scale is not None:
         evidence = replace(evidence, mirrored=mirrored, scale=scale)
         decision = decide(evidence, statistics, rival, trials)
-    if found.coarse is not None and found.coarse.is_cut:
+    if found.coarse.is_cut:
         said = (
             "; walls fill the cells that were searched at every yaw; on finer ones only yaws with "
             "parallel walls were"

@@ -79,9 +79,6 @@ STOREYS_SHARE = 0.7
 MOST = 0.5
 # Maps whose scales differ more are refused.
 SCALE_MAX = 0.03
-# A known transform that was only refined: matched walls of all walls and beyond chance, or share
-# and pieces of the common ground; and walls of one map in the middle of the other's free space.
-MATCH_MIN, EXCESS_MIN, TRACKED_PIECES_MIN, CLASH_MAX = 0.45, 0.20, 12.0, 0.15
 
 
 @dataclass(frozen=True)
@@ -175,10 +172,9 @@ def decide(
             "other scale", f"the maps differ in scale by {off:.1%}: is a resolution wrong?"
         )
     strength = strength_of(evidence.share)
-    said = (
-        f"walls match ({strength}): {_share_of_walls(evidence)}, the next place "
-        f"{evidence.rival_ratio:.0%} of that"
-    )
+    said = f"walls match ({strength}): {_share_of_walls(evidence)}"
+    if rival is not None:
+        said += f", the next place {evidence.rival_ratio:.0%} of that"
     if strength == "weak":
         said += f"; {_contradiction(evidence)}"
     if off > 0.0:
@@ -258,26 +254,4 @@ def _not_beaten(
         "the maps do not show the same place: the best fit explains "
         f"{statistics['explained']:.0%} of the smaller map's walls, a random one "
         f"{statistics['explained_by_chance']:.0%}; another pose explains {rivalry}",
-    )
-
-
-def decide_fit(evidence: MatchEvidence, statistics: dict[str, float], search: str) -> Decision:
-    """Decide on the fit alone, where no search looked for another pose.
-
-    Args:
-        evidence, statistics: as for ``decide``.
-        search: what stands behind it, in a word.
-    """
-    match, chance = statistics["wall_match"], statistics["chance"]
-    clash = statistics["wall_clash"]
-    excess = (match - chance) / (1.0 - chance) if chance < 1.0 else 0.0
-    do_walls_match = match >= MATCH_MIN and excess >= EXCESS_MIN
-    does_ground_match = evidence.share >= MOST and evidence.pieces >= TRACKED_PIECES_MIN
-    if (do_walls_match or does_ground_match) and clash <= CLASH_MAX:
-        said = f"{match:.0%}" if do_walls_match else f"{evidence.share:.0%} of the common ground"
-        return Decision(True, "accepted", f"{search}: {said} of the walls match")
-    return _refused(
-        "different place",
-        f"{search}: the walls do not match, {match:.0%} of the wall cells meet, "
-        f"{clash:.0%} stand in free space",
     )

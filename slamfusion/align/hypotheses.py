@@ -209,8 +209,6 @@ def best_answer(pair: Pair, found: SearchResult, chances: Chances) -> Answer:
         chances: of wrong answers.
     """
     motions, rest = found.motions, (pair.widths[0], chances)
-    if found.coarse is None:
-        return _answer(motions, "changed", weigh(pair, motions, "changed"), None, *rest)
     inside = None
     if found.candidates is not None:
         inside = np.arange(len(motions)) < found.candidates

@@ -128,8 +128,8 @@ class LiveConfig(Checked):
     )
     search_share: float = option(
         0.7,
-        "a tracked score, and a fit of the common ground, below this share of what the full search "
-        "gave call for a new one",
+        "an input is searched again when it explains less than this share of the common walls that "
+        "it explained when it was searched",
         low=0.0,
         high=1.0,
     )

@@ -15,12 +15,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from slamfusion.align.align import track_pair
-from slamfusion.align.decide import CLASH_MAX, EXPECTED_WRONG_MAX, expected_wrong
 from slamfusion.align.features import GridFeatures
-from slamfusion.align.hypotheses import APART_RAD, DISTINCT_CELLS, is_distinct
+from slamfusion.align.hypotheses import is_distinct
 from slamfusion.align.pair import Pair
 from slamfusion.align.records import Alignment
-from slamfusion.align.search import prior_within
 from slamfusion.geometry import Pose2, wrap_angle
 
 CLOSURE_CELLS = 12.0
@@ -29,8 +27,6 @@ CLOSURE_YAW_RAD = math.radians(3.0)
 PATH_GAP = "path_gap_m"
 # Ground that both maps know, as a share of the smaller one's: on less their walls need not meet.
 MUCH_GROUND = 0.3
-# Share of the common walls that the maps must explain there.
-SHARE_MIN = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,24 +222,16 @@ class ImpliedPairs:
 
     def _look(self, still: str, moved: str, transform: Pose2) -> Implied:
         pair = Pair(self.features[still], self.features[moved])
-        found = track_pair(pair, transform)
+        found = track_pair(pair, transform, self.pairs)
         little = ""
         if found.overlap < MUCH_GROUND:
             little = f"{found.overlap:.0%} of the ground in common"
         evidence = found.evidence
         if evidence is None:
             return Implied(found, bool(little), little or "no walls")
-        prior = prior_within(pair, DISTINCT_CELLS, APART_RAD)
-        wrong = expected_wrong(evidence.pieces * evidence.share, self.pairs * prior)
-        fits = found.accepted or (
-            evidence.share >= SHARE_MIN
-            and wrong < EXPECTED_WRONG_MAX
-            and found.statistics["wall_clash"] <= CLASH_MAX
-        )
         went = is_distinct(pair.motion_of(found.transform), pair.motion_of(transform))
         words = f"{evidence.share:.0%} of what {evidence.common_m:.0f} m of common walls could give"
-        # On little ground a few walls meet in a wrong place, too.
-        is_borne_out = fits and not went and (found.accepted or not little)
+        is_borne_out = found.accepted and not went
         return Implied(found, is_borne_out or bool(little), little or words, is_borne_out)
 
 

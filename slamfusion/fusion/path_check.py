@@ -22,7 +22,6 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.align.align import track_pair
-from slamfusion.align.decide import CLASH_MAX
 from slamfusion.align.pair import Pair
 from slamfusion.align.records import Alignment, FusionResult, InputRecord, RunnerUp
 from slamfusion.align.starts import Starts
@@ -49,9 +48,6 @@ from slamfusion.trajectory import Trajectory
 BETWEEN_S, BESIDE_S = 2.0, 0.1
 # Where two paths have no such moment, poses up to this far apart in time are held together.
 TOGETHER_S = 1.0
-# The wall score of a map that is placed by its path. Bent maps of one drive have 0.42 or more;
-# where the paths of a lost one pass all the same, the walls score 0.36 at most.
-PLACED_SCORE_MIN = 0.40
 # A producer that is lost on its way is together with the others before: it is this many limits
 # away for a quarter of the time, and the others are not.
 LOST_LIMITS = 3.0
@@ -207,38 +203,28 @@ def place_by_path(
         laid = {pair.moving: moved_path(moved, found.transform), pair.reference: still}
         return path_gaps(laid)[0].median_m
 
-    if pair.accepted and gap_m(pair) <= limit_m:
+    is_there = gap_m(pair) <= limit_m
+    if pair.accepted and is_there:
         return replace(pair, statistics=pair.statistics | {PATH_GAP: gap_m(pair)})
-    tracked = track_pair(maps, fit_paths(moved, still))
-    fitting = [found for found in (pair, tracked) if _bear_out(found) and gap_m(found) <= limit_m]
-    if not fitting:
+    found = track_pair(maps, pair.transform if is_there else fit_paths(moved, still))
+    gap = gap_m(found)
+    if not found.accepted or gap > limit_m:
         return pair
-    best = max(fitting, key=lambda found: found.score)
-    match, chance = best.statistics["wall_match"], best.statistics["chance"]
-    reason = (
-        f"placed by its path: {gap_m(best):.2f} m from the other's (median), "
-        f"walls match {match:.0%} ({chance:.0%} by chance)"
-    )
+    match, chance = found.statistics["wall_match"], found.statistics["chance"]
     runner_up = pair.runner_up
-    if best is tracked:
-        runner_up = RunnerUp(pair.transform, pair.score, pair.score / best.score)
+    if not is_there:
+        runner_up = RunnerUp(pair.transform, pair.score, pair.score / found.score)
     return replace(
-        best,
-        accepted=True,
-        reason=reason,
+        found,
+        reason=(
+            f"placed by its path: {gap:.2f} m from the other's (median), "
+            f"walls match {match:.0%} ({chance:.0%} by chance)"
+        ),
         runner_up=runner_up,
-        time_s=pair.time_s + tracked.time_s,
-        statistics=best.statistics | {PATH_GAP: gap_m(best)},
+        time_s=pair.time_s + found.time_s,
+        statistics=found.statistics | {PATH_GAP: gap},
         yaw_profile=pair.yaw_profile,
     )
-
-
-def _bear_out(found: Alignment) -> bool:
-    """Whether walls meet beyond chance, and none stands in the middle of the other's free space."""
-    if found.score < PLACED_SCORE_MIN:
-        return False
-    is_beyond_chance = found.statistics["wall_match"] > found.statistics["chance"]
-    return is_beyond_chance and found.statistics["wall_clash"] <= CLASH_MAX
 
 
 def fallback_map(

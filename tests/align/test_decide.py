@@ -19,20 +19,12 @@ from slamfusion.align.decide import (
     MatchEvidence,
     Reading,
     decide,
-    decide_fit,
     decide_mirrored,
 )
 from slamfusion.align.hypotheses import Answer
 from tests.support.examples import examples
 
-STATISTICS = {
-    "wall_match": 0.6,
-    "wall_clash": 0.02,
-    "chance": 0.1,
-    "explained": 0.3,
-    "explained_by_chance": 0.2,
-    "overlap": 1.0,
-}
+STATISTICS = {"explained": 0.3, "explained_by_chance": 0.2, "overlap": 1.0}
 RIVAL = "at 1.00, 2.00 m, 90 deg"
 
 
@@ -70,15 +62,6 @@ def test_every_kind_of_decision_has_its_reason(
     assert found.kind in DECISIONS
     assert words in found.reason
     assert "\n" not in found.reason
-
-
-def test_a_tracked_pair_is_believed_while_its_walls_or_its_ground_match() -> None:
-    poor = evidence(share=0.1)
-    assert decide_fit(poor, STATISTICS, "tracked").reason == "tracked: 60% of the walls match"
-    apart = STATISTICS | {"wall_match": 0.1}
-    assert not decide_fit(poor, apart, "tracked").accepted
-    assert "80% of the common ground" in decide_fit(evidence(), apart, "tracked").reason
-    assert not decide_fit(evidence(), apart | {"wall_clash": 0.5}, "tracked").accepted
 
 
 def test_an_image_is_refused_only_where_it_fits_as_well() -> None:

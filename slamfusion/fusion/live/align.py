@@ -2,20 +2,13 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from slamfusion.align.align import align_pair, track_pair
 from slamfusion.align.cancel import CancelledSearchError, CancelToken
-from slamfusion.align.decide import (
-    CLASH_MAX,
-    MATCH_MIN,
-    SAME_TIME_SHARE,
-    DecisionKind,
-    decide_mirrored,
-)
+from slamfusion.align.decide import SAME_TIME_SHARE, DecisionKind, decide_mirrored
 from slamfusion.align.features import GridFeatures
 from slamfusion.align.hypotheses import mirror_gain
 from slamfusion.align.pair import Pair
@@ -28,83 +21,31 @@ from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY
 from slamfusion.vote.lattice import Lattice
 
-# An input that the search believed by clearly matching walls must go on to match; one that it
-# believed since its place stood out among all others, by this share of the walls that met then.
-CLEAR_MATCH = MATCH_MIN + 0.05
-LASTING_SHARE = 0.85
 # Transforms that differ by a greater turn are two places, as with ``live.jump_m``.
 JUMP_RAD = 0.05
-CLASH_MORE = 0.05
 
 
 @dataclass(frozen=True)
 class LastSearch:
     """What the search, or the first fusion, gave for a pair.
 
-    The score and the walls that meet are shares of all walls of both maps. Where two robots' maps
-    grow away from each other these fall although all is well; what the ground that both maps know
-    says does not.
-
     Attributes:
-        score: of all walls; lower where the maps grew away from each other since.
-        match, clash: shares of all walls, see ``measure``.
-        reason: why the pair was believed.
-        ground: evidence as a share of what the ground that both maps know could give.
-        pieces: pieces of wall there that spoke for the pair; infinite where it is not known.
+        score: of all walls of both maps; lower where the maps grew away from each other since.
+        share: of the common walls that it explained; 1 where that is not known.
     """
 
     score: float
-    match: float
-    clash: float
-    reason: str
-    ground: float = 1.0
-    pieces: float = math.inf
+    share: float = 1.0
 
     @classmethod
     def of(cls, pair: Alignment) -> LastSearch:
         """Return what is kept of a pair that was searched."""
-        statistics, evidence = pair.statistics, pair.evidence
-        return cls(
-            pair.score,
-            statistics.get("wall_match", 0.0),
-            statistics.get("wall_clash", 0.0),
-            pair.reason,
-            *(() if evidence is None else (evidence.share, evidence.pieces)),
-        )
+        return cls(pair.score, explained(pair))
 
-    def lasts(self, pair: Alignment, share: float) -> bool:
-        """Whether a tracked pair still fits.
 
-        By a share of its score then, or of what the common ground said; and by its walls, or nearly
-        all that the common ground said.
-        """
-        if pair.score < share * self.score and not self._has_ground(pair, share):
-            return False
-        if pair.accepted:
-            return True
-        statistics = pair.statistics
-        was_clear = self.match >= CLEAR_MATCH and self.clash <= CLASH_MAX
-        do_walls_last = (
-            not was_clear and statistics.get("wall_match", 0.0) >= LASTING_SHARE * self.match
-        )
-        return (do_walls_last or self._has_ground(pair, LASTING_SHARE)) and statistics.get(
-            "wall_clash", 1.0
-        ) <= self.clash + CLASH_MORE
-
-    def tracked(self, pair: Alignment, share: float) -> LastSearch:
-        """Return this with the lower score of a pair whose maps grew away from each other."""
-        if pair.score >= self.score or not self._has_ground(pair, share):
-            return self
-        return replace(self, score=pair.score)
-
-    def _has_ground(self, pair: Alignment, share: float) -> bool:
-        """Whether the common ground still says this share of what it said then, in both ways."""
-        now = pair.evidence
-        return (
-            now is not None
-            and now.share >= share * self.ground
-            and now.pieces >= share * self.pieces
-        )
+def explained(pair: Alignment) -> float:
+    """Return the share of the common walls that a pair explains."""
+    return 0.0 if pair.evidence is None else pair.evidence.share
 
 
 # New walls that fit worse than this share of what the search found may be mirrored.
@@ -195,7 +136,7 @@ class Aligner:
         On what ground a pair was believed is not kept: until it is searched its walls must match.
         """
         self.lattice = lattice
-        self._found = {pair: LastSearch(score, 1.0, 0.0, "") for pair, score in scores.items()}
+        self._found = {pair: LastSearch(score) for pair, score in scores.items()}
 
     def remove(self, name: str) -> None:
         """Forget what the searches gave for an input."""
@@ -220,7 +161,7 @@ class Aligner:
         if fit is not None:
             names = frozenset((track.name, held.name))
             if (found := self._found.get(names)) is not None:
-                self._found[names] = found.tracked(fit[0], self.live.search_share)
+                self._found[names] = replace(found, score=min(found.score, fit[0].score))
             self.accept(track, fit[1], fit[0], is_tracked=True)
         return fit is not None
 
@@ -240,13 +181,13 @@ class Aligner:
         pair = track_pair(Pair(held.features, own, cancel), start)
         moved = held.transform.compose(pair.transform)
         found = self._found.get(frozenset((track.name, held.name)))
-        is_good = pair.accepted
-        if found is not None:
-            is_good = found.lasts(pair, self.live.search_share)
-            if is_good and not pair.accepted:
-                pair = replace(pair, reason=f"tracked where the search found it: {found.reason}")
-        mismatch = "" if is_good or pair.accepted else f"to {held.name}: {pair.reason}"
-        track.fit = replace(track.fit, score=pair.score, overlap=pair.overlap, mismatch=mismatch)
+        # What explains much less than when it was searched is news: a map may bend as it grows.
+        lasting = 0.0 if found is None else self.live.search_share * found.share
+        is_good = pair.accepted and explained(pair) >= lasting
+        mismatch = "" if pair.accepted else f"to {held.name}: {pair.reason}"
+        track.fit = Fit(
+            pair.score, pair.overlap, track.fit.is_tracked, mismatch, pair.decision == "bent"
+        )
         return (pair, moved) if is_good and not self.is_jump(track, last, moved) else None
 
     # -- searching --------------------------------------------------------------------------------

@@ -73,12 +73,14 @@ class Fit:
         score, overlap: see ``Alignment``.
         is_tracked: whether the last accepted one started from the transform before.
         mismatch: why its walls do not match; empty: they do.
+        may_be_bent: whether it lies there, but too much of it does not fit for a vote.
     """
 
     score: float = 0.0
     overlap: float = 0.0
     is_tracked: bool = False
     mismatch: str = ""
+    may_be_bent: bool = False
 
 
 @dataclass(frozen=True)

@@ -9,13 +9,13 @@ map did.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import replace
 
 from slamfusion.align.features import GridFeatures
 from slamfusion.align.normalize import normalize_grid
 from slamfusion.align.records import Alignment
-from slamfusion.fusion.live.align import Aligner, AnchorMap
+from slamfusion.fusion.live.align import Aligner, AnchorMap, explained
 from slamfusion.fusion.live.inputs import GROWN_SHARE, Input
 from slamfusion.fusion.live.limits import unusable
 from slamfusion.fusion.live.voting import FusedLayers
@@ -140,10 +140,10 @@ class Anchor:
         """Let inputs vote again that fit the last fused map.
 
         Inputs that fit it and each other come back together; one that fits it, when no other does.
-        Where several fit it and not each other, it may be wrong as they are: they drew it. Then the
-        one goes on that alone fits what a majority last decided; else all stay in doubt until a
-        search finds two that agree. One that fits nowhere is searched, once with each of its maps,
-        as soon as it may be.
+        Where several fit it, be it as bent ones, and not each other, it may be wrong as they are.
+        Then the one goes on that alone fits what a majority last decided, or of which it explains
+        much more; else all stay in doubt until a search finds two that agree. One that fits nowhere
+        is searched, once with each of its maps, as soon as it may be.
 
         Args:
             inputs: those that are not LOST.
@@ -163,14 +163,17 @@ class Anchor:
         for one in inputs:
             if not _is_in_vain(one, names):
                 one.tried = (one.version, names, WAITING)
-        found = self._fitting([one for one in inputs if one.transform is not None], last)
+        placed = [one for one in inputs if one.transform is not None]
+        found = self._fitting(placed, last)
+        rivals = [one for one in placed if one.name in found or one.fit.may_be_bent]
         group = self._largest_group([one for one, _, _ in found.values()])
-        if len(group) == 1 and len(found) > 1:
+        if len(group) == 1 and len(rivals) > 1:
             kept = hold_map(self._layers.agreed, LAST_AGREED, aligner)
-            rivals = [one for one, _, _ in found.values()]
             fits = {} if kept is None else self._fitting(rivals, kept)
+            enough = aligner.live.search_share * max(map(_share, fits.values()), default=0.0)
+            fits = {name: fit for name, fit in fits.items() if _share(fit) >= enough}
             if kept is None or len(fits) != 1:
-                return self._dispute(inputs, names, found)
+                return self._dispute(inputs, names, rivals)
             last, found, group = kept, fits, [one for one, _, _ in fits.values()]
         for one in group:
             _, pair, moved = found[one.name]
@@ -201,15 +204,15 @@ class Anchor:
         )
 
     def _dispute(
-        self, inputs: Sequence[Input], names: str, found: Mapping[str, Placed]
+        self, inputs: Sequence[Input], names: str, rivals: Sequence[Input]
     ) -> tuple[Input | None, str | None]:
         """Look for two that agree where those that fit the last fused map do not fit each other.
 
         An input that fits nowhere, as one that has come back, is searched on one of them; without
         any, the one whose place was looked for last. Where it is found both go on.
         """
-        problem = _doubt(inputs, f"{', '.join(found)} disagree and no majority decides")
-        rivals = [one for one, _, _ in found.values()]
+        who = ", ".join(one.name for one in rivals)
+        problem = _doubt(inputs, f"{who} disagree and no majority decides")
         absent = [one for one in inputs if one not in rivals]
         wanted = absent or [max(rivals, key=lambda one: one.pace.last_s)]
 
@@ -225,8 +228,8 @@ class Anchor:
                 one.tried = (one.version, names, IN_VAIN)
         if chosen is None:
             return None, problem
-        partner, pair, moved = found[partners[chosen.name].name]
-        self._aligner.accept(partner, moved, pair, is_tracked=True)
+        partner = partners[chosen.name]
+        partner.accept(f"agrees with {chosen.name}")
         return partner, None
 
     def _search_one(
@@ -255,6 +258,10 @@ class Anchor:
             if len(fit) >= len(best):
                 best = [seed, *fit]
         return best
+
+
+def _share(placed: Placed) -> float:
+    return explained(placed[1])
 
 
 def _doubt(inputs: Iterable[Input], problem: str) -> str:
