@@ -41,6 +41,8 @@ T = TypeVar("T")
 
 DIAGNOSTICS_TOPIC = "/diagnostics"
 DIAGNOSTICS_PERIOD_S = 1.0
+# Of a fusion: the stamp of the last scan, once its map is what ``run`` makes of the drive.
+FINAL = "final at [s]"
 # A clock that goes on by more at once is worth a word; it is no reason to start over.
 FORWARD_JUMP_S = 10.0
 # The executor looks for a signal this often.

@@ -25,7 +25,7 @@ from slamfusion.fusion.live.session import FusedMap, FusionSession, warm_up
 from slamfusion.geometry import Pose2
 from slamfusion.jobs.live_drive import DriveSolution
 from slamfusion.ros import messages, qos
-from slamfusion.ros.base import Level, NodeBase, Status, Worker, open_node_device
+from slamfusion.ros.base import FINAL, Level, NodeBase, Status, Worker, open_node_device
 from slamfusion.ros.drive_input import DriveInput
 from slamfusion.ros.fused_frames import FusedFrames
 from slamfusion.ros.fusion_inputs import ENTRY, FUSION, PREFIX, FusionInputs, load_saved
@@ -37,8 +37,6 @@ from slamfusion.ros.parameters import declare, declare_starts, parameter_names
 from slamfusion.trajectory import Trajectory
 
 AGREEMENT_TOPIC = "fused/agreement"
-# In the diagnostics: the stamp of the last scan, once the map is what ``run`` makes of the drive.
-FINAL = "final at [s]"
 CHANGEABLE = (
     *("discover", "discovery_rate_hz"),
     *("max_publish_rate_hz", "publish_tf", "save_path", "lost_after_s"),

@@ -33,14 +33,12 @@ from slamfusion.io.map_server import save_map, saved_files
 from slamfusion.io.stamps import AHEAD_S, CONFIRMING
 from slamfusion.io.trajectories import write_tum
 from slamfusion.ros import messages, qos
-from slamfusion.ros.base import DIAGNOSTICS_TOPIC, Level, NodeBase, Status, shown
+from slamfusion.ros.base import DIAGNOSTICS_TOPIC, FINAL, Level, NodeBase, Status, shown
 from slamfusion.ros.frames import TransformOutput
 from slamfusion.ros.parameters import declare, declare_names
 
 # Of the fusion: a map that is saved, and the path that is saved with it.
 MAP_TOPIC, PATH_TOPIC = "fused/map", "fused/path"
-# In the diagnostics of a fusion: the stamp of the last scan, once its map is that of ``run``.
-FINAL = "final at [s]"
 # A scan that is not answered is sent again after this long: best-effort readers may lose one.
 AGAIN_S = 1.0
 # After a jump of the log's time producers wait for a scan to be sent again, and are not made to

@@ -21,6 +21,7 @@ from slamfusion.evidence.drawn_map import draw_map, drawn_scans
 from slamfusion.geometry import Pose2
 from slamfusion.io import read_trajectory
 from slamfusion.ros import messages, qos
+from slamfusion.ros.base import FINAL
 from slamfusion.trajectory import Trajectory
 from tests.evidence.rooms import circuit, recorded
 from tests.evidence.test_conditions import CHANGED, UPSTAIRS
@@ -92,6 +93,13 @@ def test_scans_say_who_is_wrong_and_the_map_is_drawn_from_them(
     assert share_standing(grid, fused) > 0.9
     assert share_standing(fused, grid) > 0.9
 
+    # No scan comes any more: the map is drawn as ``run`` draws it.
+    told = observer.statuses()
+    observer.wait(
+        lambda: values(told["fusion: fusion"])[FINAL] == f"{FIRST_S + scans[-1].scan.stamp_s:.3f}",
+        60.0,
+        "the final map",
+    )
     assert observer.call(Trigger, "save_map", Trigger.Request()).success
     assert len(read_trajectory(f"{save}.tum")) > SCANS // 2
 
