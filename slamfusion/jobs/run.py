@@ -32,7 +32,6 @@ from slamfusion.evidence import (
 from slamfusion.evidence.drawn_map import DrawnScan, drawn_scans, fuse_with_drawn
 from slamfusion.fusion.groups import LEAST_FUSED
 from slamfusion.grid import OccupancyGrid
-from slamfusion.io import open_log
 from slamfusion.jobs.cases import CaseFile
 from slamfusion.jobs.evaluate import evaluate_maps
 from slamfusion.jobs.fuse import AllRequiredError
@@ -248,7 +247,7 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
     runs = {item.name: item.run for item in outcomes if item.run is not None}
     grids = (*(run.grid for run in runs.values()), *others)
     paths = {name: run.trajectory for name, run in runs.items() if len(run.trajectory)}
-    scans = cache(lambda: drawn_scans(open_log(files.log, config.log, files.scan_odometry)))
+    scans = cache(lambda: drawn_scans(work.source))
     wheels = next((run.odometry for run in runs.values()), None)
     their_paths = {
         name: on_clock(path, wheels, config.trajectory.time_offset)
@@ -258,7 +257,7 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
     # Score the paths on the scans; those of saved maps join the producers'.
     with stages.timed("evidence"):
         evidence, no_verdict = score_all_paths(
-            lambda: judged_scans(open_log(files.log, config.log, files.scan_odometry)),
+            lambda: judged_scans(work.source),
             paths,
             their_paths,
             device,

@@ -24,6 +24,7 @@ from slamfusion.config import RunConfig
 from slamfusion.cores import usable_cores
 from slamfusion.errors import ConfigError, SlamFusionError, unknown
 from slamfusion.fleet import interrupts_held, threads_limited
+from slamfusion.io.log import ScanLog
 from slamfusion.io.logs import open_log
 from slamfusion.slam.common.runner import ProducerRun, run_producer
 from slamfusion.slam.registry import (
@@ -83,6 +84,7 @@ class SideBySide:
 
     Attributes:
         config: the same, with the settings of all of them, defaults included.
+        source: the log, opened once: its first pass takes as long as reading it.
 
     Raises:
         ConfigError: no producer, an unknown one, or one given twice.
@@ -94,9 +96,9 @@ class SideBySide:
     ) -> None:
         _check_names(names)
         self.config = config = with_producers(config, names)
-        open_log(log, config.log, scan_odometry)
+        self.source = open_log(log, config.log, scan_odometry)
         self._names = tuple(names)
-        self._arguments = (log, scan_odometry, config)
+        self._arguments = (self.source, config)
         self._limit_s = config.run.time_limit_s
         cores = usable_cores()
         self._processes = min(len(names), config.run.processes or cores)
@@ -234,25 +236,20 @@ def _how_it_died(exit_code: int | None) -> str:
 # --- in the process of a producer -------------------------------------------------------------
 
 
-def _work(
-    name: str, log: Path, scan_odometry: Path | None, config: RunConfig, answers: Connection
-) -> None:
+def _work(name: str, source: ScanLog, config: RunConfig, answers: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the caller is interrupted too, and ends us
     os.dup2(2, 1)  # whatever a driver prints: standard output belongs to the caller
     try:
-        answer = _answer(name, log, scan_odometry, config, answers)
+        answer = _answer(name, source, config, answers)
         answers.send(answer)
     except BrokenPipeError:  # nobody is waiting any more
         sys.exit(1)
 
 
-def _answer(
-    name: str, log: Path, scan_odometry: Path | None, config: RunConfig, answers: Connection
-) -> Outcome:
+def _answer(name: str, source: ScanLog, config: RunConfig, answers: Connection) -> Outcome:
     try:
         device = open_producer_device(name, config)
         mapper = make_producer(name, config, device)
-        source = open_log(log, config.log, scan_odometry)
         told_s = 0.0
 
         def tell(_: int) -> None:

@@ -414,6 +414,7 @@ class CarmenLog(ScanLog):
             *mount_notes,
             *no_return_notes(self._survey, self._no_return, config),
         ]
+        del self._survey.finder  # 8 MB of counts: a log is sent to other processes
         if odometry is not None:
             self.notes.append(f"odometry is that of {odometry.path}, not the poses in the log")
 
