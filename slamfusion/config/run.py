@@ -359,7 +359,7 @@ class DeviceConfig(Checked):
     """Which device computes."""
 
     device: str = option(
-        "auto", "auto, numpy, an index of `slamfusion devices`, or part of a device's name"
+        "auto", "where to compute: auto, numpy, an index or part of a name of `slamfusion devices`"
     )
 
 
@@ -368,7 +368,7 @@ class ReportConfig(Checked):
     """What reports write in addition to their pages."""
 
     pictures: tuple[Literal["svg", "pdf"], ...] = option(
-        (), "write the pictures of a report as these, too: svg, pdf, or both with a comma between"
+        (), "also write the pictures of a report as svg, pdf, or both (svg,pdf)"
     )
 
 
