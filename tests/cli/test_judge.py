@@ -83,4 +83,4 @@ def test_bad_input_is_one_line(drive: Path, tmp_path: Path) -> None:
     assert "PATH" in done.stderr
     done = run("judge", log, drive / "good.tum", "--odometry", drive / "good.tum")
     assert done.returncode == 2
-    assert "give --relations FILE" in done.stderr
+    assert "needs --relations FILE" in done.stderr

@@ -172,7 +172,7 @@ def test_files_that_cannot_all_be_written_are_not_written(tmp_path: Path) -> Non
     [
         (("-o", "room.log"), "would replace the input"),
         (("-o", "."), "name the map too"),
-        (("-o", "map", "--odometry", "room.log"), "give --relations"),
+        (("-o", "map", "--odometry", "room.log"), "needs --relations FILE"),
         (("-o", "map", "--cell-model", "sum"), "is not one of"),
         (("-o", "map", "--resolution", "0"), "must lie in"),
     ],

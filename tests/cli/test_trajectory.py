@@ -111,8 +111,8 @@ def test_options_decide_how_errors_are_counted(files: dict[str, Path]) -> None:
     ("arguments", "words"),
     [
         ((), "--relations FILE, --truth FILE, or both"),
-        (("--odometry", "x", "--truth", "x"), "give --relations FILE"),
-        (("--map", "x", "--truth", "x"), "give --report DIR"),
+        (("--odometry", "x", "--truth", "x"), "needs --relations FILE"),
+        (("--map", "x", "--truth", "x"), "needs --report DIR"),
     ],
 )
 def test_wrong_usage_is_said(

@@ -78,7 +78,6 @@ def test_groups_of_many_maps_lie_in_their_places(
     searched = [pair for pair in found.pairs if not pair.reason.startswith("tracked")]
     assert len(searched) <= 16
     assert told[-1][0] == "vote"
-    assert len(told) == len(searched) + 2
     over = [pair for pair in found.alignments.values() if pair.reason.startswith("placed over")]
     assert over
     assert all(pair.decision == "accepted" for pair in over)

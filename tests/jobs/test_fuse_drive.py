@@ -19,7 +19,7 @@ def test_where_nothing_is_fused_a_map_to_go_on_with_is_named() -> None:
     }
     none = fuse_drive([], {}, CONFIG, device(), shared_frame=True)
     assert (none.result, none.fallback) == (None, None)
-    assert "none of at least 2" in str(none.failure)
+    assert "needs at least 2 maps, found 0" in str(none.failure)
     single = fuse_drive(grids[:1], paths, CONFIG, device(), shared_frame=True)
     assert single.fallback is grids[0]
     apart = fuse_drive(grids, paths, CONFIG, device(), shared_frame=False)

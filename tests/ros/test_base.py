@@ -198,7 +198,7 @@ class Misnamed(NodeBase):
     [
         (
             ("-p", "topic:=a//b/map"),
-            "'/a//b/map' is no topic name: topic name must not contain repeated '/'; mend it",
+            "'/a//b/map' is no topic name: topic name must not contain repeated '/'; correct it",
         ),
         (("-p", "topic:='a b'"), "'a b' is no topic name: topic name must not contain characters"),
         (("-p", "topic:='0bad'"), "'0bad' is no topic name: "),

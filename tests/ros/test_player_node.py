@@ -179,7 +179,7 @@ def test_without_listeners_it_plays_all_the_same_and_says_so(processes: Processe
     ("parameters", "words"),
     [
         ({}, "name the log or bag with the parameter file"),
-        ({"file": "absent.log"}, "absent.log: No such file or directory"),
+        ({"file": "absent.log"}, "absent.log: no such file; check the path"),
         ({"file": "absent.log", "lockstep": True}, "lockstep needs to know whom to wait for"),
         ({"file": "absent.log", "rate": 0.0}, "rate"),
         ({"file": "absent.log", "save": "/proc/none/here"}, "/proc/none"),
