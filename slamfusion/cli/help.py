@@ -20,17 +20,8 @@ GROUPS: Mapping[str, Sequence[str]] = {
     ),
     "Output": (
         *("--output", "--report", "--image", "--table", "--save-results", "--probabilities"),
-        *(
-            "--open",
-            "--plot",
-            "--tum",
-            "--fused",
-            "--format",
-            "--json",
-            "--verbose",
-            "--debug",
-            "report",
-        ),
+        *("--open", "--plot", "--tum", "--fused", "--format", "--json", "--verbose", "--debug"),
+        "report",
     ),
     "Ground truth": (
         *("--truth", "--truth-trajectory", "--truth-map", "--relations", "--odometry"),

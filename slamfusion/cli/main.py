@@ -16,7 +16,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit with the documented code."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     try:
-        from slamfusion.cli.program import run_program  # noqa: PLC0415 - loads NumPy
+        from slamfusion.cli.program import run_program  # noqa: PLC0415 - loads slowly
 
         code = run_program(words)
     except KeyboardInterrupt:  # while that was loading

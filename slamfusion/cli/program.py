@@ -144,7 +144,7 @@ def _run(arguments: list[str], settings: Settings) -> int:
         _drop_stdout()
         code = EXIT_PIPE_CLOSED
     except _EXPECTED as error:
-        code = _fail(_message(error), settings)
+        code = _fail(_describe(error), settings)
     return code if isinstance(code, int) else 0
 
 
@@ -159,14 +159,6 @@ def _usage_message(error: click.UsageError) -> str:
         message = f"{error.option_name!r} is not an option{ask}"
     path = error.ctx.command_path if error.ctx is not None else "slamfusion"
     return f"{message[0].lower()}{message[1:]}; see {path} --help"
-
-
-def _message(error: Exception) -> str:
-    if isinstance(error, click.ClickException):
-        return error.format_message()
-    if isinstance(error, MemoryError):
-        return OUT_OF_MEMORY
-    return _describe(error) if isinstance(error, OSError) else str(error)
 
 
 def _fail(message: str, settings: Settings) -> int:
@@ -188,8 +180,12 @@ def _say(message: str) -> None:
         print(f"slamfusion: {one_line(message)}", file=sys.stderr)
 
 
-def _describe(error: OSError) -> str:
-    """Say what the operating system said, file first."""
+def _describe(error: Exception) -> str:
+    """Return the message of an error; what the operating system said follows the file."""
+    if isinstance(error, MemoryError):
+        return OUT_OF_MEMORY
+    if not isinstance(error, OSError):
+        return str(error)
     is_absent = isinstance(error, FileNotFoundError)
     reason = "no such file" if is_absent else error.strerror or str(error)
     where = f"{os.fsdecode(error.filename)}: " if isinstance(error.filename, (str, bytes)) else ""

@@ -75,9 +75,8 @@ def command(
     """
     from slamfusion.jobs.simulate import choose_course, save_simulated_drive, simulate_course  # noqa: PLC0415
 
-    is_seed_given = (
-        context.get_parameter_source("config_seed") != click.core.ParameterSource.DEFAULT
-    )
+    source = context.get_parameter_source("config_seed")
+    is_seed_given = source != click.core.ParameterSource.DEFAULT
     wanted = choose_course(course, config, seed=config.seed if is_seed_given else None)
     with progress_bar() as progress:
         drive = simulate_course(wanted, config, progress=progress)
