@@ -38,15 +38,17 @@ def drive_conditions(
         wheels = Trajectory(scans.stamps_s[recent], scans.odometry[recent], "odometry")
         if text := "; ".join(contradictions(wheels, path)):
             found["odometry"] = text
+    # A path that no scan contradicts shows that the robot is where it seems to be.
+    others = (other for other in evidence.scores if other != name)
     broken = find_contradiction(evidence, name, device)
-    if broken is not None:
+    if broken is not None and all(find_contradiction(evidence, other, device) for other in others):
         since = f"since stamp {scans.stamps_s[0] + broken.since_s:.0f} s"
         if broken.is_elsewhere:
             found["new place"] = (
                 f"{since} {broken.share:.0%} of what the robot sees was free space before: it was "
                 "carried away, or is on another floor"
             )
-        else:
+        elif broken.is_displaced:
             found["doubled walls"] = (
                 f"{since} {broken.share:.0%} of the walls that the robot sees again are drawn "
                 f"twice, at most {REACH_M:g} m apart: every input has drifted"

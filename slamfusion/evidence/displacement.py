@@ -34,6 +34,9 @@ U32 = npt.NDArray[np.uint32]
 
 # If most of what the robot sees was free when it was there before, it is elsewhere.
 CONTRADICTED = 0.5
+# The best of many places explains up to a fifth of such hits by chance, and walls that are drawn
+# twice explain a third.
+EXPLAINED = 0.25
 # Hits that show it, at least.
 LEAST_ASKED = 200
 
@@ -87,6 +90,11 @@ class Contradiction:
     def is_elsewhere(self) -> bool:
         """Whether the robot was carried away or is on another floor: nothing near it fits."""
         return self.moved_share > CONTRADICTED
+
+    @property
+    def is_displaced(self) -> bool:
+        """Whether the walls are there, at most ``REACH_M`` away."""
+        return not self.is_elsewhere and self.moved_share < (1.0 - EXPLAINED) * self.share
 
 
 def find_displacements(
@@ -173,16 +181,14 @@ def find_contradiction(
         return None
     late = some[drawn.chunks[some] >= first]
     late = late[drawn.look_up(late, among=_before(first))[1]]
-    found = [
-        drawn.look_up(late, (float(x), float(y)), _before(first))[0] for x, y in _moves().tolist()
-    ]
-    likelihoods = np.maximum(found, price)
+    found = np.array(
+        [drawn.look_up(late, (float(x), float(y)), _before(first))[0] for x, y in _moves().tolist()]
+    )
     chunks = drawn.chunks[late]
-    by_chunk = [np.bincount(chunks, row, CHUNKS) for row in likelihoods]
-    best = np.argmax(by_chunk, axis=0)
-    moved = likelihoods[best[chunks], np.arange(len(late))]
+    by_chunk = [np.bincount(chunks, np.maximum(row, price), CHUNKS) for row in found]
+    moved = found[np.argmax(by_chunk, axis=0)[chunks], np.arange(len(late))]
     since_s = scans.stamps_s[np.flatnonzero(scans.chunks == first)[0]] - scans.stamps_s[0]
-    return Contradiction(float(since_s), float(shares[first]), float(np.mean(moved <= price)))
+    return Contradiction(float(since_s), float(shares[first]), float(np.mean(moved < price)))
 
 
 def _before(first: int) -> U32:

@@ -106,3 +106,15 @@ def test_a_map_that_shows_its_walls_twice(
     twice = bent(path, 0.12, 70)
     found = conditions(with_odometry(scans, twice.poses.tolist()), twice, device)
     assert found.keys() == {"doubled walls"}
+
+
+def test_it_is_no_other_place_while_one_path_fits(
+    drive: tuple[list[LogScan], Trajectory], device: ComputeDevice
+) -> None:
+    scans, path = drive
+    away = bent(path, 1.5, 70)
+    paths = {"path": away, "right": path}
+    evidence = score_paths(judged_scans(scans), paths, device)
+    assert not drive_conditions(evidence.of_paths(["right"]), "right", device)
+    assert "new place" in drive_conditions(evidence.of_paths(["path"]), "path", device)
+    assert "new place" not in drive_conditions(evidence, "path", device)
