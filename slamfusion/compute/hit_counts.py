@@ -404,19 +404,19 @@ class HitCountDevice(ArrayDevice):
         check_rule(rule)
         check_beams(scan)
         if self.opencl:
-            changed = self.opencl.cleared((counts.shape[0], TILE), np.uint32)
-            full = _count(self.opencl, counts, sums, pages, scan, changed, 1, rule)
-            places = np.flatnonzero(touched).astype(np.int32)
-            if len(places):
+            marks = self.opencl.cleared((counts.shape[0], TILE), np.uint32)
+            full = _count(self.opencl, counts, sums, pages, scan, marks, 1, rule)
+            near = np.flatnonzero(touched).astype(np.int32)
+            if len(near):
                 self.opencl.launch(
-                    "settle_field", (len(places),), self.opencl.upload(places), len(places), pages,
-                    pages.shape[2], pages.shape[1], counts, sums, field, changed,
+                    "settle_field", (len(near),), self.opencl.upload(near), len(near), pages,
+                    pages.shape[2], pages.shape[1], counts, sums, field, marks,
                     self.opencl.table(rule.table), rule.shift, rule.reach,
                     np.uint32(rule.occupied), np.uint32(rule.least_hits),
                 )  # fmt: skip
             return bool(self.opencl.first(full))
         before = host(counts).copy()
-        full = self.count_beams(counts, sums, pages, scan)
+        is_full = self.count_beams(counts, sums, pages, scan)
         counts, sums, field, pages = host(counts), host(sums), host(field), host(pages)
         is_hit = counts >> HITS_SHIFT != before >> HITS_SHIFT
         is_changed = is_hit | (_is_wall(counts, rule) != _is_wall(before, rule))
@@ -433,4 +433,4 @@ class HitCountDevice(ArrayDevice):
             np.maximum(best, field_there, out=best)
         has_tile = targets[0] != 0
         field[tuple(part[has_tile] for part in targets)] = best[has_tile].astype(np.uint8)
-        return full
+        return is_full

@@ -86,7 +86,8 @@ class CopiedTiles:
         self.pages[touched != 0] = targets
         self.used += len(targets)
         table = device.upload(self.pages)
-        assert not device.count_and_settle(*self.pools, table, touched, scan, rule)
+        counts, sums, field = self.pools
+        assert not device.count_and_settle(counts, sums, field, table, touched, scan, rule)
 
 
 def random_scan(rng: np.random.Generator, size: int, beams: int, maps: int) -> BeamScan:
@@ -127,7 +128,8 @@ def test_nothing_flows_over_where_all_beams_of_two_scans_end(device: ComputeDevi
     touched = device.touch_pages(table, scan, rule.reach)
     hits = 0
     for is_full in (False, True):
-        assert device.count_and_settle(*pools, table, touched, scan, rule) is is_full
+        found = device.count_and_settle(pools[0], pools[1], pools[2], table, touched, scan, rule)
+        assert found is is_full
         hits += MOST_BEAMS
         counts, sums = (device.download(pool) for pool in pools[:2])
         assert counts[1, 20, 20] == counts.sum() == hits << 16 | hits

@@ -296,10 +296,10 @@ def _count_and_settle(device: ComputeDevice, sample: Sample) -> Arrays:
         (0, 9, 1 << 16, 1),
     ):
         rule = FieldRule(falling, shift, reach, occupied, least_hits)
-        own = [device.upload(pool) for pool in pools]
+        counts, sums, field = (device.upload(pool) for pool in pools)
         touched = device.touch_pages(table, scan, reach)
-        full = device.count_and_settle(*own, table, touched, scan, rule)
-        results += [np.array(full), *fetch(device, own)]
+        full = device.count_and_settle(counts, sums, field, table, touched, scan, rule)
+        results += [np.array(full), *fetch(device, (counts, sums, field))]
     return results
 
 
