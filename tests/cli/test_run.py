@@ -197,7 +197,7 @@ def test_a_run_that_fuses_nothing_leaves_the_earlier_results(
     before = tree(out)
     done = run("run", place / "flat.log", "-o", out, "--producers", "graph")
     assert_one_line_failure(
-        done, "1 of 1 maps was made", "at least 2", f"lies in {out}/failed", f"{out} keeps"
+        done, "1 of 1 maps was made", "at least 2", f"so far are in {out}/failed", f"{out} keeps"
     )
     after = tree(out)
     failed = {name for name in after if name.split("/")[0] == "failed"}
