@@ -21,7 +21,6 @@
 #define HIT (1u << HITS_SHIFT)
 /* A tile's side with all that is near it. */
 #define SPAN (TILE + 2 * MOST_REACH)
-#define FULL_ROW 0xfffffffful
 /* Bits of a count that is full. A scan has fewer beams than FULL_HITS, so that no half of a word of
  * `counts` or `sums` flows over. */
 #define FULL ((uint)FULL_HITS << HITS_SHIFT | FULL_VISITS)
@@ -258,7 +257,7 @@ __kernel void settle_field(
   ulong walls[SPAN];
   short wall_x[SPAN * SPAN], wall_y[SPAN * SPAN];
   for (int k = 0; k < span; k++) {
-    wide[k] = (wide[k] >> reach & FULL_ROW) << reach;
+    wide[k] = (ulong)(uint)(wide[k] >> reach) << reach;
     walls[k] = 0;
   }
   for (int row = 0; row < TILE; row++) {
