@@ -25,6 +25,7 @@ from slamfusion.config import PICTURE_FORMS, RunConfig, to_mapping
 from slamfusion.io.files import AtomicFiles
 from slamfusion.report.canvas import LegendEntry, add_lettering, to_form
 from slamfusion.report.layers import Layers
+from slamfusion.slam.registry import with_producers
 from slamfusion.version import __version__, version_of, versions
 from slamfusion.viewer.front import bundled, front_end
 
@@ -189,7 +190,8 @@ def _circumstances(page: Page) -> Section:
         "platform": f"{platform.system()} {platform.machine()}",
         "device": page.device or "not named",
     }
-    settings, defaults = to_mapping(page.config), _flat(to_mapping(RunConfig()))
+    settings = to_mapping(page.config)
+    defaults = _flat(to_mapping(with_producers(RunConfig(), page.config.producers)))
     changed = [(key, value) for key, value in _flat(settings).items() if value != defaults.get(key)]
     facts = Table.of(
         "Further figures",

@@ -22,6 +22,7 @@ from slamfusion.report import (
     write_failure_report,
     write_fusion_report,
 )
+from slamfusion.slam.registry import with_producers, with_settings
 from tests.report.drawn import NASTY, REASON, alignment, colours_of, explains, fusion, room
 
 pytestmark = pytest.mark.once
@@ -125,6 +126,13 @@ def test_a_weak_match_is_told_first_and_each_says_how_good_it_is(
     )
     assert f"accepted: {strength}" in page.text
     assert ("room 1 may not belong here: fits" in page.text) is is_told
+
+
+def test_only_changed_settings_of_a_producer_are_listed_as_changed(tmp_path: Path) -> None:
+    config = with_settings(with_producers(CONFIG), "graph", resolution=0.07)
+    page = read(write_fusion_report(fusion(), tmp_path, config=config))
+    changed = page.text.partition("Settings that differ from the defaults")[2].partition("Versions")
+    assert changed[0].split() == ["settingvalue", "producers.graph.resolution0.07"]
 
 
 def test_a_failure_stands_above_everything(tmp_path: Path) -> None:
