@@ -432,7 +432,7 @@ def run_many(
     if as_json:
         print_json(document)
     else:
-        _print_logs(runs)
+        _print_logs(runs, out)
         if rows and seeds:
             print_items(rows, "path", ("ate_rmse_m", "relations_mean_m", "error"))
     if reason := _failure(runs):
@@ -479,23 +479,25 @@ def _refuse_files_of_one_log(config: RunConfig, asked: Mapping[str, Any]) -> Non
         raise click.UsageError("--start belongs to one log; run each log that needs it alone")
 
 
-def _print_logs(runs: Sequence[RunOfLog]) -> None:
-    """Print a row for each log, and where the reports lie."""
+def _print_logs(runs: Sequence[RunOfLog], out: Path) -> None:
+    """Print a row for each log, with its folder, and what to do next."""
     print_table(
-        ("log ", "maps fused", "use ", "time [s]", "fused map "),
+        ("log ", "maps fused", "use ", "time [s]", "folder "),
         [
             [
                 _name(run),
                 str(run.fused_count) if run.fused_count else "-",
                 (run.recommendation and run.recommendation.use) or "-",
                 number(run.time_s, 1),
-                str(run.fused or "-"),
+                "-" if run.folder is None else str(out / run.folder.relative_to(out.absolute())),
             ]
             for run in runs
         ],
         notes=["" if run.error is None else f"NO FUSED MAP: {run.error}" for run in runs],
         title=f"{len(runs)} runs",
     )
-    for run in runs:
-        if run.report is not None:
-            print_facts(("report", run.report / PAGE))
+    if any(run.fused is not None for run in runs):
+        print_facts(
+            ("report", f"FOLDER/{REPORT}/{PAGE}"),
+            ("next", f"slamfusion trajectory {shlex.quote(str(out))} --truth TRUTH.tum"),
+        )

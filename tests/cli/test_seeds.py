@@ -68,13 +68,16 @@ def test_what_are_no_seeds_is_refused(seeds: str, capsys: pytest.CaptureFixture[
 
 @pytest.mark.full
 def test_a_run_of_two_seeds_prints_one_table(
-    place: Path, capsys: pytest.CaptureFixture[str]
+    place: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    words = ["run", str(place / "flat.log"), "-o", str(place / "out"), "--seeds", "0,1"]
+    monkeypatch.chdir(place)
+    words = ["run", "flat.log", "-o", "out", "--seeds", "0,1"]
     words += ["--truth-trajectory", str(place / "truth.tum"), "--producers", "tinyslam,graph"]
     assert run_program([*words, "--save-results", str(place / "all.zip")]) == 0
     rows = [line.split("\t") for line in capsys.readouterr().out.splitlines()]
     assert ["flat", "mean of 2", "fused"] in [row[:3] for row in rows]
+    folders = [row[4] for row in rows if row[0].startswith("flat.log seed")]
+    assert folders == ["out/flat/seed-0", "out/flat/seed-1"]
     for seed in (0, 1):
         assert (place / "out" / "flat" / f"seed-{seed}" / "fused.yaml").is_file()
     assert run_program(["compare", str(place / "all.zip")]) == 0
