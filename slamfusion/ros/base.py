@@ -501,7 +501,9 @@ def shown(value: object) -> str:
         return "yes" if value else "no"
     if value is None:
         return "-"
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+    if isinstance(value, float):
+        return f"{value:.4g}" if abs(value) < 1e4 else f"{value:.0f}"
+    return str(value)
 
 
 def run_node(make: Callable[[], NodeBase], arguments: Sequence[str] | None = None) -> int:

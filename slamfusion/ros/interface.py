@@ -145,7 +145,7 @@ TOPICS = (
         ("fusion",),
         (),
         MAP,
-        "the fused path so far, corrected as the scans ask for it; sent only while somebody "
+        "the fused path so far, corrected as the scans ask for it; sent only while a node "
         "listens, as the player that saves fused/map does, and only where scans are heard",
     ),
     Topic(

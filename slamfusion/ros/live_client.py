@@ -182,7 +182,7 @@ class LiveClient:
                     if name != self._node.get_name()
                 )
                 raise LiveNodeError(
-                    f"{self._target}: no {what} within {self._timeout_s:g} s; running nodes: "
+                    f"{self._target}: waited {self._timeout_s:g} s for {what}; running nodes: "
                     f"{', '.join(names) or 'none'} (ROS_DOMAIN_ID "
                     f"{os.environ.get('ROS_DOMAIN_ID', '0')}); name it with --node"
                 )

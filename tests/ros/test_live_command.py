@@ -111,7 +111,7 @@ def test_a_running_fusion_answers(
 
 
 def test_a_node_that_is_not_there_is_named(observer: Observer) -> None:
-    message = "/fusion: no diagnostics within 0.5 s; running nodes: /observer"
+    message = "/fusion: waited 0.5 s for diagnostics; running nodes: /observer"
     with LiveClient("fusion", 0.5) as client, pytest.raises(LiveNodeError, match=message):
         client.status()
     del observer
