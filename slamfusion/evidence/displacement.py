@@ -26,7 +26,14 @@ import scipy
 from slamfusion.compute import ComputeDevice
 from slamfusion.evidence.beams import CHUNKS
 from slamfusion.evidence.parting import PART_M
-from slamfusion.evidence.predictive import NEIGHBOURS, OTHERS, SURE, DrawnChunks, PathEvidence
+from slamfusion.evidence.predictive import (
+    NEIGHBOURS,
+    OTHERS,
+    SURE,
+    DrawnChunks,
+    HitModel,
+    PathEvidence,
+)
 from slamfusion.geometry import F64
 
 I64 = npt.NDArray[np.int64]
@@ -101,12 +108,9 @@ def find_displacements(
     evidence: PathEvidence, name: str, device: ComputeDevice
 ) -> tuple[Displacement, ...]:
     """Return the chunks of a drive that are surely displaced, in the order of time."""
-    scans, score = evidence.scans, evidence.scores[name]
-    model = replace(score.model, reach_cells=REACH_CELLS)
-    drawn = DrawnChunks.of(name, score.path, scans, evidence.is_judged, device, model)
-    some = np.arange(0, len(drawn.hit_scans), -(-len(drawn.hit_scans) // MOST_HITS))
-    price = np.log(model.unknown)
-    moves = _moves()
+    scans, model = evidence.scans, evidence.scores[name].model
+    drawn, price = _drawn(evidence, name, device, replace(model, reach_cells=REACH_CELLS))
+    some, moves = _some_hits(drawn), _moves()
     p_values, away_m = np.ones(CHUNKS), np.zeros(CHUNKS)
     for split in SPLITS:
         among = _other_side(split)
@@ -148,11 +152,7 @@ def contradicted_share(evidence: PathEvidence, name: str, device: ComputeDevice)
     Returns:
         Share of hits, 0 to 1; 0 if nothing was seen at another time.
     """
-    score = evidence.scores[name]
-    drawn = DrawnChunks.of(
-        name, score.path, evidence.scans, evidence.is_judged, device, score.model
-    )
-    price = np.log(score.model.unknown)
+    drawn, price = _drawn(evidence, name, device, evidence.scores[name].model)
     (now, _), (then, is_seen) = (drawn.look_up(among=bits) for bits in (NEIGHBOURS, OTHERS))
     is_asked = is_seen & (now > price)
     return float(np.mean(then[is_asked] < price)) if is_asked.any() else 0.0
@@ -162,10 +162,9 @@ def find_contradiction(
     evidence: PathEvidence, name: str, device: ComputeDevice
 ) -> Contradiction | None:
     """Return since when most of what a robot sees was free space before; None: there is no time."""
-    scans, score = evidence.scans, evidence.scores[name]
-    drawn = DrawnChunks.of(name, score.path, scans, evidence.is_judged, device, score.model)
-    some = np.arange(0, len(drawn.hit_scans), -(-len(drawn.hit_scans) // MOST_HITS))
-    price = np.log(score.model.unknown)
+    scans = evidence.scans
+    drawn, price = _drawn(evidence, name, device, evidence.scores[name].model)
+    some = _some_hits(drawn)
     # What the laser and the place allow is what the scans of just before and after explain.
     some = some[drawn.look_up(some, among=NEIGHBOURS)[0] > price]
     shares = np.zeros(CHUNKS)
@@ -189,6 +188,20 @@ def find_contradiction(
     moved = found[np.argmax(by_chunk, axis=0)[chunks], np.arange(len(late))]
     since_s = scans.stamps_s[np.flatnonzero(scans.chunks == first)[0]] - scans.stamps_s[0]
     return Contradiction(float(since_s), float(shares[first]), float(np.mean(moved < price)))
+
+
+def _drawn(
+    evidence: PathEvidence, name: str, device: ComputeDevice, model: HitModel
+) -> tuple[DrawnChunks, float]:
+    """Return the chunks along a path, and the log-likelihood of a hit where nothing was seen."""
+    path, is_judged = evidence.scores[name].path, evidence.is_judged
+    drawn = DrawnChunks.of(name, path, evidence.scans, is_judged, device, model)
+    return drawn, float(np.log(model.unknown))
+
+
+def _some_hits(drawn: DrawnChunks) -> I64:
+    """Return at most ``MOST_HITS`` of all hits, evenly chosen."""
+    return np.arange(0, len(drawn.hit_scans), -(-len(drawn.hit_scans) // MOST_HITS))
 
 
 def _before(first: int) -> U32:
