@@ -4,9 +4,9 @@ The vote goes tile by tile, of those that know something there: an input that ab
 knows nothing changes nothing. So many maps may vote that lie apart, and large ones fit into memory.
 Tiles overlap as far as a cell has a say in what others become.
 
-Each input is laid on its box of the fused lattice once: as an array (``GridLayer``), or, of a vote
-that does not fit into memory, in packed blocks (``PackedLayer``), of which those under a tile
-travel to the process that decides it (``fleet``).
+The cells of each input are put on its box of the fused lattice once: as an array (``GridLayer``),
+or, of a vote that does not fit into memory, in packed blocks (``PackedLayer``), of which those
+under a tile travel to the process that decides it (``fleet``).
 """
 
 from __future__ import annotations

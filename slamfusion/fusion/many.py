@@ -66,8 +66,8 @@ LOOPS, LINKS = 3, 4
 GROUND_POINTS = 24
 # Alignments in a triangle that may each be off by a share of what it may be.
 TRIANGLE = 3.0
-# Of alignments that loops contradict alike the weakest is false, and those up to so many times
-# as strong: of them none is known to be right.
+# Of alignments that loops contradict alike the weakest is false, and those up to this many
+# times as strong: of them none is known to be right.
 NEARLY_AS_STRONG = 2.0
 # What an alignment may be off in the middle between the two maps, metres and radians: maps are
 # bent by a few cells.
@@ -265,7 +265,7 @@ class _Search:
         return self.ground[a].share_of(self.ground[b], transform)
 
     def _closes(self, a: str, b: str, transform: Pose2) -> bool:
-        """Whether the walls of a pair bear out where the tree puts it; note what contradicts it."""
+        """Whether the walls of a pair fit where the tree puts it; note what contradicts it."""
         look = self.implied.look(a, b, transform)
         key = frozenset((a, b))
         if look.is_borne_out:

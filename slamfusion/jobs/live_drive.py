@@ -6,9 +6,8 @@ now and then, and in between to the last ``WINDOW_S`` seconds, whose path contin
 whole drive (``Pace``). When no scan comes any more it is applied with all hits that ``run`` scores,
 so that the answer is that of ``run``.
 
-After each solution all scans say which inputs are bent: what such an input saw at one time of the
-drive lies beside what it saw at another, compared with the fused path, and the scans surely support
-that path more.
+After each solution all scans say which inputs are bent: their paths have parted from the fused one,
+and the scans surely support the fused one more.
 
 The cost of a solution is bounded, and so is the memory. A solution takes ``MOST_SCANS`` scans and
 ``MOST_HITS`` hits at most. Of more scans every second one is dropped, except those of the window,
@@ -59,7 +58,7 @@ from slamfusion.vote.lattice import Lattice
 WINDOW_S, LEAST_SCANS = 20.0, 2 * CHUNKS
 # Scans that are kept, and hits that are judged while scans come, at most.
 MOST_SCANS, MOST_HITS = 4000, 60_000
-# A path is laid on the fused one by as many parts of the drive in turn.
+# A path is aligned with the fused one by each of this number of parts of the drive in turn.
 PARTS = 4
 # An input whose last pose is older than this, seconds, is left out: paths are scored on the scans
 # for which each of them has a pose.
@@ -429,9 +428,9 @@ def _doubts(evidence: PathEvidence) -> dict[str, float]:
 def _bent_at(evidence: PathEvidence, name: str) -> npt.NDArray[np.bool_]:
     """Return at which judged scans a path has parted from the fused one, (M,) bool.
 
-    It is laid on that one by the first part of the drive that shows it. Laid where most of its
-    poses agree, a path that turns away slowly parts late, however far from each other its first and
-    its last walls lie.
+    It is aligned with that one by the first part of the drive that shows it. Aligned where most of
+    its poses agree, a path that turns away slowly parts late, however far its first and last walls
+    are from each other.
     """
     judged = evidence.is_judged
     moving, still = (evidence.scores[one].path.poses[judged] for one in (name, FUSED))

@@ -109,7 +109,7 @@ class FusedFrames:
     reference, or else the best score; it stays with one until that one votes no more or is silent.
     The stamps of each of them only grow: what a new fusion changes of a stamp that was told already
     is told a microsecond later, and the pose of a new leader is told from its first newer stamp on.
-    The transform to the odometry frame is told at stamps of the odometry; see ``OdomFrame``.
+    The transform to the odometry frame is sent at stamps of the odometry; see ``OdomFrame``.
 
     Attributes:
         settings, live: may be replaced.

@@ -283,7 +283,7 @@ def as_run(
 
 
 def bend_m(path: Trajectory, right: Trajectory) -> float:
-    """Return how far a path leaves the right one at most, metres; laid on it by its first part."""
+    """Return how far a path leaves the right one at most, metres; aligned by its first part."""
     still = right.poses[right.nearest(path.stamps_s)]
     first = slice(len(path) // PARTS + 1)
     motion = fit_motion(with_levers(path.poses[first]), with_levers(still[first]))

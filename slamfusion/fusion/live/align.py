@@ -133,7 +133,7 @@ class Aligner:
     def restore(self, lattice: Lattice, scores: Mapping[frozenset[str], float]) -> None:
         """Take the fused frame of an earlier run, and what its searches gave.
 
-        On what ground a pair was believed is not kept: until it is searched its walls must match.
+        What the walls of a pair explained is not kept: until it is searched, all is expected.
         """
         self.lattice = lattice
         self._found = {pair: LastSearch(score) for pair, score in scores.items()}

@@ -39,8 +39,8 @@ LINK_SHARE, RETURN_SHARE = 0.3, 0.7
 KEPT = 512
 # Stamps that go back by more, seconds, begin a new time.
 BACK_S = 1.0
-# Poses tell where maps lie from so many equal stamps on, which are at least this share of all, and
-# from so many metres on; a map lies within so many metres and radians of there.
+# Poses show where maps lie from this number of equal stamps on, at least this share of all, and
+# from this number of metres on; a map lies within the last two, metres and radians, of there.
 LEAST_EQUAL, EQUAL_SHARE, DRIVEN_M = 10, 0.5, 0.5
 START_M, START_RAD = 0.5, 0.1
 
