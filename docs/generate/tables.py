@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from slamfusion.experiments.drives import ATE, RELATIONS
+from slamfusion.experiments.tinyslam import ATE, RELATIONS
 from slamfusion.experiments.real_logs import REFERENCE
 from slamfusion.jobs.documents import p_text
 from slamfusion.jobs.outputs import DRAWN

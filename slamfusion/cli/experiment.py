@@ -33,10 +33,6 @@ if TYPE_CHECKING:
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-FIRST_FLOOR = 1
-
-Inputs = Sequence[tuple[str, str, Path]]
-
 
 def _files(folder: Path, _: Mapping[str, Any]) -> list[Path]:
     """Return what may be written: the tables, the plot, and what is kept of runs."""
@@ -59,14 +55,10 @@ def _read_of_datasets(folder: Path, _: Mapping[str, Any]) -> list[Path]:
     return [folder / name for log in REAL_LOGS.values() for name in (log.log, log.reference)]
 
 
-# The function of a command returns the experiment and its input files.
-Found = tuple["Experiment", Inputs]
-
-
-def _experiment(*sections: str) -> Callable[[Callable[..., Found]], Callable[..., int]]:
+def _experiment(*sections: str) -> Callable[[Callable[..., Experiment]], Callable[..., int]]:
     """Return what makes a command of a function: options that all have, and the output."""
 
-    def decorate(function: Callable[..., Found]) -> Callable[..., int]:
+    def decorate(function: Callable[..., Experiment]) -> Callable[..., int]:
         @functools.wraps(function)
         def run(
             folder: Path,
@@ -82,10 +74,10 @@ def _experiment(*sections: str) -> Callable[[Callable[..., Found]], Callable[...
             device = device_for(config) if "device" in sections else NumpyDevice()
             with progress_bar() as progress:
                 setup = Setup(config, device, folder, progress, scheduler=scheduler)
-                found, inputs = function(setup, **given)
+                found = function(setup, **given)
             files = found.write(folder, config.report.pictures)
             document = found.document(files, config, device.name)
-            save_results(results_path, document, found.rows, lambda: inputs)
+            save_results(results_path, document, found.rows, lambda: found.read)
             if as_json:
                 print_json(document)
             else:
@@ -122,15 +114,14 @@ def command() -> None:
 
 @command.command("cell-models")
 @_experiment("report")
-def cell_models(setup: Setup) -> Found:
+def cell_models(_: Setup) -> Experiment:
     """Compute Table II of [H16], a cell that receives 12 values in two orders.
 
     The exit code is 1 if a value differs from the paper in its three decimals.
     """
     from slamfusion.experiments.tinyslam import table_two  # noqa: PLC0415
 
-    del setup
-    return table_two(), []
+    return table_two()
 
 
 def _log_option(name: str, help_text: str, metavar: str = "FILE") -> Callable[[F], F]:
@@ -146,28 +137,21 @@ def _log_option(name: str, help_text: str, metavar: str = "FILE") -> Callable[[F
 )
 @_log_option("reference", "The best known trajectory of the recorded drive.")
 @_experiment("experiment.occupancy_estimator", "report", "device", "")
-def occupancy_estimator(
-    setup: Setup,
-    log_path: Path | None,
-    relations_path: Path | None,
-    odometry_path: Path | None,
-    reference_path: Path | None,
-) -> Found:
+def occupancy_estimator(setup: Setup, log_path: Path | None, **others: Path | None) -> Experiment:
     """Sweep tinySLAM's cell size with both occupancy estimators, Table III of [H16].
 
     Uses simulated office floors, whose truth is known, and a recorded drive with --log.
     """
-    from slamfusion.experiments.drives import drive_inputs  # noqa: PLC0415
     from slamfusion.experiments.tinyslam import sweep_estimators  # noqa: PLC0415
     from slamfusion.jobs.map_log import LogFiles  # noqa: PLC0415
 
-    others = (relations_path, odometry_path, reference_path)
-    if log_path is None and any(path is not None for path in others):
+    if log_path is None and any(path is not None for path in others.values()):
         message = "--relations, --odometry and --reference belong to a recorded drive; give --log"
         raise click.UsageError(message)
-    recorded = [] if log_path is None else [LogFiles(log_path, *others)]
-    floors = _floors(setup.config.experiment.occupancy_estimator.floors, recorded)
-    return sweep_estimators(recorded, floors, setup), drive_inputs(recorded)
+    names = ("relations_path", "odometry_path", "reference_path")
+    recorded = [] if log_path is None else [LogFiles(log_path, *(others[name] for name in names))]
+    _check_drives(setup.config.experiment.occupancy_estimator.floors, recorded)
+    return sweep_estimators(recorded, setup)
 
 
 @command.command("cell-models-trajectories")
@@ -180,17 +164,16 @@ def occupancy_estimator(
     help="A recorded drive with known motions [K09] and raw odometry. Can be repeated.",
 )
 @_experiment("experiment.cell_models_trajectories", "report", "device", "")
-def cell_models_trajectories(setup: Setup, logs: tuple[Path, ...]) -> Found:
+def cell_models_trajectories(setup: Setup, logs: tuple[Path, ...]) -> Experiment:
     """Compare tinySLAM's cell models and gmapping by path errors, Table I of [H16].
 
     Uses simulated office floors, whose truth is known, and the recorded drives of --log.
     """
-    from slamfusion.experiments.drives import drive_inputs  # noqa: PLC0415
     from slamfusion.experiments.tinyslam import compare_models  # noqa: PLC0415
 
     recorded = [_drive_files(text) for text in logs]
-    floors = _floors(setup.config.experiment.cell_models_trajectories.floors, recorded)
-    return compare_models(recorded, floors, setup), drive_inputs(recorded)
+    _check_drives(setup.config.experiment.cell_models_trajectories.floors, recorded)
+    return compare_models(recorded, setup)
 
 
 def _drive_files(text: Path) -> LogFiles:
@@ -205,17 +188,15 @@ def _drive_files(text: Path) -> LogFiles:
     return LogFiles(*(FILE.convert(part, None, None) for part in parts))
 
 
-def _floors(count: int, recorded: Sequence[LogFiles]) -> range:
-    """Return the seeds of the simulated floors; there must be something to run on."""
-    if not recorded and not count:
+def _check_drives(floors: int, recorded: Sequence[LogFiles]) -> None:
+    if not recorded and not floors:
         raise click.UsageError("nothing to run on: give --log, or --floors of at least 1")
-    return range(FIRST_FLOOR, FIRST_FLOOR + count)
 
 
 @command.command("ground-obstacle")
 @scheduler_option("the drives")
 @_experiment("experiment.ground_obstacle", "report", "device", "")
-def ground_obstacle(setup: Setup) -> Found:
+def ground_obstacle(setup: Setup) -> Experiment:
     """Compare three SLAMs and their fusions, with and without an obstacle on the ground.
 
     Tables I to III of [F16]. Each drive is simulated, mapped by all SLAMs and fused in every way;
@@ -223,13 +204,13 @@ def ground_obstacle(setup: Setup) -> Found:
     """
     from slamfusion.experiments.trials import compare_with_obstacle  # noqa: PLC0415
 
-    return compare_with_obstacle(setup), []
+    return compare_with_obstacle(setup)
 
 
 @command.command("failures")
 @scheduler_option("the drives")
 @_experiment("experiment.failures", "report", "device", "")
-def failures(setup: Setup) -> Found:
+def failures(setup: Setup) -> Experiment:
     """Compare three SLAMs and their fusions in difficult places and drives.
 
     Courses: corridor loop, glass, people, slip, kidnapping, broken odometry, lost for good, each
@@ -238,7 +219,7 @@ def failures(setup: Setup) -> Found:
     from slamfusion.experiments.trials import compare_failures  # noqa: PLC0415
 
     try:
-        return compare_failures(setup), []
+        return compare_failures(setup)
     except ConfigError as error:
         raise click.UsageError(str(error)) from None
 
@@ -258,21 +239,14 @@ def failures(setup: Setup) -> Found:
 @_experiment("report", "device", "")
 def real_logs(
     setup: Setup, datasets: Path, maps: tuple[CaseFile, ...], paths: tuple[CaseFile, ...]
-) -> Found:
+) -> Experiment:
     """Compare three SLAMs and their fusions on recorded drives, mit-csail and Intel.
 
     The reference is the map drawn at the best known trajectory. Drives that are not in the folder
     are skipped. Maps of other SLAMs are measured and vote too: intel/karto.yaml and
     intel_karto.yaml are the maps of karto for intel, or intel=MAP.
     """
-    from slamfusion.experiments.real_logs import (  # noqa: PLC0415
-        compare_on_logs,
-        log_inputs,
-        logs_there,
-        other_slams,
-    )
+    from slamfusion.experiments.real_logs import compare_on_logs, logs_there, other_slams  # noqa: PLC0415
 
     names = logs_there(datasets, notice)
-    others = other_slams(names, maps, paths)
-    inputs = log_inputs(datasets, names, others)
-    return compare_on_logs(datasets, names, setup, others), inputs
+    return compare_on_logs(datasets, names, setup, other_slams(names, maps, paths))

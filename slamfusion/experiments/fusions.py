@@ -16,7 +16,6 @@ from typing import get_args
 import numpy as np
 
 from slamfusion.align.align import align_grids
-from slamfusion.align.records import FusionResult
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, RunConfig, TrajectoryConfig, VoteMode
 from slamfusion.errors import GridError, SlamFusionError
@@ -174,7 +173,7 @@ def fuse_in_every_way(
         paths[FUSED_PATH] = fused
     if drawn_cell_m is not None:
         rays = drawn_scans(scans)
-        for name in dict.fromkeys((*BUILT_IN, *saved_paths, FUSED_PATH)):
+        for name in (*BUILT_IN, *saved_paths, FUSED_PATH):
             method = DRAWN if name == FUSED_PATH else drawn_at(name)
             if name in paths:
                 path = paths[name]
@@ -222,38 +221,20 @@ def vote_every_way(
     Returns:
         By way to vote; None where there is no map at all.
     """
-    if not grids:
-        notes[PLAIN] = "no map was made"
-        return dict.fromkeys(FUSIONS)
-    plain = _vote_plainly(grids, paths, config, device, notes)
-    if isinstance(plain, OccupancyGrid):
-        return dict.fromkeys(FUSIONS, plain)
-    return {mode: vote_again(plain, _voting(config.fusion, mode), device).fused for mode in FUSIONS}
-
-
-def _vote_plainly(
-    grids: Sequence[OccupancyGrid],
-    paths: Mapping[str, Trajectory],
-    config: RunConfig,
-    device: ComputeDevice,
-    notes: dict[str, str],
-) -> FusionResult | OccupancyGrid:
-    """Return the plain vote, or the map to go on with alone; ``notes`` say what went wrong."""
-    first, *others = grids
-    if not others:
-        notes[PLAIN] = f"{first.name} alone: it made the only map"
-        return first
-    config = replace(config, fusion=_voting(config.fusion, PLAIN))
     # The producers of a drive share its frame; saved maps, none of which has such a name, may not.
     shared_frame = {grid.name for grid in grids} <= set(BUILT_IN)
-    fusion = fuse_drive(grids, paths, config, device, shared_frame=shared_frame)
-    if fusion.result is None:
-        best = fusion.fallback or first
-        notes[PLAIN] = f"{best.name} alone: {fusion.failure}"
-        return best
-    for record in fusion.result.rejected:
+    plain = replace(config, fusion=_voting(config.fusion, PLAIN))
+    drive = fuse_drive(grids, paths, plain, device, shared_frame=shared_frame)
+    if drive.result is None:
+        alone_there = "" if drive.fallback is None else f"{drive.fallback.name} alone: "
+        notes[PLAIN] = f"{alone_there}{drive.failure}"
+        return dict.fromkeys(FUSIONS, drive.fallback)
+    for record in drive.result.rejected:
         notes[f"{PLAIN} without {record.name}"] = record.reason
-    return fusion.result
+    return {
+        mode: vote_again(drive.result, _voting(config.fusion, mode), device).fused
+        for mode in FUSIONS
+    }
 
 
 def _voting(config: FusionConfig, mode: VoteMode) -> FusionConfig:

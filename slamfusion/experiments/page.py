@@ -14,14 +14,12 @@ import scipy
 
 from slamfusion.config import RunConfig
 from slamfusion.evaluation import Row, correct_by_holm, figure_of
+from slamfusion.experiments.runs import Inputs
 from slamfusion.io import AtomicFiles
-from slamfusion.jobs.compare import ComparisonJson, compare_values
+from slamfusion.jobs.compare import SIGNIFICANT, ComparisonJson, compare_values
 from slamfusion.jobs.documents import circumstances, number, p_text
 from slamfusion.jobs.records import CircumstancesJson
 from slamfusion.jobs.results import KEYS, markdown, results_table
-
-# A difference with a smaller p-value counts as one.
-SIGNIFICANT = 0.05
 
 Pairs = Mapping[str, Sequence[tuple[str, str]]]
 # A title, heads and rows of texts.
@@ -132,6 +130,7 @@ class Experiment:
         inputs, fusions: methods; each fusion is compared with the best input by its ``error``.
         notes: (case, what went wrong by method) of each run.
         failure: why the experiment has failed; empty: it has not.
+        read: the files that it rests on.
     """
 
     name: str
@@ -145,6 +144,7 @@ class Experiment:
     notes: Sequence[tuple[str, Mapping[str, str]]] = ()
     remarks: Sequence[str] = ()
     failure: str = ""
+    read: Inputs = ()
 
     @cached_property
     def table(self) -> pd.DataFrame:

@@ -33,7 +33,7 @@ from slamfusion.io import LogScan, open_log, read_trajectory
 from slamfusion.jobs.cases import CaseFile, place_files
 from slamfusion.jobs.inputs import Warn
 from slamfusion.jobs.outputs import DRAWN
-from slamfusion.jobs.results import input_records, map_inputs
+from slamfusion.jobs.results import map_inputs
 from slamfusion.jobs.saved_maps import SavedMaps, free_name
 from slamfusion.slam.common.mapper import MapJob
 from slamfusion.slam.graph.node_map import Node, NodeMap
@@ -123,13 +123,12 @@ def compare_on_logs(
         OSError: a file cannot be opened.
     """
     given = others or {}
-    records = [record for own in log_inputs(folder, names, given) for record in input_records(*own)]
-    facts = [setup.device.name, *(record["sha256"] for record in records)]
+    read = log_inputs(folder, names, given)
 
     def work(name: str, _: RunConfig, tell: Tell) -> RunResult:
         return _compare_on_log(folder, name, setup, given.get(name, SavedMaps((), (), {})), tell)
 
-    found = run_all({name: name for name in names}, work, setup, facts)
+    found = run_all({name: name for name in names}, work, setup, read)
     inputs = [*BUILT_IN, *(name for saved in given.values() for name in saved.names)]
     return Experiment(
         "real-logs",
@@ -140,6 +139,7 @@ def compare_on_logs(
         fusions=FUSIONS,
         notes=[(name, own.notes) for name, own in zip(names, found, strict=True)],
         remarks=[result.remark for result in found],
+        read=read,
     )
 
 

@@ -7,7 +7,7 @@ import io
 import json
 import math
 import zipfile
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
@@ -28,10 +28,13 @@ from slamfusion.grid import OccupancyGrid
 from slamfusion.io import AtomicFiles
 from slamfusion.jobs.documents import record_bytes
 from slamfusion.jobs.inputs import Progress
+from slamfusion.jobs.results import input_records
 
 T = TypeVar("T")
 # Takes the share of a run that is done.
 Tell = Callable[[float], None]
+# Role, case and path of files that are read.
+Inputs = Sequence[tuple[str, str, Path]]
 
 # Parts of the package that do not change a result.
 FACES = {"cli", "page", "report", "ros", "viewer"}
@@ -77,14 +80,14 @@ def run_all(
     tasks: Mapping[str, T],
     work: Callable[[T, RunConfig, Tell], RunResult],
     setup: Setup,
-    facts: Sequence[str] = (),
+    inputs: Inputs | None = None,
 ) -> list[RunResult]:
     """Do the runs that the folder does not hold yet.
 
     Args:
         tasks: the runs by the name of their files; the text of a task tells all of it.
         work: does a run. With several processes it must be a function of a module.
-        facts: what else a run depends on, e.g. the digests of files.
+        inputs: files that a run depends on, and with them on the device; None: on neither.
 
     Returns:
         The results in the order of the tasks.
@@ -93,10 +96,11 @@ def run_all(
         SlamFusionError: a run failed, or a process died. Started again, only the rest is run.
     """
     config, folder = setup.config, setup.folder
+    facts = [] if inputs is None else [setup.device.name]
+    facts += [record["sha256"] for file in inputs or () for record in input_records(*file)]
     marks = {key: _fingerprint(task, config, facts) for key, task in tasks.items()}
     done = {key: kept for key in tasks if (kept := _read(folder, key, marks[key])) is not None}
-    missing = {key: task for key, task in tasks.items() if key not in done}
-
+    missing = [(key, task) for key, task in tasks.items() if key not in done]
     kept_count = len(done)
 
     def tell(count: float) -> None:
@@ -107,8 +111,7 @@ def run_all(
     processes = max(1, min(setup.processes, len(missing)))
     try:
         with executor_for(setup.scheduler, processes, config.device.device) as executor:
-            runs = as_done(executor, _work, missing.items(), work, config, progress=tell)
-            for (key, _), result in runs:
+            for (key, _), result in as_done(executor, _work, missing, work, config, progress=tell):
                 _write(folder, key, marks[key], result)
                 done[key] = result
     except FleetError as error:
@@ -118,12 +121,12 @@ def run_all(
 
 
 def _work(
-    task: tuple[str, T],
+    item: tuple[str, T],
     work: Callable[[T, RunConfig, Tell], RunResult],
     config: RunConfig,
     tell: Tell,
 ) -> RunResult:
-    return work(task[1], config, tell)
+    return work(item[1], config, tell)
 
 
 @cache
@@ -139,7 +142,7 @@ def _program() -> str:
     return digest.hexdigest()
 
 
-def _fingerprint(task: object, config: RunConfig, facts: Iterable[str]) -> str:
+def _fingerprint(task: object, config: RunConfig, facts: Sequence[str]) -> str:
     """Return what tells runs apart that have one name but other settings or another program."""
     settings = to_mapping(replace(config, seed=0))
     for unrelated in ("experiment", "live", "graph_optimizer", "simulate", "report"):

@@ -6,25 +6,37 @@ Source: Huletski, Kartashov and Krinkin, *TinySLAM Improvements for Indoor Navig
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import astuple, dataclass, replace
+from pathlib import Path
 from typing import cast, get_args
 
 import pandas as pd
 
-from slamfusion.config import OccupancyEstimator
-from slamfusion.evaluation import Row, figure_of, result_rows
-from slamfusion.experiments.drives import ATE, RELATIONS, TIME, DriveRun, run_on_drives
-from slamfusion.experiments.page import SIGNIFICANT, Experiment
-from slamfusion.experiments.runs import Setup
+from slamfusion.compute import ComputeDevice
+from slamfusion.config import OccupancyEstimator, RunConfig
+from slamfusion.errors import LogError
+from slamfusion.evaluation import Row, figure_of, path_figures, result_rows
+from slamfusion.experiments.page import Experiment
+from slamfusion.experiments.runs import Inputs, RunResult, Setup, Tell, run_all
+from slamfusion.io import LogScan, open_log, read_trajectory
+from slamfusion.io.lines import strip_gz
+from slamfusion.jobs.compare import SIGNIFICANT
 from slamfusion.jobs.documents import p_text
+from slamfusion.jobs.inputs import Progress
 from slamfusion.jobs.map_log import LogFiles
+from slamfusion.jobs.trajectory import Yardsticks
+from slamfusion.sim import named_course, simulate
 from slamfusion.slam.common.mapper import Mapper
+from slamfusion.slam.common.runner import run_producer
 from slamfusion.slam.gmapping import Gmapping
 from slamfusion.slam.registry import settings_of
 from slamfusion.slam.tinyslam import TinySlam
 from slamfusion.slam.tinyslam.slam import CELL_MODELS
+from slamfusion.trajectory import Trajectory
 
+# The figures of a run; the names end in the unit.
+RELATIONS, ATE, TIME = FIGURES = ("relations_mean_m", "ate_rmse_m", "time_per_scan_ms")
 # Table I: the methods that are compared, each two of them, and the cells of gmapping in [H16].
 METHODS = ("tinyslam base", "tinyslam mean", "gmapping")
 PAIRS = list(itertools.combinations(METHODS, 2))
@@ -41,7 +53,6 @@ PAPER = {
     ("mean", "forward"): (0.245, 0.480, 0.715),
     ("mean", "backward"): (0.245, 0.480, 0.715),
 }
-
 # Table III: ``area`` counts how much of a hit cell is behind the wall, ``constant`` nothing of it.
 ESTIMATORS: tuple[OccupancyEstimator, ...] = get_args(OccupancyEstimator)
 
@@ -76,44 +87,71 @@ def table_two() -> Experiment:
     )
 
 
-def compare_models(recorded: Sequence[LogFiles], floors: Sequence[int], setup: Setup) -> Experiment:
-    """Compute Table I: run every method on every drive, with many seeds.
-
-    Args:
-        setup: has the number of seeds in ``experiment.cell_models_trajectories``, the methods'
-            settings and the first seed.
-    """
+def compare_models(recorded: Sequence[LogFiles], setup: Setup) -> Experiment:
+    """Compute Table I: run every method on every drive, with many seeds."""
     config, device = setup.config, setup.device
-    seeds = range(config.seed, config.seed + config.experiment.cell_models_trajectories.seeds)
+    settings = config.experiment.cell_models_trajectories
+    seeds = range(config.seed, config.seed + settings.seeds)
 
     def plan(drive: str) -> list[DriveRun]:
         return [DriveRun(drive, *own) for own in itertools.product(METHODS, [drive], seeds)]
 
     def make(run: DriveRun) -> Mapper:
         if run.method == "gmapping":
-            settings = replace(settings_of(config, "gmapping"), delta=GMAPPING_CELL_M)
-            return Gmapping(settings, device, run.seed)
+            gmapping = replace(settings_of(config, "gmapping"), delta=GMAPPING_CELL_M)
+            return Gmapping(gmapping, device, run.seed)
         # The quality is the cell model's default.
         model = "base" if run.method == "tinyslam base" else "mean"
-        settings = replace(settings_of(config, "tinyslam"), cell_model=model)
-        return TinySlam(settings, device, run.seed)
+        tinyslam = replace(settings_of(config, "tinyslam"), cell_model=model)
+        return TinySlam(tinyslam, device, run.seed)
 
-    experiment = Experiment(
+    return repeated_runs(
         "cell-models-trajectories",
         "Cell models of tinySLAM: errors of the trajectory ([H16], Table I)",
-        run_on_drives(plan, make, recorded, floors, setup),
-        (RELATIONS, ATE, TIME),
-        dict.fromkeys((RELATIONS, ATE, TIME), PAIRS),
-        is_paired=False,
+        run_on_drives(plan, make, recorded, settings.floors, setup),
+        PAIRS,
+        drive_inputs(recorded),
     )
-    return replace(experiment, remarks=method_sentences(experiment))
 
 
-def method_sentences(experiment: Experiment) -> list[str]:
-    """Say for each drive and error which of every two methods is better, with the p-value."""
-    tests = experiment.comparisons
+def sweep_estimators(recorded: Sequence[LogFiles], setup: Setup) -> Experiment:
+    """Compute Table III: tinySLAM with every cell size and estimator on every drive and seed."""
+    config, device = setup.config, setup.device
+    settings = config.experiment.occupancy_estimator
+    seeds = range(config.seed, config.seed + settings.seeds)
+
+    def plan(drive: str) -> list[DriveRun]:
+        wanted = itertools.product(settings.resolutions, ESTIMATORS, seeds)
+        return [
+            DriveRun(f"{drive}, {size_m:g} m", method, drive, seed, size_m)
+            for size_m, method, seed in wanted
+        ]
+
+    def make(run: DriveRun) -> Mapper:
+        tinyslam = replace(
+            settings_of(config, "tinyslam"),
+            resolution=run.cell_m,
+            occupancy_estimator=cast("OccupancyEstimator", run.method),
+        )
+        return TinySlam(tinyslam, device, run.seed)
+
+    return repeated_runs(
+        "occupancy-estimator",
+        "Occupancy estimator of tinySLAM against cell size ([H16], Table III)",
+        run_on_drives(plan, make, recorded, settings.floors, setup),
+        [("constant", "area")],
+        drive_inputs(recorded),
+    )
+
+
+def repeated_runs(
+    name: str, title: str, rows: Sequence[Row], pairs: Sequence[tuple[str, str]], read: Inputs = ()
+) -> Experiment:
+    """Return an experiment that says for each drive and error which of two methods is better."""
+    tests = dict.fromkeys(FIGURES, pairs)
+    experiment = Experiment(name, title, rows, FIGURES, tests, is_paired=False, read=read)
     sentences = []
-    for _, test in tests[tests["figure"] != TIME].iterrows():
+    for _, test in experiment.comparisons.query("figure != @TIME").iterrows():
         where = f"{test['case']}, {figure_of(test['figure']).label}"
         both = f"{test['first']} and {test['second']}"
         numbers = f"(difference {test['difference']:.4f}, p {p_text(test['p_t'])})"
@@ -125,48 +163,127 @@ def method_sentences(experiment: Experiment) -> list[str]:
             better = test["first" if test["difference"] < 0.0 else "second"]
             found = f"{better} is better of {both} {numbers}"
         sentences.append(f"{where}: {found}.")
-    return sentences
+    return replace(experiment, remarks=sentences)
 
 
-def sweep_estimators(
-    recorded: Sequence[LogFiles], floors: Sequence[int], setup: Setup
-) -> Experiment:
-    """Compute Table III: tinySLAM with every cell size and estimator on every drive and seed.
+# --- drives: recorded logs and simulated floors ---------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """A drive, held in memory because it is run many times.
+
+    Attributes:
+        odometry: of the scans; None where nothing needs it.
+    """
+
+    name: str
+    scans: tuple[LogScan, ...]
+    held: Yardsticks
+    odometry: Trajectory | None = None
+
+    def errors(self, path: Trajectory, config: RunConfig) -> dict[str, float]:
+        """Return the errors of a path, by name: what there is something to measure with.
+
+        Raises:
+            TrajectoryError: it does not meet the relations or the truth in time.
+        """
+        measures = self.held.measure(path, config, self.odometry)
+        found = path_figures(measures.truth, measures.relations)
+        return {name: found[name] for name in (RELATIONS, ATE) if name in found}
+
+
+@dataclass(frozen=True)
+class DriveRun:
+    """One run of a producer on a drive.
+
+    Attributes:
+        case: of its rows: the drive, and what else is not compared.
+    """
+
+    case: str
+    method: str
+    drive: str
+    seed: int
+    cell_m: float = 0.0
+
+    @property
+    def key(self) -> str:
+        """The name of its file."""
+        return f"{self.case}-{self.method}-s{self.seed}".replace(" ", "-").replace(",", "")
+
+
+def drive_inputs(recorded: Sequence[LogFiles]) -> Inputs:
+    """Return role, drive and path of each file of recorded drives."""
+    roles = ("log", "relations", "odometry", "truth")
+    return [
+        (role, files.log.stem, path)
+        for files in recorded
+        for role, path in zip(roles, astuple(files), strict=False)
+        if path is not None
+    ]
+
+
+def read_drive(files: LogFiles, config: RunConfig) -> Drive:
+    """Read a recorded drive.
 
     Args:
-        setup: has the cell sizes and the number of seeds in ``experiment.occupancy_estimator``,
-            tinySLAM's other settings and the first seed.
+        files: with relations, a true or the best known path, or both.
+
+    Raises:
+        LogError: the log cannot be read, has no usable scan, or there is nothing to measure by.
+        TrajectoryError: relations, odometry or truth cannot be read.
+        OSError: a file cannot be opened.
+    """
+    if files.relations is None and files.truth is None:
+        message = f"{files.log}: nothing to measure it by; give relations, a reference, or both"
+        raise LogError(message)
+    log = open_log(files.log, config.log)
+    scans = tuple(log)
+    if not scans:
+        reasons = "; ".join(log.skips.sentences())
+        raise LogError(f"{files.log}: no scan of it can be used: {reasons}")
+    held = Yardsticks.read(config, files.relations, files.odometry, files.truth)
+    odometry = None if held.odometry is None else read_trajectory(files.log, config.log)
+    return Drive(Path(strip_gz(files.log.name)).stem, scans, held, odometry)
+
+
+def simulated_office(seed: int, device: ComputeDevice, progress: Progress | None = None) -> Drive:
+    """Simulate a drive through every room of an office floor with a Hokuyo; the truth is known."""
+    course = replace(named_course("office", seed), name=f"office-{seed}")
+    recording = simulate(course, device, progress)
+    return Drive(course.name, recording.scans, Yardsticks(truth=recording.truth))
+
+
+def run_on_drives(
+    plan: Callable[[str], Sequence[DriveRun]],
+    make: Callable[[DriveRun], Mapper],
+    recorded: Sequence[LogFiles],
+    floors: int,
+    setup: Setup,
+) -> list[Row]:
+    """Run producers on recorded drives and simulated office floors; return the rows of all runs.
+
+    Raises:
+        SlamFusionError: a drive has no usable scan, or a path does not meet its relations in time.
+        OSError: a file cannot be opened.
     """
     config, device = setup.config, setup.device
-    settings = config.experiment.occupancy_estimator
-    seeds = range(config.seed, config.seed + settings.seeds)
+    drives: list[Drive] = []
+    for files in recorded:
+        drive = read_drive(files, config)
+        twins = sum(other.name.split("#")[0] == drive.name for other in drives)
+        drives.append(replace(drive, name=f"{drive.name}#{twins + 1}") if twins else drive)
+    drives += [simulated_office(seed, device, setup.progress) for seed in range(1, floors + 1)]
+    by_name = {drive.name: drive for drive in drives}
 
-    def plan(drive: str) -> list[DriveRun]:
-        wanted = itertools.product(settings.resolutions, ESTIMATORS, seeds)
-        return [
-            DriveRun(case_of(drive, size_m), method, drive, seed, size_m)
-            for size_m, method, seed in wanted
-        ]
+    def work(run: DriveRun, _: RunConfig, tell: Tell) -> RunResult:
+        drive = by_name[run.drive]
+        scans = drive.scans
+        made = run_producer(make(run), scans, progress=lambda done: tell(done / len(scans)))
+        figures = {**drive.errors(made.trajectory, config), TIME: made.time_per_scan_ms()["mean"]}
+        return RunResult(result_rows(run.case, str(run.seed), run.method, figures))
 
-    def make(run: DriveRun) -> Mapper:
-        tinyslam = replace(
-            settings_of(config, "tinyslam"),
-            resolution=run.setting,
-            occupancy_estimator=cast("OccupancyEstimator", run.method),
-        )
-        return TinySlam(tinyslam, device, run.seed)
-
-    experiment = Experiment(
-        "occupancy-estimator",
-        "Occupancy estimator of tinySLAM against cell size ([H16], Table III)",
-        run_on_drives(plan, make, recorded, floors, setup),
-        (RELATIONS, ATE, TIME),
-        {figure: [("constant", "area")] for figure in (RELATIONS, ATE, TIME)},
-        is_paired=False,
-    )
-    return replace(experiment, remarks=method_sentences(experiment))
-
-
-def case_of(drive: str, size_m: float) -> str:
-    """Return the case of a cell size on a drive."""
-    return f"{drive}, {size_m:g} m"
+    tasks = {run.key: run for drive in drives for run in plan(drive.name)}
+    found = run_all(tasks, work, setup, drive_inputs(recorded))
+    return [row for result in found for row in result.rows]

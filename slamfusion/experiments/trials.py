@@ -15,7 +15,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -23,7 +22,7 @@ from slamfusion.compute import ComputeDevice, shared_device
 from slamfusion.config import FailuresConfig, GroundObstacleConfig, PlaceName, RunConfig
 from slamfusion.cores import usable_cores
 from slamfusion.errors import ConfigError, SlamFusionError
-from slamfusion.evaluation import Row, result_rows
+from slamfusion.evaluation import result_rows
 from slamfusion.experiments.fusions import (
     CHOICE,
     FUSED_PATH,
@@ -64,9 +63,7 @@ class Trial:
 
     Attributes:
         condition: the case of its rows: a course, or a course with an obstacle.
-        course: with its own seed for everything that chance decides on the drive.
-        world: seed of the place.
-        seed: of the drive and of the producers.
+        course: with a seed for everything that chance decides on the drive, and one of the place.
         fault: of ``FAULTS``, done to the scans; empty: none.
         harmed: the producer that the fault befalls; empty: all of them.
         is_example: keep its maps' differences to the truth, to be shown.
@@ -75,8 +72,6 @@ class Trial:
 
     condition: str
     course: Course
-    world: int
-    seed: int
     fault: str = ""
     harmed: str = ""
     is_example: bool = False
@@ -90,38 +85,34 @@ class Trial:
     @property
     def repetition(self) -> str:
         """The seed of its rows: world and seed."""
-        return f"w{self.world}-s{self.seed}"
+        return f"w{self.course.world.seed}-s{self.course.seed}"
 
 
-class Failure(NamedTuple):
-    """A way to fail: a course of ``COURSES``; fault and harmed as those of a ``Trial``."""
-
-    course: str
-    fault: str = ""
-    harmed: str = ""
-
-
-FAILURES: dict[str, Failure] = {
-    "corridor loop": Failure("loop"),
-    "glass": Failure("glass"),
-    "people": Failure("crowd"),
-    "slip": Failure("slip"),
-    "kidnapping": Failure("loop", "kidnap"),
-    "broken odometry": Failure("loop", "break_odometry", "gmapping"),
-    "lost for good": Failure("loop", "lose", "tinyslam"),
+# The ways to fail: a course of ``COURSES``; fault and harmed producer as those of a ``Trial``.
+FAILURES: dict[str, tuple[str, str, str]] = {
+    "corridor loop": ("loop", "", ""),
+    "glass": ("glass", "", ""),
+    "people": ("crowd", "", ""),
+    "slip": ("slip", "", ""),
+    "kidnapping": ("loop", "kidnap", ""),
+    "broken odometry": ("loop", "break_odometry", "gmapping"),
+    "lost for good": ("loop", "lose", "tinyslam"),
 }
 
 
 def obstacle_trials(config: RunConfig) -> list[Trial]:
     """Return every drive of ``ground-obstacle``; the first of each condition is the example."""
-    trials: list[Trial] = []
-    for condition, is_over in {"no obstacle": False, "obstacle": True}.items():
-
-        def course(seed: int, is_over: bool = is_over) -> Course:  # noqa: FBT001  (of the loop)
-            return replace(named_course("f16", seed), obstacles=is_over)
-
-        trials += _repeated(condition, config, config.experiment.ground_obstacle, course)
-    return trials
+    settings = config.experiment.ground_obstacle
+    return [
+        Trial(
+            condition,
+            replace(_in_world(named_course("f16", seed), world), obstacles=is_over),
+            is_example=number == 0,
+            draws=settings.draw,
+        )
+        for condition, is_over in {"no obstacle": False, "obstacle": True}.items()
+        for number, (world, seed) in enumerate(_repetitions(config, settings))
+    ]
 
 
 def failure_trials(config: RunConfig) -> list[Trial]:
@@ -134,35 +125,33 @@ def failure_trials(config: RunConfig) -> list[Trial]:
             raise ConfigError(message)
     trials: list[Trial] = []
     for name, lidar in itertools.product(names, dict.fromkeys(settings.lidars)):
-
-        def course(seed: int, name: str = name, lidar: str = lidar) -> Course:
-            own = named_course(FAILURES[name].course, seed)
-            return _seen_by(lidar, own, is_loop=name == "corridor loop")
-
-        _, fault, harmed = FAILURES[name]
-        own = _repeated(f"{name}, {lidar}", config, settings, course)
-        trials += [replace(trial, fault=fault, harmed=harmed) for trial in own]
+        course, fault, harmed = FAILURES[name]
+        for number, (world, seed) in enumerate(_repetitions(config, settings)):
+            seen = _seen_by(lidar, named_course(course, seed), is_loop=name == "corridor loop")
+            trials.append(
+                Trial(
+                    f"{name}, {lidar}",
+                    _in_world(seen, world),
+                    fault,
+                    harmed,
+                    is_example=number == 0,
+                    draws=settings.draw,
+                )
+            )
     return trials
 
 
-def _repeated(
-    condition: str,
-    config: RunConfig,
-    settings: GroundObstacleConfig | FailuresConfig,
-    course_of: Callable[[int], Course],
-) -> list[Trial]:
-    """Return the trials of a condition: worlds times seeds; the first one is the example."""
+def _repetitions(
+    config: RunConfig, settings: GroundObstacleConfig | FailuresConfig
+) -> list[tuple[int, int]]:
+    """Return world and seed of each drive of a condition."""
     worlds = range(settings.first_world, settings.first_world + settings.worlds)
     seeds = range(config.seed, config.seed + settings.repetitions)
-    trials = []
-    for world, seed in itertools.product(worlds, seeds):
-        course = course_of(seed)
-        course = replace(course, world=replace(course.world, seed=world))
-        is_example = (world, seed) == (worlds[0], seeds[0])
-        trials.append(
-            Trial(condition, course, world, seed, is_example=is_example, draws=settings.draw)
-        )
-    return trials
+    return list(itertools.product(worlds, seeds))
+
+
+def _in_world(course: Course, world: int) -> Course:
+    return replace(course, world=replace(course.world, seed=world))
 
 
 def _seen_by(name: str, course: Course, *, is_loop: bool) -> Course:
@@ -182,38 +171,31 @@ def compare_with_obstacle(setup: Setup) -> Experiment:
     """Run ``ground-obstacle``; see ``run_trials``."""
     settings = setup.config.experiment.ground_obstacle
     title = "Fusion with and without a ground obstacle ([F16], Tables I to III)"
-    trials = obstacle_trials(setup.config)
     config = with_settings(setup.config, "gmapping", particles=settings.particles)
-    setup = replace(setup, config=config)
-    return run_trials("ground-obstacle", title, trials, settings, setup)
+    setup = replace(setup, config=config, processes=settings.processes or usable_cores())
+    return run_trials("ground-obstacle", title, obstacle_trials(config), setup)
 
 
 def compare_failures(setup: Setup) -> Experiment:
     """Run ``failures``; see ``run_trials``. ConfigError: an unknown course."""
-    settings, trials = setup.config.experiment.failures, failure_trials(setup.config)
-    return run_trials("failures", "Fusion where something fails", trials, settings, setup)
+    processes = setup.config.experiment.failures.processes or usable_cores()
+    trials = failure_trials(setup.config)
+    setup = replace(setup, processes=processes)
+    return run_trials("failures", "Fusion where something fails", trials, setup)
 
 
-def run_trials(
-    name: str,
-    title: str,
-    trials: Sequence[Trial],
-    settings: GroundObstacleConfig | FailuresConfig,
-    setup: Setup,
-) -> Experiment:
+def run_trials(name: str, title: str, trials: Sequence[Trial], setup: Setup) -> Experiment:
     """Run trials, several at the same time, and return the experiment.
 
     Args:
-        trials: their keys differ.
-        settings: trials at the same time, and whether maps are drawn.
+        trials: their keys differ; maps are drawn in all of them or in none.
 
     Raises:
         SlamFusionError: a course that cannot be driven, or a process that died.
     """
-    setup = replace(setup, processes=settings.processes or usable_cores())
     found = run_all({trial.key: trial for trial in trials}, _work, setup)
     results = [(trial.condition, own) for trial, own in zip(trials, found, strict=True)]
-    return fusion_experiment(name, title, results, draws=settings.draw)
+    return fusion_experiment(name, title, results, draws=trials[0].draws)
 
 
 def fusion_experiment(
@@ -275,7 +257,7 @@ def measure_trial(
     Raises:
         SimulationError: the course cannot be driven.
     """
-    config = replace(config, seed=trial.seed)
+    config = replace(config, seed=trial.course.seed)
     recording = simulate(trial.course, device)
     truth = recording.world.grid
     faulty = FAULTS[trial.fault](recording.scans) if trial.fault else recording.scans
@@ -304,9 +286,11 @@ def measure_trial(
         figures.setdefault(name, {})["ate_rmse_m"] = error_m
     for name, share in _best(faces, made.choice, max).items():
         figures.setdefault(name, {})["faces_f1"] = share
-    rows: list[Row] = []
-    for name, own in figures.items():
-        rows += result_rows(trial.condition, trial.repetition, name, own)
+    rows = [
+        row
+        for name, own in figures.items()
+        for row in result_rows(trial.condition, trial.repetition, name, own)
+    ]
     example = None
     if trial.is_example:
         differences = {name: item.difference for name, item in found.items()}

@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from rich.table import Table
 
-from slamfusion.experiments.drives import RELATIONS, Drive, read_drive
+from slamfusion.experiments.tinyslam import RELATIONS, Drive, read_drive
 from slamfusion.sim import Course, Recording, named_course, simulate
 from slamfusion.slam.common.runner import ProducerRun
 from slamfusion.slam.registry import BUILT_IN

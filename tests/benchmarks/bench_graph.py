@@ -32,8 +32,8 @@ from slamfusion.evaluation import (
     mean_interval,
     trajectory_errors,
 )
-from slamfusion.experiments.drives import RELATIONS
-from slamfusion.experiments.drives import Drive as RecordedDrive
+from slamfusion.experiments.tinyslam import RELATIONS
+from slamfusion.experiments.tinyslam import Drive as RecordedDrive
 from slamfusion.geometry import Pose2, compose_poses, invert_poses, wrap_angles
 from slamfusion.io import LogScan, open_log, read_trajectory
 from slamfusion.sim import named_course

@@ -23,7 +23,7 @@ from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import RunConfig
 from slamfusion.config.sim import LidarName
 from slamfusion.evaluation import Relations, match_odometry
-from slamfusion.experiments.drives import ATE, RELATIONS, Drive, read_drive
+from slamfusion.experiments.tinyslam import ATE, RELATIONS, Drive, read_drive
 from slamfusion.io import open_log, read_trajectory, save_map
 from slamfusion.jobs.map_log import LogFiles
 from slamfusion.jobs.trajectory import Yardsticks

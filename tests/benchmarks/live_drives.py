@@ -22,7 +22,7 @@ from slamfusion.evaluation import MapError
 from slamfusion.evidence import judged_scans, score_paths
 from slamfusion.evidence.drawn_map import draw_map, drawn_scans
 from slamfusion.evidence.path_frames import fit_onto
-from slamfusion.experiments.drives import ATE, RELATIONS, Drive, read_drive
+from slamfusion.experiments.tinyslam import ATE, RELATIONS, Drive, read_drive
 from slamfusion.experiments.fusions import against_truth
 from slamfusion.fusion.live import LiveFusion
 from slamfusion.fusion.path_check import moved_path

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from slamfusion.evaluation import Relations
-from slamfusion.experiments.drives import Drive
+from slamfusion.experiments.tinyslam import Drive
 from slamfusion.geometry import Pose2
 from slamfusion.io import LogScan, write_carmen, write_tum
 from slamfusion.jobs.map_log import LogFiles

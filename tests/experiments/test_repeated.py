@@ -16,10 +16,8 @@ from slamfusion.config import (
 )
 from slamfusion.errors import ConfigError
 from slamfusion.evaluation import result_rows
-from slamfusion.experiments.drives import ATE
-from slamfusion.experiments.page import Experiment
 from slamfusion.experiments.runs import Setup
-from slamfusion.experiments.tinyslam import PAIRS, case_of, method_sentences, sweep_estimators
+from slamfusion.experiments.tinyslam import ATE, PAIRS, repeated_runs, sweep_estimators
 from tests.experiments.drives import room_files
 
 pytestmark = pytest.mark.once
@@ -27,7 +25,8 @@ pytestmark = pytest.mark.once
 CONFIG = RunConfig(
     seed=5,
     experiment=ExperimentConfig(
-        OccupancyEstimatorConfig(seeds=2, resolutions=(0.1, 0.4)), CellModelsConfig(seeds=2)
+        OccupancyEstimatorConfig(seeds=2, resolutions=(0.1, 0.4), floors=0),
+        CellModelsConfig(seeds=2),
     ),
 )
 
@@ -59,9 +58,9 @@ def test_what_is_no_list_of_cell_sizes_is_refused(text: str) -> None:
 
 def test_estimators_are_swept_over_cell_sizes_and_drives(tmp_path: Path) -> None:
     drives = [room_files(tmp_path), room_files(tmp_path, "hall", relations=False)]
-    found = sweep_estimators(drives, [], Setup(CONFIG, open_device(), tmp_path / "out"))
+    found = sweep_estimators(drives, Setup(CONFIG, open_device(), tmp_path / "out"))
     table = found.table[found.table["figure"] == ATE]
-    cases = [case_of(drive, size_m) for drive in ("room", "hall") for size_m in (0.1, 0.4)]
+    cases = [f"{drive}, {size_m} m" for drive in ("room", "hall") for size_m in (0.1, 0.4)]
     assert list(table["case"].unique()) == cases
     assert list(table["method"].unique()) == ["constant", "area"]
     assert set(table["seed"]) == {"5", "6"}
@@ -74,7 +73,7 @@ def test_estimators_are_swept_over_cell_sizes_and_drives(tmp_path: Path) -> None
     errors = ("relations mean [m]", "ATE rmse [m]")
     of_room = [f"{case}, {error}" for case in cases[:2] for error in errors]
     assert starts == [*of_room, *(f"{case}, ATE rmse [m]" for case in cases[2:])]
-    again = sweep_estimators(drives[:1], [], Setup(CONFIG, open_device(), tmp_path / "b"))
+    again = sweep_estimators(drives[:1], Setup(CONFIG, open_device(), tmp_path / "b"))
     same = again.table[again.table["figure"] == ATE]["value"]
     assert list(same) == list(table["value"][: len(same)])
 
@@ -86,8 +85,7 @@ def test_the_better_model_is_named_with_its_p_value() -> None:
         for seed in range(4)
         for row in result_rows("hall", str(seed), method, {ATE: error + 0.001 * seed})
     ]
-    experiment = Experiment("t", "t", rows, (ATE,), {ATE: PAIRS}, is_paired=False)
-    (sentence,) = method_sentences(experiment)
+    (sentence,) = repeated_runs("t", "t", rows, PAIRS).sentences()
     assert sentence == (
         "hall, ATE rmse [m]: tinyslam mean is better of tinyslam base and tinyslam mean "
         "(difference 0.3000, p <0.001)."

@@ -78,7 +78,8 @@ def test_other_settings_facts_and_programs_are_run_anew(
     assert work.tasks == [1, 2]
     other = with_settings(setup.config, "gmapping", particles=7)
     run_all(TASKS, work, replace(setup, config=other))
-    run_all(TASKS, work, setup, ["another log"])
+    (tmp_path / "a.log").write_text("another log", encoding="utf-8")
+    run_all(TASKS, work, setup, [("log", "", tmp_path / "a.log")])
     run_all({**TASKS, "second": 3}, work, setup)
     assert work.tasks == [1, 2] * 3 + [1, 3]
     monkeypatch.setattr(module, "_program", lambda: "another")

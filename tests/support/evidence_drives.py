@@ -96,7 +96,7 @@ def key_of(trial: Trial) -> str:
     """Return the name of a drive's folder."""
     course, lidar = trial.condition.split(", ")
     name = f"{course} {trial.harmed}".strip().replace(" ", "-")
-    return f"{name},{lidar}-w{trial.world}-s{trial.seed}"
+    return f"{name},{lidar}-w{trial.course.world.seed}-s{trial.course.seed}"
 
 
 def save_scans(path: Path, scans: Sequence[LogScan]) -> None:
@@ -168,8 +168,8 @@ def make_drive(trial: Trial, folder: Path, device: ComputeDevice) -> Path:
     record = {
         "condition": course,
         "lidar": lidar,
-        "world": str(trial.world),
-        "seed": str(trial.seed),
+        "world": str(trial.course.world.seed),
+        "seed": str(trial.course.seed),
         "fault": trial.fault,
         "harmed": trial.harmed,
     }
@@ -195,7 +195,7 @@ def _produced(
                     (target / file).write_bytes((twin / file).read_bytes())
                 paths[name] = read_trajectory(twin / f"{name}.tum")
             continue
-        made = produce_maps({name: fed[name]}, RunConfig(seed=trial.seed), device)
+        made = produce_maps({name: fed[name]}, RunConfig(seed=trial.course.seed), device)
         grid = made.maps[name]
         if grid is not None:
             save_map(grid, target / name)
