@@ -135,9 +135,8 @@ def test_the_wheel_carries_kernels_types_and_pages(wheel: Path):
         inside = set(archive.namelist())
     kernels = {f"slamfusion/kernels/{path.name}" for path in (ROOT / "kernels").iterdir()}
     assert kernels
-    data = ("py.typed", "__init__.pyi", "jobs/schema.json", "viewer/static/stage.js")
+    data = ("py.typed", "__init__.pyi", "jobs/schema.json", "web/static/index.html")
     assert kernels | {f"slamfusion/{name}" for name in data} <= inside
-    assert "slamfusion/page/static/index.html" in inside
     assert not any(name.startswith("tests/") for name in inside)
 
 

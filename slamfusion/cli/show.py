@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import sys
 import threading
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -14,12 +17,23 @@ from slamfusion.cli.options import common_options
 from slamfusion.cli.output import notice, print_json
 from slamfusion.cli.paths import FILE
 from slamfusion.config import FusionNodeConfig
-from slamfusion.errors import SlamFusionError
+from slamfusion.errors import MapFileError, SlamFusionError
+from slamfusion.jobs.outputs import (
+    AGREEMENT,
+    AGREEMENT_END,
+    DRAWN,
+    FUSED,
+    FUSED_PATH,
+    REPORT,
+    RUN_RECORD,
+)
 
 if TYPE_CHECKING:
     from slamfusion.jobs.records import ShowDocument
+    from slamfusion.web.scene import Kind, Scene
 
 DEFAULTS = FusionNodeConfig()
+MOST_NAMED = 8
 
 
 @click.command("show", cls=Command, examples=["show out", "show out --port 8080"])
@@ -52,18 +66,15 @@ def command(folder: Path, port: int, host: str, drive: str, as_json: bool) -> in
     with maps. The page shows layers, paths, the difference of two maps, and the value of a cell in
     each map. Ctrl-C ends it.
     """
-    from slamfusion.page.finished import read_finished  # noqa: PLC0415
-
     try:
-        from slamfusion.page.server import PageServer  # noqa: PLC0415
+        from slamfusion.web.server import PageServer  # noqa: PLC0415
     except ImportError as error:
         raise SlamFusionError(str(error)) from error
 
     found = read_finished(folder, drive)
     server = PageServer(found.scene, host=host, port=port, report=found.report)
-    found.feed(server.feed)
     if as_json:
-        document: ShowDocument = {"url": server.url, "maps": [item.name for item in found.maps]}
+        document: ShowDocument = {"url": server.url, "maps": found.maps}
         print_json(document)
     else:
         print(server.url)
@@ -78,3 +89,250 @@ def command(folder: Path, port: int, host: str, drive: str, as_json: bool) -> in
     finally:
         server.close()
     return 0
+
+
+# --- what a job left in its folder ----------------------------------------------------------------
+
+
+@dataclass
+class Finished:
+    """A folder of maps.
+
+    Attributes:
+        scene: all that is shown.
+        maps: names of the layers, in the order in which they are shown.
+        also: other drives of the folder, which can be shown by name.
+        report: folder of the report; None: there is none.
+    """
+
+    scene: Scene
+    maps: list[str] = field(default_factory=list)
+    also: Sequence[str] = ()
+    report: Path | None = None
+
+    def put(self, name: str, kind: Kind, path: Path, *, shown: bool = True, **options: Any) -> None:
+        """Load a map and show it; one that cannot be read becomes an event."""
+        from slamfusion.io import load_map  # noqa: PLC0415  (OpenCV loads slowly)
+
+        self.maps.append(name)
+        try:
+            grid = load_map(path, name=name, warn=lambda _: None, **options)
+        except (SlamFusionError, OSError) as error:
+            self.scene.put_event("error", f"{name} is not shown: {error}")
+        else:
+            self.scene.put_map(name, grid, kind, is_shown=shown)
+
+    def put_paths(self, files: Mapping[str, Path]) -> None:
+        """Put each path in the frame of the map of its name; a missing file is left out."""
+        from slamfusion.io.trajectories import read_trajectory  # noqa: PLC0415
+
+        paths = {}
+        for name, file in files.items():
+            try:
+                if file.exists():
+                    paths[name] = read_trajectory(file)
+            except SlamFusionError as error:
+                self.scene.put_event("error", f"the path of {name} is not shown: {error}")
+        self.scene.put_paths(paths)
+
+
+def read_finished(place: Path, drive: str = "") -> Finished:
+    """Read what ``run``, ``fuse`` or an experiment wrote, or any folder with maps.
+
+    Without a record of their alignment, each map is shown in its own frame.
+
+    Args:
+        place: the folder; or of several fusions in one folder the map or the record of one.
+        drive: of an experiment, which of its drives; empty: the first.
+
+    Raises:
+        MapFileError: there is no map in it, its record is damaged, it has several, or no such
+            drive.
+    """
+    path = _record_of(place)
+    if path is not None:
+        try:
+            return _read_record(path, json.loads(path.read_text(encoding="utf-8")))
+        except (OSError, ValueError, RecursionError, LookupError, TypeError) as error:
+            message = f"{path}: cannot be read as the record of a run ({error}); run it again"
+            raise MapFileError(message) from error
+    if not place.is_dir():
+        raise MapFileError(f"{place}: found no run and no maps there; name a folder with either")
+    files = {path.stem: path for path in sorted(place.glob("*.yaml"))}
+    return _read_maps(place, files) if files else _read_drive(place, drive)
+
+
+def _record_of(place: Path) -> Path | None:
+    """Return the record of a run or fusion, if there is one."""
+    if place.is_file():
+        path = place.with_suffix(".json")
+        if not path.exists():
+            message = f"{place}: no record of its fusion next to it ({path.name}); name the folder"
+            raise MapFileError(message)
+        return path
+    if (place / RUN_RECORD).exists():
+        return place / RUN_RECORD
+    ends = (".yaml", f"{AGREEMENT_END}.yaml")
+    found = [
+        path
+        for path in sorted(place.glob("*.json"))
+        if all(path.with_name(path.stem + end).exists() for end in ends)
+    ]
+    if len(found) > 1:
+        names = ", ".join(path.name for path in found[:MOST_NAMED])
+        message = f"{place}: {len(found)} fusions in it ({names}); name one, e.g. {found[0]}"
+        raise MapFileError(message)
+    return found[0] if found else None
+
+
+def _finished(title: str) -> Finished:
+    """Return an empty scene whose times count from the start of the drive."""
+    from slamfusion.web.scene import Scene  # noqa: PLC0415  (loads slowly)
+
+    return Finished(Scene(f"SLAMfusion: {title}", is_live=False, clock=lambda: 0.0))
+
+
+def _read_record(path: Path, record: Mapping[str, Any]) -> Finished:
+    """Read a run or a fusion by its record."""
+    from slamfusion.web import scene  # noqa: PLC0415  (loads slowly)
+
+    inputs, stem, is_run = record["inputs"], path.with_suffix(""), path.name == RUN_RECORD
+    found = _finished(path.absolute().parent.name if is_run else path.stem)
+    report = stem.with_name(REPORT)
+    found.report = report if (report / "report.html").exists() else None
+    layers = {item["name"]: scene.layer_name(item["name"]) for item in inputs}
+    entries = [
+        {
+            "name": layers[item["name"]],
+            "votes": item["accepted"],
+            "reason": item["reason"],
+            "score": item["score"],
+            # One that was never aligned has no place.
+            "transform": None
+            if item["dx_m"] is None
+            else [item["dx_m"], item["dy_m"], item["yaw_rad"]],
+        }
+        for item in inputs
+    ]
+    # The map that is drawn at the fused path is in the fused frame.
+    drawn = stem.with_name(f"{DRAWN}.yaml")
+    has_drawn = is_run and drawn.exists()
+    if has_drawn:
+        entries.append(scene.unlaid(DRAWN, "drawn at the fused path"))
+    _put_status(found.scene, record, entries)
+
+    def near(name: str) -> Path:
+        """Return a file that the record names: from here, or from the record's folder."""
+        own = stem.parent / name
+        return own if not Path(name).exists() and own.exists() else Path(name)
+
+    # Producers write their maps into the folder; the given maps come after them.
+    given = record.get("saved_maps", ())
+    made = [item["name"] for item in inputs[: len(inputs) - len(given)]]
+    if is_run and "producers" in record:
+        paths = {name: stem.with_name(f"{name}.tum") for name in made}
+        paths |= {item["name"]: near(item["file"]) for item in record.get("saved_paths") or ()}
+        voted = [item["name"] for item in inputs if item["accepted"] and item["name"] in paths]
+        fused = {scene.FUSED: stem.with_name(FUSED_PATH)}
+        found.put_paths(fused | {layers[name]: paths[name] for name in voted})
+    found.put(scene.FUSED, "fused", stem.with_name(f"{stem.name}.yaml"))
+    agreement = stem.with_name(f"{stem.name}{AGREEMENT_END}.yaml")
+    found.put(scene.AGREEMENT, "agreement", agreement)
+    files = [*(stem.with_name(f"{name}.yaml") for name in made), *map(near, given)]
+    settings = (record.get("config") or {}).get("map_files") or {}
+    for item, file in zip(inputs, files, strict=True):
+        options: dict[str, Any] = {"legacy_unknown": bool(settings.get("legacy_unknown"))}
+        if file.suffix not in {".yaml", ".yml"} and not file.is_dir():
+            options["resolution"] = record.get("resolution")
+        source = file / f"{FUSED}.yaml" if file.is_dir() else file
+        found.put(layers[item["name"]], "input", source, shown=item["accepted"], **options)
+    if has_drawn:
+        found.put(DRAWN, "input", drawn)
+    return found
+
+
+def _put_status(shown: Scene, record: Mapping[str, Any], entries: list[dict[str, Any]]) -> None:
+    """Show the recommendation of a record, its events and figures."""
+    from slamfusion.evidence.recommendation import Recommendation  # noqa: PLC0415  (loads slowly)
+
+    figures = {
+        "reference": str(record.get("reference")),
+        "fused by": str(record.get("fused_mode") or "vote"),
+        "phantom cells": str(record.get("phantom_cells")),
+        "device": str(record.get("device")),
+    }
+    others = len(record.get("groups") or ()) - 1
+    if others > 0:
+        figures["further groups, not shown"] = str(others)
+    headline, level, places = f"{record.get('fused_count')} maps were fused", "plain", []
+    for stamp_s, event_level, text in sorted(_events(record)):
+        shown.put_event(event_level, text, stamp_s)
+    if record.get("recommendation"):
+        answer = Recommendation.from_json(record["recommendation"])
+        headline, level = answer.headline, answer.tone
+        places = [(place.x, place.y) for place in answer.check]
+        if answer.best_single:
+            figures = {"single SLAM": answer.best_single, **figures}
+    shown.put_status(entries, headline=headline, level=level, figures=figures, places=places)
+
+
+def _events(record: Mapping[str, Any]) -> Iterable[tuple[float, Any, str]]:
+    """Yield the time, the level and the words of what happened on the drive."""
+    for number, place in enumerate((record.get("recommendation") or {}).get("check", ()), start=1):
+        yield place["from_s"], "warn", f"place {number} to check: {place['what']}"
+    for path in record.get("path_evidence") or ():
+        for span in path["spans"]:
+            if not span["agrees"]:
+                away = f"leaves the recommended path, by up to {span['gap_m']:.1f} m"
+                yield span["from_s"], "warn", f"{path['name']} {away}"
+                yield span["to_s"], "ok", f"{path['name']} is back on the recommended path"
+
+
+def _read_maps(folder: Path, files: Mapping[str, Path]) -> Finished:
+    """Read maps without a record."""
+    from slamfusion.web import scene  # noqa: PLC0415  (loads slowly)
+
+    found = _finished(folder.absolute().name)
+    inputs = [name for name in files if name not in {FUSED, AGREEMENT}]
+    layers = {name: scene.layer_name(name) for name in inputs}
+    entries = [scene.unlaid(layers[name], "in its own frame") for name in inputs]
+    words = f"{len(files)} maps; no record of their alignment"
+    found.scene.put_status(entries, headline=words, level="plain", figures={})
+    paths = {layers[name]: folder / f"{name}.tum" for name in inputs}
+    found.put_paths({scene.FUSED: folder / FUSED_PATH, **paths})
+    if FUSED in files:
+        found.put(scene.FUSED, "fused", files[FUSED])
+    if AGREEMENT in files:
+        found.put(scene.AGREEMENT, "agreement", files[AGREEMENT])
+    for name in inputs:
+        found.put(layers[name], "input", files[name])
+    return found
+
+
+def _read_drive(folder: Path, drive: str) -> Finished:
+    """Read the maps of one drive of an experiment, over the truth."""
+    from slamfusion.experiments.runs import kept_maps, kept_runs  # noqa: PLC0415  (loads slowly)
+    from slamfusion.web.scene import TRUTH, unlaid  # noqa: PLC0415
+
+    names = kept_runs(folder)
+    if not names:
+        raise MapFileError(
+            f"{folder}: no map in it (NAME.yaml, or of an experiment trials/NAME.npz); name the "
+            "folder of a run"
+        )
+    chosen = drive or names[0]
+    if chosen not in names:
+        listed = ", ".join(names[:MOST_NAMED])
+        raise MapFileError(f"{folder}: no drive {drive!r} in it; --drive takes one of {listed}")
+    truth, maps = kept_maps(folder, chosen)
+    found = _finished(chosen)
+    found.also = [name for name in names if name != chosen]
+    entries = [unlaid(grid.name, "a true wall that it lacks is shown as unknown") for grid in maps]
+    words = f"{chosen}: {len(maps)} maps over the truth"
+    figures = {"other drives, by --drive": ", ".join(found.also) or "none"}
+    found.scene.put_status(entries, headline=words, level="plain", figures=figures)
+    found.scene.put_map(TRUTH, truth, "fused")
+    for grid in maps:
+        found.scene.put_map(grid.name, grid, "input", is_shown=grid is maps[0])
+    found.maps = [TRUTH, *(grid.name for grid in maps)]
+    return found

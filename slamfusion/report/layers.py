@@ -14,7 +14,7 @@ from slamfusion.evaluation import MapError, maps_of_differences
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.trajectory import Trajectory
-from slamfusion.viewer.scene import AGREEMENT, FUSED, TRUTH, Kind, Scene, layer_name, unlaid
+from slamfusion.web.scene import AGREEMENT, FUSED, TRUTH, Kind, Scene, layer_name, unlaid
 
 # A browser keeps five bytes of each: six maps of 4000 x 4000 are drawn, and more are not.
 MOST_CELLS = 100_000_000
@@ -122,9 +122,7 @@ def _layers(
     # Nothing depends on the time of day.
     scene = Scene("report", is_live=False, names=names, clock=lambda: 0.0, level=LEVEL)
     scene.put_status(inputs, places=places)
-    start_s = min((float(path.stamps_s[0]) for path in paths.values()), default=0.0)
-    for name, path in paths.items():
-        scene.put_path(name, path, start_s)
+    scene.put_paths(paths)
     for name, grid, kind, is_shown in maps:
         scene.put_map(name, grid, kind, is_shown=is_shown)
     return Layers(_recorded(scene), f"{_NOTE} {note}".strip())

@@ -18,7 +18,7 @@ from slamfusion.palette import Rgb, colours_of
 from slamfusion.report import plots
 from slamfusion.report.canvas import LegendEntry
 from slamfusion.report.page import Cell, Picture, Section, Table, number
-from slamfusion.viewer.scene import layer_name
+from slamfusion.web.scene import layer_name
 
 # An overlay of a wrong alignment may spread over far more cells than either map.
 _OVERLAY_CELLS = 40_000_000

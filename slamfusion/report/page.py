@@ -27,7 +27,7 @@ from slamfusion.report.canvas import LegendEntry, add_lettering, to_form
 from slamfusion.report.layers import Layers
 from slamfusion.slam.registry import with_producers
 from slamfusion.version import __version__, version_of, versions
-from slamfusion.viewer.front import bundled, front_end
+from slamfusion.web.front import bundled, front_end
 
 T = TypeVar("T")
 

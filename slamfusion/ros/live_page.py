@@ -16,7 +16,7 @@ from slamfusion.grid import OccupancyGrid
 from slamfusion.ros.base import Level, NodeBase, Status, shown
 from slamfusion.ros.fusion_inputs import PREFIX
 from slamfusion.ros.input_health import MapSource
-from slamfusion.viewer.scene import AGREEMENT, FUSED, Scene, layer_name
+from slamfusion.web.scene import AGREEMENT, FUSED, Scene, layer_name
 
 LEVELS = {Level.OK: "good", Level.WARN: "warn", Level.ERROR: "bad", Level.STALE: "warn"}
 # Holds the token of the page where that is to outlive the node.
@@ -45,7 +45,7 @@ class LivePage:
     ) -> None:
         # Nobody else needs what it stands on.
         try:
-            from slamfusion.page.server import PageServer  # noqa: PLC0415
+            from slamfusion.web.server import PageServer  # noqa: PLC0415
         except ImportError as error:
             raise ConfigError(str(error)) from error
 

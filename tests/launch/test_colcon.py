@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.once
 
 # Files of the package that are no modules.
-PLACES = ("page/static", "report/templates", "viewer/static")
+PLACES = ("report/templates", "web/static")
 EXECUTABLES = {f"{name}_node" for name in NODES} | {"slamfusion"}
 
 

@@ -22,7 +22,7 @@ from slamfusion.report.layers import MOST_CELLS, error_layers, fusion_layers
 from slamfusion.trajectory import Trajectory
 from tests.report.drawn import NASTY, fusion, room
 from tests.report.test_reports import read
-from tests.viewer.maps import painted, tiles
+from tests.web.maps import painted, tiles
 
 pytestmark = pytest.mark.once
 

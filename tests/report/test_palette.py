@@ -127,9 +127,9 @@ def test_colours_stand_in_the_palette_alone() -> None:
     colour = re.compile(rf"[(\[]{number},{number},{number}[)\]]|[\"\']#[0-9a-fA-F]{{6}}[\"\']|tab:")
     found = [
         f"{path.relative_to(ROOT)}: {match[0]}"
-        for folder in ("report", "viewer", "page")
+        for folder in ("report", "web")
         for path in (ROOT / "slamfusion" / folder).rglob("*")
         if path.suffix in {".py", ".js"}
         for match in colour.finditer(path.read_text(encoding="utf-8"))
     ]
-    assert found == ["slamfusion/viewer/static/stage.js: [0, 0, 0]"], "an origin, no colour"
+    assert found == ["slamfusion/web/static/stage.js: [0, 0, 0]"], "an origin, no colour"

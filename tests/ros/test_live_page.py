@@ -30,11 +30,11 @@ from slamfusion.ros.base import Level, Status
 from slamfusion.ros.fusion_node import FusionNode
 from slamfusion.ros.input_health import HeardPose
 from slamfusion.ros.live_page import LivePage
-from tests.page.test_server import batch, say
 from tests.ros.drives import write_log
 from tests.ros.live import Observer, Process, Processes
 from tests.support.browser import browser_page
-from tests.viewer.maps import noise, painted, texts, tiles
+from tests.web.maps import noise, painted, texts, tiles
+from tests.web.test_server import batch, say
 
 pytestmark = [pytest.mark.ros, pytest.mark.once]
 

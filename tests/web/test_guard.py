@@ -1,4 +1,4 @@
-"""Who is let in: names of this machine, pages of this server, the token; and what pages may say."""
+"""Who is let in: the names of this machine; and what pages may say."""
 
 from __future__ import annotations
 
@@ -6,16 +6,7 @@ import json
 
 import pytest
 
-from slamfusion.page.protocol import (
-    Command,
-    Hello,
-    PageMessageError,
-    Seen,
-    is_own_origin,
-    may_ask,
-    may_command,
-    parse_message,
-)
+from slamfusion.web.server import Command, Hello, PageMessageError, Seen, may_ask, parse_message
 
 pytestmark = pytest.mark.once
 
@@ -43,31 +34,6 @@ HERE, EVERYWHERE = "127.0.0.1", "0.0.0.0"  # noqa: S104 - nothing is bound
 )
 def test_hosts(host: str, bound: str, allowed: bool) -> None:
     assert may_ask(host, bound) == allowed
-
-
-@pytest.mark.parametrize(
-    ("origin", "own"),
-    [
-        ("http://localhost:8642", True),
-        ("http://localhost:3000", False),
-        ("http://127.0.0.1:8642", False),  # another name is another site to a browser
-        ("https://evil.example", False),
-        ("null", False),
-        ("", False),
-    ],
-)
-def test_origins(origin: str, own: bool) -> None:
-    assert is_own_origin(origin, "localhost:8642") == own
-
-
-def test_no_host_has_no_origin_of_its_own() -> None:
-    assert not is_own_origin("http://", "")
-
-
-def test_tokens() -> None:
-    assert may_command("abc", "abc")
-    for token in ("", "ab", "abcd", "äbc", "\ud800"):
-        assert not may_command(token, "abc")
 
 
 @pytest.mark.parametrize(

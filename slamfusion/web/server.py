@@ -1,14 +1,35 @@
-"""``PageServer``: the front end's files and the sockets of those who look, in one thread."""
+"""``PageServer``: the front end's files and the sockets of those who look, in one thread.
+
+Server to page come the messages of ``slamfusion.web.scene`` and, ``type`` of the JSON text:
+
+- ``hello``: ``scene`` (of this server's life), ``may_command``, ``title``, ``is_live``,
+  ``has_report``.
+- ``end``: all of this batch was sent; ``seq`` of the newest thing in it.
+- ``answer``: to a command, ``id``, ``success``, ``message``.
+
+Page to server: ``hello`` with ``token`` (may be empty), ``scene`` and ``seq`` of what it has; then
+``seen`` with ``seq`` after each ``end``, before which nothing more is sent, so that a slow page
+gets the newest state and never all that came between; and ``command`` with ``id`` and ``name``.
+
+Any website that a user visits can open a socket to localhost. The browser says for which name it
+asks (Host) and which page asks (Origin). A name that a stranger made lead here (DNS rebinding) is
+no address, so that addresses and the names asked for suffice.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import hmac
+import ipaddress
+import json
 import secrets
 import socket
 import threading
 from collections.abc import Callable, Mapping
+from dataclasses import MISSING, dataclass
 from pathlib import Path, PurePath
+from typing import Literal
 
 try:
     import uvicorn
@@ -21,21 +42,10 @@ except ImportError as missing:  # starlette, uvicorn
     message = f"the page needs {missing.name}; pip install 'slamfusion[page]'"
     raise ImportError(message, name=missing.name) from None
 
-from slamfusion.errors import ConfigError
-from slamfusion.page.protocol import (
-    MESSAGE_BYTES,
-    Command,
-    Hello,
-    PageMessageError,
-    Seen,
-    is_own_origin,
-    may_ask,
-    may_command,
-    parse_message,
-)
-from slamfusion.viewer.front import front_end, with_fragments
-from slamfusion.viewer.messages import to_text
-from slamfusion.viewer.scene import Feed, Scene
+from slamfusion.config import Checked, from_mapping, option
+from slamfusion.errors import ConfigError, SlamFusionError
+from slamfusion.web.front import front_end
+from slamfusion.web.scene import Feed, Scene, to_text
 
 # Whether a command was carried out, and what to say.
 Answer = tuple[bool, str]
@@ -50,6 +60,8 @@ END_S = 5.0
 
 # Codes of closed sockets (RFC 6455): refused by policy; come again later.
 REFUSED, BUSY = 1008, 1013
+# A page says no more than this at once.
+MESSAGE_BYTES = 4096
 
 TYPES = {
     ".html": "text/html; charset=utf-8",
@@ -68,6 +80,91 @@ HEADERS = {
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cache-Control": "no-store",
 }
+
+
+# --- what pages say -------------------------------------------------------------------------------
+
+
+class PageMessageError(SlamFusionError):
+    """Something that no page of ours says."""
+
+
+@dataclass(frozen=True)
+class Hello(Checked):
+    """The first message of a page: its token, and what it has from a connection before."""
+
+    token: str = ""
+    scene: str = ""
+    seq: int = option(0, "newest number that the page has", low=0)
+
+
+@dataclass(frozen=True)
+class Seen(Checked):
+    """The page has taken everything up to ``seq``."""
+
+    seq: int = option(0, "newest number that the page has", low=0)
+
+
+@dataclass(frozen=True)
+class Command(Checked):
+    """The page asks for something; ``id`` comes back with the answer."""
+
+    name: Literal["save", "reset"] = option(MISSING, "what to do")
+    id: int = option(0, "of the question", low=0)
+
+
+KINDS: Mapping[str, type[Hello | Seen | Command]] = {
+    "hello": Hello,
+    "seen": Seen,
+    "command": Command,
+}
+
+
+def parse_message(text: str) -> Hello | Seen | Command:
+    """Return what a page says.
+
+    Raises:
+        PageMessageError: it is nothing of the protocol.
+    """
+    try:
+        found = json.loads(text)
+        return from_mapping(KINDS[found.pop("type")], found)
+    except (ValueError, TypeError, AttributeError, LookupError, RecursionError, ConfigError):
+        raise PageMessageError("no message of our page") from None
+
+
+# --- who may ask ----------------------------------------------------------------------------------
+
+
+def may_ask(host: str, bound: str) -> bool:
+    """Whether a server answers for what a Host header names.
+
+    Args:
+        host: the header; a port may be any, as a tunnel has another one.
+        bound: the address that the server listens on.
+    """
+    if host.startswith("["):
+        name = host[1:].partition("]")[0].lower()
+    else:
+        name = host.partition(":")[0].lower() if host.count(":") <= 1 else ""
+    if _is_loopback(name):
+        return True
+    return not _is_loopback(bound) and (name == bound.lower() or _address(name) is not None)
+
+
+def _is_loopback(name: str) -> bool:
+    address = _address(name)
+    return name == "localhost" or (address is not None and address.is_loopback)
+
+
+def _address(name: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
+    try:
+        return ipaddress.ip_address(name)
+    except ValueError:
+        return None
+
+
+# --- the server -----------------------------------------------------------------------------------
 
 
 class _Viewer:
@@ -204,7 +301,8 @@ class PageServer:
     async def _look(self, ws: WebSocket) -> None:
         """Show the scene to one page until it goes."""
         origin, host = ws.headers.get("origin", ""), ws.headers.get("host", "")
-        if not self._may_ask(ws) or not is_own_origin(origin, host):
+        # Without Origin it is no browser's.
+        if not host or not self._may_ask(ws) or origin != f"http://{host}":
             await ws.close(REFUSED)  # before it is accepted: HTTP 403
             return
         await ws.accept()
@@ -229,7 +327,9 @@ class PageServer:
         hello = parse_message(await asyncio.wait_for(ws.receive_text(), HELLO_S))
         if not isinstance(hello, Hello):
             return
-        may = self._command is not None and may_command(hello.token, self._token)
+        may = self._command is not None and hmac.compare_digest(
+            hello.token.encode("utf-8", "replace"), self._token.encode()
+        )
         scene = self._scene
         viewer.seen = hello.seq if hello.scene == scene.id else 0
         greeting = {"scene": scene.id, "title": scene.title, "is_live": scene.is_live}
@@ -292,11 +392,9 @@ class PageServer:
 
 def _front_end() -> Mapping[str, tuple[bytes, str]]:
     """Return the files of the front end by name, with their types; nothing else is served."""
-    files = front_end() | front_end("slamfusion.page")
-    files["index.html"] = with_fragments(files["index.html"])
     return {
         name: (text.encode(), TYPES[PurePath(name).suffix])
-        for name, text in files.items()
+        for name, text in front_end().items()
         if PurePath(name).suffix in TYPES
     }
 

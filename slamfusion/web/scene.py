@@ -1,25 +1,41 @@
-"""``Scene``: the newest state of all that is shown, and what of it is newer than a number."""
+"""``Scene``: the newest state of all that a page shows, and the messages newer than a number.
+
+``type`` of a JSON text:
+
+- ``layer``: a map's lattice, place and colours, and whether it is shown at first.
+- ``status``: inputs, votes, poses and figures, as they were given; ``stamp_s``.
+- ``trail``: ``name`` and new ``points``: x, y in the frame of the map of that name, time in s.
+- ``event``: ``stamp_s``, ``level``, ``text``.
+
+A tile is bytes: the header's length (uint16, little endian), the header as JSON (``layer``,
+``row``, ``column``, ``stamp_s``), then the cells: one byte where all are alike, else TILE x TILE
+bytes in zlib's format, row by row from the lowest. A cell is an int8 seen as uint8: 255 is -1.
+"""
 
 from __future__ import annotations
 
 import itertools
+import json
 import logging
 import math
 import secrets
+import struct
 import threading
 import time
+import zlib
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from slamfusion.geometry import Pose2
 from slamfusion.grid import UNKNOWN, OccupancyGrid
-from slamfusion.palette import AGREED_WALL_RGB, DISAGREEMENT_RGB, FREE_RGB, Rgb, colours_of
+from slamfusion.json_values import plain
+from slamfusion.palette import AGREED_WALL_RGB, DISAGREEMENT_RGB, FREE_RGB, colours_of
 from slamfusion.trajectory import Trajectory
-from slamfusion.viewer.messages import FASTEST, TILE, Place, TiledLayer, encode_tile, to_text
 from slamfusion.vote.lattice import Lattice
 
 _LOG = logging.getLogger(__name__)
@@ -28,12 +44,19 @@ _LOG = logging.getLogger(__name__)
 # the winner (0 to 100).
 Kind = Literal["input", "fused", "agreement"]
 Message = str | bytes
+# Row and column of a tile, from the lattice's anchor; may be negative.
+Place = tuple[int, int]
 # Of a path: the number of the point, x and y in metres, and its time in seconds.
 _Point = tuple[int, float, float, float]
 
 # What the front end calls the maps that are no input's.
 FUSED, AGREEMENT, TRUTH = "fused", "agreement", "truth"
 
+# Cells along a tile's side.
+TILE = 128
+# How hard tiles are packed, of 1 to 9; maps are mostly alike, and this makes them nearly as small.
+FASTEST = 1
+HEADER = struct.Struct("<H")
 EVENTS = 500
 # Points of a path, each this far from the one before, metres: 20 km of driving.
 POINTS, STEP_M = 200_000, 0.1
@@ -45,38 +68,72 @@ def layer_name(name: str) -> str:
 
 
 def unlaid(name: str, reason: str = "") -> dict[str, Any]:
-    """Return what ``put_status`` takes of a map without a vote, in its own frame.
-
-    Args:
-        name: of its layer.
-        reason: shown with it.
-    """
+    """Return what ``put_status`` takes of a layer without a vote, in its own frame."""
     place = [0.0, 0.0, 0.0]
     return {"name": name, "votes": None, "reason": reason, "score": None, "transform": place}
+
+
+def to_text(kind: str, content: Mapping[str, Any]) -> str:
+    """Return a JSON text; NaN and infinity become null."""
+    return json.dumps(plain({"type": kind, **content}), allow_nan=False, separators=(",", ":"))
+
+
+def encode_tile(
+    layer: str, place: Place, stamp_s: float, cells: npt.NDArray[np.int8], level: int = FASTEST
+) -> bytes:
+    """Return the bytes of a tile, (TILE, TILE) int8; see the module."""
+    row, column = place
+    header = {"layer": layer, "row": row, "column": column, "stamp_s": round(stamp_s, 3)}
+    head = json.dumps(header, separators=(",", ":")).encode()
+    first = cells.flat[0]
+    alike = bool((cells == first).all())
+    body = bytes([int(first) & 0xFF]) if alike else zlib.compress(cells.tobytes(), level)
+    return HEADER.pack(len(head)) + head + body
+
+
+def _cut(cells: npt.NDArray[np.int8], offset: Place) -> dict[Place, npt.NDArray[np.int8]]:
+    """Return the tiles of cells at an offset, but those without a known cell."""
+    (row0, column0), (height, width) = offset, cells.shape
+    first = row0 // TILE, column0 // TILE
+    last = (row0 + height - 1) // TILE, (column0 + width - 1) // TILE
+    rows, columns = last[0] - first[0] + 1, last[1] - first[1] + 1
+    whole = np.full((rows * TILE, columns * TILE), UNKNOWN, dtype=np.int8)
+    top, left = row0 - first[0] * TILE, column0 - first[1] * TILE
+    whole[top : top + height, left : left + width] = cells
+    blocks = whole.reshape(rows, TILE, columns, TILE).swapaxes(1, 2)
+    known = (blocks != UNKNOWN).any(axis=(2, 3))
+    return {
+        (first[0] + int(row), first[1] + int(column)): np.ascontiguousarray(blocks[row, column])
+        for row, column in np.argwhere(known)
+    }
 
 
 @dataclass
 class _Layer:
     """A map that was put.
 
+    Tiles are counted from where the map first began, so that one that grows to the left or below
+    sends no tile twice.
+
     Attributes:
-        kind, epoch: see ``Scene``; the epoch counts the lattices that it had.
+        kind: see ``Scene.put_map``.
         is_shown: whether one sees it at first.
-        tiled: its tiles.
+        lattice: of the tiles; None before the first map and after it was taken away.
+        tiles: (TILE, TILE) int8 by place; those without a known cell are not in it.
+        epoch: the number of lattices that it had.
         seq: when its description changed last.
         sent: of every tile ever sent in this epoch, when it changed last and its bytes.
         size: height and width of the newest state, cells.
-        is_gone: whether it was taken away; it may come again.
     """
 
     kind: Kind
     is_shown: bool
-    tiled: TiledLayer = field(default_factory=TiledLayer)
+    lattice: Lattice | None = None
+    tiles: dict[Place, npt.NDArray[np.int8]] = field(default_factory=dict)
     epoch: int = 0
     seq: int = 0
     sent: dict[Place, tuple[int, bytes]] = field(default_factory=dict)
     size: tuple[int, int] = (0, 0)
-    is_gone: bool = False
 
 
 class Scene:
@@ -119,7 +176,7 @@ class Scene:
         self._seq = 0
         self._layers: dict[str, _Layer] = {}
         self._status: tuple[int, Mapping[str, Any]] | None = None
-        self._votes: dict[str, tuple[bool, str]] = {}
+        self._votes: dict[str, bool] = {}
         self._events: deque[tuple[int, Mapping[str, Any]]] = deque(maxlen=EVENTS)
         self._trails: dict[str, deque[_Point]] = {}
 
@@ -137,24 +194,31 @@ class Scene:
         layer = self._layers.get(name)
         if layer is None:
             layer = _Layer(kind, is_shown and kind != "agreement")
-        is_new, changed = layer.tiled.put(grid)
-        stamp_s = self._clock()
-        empty = np.full((TILE, TILE), UNKNOWN, dtype=np.int8)
+        offset = None if layer.lattice is None else layer.lattice.cell_of(grid)
+        is_new = offset is None
+        before = {} if is_new else layer.tiles
+        tiles = _cut(grid.cells, offset or (0, 0))
+        changed = [
+            place
+            for place, cells in tiles.items()
+            if (old := before.get(place)) is None or not np.array_equal(old, cells)
+        ]
+        changed += [place for place in before if place not in tiles]
+        stamp_s, empty = self._clock(), np.full((TILE, TILE), UNKNOWN, dtype=np.int8)
         sent = {
-            place: encode_tile(
-                name, *place, stamp_s, layer.tiled.tiles.get(place, empty), level=self._level
-            )
+            place: encode_tile(name, place, stamp_s, tiles.get(place, empty), self._level)
             for place in changed
         }
         with self._lock:
             if kind != "agreement":
                 self._name([name])
             if is_new:
+                layer.lattice = Lattice(grid.resolution, grid.origin)
                 layer.epoch += 1
                 layer.sent.clear()
             if is_new or layer.size != grid.cells.shape:
                 layer.seq = self._next()
-            layer.size, layer.is_gone = (grid.height, grid.width), False
+            layer.tiles, layer.size = tiles, (grid.height, grid.width)
             layer.sent |= {place: (self._next(), data) for place, data in sent.items()}
             self._layers[name] = layer
         if is_new or changed:
@@ -169,7 +233,7 @@ class Scene:
             layer = self._layers.get(name)
             if layer is None:
                 return
-            layer.tiled, layer.is_gone = TiledLayer(), True
+            layer.lattice, layer.tiles = None, {}
             layer.sent.clear()
             layer.seq = self._next()
         self.on_change()
@@ -186,12 +250,11 @@ class Scene:
         for item in inputs:
             if item["votes"] is None or not self.is_live:
                 continue
-            name, now = item["name"], (bool(item["votes"]), str(item["reason"]))
-            before = self._votes.get(name)
-            self._votes[name] = now
-            if before is None or before[0] != now[0]:
-                verb = "votes" if now[0] else "does not vote"
-                self.put_event("ok" if now[0] else "warn", f"{name} {verb}: {now[1]}")
+            name, votes = item["name"], bool(item["votes"])
+            if self._votes.get(name) != votes:
+                verb = "votes" if votes else "does not vote"
+                self.put_event("ok" if votes else "warn", f"{name} {verb}: {item['reason']}")
+            self._votes[name] = votes
         with self._lock:
             self._name(item["name"] for item in inputs)
             status = {"inputs": list(inputs), **figures, "colours": self._colours}
@@ -222,11 +285,12 @@ class Scene:
             trail.append((self._next(), x_m, y_m, stamp_s))
         self.on_change()
 
-    def put_path(self, name: str, path: Trajectory, start_s: float | None = None) -> None:
-        """Take a whole path; its times count from ``start_s``, default its first pose."""
-        start_s = float(path.stamps_s[0]) if start_s is None else start_s
-        for stamp_s, (x_m, y_m, _) in zip(path.stamps_s, path.poses, strict=True):
-            self.put_point(name, float(x_m), float(y_m), float(stamp_s) - start_s)
+    def put_paths(self, paths: Mapping[str, Trajectory]) -> None:
+        """Take whole paths by name; their times count from the first pose of all of them."""
+        start_s = min((float(path.stamps_s[0]) for path in paths.values()), default=0.0)
+        for name, path in paths.items():
+            for stamp_s, (x_m, y_m, _) in zip(path.stamps_s, path.poses, strict=True):
+                self.put_point(name, float(x_m), float(y_m), float(stamp_s) - start_s)
 
     def _name(self, names: Iterable[str]) -> None:
         self._colours = colours_of([*self._colours, *names])
@@ -248,7 +312,7 @@ class Scene:
                 if points := _newer(trail, seq):
                     texts.append(to_text("trail", {"name": name, "points": points}))
             texts += [
-                to_text("layer", _described(name, layer, self._colours))
+                to_text("layer", {"name": name, **self._described(name, layer)})
                 for name, layer in self._layers.items()
                 if layer.seq > seq
             ]
@@ -260,6 +324,23 @@ class Scene:
             )
             return [*texts, *(data for _, data in tiles)], self._seq
 
+    def _described(self, name: str, layer: _Layer) -> dict[str, Any]:
+        """Return what a page needs to place and colour a map's tiles, or that it is gone."""
+        if layer.lattice is None:
+            return {"gone": True}
+        anchor: Pose2 = layer.lattice.origin
+        wall = DISAGREEMENT_RGB if layer.kind == "agreement" else self._colours[name]
+        return {
+            "kind": layer.kind,
+            "is_shown": layer.is_shown,
+            "epoch": layer.epoch,
+            "resolution": layer.lattice.resolution,
+            "anchor": [anchor.x, anchor.y, anchor.yaw_rad],
+            "size": list(layer.size),
+            "tile": TILE,
+            "colours": {"wall": wall, "free": FREE_RGB, "agreed": AGREED_WALL_RGB},
+        }
+
 
 def _newer(trail: deque[_Point], seq: int) -> list[tuple[float, float, float]]:
     """Return x, y and time of the points of a path after a number, in order."""
@@ -267,53 +348,26 @@ def _newer(trail: deque[_Point], seq: int) -> list[tuple[float, float, float]]:
     return [(round(x_m, 3), round(y_m, 3), round(at_s, 1)) for _, x_m, y_m, at_s in after][::-1]
 
 
-def _described(name: str, layer: _Layer, colours: Mapping[str, Rgb]) -> dict[str, Any]:
-    """Return what a page needs to place and colour a map's tiles, or that it is gone."""
-    if layer.is_gone:
-        return {"name": name, "gone": True}
-    lattice = layer.tiled.lattice or Lattice(1.0, Pose2())
-    return {
-        "name": name,
-        "kind": layer.kind,
-        "is_shown": layer.is_shown,
-        "epoch": layer.epoch,
-        "resolution": lattice.resolution,
-        "anchor": [lattice.origin.x, lattice.origin.y, lattice.origin.yaw_rad],
-        "size": list(layer.size),
-        "tile": TILE,
-        "colours": {
-            "wall": DISAGREEMENT_RGB if layer.kind == "agreement" else colours[name],
-            "free": FREE_RGB,
-            "agreed": AGREED_WALL_RGB,
-        },
-    }
-
-
 class Feed:
     """Hands maps to a scene in a thread of its own, of each map only the newest.
 
-    Whoever has a map does not wait: ``put`` returns at once, cutting it comes later.
-
-    As many maps wait as there are names. Without a viewer they are not cut.
-
-    Args:
-        scene: what they are put into.
+    ``put`` returns at once, and the map is cut later. Without a viewer it is not cut.
     """
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
         self._changed = threading.Condition()
         # None: the map is to be taken away.
-        self._waiting: dict[str, tuple[OccupancyGrid, Kind, bool] | None] = {}
+        self._waiting: dict[str, tuple[OccupancyGrid, Kind] | None] = {}
         self._viewers = 0
         self._is_closed = False
         self._thread = threading.Thread(target=self._run, name="page feed", daemon=True)
         self._thread.start()
 
-    def put(self, name: str, grid: OccupancyGrid, kind: Kind, *, is_shown: bool = True) -> None:
+    def put(self, name: str, grid: OccupancyGrid, kind: Kind) -> None:
         """Let a map wait, in the place of an older one of that name; its cells must stay."""
         with self._changed:
-            self._waiting[name] = grid, kind, is_shown
+            self._waiting[name] = grid, kind
             self._changed.notify_all()
 
     def remove(self, name: str) -> None:
@@ -348,7 +402,6 @@ class Feed:
                 if waiting is None:
                     self._scene.remove(name)
                 else:
-                    grid, kind, is_shown = waiting
-                    self._scene.put_map(name, grid, kind, is_shown=is_shown)
+                    self._scene.put_map(name, *waiting)
             except Exception:  # noqa: BLE001 - the page goes on; a map that cannot be shown is named
                 _LOG.exception("the map %r cannot be shown", name)

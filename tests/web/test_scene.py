@@ -9,9 +9,8 @@ import pytest
 
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
-from slamfusion.viewer.messages import TILE, encode_tile
-from slamfusion.viewer.scene import Feed, Scene
-from tests.viewer.maps import noise, painted, texts, tiles
+from slamfusion.web.scene import TILE, Feed, Scene, encode_tile
+from tests.web.maps import noise, painted, texts, tiles
 
 pytestmark = pytest.mark.once
 
@@ -23,11 +22,11 @@ def scene() -> Scene:
 
 def test_a_tile_is_what_it_was_and_one_of_equal_cells_is_small() -> None:
     cells = noise(TILE, TILE).cells
-    told = tiles([encode_tile("a", -1, 2, 5.0, cells)], "a")
+    told = tiles([encode_tile("a", (-1, 2), 5.0, cells)], "a")
     assert list(told) == [(-1, 2)]
     assert np.array_equal(told[-1, 2], cells)
     unknown = np.full((TILE, TILE), -1, dtype=np.int8)
-    data = encode_tile("a", 0, 0, 5.0, unknown)
+    data = encode_tile("a", (0, 0), 5.0, unknown)
     assert len(data) < 80
     assert np.array_equal(tiles([data], "a")[0, 0], unknown)
 

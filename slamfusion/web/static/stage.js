@@ -58,7 +58,7 @@ export class Stage {
 
   // -- messages ----------------------------------------------------------------------------------
 
-  /** Take a JSON message of a scene; see slamfusion/viewer/messages.py. */
+  /** Take a JSON message of a scene; see slamfusion/web/scene.py. */
   take(message) {
     if (message.type === "layer" && message.gone) {
       this.maps.remove(message.name);

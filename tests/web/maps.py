@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
-from slamfusion.viewer.messages import HEADER, TILE
+from slamfusion.web.scene import HEADER, TILE
 
 
 def decode_tile(data: bytes) -> tuple[dict[str, Any], npt.NDArray[np.int8]]:

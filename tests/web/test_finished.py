@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from slamfusion.cli.show import Finished, read_finished
 from slamfusion.config import RunConfig
 from slamfusion.errors import MapFileError
 from slamfusion.evaluation import AGREE_FREE, AGREE_WALL, EXTRA_WALL, MISSING_WALL
@@ -19,34 +20,24 @@ from slamfusion.io import save_map, write_tum
 from slamfusion.jobs.fuse import FusedMaps, save_fused_maps
 from slamfusion.jobs.fuse_documents import DoubledWalls, FuseDocument
 from slamfusion.jobs.inputs import GivenMaps
-from slamfusion.page.finished import Finished, read_finished
 from slamfusion.trajectory import Trajectory
-from slamfusion.viewer.scene import Feed, Kind, Scene
 from tests.report.drawn import fusion, room
-from tests.viewer.maps import texts
+from tests.web.maps import painted, texts, tiles
 
 pytestmark = pytest.mark.once
 
 CELLS = np.full((20, 30), 100, dtype=np.int8)
 
 
-class Told(Feed):
-    """Keeps the maps that a feed is given."""
-
-    def __init__(self) -> None:
-        super().__init__(Scene("told", is_live=False))
-        self.maps: dict[str, tuple[OccupancyGrid, str, bool]] = {}
-
-    def put(self, name: str, grid: OccupancyGrid, kind: Kind, *, is_shown: bool = True) -> None:
-        self.maps[name] = grid, kind, is_shown
+def layers(found: Finished) -> dict[str, dict[str, Any]]:
+    """Return the layers that a page shows, by name."""
+    return {item["name"]: item for item in texts(found.scene.since(0)[0], "layer")}
 
 
-def fed(found: Finished) -> dict[str, tuple[OccupancyGrid, str, bool]]:
-    """Return the maps that a folder gives to a feed."""
-    told = Told()
-    found.feed(told)
-    told.close()
-    return told.maps
+def cells(found: Finished, name: str) -> list[list[int]]:
+    """Return the cells of a layer, as a page shows them."""
+    height, width = layers(found)[name]["size"]
+    return painted(tiles(found.scene.since(0)[0], name), height, width, (0, 0)).tolist()
 
 
 def write_run(folder: Path, **changes: Any) -> None:
@@ -82,7 +73,7 @@ def write_run(folder: Path, **changes: Any) -> None:
 def test_a_run_is_shown_as_its_record_says(tmp_path: Path) -> None:
     write_run(tmp_path)
     found = read_finished(tmp_path)
-    assert {name: kind for name, (_, kind, _) in fed(found).items()} == {
+    assert {name: layer["kind"] for name, layer in layers(found).items()} == {
         "fused": "fused",
         "agreement": "agreement",
         "a": "input",
@@ -90,7 +81,8 @@ def test_a_run_is_shown_as_its_record_says(tmp_path: Path) -> None:
         "c": "input",
         "drawn": "input",
     }
-    assert [name for name, (_, _, is_shown) in fed(found).items() if not is_shown] == ["c"]
+    hidden = [name for name, layer in layers(found).items() if not layer["is_shown"]]
+    assert hidden == ["agreement", "c"]
     messages, _ = found.scene.since(0)
     (status,) = texts(messages, "status")
     assert status["headline"] == "Use the fused map and its path, but check 1 place first"
@@ -134,9 +126,8 @@ def test_a_map_that_cannot_be_read_is_named_and_the_others_shown(tmp_path: Path)
     write_run(tmp_path)
     (tmp_path / "b.pgm").write_bytes(b"nonsense")
     found = read_finished(tmp_path)
-    told = fed(found)
-    assert "b" not in told
-    assert "a" in told
+    assert "b" not in layers(found)
+    assert "a" in layers(found)
     events = [item["text"] for item in texts(found.scene.since(0)[0], "event")]
     assert any(text.startswith("b is not shown: ") for text in events)
 
@@ -172,10 +163,10 @@ def write_fusion(folder: Path) -> FuseDocument:
 def test_a_fusion_is_shown_with_its_inputs_where_they_were_laid(tmp_path: Path) -> None:
     record = write_fusion(tmp_path)
     found = read_finished(tmp_path)
-    maps = fed(found)
+    maps = layers(found)
     assert list(maps) == ["fused", "agreement", "room 0", "room 1", "room 2", "far"]
-    assert np.array_equal(maps["room 1"][0].cells, room("room 1", 1).cells)
-    assert [name for name, (_, _, is_shown) in maps.items() if not is_shown] == ["far"]
+    assert cells(found, "room 1") == room("room 1", 1).cells.tolist()
+    assert [name for name in maps if not maps[name]["is_shown"]] == ["agreement", "far"]
     (status,) = texts(found.scene.since(0)[0], "status")
     for item, laid in zip(status["inputs"][1:], record["inputs"][1:], strict=True):
         assert item["name"] == laid["name"]
@@ -200,16 +191,16 @@ def test_a_drive_of_an_experiment_is_shown_over_the_truth(tmp_path: Path) -> Non
         path.parent.mkdir(exist_ok=True)
         path.write_bytes(packed_maps({"graph": codes, "consensus": other}, 0.05))
     found = read_finished(tmp_path)
-    maps = fed(found)
-    assert {name: kind for name, (_, kind, _) in maps.items()} == {
+    maps = layers(found)
+    assert {name: layer["kind"] for name, layer in maps.items()} == {
         "truth": "fused",
         "graph": "input",
         "consensus": "input",
     }
-    assert maps["truth"][0].cells.tolist() == [[0, 100, 100, 0]]
-    assert maps["graph"][0].cells.tolist() == [[0, 100, -1, 100]]
-    assert maps["consensus"][0].cells.tolist() == [[0, 100, 100, 0]]
-    assert [name for name, (_, _, is_shown) in maps.items() if is_shown] == ["truth", "graph"]
+    assert cells(found, "truth") == [[0, 100, 100, 0]]
+    assert cells(found, "graph") == [[0, 100, -1, 100]]
+    assert cells(found, "consensus") == [[0, 100, 100, 0]]
+    assert [name for name in maps if maps[name]["is_shown"]] == ["truth", "graph"]
     assert found.also == ["two"]
     assert texts(found.scene.since(0)[0], "event") == []
     assert read_finished(tmp_path, "two").also == ["one"]

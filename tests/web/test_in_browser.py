@@ -9,9 +9,9 @@ import pytest
 
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
-from slamfusion.page.server import PageServer
 from slamfusion.palette import DISAGREEMENT_RGB, FREE_RGB, OTHERS, WALL_RGB
-from slamfusion.viewer.scene import Scene
+from slamfusion.web.scene import Scene
+from slamfusion.web.server import PageServer
 from tests.support.browser import becomes, browser_page
 
 pytestmark = pytest.mark.once

@@ -19,10 +19,9 @@ from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin
 
 from slamfusion.errors import ConfigError
-from slamfusion.page.protocol import MESSAGE_BYTES
-from slamfusion.page.server import MOST_VIEWERS, PageServer
-from slamfusion.viewer.scene import Scene
-from tests.viewer.maps import noise, painted, texts, tiles
+from slamfusion.web.scene import Scene
+from slamfusion.web.server import MESSAGE_BYTES, MOST_VIEWERS, PageServer
+from tests.web.maps import noise, painted, texts, tiles
 
 pytestmark = pytest.mark.once
 
