@@ -10,18 +10,28 @@ from typing import Any
 
 import numpy as np
 
+# Metadata of a field whose value is a record: its keys take the place of the field.
+FLAT = {"flat": True}
+
 
 def record_keys(record: Any) -> dict[str, Any]:
     """Return the keys of a record with their values.
 
     A record is a dataclass. Its fields are the keys, except those with ``repr=False``: arrays that
-    pictures are drawn from, and other values that are not printed. A record with other keys has a
-    method ``to_json`` that returns them.
+    pictures are drawn from, and other values that are not printed. The keys of a record in a field
+    with the metadata ``FLAT`` take the place of that field. A record with other keys has a method
+    ``to_json`` that returns them.
     """
     if hasattr(record, "to_json"):
         keys: dict[str, Any] = record.to_json()
         return keys
-    return {field.name: getattr(record, field.name) for field in fields(record) if field.repr}
+    keys = {}
+    for item in fields(record):
+        if item.metadata == FLAT:
+            keys |= record_keys(getattr(record, item.name))
+        elif item.repr:
+            keys[item.name] = getattr(record, item.name)
+    return keys
 
 
 def plain(value: Any) -> Any:

@@ -15,7 +15,8 @@ from slamfusion.errors import SlamFusionError
 
 if TYPE_CHECKING:
     from slamfusion.compute.compute_device import DeviceInfo
-    from slamfusion.jobs.doctor import DoctorDocument
+
+NUMPY_NOTE = "numpy: always there (--device numpy), without OpenCL and slower"
 
 
 @click.command("doctor", cls=Command)
@@ -28,38 +29,32 @@ def command(config: RunConfig, as_json: bool) -> int:
     """
     from slamfusion.jobs.doctor import check_installation  # noqa: PLC0415
 
-    document = check_installation(config)
+    found = check_installation(config)
     if as_json:
-        print_json(document)
+        print_json(found)
     else:
-        _print(document)
-    if document["problems"]:
-        raise SlamFusionError("; ".join(document["problems"]))
-    return 0
-
-
-def _print(document: DoctorDocument) -> None:
-    """Print what was found as tables."""
-    rows = [[name, version or "absent"] for name, version in document["versions"].items()]
-    print_table(("package ", "version "), rows)
-    print_devices(document["devices"])
-    if document["pocl"] is not None:
-        print(f"PoCL: {document['pocl'].detail}")
-    tests = document["self_test"]
-    failed = [test for test in tests if not test["passed"]]
-    if failed:
         print_table(
-            ("failed self test ",),
-            [[test["name"]] for test in failed],
-            notes=[test["detail"] for test in failed],
-            title=f"{len(failed)} of {len(tests)} self tests failed on {document['device']}",
+            ("package ", "version "),
+            [[name, version or "absent"] for name, version in found.versions.items()],
         )
-    else:
-        print(f"kernels: all {len(tests)} self tests passed on {document['device']}")
-    print_table(("for ", "install "), [list(item) for item in document["install"].items()])
-
-
-NUMPY_NOTE = "numpy: always there (--device numpy), without OpenCL and slower"
+        print_devices(found.devices)
+        if found.pocl is not None:
+            print(f"PoCL: {found.pocl.detail}")
+        tests = found.self_test
+        failed = [test for test in tests if not test.passed]
+        if failed:
+            print_table(
+                ("failed self test ",),
+                [[test.name] for test in failed],
+                notes=[test.detail for test in failed],
+                title=f"{len(failed)} of {len(tests)} self tests failed on {found.device}",
+            )
+        else:
+            print(f"kernels: all {len(tests)} self tests passed on {found.device}")
+        print_table(("for ", "install "), [list(item) for item in found.install.items()])
+    if found.problems:
+        raise SlamFusionError("; ".join(found.problems))
+    return 0
 
 
 @click.command("devices", cls=Command)
@@ -69,15 +64,16 @@ def devices_command(as_json: bool) -> int:
 
     --device takes an index or a part of a name.
     """
-    from slamfusion.jobs.doctor import devices_document  # noqa: PLC0415
+    from slamfusion.compute import list_devices  # noqa: PLC0415
+    from slamfusion.jobs.doctor import DevicesDocument  # noqa: PLC0415
 
-    document = devices_document()
+    devices = list_devices()
     if as_json:
-        print_json(document)
+        print_json(DevicesDocument(devices))
         return 0
-    print_devices(document["devices"])
+    print_devices(devices)
     print(NUMPY_NOTE)
-    if not document["devices"]:
+    if not devices:
         print("no OpenCL device found; `slamfusion doctor` says what to install")
     return 0
 

@@ -16,8 +16,7 @@ from slamfusion.config import COURSES, RunConfig
 from slamfusion.jobs.documents import number
 
 if TYPE_CHECKING:
-    from slamfusion.jobs.simulate import SimulateDocument
-    from slamfusion.sim import Course
+    from slamfusion.jobs.simulate import SimulatedDrive
 
 
 class _Command(Command):
@@ -81,31 +80,30 @@ def command(
     with progress_bar() as progress:
         drive = simulate_course(wanted, config, progress=progress)
     made = save_simulated_drive(drive, folder)
-    if drive.recording.left_out:
-        count = len(drive.recording.left_out)
-        notice(f"waypoints left out, which this robot cannot reach: {count}")
+    if made.waypoints_left_out:
+        notice(f"waypoints left out, which this robot cannot reach: {made.waypoints_left_out}")
     if as_json:
         print_json(made)
     else:
-        _print(made, drive.recording.course)
+        _print(made)
     return 0
 
 
-def _print(made: SimulateDocument, course: Course) -> None:
+def _print(made: SimulatedDrive) -> None:
     """Print the numbers and the files as two columns."""
-    end = made["odometry_end_error"]
+    end, course = made.odometry_end_error, made.recording.course
     rows = [
         ["course", f"{course.name}, seed {course.seed}"],
         ["robot", f"{course.drive.model}, {course.lidar.model} of {course.lidar.beams} beams"],
-        ["scans", str(made["scans"])],
-        ["duration", f"{number(made['duration_s'], 1)} s"],
-        ["path", f"{number(made['path_m'], 1)} m"],
-        ["no return", f"{number(100.0 * made['no_return_share'], 1)} % of the readings"],
+        ["scans", str(made.scans)],
+        ["duration", f"{number(made.duration_s, 1)} s"],
+        ["path", f"{number(made.path_m, 1)} m"],
+        ["no return", f"{number(100.0 * made.no_return_share, 1)} % of the readings"],
         [
             "odometry at the end",
-            f"{number(end['translation_m'], 2)} m and {number(end['rotation_deg'], 1)} deg off",
+            f"{number(end.translation_m, 2)} m and {number(end.rotation_deg, 1)} deg off",
         ],
-        *(["file", path] for path in made["files"]),
-        ["time", f"{number(made['time_s'], 1)} s on {made['device']}"],
+        *(["file", str(path)] for path in made.files),
+        ["time", f"{number(made.time_s, 1)} s on {made.device}"],
     ]
     print_table((" ", " "), rows, title="Simulated drive", header=False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from typing import TypedDict
+from dataclasses import dataclass
 
 from slamfusion.compute import list_devices, open_device, pocl_state
 from slamfusion.compute.compute_device import DeviceInfo, PoclState
@@ -22,14 +22,16 @@ INSTALL = {
 }
 
 
-class DevicesDocument(TypedDict):
+@dataclass(frozen=True)
+class DevicesDocument:
     """``slamfusion devices``."""
 
     devices: Sequence[DeviceInfo]
     """The OpenCL devices; may be empty."""
 
 
-class SelfTestJson(TypedDict):
+@dataclass(frozen=True)
+class SelfTest:
     """A test of the kernels."""
 
     name: str
@@ -40,7 +42,8 @@ class SelfTestJson(TypedDict):
     """What was found."""
 
 
-class DoctorDocument(TypedDict):
+@dataclass(frozen=True)
+class DoctorDocument:
     """``slamfusion doctor``; exit code 1 where it is not ``ok``."""
 
     ok: bool
@@ -55,15 +58,10 @@ class DoctorDocument(TypedDict):
     """How the PoCL that came with the package was changed; null where no OpenCL was looked at."""
     device: str | None
     """The one that was tested, in words; null where it cannot be opened."""
-    self_test: Sequence[SelfTestJson]
+    self_test: Sequence[SelfTest]
     """The tests of the kernels."""
     install: Mapping[str, str]
     """What to install, by maker of the device."""
-
-
-def devices_document() -> DevicesDocument:
-    """Return the OpenCL devices that ``--device`` can name."""
-    return {"devices": list_devices()}
 
 
 def check_installation(config: RunConfig) -> DoctorDocument:
@@ -72,8 +70,9 @@ def check_installation(config: RunConfig) -> DoctorDocument:
     Returns:
         What was found; ``problems`` says what is wrong and what to do, and nothing is raised.
     """
-    found = versions()
-    devices, pocl = list_devices(), pocl_state()
+    from slamfusion.compute.self_test import self_test  # noqa: PLC0415
+
+    found, devices, pocl = versions(), list_devices(), pocl_state()
     problems = []
     if not any(device.usable for device in devices):
         problems.append(
@@ -81,43 +80,21 @@ def check_installation(config: RunConfig) -> DoctorDocument:
             if pocl is not None and pocl.state == "refused"
             else f"no usable OpenCL device; for any CPU: {INSTALL['any CPU']}"
         )
-    if has_two_rclpy():
+    if os.environ.get("ROS_DISTRO") and version_of("ros-jazzy-rclpy") is not None:
         problems.append(
             "two rclpy: a sourced ROS (ROS_DISTRO) and ros-jazzy-rclpy from pip; "
             "run pip uninstall ros-jazzy-rclpy"
         )
-    device, tests = _self_test(config.device.device)
-    problems += [
-        f"self test {name}: {detail}; use --device numpy, or another driver: {INSTALL['any CPU']}"
-        for name, passed, detail in tests
-        if not passed
-    ]
-    return {
-        "ok": not problems,
-        "problems": problems,
-        "versions": found,
-        "devices": devices,
-        "pocl": pocl,
-        "device": device,
-        "self_test": [
-            {"name": name, "passed": passed, "detail": detail} for name, passed, detail in tests
-        ],
-        "install": INSTALL,
-    }
-
-
-def has_two_rclpy() -> bool:
-    """Whether a sourced ROS and the rclpy of the Python package index are both there."""
-    in_ros = bool(os.environ.get("ROS_DISTRO"))
-    return in_ros and version_of("ros-jazzy-rclpy") is not None
-
-
-def _self_test(wanted: str) -> tuple[str | None, list[tuple[str, bool, str]]]:
-    """Test three kernels of the chosen device; a device that cannot be opened is a failed test."""
-    from slamfusion.compute.self_test import self_test  # noqa: PLC0415
-
+    name = None
     try:
-        device = open_device(wanted)
-        return device.name, self_test(device)
+        device = open_device(config.device.device)
+        name, tests = device.name, [SelfTest(*test) for test in self_test(device)]
     except DeviceError as error:
-        return None, [("open the device", False, str(error))]
+        tests = [SelfTest("open the device", passed=False, detail=str(error))]
+    problems += [
+        f"self test {test.name}: {test.detail}; use --device numpy, or another driver: "
+        f"{INSTALL['any CPU']}"
+        for test in tests
+        if not test.passed
+    ]
+    return DoctorDocument(not problems, problems, found, devices, pocl, name, tests, INSTALL)

@@ -17,7 +17,9 @@ from importlib import resources
 from typing import Any, TypedDict
 
 from slamfusion.align.records import Alignment, AlignmentJson
+from slamfusion.config import RunConfig
 from slamfusion.evaluation import MapError
+from slamfusion.jobs.documents import circumstances, settings_used
 
 # --- what many documents share ----------------------------------------------------------------
 
@@ -45,6 +47,29 @@ class CircumstancesJson(SettingsJson):
     """What computed it, in words."""
     seed: int
     """Seed of every random number."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """The settings and the versions that a result depends on."""
+
+    config: RunConfig
+
+    def to_json(self) -> SettingsJson:
+        """Return them for a JSON document."""
+        return settings_used(self.config)
+
+
+@dataclass(frozen=True)
+class Circumstances:
+    """The settings and the device that a computed result depends on."""
+
+    config: RunConfig
+    device: str
+
+    def to_json(self) -> CircumstancesJson:
+        """Return them for a JSON document."""
+        return circumstances(self.config, self.device)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

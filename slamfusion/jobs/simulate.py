@@ -5,15 +5,14 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TypedDict
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
-from slamfusion.jobs.documents import settings_used
 from slamfusion.jobs.inputs import Progress, device_for
-from slamfusion.jobs.records import CircumstancesJson
+from slamfusion.jobs.records import Settings
+from slamfusion.json_values import FLAT
 from slamfusion.sim import (
     Course,
     Recording,
@@ -27,7 +26,8 @@ from slamfusion.sim import (
 SUFFIXES = {".yaml", ".yml"}
 
 
-class OdometryEndErrorJson(TypedDict):
+@dataclass(frozen=True)
+class OdometryEndError:
     """How far odometry alone is off at the end of a drive."""
 
     translation_m: float
@@ -36,7 +36,8 @@ class OdometryEndErrorJson(TypedDict):
     """Size of the turn, degrees."""
 
 
-class SimulatedWorldJson(TypedDict):
+@dataclass(frozen=True)
+class SimulatedWorld:
     """A drawn place."""
 
     name: str
@@ -55,9 +56,11 @@ class SimulatedWorldJson(TypedDict):
     """Cells of glass, which the laser often passes."""
 
 
-class SimulatedDriveJson(TypedDict):
-    """A simulated drive in numbers."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SimulatedDrive:
+    """A simulated drive; the document of ``slamfusion simulate``."""
 
+    recording: Recording = field(repr=False)
     name: str
     """The course."""
     scans: int
@@ -72,65 +75,19 @@ class SimulatedDriveJson(TypedDict):
     """Planned waypoints that the robot cannot drive to."""
     no_return_share: float
     """Share of the readings without an echo, 0 to 1."""
-    odometry_end_error: OdometryEndErrorJson
+    odometry_end_error: OdometryEndError
     """How far odometry alone is off at the end."""
-    world: SimulatedWorldJson
+    world: SimulatedWorld
     """The place."""
-
-
-class SimulateDocument(SimulatedDriveJson, CircumstancesJson):
-    """``slamfusion simulate``."""
-
-    files: Sequence[str]
+    files: Sequence[Path] = ()
     """What was written."""
-    time_s: float
-    """Wall time, seconds."""
-
-
-@dataclass(frozen=True, eq=False)
-class SimulatedDrive:
-    """A simulated drive.
-
-    Attributes:
-        recording: the scans, the odometry, the truth, and the course with all that was chosen.
-        begun_s: when the simulation began, seconds of ``time.perf_counter``.
-    """
-
-    recording: Recording
-    config: RunConfig
     device: str
-    begun_s: float
-
-    def figures(self) -> SimulatedDriveJson:
-        """Return what was made, in numbers."""
-        recording = self.recording
-        truth, odometry = recording.truth, recording.odometry()
-        end = truth.pose(-1).inverse().compose(odometry.pose(-1))
-        beams = sum(len(item.scan) for item in recording.scans)
-        clear = sum(int(item.scan.is_clear().sum()) for item in recording.scans)
-        grid = recording.world.grid
-        return {
-            "name": recording.course.name,
-            "scans": len(recording.scans),
-            "beams": recording.course.lidar.beams,
-            "duration_s": recording.duration_s(),
-            "path_m": truth.path_length_m(),
-            "waypoints_left_out": len(recording.left_out),
-            "no_return_share": clear / beams,
-            "odometry_end_error": {
-                "translation_m": math.hypot(end.x, end.y),
-                "rotation_deg": math.degrees(abs(end.yaw_rad)),
-            },
-            "world": {
-                "name": recording.course.world.name,
-                "width_m": grid.width * grid.resolution,
-                "height_m": grid.height * grid.resolution,
-                "resolution": grid.resolution,
-                "people": len(recording.world.people),
-                "obstacles": len(recording.world.obstacles),
-                "glass_cells": int(recording.world.glass.sum()),
-            },
-        }
+    """What computed it, in words."""
+    seed: int
+    """Seed of every random number."""
+    time_s: float
+    """Wall time of the simulation, seconds."""
+    settings: Settings = field(metadata=FLAT)
 
 
 def choose_course(course: str | Path, config: RunConfig, *, seed: int | None = None) -> Course:
@@ -170,24 +127,42 @@ def simulate_course(
     chosen = course if isinstance(course, Course) else choose_course(course, config)
     device = device_for(config, device)
     begun_s = time.perf_counter()
-    return SimulatedDrive(simulate(chosen, device, progress), config, device.name, begun_s)
+    made = simulate(chosen, device, progress)
+    end = made.truth.pose(-1).inverse().compose(made.odometry().pose(-1))
+    grid = made.world.grid
+    clear = sum(int(item.scan.is_clear().sum()) for item in made.scans)
+    return SimulatedDrive(
+        recording=made,
+        name=chosen.name,
+        scans=len(made.scans),
+        beams=chosen.lidar.beams,
+        duration_s=made.duration_s(),
+        path_m=made.truth.path_length_m(),
+        waypoints_left_out=len(made.left_out),
+        no_return_share=clear / sum(len(item.scan) for item in made.scans),
+        odometry_end_error=OdometryEndError(
+            math.hypot(end.x, end.y), math.degrees(abs(end.yaw_rad))
+        ),
+        world=SimulatedWorld(
+            name=chosen.world.name,
+            width_m=grid.width * grid.resolution,
+            height_m=grid.height * grid.resolution,
+            resolution=grid.resolution,
+            people=len(made.world.people),
+            obstacles=len(made.world.obstacles),
+            glass_cells=int(made.world.glass.sum()),
+        ),
+        device=device.name,
+        seed=made.course.seed,
+        time_s=time.perf_counter() - begun_s,
+        settings=Settings(config),
+    )
 
 
-def save_simulated_drive(drive: SimulatedDrive, folder: str | Path) -> SimulateDocument:
-    """Write the log, the truth and the course, all of them or none; see ``write_recording``.
-
-    Returns:
-        What ``slamfusion simulate`` prints as JSON; it names the files.
+def save_simulated_drive(drive: SimulatedDrive, folder: str | Path) -> SimulatedDrive:
+    """Write the log, the truth and the course, all or none; return the drive with its files.
 
     Raises:
         MapFileError: a file cannot be written; nothing was changed.
     """
-    files = write_recording(drive.recording, folder)
-    return {
-        **drive.figures(),
-        "files": [str(path) for path in files],
-        "device": drive.device,
-        "seed": drive.recording.course.seed,
-        "time_s": time.perf_counter() - drive.begun_s,
-        **settings_used(drive.config),
-    }
+    return replace(drive, files=write_recording(drive.recording, folder))

@@ -46,6 +46,7 @@ from slamfusion.jobs import (
 )
 from slamfusion.jobs.info import InfoDocument
 from slamfusion.jobs.records import FailureDocument
+from slamfusion.json_values import FLAT
 from slamfusion.slam.records import HealthJson
 
 __all__ = ["DOCUMENTS", "PATH", "make_schema", "to_text"]
@@ -59,7 +60,7 @@ DOCUMENTS: dict[str, tuple[type, ...]] = {
     "fuse": (fuse_documents.FuseDocument, fuse_documents.FailedFuseDocument),
     "align": (records.AlignDocument,),
     "evaluate": (evaluate.EvaluateDocument, evaluate.CasesEvaluationDocument),
-    "simulate": (simulate.SimulateDocument,),
+    "simulate": (simulate.SimulatedDrive,),
     "experiment cell-models": (ExperimentDocument,),
     "experiment occupancy-estimator": (ExperimentDocument,),
     "experiment cell-models-trajectories": (ExperimentDocument,),
@@ -190,9 +191,7 @@ def _described(kind: type) -> Any:
     Raises:
         ValueError: a key has no text.
     """
-    required = getattr(kind, "__required_keys__", ())
-    if is_dataclass(kind):
-        required = [field.name for field in fields(kind) if field.repr]
+    required = _required(kind)
     # Types that are made as the program runs are no types to a checker.
     annotated, not_required, typed_dict = _FORMS
     keys = {}
@@ -205,6 +204,16 @@ def _described(kind: type) -> Any:
     copy.__doc__ = (inspect.getdoc(kind) or "").replace("``", "`")
     copy.__pydantic_config__ = {"extra": "allow" if kind in OPEN else "forbid"}
     return copy
+
+
+def _required(kind: Any) -> frozenset[str]:
+    """Return the keys that a record always has."""
+    if not is_dataclass(kind):
+        return frozenset(getattr(kind, "__required_keys__", ()))
+    hints = typing.get_type_hints(kind)
+    flat = [_required(_keys_of(hints[item.name])) for item in fields(kind) if item.metadata == FLAT]
+    own = {item.name for item in fields(kind) if item.repr and item.metadata != FLAT}
+    return frozenset(own).union(*flat)
 
 
 def _copied(hint: Any) -> Any:
@@ -235,7 +244,9 @@ def _keys(kind: type) -> dict[str, tuple[Any, str]]:
     # TypedDict itself is a function.
     for other in (*(base for base in bases if isinstance(base, type)), *JOINED.get(kind, ())):
         found |= _keys(other)
-    printed = {field.name for field in fields(kind) if field.repr} if is_dataclass(kind) else None
+    own = fields(kind) if is_dataclass(kind) else ()
+    hidden = {item.name for item in own if not item.repr}
+    flat = {item.name for item in own if item.metadata == FLAT}
     texts = {}
     for key, text in zip(node.body, node.body[1:], strict=False):
         if isinstance(key, ast.AnnAssign) and isinstance(text, ast.Expr):
@@ -243,9 +254,11 @@ def _keys(kind: type) -> dict[str, tuple[Any, str]]:
             assert isinstance(text.value, ast.Constant)
             texts[key.target.id] = " ".join(str(text.value.value).split())
     for key_name, hint in typing.get_type_hints(kind).items():
-        if key_name in texts or key_name not in found:
+        if key_name in flat:
+            found |= _keys(_keys_of(hint))
+        elif key_name not in hidden and (key_name in texts or key_name not in found):
             found[key_name] = (hint, texts.get(key_name, "Null." if hint is type(None) else ""))
-    return {key: item for key, item in found.items() if printed is None or key in printed}
+    return found
 
 
 if __name__ == "__main__":
