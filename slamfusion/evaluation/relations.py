@@ -16,7 +16,7 @@ import numpy.typing as npt
 from slamfusion.errors import TrajectoryError
 from slamfusion.evaluation.statistics import ErrorStatistics, mean_interval
 from slamfusion.geometry import compose_poses, invert_poses, wrap_angles
-from slamfusion.io.lines import ROW_BYTES, TextLines, strip_gz
+from slamfusion.io.lines import ROW_BYTES, strip_gz, text_lines
 from slamfusion.trajectory import Trajectory
 
 # A relation over more than this joins two visits of one place, not two moments of one visit.
@@ -143,8 +143,7 @@ def read_relations(path: str | Path) -> Relations:
     """
     where = Path(path)
     rows = []
-    lines = TextLines(where, kept_bytes=ROW_BYTES, if_cut_off=TrajectoryError)
-    for number, line in lines:
+    for number, line in text_lines(where, TrajectoryError, kept_bytes=ROW_BYTES):
         fields = line.split()
         if fields and not fields[0].startswith(b"#"):
             rows.append(_row(fields, f"{where}: line {number}"))

@@ -1,4 +1,4 @@
-"""Lines of a text file, plain or gzip, as a stream that knows how far it is."""
+"""Lines of a text file, plain or gzip."""
 
 from __future__ import annotations
 
@@ -26,57 +26,32 @@ _LINE_BYTES = 1 << 24
 _CHECKED_LINES = 1 << 17
 
 
-class TextLines:
-    """The lines of a file; each iteration reads from the start and takes constant memory.
+def text_lines(
+    path: Path, cut_off: type[SlamFusionError], *, kept_bytes: int = 0
+) -> Iterator[tuple[int, bytes]]:
+    """Yield number, from 1, and line of a text file; packed ones are known by their first bytes.
 
     Args:
+        cut_off: the error that ends packed data that end early or are damaged.
         kept_bytes: what the caller keeps of each line: where that would not fit into memory, the
             file is refused while it is read.
-        if_cut_off: the error that ends an iteration over packed data that end early or are
-            damaged; None: ``is_cut_off`` says so.
-
-    Attributes:
-        path: the file; whether it is packed is told from its first bytes, not from its name.
-        fraction_read: share of the file's bytes (packed, where it is packed) read so far.
-        is_cut_off: the last iteration met packed data that end early or are damaged.
     """
-
-    def __init__(
-        self, path: Path, *, kept_bytes: int = 0, if_cut_off: type[SlamFusionError] | None = None
-    ) -> None:
-        self.path = path
-        self._kept_bytes = kept_bytes
-        self._if_cut_off = if_cut_off
-        self.fraction_read = 0.0
-        self.is_cut_off = False
-
-    def __iter__(self) -> Iterator[tuple[int, bytes]]:
-        """Yield line number, from 1, and line."""
-        self.fraction_read, self.is_cut_off = 0.0, False
-        number = 0
-        with open_regular(self.path, LogError) as file:
-            raw = file.raw
-            size = max(raw.seek(0, io.SEEK_END), 1)
-            stream = _unpacked(raw)
-            try:
-                read = partial(stream.readline, _LINE_BYTES)
-                for number, line in enumerate(iter(read, b""), start=1):
-                    if len(line) == _LINE_BYTES:
-                        raise LogError(
-                            f"{self.path}: line {number} is longer than {_LINE_BYTES >> 20} MiB, "
-                            "so this is no text log; check the file"
-                        )
-                    if self._kept_bytes and number % _CHECKED_LINES == 0:
-                        what = f"keeping {number} lines"
-                        check_memory(number * self._kept_bytes, what, str(self.path))
-                    self.fraction_read = min(raw.tell() / size, 1.0)
-                    yield number, line
-            except _DAMAGE:
-                self.is_cut_off = True
-        self.fraction_read = 1.0
-        if self.is_cut_off and self._if_cut_off is not None:
-            message = f"{self.path}: line {number + 1}: the packed file ends early; copy it again"
-            raise self._if_cut_off(message)
+    number = 0
+    with open_regular(path, LogError) as file:
+        read = partial(_unpacked(file.raw).readline, _LINE_BYTES)
+        try:
+            for number, line in enumerate(iter(read, b""), start=1):
+                if len(line) == _LINE_BYTES:
+                    raise LogError(
+                        f"{path}: line {number} is longer than {_LINE_BYTES >> 20} MiB, so this "
+                        "is no text log; check the file"
+                    )
+                if kept_bytes and number % _CHECKED_LINES == 0:
+                    check_memory(number * kept_bytes, f"keeping {number} lines", str(path))
+                yield number, line
+        except _DAMAGE:
+            message = f"{path}: line {number + 1}: the packed file ends early; copy it again"
+            raise cut_off(message) from None
 
 
 def read_head(path: Path) -> bytes:

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TypedDict
+from typing import TypedDict, TypeVar
 
 import numpy as np
 
 from slamfusion.config import LogConfig
 from slamfusion.deskew import Deskewer, Deskewing, Track
+from slamfusion.errors import LogError
 from slamfusion.geometry import F64, Pose2
+from slamfusion.io.files import check_memory
+from slamfusion.io.lines import text_lines
 from slamfusion.io.stamps import StampGate
 from slamfusion.scan import LaserScan
+
+T = TypeVar("T")
 
 # No robot is farther from the origin of its frame; beyond, sums of poses lose their centimetres.
 FARTHEST_M = 1e9
@@ -34,6 +38,9 @@ AHEAD_S = 10.0
 
 # Scans of two lasers that have one stamp are taken this far apart, seconds.
 LASERS_APART_S = 1e-6
+
+# Memory is looked at whenever the scans of a log take this much more.
+_CHECKED_BYTES = 1 << 26
 
 BACK, EQUAL = "time goes back", "two scans of one stamp"
 STRAY = "a time stamp far ahead of those before and after it"
@@ -231,11 +238,57 @@ def deskewed_scans(scans: Iterable[LogScan]) -> Iterator[LogScan]:
     yield from continuity.rest()
 
 
-class ScanLog(ABC):
-    """A log or bag, read as a stream; each iteration reads from the start.
+class _CutOffError(LogError):
+    """A packed log ends early."""
+
+
+class BadLineError(Exception):
+    """A line that cannot be read; its text is the reason for the count."""
+
+
+NOT_NUMBERS = "not numbers"
+CUT_OFF_FILE = "the packed file ends early or is damaged; nothing after this was read"
+
+
+def parsed_lines(
+    path: Path, parse: Callable[[bytes], T | None]
+) -> list[tuple[int, bytes, T | str]]:
+    """Return what a text log's lines hold, each with its number and first word.
+
+    Args:
+        parse: returns what a line holds, or None for one to pass over.
+
+    Returns:
+        What was parsed, or why a line could not be.
+    """
+    found: list[tuple[int, bytes, T | str]] = []
+    number = kept_bytes = 0
+    try:
+        for number, line in text_lines(path, _CutOffError):
+            try:
+                own: T | str | None = parse(line)
+            except BadLineError as error:
+                own = str(error)
+            if own is not None:
+                found.append((number, line.split(None, 1)[0], own))
+                kept_bytes += 2 * len(line)  # 8 bytes for a number of some 5 characters
+            if kept_bytes > _CHECKED_BYTES:
+                check_memory(kept_bytes, "keeping its scans", str(path), "free memory, or cut it")
+                kept_bytes = 0
+    except _CutOffError:
+        found.append((number + 1, b"", CUT_OFF_FILE))
+    return found
+
+
+class ScanLog:
+    """The scans of a log or bag; each iteration starts from the first one.
+
+    A text log is parsed once, when it is opened; its scans stay in memory, and go with it to other
+    processes. Bags are read as a stream (``BagLog``).
 
     Attributes:
         path: where it lies.
+        records: number of the line and scan of every laser line, or why that is none.
         skips: what the last iteration left out so far.
         warnings: what the last iteration let through although it is odd: gaps and jumps.
         notes: sentences for the user: e.g. that stamps are broken and index time is used.
@@ -246,27 +299,38 @@ class ScanLog(ABC):
 
     def __init__(self, path: str | Path, config: LogConfig) -> None:
         self.path = Path(path)
+        self.records: list[tuple[int, LogScan | str]] = []
         self.skips, self.warnings = Skips(), Skips()
         self.notes: list[str] = []
         self.has_stamps = True
         self.fraction_read = 0.0
         self.deskewing = Deskewing()
         self._config = config
+        # Gives the odometry within a sweep, where that is known better than by two scans.
+        self._track: Track | None = None
 
-    def _begin(self, track: Track | None = None) -> Continuity:
-        """Start to count for one more iteration; return what its scans pass through."""
-        self.skips, self.warnings, self.fraction_read = Skips(), Skips(), 0.0
-        continuity = Continuity(self.skips, self.warnings, self._config, track)
-        self.deskewing = continuity.deskewer.done
-        return continuity
-
-    @abstractmethod
     def __iter__(self) -> Iterator[LogScan]:
         """Yield the scans; stamps strictly increase.
 
         Raises:
-            LogError: the file is not such a log, or is damaged beyond a line.
+            LogError: the file is damaged beyond a line.
         """
+        self.skips, self.warnings, self.fraction_read = Skips(), Skips(), 0.0
+        continuity = Continuity(self.skips, self.warnings, self._config, self._track)
+        self.deskewing = continuity.deskewer.done
+        for item in self._scans():
+            yield from continuity.passed(item)
+        yield from continuity.rest()
+        self.fraction_read = 1.0
+
+    def _scans(self) -> Iterator[LogScan]:
+        """Yield the readable scans as they were recorded, and count the others."""
+        for index, (line, found) in enumerate(self.records, start=1):
+            self.fraction_read = index / len(self.records)
+            if isinstance(found, str):
+                self.skips.add(found, line)
+            else:
+                yield found
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from slamfusion.errors import LogError
 from slamfusion.geometry import F64, Pose2, wrap_angle
-from slamfusion.io.lines import ROW_BYTES, TextLines
+from slamfusion.io.lines import ROW_BYTES, text_lines
 
 INDEX = "index"
 POSE = ("odom_x", "odom_y", "odom_theta")
@@ -82,8 +82,7 @@ def read_scan_odometry(path: str | Path) -> ScanOdometry:
     where = Path(path)
     columns: list[str] = []
     rows: list[list[float]] = []
-    lines = TextLines(where, kept_bytes=ROW_BYTES, if_cut_off=LogError)
-    for number, line in lines:
+    for number, line in text_lines(where, LogError, kept_bytes=ROW_BYTES):
         fields = line.decode("ascii", "replace").strip().split(",")
         if not columns:
             columns = [name.strip() for name in fields]

@@ -10,7 +10,6 @@ measures as BreezySLAM uses them; the laser's angles from the data sheet of the 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -18,8 +17,7 @@ import numpy as np
 from slamfusion.config import LogConfig
 from slamfusion.errors import LogError
 from slamfusion.geometry import F64, Pose2, wrap_angle
-from slamfusion.io.lines import TextLines
-from slamfusion.io.log import FARTHEST_M, LogScan, ScanLog, Skips
+from slamfusion.io.log import FARTHEST_M, NOT_NUMBERS, BadLineError, LogScan, ScanLog, parsed_lines
 from slamfusion.scan import LaserScan
 
 _DEFAULT_CONFIG = LogConfig()
@@ -39,15 +37,13 @@ _RANGE_MAX_M = 4.0
 _RANGE_MIN_M = 0.02
 
 WRONG_COUNT = f"not {FIELDS} fields (a cut-off line?)"
-NOT_NUMBERS = "not numbers"
 NOT_FINITE = "ticks or time not finite"
 # Beyond, a float no longer counts one by one; NaN is no less than it either.
 _COUNT_MAX = 2.0**53
-CUT_OFF_FILE = "the packed file ends early or is damaged; nothing after this was read"
 
 
 class TinySlamDat(ScanLog):
-    """A tinySLAM recording, plain or gzip; each iteration reads from the start (see ``ScanLog``).
+    """A tinySLAM recording, plain or gzip.
 
     The odometry starts at (0, 0, 0) and follows the wheels along exact arcs. Counters of ticks and
     time that wrap at 16 or 32 bits are unwrapped. ``line`` is the line in the file, from 1.
@@ -60,62 +56,32 @@ class TinySlamDat(ScanLog):
         super().__init__(path, config)
         self.notes.append(f"{_HIDDEN} beams at each side are left out: the robot's body hides them")
         self._range_max_m = config.no_return_m or _RANGE_MAX_M
-        if next(iter(self), None) is None:
+        clock_us = _Unwrapped(_CLOCK_TURNS)
+        left, right = _Unwrapped(_TICK_TURNS), _Unwrapped(_TICK_TURNS)
+        pose: Pose2 | None = None
+        ticks = (0.0, 0.0)
+        for number, _, values in parsed_lines(self.path, _parsed):
+            if isinstance(values, str):
+                self.records.append((number, values))
+                continue
+            stamp_s = clock_us.follow(float(values[0])) * 1e-6
+            now = (left.follow(float(values[2])), right.follow(float(values[3])))
+            ways_m = (
+                (after - before) * _METRES_PER_TICK
+                for after, before in zip(now, ticks, strict=True)
+            )
+            pose = Pose2() if pose is None else drive_arc(pose, *ways_m)
+            ticks = now
+            scan = self._scan(values[_BEAMS] * 1e-3, stamp_s)
+            self.records.append((number, LogScan(scan, pose, number)))
+        if pose is None:
+            for number, fault in self.records:
+                self.skips.add(str(fault), number)
             reasons = "; ".join(self.skips.sentences()) or "the file is empty"
             raise LogError(
                 f"{self.path}: wanted lines of {FIELDS} numbers as tinySLAM records them, found "
                 f"none: {reasons}; check the file"
             )
-        self.skips, self.fraction_read = Skips(), 0.0
-
-    def __iter__(self) -> Iterator[LogScan]:
-        continuity = self._begin()
-        lines = TextLines(self.path)
-        clock_us = _Unwrapped(_CLOCK_TURNS)
-        left, right = _Unwrapped(_TICK_TURNS), _Unwrapped(_TICK_TURNS)
-        pose: Pose2 | None = None
-        ticks = (0.0, 0.0)
-        number = 0
-        for number, line in lines:
-            self.fraction_read = lines.fraction_read
-            values = self._values(line, number)
-            if values is None:
-                continue
-            stamp_s = clock_us.follow(float(values[0])) * 1e-6
-            now = (left.follow(float(values[2])), right.follow(float(values[3])))
-            if pose is None:
-                pose = Pose2()
-            else:
-                pose = drive_arc(
-                    pose,
-                    (now[0] - ticks[0]) * _METRES_PER_TICK,
-                    (now[1] - ticks[1]) * _METRES_PER_TICK,
-                )
-            ticks = now
-            scan = self._scan(values[_BEAMS] * 1e-3, stamp_s)
-            yield from continuity.passed(LogScan(scan, pose, number))
-        yield from continuity.rest()
-        if lines.is_cut_off:
-            self.skips.add(CUT_OFF_FILE, number + 1)
-        self.fraction_read = 1.0
-
-    def _values(self, line: bytes, number: int) -> F64 | None:
-        fields = line.split()
-        if not fields or fields[0].startswith(b"#"):
-            return None
-        if len(fields) != FIELDS:
-            self.skips.add(WRONG_COUNT, number)
-            return None
-        try:
-            # The last field carries nothing and need not even be a number.
-            values = np.array(fields[: FIELDS - 1], dtype=np.float64)
-        except ValueError:
-            self.skips.add(NOT_NUMBERS, number)
-            return None
-        if not (np.abs(values[[0, 2, 3]]) < _COUNT_MAX).all():
-            self.skips.add(NOT_FINITE, number)
-            return None
-        return values
 
     def _scan(self, ranges_m: F64, stamp_s: float) -> LaserScan:
         """Return the sweep: 0 saw nothing, error codes and hidden beams measured nothing."""
@@ -132,6 +98,22 @@ class TinySlamDat(ScanLog):
             range_max_m=self._range_max_m,
             mount=_MOUNT,
         )
+
+
+def _parsed(line: bytes) -> F64 | None:
+    """Return the numbers of a line but the last, which need not even be one."""
+    fields = line.split()
+    if not fields or fields[0].startswith(b"#"):
+        return None
+    if len(fields) != FIELDS:
+        raise BadLineError(WRONG_COUNT)
+    try:
+        values = np.array(fields[: FIELDS - 1], dtype=np.float64)
+    except ValueError:
+        raise BadLineError(NOT_NUMBERS) from None
+    if not (np.abs(values[[0, 2, 3]]) < _COUNT_MAX).all():
+        raise BadLineError(NOT_FINITE)
+    return values
 
 
 def drive_arc(start: Pose2, left_m: float, right_m: float) -> Pose2:

@@ -17,7 +17,7 @@ from slamfusion.geometry import F64, quaternion_yaw_rad, wrap_angle
 from slamfusion.io.bags.odometry import read_poses
 from slamfusion.io.carmen import CARMEN_WORDS
 from slamfusion.io.files import AtomicFiles, write_atomic
-from slamfusion.io.lines import ROW_BYTES, TextLines, packed_by_name, read_head, strip_gz
+from slamfusion.io.lines import ROW_BYTES, packed_by_name, read_head, strip_gz, text_lines
 from slamfusion.io.logs import BAG_SUFFIXES, bag_at, open_log
 from slamfusion.io.tinyslam_dat import FIELDS
 from slamfusion.trajectory import Trajectory
@@ -163,8 +163,7 @@ def _rows(where: Path, first: list[bytes], columns: list[int] | None) -> Iterato
             )
         columns = list(range(len(first)))
     last_s = -math.inf
-    lines = TextLines(where, kept_bytes=ROW_BYTES, if_cut_off=TrajectoryError)
-    for number, line in lines:
+    for number, line in text_lines(where, TrajectoryError, kept_bytes=ROW_BYTES):
         fields = _fields(line)
         if not fields or (last_s == -math.inf and _named_columns(fields) is not None):
             continue
@@ -294,7 +293,7 @@ def _read_graph(where: Path, name: str) -> Trajectory | None:
     rows: list[Row] = []
     pose: list[float] | None = None
     vertices = 0
-    for number, line in TextLines(where, kept_bytes=ROW_BYTES):
+    for number, line in text_lines(where, TrajectoryError, kept_bytes=ROW_BYTES):
         if line.startswith(b"VERTEX2"):
             fields = line.split()
             if len(fields) != 5:

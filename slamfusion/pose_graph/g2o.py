@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from slamfusion.errors import GraphError
 from slamfusion.io.files import AtomicFiles, write_atomic
-from slamfusion.io.lines import TextLines, packed_by_name
+from slamfusion.io.lines import packed_by_name, text_lines
 from slamfusion.pose_graph.graph import (
     PoseGraph,
     chained_poses,
@@ -154,13 +154,10 @@ class _Lines:
         self.information: list[list[list[float]]] = []
         self.fixed: set[int] = set()
         self.skipped: Counter[str] = Counter()
-        text = TextLines(path, kept_bytes=LINE_BYTES)
-        for number, line in text:
+        for number, line in text_lines(path, GraphError, kept_bytes=LINE_BYTES):
             words = line.split()
             if words and not words[0].startswith(b"#"):
                 self._take(number, words)
-        if text.is_cut_off:
-            raise GraphError(f"{path}: the packed data are damaged or end early; fetch them again")
 
     def check(self, index: Mapping[int, int]) -> None:
         """Refuse edges and FIX that lead nowhere, and information that is none."""

@@ -111,10 +111,10 @@ class ListLog(ScanLog):
 
     def __init__(self, scans: list[LogScan], path: str = "drive.log") -> None:
         super().__init__(path, LogConfig())
-        self._scans = scans
+        self.records += [(item.line, item) for item in scans]
 
     def __iter__(self) -> Iterator[LogScan]:
-        return iter(self._scans)
+        return self._scans()
 
 
 def room_scan(pose: Pose2, stamp_s: float, half_m: float = 3.0) -> LaserScan:

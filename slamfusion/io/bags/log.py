@@ -71,7 +71,7 @@ def joined_sweeps(scans: Iterable[tuple[int, LaserScan]]) -> Iterator[tuple[int,
 
 
 class BagLog(ScanLog):
-    """The scans of a bag; each iteration reads from the start (see ``ScanLog``).
+    """The scans of a bag; read as a stream from its start each time.
 
     Time is the scan's header stamp. Odometry comes from a nav_msgs/Odometry topic or, where there
     is none, from the transforms between ``odom_frame`` and the base frame, interpolated at the
@@ -112,20 +112,19 @@ class BagLog(ScanLog):
             )
         if self._uses_record_time:
             self.notes.append("the scans have no time stamps; used instead: when each was recorded")
+        self._track = None if self._odometry is None else self._odometry.track
 
-    def __iter__(self) -> Iterator[LogScan]:
-        continuity = self._begin(None if self._odometry is None else self._odometry.track)
+    def _scans(self) -> Iterator[LogScan]:
         is_any_used, out_s = False, []
         with open_bag(self.path, self.notes) as bag:
-            for number, scan in joined_sweeps(self._scans(bag)):
+            for number, scan in joined_sweeps(self._sweeps(bag)):
                 pose = None if self._odometry is None else self._odometry.at(scan.stamp_s)
                 if isinstance(pose, str):
                     self.skips.add(pose, number)
                     out_s.append(scan.stamp_s)
                 else:
                     is_any_used = True
-                    yield from continuity.passed(LogScan(scan, pose, number))
-            yield from continuity.rest()
+                    yield LogScan(scan, pose, number)
         if out_s and not is_any_used and self._odometry is not None:
             first_s, last_s = self._odometry.stamps_s[[0, -1]].tolist()
             raise LogError(
@@ -134,9 +133,8 @@ class BagLog(ScanLog):
                 f"{first_s - out_s[0]:+.3f} s later: two clocks? record both with one, or read the "
                 "scans alone with odom_topic none"
             )
-        self.fraction_read = 1.0
 
-    def _scans(self, bag: OpenBag) -> Iterator[tuple[int, LaserScan]]:
+    def _sweeps(self, bag: OpenBag) -> Iterator[tuple[int, LaserScan]]:
         """Yield the scans with the numbers of their messages; others are counted."""
         total = max(bag.count(self._scan_topic), 1)
         for number, (_, recorded_ns, message) in enumerate(bag.messages(self._scan_topic), start=1):
