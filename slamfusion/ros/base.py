@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import logging
+import math
 import os
 import signal
 import threading
@@ -43,7 +44,7 @@ DIAGNOSTICS_TOPIC = "/diagnostics"
 DIAGNOSTICS_PERIOD_S = 1.0
 # Of a fusion: the stamp of the last scan, once its map is what ``run`` makes of the drive.
 FINAL = "final at [s]"
-# A clock that goes on by more at once is worth a word; it is no reason to start over.
+# A clock that goes on by more at once is named; it is no reason to start over.
 FORWARD_JUMP_S = 10.0
 # The executor looks for a signal this often.
 SPIN_S = 0.1
@@ -72,14 +73,7 @@ class Level(IntEnum):
 
 @dataclass(frozen=True)
 class Status:
-    """One line of the diagnostics.
-
-    Attributes:
-        name: of the part; the node's name is put before it.
-        level: how it is.
-        message: why, for people.
-        values: figures by name; floats are shown with four digits.
-    """
+    """One line of the diagnostics; the node's name is put before ``name``."""
 
     name: str
     level: Level
@@ -88,7 +82,7 @@ class Status:
 
 
 class Diagnostics:
-    """What is wrong now, each by a key; said once in the log when it comes and when it goes.
+    """What is wrong now, each by a key; logged once when it comes and once when it is over.
 
     Safe between threads.
     """
@@ -96,82 +90,66 @@ class Diagnostics:
     def __init__(self, log: Any) -> None:
         self._log = log
         self._lock = threading.Lock()
-        self._now: dict[str, tuple[Level, str, float | None]] = {}
-        self._counts: dict[str, int] = {}
+        # Level, words, and until when it holds.
+        self._now: dict[str, tuple[Level, str, float]] = {}
 
-    def add(
+    def say(
         self,
         key: str,
-        level: Level,
-        text: str,
-        for_s: float | None = None,
+        text: str | None,
+        level: Level = Level.WARN,
+        for_s: float = math.inf,
         *,
         is_of_all: bool = False,
     ) -> None:
-        """Say that something is wrong.
+        """Report that something is wrong, or with None that it is right again.
 
         Args:
             key: what; the same key replaces the words that it had.
-            level: how bad.
             text: why, for people, with what to do.
-            for_s: it is over after this time, seconds; default: until ``clear``.
-            is_of_all: as true of the nodes started with this one: one of them says it in the log.
+            for_s: it is over after this time, seconds; default: until it is right.
+            is_of_all: as true of the nodes started with this one: one of them logs it.
         """
-        until_s = None if for_s is None else time.monotonic() + for_s
         with self._lock:
-            is_new = key not in self._alive()
-            self._now[key] = (level, text, until_s)
-            self._counts[key] = self._counts.get(key, 0) + 1
-        if is_new and is_of_all:
-            is_new = is_first_to_say(text)
+            before = self._alive().get(key)
+            if text is None:
+                self._now.pop(key, None)
+            else:
+                self._now[key] = level, text, time.monotonic() + for_s
+        if text is None and before is not None:
+            self._log.info(f"over: {before[1]}")
+        if text is None or before is not None or (is_of_all and not is_first_to_say(text)):
+            return
         # Two calls: rclpy ties a place in the code to one level.
-        if is_new and level == Level.ERROR:
+        if level == Level.ERROR:
             self._log.error(text)
-        elif is_new:
+        else:
             self._log.warning(text)
 
-    def say(self, key: str, text: str | None, level: Level = Level.WARN) -> None:
-        """Say that something is wrong, or with None that it is right."""
-        if text is None:
-            self.clear(key)
-        else:
-            self.add(key, level, text)
+    def note(self, key: str, text: str, level: Level = Level.WARN) -> None:
+        """Report something that has passed; it is shown for ``SHOWN_S``."""
+        self.say(key, text, level, SHOWN_S)
 
     def clear(self, key: str) -> None:
-        """Say that something is right again, if it was wrong."""
-        with self._lock:
-            gone = self._alive().get(key)
-            self._now.pop(key, None)
-        if gone is not None:
-            self._log.info(f"over: {gone[1]}")
+        """Report that something is right again, if it was wrong."""
+        self.say(key, None)
 
     def is_on(self, key: str) -> bool:
         """Whether something is wrong now."""
         with self._lock:
             return key in self._alive()
 
-    def count(self, key: str) -> int:
-        """How often something was said to be wrong so far."""
-        with self._lock:
-            return self._counts.get(key, 0)
-
     def worst(self, fine: str = "ok") -> tuple[Level, str]:
-        """Return the worst level and the words of everything that is wrong, worst first.
-
-        Args:
-            fine: the words where nothing is.
-        """
+        """Return the worst level and all that is wrong, worst first, or ``fine``."""
         with self._lock:
             alive = sorted(self._alive().values(), key=lambda item: -item[0])
         if not alive:
             return Level.OK, fine
         return alive[0][0], "; ".join(text for _, text, _ in alive)
 
-    def _alive(self) -> dict[str, tuple[Level, str, float | None]]:
+    def _alive(self) -> dict[str, tuple[Level, str, float]]:
         now_s = time.monotonic()
-        for key, (_, _, until_s) in list(self._now.items()):
-            if until_s is not None and until_s <= now_s:
-                del self._now[key]
+        self._now = {key: item for key, item in self._now.items() if item[2] > now_s}
         return self._now
 
 
@@ -181,12 +159,11 @@ def is_first_to_say(text: str) -> bool:
     if not folder:
         return True
     said = Path(folder) / f"said-{hashlib.sha256(text.encode()).hexdigest()[:16]}"
-    try:
-        said.touch(exist_ok=False)
-    except FileExistsError:
-        return False
-    except OSError:  # the folder is gone, or full: rather twice than never
-        return True
+    with contextlib.suppress(OSError):  # the folder is gone, or full: rather twice than never
+        try:
+            said.touch(exist_ok=False)
+        except FileExistsError:
+            return False
     return True
 
 
@@ -194,24 +171,18 @@ class Worker(Generic[T]):
     """A thread that takes items one by one, in order, from a queue that never grows.
 
     When the queue is full the oldest waiting item is dropped: a robot's newest scan says most of
-    where it is. What is being worked on is never dropped. An item that fails is reported and the
-    next one is taken.
-
-    Args:
-        work: called in the thread with each item.
-        capacity: items that may wait, at least 1; with 1 only the newest waits.
-        on_error: called in the thread with the item and what its work raised.
-        name: of the thread.
+    where it is. What is being worked on is never dropped. An item that fails is passed with its
+    error to ``on_error``, in the thread, and the next one is taken.
 
     Attributes:
-        capacity: may be changed; what is over is dropped with the next ``put``.
+        capacity: items that may wait, at least 1; may be changed.
     """
 
     def __init__(
         self,
         work: Callable[[T], None],
         capacity: int,
-        on_error: Callable[[T, Exception], None],
+        on_error: Callable[[T, Exception], object],
         name: str = "worker",
     ) -> None:
         self.capacity = capacity
@@ -223,23 +194,17 @@ class Worker(Generic[T]):
         self._thread.start()
 
     def put(self, item: T) -> list[T]:
-        """Let an item wait for its turn; returns at once.
-
-        Returns:
-            What was dropped to make room: nothing, the oldest, or, after ``close``, the item.
-        """
+        """Queue an item; return what was dropped for it, after ``close`` the item itself."""
         with self._changed:
             if self._is_closed:
                 return [item]
-            lost = []
-            while len(self._waiting) >= self.capacity:
-                lost.append(self._waiting.popleft())
             self._waiting.append(item)
             self._changed.notify_all()
-            return lost
+            over = len(self._waiting) - self.capacity
+            return [self._waiting.popleft() for _ in range(over)]
 
     def clear(self) -> list[T]:
-        """Take away everything that waits, and return it."""
+        """Remove everything that waits, and return it."""
         with self._changed:
             taken = list(self._waiting)
             self._waiting.clear()
@@ -251,13 +216,8 @@ class Worker(Generic[T]):
         """Items that wait now."""
         return len(self._waiting)
 
-    @property
-    def is_idle(self) -> bool:
-        """Whether nothing waits and nothing is being worked on."""
-        return self.wait_idle(0.0)
-
-    def wait_idle(self, timeout_s: float) -> bool:
-        """Wait until nothing waits and nothing is worked on; return whether that came."""
+    def is_idle(self, timeout_s: float = 0.0) -> bool:
+        """Whether nothing waits and nothing is worked on, or comes to that within a time."""
         with self._changed:
             return self._changed.wait_for(
                 lambda: not self._waiting and not self._is_busy, timeout_s
@@ -267,8 +227,7 @@ class Worker(Generic[T]):
         """Drop what waits, let the current item end, and return whether the thread has ended."""
         with self._changed:
             self._is_closed = True
-            self._waiting.clear()
-            self._changed.notify_all()
+        self.clear()
         self._thread.join(timeout_s)
         return not self._thread.is_alive()
 
@@ -288,28 +247,6 @@ class Worker(Generic[T]):
                 self._on_error(item, error)
 
 
-def open_node_device(wanted: str, diagnostics: Diagnostics) -> ComputeDevice:
-    """Open a device; what that warns of stays in the diagnostics, and so in the log.
-
-    Args:
-        wanted: as in the parameter ``device``; see ``open_device`` for it and the errors.
-    """
-    handler = logging.Handler(logging.WARNING)
-
-    def emit(record: logging.LogRecord) -> None:
-        if record.name in DEVICE_LOGGERS:
-            key, text = f"device {record.name}", record.getMessage()
-            diagnostics.add(key, Level.WARN, text, is_of_all=True)
-
-    handler.emit = emit  # type: ignore[method-assign]
-    logger = logging.getLogger(DEVICE_LOGGERS[0])
-    logger.addHandler(handler)
-    try:
-        return open_device(wanted)
-    finally:
-        logger.removeHandler(handler)
-
-
 class NodeBase:
     """A node: subclasses add topics in their constructor, ``statuses`` and ``close``.
 
@@ -319,14 +256,13 @@ class NodeBase:
 
     Args:
         name: the node's name unless ``--ros-args -r __node:=NAME`` says otherwise.
-        arguments: ROS arguments of this node alone, beside those of ``rclpy.init``.
+        arguments: ROS arguments of this node alone, after those of ``rclpy.init``.
 
     Attributes:
         node: the rclpy node.
-        log: its logger.
-        diagnostics: what is wrong now.
-        is_stopped: whether ``stop`` was called.
-        exit_code: of the process, see ``stop``.
+        rest: the executor rests this many times as long as it has worked, 20 ms at most; 0: never.
+            rclpy looks at every subscription each time it wakes, so what that costs grows with the
+            square of their number; while it rests messages gather, and it wakes less often.
     """
 
     def __init__(
@@ -337,6 +273,7 @@ class NodeBase:
         self.diagnostics = Diagnostics(self.log)
         self.is_stopped = False
         self.exit_code = 0
+        self.rest = 0.0
         # How topics are read on which a writer was found that offers less.
         self._mismatched: dict[str, Any] = {}
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -344,13 +281,13 @@ class NodeBase:
             DiagnosticArray, DIAGNOSTICS_TOPIC, qos.STREAM
         )
         self.timer(DIAGNOSTICS_PERIOD_S, self.publish_diagnostics)
+        threshold = JumpThreshold(
+            min_forward=Duration(seconds=FORWARD_JUMP_S),
+            min_backward=Duration(nanoseconds=-1),
+            on_clock_change=False,
+        )
         self._jump_handle = self.node.get_clock().create_jump_callback(
-            JumpThreshold(
-                min_forward=Duration(seconds=FORWARD_JUMP_S),
-                min_backward=Duration(nanoseconds=-1),
-                on_clock_change=False,
-            ),
-            post_callback=lambda jump: self._call("clock", self._on_jump, jump),
+            threshold, post_callback=lambda jump: self._call("clock", self._on_jump, jump)
         )
 
     # --- for subclasses ----------------------------------------------------------------------
@@ -365,22 +302,6 @@ class NodeBase:
     def close(self) -> None:
         """End threads; called once, before the node is destroyed."""
 
-    def failed(self, _: object, error: Exception) -> None:
-        """Name what a worker's item raised."""
-        if not self.diagnostics.is_on("worker"):
-            self.log.error("".join(traceback.format_exception(error)))
-        text = f"{type(error).__name__}: {error}"
-        self.diagnostics.add("worker", Level.ERROR, text, SHOWN_S)
-
-    @property
-    def rest(self) -> float:
-        """How many times as long as it has worked the executor rests, 20 ms at most; 0: never.
-
-        rclpy looks at every subscription each time it wakes, so what that costs grows with the
-        square of their number; while it rests messages gather, and it wakes less often.
-        """
-        return 0.0
-
     # --- what a node has ---------------------------------------------------------------------
 
     @property
@@ -391,6 +312,27 @@ class NodeBase:
     def clock_s(self) -> float:
         """Return the node's time, seconds: simulated time where it is used."""
         return float(self.node.get_clock().now().nanoseconds * 1e-9)
+
+    def resolved(self, topic: str) -> str:
+        """Return the whole name of a topic, remapped."""
+        return str(self.node.resolve_topic_name(topic))
+
+    def open_device(self, wanted: str) -> ComputeDevice:
+        """Open a compute device; its warnings stay in the diagnostics. See ``open_device``."""
+        handler = logging.Handler(logging.WARNING)
+
+        def emit(record: logging.LogRecord) -> None:
+            if record.name in DEVICE_LOGGERS:
+                key = f"device {record.name}"
+                self.diagnostics.say(key, record.getMessage(), is_of_all=True)
+
+        handler.emit = emit  # type: ignore[method-assign]
+        logger = logging.getLogger(DEVICE_LOGGERS[0])
+        logger.addHandler(handler)
+        try:
+            return open_device(wanted)
+        finally:
+            logger.removeHandler(handler)
 
     def subscribe(
         self, kind: Any, topic: str, callback: Callable[[Any], None], profile: Any
@@ -406,12 +348,11 @@ class NodeBase:
         def on_mismatch(event: Any) -> None:
             policy = qos_policy_name_from_kind(event.last_policy_kind).lower()
             self._mismatched[topic] = profile
-            self.diagnostics.add(
-                f"qos {topic}",
-                Level.WARN,
-                f"a writer on {self.node.resolve_topic_name(topic)!r} offers less than is asked "
-                f"for ({policy}); nothing is heard from it",
+            text = (
+                f"a writer on {self.resolved(topic)!r} offers less than is asked for ({policy}); "
+                "nothing is heard from it"
             )
+            self.diagnostics.say(f"qos {topic}", text)
 
         return self.node.create_subscription(
             kind,
@@ -432,13 +373,46 @@ class NodeBase:
         self.exit_code = exit_code
         self.is_stopped = True
 
+    def failed(self, _: object, error: Exception, key: str = "worker", where: str = "") -> str:
+        """Name an error that was not expected, of a worker's item or a callback; return its words.
+
+        The log has its traceback, once while it is named.
+        """
+        if not self.diagnostics.is_on(key):
+            self.log.error("".join(traceback.format_exception(error)))
+        text = f"{where}{type(error).__name__}: {error}"
+        self.diagnostics.note(key, text, Level.ERROR)
+        return text
+
+    def _call(self, what: str, callback: Callable[..., None], *arguments: Any) -> None:
+        try:
+            callback(*arguments)
+        except Exception as error:  # noqa: BLE001  (a node must outlive a bad message)
+            self.failed(what, error, f"callback {what}", f"{what}: ")
+
+    # --- diagnostics and time ----------------------------------------------------------------
+
     def publish_diagnostics(self) -> None:
         """Publish one DiagnosticArray on ``/diagnostics``."""
         self._name_namesakes()
-        self._forget_mismatches()
+        for topic, profile in list(self._mismatched.items()):
+            infos = self.node.get_publishers_info_by_topic(topic)
+            found = [qos_check_compatible(info.qos_profile, profile)[0] for info in infos]
+            if QoSCompatibility.ERROR not in found:  # every writer can be heard now
+                del self._mismatched[topic]
+                self.diagnostics.clear(f"qos {topic}")
         message = DiagnosticArray()
         message.header.stamp = self.node.get_clock().now().to_msg()
-        message.status = [self._status(item) for item in self.statuses()]
+        message.status = [
+            DiagnosticStatus(
+                level=bytes([line.level]),
+                name=f"{self.node.get_fully_qualified_name().lstrip('/')}: {line.name}",
+                message=line.message,
+                hardware_id=self.name,
+                values=[KeyValue(key=key, value=shown(item)) for key, item in line.values.items()],
+            )
+            for line in self.statuses()
+        ]
         self._diagnostics.publish(message)
 
     def _name_namesakes(self) -> None:
@@ -452,47 +426,14 @@ class NodeBase:
         )
         self.diagnostics.say("namesake", text if count > 1 else None)
 
-    def _forget_mismatches(self) -> None:
-        """Name no more the topics every writer of which can be heard now."""
-        for topic, profile in list(self._mismatched.items()):
-            infos = self.node.get_publishers_info_by_topic(topic)
-            found = [qos_check_compatible(info.qos_profile, profile)[0] for info in infos]
-            if QoSCompatibility.ERROR not in found:
-                del self._mismatched[topic]
-                self.diagnostics.clear(f"qos {topic}")
-
-    def _status(self, status: Status) -> DiagnosticStatus:
-        return DiagnosticStatus(
-            level=bytes([status.level]),
-            name=f"{self.node.get_fully_qualified_name().lstrip('/')}: {status.name}",
-            message=status.message,
-            hardware_id=self.name,
-            values=[KeyValue(key=key, value=shown(item)) for key, item in status.values.items()],
-        )
-
     def _on_jump(self, jump: TimeJump) -> None:
         delta_s = jump.delta.nanoseconds * 1e-9
         if delta_s > 0.0 and self.clock_s() - delta_s <= 0.0:
             return  # the first time that was ever heard
         how = "forward" if delta_s > 0.0 else "back"
-        self.diagnostics.add(
-            "time jump",
-            Level.WARN,
-            f"time jumped {how} by {abs(delta_s):.3f} s to {self.clock_s():.3f} s",
-            SHOWN_S,
-        )
+        text = f"time jumped {how} by {abs(delta_s):.3f} s to {self.clock_s():.3f} s"
+        self.diagnostics.note("time jump", text)
         self.on_time_jump(delta_s)
-
-    def _call(self, what: str, callback: Callable[..., None], *arguments: Any) -> None:
-        """Call back; name what it raises and go on."""
-        key = f"callback {what}"
-        try:
-            callback(*arguments)
-        except Exception as error:  # noqa: BLE001  (a node must outlive a bad message)
-            if not self.diagnostics.is_on(key):
-                self.log.error(traceback.format_exc())
-            text = f"{what}: {type(error).__name__}: {error}"
-            self.diagnostics.add(key, Level.ERROR, text, SHOWN_S)
 
 
 def shown(value: object) -> str:
@@ -515,8 +456,7 @@ def run_node(make: Callable[[], NodeBase], arguments: Sequence[str] | None = Non
         make: makes the node; called after rclpy has started.
         arguments: with ``--ros-args``; default: none.
 
-    Returns:
-        The exit code: 0, or what the node gave to ``stop``.
+    Returns the exit code: 0, or that of ``stop``.
 
     Raises:
         ConfigError: the arguments cannot be understood, or a name of a topic is none.
@@ -529,7 +469,12 @@ def run_node(make: Callable[[], NodeBase], arguments: Sequence[str] | None = Non
         words = words.replace(". Error: error not set", "; wanted FROM:=TO with two valid names")
         raise ConfigError(f"ROS arguments: {words}") from error
     try:
-        base = _made(make)
+        try:
+            base = make()
+        except NameValidationException as error:
+            # Whether it came from a parameter or a remapping ROS does not say.
+            message = f"{invalid_name(error)}; correct it in the parameters or remappings"
+            raise ConfigError(message) from None
         if mark := os.environ.get(STARTED_VARIABLE):
             with contextlib.suppress(OSError):  # who asked for it is gone
                 Path(mark).touch()
@@ -549,20 +494,6 @@ def run_node(make: Callable[[], NodeBase], arguments: Sequence[str] | None = Non
         return base.exit_code
     finally:
         rclpy.try_shutdown()
-
-
-def _made(make: Callable[[], NodeBase]) -> NodeBase:
-    """Make a node.
-
-    Raises:
-        ConfigError: a name of a topic, a service or the node is none; where it came from, a
-            parameter or a remapping, ROS does not say.
-    """
-    try:
-        return make()
-    except NameValidationException as error:
-        message = f"{invalid_name(error)}; correct it in the parameters or remappings"
-        raise ConfigError(message) from None
 
 
 def invalid_name(error: NameValidationException) -> str:

@@ -4,23 +4,25 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from typing import Any
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 from nav_msgs.msg import Path
 from sensor_msgs.msg import LaserScan
 
-from slamfusion.config import FusionNodeConfig, LogConfig
+from slamfusion.config import LogConfig
 from slamfusion.deskew import Deskewer
 from slamfusion.errors import TrajectoryError
-from slamfusion.fusion.live.session import FusionState
-from slamfusion.geometry import Pose2
 from slamfusion.io import LogScan
 from slamfusion.jobs.live_drive import DriveSolution, LiveDrive, Pace
 from slamfusion.ros import messages, qos
-from slamfusion.ros.base import SHOWN_S, Level, NodeBase, Worker, open_node_device
-from slamfusion.ros.input_health import MAP_SUFFIX, MapSource
+from slamfusion.ros.base import Worker
+from slamfusion.ros.input_health import MAP_SUFFIX, HeardPose, MapSource
 from slamfusion.ros.scan_input import SCAN_TOPIC, ArrivedScan, ScanInput
 from slamfusion.slam.session import LeftOutError
+
+if TYPE_CHECKING:
+    from slamfusion.ros.fusion_node import FusionNode
 
 PATH_TOPIC = "fused/path"
 # Poses of the published path at most, evenly chosen.
@@ -35,7 +37,7 @@ class DriveInput:
     Scans are read in one thread, and the drive is solved in another, with a device of its own.
 
     Args:
-        state: returns what is fused now; from any thread.
+        device: where to compute.
         on_solution: called with each solution, in the thread that solves.
 
     Attributes:
@@ -44,31 +46,26 @@ class DriveInput:
     """
 
     def __init__(
-        self,
-        base: NodeBase,
-        settings: FusionNodeConfig,
-        device: str,
-        state: Callable[[], FusionState],
-        on_solution: Callable[[DriveSolution], None],
+        self, node: FusionNode, device: str, on_solution: Callable[[DriveSolution], None]
     ) -> None:
-        self.scans = ScanInput(base, settings)
+        settings = node.settings
+        self.scans = ScanInput(node, settings)
         self.solution: DriveSolution | None = None
-        self._base, self._settings = base, settings
-        self._state, self._on_solution = state, on_solution
+        self._node, self._on_solution = node, on_solution
         self._deskewer = Deskewer(LogConfig(deskew=settings.deskew, sweep_s=settings.sweep_s))
-        self._drive = LiveDrive(open_node_device(device, base.diagnostics))
+        self._drive = LiveDrive(node.open_device(device))
         self._count, self._pace = 0, Pace()
         self._paths: dict[str, tuple[MapSource, Any]] = {}
-        self._path_topic = base.node.create_publisher(Path, PATH_TOPIC, qos.MAP)
-        self._reader: Worker[ArrivedScan] = Worker(self._read, SCAN_QUEUE, base.failed, "scans")
-        self._solver: Worker[None] = Worker(self._solve, 1, base.failed, "drive")
-        base.subscribe(LaserScan, SCAN_TOPIC, self._on_scan, qos.SENSOR)
+        self._path_topic = node.node.create_publisher(Path, PATH_TOPIC, qos.MAP)
+        self._reader: Worker[ArrivedScan] = Worker(self._read, SCAN_QUEUE, node.failed, "scans")
+        self._solver: Worker[None] = Worker(self._solve, 1, node.failed, "drive")
+        node.subscribe(LaserScan, SCAN_TOPIC, self._on_scan, qos.SENSOR)
 
     # --- in the executor's thread --------------------------------------------------------------
 
-    def put_pose(self, name: str, stamp_s: float, pose: Pose2) -> None:
+    def put_pose(self, name: str, heard: HeardPose) -> None:
         """Take a pose of an input."""
-        self._drive.add_pose(name, stamp_s, pose)
+        self._drive.add_pose(name, messages.stamp_s(heard.stamp), heard.pose)
 
     def forget(self) -> None:
         """Let a new drive start."""
@@ -81,17 +78,15 @@ class DriveInput:
         self._solver.put(None)
         for name, (source, subscription) in [*self._paths.items()]:
             if sources.get(name) is not source:
-                self._base.node.destroy_subscription(subscription)
+                self._node.node.destroy_subscription(subscription)
                 del self._paths[name]
                 self._drive.remove(name)
         for name, source in sources.items():
             if self._count and name not in self._paths and source.topic.endswith(MAP_SUFFIX):
                 topic = source.topic.removesuffix(MAP_SUFFIX) + "/path"
-
-                def on_path(message: Any, name: str = name) -> None:
-                    self._on_path(name, message)
-
-                subscription = self._base.subscribe(Path, topic, on_path, qos.MAP)
+                subscription = self._node.subscribe(
+                    Path, topic, partial(self._on_path, name), qos.MAP
+                )
                 self._paths[name] = source, subscription
 
     def _on_scan(self, message: Any) -> None:
@@ -106,7 +101,7 @@ class DriveInput:
             path = messages.path_from_message(message, name)
         except TrajectoryError as error:
             text = f"the path of {name!r} is left out: {error}"
-            self._base.diagnostics.add(f"path {name}", Level.WARN, text, SHOWN_S)
+            self._node.diagnostics.note(f"path {name}", text)
             return
         self._drive.set_path(name, path)
 
@@ -117,7 +112,7 @@ class DriveInput:
         try:
             scan = self.scans.read(arrived)
         except LeftOutError:
-            return  # named by who reads it
+            return  # named by ``read``
         within, odometry = self._deskewer.follow(
             scan, lambda times_s: self.scans.odometry_at(arrived, times_s, is_first=False)
         )
@@ -131,13 +126,13 @@ class DriveInput:
         depth = self._pace.due(began_s, self._count)
         if depth is None:
             return
-        state = self._state()
+        state, settings = self._node.session.snapshot, self._node.settings
         transforms = {name: state.transform(name) for name in state.inputs}
         solution = self._drive.solve(
             depth,
             lattice=state.lattice,
             transforms={name: place for name, place in transforms.items() if place is not None},
-            resolution=state.resolution if self._settings.draw else None,
+            resolution=state.resolution if settings.draw else None,
         )
         self._pace.done(depth, began_s, time.monotonic())
         if solution is None:
@@ -145,9 +140,11 @@ class DriveInput:
         self.solution = solution
         self._on_solution(solution)
         if self._path_topic.get_subscription_count():
-            path, frame = solution.path, self._settings.fused_frame
-            stamp = messages.to_stamp(float(path.stamps_s[-1]))
-            self._path_topic.publish(messages.path_to_message(path, frame, stamp, PATH_POSES))
+            stamp = messages.to_stamp(float(solution.path.stamps_s[-1]))
+            frame = settings.fused_frame
+            self._path_topic.publish(
+                messages.path_to_message(solution.path, frame, stamp, PATH_POSES)
+            )
 
     def close(self) -> None:
         """End both threads."""

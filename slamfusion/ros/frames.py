@@ -15,13 +15,13 @@ from collections.abc import Iterable
 from typing import Any
 
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Transform, TransformStamped
+from geometry_msgs.msg import TransformStamped
 
 from slamfusion.geometry import Pose2
 from slamfusion.io.transforms import KEEP_S, Mount, TransformError, TransformTree
 from slamfusion.ros import qos
 from slamfusion.ros.base import is_first_to_say
-from slamfusion.ros.messages import stamp_s, transform_to_message
+from slamfusion.ros.messages import stamp_ns, stamp_s, transform_to_message
 
 try:
     from tf2_msgs.msg import TFMessage
@@ -43,14 +43,13 @@ OWN_KEPT = 500
 RIVAL_KEPT_S = 5.0
 
 
-def _topics(node: Any) -> tuple[tuple[Any, str, Any], tuple[Any, str, Any]]:
-    """Return message type, topic and quality of moving and of static transforms."""
+def _topics(node: Any) -> tuple[Any, str, str]:
+    """Return the type, and the topics of moving and of static transforms."""
     if TFMessage is not None:
-        return (TFMessage, TF_TOPIC, qos.TF), (TFMessage, TF_STATIC_TOPIC, qos.TF_STATIC)
+        return TFMessage, TF_TOPIC, TF_STATIC_TOPIC
     if is_first_to_say(WITHOUT_TF2):
         node.get_logger().warning(WITHOUT_TF2, once=True)
-    static = qos.latched(100)
-    return (TransformStamped, PLAIN_TOPIC, qos.TF), (TransformStamped, PLAIN_STATIC_TOPIC, static)
+    return TransformStamped, PLAIN_TOPIC, PLAIN_STATIC_TOPIC
 
 
 def _listed(message: Any) -> list[TransformStamped]:
@@ -58,24 +57,14 @@ def _listed(message: Any) -> list[TransformStamped]:
     return list(message.transforms) if hasattr(message, "transforms") else [message]
 
 
-def _row(transform: Transform) -> tuple[float, ...]:
-    """Return place and quaternion of a message, as ``TransformTree`` has them."""
-    move, turn = transform.translation, transform.rotation
-    return move.x, move.y, move.z, turn.x, turn.y, turn.z, turn.w
-
-
 class TransformStore:
     """A live ``TransformTree`` of messages, safe between threads, that can be waited for.
 
     Attributes:
-        received: transforms taken in so far.
-        refused: transforms left out: of no two frames, not finite, no rotation, or too late.
-        last_s: when the last one was taken in, ``time.monotonic``; None before the first.
+        last_s: when a moving one was taken in last, ``time.monotonic``; None before the first.
     """
 
     def __init__(self) -> None:
-        self.received = 0
-        self.refused = 0
         self.last_s: float | None = None
         self._tree = TransformTree(KEEP_S)
         self._changed = threading.Condition()
@@ -84,34 +73,33 @@ class TransformStore:
         """Take in transforms; see ``TransformTree.add``."""
         now_s = time.monotonic()
         with self._changed:
-            for transform in transforms:
-                named = transform.header.frame_id, transform.child_frame_id
-                row = _row(transform.transform)
+            for item in transforms:
+                move, turn = item.transform.translation, item.transform.rotation
                 is_used = self._tree.add(
-                    *named, stamp_s(transform), row, is_static=is_static, arrived_s=now_s
+                    item.header.frame_id,
+                    item.child_frame_id,
+                    stamp_s(item),
+                    (move.x, move.y, move.z, turn.x, turn.y, turn.z, turn.w),
+                    is_static=is_static,
+                    arrived_s=now_s,
                 )
-                self.received += is_used
-                self.refused += not is_used
                 if is_used and not is_static:
                     self.last_s = now_s
             self._changed.notify_all()
 
     def lookup(self, target: str, source: str, time_s: float, wait_s: float = 0.0) -> Pose2:
-        """Return the pose of a frame in another at a time; see ``TransformTree.lookup``.
+        """Return the pose of the frame ``source`` in ``target`` at a time; see ``TransformTree``.
 
         Args:
-            target: the frame the pose is in.
-            source: the frame whose pose it is.
-            time_s: seconds.
             wait_s: wait so long for a transform that is still to come; never in a callback.
 
         Raises:
-            TransformError: not to be told, also after the wait.
+            TransformError: it is not known, also after the wait.
         """
         return self.mount(target, source, time_s, wait_s).pose
 
     def mount(self, target: str, source: str, time_s: float, wait_s: float = 0.0) -> Mount:
-        """Return the same and whether the frame is upside down; see ``TransformTree.mount``."""
+        """Return the same and whether the frame is upside down."""
         until_s = time.monotonic() + wait_s
         with self._changed:
             while (left_s := until_s - time.monotonic()) > 0.0:
@@ -153,19 +141,15 @@ class TransformStore:
 
 
 class TransformInput(TransformStore):
-    """Follows the transforms that others send.
-
-    Args:
-        node: an rclpy node; its executor must spin.
-    """
+    """Follows the transforms that others send to an rclpy node, whose executor must spin."""
 
     def __init__(self, node: Any) -> None:
         super().__init__()
-        moving, static = _topics(node)
+        kind, moving, static = _topics(node)
         self._subscriptions = [
-            node.create_subscription(*moving[:2], lambda m: self.add(_listed(m)), moving[2]),
+            node.create_subscription(kind, moving, lambda m: self.add(_listed(m)), qos.TF),
             node.create_subscription(
-                *static[:2], lambda m: self.add(_listed(m), is_static=True), qos.latched(100)
+                kind, static, lambda m: self.add(_listed(m), is_static=True), qos.TF_STATIC_READ
             ),
         ]
 
@@ -184,10 +168,11 @@ class TransformOutput:
         self._own: deque[tuple[Any, ...]] = deque(maxlen=OWN_KEPT)
         self._children: set[str] = set()
         self._rivals: dict[str, tuple[str, float]] = {}
-        moving, static = _topics(node)
-        self._moving = node.create_publisher(*moving)
-        self._latched = node.create_publisher(*static)
-        self._subscription = node.create_subscription(moving[0], moving[1], self._listen, qos.TF)
+        kind, moving, static = _topics(node)
+        static_qos = qos.TF_STATIC if HAS_TF2 else qos.TF_STATIC_READ
+        self._moving = node.create_publisher(kind, moving, qos.TF)
+        self._latched = node.create_publisher(kind, static, static_qos)
+        self._subscription = node.create_subscription(kind, moving, self._listen, qos.TF)
 
     def send(self, pose: Pose2, parent: str, child: str, stamp: Time) -> None:
         """Send the pose of a frame in another one, which holds at a stamp."""
@@ -198,22 +183,19 @@ class TransformOutput:
         self._publish(self._moving, item)
 
     def send_static(self, pose: Pose2, parent: str, child: str, stamp: Time) -> None:
-        """Send one that holds from now on, the only one; who comes later gets it too."""
+        """Send one that holds from now on, the only one; a late listener gets it too."""
         self._publish(self._latched, transform_to_message(pose, parent, child, stamp))
 
     def rivals(self) -> dict[str, str]:
         """Return child frames that another node sent in the last seconds, with its parent frame."""
-        now_s = time.monotonic()
+        since_s = time.monotonic() - RIVAL_KEPT_S
         with self._lock:
-            return {
-                child: parent
-                for child, (parent, seen_s) in self._rivals.items()
-                if now_s - seen_s < RIVAL_KEPT_S
-            }
+            rivals = self._rivals.items()
+            return {child: parent for child, (parent, seen_s) in rivals if seen_s > since_s}
 
     @staticmethod
     def _publish(publisher: Any, item: TransformStamped) -> None:
-        publisher.publish(item if TFMessage is None else TFMessage(transforms=[item]))
+        publisher.publish(TFMessage(transforms=[item]) if HAS_TF2 else item)
 
     def _listen(self, message: Any) -> None:
         """Take note of foreign transforms to a child frame of ours."""
@@ -225,14 +207,6 @@ class TransformOutput:
 
 def _key(item: TransformStamped) -> tuple[Any, ...]:
     """Return what tells one transform from another's."""
-    move, turn, stamp = item.transform.translation, item.transform.rotation, item.header.stamp
-    return (
-        item.header.frame_id,
-        item.child_frame_id,
-        stamp.sec,
-        stamp.nanosec,
-        move.x,
-        move.y,
-        turn.z,
-        turn.w,
-    )
+    move, turn = item.transform.translation, item.transform.rotation
+    place = move.x, move.y, turn.z, turn.w
+    return (item.header.frame_id, item.child_frame_id, stamp_ns(item), *place)

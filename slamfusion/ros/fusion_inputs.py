@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any
 
 from rclpy.exceptions import NameValidationException
 from rclpy.expand_topic_name import expand_topic_name
@@ -15,14 +14,13 @@ from rclpy.validate_full_topic_name import validate_full_topic_name
 from rclpy.validate_topic_name import validate_topic_name
 
 from slamfusion.compute.layout import MOST_INPUTS
-from slamfusion.config import FusionNodeConfig, MapFileConfig
+from slamfusion.config import FusionNodeConfig
 from slamfusion.errors import ConfigError, SlamFusionError
 from slamfusion.grid import OccupancyGrid
-from slamfusion.io.map_server import load_map
-from slamfusion.ros.base import SHOWN_S, Level, NodeBase, invalid_name
+from slamfusion.ros.base import NodeBase, invalid_name
 from slamfusion.ros.input_health import MAP_SUFFIX, MapSource
+from slamfusion.ros.interface import INPUTS
 from slamfusion.ros.parameters import declare_names
-from slamfusion.slam.registry import BUILT_IN
 
 # Lines in the diagnostics: the fusion's, an input's before its name, and its figure with the entry.
 FUSION, PREFIX, ENTRY = "fusion", "input ", "entry"
@@ -31,11 +29,6 @@ FILE_PREFIX = "file:"
 NAMED = "="
 MAP_TYPE = "nav_msgs/msg/OccupancyGrid"
 ANY_WORDS = "**"
-DEFAULT = tuple(f"{name}/map" for name in BUILT_IN)
-TEXT = (
-    "what is fused: map topics, and file:PATH for saved maps; NAME=TOPIC gives a name of its own; "
-    "may be changed while the node runs; default with discover: none but what is found"
-)
 
 
 def input_names(entries: Sequence[str], before: Mapping[str, str] | None = None) -> dict[str, str]:
@@ -59,7 +52,7 @@ def input_names(entries: Sequence[str], before: Mapping[str, str] | None = None)
     names: dict[str, str] = {}
     for entry, name in called.items():
         is_shared = list(called.values()).count(name) > 1 and entry not in kept
-        if is_shared and _given_name(entry):
+        if is_shared and _split(entry)[0]:
             raise ConfigError(f"inputs calls two maps {name!r}: {', '.join(entries)}")
         names[entry if is_shared else name] = entry
     return names
@@ -69,7 +62,7 @@ def entry_for(name: str, topic: str | None = None) -> str:
     """Return the entry of an input of a name.
 
     Args:
-        name: what it is to be called.
+        name: of the input.
         topic: of its maps, or ``file:PATH``; None: ``NAME/map``.
 
     Raises:
@@ -84,52 +77,27 @@ def entry_for(name: str, topic: str | None = None) -> str:
 
 def topic_of(entry: str) -> str | None:
     """Return the map topic of an entry; None of a saved map."""
-    where = _place(entry)
+    where = _split(entry)[1]
     return None if where.startswith(FILE_PREFIX) else where
 
 
 def saved_path(entry: str) -> Path | None:
     """Return the file of a saved map's entry; None of a topic."""
-    where = _place(entry)
+    where = _split(entry)[1]
     return Path(where.removeprefix(FILE_PREFIX)) if where.startswith(FILE_PREFIX) else None
 
 
-def load_saved(
-    name: str, entry: str, config: MapFileConfig, warn: Callable[[str], Any]
-) -> OccupancyGrid | None:
-    """Return the map of a saved one's entry, None of a topic.
-
-    Args:
-        entry: as in ``inputs``.
-        config: how saved maps are read.
-        warn: told what is doubtful about the map.
-
-    Raises:
-        MapFileError: it cannot be read.
-    """
-    path = saved_path(entry)
-    if path is None:
-        return None
-    return load_map(path, name=name, legacy_unknown=config.legacy_unknown, warn=warn)
-
-
-def _given_name(entry: str) -> str:
-    """Return the name that an entry gives itself; empty without."""
-    name, is_named, _ = entry.partition(NAMED)
-    return name if is_named and not entry.startswith(FILE_PREFIX) else ""
-
-
-def _place(entry: str) -> str:
-    """Return an entry without the name that it gives itself."""
-    return entry.partition(NAMED)[2] if _given_name(entry) else entry
+def _split(entry: str) -> tuple[str, str]:
+    """Return the name that an entry gives itself, empty without, and its topic or file."""
+    name, is_named, where = entry.partition(NAMED)
+    return (name, where) if is_named and not entry.startswith(FILE_PREFIX) else ("", entry)
 
 
 def _short_name(entry: str) -> str:
-    if name := _given_name(entry):
-        return name
-    if entry.startswith(FILE_PREFIX):
-        return Path(entry.removeprefix(FILE_PREFIX)).stem
-    return entry.removesuffix(MAP_SUFFIX).strip("/") or entry
+    name, where = _split(entry)
+    if not name and where.startswith(FILE_PREFIX):
+        return Path(where.removeprefix(FILE_PREFIX)).stem
+    return name or where.removesuffix(MAP_SUFFIX).strip("/") or entry
 
 
 def fits(topic: str, pattern: str) -> bool:
@@ -151,16 +119,18 @@ def _fit(words: Sequence[str], wanted: Sequence[str]) -> bool:
 class FusionInputs:
     """Which maps are fused, by name: the parameter ``inputs``, and what is discovered.
 
-    In the executor's thread.
+    In the executor's thread. The mappings are replaced as wholes.
 
     Args:
         outputs: topics that a fusion writes, relative; they are not discovered.
         is_open: whether there may be none at first, since they are discovered.
-        on_change: called after a change with the names of those that are inputs no more, and the
-            saved maps among the new ones.
+        load: returns the saved map of a name and its file; MapFileError where it cannot be read.
+        listen: returns the source of a name and its topic.
+        on_change: called after a change with the names of those that were removed, and the saved
+            maps among the new ones.
 
     Attributes:
-        entries: those of ``inputs`` by name; this and the next two are replaced as wholes.
+        entries: those of ``inputs`` by name.
         sources: of the map topics, by name; none before ``begin``.
         saved: the saved maps, by name; the same.
 
@@ -174,19 +144,16 @@ class FusionInputs:
         outputs: Collection[str],
         *,
         is_open: bool,
+        load: Callable[[str, Path], OccupancyGrid],
+        listen: Callable[[str, str], MapSource],
         on_change: Callable[[list[str], list[OccupancyGrid]], None],
     ) -> None:
         self._base = base
-        self._on_change = on_change
+        self._load, self._listen, self._on_change = load, listen, on_change
         self._outputs = tuple(outputs)
         self._looked_s = float("-inf")
         given = declare_names(
-            base.node,
-            "inputs",
-            () if is_open else DEFAULT,
-            TEXT,
-            check=self._checked,
-            on_change=self._change,
+            base.node, INPUTS, () if is_open else None, check=self._checked, on_change=self._change
         )
         if not given and not is_open:
             raise ConfigError("inputs is empty; name at least one map: -p inputs:=[a/map,b/map]")
@@ -195,27 +162,16 @@ class FusionInputs:
         self.saved: dict[str, OccupancyGrid] = {}
         # Topics, resolved, of inputs that were removed and not added again.
         self._unwanted: set[str] = set()
-        self._load: Callable[[str, str], OccupancyGrid | None] = lambda *_: None
-        self._make: Callable[[str, str], MapSource]
         # Saved maps by entry, from when they were checked until they are inputs.
-        self._loaded: dict[str, OccupancyGrid | None] = {}
+        self._loaded: dict[str, OccupancyGrid] = {}
 
-    def begin(
-        self,
-        load: Callable[[str, str], OccupancyGrid | None],
-        make: Callable[[str, str], MapSource],
-    ) -> None:
+    def begin(self) -> None:
         """Load the saved maps and listen to the topics.
-
-        Args:
-            load: returns the saved map of a name and its entry, None of a topic.
-            make: returns the source of a name and its topic.
 
         Raises:
             ConfigError: there are too many, or one topic is given twice or is none.
             MapFileError: a saved map cannot be read.
         """
-        self._load, self._make = load, make
         entries, self.entries = [*self.entries.values()], {}
         self._replace(self._checked(entries))
 
@@ -233,7 +189,7 @@ class FusionInputs:
         space = str(node.get_namespace()).rstrip("/") + "/"
         patterns = [part if part[0] == "/" else space + part for part in settings.patterns]
         known = {*self._topics(self.entries), *self._unwanted}
-        known |= {str(node.resolve_topic_name(name)) for name in self._outputs}
+        known |= {self._base.resolved(name) for name in self._outputs}
         # As relative as can be: robots are called by their own namespaces.
         found = [
             topic.removeprefix(space)
@@ -250,25 +206,27 @@ class FusionInputs:
                 f"found and not fused: {', '.join(found[room:])}; at most {MOST_INPUTS} can be: "
                 "remove others (slamfusion live remove NAME)"
             )
-            self._base.diagnostics.add("not fused", Level.WARN, text, SHOWN_S)
+            self._base.diagnostics.note("not fused", text)
         if found[:room] and (problem := self._ask([*self.entries.values(), *found[:room]])):
             text = f"found and not fused: {', '.join(found)}: {problem}"
-            self._base.diagnostics.add("not fused", Level.WARN, text, SHOWN_S)
+            self._base.diagnostics.note("not fused", text)
 
-    def load(self, entry: str) -> tuple[OccupancyGrid | None, str]:
-        """Let a saved map be an input, read again where it is one; return it, or why not."""
+    def load(self, path: str) -> OccupancyGrid:
+        """Let a saved map be an input, read again where it is one; return it.
+
+        Raises:
+            SlamFusionError: why not.
+        """
+        entry = f"{FILE_PREFIX}{path}"
         others = [other for other in self.entries.values() if other != entry]
+        steps = [[*others, entry]]
         if len(others) < len(self.entries):
-            try:
-                self._load("", entry)
-            except SlamFusionError as error:
-                return None, str(error)
-            if problem := self._ask(others):
-                return None, problem
-        if problem := self._ask([*others, entry]):
-            return None, problem
-        name = next(name for name, other in self.entries.items() if other == entry)
-        return self.saved[name], ""
+            self._load("", Path(path))  # it stays an input where it cannot be read
+            steps = [others, *steps]
+        for entries in steps:
+            if problem := self._ask(entries):
+                raise SlamFusionError(problem)
+        return next(self.saved[name] for name, other in self.entries.items() if other == entry)
 
     def _ask(self, entries: Sequence[str]) -> str:
         """Set the parameter; return why it was refused, empty where it was not."""
@@ -295,7 +253,9 @@ class FusionInputs:
         if twice:
             raise ConfigError(f"inputs names one map twice: {', '.join(entries)} ({twice.pop()})")
         self._loaded = {
-            entry: self._load(name, entry) for name, entry in _others(names, self.entries).items()
+            entry: self._load(name, path)
+            for name, entry in _others(names, self.entries).items()
+            if (path := saved_path(entry)) is not None
         }
         return names
 
@@ -314,42 +274,39 @@ class FusionInputs:
                 validate_full_topic_name(whole)
         except NameValidationException as error:
             raise ConfigError(f"inputs: {invalid_name(error)}") from None
-        return [str(node.resolve_topic_name(topic)) for topic in topics]
+        return [self._base.resolved(topic) for topic in topics]
 
     def _change(self, entries: Sequence[str]) -> None:
-        """Take other inputs, and say who came and who left."""
+        """Take other inputs, which were checked, and log what came and left."""
         names, before = input_names(entries, self.entries), self.entries
         removed, added = _others(before, names), _others(names, before)
-        if not {*added.values()} <= self._loaded.keys():  # it was checked, as a rule
-            self._checked(entries)
         self._replace(names)
         self._unwanted |= {*self._topics(removed)}
         for name, entry in removed.items():
             text = f"{name} is removed from the inputs ({entry}), and its vote with it"
-            self._base.diagnostics.add(f"removed {name}", Level.WARN, text, SHOWN_S)
+            self._base.diagnostics.note(f"removed {name}", text)
         for name, entry in added.items():
             self._base.log.info(f"{name} is an input now ({entry})")
-        saved = [grid for name, grid in self.saved.items() if name in added]
-        self._on_change([*removed], saved)
+        self._on_change([*removed], [grid for name, grid in self.saved.items() if name in added])
 
     def _replace(self, names: dict[str, str]) -> None:
         """Let these be the inputs, checked."""
         added, removed = _others(names, self.entries), _others(self.entries, names)
-        gone = [source for name, source in self.sources.items() if name in removed]
-        sources = {name: source for name, source in self.sources.items() if name not in removed}
-        saved = {name: grid for name, grid in self.saved.items() if name not in removed}
-        for name, entry in added.items():
-            if (topic := topic_of(entry)) is not None:
-                sources[name] = self._make(name, topic)
-            elif (grid := self._loaded[entry]) is not None:
-                saved[name] = grid
-        self.sources = {name: sources[name] for name in names if name in sources}
-        self.saved, self.entries, self._loaded = saved, names, {}
+        for name in removed:
+            if name in self.sources:
+                self.sources[name].close()
+        sources, saved = {}, {}
+        for name, entry in names.items():
+            topic, path = topic_of(entry), saved_path(entry)
+            if topic is not None:
+                sources[name] = self._listen(name, topic) if name in added else self.sources[name]
+            elif path is not None:
+                known = self._loaded.get(entry) if name in added else self.saved[name]
+                saved[name] = known or self._load(name, path)
+        self.sources, self.saved, self.entries, self._loaded = sources, saved, names, {}
         self._unwanted -= {*self._topics(names)}
-        for source in gone:
-            source.close()
 
 
 def _others(names: Mapping[str, str], before: Mapping[str, str]) -> dict[str, str]:
-    """Return the entries by name that stood otherwise, or not at all, in others."""
+    """Return the entries by name that were different, or absent, before."""
     return {name: entry for name, entry in names.items() if before.get(name) != entry}

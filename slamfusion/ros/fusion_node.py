@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from nav_msgs.msg import OccupancyGrid
@@ -17,24 +18,25 @@ from slamfusion.config import (
     LiveConfig,
     MapFileConfig,
     RunConfig,
+    config_fields,
 )
 from slamfusion.errors import GridError
 from slamfusion.evidence import CONDITIONS, Condition
 from slamfusion.fusion.live import LiveFusion, LiveInput, State
 from slamfusion.fusion.live.session import FusedMap, FusionSession, warm_up
 from slamfusion.geometry import Pose2
+from slamfusion.io.map_server import load_map
 from slamfusion.jobs.live_drive import DriveSolution
 from slamfusion.ros import messages, qos
-from slamfusion.ros.base import FINAL, Level, NodeBase, Status, Worker, open_node_device
+from slamfusion.ros.base import FINAL, Level, NodeBase, Status, Worker
 from slamfusion.ros.drive_input import DriveInput
 from slamfusion.ros.fused_frames import FusedFrames
-from slamfusion.ros.fusion_inputs import ENTRY, FUSION, PREFIX, FusionInputs, load_saved
+from slamfusion.ros.fusion_inputs import ENTRY, FUSION, PREFIX, FusionInputs
 from slamfusion.ros.fusion_services import MAP_TOPIC, FusionServices
 from slamfusion.ros.fusion_state import StateKeeper
-from slamfusion.ros.input_health import Clocks, MapSource, Writers
+from slamfusion.ros.input_health import Clocks, HeardPose, MapSource, Writers
 from slamfusion.ros.live_page import LivePage
-from slamfusion.ros.parameters import declare, declare_starts, parameter_names
-from slamfusion.trajectory import Trajectory
+from slamfusion.ros.parameters import declare, declare_starts
 
 AGREEMENT_TOPIC = "fused/agreement"
 CHANGEABLE = (
@@ -96,22 +98,27 @@ class FusionNode(NodeBase):
             node, FusionNodeConfig(), changeable=CHANGEABLE, on_change=self._on_settings
         )
         is_open = bool(self.settings.discover)
-        outputs = MAP_TOPIC, AGREEMENT_TOPIC
-        self.inputs = FusionInputs(self, outputs, is_open=is_open, on_change=self._on_inputs)
+        self.inputs = FusionInputs(
+            self,
+            (MAP_TOPIC, AGREEMENT_TOPIC),
+            is_open=is_open,
+            load=self._load,
+            listen=self._listen,
+            on_change=self._on_inputs,
+        )
         names = tuple(self.inputs.entries)
         least = LiveConfig().minimum_inputs
         live = LiveConfig(minimum_inputs=least if is_open else min(least, len(names)))
-        live = declare(
+        self.live = declare(
             node,
             live,
             "live",
-            changeable=[name for name in parameter_names(LiveConfig) if name != "extent"],
+            changeable={item.key for item in config_fields(live, "live")} - {"live.extent"},
             on_change=self._on_live,
         )
-        self._least = live.minimum_inputs
-        config = RunConfig(
+        self._config = RunConfig(
             fusion=declare(node, FusionConfig(), "fusion"),
-            live=live,
+            live=self.live,
             device=declare(node, DeviceConfig()),
             map_files=declare(node, MapFileConfig()),
             start=declare_starts(node, names, may_come=is_open),
@@ -120,36 +127,21 @@ class FusionNode(NodeBase):
         self._page = LivePage(self, self.settings, self._carry_out) if self.settings.page else None
         self._clocks = Clocks(self.clock_s, self.diagnostics)
         # Before the inputs: of what has come the odometry is heard first, and then the poses.
-        self._drive = DriveInput(
-            self,
-            self.settings,
-            config.device.device,
-            lambda: self._session.snapshot,
-            self._on_solution,
-        )
-        self._frames = FusedFrames(self, self.settings, live, self._drive.scans.odometry)
-        self.inputs.begin(
-            lambda name, entry: load_saved(name, entry, config.map_files, self.log.warning),
-            lambda name, topic: MapSource(
-                self,
-                name,
-                topic,
-                self.settings.lost_after_s,
-                self._clocks,
-                self._on_map,
-                self._on_pose,
-            ),
-        )
-        self._frames.sources = self.inputs.sources
-        self._device = open_node_device(config.device.device, self.diagnostics)
-        self._fusion = LiveFusion(config, self._device, None if is_open else names)
-        warm_up(config, self._device)
+        device = self._config.device.device
+        self.drive = DriveInput(self, device, self._on_solution)
+        self._frames = FusedFrames(self, self.drive.scans.odometry)
+        self.inputs.begin()
+        self._device = self.open_device(device)
+        self._fusion = LiveFusion(self._config, self._device, None if is_open else names)
+        warm_up(self._config, self._device)
 
         # The last published map as message and as grid, replaced as a whole; None before the first.
         self.published: tuple[OccupancyGrid, grids.OccupancyGrid] | None = None
+        # Another node that writes the fused map; empty without.
+        self.rival = ""
         self._map_topic = node.create_publisher(OccupancyGrid, MAP_TOPIC, qos.MAP)
         self._agreement_topic = node.create_publisher(OccupancyGrid, AGREEMENT_TOPIC, qos.MAP)
-        self._session = FusionSession(
+        self.session = FusionSession(
             self._fusion,
             self.settings.max_publish_rate_hz,
             publish=self._publish,
@@ -159,15 +151,15 @@ class FusionNode(NodeBase):
             is_heard=lambda: self._agreement_topic.get_subscription_count() > 0,
         )
         self._services = FusionServices(self)
-        self._writers = Writers(self, MAP_TOPIC)
+        self._writers = Writers(self)
         self._keeper = StateKeeper(self, self._fusion, self.settings.state_path, names)
         if (kept := self._keeper.restored) is not None:
-            self._session.offer(FusedMap(*kept.grids(), kept.stamp_s))
-        self._put_saved(self.inputs.saved.values())
-        self._told_votes = 0
+            self.session.offer(FusedMap(*kept.grids(), kept.stamp_s))
+        self._shown_votes = 0
         # The stamp of the last scan when its final solution was published.
         self._final_s: float | None = None
         self._worker: Worker[None] = Worker(self._turn, 1, self.failed, "fusion")
+        self._on_inputs([], self.inputs.saved.values())
         self.timer(TURN_S, self._look_turn)
         self.timer(LOOK_S, self._look)
         self.timer(DRIVE_S, self._frames.drive)
@@ -175,32 +167,34 @@ class FusionNode(NodeBase):
         self.timer(LOOK_AROUND_S, self._look_around)
         self.log.info(
             f"fuses {', '.join(self.inputs.entries.values()) or self.settings.discover} on "
-            f"{self._device.name}; the fused map is on {node.resolve_topic_name(MAP_TOPIC)!r} in "
-            f"frame {self.settings.fused_frame!r}"
+            f"{self._device.name}; the fused map is on {self.resolved(MAP_TOPIC)!r} in frame "
+            f"{self.settings.fused_frame!r}"
         )
-        self._wake()
-
-    @property
-    def rest(self) -> float:
-        """Leave the worker three quarters of the interpreter, where inputs are many."""
-        return REST if len(self.inputs.sources) >= MANY else 0.0
 
     # --- callbacks, in the executor's thread -------------------------------------------------
 
-    def _on_inputs(self, removed: Sequence[str], saved: Sequence[grids.OccupancyGrid]) -> None:
-        """Forget inputs that are none any more, and let the worker see to those that came."""
+    def _load(self, name: str, path: Path) -> grids.OccupancyGrid:
+        """Load the saved map of an input."""
+        legacy_unknown = self._config.map_files.legacy_unknown
+        return load_map(path, name=name, legacy_unknown=legacy_unknown, warn=self.log.warning)
+
+    def _listen(self, name: str, topic: str) -> MapSource:
+        """Listen to the maps of an input."""
+        lost_after_s = self.settings.lost_after_s
+        return MapSource(self, name, topic, lost_after_s, self._clocks, self._on_map, self._on_pose)
+
+    def _on_inputs(self, removed: Sequence[str], saved: Iterable[grids.OccupancyGrid]) -> None:
+        """Forget inputs that were removed, and let the worker see to those that came."""
         for name in removed:
-            self._session.remove(name)
+            self.session.remove(name)
             self._clocks.remove(name)
             self.diagnostics.clear(f"writers {name}")
-        self._put_saved(saved)
-        self._frames.sources = self.inputs.sources
-        self._wake()
-
-    def _put_saved(self, saved: Iterable[grids.OccupancyGrid]) -> None:
         for grid in saved:
-            read = partial(self._shown, grid.name, grid)
+            read = partial(self._on_page, grid.name, grid)
             self._fusion.put(grid.name, read, time.monotonic(), is_saved=True)
+        # Leave the worker three quarters of the interpreter, where inputs are many.
+        self.rest = REST if len(self.inputs.sources) >= MANY else 0.0
+        self._wake()
 
     def _wake(self) -> None:
         self._worker.put(None)
@@ -212,41 +206,31 @@ class FusionNode(NodeBase):
             self._fusion.put(source.name, read, time.monotonic())
         self._wake()
 
-    def _on_pose(self, source: MapSource) -> None:
-        """Let a pose be compared with the others', and send what it tells."""
-        heard = source.pose
-        if heard is not None:
-            stamp_s = messages.stamp_s(heard.stamp)
-            self._session.hear(source.name, stamp_s, heard.pose)
-            self._drive.put_pose(source.name, stamp_s, heard.pose)
-        self._show_frames()
-        self._frames.on_pose(source)
+    def _on_pose(self, source: MapSource, heard: HeardPose) -> None:
+        """Let a pose be compared with the others', and send what follows from it."""
+        self.session.hear(source.name, messages.stamp_s(heard.stamp), heard.pose)
+        self.drive.put_pose(source.name, heard)
+        self._frames.on_pose(source, heard)
         if self._page is not None:
-            self._page.put_pose(source)
-
-    def _show_frames(self) -> None:
-        """Let the frames and the pose go by what is fused now, and by what the scans say."""
-        self._frames.state, solution = self._session.snapshot, self._drive.solution
-        self._frames.corrections = {} if solution is None else solution.supported
+            self._page.put_pose(source.name, heard.pose)
 
     def _look_turn(self) -> None:
-        """Wake the worker for what had to wait for its turn, or for somebody who listens."""
-        if self._session.is_due:
+        """Wake the worker for what had to wait for its turn, or for a listener."""
+        if self.session.is_due:
             self._wake()
 
     def _look(self) -> None:
         """See which inputs are lost or back, and send what is new of the frames and votes."""
         self.inputs.discover(self.settings)
         for name, source in self.inputs.sources.items():
-            if self._session.look(
+            if self.session.look(
                 name, source.lost, has_map=bool(source.frame), is_back=source.is_back
             ):
                 self._wake()
-        snapshot = self._session.snapshot
-        self._show_frames()
+        snapshot = self.session.snapshot
         self._frames.look()
-        if snapshot.votes != self._told_votes:  # who votes is said at once, not within the second
-            self._told_votes = snapshot.votes
+        if snapshot.votes != self._shown_votes:  # which inputs vote is shown at once
+            self._shown_votes = snapshot.votes
             self.publish_diagnostics()
             self._show()
         if self._page is not None:
@@ -255,61 +239,47 @@ class FusionNode(NodeBase):
     def _show(self) -> None:
         """Show how the inputs are on the page."""
         if self._page is not None:
-            self._page.show(self.statuses(), self._session.snapshot, self.inputs.sources.values())
+            self._page.show(self.statuses(), self.session.snapshot, self.inputs.sources.values())
 
     def _look_around(self) -> None:
-        """See who publishes the inputs and the fused map, and let ages be looked at."""
+        """See which nodes publish the inputs and the fused map, and let ages be looked at."""
         sources = self.inputs.sources
         for source in sources.values():
             source.look()
-        self._writers.look({name: source.topic for name, source in sources.items()})
-        self._frames.rival = self._writers.rival
+        topics = {name: source.topic for name, source in sources.items()}
+        self.rival = self._writers.look(topics, MAP_TOPIC)
         self._clocks.look(sources)
-        self._drive.look(sources)
+        self.drive.look(sources)
         self._wake()
 
     def _on_settings(self, settings: FusionNodeConfig) -> None:
-        self.settings = self._frames.settings = settings
-        self._session.rate_hz = settings.max_publish_rate_hz
+        self.settings = settings
+        self.session.rate_hz = settings.max_publish_rate_hz
         for source in self.inputs.sources.values():
             source.ask(settings.lost_after_s)
 
     def _on_live(self, live: LiveConfig) -> None:
-        self._least, self._frames.live = live.minimum_inputs, live
-        self._session.ask_settings(live)
+        self.live = live
+        self.session.ask_settings(live)
         self._wake()
 
     def on_time_jump(self, delta_s: float) -> None:
         """Forget the odometry of a future that has not come; the maps speak for themselves."""
         if delta_s < 0.0:
             self._clocks.forget()
-            self._drive.scans.forget_after(self.clock_s())
+            self.drive.scans.forget_after(self.clock_s())
             self._frames.on_time_jump()
 
     def _carry_out(self, name: str) -> tuple[bool, str]:
         """Do what the page asks for."""
         return self._services.carry_out(name)
 
-    def nothing_fused(self) -> str:
-        """Say why no input votes."""
-        return self._session.snapshot.nothing_fused
-
-    def load_input(self, entry: str) -> tuple[grids.OccupancyGrid | None, str]:
-        """Let a saved map be an input; return it, or why not."""
-        return self.inputs.load(entry)
-
     def ask_reset(self) -> None:
-        """Let the worker begin a new fused frame."""
-        self._drive.forget()
+        """Let the worker start a new fused frame; from any thread."""
+        self.drive.forget()
         self._name_conditions({})
-        self._session.ask_reset()
+        self.session.ask_reset()
         self._wake()
-
-    @property
-    def fused_path(self) -> Trajectory | None:
-        """The fused path so far; None without scans and poses."""
-        solution = self._drive.solution
-        return None if solution is None else solution.path
 
     # --- the thread of the drive -------------------------------------------------------------
 
@@ -335,24 +305,24 @@ class FusionNode(NodeBase):
     def _turn(self, _: None) -> None:
         """Let the session do what there is to do."""
         if self._keeper.is_waiting(self._fusion.has_come):
-            self._session.send()
+            self.session.send()
             return
-        solution = self._drive.solution
-        self._session.turn()
-        if solution is not None and solution.is_final and self._session.waiting is None:
+        solution = self.drive.solution
+        self.session.turn()
+        if solution is not None and solution.is_final and self.session.waiting is None:
             self._final_s = float(solution.path.stamps_s[-1])
-        self._keeper.note(self._session.snapshot)
+        self._keeper.note(self.session.snapshot)
 
     def _read(self, source: MapSource, message: Any) -> grids.OccupancyGrid:
         """Convert a map that came, and show it on the page."""
         try:
-            return self._shown(source.name, source.read(message))
+            return self._on_page(source.name, source.read(message))
         except GridError as error:
             if self._page is not None:
                 self._page.put_problem(source.name, str(error))
             raise
 
-    def _shown(self, name: str, grid: grids.OccupancyGrid) -> grids.OccupancyGrid:
+    def _on_page(self, name: str, grid: grids.OccupancyGrid) -> grids.OccupancyGrid:
         """Show an input's map on the page, and return it."""
         if self._page is not None:
             self._page.put_input(name, grid)
@@ -400,23 +370,22 @@ class FusionNode(NodeBase):
         level, wrong = self.diagnostics.worst("")
         out = [line.name.removeprefix(PREFIX) for line in lines if line.level != Level.OK]
         voters = len(lines) - len(out)
-        votes = "votes" if voters == 1 else "vote"
+        snapshot, sent, published = self.session.snapshot, self.session.sent, self.published
         if not voters:
-            words = self.nothing_fused()
-            is_worse = self.published is not None and not self._keeper.is_unconfirmed
+            words = snapshot.nothing_fused
+            is_worse = published is not None and not self._keeper.is_unconfirmed
             level = max(level, Level.ERROR if is_worse else Level.WARN)
         elif out:
+            votes = "votes" if voters == 1 else "vote"
             words = f"{voters} of {len(lines)} inputs {votes}; not: {', '.join(out)}"
             level = max(level, Level.WARN)
         else:
             words = f"all {voters} inputs vote" if voters > 1 else "1 input votes"
-        if voters == 1 and self._least > 1:
+        if voters == 1 and self.live.minimum_inputs > 1:
             words += "; it goes on alone, and no other confirms it"
             level = max(level, Level.WARN)
-        snapshot, sent = self._session.snapshot, self._session.sent
-        update, published = snapshot.update, self.published
+        update, solution = snapshot.update, self.drive.solution
         grid = None if published is None else published[1]
-        solution = self._drive.solution
         values: dict[str, object] = {
             "inputs": len(lines),
             "voters": voters,
@@ -429,7 +398,7 @@ class FusionNode(NodeBase):
             "phantom cells": None if update is None else update.phantom_cells,
             "scans": None if solution is None else len(solution.path),
             FINAL: None if self._final_s is None else f"{self._final_s:.3f}",
-            "map [cells]": "-" if grid is None else f"{grid.width} x {grid.height}",
+            "map [cells]": None if grid is None else f"{grid.width} x {grid.height}",
             "latency median [ms]": sent.median_ms,
             "latency p95 [ms]": sent.high_ms,
             "device": self._device.name,
@@ -439,17 +408,15 @@ class FusionNode(NodeBase):
         return Status(FUSION, level, "; ".join(filter(None, (words, wrong))), values)
 
     def _input_status(self, name: str, entry: str) -> Status:
-        snapshot, source = self._session.snapshot, self.inputs.sources.get(name)
+        snapshot, source = self.session.snapshot, self.inputs.sources.get(name)
         record = snapshot.inputs.get(name)
         if record is None:
-            topic = "" if source is None else self.node.resolve_topic_name(source.topic)
+            topic = "" if source is None else self.resolved(source.topic)
             is_published = source is not None and source.silent_since_s is None
-            who = "a node could publish it" if is_published else "no node publishes it"
-            said = f"no map on {topic!r} yet; {who}"
-            return Status(PREFIX + name, Level.STALE, said, {ENTRY: entry})
-        frame = "-" if source is None else self._frames.child_frame(source) or source.frame
+            publishes = "a node could publish it" if is_published else "no node publishes it"
+            text = f"no map on {topic!r} yet; {publishes}"
+            return Status(PREFIX + name, Level.STALE, text, {ENTRY: entry})
         transform, place = record.transform, record.transform or Pose2()
-        level = LEVELS.get(record.state, Level.WARN)
         values: dict[str, object] = {
             ENTRY: entry,
             "state": record.state.value,
@@ -465,13 +432,14 @@ class FusionNode(NodeBase):
             "x [m]": None if transform is None else place.x,
             "y [m]": None if transform is None else place.y,
             "yaw [rad]": None if transform is None else place.yaw_rad,
-            "frame": frame,
+            "frame": source and (self._frames.child_frame(source) or source.frame),
         }
+        level = LEVELS.get(record.state, Level.WARN)
         return Status(PREFIX + name, level, record.reason, values)
 
     def close(self) -> None:
         """End the worker; the map that is being fused is fused to its end, and the state kept."""
         if self._page is not None:
             self._page.close()
-        self._drive.close()
+        self.drive.close()
         self._keeper.close(is_whole=self._worker.close())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import traceback
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,8 +17,7 @@ from slamfusion.io.files import refuse_overwriting
 from slamfusion.io.map_server import map_sources, save_map, saved_files
 from slamfusion.io.trajectories import write_tum
 from slamfusion.ros import messages
-from slamfusion.ros.base import SHOWN_S, Level
-from slamfusion.ros.fusion_inputs import FILE_PREFIX, saved_path
+from slamfusion.ros.fusion_inputs import saved_path
 
 if TYPE_CHECKING:
     from slamfusion.ros.fusion_node import FusionNode
@@ -68,57 +66,55 @@ class FusionServices:
         response = self._serve(answer)(None, Trigger.Response())
         return bool(response.success), str(response.message)
 
-    def _serve(self, answer: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
-        """Return a service's callback that cannot bring the node down."""
+    def _serve(self, answer: Callable[[Any, Any], None]) -> Callable[[Any, Any], Any]:
+        """Return a service's callback that names what cannot be done, and what went wrong."""
 
         def callback(request: Any, response: Any) -> Any:
             try:
-                return answer(request, response)
-            except Exception as error:  # noqa: BLE001  (a node must outlive a request)
-                self._node.log.error(traceback.format_exc())
-                text = f"{type(error).__name__}: {error}"
-                self._node.diagnostics.add("service", Level.ERROR, text, SHOWN_S)
+                answer(request, response)
+            except (SlamFusionError, OSError) as error:
+                text = f"not {'loaded' if answer == self._load_map else 'saved'}: {error}"
+                self._node.diagnostics.note("service", text)
                 _fail(response, text)
-                return response
+            except Exception as error:  # noqa: BLE001  (a node must outlive a request)
+                if hasattr(response, "RESULT_UNDEFINED_FAILURE"):
+                    response.result = response.RESULT_UNDEFINED_FAILURE
+                _fail(response, self._node.failed(request, error, "service"))
+            return response
 
         return callback
 
-    def _get_map(self, _: Any, response: Any) -> Any:
+    def _get_map(self, _: Any, response: Any) -> None:
         """Answer the last published map; without cells before the first."""
         published = self._node.published
         if published is None:
             response.map.header.frame_id = self._node.settings.fused_frame
         else:
             response.map = published[0]
-        return response
 
-    def _save_map(self, _: Any, response: Any) -> Any:
-        """Write the last published map where ``save_path`` says."""
-        response.success, response.message = self._save()
-        return response
+    def _save_map(self, _: Any, response: Any) -> None:
+        """Write the last published map to ``save_path``."""
+        response.message = self._save()
+        response.success = True
 
-    def _save_map_as(self, request: Any, response: Any) -> Any:
+    def _save_map_as(self, request: Any, response: Any) -> None:
         """Write the last published map as the request says."""
         given = {item.name: parameter_value_to_python(item.value) for item in request.parameters}
-        result = response.result
         # By its type: a truth value is an int, too, and no number.
         wrong = {name: v for name, v in given.items() if type(v) not in RULES.get(name, ())}
         if wrong:
             wanted = "path, format and mode as texts, free_thresh and occupied_thresh as numbers"
             found = ", ".join(f"{name} = {value!r}" for name, value in wrong.items())
-            result.successful, result.reason = False, f"not saved: wanted {wanted}, found {found}"
-            return response
+            raise SlamFusionError(f"wanted {wanted}, found {found}")
         rules = {"image_format" if n == "format" else n: v for n, v in given.items()}
-        result.successful, result.reason = self._save(**rules)
-        return response
+        response.result.reason = self._save(**rules)
+        response.result.successful = True
 
-    def _save_for_nav2(self, request: Any, response: Any) -> Any:
+    def _save_for_nav2(self, request: Any, response: Any) -> None:
         """Write the last published map as nav2's map saver would; zeros and '' are defaults."""
+        response.result = False
         if not f"/{request.map_topic or MAP_TOPIC}".endswith(f"/{MAP_TOPIC}"):
-            text = f"not saved: wanted the topic {MAP_TOPIC}, found {request.map_topic!r}"
-            self._node.diagnostics.add("save", Level.WARN, text, SHOWN_S)
-            response.result = False
-            return response
+            raise SlamFusionError(f"wanted the topic {MAP_TOPIC}, found {request.map_topic!r}")
         rules = {
             "image_format": request.image_format,
             "mode": request.map_mode,
@@ -126,80 +122,68 @@ class FusionServices:
             "occupied_thresh": request.occupied_thresh,
         }
         given = {name: value for name, value in rules.items() if value}
-        response.result, _ = self._save(request.map_url or None, **given)
-        return response
+        self._save(request.map_url or None, **given)
+        response.result = True
 
-    def _load_map(self, request: Any, response: Any) -> Any:
+    def _load_map(self, request: Any, response: Any) -> None:
         """Let a saved map be an input, and answer it."""
         path = str(request.map_url).strip().removeprefix("file://")
-        grid, problem = self._node.load_input(f"{FILE_PREFIX}{path}")
-        if grid is not None:
-            response.result = LoadMap.Response.RESULT_SUCCESS
-            stamp = self._node.node.get_clock().now().to_msg()
-            response.map = messages.grid_to_message(grid, f"{grid.name}_map", stamp)
-            return response
         response.result = LoadMap.Response.RESULT_INVALID_MAP_DATA
         if not path or not Path(path).exists():
             response.result = LoadMap.Response.RESULT_MAP_DOES_NOT_EXIST
-        text = f"not loaded: {problem}"
-        self._node.diagnostics.add("load", Level.WARN, text, SHOWN_S)
-        return response
+        grid = self._node.inputs.load(path)
+        stamp = self._node.node.get_clock().now().to_msg()
+        response.map = messages.grid_to_message(grid, f"{grid.name}_map", stamp)
+        response.result = LoadMap.Response.RESULT_SUCCESS
 
-    def _reset(self, _: Any, response: Any) -> Any:
-        """Let a new fused frame begin."""
+    def _reset(self, _: Any, response: Any) -> None:
+        """Start a new fused frame."""
         self._node.log.warning("reset was called: the newest maps begin a new fused frame")
         self._node.ask_reset()
         response.success = True
         response.message = "the newest maps begin a new fused frame"
-        return response
 
-    def _save(self, path: str | None = None, **rules: Any) -> tuple[bool, str]:
-        """Write the last published map.
+    def _save(self, path: str | None = None, **rules: Any) -> str:
+        """Write the last published map; return the path of its YAML file.
 
         Args:
             path: without an ending; relative to the working folder; None: ``save_path``.
             rules: mode, image_format, free_thresh and occupied_thresh of ``save_map``.
 
-        Returns:
-            Whether it was written, and the path of its YAML file or why not.
+        Raises:
+            SlamFusionError, OSError: why it was not written.
         """
-        published = self._node.published
-        if published is None:
-            return False, self._node.nothing_fused()
-        try:
-            name = "save_path" if path is None else "path"
-            given_path = self._node.settings.save_path if path is None else path
-            target = save_target(given_path, self._root, name)
-            kind = {key: rules[key] for key in ("mode", "image_format") if key in rules}
-            refuse_overwriting(
-                [
-                    (given, file)
-                    for entry in self._node.inputs.entries.values()
-                    if (given := saved_path(entry)) is not None
-                    for file in map_sources(given)
-                ],
-                [(f"the map {target}", file) for file in saved_files(target, **kind)],
-            )
-            written, _ = save_map(published[1], target, **rules)
-            if (driven := self._node.fused_path) is not None:
-                write_tum(target.with_name(f"{target.name}.tum"), driven)
-        except (SlamFusionError, OSError) as error:
-            text = f"not saved: {error}"
-            self._node.diagnostics.add("save", Level.WARN, text, SHOWN_S)
-            return False, text
+        node = self._node
+        if node.published is None:
+            raise SlamFusionError(node.session.snapshot.nothing_fused)
+        if path is None:
+            target = save_target(node.settings.save_path, self._root, "save_path")
+        else:
+            target = save_target(path, self._root, "path")
+        kind = {key: rules[key] for key in ("mode", "image_format") if key in rules}
+        refuse_overwriting(
+            [
+                (given, file)
+                for entry in node.inputs.entries.values()
+                if (given := saved_path(entry)) is not None
+                for file in map_sources(given)
+            ],
+            [(f"the map {target}", file) for file in saved_files(target, **kind)],
+        )
+        written, _ = save_map(node.published[1], target, **rules)
+        if node.drive.solution is not None:
+            write_tum(target.with_name(f"{target.name}.tum"), node.drive.solution.path)
         where = str(written.resolve())
-        self._node.log.info(f"the fused map is saved as {where!r}")
-        return True, where
+        node.log.info(f"the fused map is saved as {where!r}")
+        return where
 
 
 def _fail(response: Any, text: str) -> None:
-    """Let an answer of any of the services, nav2's too, be that of a failure."""
+    """Let an answer of any of the services, except for a map, be that of a failure."""
     if isinstance(response, SetParametersAtomically.Response):
         response.result.successful, response.result.reason = False, text
     elif isinstance(response, Trigger.Response):
         response.success, response.message = False, text
-    elif hasattr(response, "RESULT_UNDEFINED_FAILURE"):
-        response.result = response.RESULT_UNDEFINED_FAILURE
 
 
 def save_target(save_path: str, root: Path, name: str) -> Path:

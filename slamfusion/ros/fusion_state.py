@@ -30,8 +30,8 @@ GROWTH = 20
 class StateKeeper:
     """Restores the state at the start, and writes the newest in a thread of its own.
 
-    What is not a state is never written over; one that cannot be used is moved aside. Without a
-    path nothing is read or kept. In the worker's thread, apart from the constructor.
+    A file of another kind is never written over; a state that cannot be used is moved aside.
+    Without a path nothing is read or kept. In the worker's thread, apart from the constructor.
 
     Args:
         live: what is restored and kept; nothing was put there yet.
@@ -59,7 +59,12 @@ class StateKeeper:
         self._began_s = time.monotonic()
         self._returning: set[str] = set()
         if self._path is not None:
-            _check_place(self._path)
+            folder = Path(os.path.realpath(self._path)).parent
+            if self._path.is_dir():
+                raise ConfigError(f"state_path: {self._path} is a folder; name a file in it")
+            if not folder.is_dir():
+                message = f"state_path: there is no folder {folder}; make it, or name another path"
+                raise ConfigError(message)
             self._read(self._path, names)
         self._writer: Worker[LiveState | None] = Worker(self._write, 1, self._failed, "state")
 
@@ -67,46 +72,39 @@ class StateKeeper:
         """Restore the kept state, if there is a usable one."""
         if not path.exists():
             return
+        diagnostics = self._base.diagnostics
+        problem = f"{path} is no state of the fusion and is left as it is"
         try:
             check_memory(GROWTH * path.stat().st_size, "the fusion's state", str(path))
             data = path.read_bytes()
             when = datetime.fromtimestamp(path.stat().st_mtime).astimezone()
-        except (OSError, SlamFusionError) as error:
-            self._give_up(f"{path}: the state cannot be read ({error})")
-            return
-        if not is_state(data):
-            self._give_up(f"{path} is no state of the fusion and is left as it is")
-            return
-        try:
-            state = LiveState.from_bytes(data)
-            self._live.restore(state)
+            if is_state(data):
+                state = LiveState.from_bytes(data)
+                self._live.restore(state)
+                self.restored, problem = state, ""
         except StateError as error:
-            self._refuse(path, error)
+            aside = path.with_name(path.name + UNUSABLE)
+            try:
+                path.replace(aside)
+            except OSError as failure:
+                problem = f"{path}: {error}, and it cannot be moved aside ({failure.strerror})"
+            else:
+                text = f"{path}: {error}; it is {aside.name!r} now, and a new fused frame begins"
+                diagnostics.say("state", text, Level.WARN, STATE_SHOWN_S)
+                return
+        except (OSError, SlamFusionError) as error:
+            problem = f"{path}: the state cannot be read ({error})"
+        if self.restored is None:
+            self._path = None
+            text = f"{problem}: no state is kept; start with another state_path"
+            diagnostics.say("state", text)
             return
-        self.restored = state
-        self._returning = {*names} & {*state.transforms}
+        self._returning = {*names} & {*self.restored.transforms}
         text = (
             f"restored from {str(path)!r} of {when.isoformat(' ', 'seconds')}, no input confirmed "
             "yet; reset begins a new fused frame"
         )
-        self._base.diagnostics.add("restored", Level.WARN, text)
-
-    def _refuse(self, path: Path, error: StateError) -> None:
-        """Move a state that cannot be used aside, and say so."""
-        aside = path.with_name(path.name + UNUSABLE)
-        try:
-            path.replace(aside)
-        except OSError as failure:
-            self._give_up(f"{path}: {error}, and it cannot be moved aside ({failure.strerror})")
-            return
-        text = f"{path}: {error}; it is {aside.name!r} now, and a new fused frame begins"
-        self._base.diagnostics.add("state", Level.WARN, text, STATE_SHOWN_S)
-
-    def _give_up(self, problem: str) -> None:
-        """Keep nothing, and say why for as long as the node runs."""
-        self._path = None
-        text = f"{problem}: no state is kept; start with another state_path"
-        self._base.diagnostics.add("state", Level.WARN, text)
+        diagnostics.say("restored", text)
 
     @property
     def is_unconfirmed(self) -> bool:
@@ -133,7 +131,7 @@ class StateKeeper:
             self._put(None)
         if state.fused_maps != self._fused_maps:
             self._fused_maps, self._unkept_s = state.fused_maps, state.fused_stamp_s
-        is_due = time.monotonic() >= self._next_s and self._writer.is_idle
+        is_due = time.monotonic() >= self._next_s and self._writer.is_idle()
         if self._unkept_s is not None and is_due and self._path is not None:
             self._keep()
 
@@ -141,7 +139,7 @@ class StateKeeper:
         """Keep the last state; ``is_whole``: no other thread is at work on the fusion."""
         if is_whole and self._unkept_s is not None:
             self._keep()
-        self._writer.wait_idle(5.0)
+        self._writer.is_idle(5.0)
         self._writer.close()
 
     def _keep(self) -> None:
@@ -171,14 +169,4 @@ class StateKeeper:
         self._base.diagnostics.clear("keep state")
 
     def _failed(self, _: LiveState | None, error: Exception) -> None:
-        text = f"the state is not kept: {error}"
-        self._base.diagnostics.add("keep state", Level.WARN, text)
-
-
-def _check_place(path: Path) -> None:
-    """Refuse a path that no file can have; folders are not made."""
-    if path.is_dir():
-        raise ConfigError(f"state_path: {path} is a folder; name a file in it")
-    folder = Path(os.path.realpath(path)).parent
-    if not folder.is_dir():
-        raise ConfigError(f"state_path: there is no folder {folder}; make it, or name another path")
+        self._base.diagnostics.say("keep state", f"the state is not kept: {error}")

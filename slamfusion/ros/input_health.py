@@ -1,8 +1,8 @@
 """An input of the fusion node, and whether it is well.
 
-``MapSource`` hears a map topic and the poses beside it. ``Heartbeat`` tells whether the process
-that writes them lives, ``Clocks`` whose clock is off, ``Writers`` where several nodes write one
-topic.
+``MapSource`` hears a map topic and the poses next to it, and ``Liveliness`` whether the process
+that writes them lives. ``Clocks`` knows whose clock is off, ``Writers`` where several nodes write
+one topic.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from slamfusion.errors import GridError, TrajectoryError
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid as Grid
 from slamfusion.ros import messages, qos
-from slamfusion.ros.base import SHOWN_S, Diagnostics, Level, NodeBase
+from slamfusion.ros.base import Diagnostics, Level, NodeBase
 
 try:
     from map_msgs.msg import OccupancyGridUpdate
@@ -59,7 +59,7 @@ class Liveliness:
     Attributes:
         is_back: whether the writer that lives now is the one that had fallen silent. It stands
             until all are silent again: under load a lease may run out and be renewed more than once
-            before anybody asks.
+            between two looks.
     """
 
     def __init__(self) -> None:
@@ -90,8 +90,8 @@ class Liveliness:
             self.is_back = False
             if not_alive_change > 0 and self._silent_since_s is None:
                 self._silent_since_s = now_s
-        # Without any writer: one that said good-bye is missed by who reads the maps, one that had
-        # fallen silent has now been given up by DDS, and stays dead.
+        # Without any writer: one that said good-bye is missed by the reader of the maps, one that
+        # had fallen silent has now been given up by DDS, and stays dead.
         return had != self._lives
 
     def is_dead(self, now_s: float) -> bool:
@@ -100,99 +100,8 @@ class Liveliness:
         return since_s is not None and now_s - since_s > DOUBT_S
 
     def forgive(self) -> None:
-        """Take the writers for living ones until their lease runs out anew."""
+        """Take the writers for living ones until their lease runs out again."""
         self._silent_since_s = None
-
-
-class Heartbeat:
-    """Watches the liveliness lease that the writers of a pose topic offer.
-
-    A robot that stands still, or whose log has ended, makes no maps and no poses, and its SLAMs are
-    well; one whose process was killed or frozen must lose its vote. Neither messages nor
-    diagnostics tell the two apart soon enough: a node that is busy with a loop closure is late with
-    both. So the poses of our producers are offered with a DDS liveliness lease, which the process
-    renews three times a second from a thread that neither Python nor a long computation holds up,
-    and a second reader of the pose topic asks for that lease. A reader that asks hears nothing from
-    writers that offer none (the SLAMs of others), so it is no part of the reading of poses, and
-    such inputs are told from dead ones only by DDS itself, after the lease of a participant (20 s
-    by default). All in the executor's thread.
-
-    Args:
-        lost_after_s: a writer without a sign of life for this long is dead; below one second it is
-            taken for one.
-        on_change: called when a writer has fallen silent or is back.
-
-    Attributes:
-        writers: what is known of them.
-    """
-
-    def __init__(
-        self, base: NodeBase, topic: str, lost_after_s: float, on_change: Callable[[], None]
-    ) -> None:
-        self.writers = Liveliness()
-        self._base = base
-        self._topic = topic
-        self._on_change = on_change
-        self._lost_after_s = lost_after_s
-        self._subscription: Any = None
-
-    @property
-    def is_dead(self) -> bool:
-        """Whether every writer with a lease has fallen silent, and none has taken its place."""
-        return self.writers.is_dead(time.monotonic())
-
-    def look(self) -> None:
-        """Begin to watch when a writer offers a lease."""
-        if self._subscription is None:
-            infos = self._base.node.get_publishers_info_by_topic(self._topic)
-            leases_s = [1e-9 * i.qos_profile.liveliness_lease_duration.nanoseconds for i in infos]
-            if any(0.0 < lease_s <= self._lease_s for lease_s in leases_s):
-                self._subscription = self._listen()
-
-    @property
-    def _lease_s(self) -> float:
-        return max(self._lost_after_s - DOUBT_S - NOTICE_S, qos.LEASE_S)
-
-    def ask(self, lost_after_s: float) -> None:
-        """Ask for another lease, if it is one."""
-        if lost_after_s != self._lost_after_s:
-            self._lost_after_s = lost_after_s
-            self.close()
-            self.writers = Liveliness()
-            self.look()
-
-    def close(self) -> None:
-        """Watch no more."""
-        if self._subscription is not None:
-            self._base.node.destroy_subscription(self._subscription)
-            self._subscription = None
-
-    def _listen(self) -> Any:
-        def listen(**options: Any) -> Any:
-            # It is the lease that counts, not the poses.
-            return self._base.node.create_subscription(
-                PoseStamped,
-                self._topic,
-                lambda _: None,
-                qos.heartbeat(self._lease_s),
-                raw=True,
-                **options,
-            )
-
-        # Without the default ones: that others offer no lease is nothing to warn of.
-        events = SubscriptionEventCallbacks(
-            use_default_callbacks=False, liveliness=self._on_liveliness
-        )
-        try:
-            return listen(event_callbacks=events)
-        except UnsupportedEventTypeError:
-            # This middleware has no leases; its own word that no node publishes must do.
-            return listen()
-
-    def _on_liveliness(self, event: Any) -> None:
-        counts = event.alive_count, event.alive_count_change, event.not_alive_count_change
-        if self.writers.take(*counts, time.monotonic()):
-            self._on_change()
 
 
 class Clocks:
@@ -201,18 +110,16 @@ class Clocks:
     A stamp is as far ahead of the node's clock as the sender's clock is, less the time that the
     message took: of an input's last stamps one of those farthest ahead tells its clock best. Inputs
     whose poses have stamps in common map the scans of one sensor, so they have one clock, and the
-    later one has a queue. The
-    clock that most have, this machine's among them, is taken for the right one, so that a log that
-    is played without simulated time is not named. No input is refused for its clock: alignment and
-    votes go by when a map came. A single stamp is refused that is far ahead of the node's clock
-    while another input's is not.
+    later one has a queue. The clock that most have, this machine's among them, is taken for the
+    right one, so that a log that is played without simulated time is not named. No input is refused
+    for its clock: alignment and votes go by when a map came. A single stamp is refused that is far
+    ahead of the node's clock while another input's is not.
 
     In the executor's thread, apart from ``too_far_ahead_s``.
 
     Args:
         clock_s: the node's time, seconds; 0 or less while it is not known (simulated time before
             its first message).
-        diagnostics: says who is off.
     """
 
     def __init__(self, clock_s: Callable[[], float], diagnostics: Diagnostics) -> None:
@@ -238,12 +145,7 @@ class Clocks:
         return ahead_s if is_wrong else None
 
     def hear(self, name: str, kind: str, stamp_s: float) -> None:
-        """Take the stamp of a message that has just come.
-
-        Args:
-            kind: of the message; stamps of one kind grow, or begin again.
-            stamp_s: seconds.
-        """
+        """Take the stamp of a message that has just come; those of one kind grow, or restart."""
         now_s = self._clock_s()
         if now_s <= 0.0:
             return
@@ -257,7 +159,7 @@ class Clocks:
     def _relative_s(self) -> dict[str, float]:
         """Return by how much the clock of each input is ahead of the one that most have, seconds.
 
-        Inputs that sent too little to tell are left out; without two there is nothing to compare.
+        Inputs that sent too little are left out; without two there is nothing to compare.
         """
         ahead_s: dict[str, float] = {}
         stamps: dict[str, set[float]] = {}
@@ -278,7 +180,7 @@ class Clocks:
         return {name: ahead - right_s for name, ahead in ahead_s.items()}
 
     def look(self, names: Collection[str]) -> None:
-        """Name who is off, and no more who was; ``names`` are those of the inputs."""
+        """Name which inputs are off; ``names`` are all of them."""
         known = self._relative_s()
         for name in names:
             ahead_s = known.get(name, 0.0)
@@ -291,7 +193,7 @@ class Clocks:
             self._diagnostics.say(f"clock {name}", text if abs(ahead_s) > SKEW_S else None)
 
     def remove(self, name: str) -> None:
-        """Forget the stamps of an input that is none any more."""
+        """Forget the stamps of an input that was removed."""
         self._ahead_s.pop(name, None)
         self._heard = {key: heard for key, heard in self._heard.items() if key[0] != name}
         self._diagnostics.clear(f"clock {name}")
@@ -303,41 +205,38 @@ class Clocks:
 
 
 class Writers:
-    """Names several nodes on a topic that should have one, by what DDS knows of them.
+    """Names several nodes on a topic that should have one, by what DDS knows of them."""
 
-    Args:
-        output: topic of the fused map.
-
-    Attributes:
-        rival: another node that writes the fused map; empty without.
-    """
-
-    def __init__(self, base: NodeBase, output: str) -> None:
-        self.rival = ""
+    def __init__(self, base: NodeBase) -> None:
         self._base = base
-        self._output = output
         self._alike_since_s: dict[str, float] = {}
 
-    def look(self, topics: Mapping[str, str]) -> None:
-        """Name topics with several writers; ``topics`` of the inputs by their names."""
-        node, diagnostics = self._base.node, self._base.diagnostics
+    def look(self, topics: Mapping[str, str], output: str) -> str:
+        """Name topics with several writers; return another node that writes the output, or "".
+
+        Args:
+            topics: of the inputs by their names.
+            output: topic of the fused map.
+        """
+        diagnostics = self._base.diagnostics
         for name, topic in topics.items():
             nodes = self._nodes(topic)
-            who = " and ".join(repr(node) for node in nodes)
             text = (
-                f"{len(nodes)} nodes publish {node.resolve_topic_name(topic)!r}, {who}, and their "
-                "maps take turns as one input: end one, or give each a topic of its own in inputs"
+                f"{len(nodes)} nodes publish {self._base.resolved(topic)!r}, "
+                f"{' and '.join(map(repr, nodes))}, and their maps take turns as one input: end "
+                "one, or give each a topic of its own in inputs"
             )
             diagnostics.say(f"writers {name}", text if len(nodes) > 1 else None)
-        own, others = node.get_fully_qualified_name(), self._nodes(self._output)
+        own, others = self._base.node.get_fully_qualified_name(), self._nodes(output)
         if own in others:
             others.remove(own)
-        self.rival = others[0] if others else ""
+        rival = others[0] if others else ""
         text = (
-            f"another node, {self.rival!r}, publishes {node.resolve_topic_name(self._output)!r} "
-            "too: end one of the two, or start it in a namespace of its own (-r __ns:=/NAME)"
+            f"another node, {rival!r}, publishes {self._base.resolved(output)!r} too: end one of "
+            "the two, or start it in a namespace of its own (-r __ns:=/NAME)"
         )
-        diagnostics.say("other fusion", text if self.rival else None, Level.ERROR)
+        diagnostics.say("other fusion", text if rival else None, Level.ERROR)
+        return rival
 
     def _nodes(self, topic: str) -> list[str]:
         """Return the nodes that write a topic, each once; one more by a name that stays double."""
@@ -359,7 +258,7 @@ class Writers:
 
 @dataclass(frozen=True)
 class HeardPose:
-    """Where an input's SLAM says that the robot is.
+    """The robot's pose by an input's SLAM.
 
     Attributes:
         pose: of the base in the input's map frame; metres, radians.
@@ -373,29 +272,38 @@ class HeardPose:
 
 
 class MapSource:
-    """A map topic and the pose topic beside it: ``NAME/pose`` for ``NAME/map``.
+    """A map topic and the pose topic next to it: ``NAME/pose`` for ``NAME/map``.
 
     The map is read with the quality that is offered: a reader that asks for kept or for reliable
     maps never hears a writer that offers less. ``MAP_updates`` (map_msgs/OccupancyGridUpdate),
     which some SLAMs and costmaps send for the part that changed, are put into the last whole map.
-    Stamps far ahead of all else are named and not used, nor are poses that have them. In the
-    executor's thread, apart from ``read``.
+    Stamps far ahead of all else are named and not used, nor are poses that have them.
+
+    A robot that stands still, or whose log has ended, makes no maps and no poses, and its SLAMs are
+    well; one whose process was killed or frozen must lose its vote. Neither messages nor
+    diagnostics tell the two apart soon enough: a node that is busy with a loop closure is late with
+    both. So the poses of our producers are offered with a DDS liveliness lease, which the process
+    renews three times a second from a thread that neither Python nor a long computation holds up,
+    and a second reader of the pose topic asks for that lease. It hears nothing from writers that
+    offer none (the SLAMs of others); of such inputs DDS itself says that they are dead, after the
+    lease of a participant (20 s by default).
+
+    In the executor's thread, apart from ``read``.
 
     Args:
         topic: of its maps.
         lost_after_s: an input whose process gave no sign of life for this long is lost, and one
-            that no node publishes; may be replaced by ``ask``.
+            that no node publishes; below one second it is taken for one.
         clocks: of all inputs.
         on_map: called with this and the message when a map has come, and with None when its
             process fell silent or is back.
-        on_pose: called with this when a pose has come.
+        on_pose: called with this and a pose that has come.
 
     Attributes:
-        name, topic: as given.
         frame: of the newest map that was read; empty before the first.
         stamp_s: of the newest map that was read whose stamp can be right; None before the first.
         pose: the newest; None before the first.
-        silent_since_s: since when no node publishes the map, ``time.monotonic``; None: somebody
+        silent_since_s: since when no node publishes the map, ``time.monotonic``; None while one
             does.
     """
 
@@ -407,10 +315,9 @@ class MapSource:
         lost_after_s: float,
         clocks: Clocks,
         on_map: Callable[[MapSource, Any], None],
-        on_pose: Callable[[MapSource], None],
+        on_pose: Callable[[MapSource, HeardPose], None],
     ) -> None:
-        self.name = name
-        self.topic = topic
+        self.name, self.topic = name, topic
         self.frame = ""
         self.stamp_s: float | None = None
         self.pose: HeardPose | None = None
@@ -419,64 +326,60 @@ class MapSource:
         self._clocks = clocks
         self._lost_after_s = lost_after_s
         self._on_map, self._on_pose = on_map, on_pose
-        self._profile = qos.MAP
-        # The last map, which updates are put into.
+        # The last map, which updates are put into, and how many could not be.
         self._last: Any = None
-        self._others: list[Any] = []
+        self._left_out = 0
+        self._profile = qos.MAP
+        self._liveliness = Liveliness()
+        # By what they hear: map, updates, pose, and lease.
+        self._subscriptions: dict[str, Any] = {}
         if OccupancyGridUpdate is not None:
-            self._others.append(
-                base.subscribe(
-                    OccupancyGridUpdate, f"{topic}_updates", self._take_update, qos.STREAM
-                )
+            self._subscriptions["updates"] = base.subscribe(
+                OccupancyGridUpdate, f"{topic}_updates", self._take_update, qos.STREAM
             )
-        self._subscription = self._listen()
-        self._heartbeat: Heartbeat | None = None
+        self._listen()
+        self._pose_topic = ""
         if topic.endswith(MAP_SUFFIX):
-            pose_topic = topic.removesuffix(MAP_SUFFIX) + "/pose"
-            self._others.append(
-                base.subscribe(PoseStamped, pose_topic, self._take_pose, qos.SENSOR)
+            self._pose_topic = topic.removesuffix(MAP_SUFFIX) + "/pose"
+            self._subscriptions["pose"] = base.subscribe(
+                PoseStamped, self._pose_topic, self._take_pose, qos.SENSOR
             )
-            self._heartbeat = Heartbeat(base, pose_topic, lost_after_s, lambda: on_map(self, None))
 
     @property
     def lost(self) -> str:
         """Why the input is lost, one line; empty while it is not."""
-        if self._heartbeat is not None and self._heartbeat.is_dead:
+        now_s = time.monotonic()
+        if self._liveliness.is_dead(now_s):
             return (
                 f"lost: its process gave no sign of life for {self._lost_after_s:g} s (killed, "
                 "frozen or cut off)"
             )
         since_s = self.silent_since_s
-        if since_s is not None and time.monotonic() - since_s > self._lost_after_s:
-            topic = self._base.node.resolve_topic_name(self.topic)
-            return f"lost: no node publishes {topic!r} any more"
+        if since_s is not None and now_s - since_s > self._lost_after_s:
+            return f"lost: no node publishes {self._base.resolved(self.topic)!r} any more"
         return ""
 
     @property
     def is_back(self) -> bool:
         """Whether the process that was lost is the one that lives again, with the same map."""
-        return self._heartbeat is not None and self._heartbeat.writers.is_back
+        return self._liveliness.is_back
 
     def ask(self, lost_after_s: float) -> None:
         """Take another time after which the input is lost."""
-        self._lost_after_s = lost_after_s
-        if self._heartbeat is not None:
-            self._heartbeat.ask(lost_after_s)
+        if lost_after_s != self._lost_after_s:
+            self._lost_after_s = lost_after_s
+            self._close("lease")
+            self._liveliness = Liveliness()
+            self._watch()
 
     def close(self) -> None:
         """Hear nothing more."""
-        for subscription in (self._subscription, *self._others):
-            self._base.node.destroy_subscription(subscription)
-        if self._heartbeat is not None:
-            self._heartbeat.close()
-
-    def _listen(self) -> Any:
-        return self._base.subscribe(OccupancyGrid, self.topic, self._take_map, self._profile)
+        for what in [*self._subscriptions]:
+            self._close(what)
 
     def look(self) -> None:
-        """See who publishes the map, and read it and its signs of life as they are offered."""
-        if self._heartbeat is not None:
-            self._heartbeat.look()
+        """See which nodes publish the map, and read it and its signs of life as offered."""
+        self._watch()
         profile = qos.map_qos(self._base.node, self.topic)
         if profile is None:
             if self.silent_since_s is None:
@@ -485,15 +388,52 @@ class MapSource:
         self.silent_since_s = None
         if profile != self._profile:
             self._profile = profile
-            self._base.node.destroy_subscription(self._subscription)
-            self._subscription = self._listen()
+            self._close("map")
+            self._listen()
+
+    def _listen(self) -> None:
+        self._subscriptions["map"] = self._base.subscribe(
+            OccupancyGrid, self.topic, self._take_map, self._profile
+        )
+
+    def _close(self, what: str) -> None:
+        if what in self._subscriptions:
+            self._base.node.destroy_subscription(self._subscriptions.pop(what))
+
+    def _watch(self) -> None:
+        """Ask for signs of life once a writer of the poses offers a lease that is short enough."""
+        if not self._pose_topic or "lease" in self._subscriptions:
+            return
+        node = self._base.node
+        asked_s = max(self._lost_after_s - DOUBT_S - NOTICE_S, qos.LEASE_S)
+        infos = node.get_publishers_info_by_topic(self._pose_topic)
+        leases_s = [1e-9 * one.qos_profile.liveliness_lease_duration.nanoseconds for one in infos]
+        if not any(0.0 < lease_s <= asked_s for lease_s in leases_s):
+            return
+        # It is the lease that counts, not the poses.
+        wanted = PoseStamped, self._pose_topic, lambda _: None, qos.heartbeat(asked_s)
+        # Without the default ones: that others offer no lease is nothing to warn of.
+        events = SubscriptionEventCallbacks(
+            use_default_callbacks=False, liveliness=self._on_liveliness
+        )
+        try:
+            lease = node.create_subscription(*wanted, raw=True, event_callbacks=events)
+        except UnsupportedEventTypeError:
+            # This middleware has no leases; its own word that no node publishes must do.
+            lease = node.create_subscription(*wanted, raw=True)
+        self._subscriptions["lease"] = lease
+
+    def _on_liveliness(self, event: Any) -> None:
+        counts = event.alive_count, event.alive_count_change, event.not_alive_count_change
+        if self._liveliness.take(*counts, time.monotonic()):
+            self._on_map(self, None)
 
     def _take_map(self, message: Any) -> None:
         self._clocks.hear(self.name, "map", messages.stamp_s(message))
-        # Whoever sent it lives, though the last one who promised signs of life does not.
+        # Its sender lives, though the last one who promised signs of life does not.
         self.silent_since_s = None
-        if self._heartbeat is not None and self._heartbeat.is_dead:
-            self._heartbeat.writers.forgive()
+        if self._liveliness.is_dead(time.monotonic()):
+            self._liveliness.forgive()
         if OccupancyGridUpdate is not None:
             self._last = message
         self._on_map(self, message)
@@ -508,10 +448,24 @@ class MapSource:
                 reason = str(error)
             else:
                 return
-        key = f"update {self.name}"
-        count = self._base.diagnostics.count(key) + 1
-        text = f"an update of the map of {self.name!r} is left out ({count} so far): {reason}"
-        self._base.diagnostics.add(key, Level.WARN, text, SHOWN_S)
+        self._left_out += 1
+        text = (
+            f"an update of the map of {self.name!r} is left out ({self._left_out} so far): {reason}"
+        )
+        self._base.diagnostics.note(f"update {self.name}", text)
+
+    def _take_pose(self, message: Any) -> None:
+        try:
+            pose = messages.pose2_from_message(message.pose)
+        except TrajectoryError as error:
+            text = f"a pose of {self.name!r} is left out: {error}"
+            self._base.diagnostics.note(f"pose {self.name}", text)
+            return
+        stamp_s = messages.stamp_s(message)
+        self._clocks.hear(self.name, "pose", stamp_s)
+        if not self._is_ahead("pose", stamp_s, "it is left out"):
+            self.pose = HeardPose(pose, message.header.stamp, time.monotonic())
+            self._on_pose(self, self.pose)
 
     def read(self, message: Any) -> Grid:
         """Convert a map that came; in the worker's thread.
@@ -522,14 +476,14 @@ class MapSource:
         before, self.frame = self.frame, message.header.frame_id.lstrip("/")
         if before and self.frame != before:
             text = f"the map of {self.name!r} was in {before!r} and is in {self.frame!r} now"
-            self._base.diagnostics.add(f"frame {self.name}", Level.WARN, text, SHOWN_S)
+            self._base.diagnostics.note(f"frame {self.name}", text)
         stamp_s = messages.stamp_s(message)
         if not self._is_ahead("map", stamp_s, "the fused map is stamped by the others"):
             self.stamp_s = stamp_s
         return messages.grid_from_message(message, self.name)
 
     def _is_ahead(self, what: str, stamp_s: float, outcome: str) -> bool:
-        """Whether a stamp lies in a future that nobody else knows of; named while it does."""
+        """Whether a stamp is far ahead of the clock and of other inputs; named while it is."""
         ahead_s = self._clocks.too_far_ahead_s(self.name, stamp_s)
         if ahead_s is None:
             return False
@@ -537,19 +491,5 @@ class MapSource:
             f"the {what} of {self.name!r} is stamped {ahead_s:.0f} s ahead of the clock, and "
             f"other inputs are not: {outcome}; set the clock of its machine"
         )
-        self._base.diagnostics.add(f"ahead {what} {self.name}", Level.WARN, text, SHOWN_S)
+        self._base.diagnostics.note(f"ahead {what} {self.name}", text)
         return True
-
-    def _take_pose(self, message: Any) -> None:
-        try:
-            pose = messages.pose2_from_message(message.pose)
-        except TrajectoryError as error:
-            text = f"a pose of {self.name!r} is left out: {error}"
-            self._base.diagnostics.add(f"pose {self.name}", Level.WARN, text, SHOWN_S)
-            return
-        stamp_s = messages.stamp_s(message)
-        self._clocks.hear(self.name, "pose", stamp_s)
-        if self._is_ahead("pose", stamp_s, "it is left out"):
-            return
-        self.pose = HeardPose(pose, message.header.stamp, time.monotonic())
-        self._on_pose(self)

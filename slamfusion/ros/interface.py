@@ -224,28 +224,22 @@ SERVICES = (
     ),
 )
 
-NAME_LISTS = {
-    "fusion": (
-        NameList(
-            "inputs",
-            tuple(f"{name}/map" for name in PRODUCERS),
-            "what is fused: map topics, and file:PATH for saved maps; NAME=TOPIC gives a name of "
-            "its own; may be changed while the node runs; default with discover: none but what is "
-            "found",
-        ),
-    ),
-    "player": (
-        NameList(
-            "wait_for", (), "producers that must answer the first scan, and in lockstep every one"
-        ),
-        NameList(
-            "maps",
-            (),
-            "map topics that are written to the folder save at the end of the log; "
-            "default: those of wait_for",
-        ),
-    ),
-}
+INPUTS = NameList(
+    "inputs",
+    tuple(f"{name}/map" for name in PRODUCERS),
+    "what is fused: map topics, and file:PATH for saved maps; NAME=TOPIC gives a name of its own; "
+    "may be changed while the node runs; default with discover: none but what is found",
+)
+WAIT_FOR = NameList(
+    "wait_for", (), "producers that must answer the first scan, and in lockstep every one"
+)
+MAPS = NameList(
+    "maps",
+    (),
+    "map topics that are written to the folder save at the end of the log; default: those of "
+    "wait_for",
+)
+NAME_LISTS = {"fusion": (INPUTS,), "player": (WAIT_FOR, MAPS)}
 
 # Of the fusion node: one for each input.
 START_NAME = "start.NAME"

@@ -10,12 +10,10 @@ from typing import Any
 import rclpy
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rcl_interfaces.msg import Parameter as ParameterMessage
-from rcl_interfaces.srv import SetParametersAtomically
+from rcl_interfaces.srv import GetParameters, SetParameters, SetParametersAtomically
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.parameter import Parameter
-from rclpy.parameter_client import AsyncParameterClient
+from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import Trigger
 
@@ -25,10 +23,10 @@ from slamfusion.ros import qos
 from slamfusion.ros.base import DIAGNOSTICS_TOPIC, Level
 from slamfusion.ros.fusion_inputs import ENTRY, FUSION, PREFIX, entry_for
 from slamfusion.ros.fusion_services import SAVE_AS
+from slamfusion.ros.interface import INPUTS
 from slamfusion.ros.parameters import names_of
 
 SPIN_S = 0.1
-INPUTS = "inputs"
 
 
 class LiveNodeError(SlamFusionError):
@@ -84,10 +82,8 @@ class LiveClient:
 
     def call(self, service: str) -> LiveAnswerDocument:
         """Call ``save_map`` or ``reset`` and return the answer."""
-        future = self._client(Trigger, service).call_async(Trigger.Request())
-        self._wait(future.done, f"an answer of {service}")
-        response = future.result()
-        return {"success": bool(response.success), "message": str(response.message)}
+        response = self._ask(Trigger, self._sibling(service), Trigger.Request())
+        return _answer(response.success, response.message)
 
     def save_as(self, **rules: str) -> LiveAnswerDocument:
         """Save the fused map and return the answer.
@@ -95,12 +91,10 @@ class LiveClient:
         Args:
             rules: path, without an ending; format (pgm, png or bmp); mode (trinary, scale or raw).
         """
-        client = self._client(SetParametersAtomically, SAVE_AS)
         given = [Parameter(name, value=value).to_parameter_msg() for name, value in rules.items()]
-        future = client.call_async(SetParametersAtomically.Request(parameters=given))
-        self._wait(future.done, f"an answer of {SAVE_AS}")
-        result = future.result().result
-        return {"success": bool(result.successful), "message": str(result.reason)}
+        request = SetParametersAtomically.Request(parameters=given)
+        result = self._ask(SetParametersAtomically, self._sibling(SAVE_AS), request).result
+        return _answer(result.successful, result.reason)
 
     def set(self, name: str, value: str) -> LiveAnswerDocument:
         """Set a parameter to a value as YAML writes it, and return the answer."""
@@ -115,15 +109,15 @@ class LiveClient:
         """Let the node fuse one map more, and return the answer.
 
         Args:
-            name: what the input is to be called.
+            name: of the input.
             topic: of its maps, or ``file:PATH`` as the node sees it; default: ``NAME/map``.
 
         Raises:
             ConfigError: the name is none.
         """
         entry = entry_for(name, topic)
-        entries = [*self._entries(), entry]
-        return self._set(Parameter(INPUTS, value=entries), f"{name} is an input now ({entry})")
+        parameter = Parameter(INPUTS.name, value=[*self._entries(), entry])
+        return self._set(parameter, f"{name} is an input now ({entry})")
 
     def remove(self, name: str) -> LiveAnswerDocument:
         """Let the node fuse a map no more, and return the answer.
@@ -136,36 +130,31 @@ class LiveClient:
             message = f"{self._target}: no input {name!r}; the inputs are {', '.join(inputs)}"
             raise LiveNodeError(message)
         entries = [entry for entry in self._entries() if entry != inputs[name]]
-        return self._set(Parameter(INPUTS, value=entries), f"{name} is no input any more")
+        return self._set(Parameter(INPUTS.name, value=entries), f"{name} is no input any more")
 
-    def _client(self, kind: Any, service: str) -> Any:
-        """Return a client of a service in the node's namespace, when it is there."""
-        folder = self._target.rpartition("/")[0]
-        client = self._node.create_client(kind, f"{folder}/{service}")
-        self._wait(client.service_is_ready, f"the service {folder}/{service}")
-        return client
+    def _sibling(self, service: str) -> str:
+        """Return the name of a service in the node's namespace."""
+        return f"{self._target.rpartition('/')[0]}/{service}"
+
+    def _ask(self, kind: Any, service: str, request: Any) -> Any:
+        """Call a service when it is there, and return the response."""
+        client = self._node.create_client(kind, service)
+        self._wait(client.service_is_ready, f"the service {service}")
+        future = client.call_async(request)
+        self._wait(future.done, f"an answer of {service}")
+        return future.result()
 
     def _entries(self) -> list[str]:
         """Return what the node fuses."""
-        client = self._parameters()
-        future = client.get_parameters([INPUTS])
-        self._wait(future.done, f"an answer about {INPUTS}")
-        (value,) = future.result().values
-        given = Parameter.from_parameter_msg(ParameterMessage(name=INPUTS, value=value)).value
-        return [*names_of(given)]
+        request = GetParameters.Request(names=[INPUTS.name])
+        (value,) = self._ask(GetParameters, f"{self._target}/get_parameters", request).values
+        return [*names_of(parameter_value_to_python(value))]
 
-    def _set(self, parameter: Parameter, said: str) -> LiveAnswerDocument:
-        """Set a parameter and return the answer; ``said`` where it is only yes."""
-        future = self._parameters().set_parameters([parameter])
-        self._wait(future.done, "an answer")
-        (result,) = future.result().results
-        return {"success": bool(result.successful), "message": str(result.reason) or said}
-
-    def _parameters(self) -> AsyncParameterClient:
-        """Return a client of the node's parameters, when they are there."""
-        client = AsyncParameterClient(self._node, self._target)
-        self._wait(client.services_are_ready, "its parameters")
-        return client
+    def _set(self, parameter: Parameter, done: str) -> LiveAnswerDocument:
+        """Set a parameter and return the answer; ``done`` where it has no words."""
+        request = SetParameters.Request(parameters=[parameter.to_parameter_msg()])
+        (result,) = self._ask(SetParameters, f"{self._target}/set_parameters", request).results
+        return _answer(result.successful, result.reason or done)
 
     def _keep(self, message: Any) -> None:
         wanted = f"{self._target.lstrip('/')}: {FUSION}"
@@ -187,6 +176,10 @@ class LiveClient:
                     f"{os.environ.get('ROS_DOMAIN_ID', '0')}); name it with --node"
                 )
             self._executor.spin_once(timeout_sec=SPIN_S)
+
+
+def _answer(is_done: object, message: object) -> LiveAnswerDocument:
+    return {"success": bool(is_done), "message": str(message)}
 
 
 def _line(name: str, status: DiagnosticStatus) -> LiveLineJson:

@@ -12,6 +12,7 @@ from concurrent.futures import Future
 from slamfusion.config import FusionNodeConfig
 from slamfusion.errors import ConfigError
 from slamfusion.fusion.live.session import FusedMap, FusionState
+from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.ros.base import Level, NodeBase, Status, shown
 from slamfusion.ros.fusion_inputs import PREFIX
@@ -96,11 +97,9 @@ class LivePage:
             self._scene.put_event("ok" if answer[0] else "error", f"{name}: {answer[1]}")
             future.set_result(answer)
 
-    def put_pose(self, source: MapSource) -> None:
+    def put_pose(self, name: str, pose: Pose2) -> None:
         """Let the path of an input go on."""
-        if source.pose is not None:
-            name, pose = layer_name(source.name), source.pose.pose
-            self._scene.put_point(name, pose.x, pose.y)
+        self._scene.put_point(layer_name(name), pose.x, pose.y)
 
     def show(
         self, lines: Sequence[Status], state: FusionState, sources: Iterable[MapSource]

@@ -15,6 +15,7 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Pose, PoseStamped, PoseWithCovarianceStamped, TransformStamped
 from nav_msgs.msg import MapMetaData, OccupancyGrid, Odometry, Path
 from sensor_msgs.msg import LaserScan
+from std_msgs.msg import Header
 
 from slamfusion import grid as grids
 from slamfusion import scan as scans
@@ -33,20 +34,12 @@ LENGTH_MIN, LENGTH_MAX = 1e-3, 1e3
 
 
 def stamp_s(message: Any) -> float:
-    """Return a time in seconds, the double nearest to its nanoseconds.
-
-    Args:
-        message: a builtin_interfaces/Time, or a message with a header.
-    """
+    """Return the seconds of a builtin_interfaces/Time or a header's, to the nearest double."""
     return stamp_ns(message) / NS
 
 
 def stamp_ns(message: Any) -> int:
-    """Return a time in nanoseconds.
-
-    Args:
-        message: a builtin_interfaces/Time, or a message with a header.
-    """
+    """Return the nanoseconds of a builtin_interfaces/Time, or of a message with a header."""
     stamp = message.header.stamp if hasattr(message, "header") else message
     return int(stamp.sec) * NS + int(stamp.nanosec)
 
@@ -66,7 +59,7 @@ def to_stamp(seconds: float) -> Time:
     nanoseconds = whole * NS + round((seconds - whole) * NS)
     if not -(2**31) <= nanoseconds // NS < 2**31:
         raise ValueError(f"{seconds} s is no ROS time; wanted less than 2^31 s")
-    return Time(sec=nanoseconds // NS, nanosec=nanoseconds % NS)
+    return ns_to_stamp(nanoseconds)
 
 
 # --- poses -----------------------------------------------------------------------------------
@@ -83,30 +76,25 @@ def pose2_from_message(pose: Any) -> Pose2:
     """
     place = pose.position if hasattr(pose, "position") else pose.translation
     turn = pose.orientation if hasattr(pose, "orientation") else pose.rotation
-    values = (place.x, place.y, turn.x, turn.y, turn.z, turn.w)
-    if not all(math.isfinite(value) for value in values):
-        message = f"pose ({place.x}, {place.y}) with quaternion {_words(turn)} is not finite"
+    words = f"({turn.x:g}, {turn.y:g}, {turn.z:g}, {turn.w:g})"
+    if not all(map(math.isfinite, (place.x, place.y, turn.x, turn.y, turn.z, turn.w))):
+        message = f"pose ({place.x}, {place.y}) with quaternion {words} is not finite"
         raise TrajectoryError(message)
     length = math.hypot(turn.x, turn.y, turn.z, turn.w)
     if not LENGTH_MIN <= length <= LENGTH_MAX:
-        raise TrajectoryError(f"quaternion {_words(turn)} is no rotation; for none send w = 1")
+        raise TrajectoryError(f"quaternion {words} is no rotation; for none send w = 1")
     if math.hypot(turn.x, turn.y) > TILT_MAX * length:
-        message = f"quaternion {_words(turn)} tilts or turns over; wanted a turn about z alone"
+        message = f"quaternion {words} tilts or turns over; wanted a turn about z alone"
         raise TrajectoryError(message)
     return Pose2(place.x, place.y, quaternion_yaw_rad(turn.x, turn.y, turn.z, turn.w))
 
 
-def _words(turn: Any) -> str:
-    return f"({turn.x:g}, {turn.y:g}, {turn.z:g}, {turn.w:g})"
-
-
 def _fill(place: Any, turn: Any, pose: Pose2) -> None:
-    place.x, place.y, place.z = float(pose.x), float(pose.y), 0.0
-    turn.x = turn.y = 0.0
+    place.x, place.y = float(pose.x), float(pose.y)
     turn.z, turn.w = math.sin(0.5 * pose.yaw_rad), math.cos(0.5 * pose.yaw_rad)
 
 
-def _pose(pose: Pose2) -> Any:
+def _pose(pose: Pose2) -> Pose:
     message = Pose()
     _fill(message.position, message.orientation, pose)
     return message
@@ -116,7 +104,7 @@ def pose_to_message(pose: Pose2, frame_id: str, stamp: Time) -> PoseStamped:
     """Return a geometry_msgs/PoseStamped; metres, height 0."""
     message = PoseStamped()
     message.header.frame_id, message.header.stamp = frame_id, stamp
-    message.pose = _pose(pose)
+    _fill(message.pose.position, message.pose.orientation, pose)
     return message
 
 
@@ -128,8 +116,7 @@ def sure_pose_to_message(
     Args:
         covariance: (3, 3) float64, of x, y and yaw; metres and radians. The rest stays 0.
     """
-    message = PoseWithCovarianceStamped()
-    message.header.frame_id, message.header.stamp = frame_id, stamp
+    message = PoseWithCovarianceStamped(header=Header(frame_id=frame_id, stamp=stamp))
     message.pose.pose = _pose(pose)
     whole = np.zeros((6, 6))
     whole[np.ix_(PLANE, PLANE)] = covariance
@@ -139,25 +126,16 @@ def sure_pose_to_message(
 
 def odometry_to_message(pose: Pose2, frame_id: str, child: str, stamp: Time) -> Odometry:
     """Return a nav_msgs/Odometry without speeds and covariances (which stay 0)."""
-    message = Odometry()
-    message.header.frame_id, message.header.stamp = frame_id, stamp
-    message.child_frame_id = child
+    header = Header(frame_id=frame_id, stamp=stamp)
+    message = Odometry(header=header, child_frame_id=child)
     message.pose.pose = _pose(pose)
     return message
 
 
 def transform_to_message(pose: Pose2, parent: str, child: str, stamp: Time) -> TransformStamped:
-    """Return a geometry_msgs/TransformStamped.
-
-    Args:
-        pose: pose of ``child`` in ``parent``; it carries points of the child into the parent.
-        parent: frame_id of the header.
-        child: child_frame_id.
-        stamp: its time.
-    """
-    message = TransformStamped()
-    message.header.frame_id, message.header.stamp = parent, stamp
-    message.child_frame_id = child
+    """Return the pose of ``child`` in ``parent`` as a geometry_msgs/TransformStamped."""
+    header = Header(frame_id=parent, stamp=stamp)
+    message = TransformStamped(header=header, child_frame_id=child)
     _fill(message.transform.translation, message.transform.rotation, pose)
     return message
 
@@ -165,25 +143,20 @@ def transform_to_message(pose: Pose2, parent: str, child: str, stamp: Time) -> T
 def path_to_message(
     trajectory: Trajectory, frame_id: str, stamp: Time, most: int | None = None
 ) -> Path:
-    """Return a nav_msgs/Path.
+    """Return a path in ``frame_id`` as a nav_msgs/Path.
 
     Args:
-        trajectory: the poses, in ``frame_id``.
-        frame_id: of the path and every pose.
         most: the largest number of poses, evenly chosen, first and last among them; default: all.
     """
     chosen = np.arange(len(trajectory))
     if most is not None and len(chosen) > most:
         chosen = np.unique(np.linspace(0, len(trajectory) - 1, most).round().astype(np.int64))
-    path = Path()
-    path.header.frame_id, path.header.stamp = frame_id, stamp
-    path.poses = [
-        pose_to_message(
-            trajectory.pose(index), frame_id, to_stamp(float(trajectory.stamps_s[index]))
-        )
+    stamps_s = trajectory.stamps_s.tolist()
+    poses = [
+        pose_to_message(trajectory.pose(index), frame_id, to_stamp(stamps_s[index]))
         for index in chosen.tolist()
     ]
-    return path
+    return Path(header=Header(frame_id=frame_id, stamp=stamp), poses=poses)
 
 
 def path_from_message(message: Any, name: str) -> Trajectory:
@@ -204,7 +177,6 @@ def grid_from_message(message: Any, name: str) -> grids.OccupancyGrid:
     """Return a nav_msgs/OccupancyGrid as a grid; its cells are copied once.
 
     Args:
-        message: the map.
         name: what tables and messages call it, often the topic.
 
     Raises:
@@ -213,63 +185,42 @@ def grid_from_message(message: Any, name: str) -> grids.OccupancyGrid:
             or upside down.
     """
     info = message.info
-    resolution = float(info.resolution)
+    resolution, height, width = float(info.resolution), int(info.height), int(info.width)
+    problem, origin = "", Pose2()
     if not (math.isfinite(resolution) and resolution > 0.0):
-        text = (
-            f"{name}: resolution must be a positive number of metres per cell, found {resolution}"
-        )
-        raise GridError(text)
-    height, width = int(info.height), int(info.width)
-    if not (height and width):
-        text = f"{name}: a map of {width} x {height} cells is empty"
-        raise GridError(text)
-    if len(message.data) != height * width:
-        text = f"{name}: {len(message.data)} cells sent for a map of {width} x {height}"
-        raise GridError(text)
-    try:
-        origin = pose2_from_message(info.origin)
-    except TrajectoryError as error:
-        text = f"{name}: the map's origin: {error}"
-        raise GridError(text) from None
+        problem = f"resolution must be a positive number of metres per cell, found {resolution}"
+    elif not (height and width):
+        problem = f"a map of {width} x {height} cells is empty"
+    elif len(message.data) != height * width:
+        problem = f"{len(message.data)} cells sent for a map of {width} x {height}"
+    else:
+        try:
+            origin = pose2_from_message(info.origin)
+        except TrajectoryError as error:
+            problem = f"the map's origin: {error}"
+    if problem:
+        raise GridError(f"{name}: {problem}")
     cells = np.array(message.data, dtype=np.int8).reshape(height, width)
     cells.flags.writeable = False
-    return grids.OccupancyGrid(cells, _short_decimal(resolution), origin, name)
-
-
-def _short_decimal(value: float) -> float:
-    """Return what a float32 was made from: 0.05 travels as 0.05000000074505806.
-
-    Resolutions that are equal as float32 must stay equal to those of saved maps.
-    """
-    return float(str(np.float32(value)))
-
-
-def metadata_to_message(grid: grids.OccupancyGrid, stamp: Time) -> MapMetaData:
-    """Return a nav_msgs/MapMetaData."""
-    info = MapMetaData()
-    info.map_load_time = stamp
-    info.resolution = float(grid.resolution)
-    info.width, info.height = grid.width, grid.height
-    info.origin = _pose(grid.origin)
-    return info
+    # What a float32 was made from: 0.05 travels as 0.05000000074505806, and resolutions that are
+    # equal as float32 must stay equal to those of saved maps.
+    return grids.OccupancyGrid(cells, float(str(np.float32(resolution))), origin, name)
 
 
 def grid_to_message(grid: grids.OccupancyGrid, frame_id: str, stamp: Time) -> OccupancyGrid:
     """Return a nav_msgs/OccupancyGrid; a 4000 x 4000 map takes some milliseconds."""
-    message = OccupancyGrid()
-    message.header.frame_id, message.header.stamp = frame_id, stamp
-    message.info = metadata_to_message(grid, stamp)
+    info = MapMetaData(map_load_time=stamp, resolution=float(grid.resolution))
+    info.width, info.height, info.origin = grid.width, grid.height, _pose(grid.origin)
     data = array("b")
     data.frombytes(grid.cells.reshape(-1).view(np.uint8).data)
-    message.data = data
-    return message
+    header = Header(frame_id=frame_id, stamp=stamp)
+    return OccupancyGrid(header=header, info=info, data=data)
 
 
 def updated_map(message: OccupancyGrid, update: Any) -> OccupancyGrid:
     """Return a map with the cells of an update; the map that is given stays as it is.
 
     Args:
-        message: the map.
         update: map_msgs/OccupancyGridUpdate: x, y of its lower left cell in the map, width and
             height in cells, and the cells, row by row from the lowest.
 
@@ -277,29 +228,25 @@ def updated_map(message: OccupancyGrid, update: Any) -> OccupancyGrid:
         GridError: it is empty, lies outside of the map or in another frame, or either has another
             number of cells than its sides say.
     """
-    info, header = message.info, update.header
+    info, frame, own = message.info, update.header.frame_id, message.header.frame_id
     x, y, width, height = (int(n) for n in (update.x, update.y, update.width, update.height))
-    box = f"{width} x {height} cells at column {x} and row {y}"
-    if header.frame_id.lstrip("/") not in {"", message.header.frame_id.lstrip("/")}:
-        text = f"it is in {header.frame_id!r}, and the map in {message.header.frame_id!r}"
-        raise GridError(text)
-    if len(update.data) != width * height or not update.data:
-        text = f"{len(update.data)} cells sent for {box}"
-        raise GridError(text)
-    if min(x, y) < 0 or x + width > info.width or y + height > info.height:
-        text = f"{box} lie outside of a map of {info.width} x {info.height}"
-        raise GridError(text)
-    if len(message.data) != info.width * info.height:
-        text = f"the map has {len(message.data)} cells for {info.width} x {info.height}"
-        raise GridError(text)
+    box, problem = f"{width} x {height} cells at column {x} and row {y}", ""
+    if frame.lstrip("/") not in {"", own.lstrip("/")}:
+        problem = f"it is in {frame!r}, and the map in {own!r}"
+    elif len(update.data) != width * height or not update.data:
+        problem = f"{len(update.data)} cells sent for {box}"
+    elif min(x, y) < 0 or x + width > info.width or y + height > info.height:
+        problem = f"{box} lie outside of a map of {info.width} x {info.height}"
+    elif len(message.data) != info.width * info.height:
+        problem = f"the map has {len(message.data)} cells for {info.width} x {info.height}"
+    if problem:
+        raise GridError(problem)
     data = array("b", message.data)
     cells = np.frombuffer(data, dtype=np.int8).reshape(info.height, info.width)
     part = np.array(update.data, dtype=np.int8).reshape(height, width)
     cells[y : y + height, x : x + width] = part
-    updated = OccupancyGrid(info=info)
-    updated.header.frame_id, updated.header.stamp = message.header.frame_id, header.stamp
-    updated.data = data
-    return updated
+    header = Header(frame_id=own, stamp=update.header.stamp)
+    return OccupancyGrid(header=header, info=info, data=data)
 
 
 # --- scans -----------------------------------------------------------------------------------
@@ -311,7 +258,6 @@ def scan_from_message(
     """Return a sensor_msgs/LaserScan as a scan; readings stay as they are (REP-117).
 
     Args:
-        message: the sweep.
         mount: pose of the laser in the robot's base frame; metres, radians.
         is_flipped: the laser hangs upside down, so its beams turn the other way.
 
@@ -340,8 +286,7 @@ def scan_from_message(
 
 def scan_to_message(scan: scans.LaserScan, frame_id: str) -> LaserScan:
     """Return a sensor_msgs/LaserScan; angles and limits become float32, the mount is left out."""
-    message = LaserScan()
-    message.header.frame_id, message.header.stamp = frame_id, to_stamp(scan.stamp_s)
+    message = LaserScan(header=Header(frame_id=frame_id, stamp=to_stamp(scan.stamp_s)))
     message.angle_min = float(scan.angle_min_rad)
     message.angle_increment = float(scan.angle_increment_rad)
     message.angle_max = float(scan.angle_min_rad + scan.angle_increment_rad * (len(scan) - 1))

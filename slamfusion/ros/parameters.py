@@ -11,9 +11,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import sys
-import typing
 from collections.abc import Callable, Collection, Mapping
-from functools import partial
 from typing import Any, TypeVar
 
 from rcl_interfaces.msg import (
@@ -22,7 +20,6 @@ from rcl_interfaces.msg import (
     ParameterDescriptor,
     SetParametersResult,
 )
-from rclpy.exceptions import InvalidParameterValueException, ParameterException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
@@ -33,9 +30,10 @@ from slamfusion.config import (
     FieldInfo,
     checked_start,
     checked_value,
-    field_infos,
+    config_fields,
 )
 from slamfusion.errors import ConfigError, SlamFusionError
+from slamfusion.ros.interface import NameList
 
 T = TypeVar("T")
 
@@ -68,6 +66,11 @@ class TypedNode(Node):  # type: ignore[misc]  # rclpy is untyped
         return [self.set_parameters_atomically([item]) for item in parameter_list]
 
 
+def given_parameters(node: Any) -> Mapping[str, Any]:
+    """Return what the command line and parameter files set, by name."""
+    return {name: item.value for name, item in getattr(node, "_parameter_overrides", {}).items()}
+
+
 def declare(
     node: Any,
     section: T,
@@ -82,52 +85,63 @@ def declare(
         section: a configuration whose values are the defaults. Nested sections become
             ``prefix.section.field``.
         prefix: before every name, e.g. a producer's name; empty for none.
-        changeable: names of fields (dotted below ``section``, without the prefix) that may be
-            changed while the node runs; the others are read-only.
+        changeable: names of parameters that may be changed while the node runs; the others are
+            read-only.
         on_change: called in the executor's thread with the whole new configuration after a change
             was accepted.
 
-    Returns:
-        The configuration, with what the command line and parameter files said.
-
     Raises:
-        ConfigError: a value of the wrong type, out of its range, or refused beside the others.
+        ConfigError: a value of the wrong type, out of its range, or refused because of another.
     """
-    config_class = type(section)
-    unknown = sorted(set(changeable) - set(parameter_names(config_class)))
-    if unknown:
-        message = f"{config_class.__name__} has no field {unknown[0]!r} that could be changeable"
-        raise ValueError(message)
-    fields = _Fields(node, prefix, frozenset(changeable))
-    fields.declare(section, "")
-    current: T = _built(config_class, fields.tree(), prefix, _where(node))
+    infos = {item.key: item.info for item in config_fields(section, prefix)}
+    where, given = _where(node), given_parameters(node)
+    for name, info in infos.items():
+        if name in given:  # before ROS does, in words with the unit
+            checked_value(info, given[name], f"{where}: {name}")
+        descriptor = _descriptor(info, is_changeable=name in changeable)
+        node.declare_parameter(name, info.default, descriptor)
+
+    def built(changed: dict[str, Any]) -> T:
+        values = {name: node.get_parameter(name).value for name in infos} | changed
+        checked = {
+            name: checked_value(info, values[name], f"{where}: {name}")
+            for name, info in infos.items()
+        }
+        whole: T = _replaced(section, prefix, checked, where)
+        return whole
+
+    def own(changes: list[Any]) -> dict[str, Any]:
+        return {item.name: item.value for item in changes if item.name in infos}
+
+    def as_floats(changes: list[Any]) -> list[Any]:
+        """Take a number without a point for a float where the field is one."""
+        return [
+            Parameter(item.name, value=float(item.value))
+            if item.type_ == Parameter.Type.INTEGER
+            and item.name in infos
+            and infos[item.name].kind is float
+            else item
+            for item in changes
+        ]
 
     def check(changes: list[Any]) -> SetParametersResult:
-        values = fields.changed(changes)
-        if not values:
-            return SetParametersResult(successful=True)
-        try:
-            _built(config_class, fields.tree(values), prefix, _where(node))
-        except ConfigError as error:
-            return SetParametersResult(successful=False, reason=str(error))
-        return SetParametersResult(successful=True)
+        return _answer(lambda: own(changes) and built(own(changes)))
 
     def take(changes: list[Any]) -> None:
-        if fields.changed(changes) and on_change is not None:
-            on_change(_built(config_class, fields.tree(), prefix, _where(node)))
+        if own(changes) and on_change is not None:
+            on_change(built({}))
 
     if changeable:
-        node.add_pre_set_parameters_callback(fields.as_floats)
+        node.add_pre_set_parameters_callback(as_floats)
         node.add_on_set_parameters_callback(check)
         node.add_post_set_parameters_callback(take)
-    return current
+    return built({})
 
 
 def declare_names(
     node: Any,
-    name: str,
-    default: Collection[str],
-    text: str,
+    names: NameList,
+    default: Collection[str] | None = None,
     *,
     check: Callable[[tuple[str, ...]], object] | None = None,
     on_change: Callable[[tuple[str, ...]], None] | None = None,
@@ -135,9 +149,7 @@ def declare_names(
     """Declare a parameter that is a list of names, and return it.
 
     Args:
-        name: of the parameter.
-        default: the names unless others are given.
-        text: the description.
+        default: the names unless others are given; None: those of ``names``.
         check: called in the executor's thread with names that it is to be changed to; refuses them
             by a SlamFusionError. None: the parameter is read-only.
         on_change: called there with the new names after a change was accepted.
@@ -149,29 +161,25 @@ def declare_names(
         ConfigError: neither a text nor a list of texts.
     """
 
-    def read(parameter: Any) -> tuple[str, ...]:
+    def read(value: Any) -> tuple[str, ...]:
         try:
-            return names_of(parameter.value)
+            return names_of(value)
         except ConfigError as error:
-            raise ConfigError(f"{_where(node)}: {name}: {error}") from None
+            raise ConfigError(f"{_where(node)}: {names.name}: {error}") from None
 
-    def each(function: Callable[[tuple[str, ...]], object], changes: list[Any]) -> None:
+    def each(function: Callable[[tuple[str, ...]], object] | None, changes: list[Any]) -> None:
         for item in changes:
-            if item.name == name:
-                function(read(item))
+            if item.name == names.name and function is not None:
+                function(read(item.value))
 
-    def accept(changes: list[Any]) -> SetParametersResult:
-        try:
-            each(check or len, changes)
-        except SlamFusionError as error:
-            return SetParametersResult(successful=False, reason=str(error))
-        return SetParametersResult(successful=True)
-
-    descriptor = ParameterDescriptor(description=text, read_only=check is None, dynamic_typing=True)
-    given = read(node.declare_parameter(name, [*default] or None, descriptor))
+    descriptor = ParameterDescriptor(
+        description=names.text, read_only=check is None, dynamic_typing=True
+    )
+    default = names.default if default is None else default
+    given = read(node.declare_parameter(names.name, [*default] or None, descriptor).value)
     if check is not None:
-        node.add_on_set_parameters_callback(accept)
-        node.add_post_set_parameters_callback(partial(each, on_change or len))
+        node.add_on_set_parameters_callback(lambda changes: _answer(lambda: each(check, changes)))
+        node.add_post_set_parameters_callback(lambda changes: each(on_change, changes))
     return given
 
 
@@ -195,8 +203,7 @@ def declare_starts(
     """Declare a read-only parameter ``start.NAME`` for each input, and return those that are set.
 
     Args:
-        names: of the inputs.
-        may_come: whether others may come, whose starts are told already.
+        may_come: whether other inputs may come, which may have starts already.
 
     Returns:
         3 or 5 numbers by name: x, y in m, yaw in rad, and tolerances in m and rad.
@@ -206,180 +213,88 @@ def declare_starts(
             negative tolerance.
     """
     names = [*names]
-    for given in sorted(getattr(node, "_parameter_overrides", {})):
-        if not given.startswith(START) or given.removeprefix(START) in names:
+    for given in sorted(given_parameters(node)):
+        name = given.removeprefix(START)
+        if name == given or name in names:
             continue
-        if may_come:
-            names.append(given.removeprefix(START))
-        else:
+        if not may_come:
             message = f"{_where(node)}: {given} names no input; the inputs are {', '.join(names)}"
             raise ConfigError(message)
+        names.append(name)
     text = (
         f"where the map frame of this input lies in one that all starts share: {START_FORM} in m "
         f"and rad; tolerances unless given: {START_M:g} m, {START_RAD:g} rad (public)"
     )
     descriptor = ParameterDescriptor(description=text, read_only=True, dynamic_typing=True)
-    starts = {}
-    for name in names:
-        value = node.declare_parameter(f"{START}{name}", None, descriptor).value
-        if value is not None:
-            starts[name] = checked_start(value, f"{_where(node)}: {START}{name}")
-    return starts
+    values = {name: node.declare_parameter(START + name, None, descriptor).value for name in names}
+    return {
+        name: checked_start(value, f"{_where(node)}: {START}{name}")
+        for name, value in values.items()
+        if value is not None
+    }
 
 
 def unknown_parameters(node: Any) -> list[str]:
     """Return a sentence for each parameter that was given and that the node does not have.
 
-    ROS passes over these in silence.
+    ROS ignores these without a message.
     """
-    given = getattr(node, "_parameter_overrides", {})
+    known = list(getattr(node, "_parameters", {}))
     sentences = []
-    for name in sorted(given):
-        if node.has_parameter(name) or name.startswith("qos_overrides."):
-            continue
-        known = list(getattr(node, "_parameters", {}))
-        near = difflib.get_close_matches(name, known, n=1, cutoff=0.0)
-        hint = f"; the nearest known one is {near[0]!r}" if near else ""
-        sentences.append(f"unknown parameter {name!r} is not used{hint}")
+    for name in sorted(given_parameters(node)):
+        if name not in known and not name.startswith("qos_overrides."):
+            (near,) = difflib.get_close_matches(name, known, n=1, cutoff=0.0)
+            sentences.append(
+                f"unknown parameter {name!r} is not used; the nearest known one is {near!r}"
+            )
     return sentences
 
 
-def parameter_names(config_class: type[Any], prefix: str = "") -> list[str]:
-    """Return the names that ``declare`` gives to the fields of a class, in its order."""
-    hints = typing.get_type_hints(config_class)
-    names = [_joined(prefix, info.name) for info in field_infos(config_class)]
-    for item in dataclasses.fields(config_class):
-        if dataclasses.is_dataclass(hints[item.name]):
-            names += parameter_names(hints[item.name], _joined(prefix, item.name))
-    return names
-
-
-class _Fields:
-    """The declared fields of one section, by their dotted names without the prefix."""
-
-    def __init__(self, node: Any, prefix: str, changeable: frozenset[str]) -> None:
-        self._node = node
-        self._prefix = prefix
-        self._changeable = changeable
-        self._names: list[str] = []
-        # Full names of those that are floats.
-        self._floats: set[str] = set()
-
-    def declare(self, default: Any, below: str) -> None:
-        """Declare the leaf fields of a (nested) section, then its sections."""
-        for info in field_infos(type(default)):
-            name = _joined(below, info.name)
-            descriptor = self._descriptor(info, name)
-            full = _joined(self._prefix, name)
-            try:
-                self._node.declare_parameter(full, getattr(default, info.name), descriptor)
-            except InvalidParameterValueException:
-                # ROS's range; ours say it with the unit.
-                given = getattr(self._node, "_parameter_overrides", {})[full].value
-                where = f"{_where(self._node)}: {full}"
-                checked_value(info, given, where)
-                raise ConfigError(f"{where}: {given!r} is out of range") from None
-            except (ParameterException, ValueError) as error:
-                raise ConfigError(f"{_where(self._node)}: {full}: {error}") from None
-            if info.kind is float:
-                self._floats.add(full)
-            self._names.append(name)
-        for item in dataclasses.fields(default):
-            value = getattr(default, item.name)
-            if dataclasses.is_dataclass(value):
-                self.declare(value, _joined(below, item.name))
-
-    def tree(self, changed: Mapping[str, Any] | None = None) -> dict[str, Any]:
-        """Return the values as nested mappings.
-
-        Args:
-            changed: values to take instead of the node's own, by name without the prefix.
-        """
-        tree: dict[str, Any] = {}
-        for name in self._names:
-            value = self._node.get_parameter(_joined(self._prefix, name)).value
-            *sections, leaf = name.split(".")
-            place = tree
-            for section in sections:
-                place = place.setdefault(section, {})
-            place[leaf] = value if changed is None else changed.get(name, value)
-        return tree
-
-    def changed(self, parameters: list[Any]) -> dict[str, Any]:
-        """Return the values of those parameters that are ours, by name without the prefix."""
-        own = {_joined(self._prefix, name): name for name in self._names}
-        return {own[item.name]: item.value for item in parameters if item.name in own}
-
-    def as_floats(self, parameters: list[Any]) -> list[Any]:
-        """Return parameters, a number without a point as a float where the field is one."""
-        return [
-            Parameter(item.name, value=float(item.value))
-            if item.name in self._floats and item.type_ == Parameter.Type.INTEGER
-            else item
-            for item in parameters
-        ]
-
-    def _descriptor(self, info: FieldInfo, name: str) -> ParameterDescriptor:
-        """Return what ROS tools show of a field."""
-        unit = f" [{info.unit}]" if info.unit else ""
-        wanted = f"one of: {', '.join(info.choices)}" if info.choices else ""
-        descriptor = ParameterDescriptor(
-            description=f"{info.help}{unit} ({info.level})",
-            additional_constraints=wanted,
-            read_only=name not in self._changeable,
-            # A number without a point may be given for a float, and a field may be left open;
-            # the type is checked with the value.
-            dynamic_typing=True,
-        )
-        has_range = info.low is not None or info.high is not None
-        if not has_range:
-            return descriptor
-        if info.kind is int:
-            low = -INT64 if info.low is None else int(info.low)
-            high = INT64 if info.high is None else int(info.high)
-            descriptor.integer_range = [IntegerRange(from_value=low, to_value=high, step=0)]
-        elif info.kind is float:
-            largest = sys.float_info.max
-            descriptor.floating_point_range = [
-                FloatingPointRange(
-                    from_value=float(-largest if info.low is None else info.low),
-                    to_value=float(largest if info.high is None else info.high),
-                    step=0.0,
-                )
-            ]
-        return descriptor
-
-
-def _built(section: Any, values: Mapping[str, Any], prefix: str, where: str) -> Any:
-    """Return a configuration of a section's class; every name in a message is the whole one.
-
-    Args:
-        section: a configuration dataclass.
-        values: of all its fields, nested.
-        prefix: name of the section, e.g. ``graph.matcher``; empty at the top.
-        where: before every message.
-
-    Raises:
-        ConfigError: a value of the wrong type, out of its range, or refused beside the others.
-    """
-    hints = typing.get_type_hints(section)
-    arguments = {
-        info.name: checked_value(info, values[info.name], f"{where}: {_joined(prefix, info.name)}")
-        for info in field_infos(section)
-    }
-    for item in dataclasses.fields(section):
-        if item.name not in arguments:
-            name = _joined(prefix, item.name)
-            arguments[item.name] = _built(hints[item.name], values[item.name], name, where)
+def _answer(check: Callable[[], object]) -> SetParametersResult:
+    """Return whether a check passes, or why not."""
     try:
-        return section(**arguments)
+        check()
+    except SlamFusionError as error:
+        return SetParametersResult(successful=False, reason=str(error))
+    return SetParametersResult(successful=True)
+
+
+def _replaced(section: Any, prefix: str, values: Mapping[str, Any], where: str) -> Any:
+    """Return a section with checked values, by their whole names."""
+    changed = {}
+    for item in dataclasses.fields(section):
+        name = f"{prefix}.{item.name}".lstrip(".")
+        below = getattr(section, item.name)
+        is_section = dataclasses.is_dataclass(below)
+        changed[item.name] = _replaced(below, name, values, where) if is_section else values[name]
+    try:
+        return dataclasses.replace(section, **changed)
     except ConfigError as error:
-        message = f"{where}: {prefix}: {error}" if prefix else f"{where}: {error}"
-        raise ConfigError(message) from None
+        raise ConfigError(": ".join(filter(None, (where, prefix, str(error))))) from None
 
 
-def _joined(prefix: str, name: str) -> str:
-    return f"{prefix}.{name}" if prefix else name
+def _descriptor(info: FieldInfo, *, is_changeable: bool) -> ParameterDescriptor:
+    """Return what ROS tools show of a field."""
+    unit = f" [{info.unit}]" if info.unit else ""
+    descriptor = ParameterDescriptor(
+        description=f"{info.help}{unit} ({info.level})",
+        additional_constraints=f"one of: {', '.join(info.choices)}" if info.choices else "",
+        read_only=not is_changeable,
+        # A number without a point may be given for a float, and a field may be left open; the type
+        # is checked with the value.
+        dynamic_typing=True,
+    )
+    if info.low is None and info.high is None:
+        return descriptor
+    if info.kind is int:
+        low = -INT64 if info.low is None else int(info.low)
+        high = INT64 if info.high is None else int(info.high)
+        descriptor.integer_range = [IntegerRange(from_value=low, to_value=high)]
+    elif info.kind is float:
+        least = -sys.float_info.max if info.low is None else float(info.low)
+        most = sys.float_info.max if info.high is None else float(info.high)
+        descriptor.floating_point_range = [FloatingPointRange(from_value=least, to_value=most)]
+    return descriptor
 
 
 def _where(node: Any) -> str:

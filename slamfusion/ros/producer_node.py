@@ -20,7 +20,7 @@ from sensor_msgs.msg import LaserScan
 from slamfusion.compute import open_device
 from slamfusion.config import DeviceConfig, LogConfig, ProducerNodeConfig, RunConfig
 from slamfusion.ros import messages, qos
-from slamfusion.ros.base import SHOWN_S, Level, NodeBase, Status, Worker, open_node_device
+from slamfusion.ros.base import Level, NodeBase, Status, Worker
 from slamfusion.ros.frames import TransformOutput
 from slamfusion.ros.parameters import declare
 from slamfusion.ros.scan_input import SCAN_TOPIC, ArrivedScan, ScanInput
@@ -53,10 +53,6 @@ def make_node(kind: str, **options: Any) -> NodeBase:
 
 
 STRAY = "a stamp far from those before and after it"
-
-
-class _MapDue:
-    """Asks the worker for a map."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +103,7 @@ class ProducerNode(NodeBase):
         self._own_interval_s = producer(kind).map_interval_s(section)
         own_frame = f"{node.get_namespace()}/{self.name}_map".strip("/")
         self._map_frame = self.settings.map_frame or own_frame
-        self._device = open_node_device(device.device, self.diagnostics)
+        self._device = self.open_device(device.device)
         self._session = ProducerSession(
             kind,
             self._config,
@@ -128,7 +124,7 @@ class ProducerNode(NodeBase):
         self._messages: Worker[UndrawnMap] = Worker(
             self._publish_map, 1, self.failed, f"{name} maps"
         )
-        self._worker: Worker[_Queued | _MapDue] = Worker(
+        self._worker: Worker[_Queued | None] = Worker(
             self._work, self.settings.scan_queue, self.failed, f"{name} scans"
         )
         self._inputs = ScanInput(self, self.settings)
@@ -136,7 +132,7 @@ class ProducerNode(NodeBase):
         # Written by the worker that sends, read by the executor.
         self._transform_sent_s: float | None = None
         self._transform_due_s: float | None = None
-        self._open_transforms()
+        self._on_settings(self.settings)
         self.subscribe(LaserScan, SCAN_TOPIC, self._on_scan, qos.SENSOR)
         self.timer(LOOK_S, self._look)
         self.log.info(
@@ -154,43 +150,40 @@ class ProducerNode(NodeBase):
         if passed.jump is not None and passed.jump.is_back:
             self._begin_new_map()
         for scan in passed.items:
-            self._queue(self._waiting(scan))
+            self._queue(scan)
 
-    def _waiting(self, scan: ArrivedScan) -> _Queued:
-        """Return a scan to be queued; it is converted when its turn has come."""
+    def _queue(self, scan: ArrivedScan) -> None:
+        """Let a scan wait for the worker, to be converted then; of too many the oldest goes."""
         session, inputs = self._session, self._inputs
-        return _Queued(
-            scan.stamp_s,
-            scan.arrived_s,
-            session.generation,
-            lambda: inputs.read(scan),
-            lambda times: inputs.odometry_at(scan, times, is_first=session.is_before_odometry),
-            scan.message.header.stamp,
+        lost = self._worker.put(
+            _Queued(
+                scan.stamp_s,
+                scan.arrived_s,
+                session.generation,
+                lambda: inputs.read(scan),
+                lambda times: inputs.odometry_at(scan, times, is_first=session.is_before_odometry),
+                scan.message.header.stamp,
+            )
         )
-
-    def _queue(self, item: _Queued) -> None:
-        """Let a scan wait for the worker; the oldest goes where that are too many."""
-        lost = self._worker.put(item)
-        dropped = sum(isinstance(item, _Queued) for item in lost)
-        if dropped:
-            self._dropped += dropped
+        if any(lost):
+            self._dropped += sum(map(bool, lost))
             text = (
                 f"too slow for the scans: the oldest of {self.settings.scan_queue} that wait is "
                 "dropped for each new one; take a faster device or fewer scans"
             )
-            self.diagnostics.add("slow", Level.WARN, text, SHOWN_S)
+            self.diagnostics.note("slow", text)
 
     def _begin_new_map(self) -> None:
         """Leave the old map behind: time has jumped back."""
         self._session.begin_new_map()
-        self._dropped += sum(isinstance(item, _Queued) for item in self._worker.clear())
+        self._dropped += sum(map(bool, self._worker.clear()))
 
     def _on_settings(self, settings: ProducerNodeConfig) -> None:
-        """Take changed settings."""
         self.settings = settings
         self._worker.capacity = settings.scan_queue
         self._inputs.configure(settings)
-        self._open_transforms()
+        if settings.publish_tf and self._transforms is None:
+            self._transforms = TransformOutput(self.node)
 
     def on_time_jump(self, delta_s: float) -> None:
         """Forget the transforms of a future that has not come; scans decide about the map."""
@@ -206,8 +199,8 @@ class ProducerNode(NodeBase):
             or (self._is_paused and not snapshot.is_settled)
         )
         is_due = self._session.is_map_due(self._map_interval_s())
-        if self._worker.is_idle and is_due and wanted:
-            self._worker.put(_MapDue())
+        if self._worker.is_idle() and is_due and wanted:
+            self._worker.put(None)
 
     @property
     def _is_paused(self) -> bool:
@@ -223,17 +216,17 @@ class ProducerNode(NodeBase):
 
     # --- the worker's thread -----------------------------------------------------------------
 
-    def _work(self, item: _Queued | _MapDue) -> None:
-        """Feed a scan, or take a map."""
+    def _work(self, item: _Queued | None) -> None:
+        """Feed a scan, or with None take a map."""
         session = self._session
-        if isinstance(item, _Queued):
+        if item is not None:
             answer = session.feed(item)
             if session.snapshot.problem:
-                self.diagnostics.add("slam", Level.ERROR, session.snapshot.problem, SHOWN_S)
+                self.diagnostics.note("slam", session.snapshot.problem, Level.ERROR)
             if answer is not None:
                 self._answer(answer, item.stamp)
         is_due = session.is_map_due(self._map_interval_s())
-        if isinstance(item, _MapDue) or (session.snapshot.unmapped and is_due):
+        if item is None or (session.snapshot.unmapped and is_due):
             made = session.read_map(is_path_heard=self._is_path_heard(), is_paused=self._is_paused)
             if made is not None:
                 self._messages.put(made)
@@ -241,16 +234,12 @@ class ProducerNode(NodeBase):
     def _answer(self, answer: Answer, stamp: Any) -> None:
         """Publish the pose at a scan, and the transform with it."""
         if answer.unused:
-            self.diagnostics.add("blind", Level.WARN, answer.unused, SHOWN_S)
+            self.diagnostics.note("blind", answer.unused)
         self._pose_topic.publish(messages.pose_to_message(answer.pose, self._map_frame, stamp))
         if answer.is_new:
             self._send_transform(answer, stamp)
 
     # --- the transform from the map to the odometry, while ``publish_tf`` is on ----------------
-
-    def _open_transforms(self) -> None:
-        if self.settings.publish_tf and self._transforms is None:
-            self._transforms = TransformOutput(self.node)
 
     @property
     def _child_frame(self) -> str:
@@ -291,12 +280,12 @@ class ProducerNode(NodeBase):
         is_late = now_s - since_s > NEVER_SENT_S
         self.diagnostics.say("unsent", text if is_late else None, Level.ERROR)
         rivals = {} if self._transforms is None else self._transforms.rivals()
-        child, parent = next(iter(rivals.items()), ("", ""))
-        text = (
+        texts = [
             f"another node sends the transform to {child!r} too (from {parent!r}): set publish_tf "
             "to false in all but one"
-        )
-        self.diagnostics.say("rival", text if rivals else None, Level.ERROR)
+            for child, parent in rivals.items()
+        ]
+        self.diagnostics.say("rival", next(iter(texts), None), Level.ERROR)
 
     # --- the thread of messages --------------------------------------------------------------
 
@@ -369,10 +358,7 @@ class ProducerNode(NodeBase):
         """Name scans that do not come, a scan that takes too long, and what is wrong with /tf."""
         now_s = time.monotonic()
         silent_s = now_s - self._last_scan_s
-        topic, writers = (
-            self.node.resolve_topic_name(SCAN_TOPIC),
-            self.node.count_publishers(SCAN_TOPIC),
-        )
+        topic, writers = self.resolved(SCAN_TOPIC), self.node.count_publishers(SCAN_TOPIC)
         who = f"{writers} node(s) could send them" if writers else "no node sends them"
         since = "yet" if not self._received else "any more"
         # Without the time, which would be news each second.

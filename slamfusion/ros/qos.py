@@ -9,13 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 from rclpy.duration import Duration
-from rclpy.qos import (
-    DurabilityPolicy,
-    HistoryPolicy,
-    LivelinessPolicy,
-    QoSProfile,
-    ReliabilityPolicy,
-)
+from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 
 # Poses are offered with this liveliness lease, seconds: DDS says three times in two of these that
 # the process lives, from a thread of its own that needs no interpreter.
@@ -26,7 +20,6 @@ def _profile(
     depth: int, *, reliable: bool, latched: bool, lease_s: float | None = None
 ) -> QoSProfile:
     profile = QoSProfile(
-        history=HistoryPolicy.KEEP_LAST,
         depth=depth,
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
@@ -41,18 +34,15 @@ def _profile(
 SENSOR = _profile(50, reliable=False, latched=False)
 # Scans, odometry and poses, written: every reader can hear them.
 STREAM = _profile(50, reliable=True, latched=False)
-# Poses, written: the same, and who asks for it hears within its lease that the writer has gone.
+# Poses, written: the same, and a reader that asks for it hears within its lease that the writer has
+# gone.
 POSE = _profile(50, reliable=True, latched=False, lease_s=LEASE_S)
-# Maps: who comes late gets the last one at once.
+# Maps: a late reader gets the last one at once.
 MAP = _profile(1, reliable=True, latched=True)
-# As tf2 has them.
+# As tf2 has them; and static transforms of several writers, read.
 TF = _profile(100, reliable=True, latched=False)
 TF_STATIC = _profile(1, reliable=True, latched=True)
-
-
-def latched(depth: int) -> QoSProfile:
-    """Return reliable and transient local, for many kept messages or many writers."""
-    return _profile(depth, reliable=True, latched=True)
+TF_STATIC_READ = _profile(100, reliable=True, latched=True)
 
 
 def heartbeat(lease_s: float) -> QoSProfile:
@@ -62,7 +52,7 @@ def heartbeat(lease_s: float) -> QoSProfile:
     subscription.
 
     Args:
-        lease_s: a writer that said nothing for so long is gone, seconds; ours offer ``LEASE_S``.
+        lease_s: a writer without a sign of life for so long is gone, seconds.
     """
     return _profile(1, reliable=False, latched=False, lease_s=lease_s)
 
@@ -70,13 +60,8 @@ def heartbeat(lease_s: float) -> QoSProfile:
 def map_qos(node: Any, topic: str) -> QoSProfile | None:
     """Return how to read a map topic, so that every writer of it is heard.
 
-    Args:
-        node: an rclpy node.
-        topic: as for a subscription: relative names and remapping rules hold.
-
-    Returns:
-        Reliable as far as all writers are; transient local as far as all are, or else no map from
-        before the reader came is heard. None while the topic has no writer.
+    Reliable as far as all writers are; transient local as far as all are, or else no map from
+    before the reader came is heard. None while the topic has no writer.
     """
     infos = node.get_publishers_info_by_topic(topic)  # applies remappings
     if not infos:

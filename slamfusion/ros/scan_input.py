@@ -16,7 +16,7 @@ from slamfusion.io.log import FARTHEST_M
 from slamfusion.io.stamps import Passed, StampGate
 from slamfusion.io.transforms import Mount, TransformError
 from slamfusion.ros import messages, qos
-from slamfusion.ros.base import SHOWN_S, Level, NodeBase
+from slamfusion.ros.base import Level, NodeBase
 from slamfusion.ros.frames import TransformInput, TransformStore
 from slamfusion.scan import LaserScan
 from slamfusion.slam.session import LeftOutError
@@ -27,15 +27,14 @@ ODOMETRY_ALIVE_S = 1.0
 FORWARD_JUMP_S = 10.0
 
 
+SCAN_TOPIC, ODOM_TOPIC = "scan", "odom"
+NO_LASER_FRAME = "no transform from the laser"
+NO_SCAN = "angles or ranges that cannot be a scan"
+
+
 @dataclass(frozen=True, eq=False)
 class ArrivedScan:
-    """A scan as it came.
-
-    Attributes:
-        message: sensor_msgs/LaserScan.
-        stamp_s: its stamp, seconds.
-        arrived_s: when it came, ``time.monotonic``.
-    """
+    """A sensor_msgs/LaserScan, its stamp, and when it came by ``time.monotonic``; seconds."""
 
     message: Any
     stamp_s: float
@@ -47,11 +46,6 @@ def _is_same(one: ArrivedScan, other: ArrivedScan) -> bool:
     return bool(one.message.ranges.tobytes() == other.message.ranges.tobytes())
 
 
-SCAN_TOPIC, ODOM_TOPIC = "scan", "odom"
-NO_LASER_FRAME = "no transform from the laser"
-NO_SCAN = "angles or ranges that cannot be a scan"
-
-
 class ScanInput:
     """Which scans go on by their stamps, and the laser's place and the odometry at each.
 
@@ -61,6 +55,7 @@ class ScanInput:
     Attributes:
         transforms: from ``/tf``; None where nothing is taken from there.
         odometry: where odometry is kept; None: there is none.
+        held: scans that are held back for their stamps now.
         strays: scans left out for their stamps so far.
         jumps_back: how often time has gone back so far.
     """
@@ -68,7 +63,7 @@ class ScanInput:
     def __init__(self, base: NodeBase, settings: ScanNodeConfig) -> None:
         self.transforms: TransformStore | None = None
         self.odometry: TransformStore | None = None
-        self.strays = self.jumps_back = 0
+        self.held = self.strays = self.jumps_back = 0
         self._base = base
         self._settings = settings
         self._gate: StampGate[ArrivedScan] = StampGate(settings.reset_back_s, _is_same)
@@ -98,31 +93,23 @@ class ScanInput:
 
     def _on_odometry(self, message: Any) -> None:
         """Keep a pose of the odometry."""
-        store = self.odometry
-        assert store is not None  # noqa: S101  (made before the subscription)
+        odom, base = self._settings.odom_frame, self._settings.base_frame
+        problem, pose = "", Pose2()
         try:
             pose = messages.pose2_from_message(message.pose.pose)
         except TrajectoryError as error:
-            self._base.diagnostics.add(
-                "odometry values", Level.WARN, f"odometry left out: {error}", SHOWN_S
-            )
-            return
+            problem = str(error)
         if max(abs(pose.x), abs(pose.y)) > FARTHEST_M:
-            text = f"odometry left out: ({pose.x:g}, {pose.y:g}) m is nowhere near"
-            self._base.diagnostics.add("odometry values", Level.WARN, text, SHOWN_S)
+            problem = f"({pose.x:g}, {pose.y:g}) m is nowhere near"
+        if problem:
+            self._base.diagnostics.note("odometry values", f"odometry left out: {problem}")
             return
         child = message.child_frame_id.lstrip("/")
-        if child and child != self._settings.base_frame:
-            text = (
-                f"odometry is that of {child!r}, not of base_frame {self._settings.base_frame!r}; "
-                "it is taken for the same"
-            )
-            self._base.diagnostics.add("odometry frame", Level.WARN, text, SHOWN_S)
-        settings = self._settings
-        stamp = message.header.stamp
-        store.add(
-            [messages.transform_to_message(pose, settings.odom_frame, settings.base_frame, stamp)]
-        )
+        if child and child != base:
+            text = f"odometry is that of {child!r}, not of base_frame {base!r}; it is taken for it"
+            self._base.diagnostics.note("odometry frame", text)
+        assert self.odometry is not None  # noqa: S101  (made before the subscription)
+        self.odometry.add([messages.transform_to_message(pose, odom, base, message.header.stamp)])
 
     def read(self, scan: ArrivedScan) -> LaserScan:
         """Convert a scan.
@@ -130,18 +117,20 @@ class ScanInput:
         Raises:
             LeftOutError: it cannot be, or nobody says where its laser sits; named.
         """
-        mount = self.mount(scan)
-        if mount is None:
-            raise LeftOutError(NO_LASER_FRAME)
+        mount = self._mount(scan)
         try:
             read = messages.scan_from_message(scan.message, mount.pose, is_flipped=mount.is_flipped)
         except ScanError as error:
-            self._base.diagnostics.add("scan", Level.WARN, str(error), SHOWN_S)
+            self._base.diagnostics.note("scan", str(error))
             raise LeftOutError(NO_SCAN) from error
         return read.remounted(self._settings.laser)
 
-    def mount(self, scan: ArrivedScan) -> Mount | None:
-        """Return where the laser sits at a scan, or None, named, where that is not known."""
+    def _mount(self, scan: ArrivedScan) -> Mount:
+        """Return where the laser sits at a scan.
+
+        Raises:
+            LeftOutError: that is not known; named.
+        """
         settings = self._settings
         if settings.laser_source == "parameter":
             return Mount(Pose2(settings.laser_x, settings.laser_y, settings.laser_yaw))
@@ -158,8 +147,8 @@ class ScanInput:
                 f"scans in {frame!r} cannot be used: {error}; send the transform, or set "
                 "laser_source to parameter"
             )
-            self._base.diagnostics.add("laser", Level.ERROR, text)
-            return None
+            self._base.diagnostics.say("laser", text, Level.ERROR)
+            raise LeftOutError(NO_LASER_FRAME) from error
         self._base.diagnostics.clear("laser")
         return mount
 
@@ -185,23 +174,20 @@ class ScanInput:
         except TransformError as error:
             if poses:
                 text = f"scans are not deskewed, for their odometry ends within the sweep: {error}"
-                self._base.diagnostics.add("sweep", Level.WARN, text, SHOWN_S)
+                self._base.diagnostics.note("sweep", text)
                 return _rows(poses)
             does = "are left out" if is_first else "are matched without it"
+            source = f"the topic {self._base.resolved(ODOM_TOPIC)!r}"
+            if settings.odometry_source == "tf":
+                source = f"the transforms from {settings.base_frame!r} to {settings.odom_frame!r}"
             text = (
-                f"no odometry for the scans, which {does}: {error}; check {self._odometry_words()}"
-                ", or set odometry_source to none"
+                f"no odometry for the scans, which {does}: {error}; check {source}, or set "
+                "odometry_source to none"
             )
-            self._base.diagnostics.add("odometry", Level.WARN, text)
+            self._base.diagnostics.say("odometry", text)
             return None
         self._base.diagnostics.clear("odometry")
         return _rows(poses)
-
-    def _odometry_words(self) -> str:
-        settings = self._settings
-        if settings.odometry_source == "tf":
-            return f"the transforms from {settings.base_frame!r} to {settings.odom_frame!r}"
-        return f"the topic {self._base.node.resolve_topic_name(ODOM_TOPIC)!r}"
 
     def _wait_s(self, scan: ArrivedScan, store: TransformStore) -> float:
         """Return how long a scan may still wait for what a store is to get."""
@@ -212,11 +198,6 @@ class ScanInput:
 
     # -- by their stamps --------------------------------------------------------------------------
 
-    @property
-    def held(self) -> int:
-        """Scans that are held back for their stamps now."""
-        return self._gate.held
-
     def offer(self, message: Any) -> Passed[ArrivedScan]:
         """Take a scan that has come; return what goes on and whether time has jumped before it.
 
@@ -225,6 +206,7 @@ class ScanInput:
         scan = ArrivedScan(message, messages.stamp_s(message), time.monotonic())
         before_s = self._gate.newest_s
         passed = self._gate.offer(scan.stamp_s, scan, scan.arrived_s, self._odometry_agrees)
+        self.held = self._gate.held
         if before_s is None:
             return passed
         self._name_strays(passed.strays, before_s)
@@ -243,7 +225,7 @@ class ScanInput:
                 "odometry (or another transform) is left out: its stamp is far from those before "
                 "and after it; check the clock of its sender"
             )
-            self._base.diagnostics.add("stray odometry", Level.WARN, text, SHOWN_S)
+            self._base.diagnostics.note("stray odometry", text)
         self._strays_named = strays
 
     def _odometry_agrees(self, before_s: float, after_s: float) -> bool:
@@ -259,7 +241,7 @@ class ScanInput:
             f"scans jumped {_way(before_s, after_s)} and the odometry did not: they are left out, "
             "and the map stays; check the clocks of both"
         )
-        self._base.diagnostics.add("clocks", Level.ERROR, text)
+        self._base.diagnostics.say("clocks", text, Level.ERROR)
         return False
 
     def _name_strays(self, strays: tuple[ArrivedScan, ...], before_s: float) -> None:
@@ -267,25 +249,25 @@ class ScanInput:
             return
         self.strays += len(strays)
         stamp_s = strays[-1].stamp_s
-        off_s = abs(stamp_s - before_s)
         how = "older than" if stamp_s < before_s else "ahead of"
         text = (
-            f"a scan is left out: its stamp {stamp_s:.3f} s is {off_s:.3f} s {how} the last one's, "
-            f"and those after it are not ({self.strays} so far); check the clock of the laser"
+            f"a scan is left out: its stamp {stamp_s:.3f} s is {abs(stamp_s - before_s):.3f} s "
+            f"{how} the last one's, and those after it are not ({self.strays} so far); check the "
+            "clock of the laser"
         )
-        self._base.diagnostics.add("stray scan", Level.WARN, text, SHOWN_S)
+        self._base.diagnostics.note("stray scan", text)
 
     def _name_jump(self, passed: Passed[ArrivedScan], before_s: float) -> None:
-        self._base.diagnostics.clear("clocks")
+        diagnostics = self._base.diagnostics
+        diagnostics.clear("clocks")
         after_s = passed.items[0].stamp_s
+        text = f"scans jumped {_way(before_s, after_s)}"
         if passed.jump is not None and passed.jump.is_back:
             self.jumps_back += 1
-            text = f"scans jumped {_way(before_s, after_s)}: a new map begins"
-            self._base.diagnostics.clear("back")
-            self._base.diagnostics.add("back", Level.WARN, text, SHOWN_S)
+            diagnostics.clear("back")
+            diagnostics.note("back", f"{text}: a new map begins")
         elif after_s > before_s + FORWARD_JUMP_S:
-            text = f"scans jumped {_way(before_s, after_s)}"
-            self._base.diagnostics.add("forward", Level.WARN, text, SHOWN_S)
+            diagnostics.note("forward", text)
 
 
 def _rows(poses: list[Pose2]) -> F64:

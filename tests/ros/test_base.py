@@ -40,10 +40,9 @@ def test_troubles_are_said_once_and_the_worst_comes_first(caplog: pytest.LogCapt
     diagnostics = Diagnostics(logging.getLogger("drawn"))
     assert diagnostics.worst("fine") == (Level.OK, "fine")
     for _ in range(3):
-        diagnostics.add("a", Level.WARN, "a is low")
-    diagnostics.add("b", Level.ERROR, "b is gone")
+        diagnostics.say("a", "a is low")
+    diagnostics.say("b", "b is gone", Level.ERROR)
     assert diagnostics.worst() == (Level.ERROR, "b is gone; a is low")
-    assert diagnostics.count("a") == 3
     diagnostics.clear("b")
     diagnostics.clear("b")
     assert diagnostics.worst() == (Level.WARN, "a is low")
@@ -58,7 +57,7 @@ def test_a_log_of_ros_takes_troubles_of_every_level():
     # rclpy ties a place in the code to one level, and raises at the second.
     diagnostics = Diagnostics(rclpy.logging.get_logger("drawn"))
     for number, level in enumerate((Level.WARN, Level.ERROR, Level.STALE, Level.ERROR)):
-        diagnostics.add(f"trouble {number}", level, f"it is {level.name}")
+        diagnostics.say(f"trouble {number}", f"it is {level.name}", level)
     assert diagnostics.worst()[0] == Level.STALE
 
 
@@ -250,8 +249,8 @@ def test_of_the_nodes_of_a_session_one_says_what_holds_for_all(
     first, second = (Diagnostics(log) for log in logs)
     monkeypatch.setenv(SESSION_VARIABLE, str(tmp_path))
     for told in (first, second):
-        told.add("device", Level.WARN, "no GPU", is_of_all=True)
-        told.add("own", Level.WARN, "no scans")
+        told.say("device", "no GPU", is_of_all=True)
+        told.say("own", "no scans")
     assert [log.said for log in logs] == [["no GPU", "no scans"], ["no scans"]]
     # Each goes on to have it in its diagnostics.
     assert second.worst() == (Level.WARN, "no GPU; no scans")
@@ -295,7 +294,7 @@ def test_the_oldest_waiting_item_is_dropped_and_counted():
     assert lost == [0, 1, 2, 3, 4, 5, 6]
     assert worker.waiting == 3
     gate.go.set()
-    assert worker.wait_idle(20.0)
+    assert worker.is_idle(20.0)
     assert gate.seen == ["first", 7, 8, 9]
     assert worker.close()
     assert worker.put("late") == ["late"]
@@ -307,7 +306,7 @@ def test_an_item_that_fails_is_reported_and_the_next_is_taken():
     worker.put("bad")
     worker.put("good")
     gate.go.set()
-    assert worker.wait_idle(20.0)
+    assert worker.is_idle(20.0)
     assert gate.errors == [("bad", "no good")]
     assert gate.seen == ["first", "good"]
     assert worker.close()

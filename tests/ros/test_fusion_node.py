@@ -21,13 +21,11 @@ from rosgraph_msgs.msg import Clock
 from scipy import ndimage
 from std_srvs.srv import Trigger
 
-from slamfusion.config import MapFileConfig
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox
 from slamfusion.io.map_server import load_map, save_map
 from slamfusion.ros import messages, qos
 from slamfusion.ros.frames import TransformInput
-from slamfusion.ros.fusion_inputs import load_saved
 from tests.fusion.live.maps import assert_same_lattice, share_standing, three, touched
 from tests.ros import tf2
 from tests.ros.fused import (
@@ -187,8 +185,7 @@ def test_writers_that_keep_nothing_and_saved_maps_take_part(
     # As map savers with other defaults write it: unknown reads as free, unless it is mended.
     yaml.write_text(yaml.read_text().replace("0.196", "0.25"))
     told: list[str] = []
-    plain = load_saved("lab", f"file:{yaml}", MapFileConfig(), told.append)
-    assert plain is not None
+    plain = load_map(yaml, warn=told.append)
     assert (plain.cells == -1).sum() == 0
     assert "cells of grey 205" in told[0]
     writers = {name: observer.publisher(OccupancyGrid, f"{name}/map", qos.STREAM) for name in "ab"}

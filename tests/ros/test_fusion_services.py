@@ -19,11 +19,11 @@ from rclpy.clock import Clock
 from rclpy.parameter import Parameter
 
 from slamfusion.config import FusionNodeConfig
+from slamfusion.fusion.live.session import FusionState
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.map_server import load_map, save_map
 from slamfusion.ros.base import Diagnostics
 from slamfusion.ros.fusion_services import FusionServices
-from slamfusion.trajectory import Trajectory
 from tests.fusion.live.maps import three
 
 pytestmark = pytest.mark.once
@@ -39,8 +39,9 @@ class Node:
     def __init__(self, folder: Path) -> None:
         self.settings = FusionNodeConfig(save_path=str(folder / "lab"))
         self.published: Any = (None, three()["a"])
-        self.fused_path: Trajectory | None = None
-        self.inputs: Any = SimpleNamespace(entries={"a": "a/map"})
+        self.drive = SimpleNamespace(solution=None)
+        self.session = SimpleNamespace(snapshot=FusionState())
+        self.inputs: Any = SimpleNamespace(entries={"a": "a/map"}, load=self.load)
         self.answers: dict[str, Any] = {}
         quiet = SimpleNamespace(info=str, warning=str, error=str)
         self.log, self.diagnostics = quiet, Diagnostics(quiet)
@@ -49,15 +50,12 @@ class Node:
     def create_service(self, _: Any, name: str, callback: Any) -> None:
         self.answers[name] = callback
 
-    def nothing_fused(self) -> str:
-        return "nothing is fused"
-
     def ask_reset(self) -> None:
         raise NotImplementedError
 
-    def load_input(self, entry: str) -> tuple[OccupancyGrid | None, str]:
-        assert entry == "file:/maps/lab.yaml"
-        return three()["b"], ""
+    def load(self, path: str) -> OccupancyGrid:
+        assert path == "/maps/lab.yaml"
+        return three()["b"]
 
 
 def asked(**fields: Any) -> SimpleNamespace:

@@ -18,7 +18,7 @@ from slamfusion.cli.program import run_program
 from slamfusion.compute.layout import MOST_INPUTS
 from slamfusion.config import FusionNodeConfig
 from slamfusion.errors import ConfigError
-from slamfusion.io.map_server import save_map
+from slamfusion.io.map_server import load_map, save_map
 from slamfusion.ros import qos
 from slamfusion.ros.base import NodeBase
 from slamfusion.ros.fusion_inputs import FusionInputs, entry_for, fits, input_names, topic_of
@@ -207,9 +207,14 @@ def fusion_inputs(
     words = ["--ros-args", "-p", f"inputs:=[{','.join(entries)}]"] if entries else []
     base = NodeBase("fusing", context=observer.node.context, arguments=words)
     inputs = FusionInputs(
-        base, ("fused/map",), is_open=not entries, on_change=lambda names, _: gone.extend(names)
+        base,
+        ("fused/map",),
+        is_open=not entries,
+        load=load_map,
+        listen=Listener,
+        on_change=lambda names, _: gone.extend(names),
     )
-    inputs.begin(lambda *_: None, Listener)
+    inputs.begin()
     return base, inputs
 
 

@@ -77,7 +77,7 @@ def test_an_input_called_fused_comes_and_goes_beside_the_fused_map() -> None:
         say(page, type="hello", token="")
         live.put_fused(FusedMap(grids["fused"], grids["fused"], 1.0))
         live.put_input("fused", grids["input"])
-        live.put_pose(source)
+        live.put_pose("fused", source.pose.pose)
         live.show(lines, FusionState({"fused": record}), [source])
         told = heard(
             page,

@@ -116,7 +116,7 @@ def test_a_start_is_an_array_or_a_text(make_node: MakeNode, value: str, wanted: 
 
 def test_tools_are_told_what_a_parameter_is(make_node: MakeNode):
     node = make_node()
-    declare(node, Drawn(), "a", changeable=("mode",))
+    declare(node, Drawn(), "a", changeable=("a.mode",))
     period = node.describe_parameter("a.period_s")
     assert period.description == "how often [s] (public)"
     (limits,) = period.floating_point_range
