@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from slamfusion.experiments.tinyslam import ATE, RELATIONS
 from slamfusion.experiments.real_logs import REFERENCE
+from slamfusion.experiments.tinyslam import ATE, RELATIONS
 from slamfusion.jobs.documents import p_text
 from slamfusion.jobs.outputs import DRAWN
 from slamfusion.slam.registry import BUILT_IN

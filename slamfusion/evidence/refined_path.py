@@ -23,48 +23,16 @@ IEEE RA-L 6(2), 2021 (features of lidar scans that are eliminated); Geman and Mc
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from slamfusion.evidence.beams import JudgedScans, cover_stamps
 from slamfusion.evidence.known_motions import KnownMotions, MotionEquations
-from slamfusion.evidence.path_frames import FROM_MEDIAN, geman_mcclure, laid_onto
+from slamfusion.evidence.patches import LATTICES, Patches, SurfaceHits, line_inverses, line_sums
+from slamfusion.evidence.path_frames import laid_onto
 from slamfusion.geometry import F64, compose_poses, invert_poses, wrap_angles
 from slamfusion.trajectory import Trajectory
 
-I64 = npt.NDArray[np.int64]
-
-# A patch of wall: its side, metres, and the directions that its normal is told apart by.
-PATCH_M, FACINGS = 0.2, 8
-# A patch has at least this many hits, whose normals agree at least so far (the length of their
-# mean).
-LEAST_HITS, LEAST_UNITY = 4, 0.9
-# Deviation of a hit about its patch, metres, while walls are drawn apart; twice as far away a hit
-# has lost three quarters of its say, and at the second distance all of it.
-SPREAD_M, REACH_M = 0.04, 0.15
-# Hits that are used at most: more say nearly the same again.
-MOST_HITS = 200_000
-# A hit that faces the laser as exactly as this has no neighbours that say what it faces, radians.
-LONE_RAD = 1e-9
-# Rounds in which the line of a patch is found without its outliers, and those in which its normal
-# is turned to the line.
-LINE_ROUNDS, TURN_ROUNDS = 3, 2
-# Deviation of the normal of a patch from the mean of what its hits are said to face, radians: noise
-# along the beam turns that towards the laser.
-TILT_RAD = 0.5
-# Hits that are as far away and as slant as each other spread alike: shares of them by distance, and
-# limits of the cosine of the slant. Those of a kind that has this many tell how much.
-FAR_SHARES, SLANTS, LEAST_OF_KIND = 6, (0.25, 0.5, 0.8), 30
-KINDS = FAR_SHARES * (len(SLANTS) + 1)
-# No hit is surer than this, metres: walls are not as flat.
-LEAST_SPREAD_M = 0.015
-# Lattices that patches are cut by in turn: moved by a third of a patch, and normals told apart by
-# other limits.
-MOVES, TURNS = 3, 2
-LATTICES = MOVES * TURNS
 # Rounds before those whose mean counts, in which all hits are equally sure; the equations of each
 # are solved by this many steps at most, to this share of the first residual.
 ROUNDS, MOST_STEPS, TOLERANCE = 3, 400, 1e-4
@@ -85,7 +53,7 @@ def refine_path(scans: JudgedScans, path: Trajectory) -> Trajectory:
     kept = np.flatnonzero(given.is_own)
     if len(kept) < 2:
         return path
-    hits = _Hits.of(scans, kept)
+    hits = SurfaceHits.of(scans, kept)
     if not len(hits.scans):
         return path
     before = given.poses[kept]
@@ -120,156 +88,11 @@ def carried_along(path: Trajectory, stamps_s: F64, before: F64, poses: F64) -> T
     return Trajectory(path.stamps_s, compose_poses(poses[near], beside), path.name)
 
 
-@dataclass(frozen=True, eq=False)
-class _Hits:
-    """Hits of the scans that have a pose, on surfaces of which more than one hit tells.
-
-    Attributes:
-        points: (B, 2) float64, in the robot's base frame, metres.
-        facings_rad: (B,) float64, the direction that the surface at each faces, there.
-        scans: (B,) int64, the scan of each, counted among those with a pose.
-        kinds: (B,) int64, 0 to ``KINDS`` - 1, alike for hits as far away and as slant.
-    """
-
-    points: F64
-    facings_rad: F64
-    scans: I64
-    kinds: I64
-
-    @classmethod
-    def of(cls, scans: JudgedScans, kept: I64) -> _Hits:
-        """Take the hits of some of the scans."""
-        number = np.full(len(scans), -1, dtype=np.int64)
-        number[kept] = np.arange(len(kept))
-        of = number[scans.hit_scans]
-        # One without neighbours faces the laser, whatever the wall does: it would hold the robot's
-        # place along a corridor by what is no wall across it.
-        to_laser = scans.lasers[scans.hit_scans] - scans.hits
-        turned = wrap_angles(scans.facings_rad - np.arctan2(to_laser[:, 1], to_laser[:, 0]))
-        own = np.flatnonzero((of >= 0) & (np.abs(turned) > LONE_RAD))
-        own = own[:: max(1, -(-len(own) // MOST_HITS))]
-        if not len(own):
-            return cls(np.zeros((0, 2)), np.zeros(0), own, own)
-        away_m = np.hypot(*to_laser[own].T)
-        limits_m = np.quantile(away_m, np.arange(1, FAR_SHARES) / FAR_SHARES)
-        slants = np.array(SLANTS).searchsorted(np.cos(turned[own]))
-        kinds = limits_m.searchsorted(away_m) * (len(SLANTS) + 1) + slants
-        return cls(scans.hits[own], scans.facings_rad[own], of[own], np.asarray(kinds, np.int64))
-
-
-@dataclass(frozen=True, eq=False)
-class _Patches:
-    """What the hits say of their patches at some poses.
-
-    Attributes:
-        of: (B,) int64, the patch of each hit.
-        slopes: (B, 3) float64, how each hit's place along the normal of its patch changes with its
-            scan's pose: x, y, yaw.
-        sides_m: (B,) float64, how far each hit lies beside the middle of its patch.
-        away_m: (B,) float64, how far each hit lies from its patch along the normal.
-        weights: (B,) float64, say of each hit over its variance, 1 / m2; 0: none.
-    """
-
-    count: int
-    of: I64
-    slopes: F64
-    sides_m: F64
-    away_m: F64
-    weights: F64
-
-    @classmethod
-    def at(cls, hits: _Hits, poses: F64, number: int) -> _Patches:
-        """Sort hits into patches, on the lattice of a round."""
-        own = poses[hits.scans]
-        cos, sin = np.cos(own[:, 2]), np.sin(own[:, 2])
-        x = cos * hits.points[:, 0] - sin * hits.points[:, 1]
-        y = sin * hits.points[:, 0] + cos * hits.points[:, 1]
-        places = np.stack((own[:, 0] + x, own[:, 1] + y), axis=1)
-        facings_rad = hits.facings_rad + own[:, 2]
-        of, sizes = _sorted(places, facings_rad, number)
-        count = len(sizes)
-        normals = _means(of, sizes, np.stack((np.cos(facings_rad), np.sin(facings_rad)), axis=1))
-        unity = np.hypot(*normals.T)
-        normals /= np.maximum(unity, 1e-9)[:, None]
-        beside = places - _means(of, sizes, places)[of]
-        is_wall = ((sizes >= LEAST_HITS) & (unity > LEAST_UNITY))[of]
-        sure = np.full(len(of), SPREAD_M**-2.0)
-        for _ in range(TURN_ROUNDS):
-            normal = normals[of]
-            across_m = np.asarray((beside * normal).sum(axis=1), dtype=np.float64)
-            sides_m = beside[:, 1] * normal[:, 0] - beside[:, 0] * normal[:, 1]
-            say = np.ones(len(of))
-            for _ in range(LINE_ROUNDS):
-                lines = _lines(of, count, sides_m, across_m, say * sure)
-                away_m = across_m - lines[of, 0] - lines[of, 1] * sides_m
-                say = geman_mcclure(away_m / (2.0 * SPREAD_M))
-            normals = _turned_to(normals, lines[:, 1])
-            is_used = is_wall & (np.abs(away_m) < REACH_M)
-            if number >= ROUNDS and is_used.any():
-                sure = _spreads_m(away_m[is_used], hits.kinds[is_used])[hits.kinds] ** -2.0
-        slopes = np.column_stack((normal, x * normal[:, 1] - y * normal[:, 0]))
-        return cls(count, of, slopes, sides_m, away_m, say * is_used * sure)
-
-
-def _sorted(places: F64, facings_rad: F64, number: int) -> tuple[I64, I64]:
-    """Return the patch of each hit, (B,), and hits of each patch, (P,), on a round's lattice."""
-    cells = np.floor(places / PATCH_M + number % MOVES / MOVES).astype(np.int64)
-    cells -= cells.min(axis=0)
-    side = np.rint(facings_rad * FACINGS / (2.0 * np.pi) + number % TURNS / TURNS).astype(np.int64)
-    key = (cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1]) * FACINGS + side % FACINGS
-    _, of, sizes = np.unique(key, return_inverse=True, return_counts=True)
-    return np.asarray(of, dtype=np.int64), np.asarray(sizes, dtype=np.int64)
-
-
-def _means(of: I64, sizes: I64, values: F64) -> F64:
-    """Return the mean of two values, (B, 2), over each patch, (P, 2)."""
-    sums = [np.bincount(of, part, len(sizes)) for part in values.T]
-    return np.asarray(np.stack(sums, axis=1) / sizes[:, None])
-
-
-def _spreads_m(away_m: F64, kinds: I64) -> F64:
-    """Return how far hits of each kind spread about their patches, (KINDS,) metres."""
-    far_m = np.abs(away_m)
-    usual_m = np.full(KINDS, np.median(far_m))
-    for kind in np.flatnonzero(np.bincount(kinds, minlength=KINDS) >= LEAST_OF_KIND):
-        usual_m[kind] = np.median(far_m[kinds == kind])
-    return np.asarray(np.hypot(FROM_MEDIAN * usual_m, LEAST_SPREAD_M))
-
-
-def _turned_to(normals: F64, tilts: F64) -> F64:
-    """Return normals, (P, 2), of lines that rise by ``tilts``, (P,), to their left."""
-    by = np.arctan(tilts)
-    cos, sin = np.cos(by), np.sin(by)
-    x, y = normals.T
-    return np.stack((cos * x + sin * y, cos * y - sin * x), axis=1)
-
-
-def _lines(of: I64, count: int, sides_m: F64, across_m: F64, weights: F64) -> F64:
-    """Return height and tilt of the line through the hits of each patch, (P, 2)."""
-    inverse = _line_inverses(of, count, sides_m, weights)
-    right = _line_sums(of, count, sides_m, weights * across_m)
-    return np.asarray(np.einsum("pab,pb->pa", inverse, right))
-
-
-def _line_sums(of: I64, count: int, sides_m: F64, values: F64) -> F64:
-    """Return the right side of each patch's equations of height and tilt, (P, 2), for values."""
-    parts = (values, values * sides_m)
-    return np.stack([np.bincount(of, part, count) for part in parts], axis=1).astype(np.float64)
-
-
-def _line_inverses(of: I64, count: int, sides_m: F64, weights: F64) -> F64:
-    """Return the inverse of each patch's equations of height and tilt, (P, 2, 2)."""
-    # A patch of which no hit has a say moves with nobody.
-    mass = np.bincount(of, weights, count) + 1e-9
-    first = np.bincount(of, weights * sides_m, count)
-    second = np.bincount(of, weights * sides_m**2, count) + TILT_RAD**-2.0
-    parts = np.stack((second, -first, -first, mass), axis=1).reshape(count, 2, 2)
-    return np.asarray(parts / (mass * second - first**2)[:, None, None])
-
-
-def _step(hits: _Hits, poses: F64, equations: MotionEquations, number: int) -> tuple[F64, F64]:
+def _step(
+    hits: SurfaceHits, poses: F64, equations: MotionEquations, number: int
+) -> tuple[F64, F64]:
     """Return the step of one round towards the least sum of squares."""
-    patches = _Patches.at(hits, poses, number)
+    patches = Patches.at(hits, poses, number, by_kind=number >= ROUNDS)
     diagonal, slope = equations.diagonal.copy(), equations.slope.copy()
     count = len(poses)
     weighted = patches.weights[:, None] * patches.slopes
@@ -284,10 +107,10 @@ def _step(hits: _Hits, poses: F64, equations: MotionEquations, number: int) -> t
     by_line = np.stack((np.ones(len(patches.of)), patches.sides_m), axis=1)
     values = np.repeat(weighted, 2, axis=1) * np.tile(by_line, 3)
     to_lines = scipy.sparse.csr_matrix(
-        (values.ravel(), (rows.ravel(), columns.ravel())), shape=(3 * count, 2 * patches.count)
+        (values.ravel(), (rows.ravel(), columns.ravel())), shape=(3 * count, 2 * len(patches.keys))
     )
     from_lines = to_lines.T.tocsr()
-    inverses = _line_inverses(patches.of, patches.count, patches.sides_m, patches.weights)
+    inverses = line_inverses(patches.of, len(patches.keys), patches.sides_m, patches.weights)
 
     def through_lines(of_lines: F64) -> F64:
         """Return what the poses get of the lines' equations, solved for one right-hand side."""
@@ -313,7 +136,7 @@ def _step(hits: _Hits, poses: F64, equations: MotionEquations, number: int) -> t
 
     size = (3 * count + 2, 3 * count + 2)
     pulls = patches.weights * patches.away_m
-    of_lines = _line_sums(patches.of, patches.count, patches.sides_m, pulls)
+    of_lines = line_sums(patches.of, len(patches.keys), patches.sides_m, pulls)
     slopes = slope.ravel() - through_lines(of_lines)
     step, _ = scipy.sparse.linalg.cg(
         scipy.sparse.linalg.LinearOperator(size, matvec=times, dtype=np.float64),

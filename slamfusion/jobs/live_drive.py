@@ -41,12 +41,13 @@ from slamfusion.evidence import (
 from slamfusion.evidence.beams import CHUNKS
 from slamfusion.evidence.drawn_map import DrawnScan, draw_map, drawn_scans
 from slamfusion.evidence.parting import parted
+from slamfusion.evidence.patches import WallMap
 from slamfusion.evidence.path_frames import fit_onto
 from slamfusion.evidence.predictive import SURE
 from slamfusion.evidence.recommendation import LEAST_DIFFERENCE
 from slamfusion.fusion.live import Evidence
 from slamfusion.fusion.path_check import moved_path
-from slamfusion.geometry import Pose2, fit_motion, moved_poses, with_levers
+from slamfusion.geometry import F64, Pose2, fit_motion, moved_poses, pose_of, row_of, with_levers
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan
 from slamfusion.jobs.fused_path import DrivePath, fuse_weighed_paths
@@ -68,6 +69,10 @@ SILENT_S = 5.0
 OF_SCANS = 0.5
 # A pose of an input is carried into the fused frame as its poses of the last second were.
 CORRECTED_S = 1.0
+# Deviations of a pose that is carried so, and of the motion from one pose of an input to the next,
+# metres and radians.
+CORRECTION_M, CORRECTION_RAD = 0.05, 0.02
+STEP_M, STEP_RAD = 0.01, 0.005
 # A stamp that goes back by more, seconds, is that of a new drive.
 BACK_S = 1.0
 # After a solution of the window there is a rest this many times as long as it took, and at least so
@@ -128,6 +133,7 @@ class DriveSolution:
         lattice: of ``drawn``, in the fused frame.
         drawn: the map drawn from the scans at the path; None: it was not asked for.
         is_final: whether it is the answer of ``run``; otherwise there is a better one to come.
+        walls: what the scans show along the path, where new scans are located.
     """
 
     path: Trajectory
@@ -137,6 +143,7 @@ class DriveSolution:
     lattice: Lattice
     drawn: OccupancyGrid | None = None
     is_final: bool = False
+    walls: WallMap | None = None
 
     @property
     def supported(self) -> Mapping[str, Pose2]:
@@ -152,6 +159,21 @@ class DriveSolution:
             for name, since_s in self.doubted_since_s.items()
         }
         return Evidence(self.corrections, doubts, self.lattice, self.drawn)
+
+
+@dataclass(frozen=True, eq=False)
+class LocatedPose:
+    """Where the robot is in the fused frame.
+
+    Attributes:
+        covariance: (3, 3) float64, x and y in metres, yaw in radians, in axes of that frame.
+        is_matched: whether the scan of its stamp was matched to the walls of the solved path;
+            otherwise the pose is carried on from the last one that was.
+    """
+
+    pose: Pose2
+    covariance: F64
+    is_matched: bool
 
 
 class _Kept(NamedTuple):
@@ -180,6 +202,10 @@ class LiveDrive:
         # The stamp of the last scan that a solution of the whole drive has.
         self._whole_until_s = -np.inf
         self._doubted_since_s: Mapping[str, float] = {}
+        # The walls of the solution that was taken, and by input the motion of its map frame into
+        # the fused frame with the covariance of the pose that it gives.
+        self._walls: WallMap | None = None
+        self._corrections: dict[str, tuple[Pose2, F64]] = {}
 
     # -- what comes, from any thread ---------------------------------------------------------------
 
@@ -236,6 +262,46 @@ class LiveDrive:
         self._generation += 1
         self._scans.clear()
         self._poses.clear()
+        self._walls, self._corrections = None, {}
+
+    # -- where the robot is, from any thread -------------------------------------------------------
+
+    def take(self, solution: DriveSolution) -> None:
+        """Locate poses by a solution from now on."""
+        with self._lock:
+            self._walls = solution.walls
+            self._corrections = {
+                name: (motion, _variances(CORRECTION_M, CORRECTION_RAD))
+                for name, motion in solution.supported.items()
+            }
+
+    def locate(self, name: str, stamp_s: float, pose: Pose2) -> LocatedPose | None:
+        """Return where a new pose of an input has the robot; None where the scans do not say it.
+
+        The pose is carried into the fused frame as the last one was, and the scan of its stamp is
+        matched to the walls of the solved path from there. A scan that does not fit leaves it.
+
+        Args:
+            pose: of the robot in the map frame of the input.
+        """
+        with self._lock:
+            walls, last = self._walls, self._corrections.get(name)
+            recent = (one.hits for one in self._scans[: -LEAST_SCANS - 1 : -1])
+            scan = next((own for own in recent if abs(own.stamp_s - stamp_s) <= SAME_STAMP_S), None)
+        if last is None:
+            return None
+        motion, before = last
+        expected, covariance = motion.compose(pose), before + _variances(STEP_M, STEP_RAD)
+        if walls is None or scan is None:
+            return LocatedPose(expected, covariance, is_matched=False)
+        found = walls.match(scan, row_of(expected), covariance)
+        if not found.fits:
+            return LocatedPose(expected, covariance, is_matched=False)
+        located = pose_of(found.pose)
+        with self._lock:
+            if self._corrections.get(name) is last:
+                self._corrections[name] = located.compose(pose.inverse()), found.covariance
+        return LocatedPose(located, found.covariance, is_matched=True)
 
     def _thin_out(self) -> None:
         """Drop every second scan before the window, and the poses that belong to none."""
@@ -320,6 +386,7 @@ class LiveDrive:
             own_lattice,
             drawn,
             depth == "final",
+            WallMap.of(scans, path),
         )
 
     def _continued(
@@ -448,6 +515,10 @@ def _part(path: Trajectory, after_s: float, until_s: float) -> Trajectory:
     """Return the poses of a path after one time and until another."""
     here = (path.stamps_s > after_s) & (path.stamps_s <= until_s)
     return Trajectory(path.stamps_s[here], path.poses[here], path.name)
+
+
+def _variances(place_m: float, turn_rad: float) -> F64:
+    return np.diag((place_m**2, place_m**2, turn_rad**2))
 
 
 def _correction(own: Trajectory, path: Trajectory) -> Pose2:

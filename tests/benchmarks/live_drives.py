@@ -22,15 +22,23 @@ from slamfusion.evaluation import MapError
 from slamfusion.evidence import judged_scans, score_paths
 from slamfusion.evidence.drawn_map import draw_map, drawn_scans
 from slamfusion.evidence.path_frames import fit_onto
-from slamfusion.experiments.tinyslam import ATE, RELATIONS, Drive, read_drive
 from slamfusion.experiments.fusions import against_truth
+from slamfusion.experiments.tinyslam import ATE, RELATIONS, Drive, read_drive
 from slamfusion.fusion.live import LiveFusion
 from slamfusion.fusion.path_check import moved_path
-from slamfusion.geometry import Pose2, fit_motion, moved_poses, with_levers
+from slamfusion.geometry import Pose2, fit_motion, moved_poses, row_of, with_levers
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan
 from slamfusion.jobs.fused_path import fuse_weighed_paths
-from slamfusion.jobs.live_drive import PARTS, STILL_S, Depth, DriveSolution, LiveDrive, Pace
+from slamfusion.jobs.live_drive import (
+    PARTS,
+    STILL_S,
+    Depth,
+    DriveSolution,
+    LiveDrive,
+    LocatedPose,
+    Pace,
+)
 from slamfusion.jobs.map_log import LogFiles
 from slamfusion.jobs.trajectory import Yardsticks
 from slamfusion.sim import named_course, simulate
@@ -50,8 +58,9 @@ CASES: tuple[tuple[Sequence[str], Sequence[str]], ...] = (
     (BUILT_IN[:2], BUILT_IN[1:2]),
 )
 COLUMNS = (
-    *("drive", "bent", "final path m", "run", "online m", "named after s", "wrongly named"),
-    *("[F16] error", "run", "walls F1", "run", "CPU s", "s of drive"),
+    *("drive", "bent", "final path m", "run", "online m", "matched %", "ms each"),
+    *("named after s", "wrongly named", "[F16] error", "run", "walls F1", "run"),
+    *("CPU s", "s of drive"),
 )  # fmt: skip
 
 
@@ -179,6 +188,7 @@ class Robot:
     Attributes:
         named_s: when each input was named first, a stamp.
         online: the newest pose in the fused frame, at each scan from the first solution on.
+        locate_s: processor time of each, seconds.
         fused: the newest fused map.
         cpu_s: processor time of all solutions and updates, seconds.
     """
@@ -190,7 +200,8 @@ class Robot:
         self.pace = Pace()
         self.solution: DriveSolution | None = None
         self.named_s: dict[str, float] = {}
-        self.online: list[tuple[float, Pose2]] = []
+        self.online: list[tuple[float, LocatedPose]] = []
+        self.locate_s: list[float] = []
         self.fused: OccupancyGrid | None = None
         self.cpu_s = 0.0
         self._waits: tuple[float, DriveSolution | None] | None = None
@@ -210,8 +221,12 @@ class Robot:
         self.cpu_s += time.process_time() - began_s
         self.turn(now_s, number)
         if self.solution is not None and self.solution.supported:
-            name, motion = next(iter(self.solution.supported.items()))
-            self.online.append((now_s, motion.compose(told.poses[name])))
+            name = next(iter(self.solution.supported))
+            began_s = time.process_time()
+            located = self.drive.locate(name, now_s, told.poses[name])
+            self.locate_s.append(time.process_time() - began_s)
+            if located is not None:
+                self.online.append((now_s, located))
 
     def turn(self, now_s: float, number: int) -> None:
         """Take the solution that is ready, and begin one that is due."""
@@ -252,6 +267,7 @@ class Robot:
         if solution is None:
             return
         self.solution = solution
+        self.drive.take(solution)
         for name in solution.doubted_since_s:
             self.named_s.setdefault(name, now_s)
         self.fusion.put_evidence(solution.evidence)
@@ -332,7 +348,7 @@ def measured(
     if robot.solution is None or robot.fused is None:
         raise SlamFusionError(f"{told.drive.name}: nothing was fused")
     path, grid = as_run(heard, names, robot.solution, device)
-    rows = [(pose.x, pose.y, pose.yaw_rad) for _, pose in robot.online]
+    rows = [row_of(located.pose) for _, located in robot.online]
     online = Trajectory(
         np.array([stamp_s for stamp_s, _ in robot.online]), np.array(rows), "online"
     )
@@ -354,6 +370,8 @@ def measured(
         path_error(robot.solution.path, told.drive),
         path_error(path, told.drive),
         path_error(online, told.drive),
+        f"{100.0 * np.mean([located.is_matched for _, located in robot.online]):.1f}",
+        f"{1e3 * np.mean(robot.locate_s):.1f}",
         ", ".join(since.get(name, "never") for name in bent_ones) or "-",
         ", ".join(wrong) or "none",
         *(cell for form in (_f16, _walls) for cell in (form(live_map), form(run_map))),

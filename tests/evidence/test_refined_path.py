@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slamfusion.evidence import judged_scans, refine_path, refined_path
+from slamfusion.evidence import judged_scans, patches, refine_path
 from slamfusion.evidence.path_frames import fit_frame
 from slamfusion.geometry import compose_poses, wrap_angles
 from slamfusion.trajectory import Trajectory
@@ -123,12 +123,12 @@ def test_scans_that_see_no_surface_leave_the_path_alone() -> None:
 
 def test_a_kind_of_hit_is_as_sure_as_it_spreads() -> None:
     rng = np.random.default_rng(0)
-    kinds = np.repeat((0, 5, 9), (400, 400, refined_path.LEAST_OF_KIND - 1))
+    kinds = np.repeat((0, 5, 9), (400, 400, patches.LEAST_OF_KIND - 1))
     away_m = rng.normal(0.0, 1.0, len(kinds)) * np.repeat(
         (0.002, 0.08, 5.0), np.bincount(kinds)[[0, 5, 9]]
     )
-    spreads_m = refined_path._spreads_m(away_m, kinds)
-    assert spreads_m[0] == pytest.approx(refined_path.LEAST_SPREAD_M, rel=0.05)
+    spreads_m = patches._spreads_m(away_m, kinds)
+    assert spreads_m[0] == pytest.approx(patches.LEAST_SPREAD_M, rel=0.05)
     assert spreads_m[5] == pytest.approx(0.08, rel=0.2)
     # Too few of a kind, and none: as all of them.
     usual_m = 1.4826 * np.median(np.abs(away_m))

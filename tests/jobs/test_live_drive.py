@@ -314,3 +314,27 @@ def test_a_live_fusion_draws_its_first_map_where_the_poses_say(device: ComputeDe
     assert np.count_nonzero(update.fused.cells == 100) == np.count_nonzero(found.drawn.cells == 100)
     (record,) = update.inputs
     assert record.accepted, record.reason
+
+
+def test_new_poses_are_located_on_the_solved_walls(device: ComputeDevice) -> None:
+    """Inputs drift after the solution: their scans show where the robot is."""
+    robot = Robot(device)
+    robot.drive_to(100)
+    assert robot.live.locate("a", 9.9, Pose2()) is None
+    robot.live.take(solved(robot, lattice=LATTICE, transforms=in_frame_of_a()))
+    off_m = []
+    for step in range(100, SCANS):
+        truth = robot.truth[step]
+        drifted = Pose2(0.003 * (step - 100), 0.0, 0.0).compose(robot.pose_of("a"))
+        robot.drive_to(step + 1, "")
+        found = robot.live.locate("a", robot.scans[step].scan.stamp_s, drifted)
+        assert found is not None
+        off_m.append(math.dist((found.pose.x, found.pose.y), (truth.x, truth.y)))
+    assert max(off_m) < 0.03
+    # Without a scan of its stamp a pose is carried on, and is less sure.
+    later = robot.live.locate("a", 1e3, drifted)
+    assert later is not None
+    assert not later.is_matched
+    assert np.all(np.diag(later.covariance) > np.diag(found.covariance))
+    robot.live.forget()
+    assert robot.live.locate("a", 1e3, drifted) is None

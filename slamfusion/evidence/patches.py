@@ -1,0 +1,337 @@
+"""``WallMap``: the walls that scans show along a path, as short lines; a scan is matched to them.
+
+Hits are sorted into patches by place and by the side that they are seen from, and a line is fitted
+to each patch. ``refine_path`` moves the poses of all scans until the hits lie on their lines;
+``WallMap.match`` moves one scan onto the lines of a path that is solved.
+
+Source: Chen and Medioni, Object modelling by registration of multiple range images, Image and
+Vision Computing 10(3), 1992 (distances from surfaces, and not from points); Geman and McClure as in
+``fused_path`` (the weights of hits).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.evidence.beams import JudgedScans, ScanHits, cover_stamps
+from slamfusion.evidence.path_frames import FROM_MEDIAN, geman_mcclure
+from slamfusion.geometry import F64, wrap_angle, wrap_angles
+from slamfusion.trajectory import Trajectory
+
+B8 = npt.NDArray[np.bool_]
+I64 = npt.NDArray[np.int64]
+
+# A patch of wall: its side, metres, and the directions that its normal is told apart by.
+PATCH_M, FACINGS = 0.2, 8
+# A patch has at least this many hits, whose normals agree at least so far (the length of their
+# mean).
+LEAST_HITS, LEAST_UNITY = 4, 0.9
+# Deviation of a hit about its patch, metres, while walls are drawn apart; twice as far away a hit
+# has lost three quarters of its say, and at the second distance all of it.
+SPREAD_M, REACH_M = 0.04, 0.15
+# Hits that are used at most: more say nearly the same again.
+MOST_HITS = 200_000
+# A hit that faces the laser as exactly as this has no neighbours that say what it faces, radians:
+# it would hold the robot's place along a corridor by what is no wall across it.
+LONE_RAD = 1e-9
+# Rounds in which the line of a patch is found without its outliers, and those in which its normal
+# is turned to the line.
+LINE_ROUNDS, TURN_ROUNDS = 3, 2
+# Deviation of the normal of a patch from the mean of what its hits are said to face, radians: noise
+# along the beam turns that towards the laser.
+TILT_RAD = 0.5
+# Hits that are as far away and as slant as each other spread alike: shares of them by distance, and
+# limits of the cosine of the slant. Those of a kind that has this many tell how much.
+FAR_SHARES, SLANTS, LEAST_OF_KIND = 6, (0.25, 0.5, 0.8), 30
+KINDS = FAR_SHARES * (len(SLANTS) + 1)
+# No hit is surer than this, metres: walls are not as flat.
+LEAST_SPREAD_M = 0.015
+# Least scales of the distances in the steps of a match, metres: first wide, then as hits spread.
+SCALES_M = (2.0 * SPREAD_M,) * 4 + (0.0,) * 2
+# A hit lies on its wall within this number of deviations. A scan fits if more than the first share
+# of its hits meets a wall, and more than the second share of these lies on it.
+FITTING, LEAST_KNOWN, LEAST_FITTING = 3.0, 0.05, 0.75
+# Patches along one axis, at most: makes one number of a place.
+ROW = 1 << 28
+# Lattices that patches are cut by in turn: moved by a third of a patch, and normals told apart by
+# other limits.
+MOVES, TURNS = 3, 2
+LATTICES = MOVES * TURNS
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceHits:
+    """Hits of the scans that have a pose, on surfaces of which more than one hit tells.
+
+    Attributes:
+        points: (B, 2) float64, in the robot's base frame, metres.
+        facings_rad: (B,) float64, the direction that the surface at each faces, there.
+        scans: (B,) int64, the scan of each, counted among those with a pose.
+        kinds: (B,) int64, 0 to ``KINDS`` - 1, alike for hits as far away and as slant.
+    """
+
+    points: F64
+    facings_rad: F64
+    scans: I64
+    kinds: I64
+
+    @classmethod
+    def of(cls, scans: JudgedScans, kept: I64) -> SurfaceHits:
+        """Take the hits of some of the scans."""
+        number = np.full(len(scans), -1, dtype=np.int64)
+        number[kept] = np.arange(len(kept))
+        of = number[scans.hit_scans]
+        to_laser = scans.lasers[scans.hit_scans] - scans.hits
+        turned = _turned_rad(scans.facings_rad, to_laser)
+        own = np.flatnonzero((of >= 0) & (np.abs(turned) > LONE_RAD))
+        own = own[:: max(1, -(-len(own) // MOST_HITS))]
+        if not len(own):
+            return cls(np.zeros((0, 2)), np.zeros(0), own, own)
+        away_m = np.hypot(*to_laser[own].T)
+        limits_m = np.quantile(away_m, np.arange(1, FAR_SHARES) / FAR_SHARES)
+        slants = np.array(SLANTS).searchsorted(np.cos(turned[own]))
+        kinds = limits_m.searchsorted(away_m) * (len(SLANTS) + 1) + slants
+        return cls(scans.hits[own], scans.facings_rad[own], of[own], np.asarray(kinds, np.int64))
+
+
+@dataclass(frozen=True, eq=False)
+class Patches:
+    """Patches of wall at some poses, on one lattice, and what each hit says of its own.
+
+    Attributes:
+        number: of the lattice.
+        keys: (P,) int64, rising, the place and side of each patch; see ``_keys``.
+        middles: (P, 2) float64, the mean of its hits, metres.
+        normals: (P, 2) float64, unit vectors.
+        lines: (P, 2) float64, where its wall lies along the normal, metres, and its tilt.
+        is_wall: (P,) bool, whether its hits are enough and face one way.
+        of: (B,) int64, the patch of each hit.
+        slopes: (B, 3) float64, how each hit's place along the normal of its patch changes with its
+            scan's pose: x, y, yaw.
+        sides_m: (B,) float64, how far each hit lies beside the middle of its patch.
+        away_m: (B,) float64, how far each hit lies from its patch along the normal.
+        weights: (B,) float64, say of each hit over its variance, 1 / m2; 0: none.
+    """
+
+    number: int
+    keys: I64
+    middles: F64
+    normals: F64
+    lines: F64
+    is_wall: B8
+    of: I64
+    slopes: F64
+    sides_m: F64
+    away_m: F64
+    weights: F64
+
+    @classmethod
+    def at(cls, hits: SurfaceHits, poses: F64, number: int, *, by_kind: bool) -> Patches:
+        """Sort hits into patches, on the lattice of a round.
+
+        Args:
+            by_kind: weigh hits by how much their kind spreads; otherwise all are equally sure.
+        """
+        own = poses[hits.scans]
+        cos, sin = np.cos(own[:, 2]), np.sin(own[:, 2])
+        x = cos * hits.points[:, 0] - sin * hits.points[:, 1]
+        y = sin * hits.points[:, 0] + cos * hits.points[:, 1]
+        places = np.stack((own[:, 0] + x, own[:, 1] + y), axis=1)
+        facings_rad = hits.facings_rad + own[:, 2]
+        keys, of, sizes = np.unique(
+            _keys(places, facings_rad, number), return_inverse=True, return_counts=True
+        )
+        count = len(keys)
+        normals = _means(of, sizes, np.stack((np.cos(facings_rad), np.sin(facings_rad)), axis=1))
+        unity = np.hypot(*normals.T)
+        normals /= np.maximum(unity, 1e-9)[:, None]
+        middles = _means(of, sizes, places)
+        beside = places - middles[of]
+        is_wall = (sizes >= LEAST_HITS) & (unity > LEAST_UNITY)
+        sure = np.full(len(of), SPREAD_M**-2.0)
+        turned = normals
+        for _ in range(TURN_ROUNDS):
+            normals = turned
+            normal = normals[of]
+            across_m = np.asarray((beside * normal).sum(axis=1), dtype=np.float64)
+            sides_m = beside[:, 1] * normal[:, 0] - beside[:, 0] * normal[:, 1]
+            say = np.ones(len(of))
+            for _ in range(LINE_ROUNDS):
+                lines = _lines(of, count, sides_m, across_m, say * sure)
+                away_m = across_m - lines[of, 0] - lines[of, 1] * sides_m
+                say = geman_mcclure(away_m / (2.0 * SPREAD_M))
+            turned = _turned_to(normals, lines[:, 1])
+            is_used = is_wall[of] & (np.abs(away_m) < REACH_M)
+            if by_kind and is_used.any():
+                sure = _spreads_m(away_m[is_used], hits.kinds[is_used])[hits.kinds] ** -2.0
+        slopes = np.column_stack((normal, x * normal[:, 1] - y * normal[:, 0]))
+        return cls(
+            number, keys, middles, normals, lines, is_wall, of, slopes, sides_m, away_m,
+            say * is_used * sure,
+        )  # fmt: skip
+
+
+def _turned_rad(facings_rad: F64, to_laser: F64) -> F64:
+    """Return how far surfaces, (B,), are turned away from the laser, to which (B, 2) points."""
+    return wrap_angles(facings_rad - np.arctan2(to_laser[:, 1], to_laser[:, 0]))
+
+
+def _keys(places: F64, facings_rad: F64, number: int) -> I64:
+    """Return a number for the patch of each hit, (B,), on a round's lattice: by place and side."""
+    cells = np.floor(places / PATCH_M + number % MOVES / MOVES).astype(np.int64)
+    side = np.rint(facings_rad * FACINGS / (2.0 * np.pi) + number % TURNS / TURNS).astype(np.int64)
+    return np.asarray((cells[:, 0] * ROW + cells[:, 1]) * FACINGS + side % FACINGS)
+
+
+def _means(of: I64, sizes: I64, values: F64) -> F64:
+    """Return the mean of two values, (B, 2), over each patch, (P, 2)."""
+    sums = [np.bincount(of, part, len(sizes)) for part in values.T]
+    return np.asarray(np.stack(sums, axis=1) / sizes[:, None])
+
+
+def _spreads_m(away_m: F64, kinds: I64) -> F64:
+    """Return how far hits of each kind spread about their patches, (KINDS,) metres."""
+    far_m = np.abs(away_m)
+    usual_m = np.full(KINDS, np.median(far_m))
+    for kind in np.flatnonzero(np.bincount(kinds, minlength=KINDS) >= LEAST_OF_KIND):
+        usual_m[kind] = np.median(far_m[kinds == kind])
+    return np.asarray(np.hypot(FROM_MEDIAN * usual_m, LEAST_SPREAD_M))
+
+
+def _turned_to(normals: F64, tilts: F64) -> F64:
+    """Return normals, (P, 2), of lines that rise by ``tilts``, (P,), to their left."""
+    by = np.arctan(tilts)
+    cos, sin = np.cos(by), np.sin(by)
+    x, y = normals.T
+    return np.stack((cos * x + sin * y, cos * y - sin * x), axis=1)
+
+
+def _lines(of: I64, count: int, sides_m: F64, across_m: F64, weights: F64) -> F64:
+    """Return height and tilt of the line through the hits of each patch, (P, 2)."""
+    inverse = line_inverses(of, count, sides_m, weights)
+    right = line_sums(of, count, sides_m, weights * across_m)
+    return np.asarray(np.einsum("pab,pb->pa", inverse, right))
+
+
+def line_sums(of: I64, count: int, sides_m: F64, values: F64) -> F64:
+    """Return the right side of each patch's equations of height and tilt, (P, 2), for values."""
+    parts = (values, values * sides_m)
+    return np.stack([np.bincount(of, part, count) for part in parts], axis=1).astype(np.float64)
+
+
+def line_inverses(of: I64, count: int, sides_m: F64, weights: F64) -> F64:
+    """Return the inverse of each patch's equations of height and tilt, (P, 2, 2)."""
+    # A patch in which no hit counts does not move.
+    mass = np.bincount(of, weights, count) + 1e-9
+    first = np.bincount(of, weights * sides_m, count)
+    second = np.bincount(of, weights * sides_m**2, count) + TILT_RAD**-2.0
+    parts = np.stack((second, -first, -first, mass), axis=1).reshape(count, 2, 2)
+    return np.asarray(parts / (mass * second - first**2)[:, None, None])
+
+
+@dataclass(frozen=True, eq=False)
+class ScanMatch:
+    """Where a scan lies on a map of walls.
+
+    Attributes:
+        pose: (3,) float64, metres and radians, in the frame of the map.
+        covariance: (3, 3) float64 of it.
+        known_share: share of the hits that meet a wall of the map.
+        fitting_share: share of these that lie on it.
+    """
+
+    pose: F64
+    covariance: F64
+    known_share: float
+    fitting_share: float
+
+    @property
+    def fits(self) -> bool:
+        """Whether the scan shows that place."""
+        return self.known_share > LEAST_KNOWN and self.fitting_share > LEAST_FITTING
+
+
+@dataclass(frozen=True, eq=False)
+class WallMap:
+    """The walls that the scans of a drive show at the poses of a path.
+
+    Attributes:
+        lattices: the same walls, cut in several ways.
+        spread_m: deviation of a hit about its wall.
+    """
+
+    lattices: Sequence[Patches]
+    spread_m: float
+
+    @classmethod
+    def of(cls, scans: JudgedScans, path: Trajectory) -> WallMap | None:
+        """Draw the walls; None where no scan with a pose sees a surface."""
+        given = cover_stamps(path, scans)
+        kept = np.flatnonzero(given.is_own)
+        hits = SurfaceHits.of(scans, kept)
+        if not len(hits.scans):
+            return None
+        poses = given.poses[kept]
+        lattices = [Patches.at(hits, poses, number, by_kind=False) for number in range(MOVES)]
+        far_m = np.concatenate([np.abs(own.away_m[own.weights > 0.0]) for own in lattices])
+        usual_m = float(np.median(far_m)) if len(far_m) else 0.0
+        return cls(lattices, max(FROM_MEDIAN * usual_m, LEAST_SPREAD_M))
+
+    def match(self, scan: ScanHits, expected: F64, covariance: F64) -> ScanMatch:
+        """Find where a scan lies, near where it is expected.
+
+        Gauss-Newton steps on the distances of the hits from the lines of their patches; those far
+        from them have no say. What the walls leave open, along a corridor, stays as expected.
+
+        Args:
+            expected: (3,) pose of the robot, metres and radians.
+            covariance: (3, 3) of it.
+        """
+        points, facings_rad = scan.rows[:, :2], scan.rows[:, 2]
+        is_seen = np.abs(_turned_rad(facings_rad, np.array(scan.laser) - points)) > LONE_RAD
+        points, facings_rad = points[is_seen], facings_rad[is_seen]
+        prior, pose = np.linalg.inv(covariance), expected
+        for scale_m in SCALES_M:
+            slopes, away_m, is_known = self._measure(points, facings_rad, pose)
+            weights = geman_mcclure(away_m / max(scale_m, 2.0 * self.spread_m))
+            weights *= is_known * (np.abs(away_m) < REACH_M)
+            weights *= self.spread_m**-2.0 / len(self.lattices)
+            information = prior + (weights[:, None] * slopes).T @ slopes
+            moved = pose - expected
+            moved[2] = wrap_angle(moved[2])
+            pose = pose - np.linalg.solve(
+                information, slopes.T @ (weights * away_m) + prior @ moved
+            )
+        is_fitting = is_known & (np.abs(away_m) < FITTING * self.spread_m)
+        known, fitting = int(np.count_nonzero(is_known)), int(np.count_nonzero(is_fitting))
+        known_share, fitting_share = known / max(1, len(is_known)), fitting / max(1, known)
+        sure = np.asarray(np.linalg.inv(information), dtype=np.float64)
+        return ScanMatch(pose, sure, known_share, fitting_share)
+
+    def _measure(self, points: F64, facings_rad: F64, pose: F64) -> tuple[F64, F64, B8]:
+        """Measure hits from the walls, once on each of L lattices.
+
+        Returns:
+            (L * H, 3) how each distance changes with the pose, (L * H,) the distances, metres, and
+            (L * H,) bool, whether there is a wall.
+        """
+        cos, sin = np.cos(pose[2]), np.sin(pose[2])
+        arms = points @ np.array(((cos, sin), (-sin, cos)))
+        places, sides_rad = pose[:2] + arms, facings_rad + pose[2]
+        found = []
+        for own in self.lattices:
+            keys = _keys(places, sides_rad, own.number)
+            at = np.minimum(np.searchsorted(own.keys, keys), len(own.keys) - 1)
+            normal, beside = own.normals[at], places - own.middles[at]
+            across_m = (beside * normal).sum(axis=1)
+            sides_m = beside[:, 1] * normal[:, 0] - beside[:, 0] * normal[:, 1]
+            away_m = across_m - own.lines[at, 0] - own.lines[at, 1] * sides_m
+            turning = arms[:, 0] * normal[:, 1] - arms[:, 1] * normal[:, 0]
+            is_known = (own.keys[at] == keys) & own.is_wall[at]
+            found.append((np.column_stack((normal, turning)), away_m, is_known))
+        slopes, distances_m, are_known = (np.concatenate(part) for part in zip(*found, strict=True))
+        return slopes, distances_m, are_known
