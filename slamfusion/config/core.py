@@ -9,7 +9,7 @@ import types
 import typing
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol, TypeVar, Union, overload, runtime_checkable
+from typing import Any, ClassVar, Literal, Protocol, TypeVar, Union, overload, runtime_checkable
 
 from slamfusion.errors import ConfigError, shown
 
@@ -27,6 +27,22 @@ LIST_MAX = 10_000
 LIST_STEP = 0.1
 
 
+# Units by the end of a field's name.
+_UNITS = {
+    "_rad_s": "rad/s",
+    "_deg_s": "deg/s",
+    "_rad_m": "rad/m",
+    "_mps2": "m/s^2",
+    "_mps": "m/s",
+    "_hz": "Hz",
+    "_percent": "%",
+    "_rad": "rad",
+    "_deg": "deg",
+    "_m": "m",
+    "_s": "s",
+}
+
+
 def option(
     default: Any,
     text: str,
@@ -34,13 +50,18 @@ def option(
     unit: str = "",
     low: float | None = None,
     high: float | None = None,
-    level: Literal["public", "expert"] = "public",
+    level: Literal["", "public", "expert"] = "",
     flag: str = "",
 ) -> Any:
-    """Declare a configuration field with its description, unit and inclusive range.
+    """Declare a configuration field with its description and inclusive range.
 
     A field of several words is a ``Literal``; one of several values a tuple of any length.
-    ``flag`` is its option on the command line where that is not the field's name.
+
+    Args:
+        unit: default: what the end of the name says, e.g. ``_m``.
+        low, high: default: open; 0 to 1 for a name that ends in ``_share``.
+        level: default: that of the class.
+        flag: its option on the command line where that is not the field's name.
     """
     metadata = {"help": text, "unit": unit, "low": low, "high": high, "level": level, "flag": flag}
     return field(default=default, metadata=metadata)
@@ -92,41 +113,31 @@ def _field_infos(config_class: type[Any]) -> tuple[FieldInfo, ...]:
     for item in dataclasses.fields(config_class):
         if not item.metadata:
             continue
-        form = _Form.of(hints[item.name])
-        infos.append(
-            FieldInfo(
-                name=item.name,
-                kind=form.kind,
-                is_list=form.is_list,
-                is_optional=form.is_optional,
-                default=item.default,
-                choices=form.choices,
-                **item.metadata,
-            )
-        )
+        said = {key: value for key, value in item.metadata.items() if value not in {None, ""}}
+        unit = next((unit for end, unit in _UNITS.items() if item.name.endswith(end)), "")
+        known: dict[str, Any] = {
+            "unit": "" if "_per_" in item.name else unit,
+            "low": 0.0 if item.name.endswith("_share") else None,
+            "high": 1.0 if item.name.endswith("_share") else None,
+            "level": config_class.LEVEL,
+            "flag": "",
+        }
+        form = _form(hints[item.name])
+        infos.append(FieldInfo(name=item.name, default=item.default, **form, **(known | said)))
     return tuple(infos)
 
 
-@dataclass(frozen=True)
-class _Form:
-    """What a field's annotation allows: one kind of value, a list of it, or nothing."""
-
-    kind: type[Any]
-    choices: tuple[str, ...] = ()
-    is_list: bool = False
-    is_optional: bool = False
-
-    @classmethod
-    def of(cls, hint: Any) -> _Form:
-        """Read an annotation: ``T``, ``Literal[...]`` or ``tuple[T, ...]``, each ``| None``."""
-        if typing.get_origin(hint) in {Union, types.UnionType}:
-            kinds = [part for part in typing.get_args(hint) if part is not type(None)]
-            return dataclasses.replace(cls.of(kinds[0]), is_optional=True)
-        if typing.get_origin(hint) is tuple:
-            return dataclasses.replace(cls.of(typing.get_args(hint)[0]), is_list=True)
-        if typing.get_origin(hint) is Literal:
-            return cls(str, typing.get_args(hint))
-        return cls(hint)
+def _form(hint: Any) -> dict[str, Any]:
+    """Read an annotation: ``T``, ``Literal[...]`` or ``tuple[T, ...]``, each ``| None``."""
+    parts = typing.get_args(hint)
+    if typing.get_origin(hint) in {Union, types.UnionType}:
+        first = next(part for part in parts if part is not type(None))
+        return _form(first) | {"is_optional": True}
+    if typing.get_origin(hint) is tuple:
+        return _form(parts[0]) | {"is_list": True}
+    is_word = typing.get_origin(hint) is Literal
+    kind, choices = (str, parts) if is_word else (hint, ())
+    return {"kind": kind, "choices": choices, "is_list": False, "is_optional": False}
 
 
 def checked_value(info: FieldInfo, value: Any, where: str) -> Any:
@@ -165,6 +176,8 @@ def _check_value(where: str, info: FieldInfo, value: Any) -> None:
 
 class Checked:
     """Checks every field against its declared range and choices after construction."""
+
+    LEVEL: ClassVar[str] = "public"
 
     def __post_init__(self) -> None:
         for info in field_infos(type(self)):
@@ -291,7 +304,9 @@ def from_mapping(config: Any, values: Any, where: str = "config") -> Any:
     if not isinstance(values, dict):
         raise ConfigError(f"{where}: wanted a mapping of settings, found {type(values).__name__}")
     is_class = isinstance(config, type)
-    hints = typing.get_type_hints(config if is_class else type(config))
+    config_class = config if is_class else type(config)
+    hints = typing.get_type_hints(config_class)
+    infos = {info.name: info for info in field_infos(config_class)}
     known = {item.name for item in dataclasses.fields(config)}
     arguments: dict[str, Any] = {}
     for key, value in values.items():
@@ -311,7 +326,7 @@ def from_mapping(config: Any, values: Any, where: str = "config") -> Any:
             section = getattr(config, key, hint)
             arguments[key] = from_mapping(section, value, f"{where}: {key}")
         else:
-            arguments[key] = _coerce(value, _Form.of(hint), f"{where}: {key}")
+            arguments[key] = _coerce(value, infos[key], f"{where}: {key}")
     try:
         return config(**arguments) if is_class else dataclasses.replace(config, **arguments)
     except ConfigError as error:
@@ -337,30 +352,30 @@ def _sections(known: Mapping[str, Any], values: Any, where: str) -> dict[str, An
     return {**known, **changed}
 
 
-def _coerce(value: Any, form: _Form | FieldInfo, where: str) -> Any:
-    if value is None and form.is_optional:
+def _coerce(value: Any, info: FieldInfo, where: str) -> Any:
+    if value is None and info.is_optional:
         return None
-    if form.is_list:
+    if info.is_list:
         if isinstance(value, str):
-            value = split_list(value, form.kind)
+            value = split_list(value, info.kind)
         if isinstance(value, (list, tuple)):
-            return tuple(_coerced(item, form, where) for item in value)
-    return _coerced(value, form, where)
+            return tuple(_coerced(item, info, where) for item in value)
+    return _coerced(value, info, where)
 
 
-def _coerced(value: Any, form: _Form | FieldInfo, where: str) -> Any:
+def _coerced(value: Any, info: FieldInfo, where: str) -> Any:
     """Return one value as the declared kind; whether it is one of the choices is seen later."""
     is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
     is_usable = not is_number or isinstance(value, float) or abs(value) <= INTEGER_MAX
-    if form.kind is float and is_number and is_usable:
+    if info.kind is float and is_number and is_usable:
         return float(value)
-    if form.kind is not float and type(value) is form.kind and is_usable:
+    if info.kind is not float and type(value) is info.kind and is_usable:
         return value
-    if value is False and "no" in form.choices:  # YAML 1.1 reads a bare no as false
+    if value is False and "no" in info.choices:  # YAML 1.1 reads a bare no as false
         return "no"
-    one = " or ".join(form.choices) or form.kind.__name__
-    words = f"a list of {one}" if form.is_list else one
-    message = f"{where}: wanted {words}{' or None' * form.is_optional}, found {shown(value)}"
+    one = " or ".join(info.choices) or info.kind.__name__
+    words = f"a list of {one}" if info.is_list else one
+    message = f"{where}: wanted {words}{' or None' * info.is_optional}, found {shown(value)}"
     raise ConfigError(message)
 
 

@@ -22,11 +22,9 @@ class NormalizeConfig(Checked):
     """From occupancy in percent to unknown / free / occupied on one resolution."""
 
     occupied_percent: float = option(
-        65.0, "a cell at or above this is occupied", unit="%", low=0.0, high=100.0
+        65.0, "a cell at or above this is occupied", low=0.0, high=100.0
     )
-    free_percent: float = option(
-        25.0, "a cell at or below this is free", unit="%", low=0.0, high=100.0
-    )
+    free_percent: float = option(25.0, "a cell at or below this is free", low=0.0, high=100.0)
     resolution: float | None = option(
         None,
         "cell size to bring every input to; default: the finest input's",
@@ -49,10 +47,10 @@ class AlignConfig(Checked):
     """The search for the rigid motion between two grids, and when to believe it."""
 
     window_yaw_rad: float = option(
-        math.pi, "search yaw within +- this of the start", unit="rad", low=0.0, high=math.pi
+        math.pi, "search yaw within +- this of the start", low=0.0, high=math.pi
     )
     window_m: float | None = option(
-        None, "search shifts within this of the start; default: everywhere", unit="m", low=0.0
+        None, "search shifts within this of the start; default: everywhere", low=0.0
     )
     step: int | None = option(
         None,
@@ -118,10 +116,7 @@ class LiveConfig(Checked):
         high=32,
     )
     stale_after_s: float = option(
-        30.0,
-        "an input whose last map is older than another's by more votes no more",
-        unit="s",
-        low=0.1,
+        30.0, "an input whose last map is older than another's by more votes no more", low=0.1
     )
     extent: Literal["reference", "union"] = option(
         "union", "fused cells: those of the reference, or of all inputs that ever voted"
@@ -130,40 +125,34 @@ class LiveConfig(Checked):
         0.7,
         "an input is searched again when it explains less than this share of the common walls that "
         "it explained when it was searched",
-        low=0.0,
-        high=1.0,
     )
     search_pause_s: float = option(
-        2.0, "full searches of one input are at least this far apart", unit="s", low=0.0
+        2.0, "full searches of one input are at least this far apart", low=0.0
     )
     jump_m: float = option(
         0.5,
         "a transform that moves an input's centre this far must be found twice in a row",
-        unit="m",
         low=0.0,
     )
     confirm_s: float = option(
         3.0,
         "a map that jumped and has not changed since is searched again after this time, or after "
         "its second message, in another way; it is accepted if that finds the same",
-        unit="s",
         low=0.0,
         level="expert",
     )
     pose_apart_m: float = option(
         1.0,
         "poses of one robot farther apart than this contradict each other; see pose_apart_s",
-        unit="m",
         low=0.0,
         level="expert",
     )
     pose_apart_rad: float = option(
-        0.35, "the same for a turn", unit="rad", low=0.0, high=math.pi, level="expert"
+        0.35, "the same for a turn", low=0.0, high=math.pi, level="expert"
     )
     pose_apart_s: float = option(
         3.0,
         "for this long poses must be apart to take a vote, and together to give it back",
-        unit="s",
         low=0.0,
         level="expert",
     )
@@ -189,6 +178,4 @@ class LiveConfig(Checked):
 class EvaluateConfig(Checked):
     """Measures of a map against the truth."""
 
-    tolerance_m: float = option(
-        0.1, "a wall this near a true wall counts as found", unit="m", low=0.0
-    )
+    tolerance_m: float = option(0.1, "a wall this near a true wall counts as found", low=0.0)

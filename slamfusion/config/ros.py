@@ -39,7 +39,6 @@ class ScanNodeConfig(NodeConfig):
     odometry_wait_s: float = option(
         0.5,
         "a scan waits this long for the odometry of its time, then it is matched without",
-        unit="s",
         low=0.0,
         high=10.0,
     )
@@ -63,7 +62,6 @@ class ScanNodeConfig(NodeConfig):
         1.0,
         "several scans in a row that are older than the last one by more begin a new map; a single "
         "one, or one that is older by less, is left out",
-        unit="s",
         low=0.0,
         high=1e6,
     )
@@ -84,7 +82,6 @@ class ProducerNodeConfig(ScanNodeConfig):
     map_update_interval_s: float | None = option(
         None,
         "the map is published this often; default: gmapping's map_update_interval, else 1 s",
-        unit="s",
         low=0.0,
         high=1e6,
     )
@@ -97,7 +94,7 @@ class ProducerNodeConfig(ScanNodeConfig):
         "one node alone may",
     )
     scans_stale_s: float = option(
-        2.0, "no scan for this long is named in the diagnostics", unit="s", low=0.1, high=1e6
+        2.0, "no scan for this long is named in the diagnostics", low=0.1, high=1e6
     )
     seed: int = option(0, "seed of every random number", low=0)
 
@@ -114,10 +111,10 @@ class FusionNodeConfig(ScanNodeConfig):
         "for any number; default: none is looked for",
     )
     discovery_rate_hz: float = option(
-        0.5, "new map topics are looked for this often", unit="Hz", low=0.001, high=10.0
+        0.5, "new map topics are looked for this often", low=0.001, high=10.0
     )
     max_publish_rate_hz: float = option(
-        5.0, "the fused map is published at most so often", unit="Hz", low=0.001, high=1000.0
+        5.0, "the fused map is published at most so often", low=0.001, high=1000.0
     )
     publish_tf: bool = option(
         False,
@@ -159,7 +156,6 @@ class FusionNodeConfig(ScanNodeConfig):
         3.0,
         "an input whose process shows no sign of life, or that no node publishes, for this long is "
         "lost",
-        unit="s",
         low=0.1,
         high=1e6,
     )
@@ -202,10 +198,10 @@ class PlayerNodeConfig(NodeConfig):
         False, "send the next scan when every producer of wait_for has published its last pose"
     )
     lockstep_timeout_s: float = option(
-        30.0, "give up when a producer has not answered for this long", unit="s", low=0.1, high=1e6
+        30.0, "give up when a producer has not answered for this long", low=0.1, high=1e6
     )
     start_timeout_s: float = option(
-        30.0, "wait this long for the listeners before the first scan", unit="s", low=0.0, high=1e6
+        30.0, "wait this long for the listeners before the first scan", low=0.0, high=1e6
     )
     odometry: Literal["topic", "tf", "both", "none"] = option(
         "both", "how odometry is sent: on `odom`, as transforms, both, or not at all"
@@ -220,7 +216,6 @@ class PlayerNodeConfig(NodeConfig):
     save_timeout_s: float = option(
         20.0,
         "wait this long for the maps that hold the last scan, then write what came",
-        unit="s",
         low=0.0,
         high=1e6,
     )

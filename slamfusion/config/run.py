@@ -33,9 +33,7 @@ class SimulateConfig(Checked):
         None, "a cable on the way, over which wheels slip and the laser tilts"
     )
     people: int | None = option(None, "people who walk about", low=0, high=100)
-    glass_share: float | None = option(
-        None, "share of the wall cells that are glass", low=0.0, high=1.0
-    )
+    glass_share: float | None = option(None, "share of the wall cells that are glass")
 
 
 @dataclass(frozen=True)
@@ -268,10 +266,7 @@ class LogConfig(Checked):
     )
     odom_frame: str = option("odom", "the odometry frame in a bag's transforms")
     no_return_m: float | None = option(
-        None,
-        "readings at or above this are no return; default: found from the log",
-        unit="m",
-        low=0.1,
+        None, "readings at or above this are no return; default: found from the log", low=0.1
     )
     laser: LaserMounting = option(
         "as-given",
@@ -287,7 +282,7 @@ class LogConfig(Checked):
         "xyzw", "order in which a TUM file has its quaternions"
     )
     index_period_s: float = option(
-        0.1, "time between scans where the stamps are broken", unit="s", low=1e-3, high=60.0
+        0.1, "time between scans where the stamps are broken", low=1e-3, high=60.0
     )
 
 
@@ -295,7 +290,7 @@ class LogConfig(Checked):
 class TrajectoryConfig(Checked):
     """Measures of a trajectory against the truth."""
 
-    tolerance_s: float = option(0.01, "poses this near in time belong together", unit="s", low=0.0)
+    tolerance_s: float = option(0.01, "poses this near in time belong together", low=0.0)
     pose_topic: str | None = option(
         None,
         "of a bag given as the truth, a topic of PoseStamped, PoseWithCovarianceStamped or "
@@ -339,7 +334,7 @@ class SideBySideConfig(Checked):
         None, "producers at work at once; default: as many as there are cores", low=1, high=64
     )
     time_limit_s: float | None = option(
-        None, "stop a producer that takes longer and leave it out", unit="s", low=0.1, high=1e7
+        None, "stop a producer that takes longer and leave it out", low=0.1, high=1e7
     )
     draw: bool = option(
         False, "also draw a map from all scans at the fused path, in addition to the vote"
@@ -347,7 +342,6 @@ class SideBySideConfig(Checked):
     path_gap_m: float = option(
         1.0,
         "leave out a producer whose path, laid into the fused map, is this far from the others'",
-        unit="m",
         low=0.05,
         high=100.0,
         level="expert",

@@ -37,9 +37,9 @@ class WorldConfig(Checked):
         0.05, "cell size of a drawn truth; a map file has its own", unit="m", low=0.01, high=0.25
     )
     wall_height_m: float = option(
-        2.5, "beams of a tilted laser pass over walls at this", unit="m", low=0.1, high=20.0
+        2.5, "beams of a tilted laser pass over walls at this", low=0.1, high=20.0
     )
-    glass_share: float = option(0.0, "share of the wall cells that are glass", low=0.0, high=1.0)
+    glass_share: float = option(0.0, "share of the wall cells that are glass")
 
 
 @dataclass(frozen=True)
@@ -49,50 +49,39 @@ class LidarConfig(Checked):
     model: LidarName = option("hokuyo", "its kind")
     beams: int = option(541, "beams in a sweep", low=1, high=100_000)
     view_rad: float = option(
-        math.radians(270.0), "angle from first to last beam", unit="rad", low=0.0, high=math.tau
+        math.radians(270.0), "angle from first to last beam", low=0.0, high=math.tau
     )
     clockwise: bool = option(False, "the first beam is the leftmost one")
-    rate_hz: float = option(10.0, "sweeps a second", unit="Hz", low=0.1, high=100.0)
+    rate_hz: float = option(10.0, "sweeps a second", low=0.1, high=100.0)
     turn_s: float = option(
         0.0,
         "time of a whole turn, each beam at its own time; 0: all beams of a sweep at one",
-        unit="s",
         low=0.0,
         high=10.0,
     )
-    range_min_m: float = option(0.1, "nearer things are too close", unit="m", low=0.0, high=10.0)
-    range_max_m: float = option(30.0, "farther things are not seen", unit="m", low=0.1, high=1000.0)
-    noise_m: float = option(
-        0.01, "standard deviation of a range at 0 m", unit="m", low=0.0, high=1.0
-    )
+    range_min_m: float = option(0.1, "nearer things are too close", low=0.0, high=10.0)
+    range_max_m: float = option(30.0, "farther things are not seen", low=0.1, high=1000.0)
+    noise_m: float = option(0.01, "standard deviation of a range at 0 m", low=0.0, high=1.0)
     noise_per_m: float = option(0.0005, "what a metre of range adds to it", low=0.0, high=1.0)
     noise_per_m2: float = option(
         0.0, "what the square of a metre of range adds to it", unit="1/m", low=0.0, high=1.0
     )
-    dropout_share: float = option(0.001, "share of readings that fail", low=0.0, high=1.0)
+    dropout_share: float = option(0.001, "share of readings that fail")
     dropout_far_share: float = option(
         0.0,
         "share of readings at the longest range that fail beside these; falls with the square of "
         "the range",
-        low=0.0,
-        high=1.0,
     )
-    outlier_share: float = option(
-        0.0005, "share of readings that stop short anywhere on their way", low=0.0, high=1.0
-    )
+    outlier_share: float = option(0.0005, "share of readings that stop short anywhere on their way")
     mixed_share: float = option(
-        0.2, "share of readings at an edge in depth that lie between both sides", low=0.0, high=1.0
+        0.2, "share of readings at an edge in depth that lie between both sides"
     )
-    mount_x_m: float = option(
-        0.1, "laser ahead of the robot's origin", unit="m", low=-10.0, high=10.0
-    )
-    mount_y_m: float = option(
-        0.0, "laser left of the robot's origin", unit="m", low=-10.0, high=10.0
-    )
+    mount_x_m: float = option(0.1, "laser ahead of the robot's origin", low=-10.0, high=10.0)
+    mount_y_m: float = option(0.0, "laser left of the robot's origin", low=-10.0, high=10.0)
     mount_yaw_rad: float = option(
-        0.0, "turn of the laser on the robot", unit="rad", low=-math.tau, high=math.tau
+        0.0, "turn of the laser on the robot", low=-math.tau, high=math.tau
     )
-    height_m: float = option(0.25, "laser above the floor", unit="m", low=0.01, high=10.0)
+    height_m: float = option(0.25, "laser above the floor", low=0.01, high=10.0)
 
 
 @dataclass(frozen=True)
@@ -100,19 +89,13 @@ class DriveConfig(Checked):
     """How a robot moves, and how its odometry errs."""
 
     model: Literal["differential", "bicycle", "tracks"] = option("differential", "its kind")
-    radius_m: float = option(
-        0.2, "disc that holds the robot; keeps off walls", unit="m", low=0.01, high=5.0
-    )
-    speed_mps: float = option(0.6, "speed on a free way", unit="m/s", low=0.01, high=10.0)
-    turn_rate_rad_s: float = option(1.0, "turning speed at most", unit="rad/s", low=0.01, high=10.0)
-    acceleration_mps2: float = option(
-        0.8, "change of speed at most", unit="m/s^2", low=0.01, high=100.0
-    )
-    wheelbase_m: float = option(0.3, "bicycle: between the axles", unit="m", low=0.05, high=5.0)
-    steer_max_rad: float = option(
-        0.6, "bicycle: steering angle at most", unit="rad", low=0.05, high=1.4
-    )
-    track_m: float = option(0.4, "tracks: between left and right", unit="m", low=0.05, high=5.0)
+    radius_m: float = option(0.2, "disc that holds the robot; keeps off walls", low=0.01, high=5.0)
+    speed_mps: float = option(0.6, "speed on a free way", low=0.01, high=10.0)
+    turn_rate_rad_s: float = option(1.0, "turning speed at most", low=0.01, high=10.0)
+    acceleration_mps2: float = option(0.8, "change of speed at most", low=0.01, high=100.0)
+    wheelbase_m: float = option(0.3, "bicycle: between the axles", low=0.05, high=5.0)
+    steer_max_rad: float = option(0.6, "bicycle: steering angle at most", low=0.05, high=1.4)
+    track_m: float = option(0.4, "tracks: between left and right", low=0.05, high=5.0)
     slip_left: float = option(
         0.0, "tracks: share of the left track's motion that is lost", low=0.0, high=0.9
     )
@@ -146,23 +129,19 @@ class DriveConfig(Checked):
 class ObstacleConfig(Checked):
     """A cable or low ramp on the floor, [F16]'s ground obstacle: wheels slip, the body tilts."""
 
-    x_m: float = option(0.0, "its middle in the map frame", unit="m", low=-1e7, high=1e7)
-    y_m: float = option(0.0, "its middle in the map frame", unit="m", low=-1e7, high=1e7)
-    yaw_rad: float = option(
-        0.0, "direction straight across it", unit="rad", low=-math.tau, high=math.tau
-    )
-    across_m: float = option(
-        0.6, "way across it on which it is felt", unit="m", low=0.01, high=10.0
-    )
-    along_m: float = option(1.6, "its length", unit="m", low=0.01, high=100.0)
+    x_m: float = option(0.0, "its middle in the map frame", low=-1e7, high=1e7)
+    y_m: float = option(0.0, "its middle in the map frame", low=-1e7, high=1e7)
+    yaw_rad: float = option(0.0, "direction straight across it", low=-math.tau, high=math.tau)
+    across_m: float = option(0.6, "way across it on which it is felt", low=0.01, high=10.0)
+    along_m: float = option(1.6, "its length", low=0.01, high=100.0)
     slip_share: float = option(
         0.3, "share of the wheels' motion that is lost on it", low=-0.9, high=0.9
     )
     kick_rad_m: float = option(
-        0.15, "turn that a metre on it adds unseen by the wheels", unit="rad/m", low=-3.0, high=3.0
+        0.15, "turn that a metre on it adds unseen by the wheels", low=-3.0, high=3.0
     )
     pitch_rad: float = option(
-        0.09, "tilt of the body at most: nose up, then down", unit="rad", low=0.0, high=0.7
+        0.09, "tilt of the body at most: nose up, then down", low=0.0, high=0.7
     )
 
 
@@ -170,10 +149,10 @@ class ObstacleConfig(Checked):
 class PersonConfig(Checked):
     """Someone who walks about."""
 
-    speed_mps: float = option(1.0, "walking speed", unit="m/s", low=0.05, high=5.0)
+    speed_mps: float = option(1.0, "walking speed", low=0.05, high=5.0)
     body: Literal["legs", "disc"] = option("legs", "what the laser meets: two legs, or one body")
     distance_m: float = option(
-        0.7, "stands still rather than come this near to the robot", unit="m", low=0.0, high=10.0
+        0.7, "stands still rather than come this near to the robot", low=0.0, high=10.0
     )
 
 
@@ -181,15 +160,11 @@ class PersonConfig(Checked):
 class ActionConfig(Checked):
     """One command of a script, as the wheels measure it: a turn, a straight way, or a wait."""
 
-    turn_deg: float = option(
-        0.0, "turn on the spot, counter-clockwise", unit="deg", low=-36e3, high=36e3
-    )
-    speed_deg_s: float = option(90.0, "speed of a turn", unit="deg/s", low=0.1, high=1000.0)
-    forward_m: float = option(
-        0.0, "straight way; negative goes backwards", unit="m", low=-1e4, high=1e4
-    )
-    speed_mps: float = option(0.5, "speed of a straight way", unit="m/s", low=0.001, high=10.0)
-    wait_s: float = option(0.0, "stand still", unit="s", low=0.0, high=3600.0)
+    turn_deg: float = option(0.0, "turn on the spot, counter-clockwise", low=-36e3, high=36e3)
+    speed_deg_s: float = option(90.0, "speed of a turn", low=0.1, high=1000.0)
+    forward_m: float = option(0.0, "straight way; negative goes backwards", low=-1e4, high=1e4)
+    speed_mps: float = option(0.5, "speed of a straight way", low=0.001, high=10.0)
+    wait_s: float = option(0.0, "stand still", low=0.0, high=3600.0)
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Any, Literal, TypeAlias
+from typing import Any, ClassVar, Literal, TypeAlias
 
 from slamfusion.config.core import Checked, option
 
@@ -16,44 +16,30 @@ OccupancyEstimator: TypeAlias = Literal["constant", "area"]
 class MatcherConfig(Checked):
     """The search for the pose at which a scan fits the map, from where the robot may have gone."""
 
-    beams: int = option(
-        120, "hits of a scan that the matcher looks at", low=8, high=4096, level="expert"
-    )
+    LEVEL: ClassVar[str] = "expert"
+
+    beams: int = option(120, "hits of a scan that the matcher looks at", low=8, high=4096)
     first_poses: int = option(
-        256, "poses drawn in the matcher's first, wide look", low=16, high=65536, level="expert"
+        256, "poses drawn in the matcher's first, wide look", low=16, high=65536
     )
-    climbers: int = option(
-        6, "poses of the first look from where a climb starts", low=1, high=64, level="expert"
-    )
-    rounds: int = option(
-        4, "rounds of a climb, 16 steps tried each", low=1, high=32, level="expert"
-    )
-    sigma_m: float = option(
-        0.1, "spread of the first look", unit="m", low=0.001, high=10.0, level="expert"
-    )
-    sigma_m_per_m: float = option(
-        0.15, "the same for each metre of odometry", low=0.0, high=10.0, level="expert"
-    )
-    sigma_rad: float = option(
-        0.05, "spread of the first look", unit="rad", low=0.001, high=3.2, level="expert"
-    )
+    climbers: int = option(6, "poses of the first look from where a climb starts", low=1, high=64)
+    rounds: int = option(4, "rounds of a climb, 16 steps tried each", low=1, high=32)
+    sigma_m: float = option(0.1, "spread of the first look", low=0.001, high=10.0)
+    sigma_m_per_m: float = option(0.15, "the same for each metre of odometry", low=0.0, high=10.0)
+    sigma_rad: float = option(0.05, "spread of the first look", low=0.001, high=3.2)
     sigma_rad_per_rad: float = option(
-        0.2, "the same for each radian of odometry", low=0.0, high=10.0, level="expert"
+        0.2, "the same for each radian of odometry", low=0.0, high=10.0
     )
     prior_weight_xy: float = option(
-        0.04, "score lost one spread from the guessed place", low=0.0, high=1.0, level="expert"
+        0.04, "score lost one spread from the guessed place", low=0.0, high=1.0
     )
-    prior_weight_yaw: float = option(
-        0.005, "the same for the guessed heading", low=0.0, high=1.0, level="expert"
-    )
+    prior_weight_yaw: float = option(0.005, "the same for the guessed heading", low=0.0, high=1.0)
     jump_m: float = option(
         5.0,
         "a longer step of the odometry between two scans is a reset and rejected; more for a "
         "robot that is fast or scans seldom",
-        unit="m",
         low=0.01,
         high=10_000.0,
-        level="expert",
     )
 
 
@@ -69,7 +55,7 @@ class TinySlamConfig(Checked):
         "what a hit says of its cell: always the same, or the area behind the beam's normal",
     )
     hole_width_m: float = option(
-        0.6, "width of the valley around a hit that the matcher sees", unit="m", low=0.0, high=5.0
+        0.6, "width of the valley around a hit that the matcher sees", low=0.0, high=5.0
     )
     quality: float | None = option(
         None,
@@ -83,9 +69,7 @@ class TinySlamConfig(Checked):
         low=0.0,
         high=1.0,
     )
-    usable_range_m: float = option(
-        30.0, "longer readings are not used", unit="m", low=0.1, high=1000.0
-    )
+    usable_range_m: float = option(30.0, "longer readings are not used", low=0.1, high=1000.0)
     occupied_share: float = option(
         0.3, "a cell whose mean value reaches this is published as occupied", low=0.05, high=0.95
     )
@@ -332,9 +316,7 @@ class GraphConfig(Checked):
         low=0.0,
         high=1.0,
     )
-    usable_range_m: float = option(
-        30.0, "longer readings are not used", unit="m", low=0.1, high=1000.0
-    )
+    usable_range_m: float = option(30.0, "longer readings are not used", low=0.1, high=1000.0)
     odometry: Literal["poses", "none"] = option(
         "poses", "use the log's odometry, or none", flag="--use-odometry"
     )
