@@ -6,10 +6,10 @@ seeded: same seed, same bytes.
 
 from __future__ import annotations
 
-from slamfusion.sim.building import draw_building
 from slamfusion.sim.courses import Course, load_course, named_course, with_overrides
 from slamfusion.sim.simulate import Recording, simulate, write_recording
 from slamfusion.sim.world import thin_walls
+from slamfusion.sim.worlds import draw_building
 
 __all__ = [
     "Course",

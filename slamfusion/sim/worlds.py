@@ -1,10 +1,16 @@
-"""Draw the places of the simulator, from an office to a yard; or take a map file."""
+"""Draw the places of the simulator, from an office to a yard; or take a map file.
+
+A ring closes late, when the odometry has drifted. In wings, pillars and rooms parts are copies of
+one another, to the cell: a match on the wrong copy is as good as one on the right copy; only the
+way there tells them apart.
+"""
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,17 +22,12 @@ from slamfusion.errors import SimulationError
 from slamfusion.geometry import F64, Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid, trinary_cells
 from slamfusion.io.map_server import load_map
-from slamfusion.sim.building import (
-    Canvas,
-    draw_building,
-    draw_pillars,
-    draw_ring,
-    draw_rooms,
-    draw_wings,
-)
 
 Point = tuple[float, float]
+# A rectangle as x0, y0, x1, y1 in metres from the canvas's lower-left corner.
+Rect = tuple[float, float, float, float]
 
+WALL_M = 0.1
 # Panes are about this long; thicker walls than this are masonry.
 PANE_M = 1.5
 PANE_THICK_M = 0.25
@@ -53,7 +54,9 @@ def draw_floor(config: WorldConfig, rng: np.random.Generator, folder: Path) -> F
         message = f"world {config.name!r} and map file {config.map!r}: give both or neither"
         raise SimulationError(message)
     if config.map is not None:
-        return _map_floor(folder / config.map)
+        grid = load_map(folder / config.map)
+        classes = trinary_cells(grid.cells, NormalizeConfig())
+        return Floor(replace(grid, cells=np.where(classes == 1, np.int8(OCCUPIED), classes)))
     return _DRAWINGS[config.name](rng, config.resolution)
 
 
@@ -82,11 +85,196 @@ def pick_glass(
     return glass
 
 
-def _map_floor(path: Path) -> Floor:
-    grid = load_map(path)
-    classes = trinary_cells(grid.cells, NormalizeConfig())
-    cells = np.where(classes == 1, OCCUPIED, classes).astype(np.int8)
-    return Floor(OccupancyGrid(cells, grid.resolution, grid.origin, grid.name))
+class Canvas:
+    """Cells to draw on in metres from the lower-left corner; all unknown at first.
+
+    Attributes:
+        cells: (H, W) int8, in {-1, 0, 100}.
+        resolution: metres per cell.
+        wall_m: how thick walls are drawn: 0.1 m, at least one cell.
+    """
+
+    def __init__(self, width_m: float, height_m: float, resolution: float) -> None:
+        self.resolution = resolution
+        shape = (self.cell(height_m), self.cell(width_m))
+        self.cells: npt.NDArray[np.int8] = np.full(shape, UNKNOWN, dtype=np.int8)
+        self.wall_m = max(WALL_M, resolution)
+
+    def cell(self, length_m: float) -> int:
+        """Return the nearest whole number of cells."""
+        return int(length_m / self.resolution + 0.5)
+
+    def fill(self, rect: Rect, value: int) -> None:
+        """Set every cell of a rectangle, clipped to the canvas."""
+        x0, y0, x1, y1 = (max(self.cell(length), 0) for length in rect)
+        self.cells[y0:y1, x0:x1] = value
+
+    def outline(self, rect: Rect) -> None:
+        """Draw the walls just inside the edges of a rectangle."""
+        x0, y0, x1, y1 = rect
+        wall = self.wall_m
+        for side in (
+            (x0, y0, x1, y0 + wall),
+            (x0, y1 - wall, x1, y1),
+            (x0, y0, x0 + wall, y1),
+            (x1 - wall, y0, x1, y1),
+        ):
+            self.fill(side, OCCUPIED)
+
+    def room(self, rect: Rect, inside: int = FREE) -> None:
+        """Fill a rectangle and draw its walls."""
+        self.fill(rect, inside)
+        self.outline(rect)
+
+    def turned_box(
+        self, centre: tuple[float, float], size: tuple[float, float], yaw_rad: float, value: int
+    ) -> None:
+        """Set the cells whose centre lies in a rectangle that may be turned.
+
+        Args:
+            centre: metres.
+            size: length along its own x and y, metres; at least a cell and a half, so that a thin
+                turned wall has no holes.
+        """
+        x, y = self._offsets(centre)
+        along = np.abs(math.cos(yaw_rad) * x + math.sin(yaw_rad) * y)
+        across = np.abs(math.cos(yaw_rad) * y - math.sin(yaw_rad) * x)
+        half_x, half_y = (max(side, 1.5 * self.resolution) / 2.0 for side in size)
+        self.cells[(along <= half_x) & (across <= half_y)] = value
+
+    def disc(self, centre: tuple[float, float], radius_m: float, value: int) -> None:
+        """Set the cells whose centre lies in a disc."""
+        x, y = self._offsets(centre)
+        self.cells[np.hypot(x, y) <= max(radius_m, self.resolution)] = value
+
+    def _offsets(self, centre: tuple[float, float]) -> tuple[F64, F64]:
+        """Return x (1, W) and y (H, 1) of every cell centre from a point, metres."""
+        rows, cols = (np.arange(size, dtype=np.float64) + 0.5 for size in self.cells.shape)
+        x = np.asarray(cols * self.resolution - centre[0], dtype=np.float64)
+        y = np.asarray(rows * self.resolution - centre[1], dtype=np.float64)
+        return x[None, :], y[:, None]
+
+    def floor(self, name: str, start: Point, stops: Iterable[Point] = ()) -> Floor:
+        """Return what is drawn; the zero of the map frame is the start."""
+        x0, y0 = start
+        grid = OccupancyGrid(self.cells, self.resolution, Pose2(-x0, -y0), name)
+        return Floor(grid, Pose2(), tuple((x - x0, y - y0) for x, y in stops))
+
+
+MIN_SIDE_M = 6.0
+DOOR_M = 0.9
+
+
+def draw_building(
+    rng: np.random.Generator, width_m: float, height_m: float, resolution: float = 0.05
+) -> OccupancyGrid:
+    """Draw a building as the map that a perfect SLAM would make of it.
+
+    Rooms of unequal width line a corridor, one outer corner is missing, one room has a slanted
+    wall: no turn of the building looks like another. Walls are 0.1 m thick (at least one cell).
+
+    Args:
+        width_m: outer size along x, at least 6 m.
+        height_m: outer size along y, at least 6 m.
+        resolution: metres per cell.
+
+    Returns:
+        Cells free inside, occupied on walls and clutter, unknown outside and inside of furniture.
+        The map frame's zero lies in the corridor, where a robot would start.
+
+    Raises:
+        ValueError: a side below 6 m.
+    """
+    if min(width_m, height_m) < MIN_SIDE_M:
+        message = f"a building needs sides of at least {MIN_SIDE_M} m, asked {width_m} x {height_m}"
+        raise ValueError(message)
+    canvas = Canvas(width_m, height_m, resolution)
+    canvas.room((0.0, 0.0, width_m, height_m))
+
+    corridor_m = min(rng.uniform(1.5, 2.2), 0.2 * height_m)
+    south = height_m * rng.uniform(0.33, 0.5)
+    north = south + corridor_m
+    upper_rooms = _row_of_rooms(rng, canvas, (0.0, north, width_m, height_m), door_y=north)
+    lower_rooms = _row_of_rooms(rng, canvas, (0.0, 0.0, width_m, south), door_y=south)
+
+    for room in upper_rooms + lower_rooms:
+        _furnish(rng, canvas, room)
+    largest = max(upper_rooms[:-1] or upper_rooms, key=lambda r: (r[2] - r[0]) * (r[3] - r[1]))
+    _slanted_wall(canvas, largest)
+    _cut_corner(rng, canvas, upper_rooms[-1])
+    return OccupancyGrid(
+        canvas.cells,
+        resolution,
+        Pose2(-canvas.cell(0.3 * width_m) * resolution, -canvas.cell(south + 0.7) * resolution),
+        "building",
+    )
+
+
+def _row_of_rooms(
+    rng: np.random.Generator, canvas: Canvas, rect: Rect, door_y: float
+) -> list[Rect]:
+    """Divide one side of the corridor into rooms and open a door of each at ``door_y``."""
+    x0, y0, x1, y1 = rect
+    wall = canvas.wall_m
+    canvas.fill((x0, door_y - wall / 2, x1, door_y + wall / 2), OCCUPIED)
+    rooms: list[Rect] = []
+    left = x0
+    while left < x1:
+        right = left + rng.uniform(2.5, 5.5)
+        if x1 - right < 2.5:
+            right = x1
+        else:
+            canvas.fill((right - wall / 2, y0, right + wall / 2, y1), OCCUPIED)
+        rooms.append((left, y0, right, y1))
+        door = rng.uniform(left + 0.3, right - 0.3 - DOOR_M)
+        canvas.fill((door, door_y - wall, door + DOOR_M, door_y + wall), FREE)
+        left = right
+    for room in rooms[1:]:
+        if rng.random() < 0.3:  # a door to the neighbouring room
+            low = rng.uniform(y0 + 0.4, y1 - 0.4 - DOOR_M)
+            canvas.fill((room[0] - wall, low, room[0] + wall, low + DOOR_M), FREE)
+    return rooms
+
+
+def _furnish(rng: np.random.Generator, canvas: Canvas, room: Rect) -> None:
+    """Put cupboards (outlines, unknown inside) and table legs into a room."""
+    x0, y0, x1, y1 = room
+    wall = canvas.wall_m
+    for _ in range(int(rng.integers(1, 4))):
+        wide, deep = rng.uniform(0.4, 1.2), rng.uniform(0.3, 0.7)
+        left = rng.uniform(x0 + wall, x1 - wall - wide)
+        low = rng.uniform(y0 + wall, y1 - wall - deep)
+        box = (left, low, left + wide, low + deep)
+        if rng.random() < 0.5:
+            canvas.room(box, UNKNOWN)
+        else:
+            leg = canvas.resolution
+            for x in (left, left + wide - leg):
+                for y in (low, low + deep - leg):
+                    canvas.fill((x, y, x + leg, y + leg), OCCUPIED)
+
+
+def _slanted_wall(canvas: Canvas, room: Rect) -> None:
+    """Close off the upper left corner of a room by a wall at 30 degrees or so."""
+    x0, y0, x1, y1 = room
+    reach_x, reach_y = 0.6 * (x1 - x0), 0.35 * (y1 - y0)
+    rows, cols = np.indices(canvas.cells.shape)
+    x = (cols + 0.5) * canvas.resolution - x0
+    y = y1 - (rows + 0.5) * canvas.resolution
+    inside = (x > 0) & (y > 0) & (x < reach_x) & (y < reach_y)
+    distance = (1 - x / reach_x - y / reach_y) / np.hypot(1 / reach_x, 1 / reach_y)
+    behind = inside & (distance > canvas.wall_m) & (canvas.cells != OCCUPIED)
+    canvas.cells[behind] = UNKNOWN
+    canvas.cells[inside & (np.abs(distance) <= canvas.wall_m / 2)] = OCCUPIED
+    canvas.cells[inside & (distance > 0) & (distance <= canvas.wall_m)] = OCCUPIED
+
+
+def _cut_corner(rng: np.random.Generator, canvas: Canvas, room: Rect) -> None:
+    x0, y0, x1, y1 = room
+    cut = y1 - (y1 - y0) * rng.uniform(0.35, 0.6)
+    canvas.fill((x0, cut, x1, y1), UNKNOWN)
+    canvas.fill((x0 - canvas.wall_m / 2, cut, x0 + canvas.wall_m / 2, y1), OCCUPIED)
+    canvas.fill((x0, cut, x1, cut + canvas.wall_m), OCCUPIED)
 
 
 def _office(rng: np.random.Generator, resolution: float) -> Floor:
@@ -99,11 +287,8 @@ def _corridor(rng: np.random.Generator, resolution: float) -> Floor:
     wide, high, way = 28.0, 18.0, 2.0
     canvas = Canvas(wide, high, resolution)
     wall = canvas.wall_m
-    inner = (way, way, wide - way, high - way)
-    canvas.fill((0.0, 0.0, wide, high), FREE)
-    canvas.outline((0.0, 0.0, wide, high))
-    canvas.fill(inner, UNKNOWN)
-    canvas.outline(inner)
+    canvas.room((0.0, 0.0, wide, high))
+    canvas.room((way, way, wide - way, high - way), UNKNOWN)
     for x in rng.uniform(4.0, wide - 5.0, 5):
         low, top = (way, way + 0.5) if rng.random() < 0.5 else (high - way - 0.5, high - way)
         canvas.outline((x, low, x + 1.0, top))
@@ -113,22 +298,19 @@ def _corridor(rng: np.random.Generator, resolution: float) -> Floor:
         x = 0.0 if rng.random() < 0.5 else wide - 0.35
         canvas.fill((x, y, x + 0.35, y + 0.3), OCCUPIED)
     middle = way / 2.0
-    corners = [(middle, middle), (wide - middle, middle), (wide - middle, high - middle)]
-    corners.append((middle, high - middle))
+    right, top = wide - middle, high - middle
+    corners = [(middle, middle), (right, middle), (right, top), (middle, top)]
     start = (wide / 2.0, middle)
     # Once around, and on to the second corner: the places seen first are seen again.
-    loop = [*corners[1:], corners[0], start, corners[1], corners[2]]
-    stops = tuple((x - start[0], y - start[1]) for x, y in loop)
-    origin = Pose2(-start[0], -start[1])
-    return Floor(OccupancyGrid(canvas.cells, resolution, origin, "corridor"), Pose2(), stops)
+    stops = [*corners[1:], corners[0], start, corners[1], corners[2]]
+    return canvas.floor("corridor", start, stops)
 
 
 def _hall(rng: np.random.Generator, resolution: float) -> Floor:
     """A hall of 24 m x 16 m with columns, crates at any angle and a shelf or two."""
     wide, high = 24.0, 16.0
     canvas = Canvas(wide, high, resolution)
-    canvas.fill((0.0, 0.0, wide, high), FREE)
-    canvas.outline((0.0, 0.0, wide, high))
+    canvas.room((0.0, 0.0, wide, high))
     for x in (6.0, 12.0, 18.0):
         for y in (5.0, 11.0):
             if rng.random() < 0.8:
@@ -142,16 +324,14 @@ def _hall(rng: np.random.Generator, resolution: float) -> Floor:
         canvas.turned_box(centre, size, rng.uniform(0.0, math.pi), OCCUPIED)
     start = (wide / 2.0 + 1.5, high / 2.0)
     canvas.disc(start, 1.2, FREE)
-    origin = Pose2(-start[0], -start[1])
-    return Floor(OccupancyGrid(canvas.cells, resolution, origin, "hall"), Pose2())
+    return canvas.floor("hall", start)
 
 
 def _atrium(rng: np.random.Generator, resolution: float) -> Floor:
     """[F16]'s small atrium: an open rectangle with pillars and benches; its middle row is free."""
     wide, high = 9.0, 5.6
     canvas = Canvas(wide, high, resolution)
-    canvas.fill((0.0, 0.0, wide, high), FREE)
-    canvas.outline((0.0, 0.0, wide, high))
+    canvas.room((0.0, 0.0, wide, high))
     for x in (2.3, 6.7):
         for y in (1.1, 4.5):
             canvas.disc((x + rng.uniform(-0.3, 0.3), y), 0.2, OCCUPIED)
@@ -160,9 +340,7 @@ def _atrium(rng: np.random.Generator, resolution: float) -> Floor:
     planter = (rng.uniform(4.0, 5.0), rng.choice((1.6, 4.0)))
     canvas.turned_box(planter, (0.8, 0.5), rng.uniform(0.3, 1.2), OCCUPIED)
     canvas.fill((wide - 1.0, 0.0, wide, 1.2), OCCUPIED)
-    start = (1.8, high / 2.0)
-    origin = Pose2(-start[0], -start[1])
-    return Floor(OccupancyGrid(canvas.cells, resolution, origin, "atrium"), Pose2())
+    return canvas.floor("atrium", (1.8, high / 2.0))
 
 
 def _yard(rng: np.random.Generator, resolution: float) -> Floor:
@@ -184,8 +362,7 @@ def _yard(rng: np.random.Generator, resolution: float) -> Floor:
         away = rng.uniform(2.0, 3.4)
         centre = (middle[0] + away * math.cos(turn), middle[1] + away * math.sin(turn))
         canvas.turned_box(centre, (1.5, 0.15), turn + rng.uniform(0.8, 2.2), OCCUPIED)
-    origin = Pose2(-middle[0], -middle[1])
-    return Floor(OccupancyGrid(canvas.cells, resolution, origin, "yard"), Pose2())
+    return canvas.floor("yard", middle)
 
 
 def _barricades(canvas: Canvas, start: F64, end: F64) -> None:
@@ -209,10 +386,213 @@ def _inside(ring: F64, canvas: Canvas) -> npt.NDArray[np.bool_]:
     return inside
 
 
-def _toured(drawn: tuple[OccupancyGrid, tuple[Point, ...]]) -> Floor:
-    """Return a drawn place that begins at zero and knows its stops."""
-    grid, stops = drawn
-    return Floor(grid, Pose2(), stops)
+WAY_M = 2.2
+RING_DOOR_M = 1.0
+RECESS_M = 0.3
+# Rooms lie outside of a ring, and this much of the canvas is theirs.
+ROOM_M, MARGIN_M = 3.0, 3.6
+# Pillars and doors that look like the next one are this far from it.
+PERIOD_M = 2.5
+# A strip of this width is kept free of furniture where the robot is to drive.
+STRIP_M = 1.1
+
+
+@dataclass(frozen=True)
+class _Side:
+    """The outer or the inner wall of one side of a ring.
+
+    Attributes:
+        start: corner of the middle line of the way, where the side begins, metres.
+        step: unit vector along it.
+        out: unit vector from the middle line to the wall.
+        length_m: to the next corner.
+    """
+
+    canvas: Canvas
+    start: Point
+    step: Point
+    out: Point
+    length_m: float
+
+    def middle(self) -> Point:
+        """Return the middle of the side, metres."""
+        x, y = (self.start[axis] + self.step[axis] * self.length_m / 2.0 for axis in (0, 1))
+        return x, y
+
+    def fill(self, along: Point, depth: Point, value: int) -> None:
+        """Set a rectangle, by metres along the side and metres from its middle line."""
+        corners = [
+            [self.start[axis] + at * self.step[axis] + far * self.out[axis] for axis in (0, 1)]
+            for at, far in zip(along, depth, strict=True)
+        ]
+        (x0, x1), (y0, y1) = (sorted(values) for values in zip(*corners, strict=True))
+        self.canvas.fill((x0, y0, x1, y1), value)
+
+    def recess(self, at: float, deep_m: float) -> None:
+        """Draw a door set back into the wall."""
+        half, wall = RING_DOOR_M / 2.0, self.canvas.wall_m
+        face = WAY_M / 2.0 - wall
+        self.fill((at - half - wall, at + half + wall), (face, face + deep_m + wall), OCCUPIED)
+        self.fill((at - half, at + half), (face - wall, face + deep_m), FREE)
+
+    def pillar(self, at: float, size: float) -> None:
+        """Draw a square pillar at the wall."""
+        face = WAY_M / 2.0
+        self.fill((at - size / 2.0, at + size / 2.0), (face - size, face), OCCUPIED)
+
+    def room(self, at: float, rng: np.random.Generator) -> None:
+        """Open a room with a cupboard next to the corridor."""
+        wall, half = self.canvas.wall_m, rng.uniform(1.2, 1.5)
+        face, deep = WAY_M / 2.0 - wall, rng.uniform(2.0, ROOM_M)
+        self.fill((at - half, at + half), (face, face + deep), OCCUPIED)
+        self.fill((at - half + wall, at + half - wall), (face + wall, face + deep - wall), FREE)
+        door = (at - RING_DOOR_M / 2.0, at + RING_DOOR_M / 2.0)
+        self.fill(door, (face - wall, face + 2.0 * wall), FREE)
+        left = rng.uniform(at - half, at + half - 0.5)
+        back = face + deep - rng.uniform(0.4, 0.8)
+        self.fill((left, left + 0.5), (back, face + deep), OCCUPIED)
+
+
+def _ring(length_m: float, resolution: float) -> tuple[tuple[_Side, _Side], ...]:
+    """Draw a ring of corridor; return the outer and the inner wall of each side."""
+    long, high, half = 0.3 * length_m, 0.2 * length_m, WAY_M / 2.0
+    low = MARGIN_M + half
+    canvas = Canvas(long + 2.0 * low, high + 2.0 * low, resolution)
+    canvas.room((low - half, low - half, low + long + half, low + high + half))
+    canvas.room((low + half, low + half, low + long - half, low + high - half), UNKNOWN)
+    outer = (
+        _Side(canvas, (low, low), (1.0, 0.0), (0.0, -1.0), long),
+        _Side(canvas, (low + long, low), (0.0, 1.0), (1.0, 0.0), high),
+        _Side(canvas, (low + long, low + high), (-1.0, 0.0), (0.0, 1.0), long),
+        _Side(canvas, (low, low + high), (0.0, -1.0), (-1.0, 0.0), high),
+    )
+    return tuple((side, replace(side, out=(-side.out[0], -side.out[1]))) for side in outer)
+
+
+def _toured_ring(sides: tuple[tuple[_Side, _Side], ...], name: str) -> Floor:
+    """Return a ring with a drive once around and on to the middle of the next side."""
+    first, second, *_ = (outer for outer, _ in sides)
+    corners = [outer.start for outer, _ in sides]
+    start = first.middle()
+    stops = [*corners[1:], corners[0], start, corners[1], second.middle()]
+    return first.canvas.floor(name, start, stops)
+
+
+def _random_ring(rng: np.random.Generator, length_m: float, resolution: float) -> Floor:
+    """A ring with doors, rooms and pillars at random.
+
+    Args:
+        length_m: of the middle line once around, at least 60 m.
+    """
+    sides = _ring(length_m, resolution)
+    for side in itertools.chain(*sides):
+        at = rng.uniform(2.2, 5.0)
+        while at < side.length_m - 2.2:
+            kind, size = rng.random(), rng.uniform(0.2, 0.4)
+            # In the corners the room of one side would meet that of the next.
+            is_free = MARGIN_M + WAY_M < at < side.length_m - MARGIN_M - WAY_M
+            if kind < 0.3 and is_free:
+                side.room(at, rng)
+            elif kind < 0.8:
+                side.recess(at, RECESS_M)
+            else:
+                side.pillar(at, size)
+            at += rng.uniform(3.0, 7.0)
+    return _toured_ring(sides, f"ring-{length_m:g}")
+
+
+def _pillars(rng: np.random.Generator, resolution: float) -> Floor:
+    """A ring of 80 m with pillars and doors ``PERIOD_M`` apart."""
+    sides = _ring(80.0, resolution)
+    deep_m, thick_m = rng.uniform(0.2, 0.4), rng.uniform(0.2, 0.35)
+    for outer, inner in sides:
+        count = int((outer.length_m - 2.0 * WAY_M) / PERIOD_M)
+        first = (outer.length_m - (count - 1) * PERIOD_M) / 2.0
+        for at in first + PERIOD_M * np.arange(count):
+            outer.recess(float(at), deep_m)
+            inner.pillar(float(at), thick_m)
+    return _toured_ring(sides, "pillars")
+
+
+def _wings(rng: np.random.Generator, resolution: float) -> Floor:
+    """Two wings, each a copy of the other, on one side of a plain hallway.
+
+    The drive leads through the first wing, the second, and the first again.
+    """
+    wide, deep, apart, way = 8.0, 9.0, 3.0, 2.4
+    wing = Canvas(wide, deep, resolution)
+    wing.fill((0.0, 0.0, wide, deep), FREE)
+    door, middle = (wide / 2.0, 0.0), deep / 2.0
+    inside = [(4.0, 1.5), (2.0, 3.0), (2.0, 6.8), (2.0, 3.0), (6.0, 3.0), (6.0, 6.8), (6.0, 3.0)]
+    _fill_room(wing, rng, 14, [door, *inside, (4.0, 1.5)])
+    wall = wing.wall_m
+    wing.fill((0.0, middle - wall / 2.0, wide, middle + wall / 2.0), OCCUPIED)
+    wing.fill((door[0] - wall / 2.0, middle, door[0] + wall / 2.0, deep), OCCUPIED)
+    wing.outline((0.0, 0.0, wide, deep))
+    for x, y in (door, (2.0, middle), (6.0, middle)):
+        wing.fill((x - RING_DOOR_M / 2.0, y - wall, x + RING_DOOR_M / 2.0, y + wall), FREE)
+
+    long = 2.0 * wide + 3.0 * apart
+    canvas = Canvas(long, way + deep, resolution)
+    canvas.room((0.0, 0.0, long, way))
+    lefts = (apart, 2.0 * apart + wide)
+    for left in lefts:
+        _paste(canvas, wing, (left, way - wall))
+    start = (lefts[0] + door[0], way / 2.0)
+    visits = [
+        [(left + x, way + y) for x, y in (*inside, inside[0])] + [(left + door[0], way / 2.0)]
+        for left in lefts
+    ]
+    stops = [*visits[0], (lefts[1] + door[0], way / 2.0), *visits[1], start, *visits[0]]
+    return canvas.floor("wings", start, stops)
+
+
+def _rooms(rng: np.random.Generator, resolution: float) -> Floor:
+    """Eight rooms in a row, each a copy of the others, along a plain corridor.
+
+    The drive leads into every room and back into some of them.
+    """
+    count, side, way = 8, 4.0, 2.0
+    door, turn = (side / 2.0, 0.0), (side / 2.0, side / 2.0)
+    room = Canvas(side, side, resolution)
+    room.fill((0.0, 0.0, side, side), FREE)
+    _fill_room(room, rng, 7, [door, turn])
+    room.outline((0.0, 0.0, side, side))
+    wall = room.wall_m
+    room.fill((door[0] - RING_DOOR_M / 2.0, 0.0, door[0] + RING_DOOR_M / 2.0, wall), FREE)
+
+    long = count * side + wall
+    canvas = Canvas(long, way + side, resolution)
+    canvas.room((0.0, 0.0, long, way))
+    for number in range(count):
+        _paste(canvas, room, (number * side, way - wall))
+    canvas.fill((long - 2.0 * wall, way, long, way + side), OCCUPIED)
+    stops: list[Point] = []
+    for number in (*range(count), 5, 2, 0):
+        x = number * side + door[0]
+        stops += [(x, way / 2.0), (x, way + turn[1]), (x, way / 2.0)]
+    return canvas.floor("rooms", stops[0], stops[1:])
+
+
+def _fill_room(canvas: Canvas, rng: np.random.Generator, count: int, way: list[Point]) -> None:
+    """Put cupboards and crates into a place, but not where the robot is to drive."""
+    high, wide = (size * canvas.resolution for size in canvas.cells.shape)
+    for _ in range(count):
+        centre = (rng.uniform(0.0, wide), rng.uniform(0.0, high))
+        size = (rng.uniform(0.3, 1.0), rng.uniform(0.3, 0.6))
+        canvas.turned_box(centre, size, rng.choice((0.0, 0.4, np.pi / 2.0)), OCCUPIED)
+    for (x0, y0), (x1, y1) in itertools.pairwise(way):
+        middle, length = ((x0 + x1) / 2.0, (y0 + y1) / 2.0), np.hypot(x1 - x0, y1 - y0)
+        yaw_rad = float(np.arctan2(y1 - y0, x1 - x0))
+        canvas.turned_box(middle, (float(length) + STRIP_M, STRIP_M), yaw_rad, FREE)
+
+
+def _paste(canvas: Canvas, part: Canvas, corner: Point) -> None:
+    """Copy a part's cells, its lower-left corner at a place."""
+    col, row = (canvas.cell(length) for length in corner)
+    height, width = part.cells.shape
+    place = canvas.cells[row : row + height, col : col + width]
+    place[:] = part.cells[: place.shape[0], : place.shape[1]]
 
 
 _DRAWINGS: dict[str, Callable[[np.random.Generator, float], Floor]] = {
@@ -221,9 +601,9 @@ _DRAWINGS: dict[str, Callable[[np.random.Generator, float], Floor]] = {
     "hall": _hall,
     "atrium": _atrium,
     "yard": _yard,
-    "ring-100": lambda rng, cell_m: _toured(draw_ring(rng, 100.0, cell_m)),
-    "ring-300": lambda rng, cell_m: _toured(draw_ring(rng, 300.0, cell_m)),
-    "wings": lambda rng, cell_m: _toured(draw_wings(rng, cell_m)),
-    "pillars": lambda rng, cell_m: _toured(draw_pillars(rng, cell_m)),
-    "rooms": lambda rng, cell_m: _toured(draw_rooms(rng, cell_m)),
+    "ring-100": lambda rng, cell_m: _random_ring(rng, 100.0, cell_m),
+    "ring-300": lambda rng, cell_m: _random_ring(rng, 300.0, cell_m),
+    "wings": _wings,
+    "pillars": _pillars,
+    "rooms": _rooms,
 }
