@@ -13,47 +13,134 @@ does not divide 65535 by a whole number, so that its white falls short of white.
 
 from __future__ import annotations
 
+import difflib
 import logging
+import math
+import re
+import reprlib
 import stat
 import time
 from collections.abc import Callable
 from contextlib import nullcontext, suppress
-from dataclasses import replace
-from functools import partial
-from pathlib import Path
+from dataclasses import dataclass, replace
+from pathlib import Path, PureWindowsPath
 from typing import Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
+import yaml
 
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import MapFileError
 from slamfusion.geometry import F64, Pose2
-from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid, implausible, trinary_cells
+from slamfusion.grid import (
+    FREE,
+    OCCUPIED,
+    UNKNOWN,
+    OccupancyGrid,
+    implausible,
+    row_parts,
+    trinary_cells,
+)
 from slamfusion.io.dxf import read_dxf
 from slamfusion.io.files import WORKING_BYTES, AtomicFiles, check_memory
-from slamfusion.io.images import Pixels, encode_image, looks_like_image, pixel_digest, read_image
-from slamfusion.io.map_yaml import (
-    DIGEST,
-    FREE_THRESH,
-    OCCUPIED_THRESH,
-    MapFile,
-    Rules,
-    check_mode,
-    check_resolution,
-    check_thresholds,
-    existing,
-    map_yaml_text,
-    read_map_yaml,
+from slamfusion.io.images import (
+    Pixels,
+    cannot_read,
+    encode_image,
+    looks_like_image,
+    pixel_digest,
+    read_image,
 )
+from slamfusion.io.yaml_file import read_yaml
 
 Cells = npt.NDArray[np.int8]
 
+_LOG = logging.getLogger(__name__)
+
 # What map savers write.
 FREE_GREY, UNKNOWN_GREY, OCCUPIED_GREY = 254, 205, 0
-_BAND_PIXELS = 2**18
 _QUANTUM_MAX = 65535.0
+OCCUPIED_THRESH, FREE_THRESH = 0.65, 0.196
+# The thresholds of the vote: what is saved is what votes.
+VOTE = NormalizeConfig()
+# A writer replaces the picture and then, within a millisecond, the YAML.
+READ_TIMES, WAIT_S = 20, 0.01
+# A path of more characters is none.
+NAME_MAX = 1000
+# Of the picture's pixels (``pixel_digest``): tells a picture of another map. Map servers ignore it.
+DIGEST = "pixels_sha256"
+_KEYS = (
+    "image",
+    "resolution",
+    "origin",
+    "negate",
+    "occupied_thresh",
+    "free_thresh",
+    "mode",
+    DIGEST,
+)
+_SAVER = "ros2 run nav2_map_server map_saver_cli -f map"
+# By the end of the name: what is no map of a map server, and how to get one of it.
+_NO_MAPS = {
+    **dict.fromkeys(
+        (".posegraph", ".data"),
+        f"a pose graph of slam_toolbox; load it there, and save its map with {_SAVER}",
+    ),
+    ".pbstream": "a state of Cartographer; export its map with ros2 run cartographer_ros "
+    "cartographer_pbstream_to_ros_map -pbstream_filename FILE -map_filestem map",
+    ".json": "JSON, as of a robot vacuum; export its map as PNG, and give its cell size with "
+    "--resolution",
+    **dict.fromkeys(
+        (".dwg", ".svg", ".pdf"),
+        "a drawing; export it as PNG, walls black on white, and give metres per pixel with "
+        "--resolution",
+    ),
+    **dict.fromkeys(
+        (".bt", ".ot", ".pcd", ".ply", ".las", ".laz"),
+        f"a 3D map; load it in octomap_server, and save its map with {_SAVER} -t projected_map",
+    ),
+    **dict.fromkeys(
+        (".bag", ".db3", ".mcap", ".clf", ".log"), "a log; make its map with slamfusion run"
+    ),
+}
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
+_TRUTH = {
+    **dict.fromkeys(("1", "true", "yes", "on", "y"), True),
+    **dict.fromkeys(("0", "false", "no", "off", "n"), False),
+}
+
+
+# --- pixels and cells ----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Rules:
+    """How a brightness becomes a cell."""
+
+    mode: str = "trinary"
+    negate: bool = False
+    occupied_thresh: float = OCCUPIED_THRESH
+    free_thresh: float = FREE_THRESH
+
+    def check(self, where: str) -> None:
+        """Refuse a mode that is none, and thresholds that are no shares or cross."""
+        if self.mode not in _MODES:
+            wanted = "be trinary, scale or raw"
+            raise _wrong(where, "mode", wanted, self.mode, "write one of them or omit it")
+        for key in ("free_thresh", "occupied_thresh"):
+            value = getattr(self, key)
+            usable = isinstance(value, (int, float)) and not isinstance(value, bool)
+            if not (usable and 0.0 <= value <= 1.0):
+                advice = "write a share of 1 or omit it for the default"
+                raise _wrong(where, key, "lie in [0, 1]", value, advice)
+        if self.free_thresh >= self.occupied_thresh:
+            raise MapFileError(
+                f"{where}: 'free_thresh' ({_shown(float(self.free_thresh))}) must be below "
+                f"'occupied_thresh' ({_shown(float(self.occupied_thresh))}); swap them or omit "
+                "both for defaults"
+            )
 
 
 def _trinary_cells(shade: F64, rules: Rules) -> Cells:
@@ -103,32 +190,57 @@ def cells_from_image(
         (H, W) int8, bottom row first, read-only; and the count, the same with and without
         ``legacy_unknown``.
     """
-    height, width = pixels.shape[:2]
     maxval = int(np.iinfo(pixels.dtype).max)
     grey = UNKNOWN_GREY * maxval // 255
     may_be_unknown = rules.mode == "trinary" and not rules.negate
     count = 0
     if pixels.ndim == 2:
-        table = _MODES[rules.mode](_shade(np.arange(maxval + 1), maxval), rules)
+        shades = _quanta(np.arange(maxval + 1), maxval) / _QUANTUM_MAX
+        table = _MODES[rules.mode](shades, rules)
         if may_be_unknown and table[grey] != UNKNOWN:
-            bands = (pixels[top:bottom] == grey for top, bottom in _bands(height, width))
-            count = sum(int(np.count_nonzero(band)) for band in bands)
+            count = int(np.count_nonzero(pixels == grey))
             if legacy_unknown:
                 table[grey] = UNKNOWN
-        cells = _look_up_flipped(pixels, table)
+        cells = _flipped(pixels, table)
     else:
+        height, width = pixels.shape[:2]
         cells = np.empty((height, width), dtype=np.int8)
-        for top, bottom in _bands(height, width):
-            band = pixels[top:bottom][::-1]
+        for part in row_parts((height, width)):
+            band = pixels[part]
             own = _colour_cells(band, maxval, rules)
             if may_be_unknown:
                 is_grey = (band[..., :3] == grey).all(axis=-1) & (own != UNKNOWN)
                 count += int(np.count_nonzero(is_grey))
                 if legacy_unknown:
                     own[is_grey] = UNKNOWN
-            cells[height - bottom : height - top] = own
+            cells[::-1][part] = own
     cells.flags.writeable = False
     return cells, count
+
+
+def _colour_cells(band: npt.NDArray[Any], maxval: int, rules: Rules) -> Cells:
+    """Return the cells of colour pixels (H, W, 3), or (H, W, 4) with alpha."""
+    # nav2 keeps what its forerunner did: in trinary mode alpha is averaged in like a colour, so
+    # that a fully opaque pixel looks brighter than its colours.
+    averaged = band if rules.mode == "trinary" else band[..., :3]
+    channels = averaged.shape[-1]
+    quanta = _quanta(averaged, maxval).sum(axis=-1)
+    cells = _MODES[rules.mode](quanta / channels / _QUANTUM_MAX, rules)
+    if rules.mode == "scale" and band.shape[-1] == 4:
+        cells[band[..., 3] != maxval] = UNKNOWN
+    return cells
+
+
+def _quanta(values: npt.NDArray[Any], maxval: int) -> F64:
+    """Return values 0..maxval as whole numbers 0..65535, as nav2's image library has them."""
+    return np.floor(values.astype(np.float64) * (_QUANTUM_MAX / maxval) + 0.5)
+
+
+def _flipped(values: npt.NDArray[Any], table: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return ``table[values]`` upside down."""
+    if values.dtype == np.uint8:  # OpenCV is some times as fast
+        return np.ascontiguousarray(cv2.LUT(values, table)[::-1])
+    return np.asarray(table[values[::-1]])
 
 
 def with_settled_edges(cells: Cells, pixels: Pixels, rules: Rules) -> Cells:
@@ -167,47 +279,6 @@ def with_settled_edges(cells: Cells, pixels: Pixels, rules: Rules) -> Cells:
     return settled
 
 
-def _colour_cells(band: npt.NDArray[Any], maxval: int, rules: Rules) -> Cells:
-    """Return the cells of colour pixels (H, W, 3), or (H, W, 4) with alpha."""
-    # nav2 keeps what its forerunner did: in trinary mode alpha is averaged in like a colour, so
-    # that a fully opaque pixel looks brighter than its colours.
-    averaged = band if rules.mode == "trinary" else band[..., :3]
-    channels = averaged.shape[-1]
-    quanta = _quanta(averaged, maxval).sum(axis=-1)
-    cells = _MODES[rules.mode](quanta / channels / _QUANTUM_MAX, rules)
-    if rules.mode == "scale" and band.shape[-1] == 4:
-        cells[band[..., 3] != maxval] = UNKNOWN
-    return cells
-
-
-def _shade(values: npt.NDArray[Any], maxval: int) -> F64:
-    """Return brightness 0..1 of grey values, in the 16-bit steps of nav2's image library."""
-    return _quanta(values, maxval) / _QUANTUM_MAX
-
-
-def _quanta(values: npt.NDArray[Any], maxval: int) -> F64:
-    """Return values 0..maxval as whole numbers 0..65535."""
-    return np.floor(values.astype(np.float64) * (_QUANTUM_MAX / maxval) + 0.5)
-
-
-def _look_up_flipped(values: npt.NDArray[Any], table: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return ``table[values]`` upside down, a band of rows at a time to spare memory."""
-    height, width = values.shape
-    result = np.empty((height, width), dtype=table.dtype)
-    padded = np.resize(table, 256) if values.dtype == np.uint8 else table
-    for top, bottom in _bands(height, width):
-        band = values[top:bottom]
-        looked_up = cv2.LUT(band, padded) if values.dtype == np.uint8 else padded[band]
-        result[height - bottom : height - top] = looked_up[::-1]
-    return result
-
-
-def _bands(height: int, width: int) -> list[tuple[int, int]]:
-    """Return half-open ranges of rows, each small enough for the processor to keep at hand."""
-    rows = max(_BAND_PIXELS // width, 1)
-    return [(top, min(top + rows, height)) for top in range(0, height, rows)]
-
-
 def pixels_from_cells(
     cells: Cells, rules: Rules, image_format: str, classes: NormalizeConfig
 ) -> npt.NDArray[np.uint8]:
@@ -230,25 +301,16 @@ def pixels_from_cells(
         # nav2's image library cuts to 16 bits, and cuts those to 8.
         table[: OCCUPIED + 1] = (((100 - value) / 100.0 * _QUANTUM_MAX).astype(np.int64)) // 257
         table[255] = 127
-    grey: npt.NDArray[np.uint8] = _look_up_flipped(cells.view(np.uint8), table)
+    grey: npt.NDArray[np.uint8] = _flipped(cells.view(np.uint8), table)
     if rules.mode != "scale" or image_format != "png":
         return grey
     opaque = np.full(256, 255, dtype=np.uint8)
     opaque[255] = 0
-    alpha = _look_up_flipped(cells.view(np.uint8), opaque)
+    alpha = _flipped(cells.view(np.uint8), opaque)
     return np.dstack((grey, grey, grey, alpha))
 
 
-# The thresholds of the vote: what is saved is what votes.
-VOTE = NormalizeConfig()
-# A writer replaces the picture and then, within a millisecond, the YAML.
-READ_TIMES, WAIT_S = 20, 0.01
-
-_LOG = logging.getLogger(__name__)
-
-
-class _OtherPictureError(MapFileError):
-    """The picture is not the one that the YAML was written for."""
+# --- reading -------------------------------------------------------------------------------------
 
 
 def load_map(
@@ -289,23 +351,7 @@ def load_map(
         MapFileError: a file is missing, damaged or breaks the format's rules.
         MemoryBudgetError: the map would not fit into memory.
     """
-    load = partial(_load, Path(path), resolution, name, legacy_unknown, settle_edges, warn)
-    for _ in range(READ_TIMES - 1):
-        with suppress(_OtherPictureError):
-            return load()
-        time.sleep(WAIT_S)
-    return load()
-
-
-def _load(
-    path: Path,
-    resolution: float | None,
-    name: str | None,
-    legacy_unknown: bool,  # noqa: FBT001
-    settle_edges: bool,  # noqa: FBT001
-    warn: Callable[[str], None],
-) -> OccupancyGrid:
-    path = existing(path)
+    path = existing(Path(path))
     stem = Path(path.name.removesuffix(".gz")).stem
     if path.suffix.lower() == ".dxf":
         cells, resolution, corner = read_dxf(path, resolution)
@@ -316,17 +362,12 @@ def _load(
                 f"{path}: an image alone has no cell size; give --resolution or its YAML, or find "
                 f"it with: slamfusion align MAP {path} --scale free"
             )
-        entry = MapFile(path, check_resolution(str(path), resolution), Pose2(), Rules())
+        entry = MapFile(path, _checked_resolution(path, resolution), Pose2(), Rules())
+        pixels = read_image(path)
     else:
         if resolution is not None:
             raise MapFileError(f"{path}: the YAML has its own resolution; leave --resolution out")
-        entry = read_map_yaml(path)
-    pixels = read_image(existing(entry.image))
-    if entry.digest is not None and pixel_digest(pixels) != entry.digest:
-        raise _OtherPictureError(
-            f"{path}: its picture {entry.image.name} belongs to another map or was edited; save "
-            f"the map again, or delete the line {DIGEST!r} from the YAML to use both as they are"
-        )
+        entry, pixels = _entry_with_picture(path)
     cells, count = cells_from_image(pixels, entry.rules, legacy_unknown=legacy_unknown)
     if settle_edges:
         plain, cells = cells, with_settled_edges(cells, pixels, entry.rules)
@@ -355,6 +396,161 @@ def _load(
             f"legacy_unknown:=true), or {advice}"
         )
     return OccupancyGrid(cells, entry.resolution, entry.origin, name or stem)
+
+
+def _entry_with_picture(path: Path) -> tuple[MapFile, Pixels]:
+    """Read a YAML and its picture; both again where they do not belong together."""
+    for _ in range(READ_TIMES):
+        entry = read_map_yaml(path)
+        pixels = read_image(existing(entry.image))
+        if entry.digest in {None, pixel_digest(pixels)}:
+            return entry, pixels
+        time.sleep(WAIT_S)
+    raise MapFileError(
+        f"{path}: its picture {entry.image.name} belongs to another map or was edited; save the "
+        f"map again, or delete the line {DIGEST!r} from the YAML to use both as they are"
+    )
+
+
+@dataclass(frozen=True)
+class MapFile:
+    """What a map's YAML says, checked.
+
+    Attributes:
+        image: the picture; may be there with ``.gz`` alone.
+        resolution, origin, rules: of its cells.
+        digest: of the picture's pixels; None if the YAML has none.
+        named: the path that the YAML names, where nothing is there and ``image`` lies beside the
+            YAML; None elsewhere.
+    """
+
+    image: Path
+    resolution: float
+    origin: Pose2
+    rules: Rules
+    digest: str | None = None
+    named: str | None = None
+
+
+def read_map_yaml(path: Path) -> MapFile:
+    """Read and check a map's YAML."""
+    kind = _NO_MAPS.get(path.suffix.lower())
+    if kind is not None:
+        raise MapFileError(f"{path}: wanted a map's YAML or picture, found {kind}")
+    values = _yaml_values(path)
+    image, origin = values["image"], values["origin"]
+    if not isinstance(image, str) or not 0 < len(image) <= NAME_MAX:
+        raise _wrong(path, "image", "name a file", image, "name the picture")
+    resolution = _checked_resolution(path, _number(values["resolution"]))
+    numbers = [_number(item) for item in origin] if isinstance(origin, list) else []
+    if len(numbers) != 3 or not all(
+        isinstance(item, float) and math.isfinite(item) for item in numbers
+    ):
+        wanted = "be three finite numbers [x, y, yaw]"
+        raise _wrong(path, "origin", wanted, origin, "write for example [0.0, 0.0, 0.0]")
+    reason = implausible(resolution, Pose2(*numbers))
+    if reason is not None:
+        raise MapFileError(f"{path}: {reason}; correct 'origin' in the YAML")
+    absent = [key for key in ("negate", "occupied_thresh", "free_thresh") if key not in values]
+    if absent:
+        _LOG.info("%s: took the defaults for %s", path, ", ".join(absent))
+    negate = values.get("negate", "0")
+    if not isinstance(negate, str) or negate.lower() not in _TRUTH:
+        raise _wrong(path, "negate", "be 0 or 1", negate, "write 0 or 1")
+    mode = values.get("mode", "trinary")
+    rules = Rules(
+        mode=mode.lower() if isinstance(mode, str) else mode,
+        negate=_TRUTH[negate.lower()],
+        occupied_thresh=_number(values.get("occupied_thresh", str(OCCUPIED_THRESH))),
+        free_thresh=_number(values.get("free_thresh", str(FREE_THRESH))),
+    )
+    rules.check(str(path))
+    picture, named = path.parent / image, None
+    # A path of the machine on which the map was made, with / or with \.
+    name = PureWindowsPath(image).name
+    if name and not _is_there(picture) and _is_there(path.parent / name):
+        picture, named = path.parent / name, image
+    existing(picture, f"{path}: 'image' names ")
+    return MapFile(picture, resolution, Pose2(*numbers), rules, values.get(DIGEST), named)
+
+
+def _is_there(path: Path) -> bool:
+    with suppress(MapFileError):
+        return bool(existing(path))
+    return False
+
+
+def _yaml_values(path: Path) -> dict[Any, Any]:
+    """Return the top mapping of a map's YAML, all scalars as the text they are written in."""
+    try:
+        values = read_yaml(path, MapFileError, "a map's YAML", as_text=True)
+    except OSError as error:
+        raise cannot_read(path, error) from None
+    if not isinstance(values, dict):
+        found = "nothing" if values in ("", None) else f"a {type(values).__name__}"
+        raise MapFileError(
+            f"{path}: wanted a mapping with image, resolution and origin, found {found}; "
+            "give the map's YAML"
+        )
+    for key in values:  # a key that looks like an absent known one; others are left alone
+        near = difflib.get_close_matches(str(key), _KEYS, n=1, cutoff=0.8)
+        if key not in _KEYS and near and near[0] not in values:
+            message = f"{path}: unknown key {_shown(key)}; write {near[0]!r} if that is meant"
+            raise MapFileError(message)
+    for key in ("image", "resolution", "origin"):
+        if key not in values:
+            message = f"{path}: the key {key!r} is missing; add it, as the map server's format asks"
+            raise MapFileError(message)
+    return values
+
+
+def _wrong(where: Path | str, key: str, wanted: str, value: Any, advice: str) -> MapFileError:
+    return MapFileError(f"{where}: {key!r} must {wanted}, found {_shown(value)}; {advice}")
+
+
+def _number(value: Any) -> Any:
+    """Return the number that a scalar's text spells; anything else unchanged, to be refused."""
+    if isinstance(value, str) and _NUMBER.fullmatch(value):
+        return float(value)
+    return value
+
+
+def _shown(value: Any) -> str:
+    """Return a value from a file for a message: short, on one line, numbers without quotes."""
+    if isinstance(value, float):
+        return f"{value:.2f}" if value == round(value, 2) else f"{value:g}"
+    if isinstance(value, list):
+        return reprlib.repr(value).replace("'", "")
+    return reprlib.repr(value)
+
+
+def _checked_resolution(where: Path, value: Any) -> float:
+    """Return metres per cell, or say what was found instead."""
+    usable = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if not (usable and math.isfinite(value) and value > 0):
+        wanted = "be a positive, finite number of metres per cell"
+        raise _wrong(where, "resolution", wanted, value, "write for example 0.05")
+    reason = implausible(value, Pose2())
+    if reason is not None:
+        raise MapFileError(f"{where}: {reason}; write for example 0.05")
+    return float(value)
+
+
+def existing(path: Path, prefix: str = "") -> Path:
+    """Return the path, or the same with .gz where only that is there."""
+    packed = path.with_name(f"{path.name}.gz") if path.name else path
+    try:
+        if path.exists():
+            return path
+        if packed.exists():
+            return packed
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise MapFileError(f"{prefix}{path}: cannot read: {reason}; check the path") from None
+    raise MapFileError(f"{prefix}{path}: no such file; check the path")
+
+
+# --- saving --------------------------------------------------------------------------------------
 
 
 def map_sources(path: Path) -> list[Path]:
@@ -416,7 +612,7 @@ def save_map(
     what = f"saving a {grid.width} x {grid.height} map"
     check_memory(bytes_per_cell * grid.cells.size + WORKING_BYTES, what, str(image_path))
     pixels = pixels_from_cells(grid.cells, rules, image_format, classes)
-    text = map_yaml_text(grid, image_path.name, rules, pixel_digest(pixels))
+    text = _yaml_text(grid, image_path.name, rules, pixel_digest(pixels))
     with nullcontext(files) if files is not None else AtomicFiles() as whole:
         whole.add(image_path, encode_image(pixels, image_format))
         whole.add(yaml_path, text.encode())
@@ -446,8 +642,7 @@ def _check_saving(grid: OccupancyGrid, stem: Path, rules: Rules, image_format: s
     if reason is not None:
         message = f"{where}: cannot write: {reason}; correct the map's resolution or origin"
         raise MapFileError(message)
-    check_mode(where, rules.mode)
-    check_thresholds(where, rules)
+    rules.check(where)
     if image_format not in {"pgm", "png", "bmp"}:
         message = f"{where}: image format must be pgm, png or bmp, found {image_format!r}; use pgm"
         raise MapFileError(message)
@@ -456,7 +651,7 @@ def _check_saving(grid: OccupancyGrid, stem: Path, rules: Rules, image_format: s
             f"{where}: mode scale keeps unknown cells in the alpha channel, which {image_format} "
             "has not; use png"
         )
-    greys = _shade(np.array([FREE_GREY, UNKNOWN_GREY, OCCUPIED_GREY]), 255)
+    greys = _quanta(np.array([FREE_GREY, UNKNOWN_GREY, OCCUPIED_GREY]), 255) / _QUANTUM_MAX
     as_read = _trinary_cells(greys, rules).tolist()
     if rules.mode == "trinary" and as_read != [FREE, UNKNOWN, OCCUPIED]:
         raise MapFileError(
@@ -464,3 +659,30 @@ def _check_saving(grid: OccupancyGrid, stem: Path, rules: Rules, image_format: s
             f"{rules.occupied_thresh:g} the saved greys 254, 205, 0 would not load as free, "
             f"unknown, occupied; use {FREE_THRESH} and {OCCUPIED_THRESH}"
         )
+
+
+def _yaml_text(grid: OccupancyGrid, image_name: str, rules: Rules, digest: str) -> str:
+    """Return the YAML of a saved map; numbers keep every digit they need and no more."""
+    origin = (grid.origin.x, grid.origin.y, grid.origin.yaw_rad)
+    image = yaml.safe_dump({"image": image_name}, allow_unicode=True, width=math.inf)
+    return (
+        f"{image}"
+        f"mode: {rules.mode}\n"
+        f"resolution: {_yaml_number(grid.resolution)}\n"
+        f"origin: [{', '.join(_yaml_number(value) for value in origin)}]\n"
+        "negate: 0\n"
+        f"occupied_thresh: {_yaml_number(rules.occupied_thresh)}\n"
+        f"free_thresh: {_yaml_number(rules.free_thresh)}\n"
+        f"{DIGEST}: {digest}\n"
+    )
+
+
+def _yaml_number(value: float) -> str:
+    """Return the shortest decimal that reads back as the same number.
+
+    YAML 1.1 takes ``1e-05`` for text: a float needs its point.
+    """
+    text = repr(float(value))
+    if "e" in text and "." not in text:
+        text = text.replace("e", ".0e")
+    return text

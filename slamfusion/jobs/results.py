@@ -25,7 +25,7 @@ from slamfusion.errors import SlamFusionError, shown
 from slamfusion.evaluation import Row
 from slamfusion.io import write_atomic
 from slamfusion.io.files import open_regular
-from slamfusion.io.map_yaml import existing, read_map_yaml
+from slamfusion.io.map_server import existing, read_map_yaml
 from slamfusion.jobs.documents import record_bytes
 from slamfusion.jobs.inputs import map_file
 from slamfusion.jobs.records import SummariesJson
