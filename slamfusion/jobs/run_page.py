@@ -14,8 +14,15 @@ from slamfusion.jobs.map_log import ProducerResult
 from slamfusion.jobs.run import LogRun
 from slamfusion.palette import NAMED, Rgb
 from slamfusion.report import paths
-from slamfusion.report.canvas import LegendEntry
-from slamfusion.report.errors import MeasuredPath, error_facts, errors_section
+from slamfusion.report.canvas import MARKS
+from slamfusion.report.errors import (
+    MeasuredPath,
+    broken,
+    drawable,
+    error_facts,
+    errors_section,
+    series_picture,
+)
 from slamfusion.report.evidence import evidence_section, path_colours, place_lines, strip_picture
 from slamfusion.report.fusion_report import (
     alignment_section,
@@ -26,7 +33,6 @@ from slamfusion.report.fusion_report import (
     shown_box,
     statistics_section,
 )
-from slamfusion.report.map_axes import mark_legend
 from slamfusion.report.maps import (
     error_section,
     input_colours,
@@ -45,7 +51,6 @@ from slamfusion.report.page import (
     number,
     write_page,
 )
-from slamfusion.report.series import broken, drawable, series_picture
 from slamfusion.slam.common.mapper import Series
 from slamfusion.slam.common.runner import ProducerRun
 
@@ -214,8 +219,7 @@ def _drive_section(run: LogRun) -> Section:
             colours=[colours[name] for name, _ in series],
             start_s=min(float(item.trajectory.stamps_s[0]) for item in runs),
         )
-        names = dict.fromkeys(name for name, _ in series)
-        legend = tuple(LegendEntry(name, colours[name]) for name in names)
+        legend = {name: colours[name] for name, _ in series}
         title = "The SLAMs over the drive"
         pictures.append(Picture("over-time", figure, title, "Dotted: limits.", legend=legend))
     health = Table.of(
@@ -314,7 +318,7 @@ def _paths_section(run: LogRun) -> Section:
                     item.run.trajectory, grid=item.run.grid, normalize=run.config.fusion.normalize
                 ),
                 f"{item.run.name}: its path over its map",
-                legend=mark_legend(),
+                legend=MARKS,
             )
             for item in run.results.values()
         ]

@@ -15,12 +15,15 @@ except ImportError as _error:
     raise SlamFusionError(_message) from _error
 
 from slamfusion.report.errors import MeasuredPath
-from slamfusion.report.evaluation_report import write_difference_image, write_evaluation_report
 from slamfusion.report.fusion_report import write_failure_report, write_fusion_report
-from slamfusion.report.judge_report import write_judge_report
 from slamfusion.report.page import Fact, Table
-from slamfusion.report.slam_report import write_slam_report
-from slamfusion.report.trajectory_report import write_trajectory_report
+from slamfusion.report.reports import (
+    write_difference_image,
+    write_evaluation_report,
+    write_judge_report,
+    write_slam_report,
+    write_trajectory_report,
+)
 
 __all__ = [
     "Fact",

@@ -1,4 +1,4 @@
-"""What the pictures of a report share: the sheet, title and legend, and cells that fit on it.
+"""What the pictures of a report share: the sheet, its lettering, and maps with axes in metres.
 
 A picture is complete without its page: title and legend stand in it, in dark letters on white, so
 that it can be used elsewhere as it is.
@@ -10,7 +10,7 @@ import io
 import math
 import textwrap
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,12 +22,27 @@ from matplotlib.backend_bases import FigureCanvasBase  # noqa: TID251
 from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: TID251
 from matplotlib.figure import Figure  # noqa: TID251
 from matplotlib.patches import Patch  # noqa: TID251
+from matplotlib.ticker import MaxNLocator  # noqa: TID251
+from matplotlib.transforms import Affine2D  # noqa: TID251
 
-from slamfusion.geometry import Pose2
-from slamfusion.grid import CellBox
-from slamfusion.palette import INK_RGB, Rgb
+from slamfusion.config import NormalizeConfig
+from slamfusion.geometry import F64, Pose2
+from slamfusion.grid import CellBox, OccupancyGrid, box_origin, trinary_cells
+from slamfusion.palette import (
+    DISAGREEMENT_RGB,
+    END_RGB,
+    FREE_RGB,
+    INK_RGB,
+    START_RGB,
+    UNKNOWN_RGB,
+    WALL_RGB,
+    Rgb,
+)
 
+# Cells as -1 unknown, 0 free, 1 wall.
 Classes = npt.NDArray[np.int8]
+# The colours of a picture by what they mean.
+Legend = Mapping[str, Rgb]
 
 INK = "#{:02x}{:02x}{:02x}".format(*INK_RGB)
 DPI = 230
@@ -40,6 +55,9 @@ _SMALL_IN, _TITLE_IN, _LINE_IN = 0.062, 0.076, 0.17
 _LONGEST_SIDE_CELLS = 760
 _LONGEST_SIDE_TURNED = 450
 _MARGIN_CELLS = 4
+# A box grows by this at least where its growth is limited to a share of its size.
+_LEAST_GROWTH_M = 1.0
+_LONGEST_IN = 1.25 * WIDTH_IN
 # No dates and no random names in a file; letters as letters (42: TrueType).
 _SAME_BYTES: Any = {"svg.hashsalt": "slamfusion", "svg.fonttype": "none", "pdf.fonttype": 42}
 _NO_METADATA: dict[str, dict[str, None]] = {
@@ -47,22 +65,35 @@ _NO_METADATA: dict[str, dict[str, None]] = {
     "svg": {"Date": None},
     "pdf": {"CreationDate": None},
 }
+MARKS: Legend = {"start (circle)": START_RGB, "end (square)": END_RGB}
 
 
-@dataclass(frozen=True)
-class LegendEntry:
-    """One colour of a picture and its meaning."""
-
-    text: str
-    rgb: Rgb
+def unit_rgb(rgb: Rgb) -> tuple[float, float, float]:
+    """Return a colour as matplotlib has it."""
+    r, g, b = (value / 255.0 for value in rgb)
+    return r, g, b
 
 
-def add_lettering(figure: Figure, title: str, legend: Sequence[LegendEntry] = ()) -> None:
+# A number in a circle: a place to check.
+PLACE_LOOK: dict[str, Any] = {
+    "color": "white",
+    "fontsize": SMALL_PT,
+    "fontweight": "bold",
+    "ha": "center",
+    "va": "center",
+    "bbox": {"boxstyle": "circle,pad=0.25", "facecolor": unit_rgb(DISAGREEMENT_RGB), "lw": 0.0},
+    "zorder": 6.0,
+}
+
+
+# --- the sheet ------------------------------------------------------------------------------------
+
+
+def add_lettering(figure: Figure, title: str, legend: Legend) -> None:
     """Write a title above what was drawn and a legend below it; the figure grows for them."""
     wide, tall = (float(side) for side in figure.get_size_inches())
     lines = textwrap.wrap(title, int((wide - 0.16) / _TITLE_IN)) or [""]
-    longest = max((len(entry.text) for entry in legend), default=1)
-    columns = max(1, int(wide / (0.42 + _SMALL_IN * longest)))
+    columns = max(1, int(wide / (0.42 + _SMALL_IN * max(map(len, legend), default=1))))
     above, below = 0.1 + _LINE_IN * len(lines), _LINE_IN * -(-len(legend) // columns)
     below += 0.06 if legend else 0.0
     whole = tall + above + below
@@ -73,12 +104,8 @@ def add_lettering(figure: Figure, title: str, legend: Sequence[LegendEntry] = ()
     text = plain_text("\n".join(lines))
     look: dict[str, Any] = {"color": INK, "fontsize": TITLE_PT, "fontweight": "bold", "va": "top"}
     figure.text(0.08 / wide, 1.0 - 0.06 / whole, text, **look)
-    add_legend(
-        figure,
-        [Patch(facecolor=unit_rgb(own.rgb), edgecolor=INK, lw=0.4) for own in legend],
-        [own.text for own in legend],
-        columns,
-    )
+    patches = [Patch(facecolor=unit_rgb(rgb), edgecolor=INK, lw=0.4) for rgb in legend.values()]
+    add_legend(figure, patches, list(legend), columns)
 
 
 def add_legend(figure: Figure, handles: Sequence[Any], texts: Sequence[str], columns: int) -> None:
@@ -98,63 +125,6 @@ def add_legend(figure: Figure, handles: Sequence[Any], texts: Sequence[str], col
     )
     for label, text in zip(legend.get_texts(), texts, strict=True):
         label.set_text(plain_text(text))
-
-
-def crop_box(shown: npt.NDArray[np.bool_]) -> CellBox:
-    """Return the box of the cells to show with a small margin; the whole map when none is."""
-    rows, cols = np.flatnonzero(shown.any(axis=1)), np.flatnonzero(shown.any(axis=0))
-    if rows.size == 0:
-        return CellBox(0, 0, shown.shape[0], shown.shape[1])
-    margin = _MARGIN_CELLS
-    return CellBox(
-        int(rows[0]) - margin,
-        int(cols[0]) - margin,
-        int(rows[-1]) + 1 + margin,
-        int(cols[-1]) + 1 + margin,
-    )
-
-
-def cut_cells(cells: Classes, box: CellBox) -> Classes:
-    """Return the cells of a box; those beyond the array are -1."""
-    cut = np.full((box.height, box.width), -1, dtype=np.int8)
-    row0, col0 = max(box.row0, 0), max(box.col0, 0)
-    row1, col1 = min(box.row1, cells.shape[0]), min(box.col1, cells.shape[1])
-    cut[row0 - box.row0 : row1 - box.row0, col0 - box.col0 : col1 - box.col0] = cells[
-        row0:row1, col0:col1
-    ]
-    return cut
-
-
-def pool_cells(codes: Classes, origin: Pose2) -> tuple[Classes, int]:
-    """Shrink by a whole factor to what a picture can show; the largest code of each block wins.
-
-    Walls are one cell wide: any kind of averaging would lose them first.
-
-    Args:
-        codes: (H, W) int8.
-        origin: its yaw decides whether cells and pixels are parallel.
-
-    Returns:
-        (h, w) int8, and the factor; rows and columns that fill the last block repeat its edge.
-    """
-    longest = _LONGEST_SIDE_TURNED if origin.yaw_rad else _LONGEST_SIDE_CELLS
-    factor = max(1, math.ceil(max(codes.shape) / longest))
-    if factor == 1:
-        return codes, 1
-    height, width = (math.ceil(side / factor) for side in codes.shape)
-    padding = ((0, height * factor - codes.shape[0]), (0, width * factor - codes.shape[1]))
-    padded = np.pad(codes, padding, mode="edge")
-    blocks = padded.reshape(height, factor, width, factor)
-    return np.asarray(blocks.max(axis=(1, 3)), dtype=np.int8), factor
-
-
-def style_axes(axes: Axes) -> None:
-    """Give axes their quiet lettering and frame."""
-    axes.tick_params(colors=INK, labelsize=SMALL_PT, width=0.7, length=3)
-    axes.ticklabel_format(useOffset=False, style="plain")
-    for spine in axes.spines.values():
-        spine.set_color(INK)
-        spine.set_linewidth(0.6)
 
 
 def to_form(figure: Figure, form: str) -> bytes:
@@ -192,6 +162,15 @@ def stacked_axes(count: int, tall_in: float | Sequence[float]) -> tuple[Figure, 
     return figure, axes
 
 
+def style_axes(axes: Axes) -> None:
+    """Give axes their quiet lettering and frame."""
+    axes.tick_params(colors=INK, labelsize=SMALL_PT, width=0.7, length=3)
+    axes.ticklabel_format(useOffset=False, style="plain")
+    for spine in axes.spines.values():
+        spine.set_color(INK)
+        spine.set_linewidth(0.6)
+
+
 def write_note(axes: Axes, text: str) -> None:
     """Say in words what the dotted line of the axes is."""
     axes.set_title(text, loc="right", color=INK, fontsize=7, pad=2.5)
@@ -210,7 +189,204 @@ def plain_text(text: str) -> str:
     return text.replace("$", r"\$")
 
 
-def unit_rgb(rgb: Rgb) -> tuple[float, float, float]:
-    """Return a colour as matplotlib has it."""
-    r, g, b = (value / 255.0 for value in rgb)
-    return r, g, b
+# --- maps with axes in metres ---------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Extent:
+    """A box in the map frame: its corners, metres."""
+
+    low: F64
+    high: F64
+
+    @classmethod
+    def of(cls, points: F64) -> Extent:
+        """Return the box of points, (N, 2) or more columns, x and y first."""
+        return cls(points[:, :2].min(axis=0), points[:, :2].max(axis=0))
+
+    @property
+    def longest(self) -> float:
+        """The longer side, metres."""
+        return float((self.high - self.low).max())
+
+    def grown(self, other: Extent, most: float | None = None) -> Extent:
+        """Return the box with another taken in, by at most ``most`` of its size a side."""
+        low, high = np.minimum(self.low, other.low), np.maximum(self.high, other.high)
+        if most is not None:
+            limit = max(most * self.longest, _LEAST_GROWTH_M)
+            low, high = np.maximum(low, self.low - limit), np.minimum(high, self.high + limit)
+        return Extent(low, high)
+
+
+def map_axes(
+    extent: Extent, *, bar: bool = False, margin_m: float | None = None
+) -> tuple[Figure, Axes]:
+    """Return axes of the shape of a place, in metres.
+
+    Args:
+        bar: leave room for a colour bar next to them.
+        margin_m: around the place; default: a little.
+    """
+    margin = 0.03 * extent.longest + 0.2 if margin_m is None else margin_m
+    low, high = extent.low - margin, extent.high + margin
+    wide, tall = (float(side) for side in high - low)
+    left, right, bottom, top = 0.5, (0.72 if bar else 0.08), 0.4, 0.03
+    width = WIDTH_IN - left - right
+    height = width * tall / wide
+    if height > _LONGEST_IN:
+        width, height = max(_LONGEST_IN * wide / tall, 1.0), _LONGEST_IN
+    height = max(height, 0.6)
+    size = (width + left + right, height + bottom + top)
+    figure = Figure(figsize=size, dpi=DPI)
+    axes = figure.add_axes((left / size[0], bottom / size[1], width / size[0], height / size[1]))
+    # Where a side was widened for the lettering, the place shows more around it.
+    scale = max(wide / width, tall / height)
+    middle = (low + high) / 2.0
+    axes.set_xlim(middle[0] - scale * width / 2, middle[0] + scale * width / 2)
+    axes.set_ylim(middle[1] - scale * height / 2, middle[1] + scale * height / 2)
+    for axis, inches in ((axes.xaxis, width), (axes.yaxis, height)):
+        axis.set_major_locator(MaxNLocator(nbins=max(2, round(1.8 * inches)), steps=[1, 2, 5, 10]))
+    label_axes(axes, x="x [m]", y="y [m]")
+    style_axes(axes)
+    _draw_scale(axes)
+    return figure, axes
+
+
+def _draw_scale(axes: Axes) -> None:
+    """Draw a bar of a round length, at most a quarter of the width, at the lower left."""
+    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+    most = 0.25 * (right - left)
+    unit = 10.0 ** math.floor(math.log10(most))
+    length = max(step * unit for step in (1.0, 2.0, 5.0) if step * unit <= most)
+    x, y = left + 0.04 * (right - left), bottom + 0.04 * (top - bottom)
+    ends: dict[str, Any] = {"color": INK, "lw": 1.6, "marker": "|", "ms": 5.0, "zorder": 5.0}
+    axes.plot([x, x + length], [y, y], scalex=False, scaley=False, **ends)
+    ground = {"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.8}
+    look: dict[str, Any] = {"color": INK, "fontsize": SMALL_PT, "bbox": ground, "zorder": 5.0}
+    up = y + 0.02 * (top - bottom)
+    axes.text(x + 0.5 * length, up, f"{length:g} m", ha="center", va="bottom", **look)
+
+
+def crop_box(shown: npt.NDArray[np.bool_]) -> CellBox:
+    """Return the box of the cells to show with a small margin; the whole map when none is."""
+    rows, cols = np.flatnonzero(shown.any(axis=1)), np.flatnonzero(shown.any(axis=0))
+    if rows.size == 0:
+        return CellBox(0, 0, shown.shape[0], shown.shape[1])
+    first, last = (rows[0], cols[0]), (rows[-1], cols[-1])
+    return CellBox(
+        *(int(place) - _MARGIN_CELLS for place in first),
+        *(int(place) + 1 + _MARGIN_CELLS for place in last),
+    )
+
+
+def shown_cells(
+    codes: Classes, resolution: float, origin: Pose2, box: CellBox | None = None
+) -> tuple[Classes, float, Pose2]:
+    """Cut cells to a box, and shrink them by a whole factor to what a picture can show.
+
+    The largest code of each block wins: walls are one cell wide, and any kind of averaging would
+    lose them first.
+
+    Args:
+        codes: (H, W) int8.
+        resolution: metres per cell.
+        origin: its yaw decides whether cells and pixels are parallel.
+        box: may reach beyond the cells, where the code is -1; default: what is not -1.
+
+    Returns:
+        (h, w) int8, metres per pixel, and the pose of the lower-left corner of pixel [0, 0].
+    """
+    box = box or crop_box(codes != -1)
+    longest = _LONGEST_SIDE_TURNED if origin.yaw_rad else _LONGEST_SIDE_CELLS
+    factor = max(1, math.ceil(max(box.height, box.width) / longest))
+    cut = np.full((box.height, box.width), -1, dtype=np.int8)
+    row0, col0 = max(box.row0, 0), max(box.col0, 0)
+    row1, col1 = min(box.row1, codes.shape[0]), min(box.col1, codes.shape[1])
+    cut[row0 - box.row0 : row1 - box.row0, col0 - box.col0 : col1 - box.col0] = codes[
+        row0:row1, col0:col1
+    ]
+    # Rows and columns that fill the last block repeat its edge.
+    height, width = (math.ceil(side / factor) for side in cut.shape)
+    padding = ((0, height * factor - cut.shape[0]), (0, width * factor - cut.shape[1]))
+    blocks = np.pad(cut, padding, mode="edge").reshape(height, factor, width, factor)
+    pooled = np.asarray(blocks.max(axis=(1, 3)), dtype=np.int8)
+    return pooled, factor * resolution, box_origin(origin, resolution, box)
+
+
+def draw_cells(axes: Axes, colours: npt.NDArray[np.uint8], side_m: float, corner: Pose2) -> None:
+    """Draw an image of cells in the map frame, row 0 at the bottom; beyond it nothing is known.
+
+    Args:
+        axes: keep their limits.
+        colours: (h, w, 3) or (h, w, 4) uint8.
+        side_m: of a pixel, metres.
+        corner: pose of the lower-left corner of pixel [0, 0] in the map frame.
+    """
+    height, width = colours.shape[:2]
+    turned = Affine2D().rotate(corner.yaw_rad).translate(corner.x, corner.y)
+    limits = axes.get_xlim(), axes.get_ylim()
+    axes.imshow(
+        colours,
+        origin="lower",
+        interpolation="nearest",
+        extent=(0.0, width * side_m, 0.0, height * side_m),
+        transform=turned + axes.transData,
+        aspect="auto",
+    )
+    axes.set_facecolor(unit_rgb(UNKNOWN_RGB))
+    axes.set_xlim(limits[0])
+    axes.set_ylim(limits[1])
+
+
+def cells_extent(shape: tuple[int, ...], side_m: float, corner: Pose2) -> Extent:
+    """Return the box of an image of cells; see ``draw_cells``."""
+    tall, wide = side_m * shape[0], side_m * shape[1]
+    return Extent.of(corner.transform([(0, 0), (wide, 0), (0, tall), (wide, tall)]))
+
+
+def place_extent(poses: F64, grid: OccupancyGrid | None, normalize: NormalizeConfig) -> Extent:
+    """Return the box of poses, (N, 3) x, y, yaw, and of what the map knows, where there is one."""
+    extent = Extent.of(poses)
+    if grid is None:
+        return extent
+    box = crop_box(trinary_cells(grid.cells, normalize) != -1)
+    corner = box_origin(grid.origin, grid.resolution, box)
+    return extent.grown(cells_extent((box.height, box.width), grid.resolution, corner))
+
+
+def draw_grid(axes: Axes, grid: OccupancyGrid | None, normalize: NormalizeConfig) -> None:
+    """Draw a map, where there is one, in its frame, in the colours of ``maps.map_picture``."""
+    if grid is None:
+        return
+    cells = trinary_cells(grid.cells, normalize)
+    pooled, side_m, corner = shown_cells(cells, grid.resolution, grid.origin)
+    palette = np.array((UNKNOWN_RGB, FREE_RGB, WALL_RGB), dtype=np.uint8)
+    # Unknown cells have no colour here: around the map there is nothing either.
+    rgba = np.dstack((palette[pooled + 1], np.where(pooled == -1, 0, 255).astype(np.uint8)))
+    draw_cells(axes, rgba, side_m, corner)
+
+
+def draw_marks(axes: Axes, poses: F64) -> None:
+    """Mark the first and the last pose; where they are one place both are seen."""
+    for pose, colour, marker, size in (
+        (poses[0], START_RGB, "o", 8.5),
+        (poses[-1], END_RGB, "s", 4.0),
+    ):
+        axes.plot(
+            [pose[0]],
+            [pose[1]],
+            marker=marker,
+            ms=size,
+            color=unit_rgb(colour),
+            markeredgecolor="white",
+            markeredgewidth=0.7,
+            ls="none",
+            scalex=False,
+            scaley=False,
+        )
+
+
+def draw_places(figure: Figure, places: Iterable[tuple[float, float]]) -> None:
+    """Number places on the map of a figure, x and y in metres; the first is 1."""
+    for number, place in enumerate(places, start=1):
+        figure.axes[0].annotate(str(number), place, annotation_clip=True, **PLACE_LOOK)

@@ -1,4 +1,4 @@
-"""The errors of paths: over the drive, as boxes, as cumulative distributions, and in a table."""
+"""What happened over a drive: the errors of paths, their distributions, and other quantities."""
 
 from __future__ import annotations
 
@@ -18,18 +18,10 @@ from slamfusion.evaluation import (
 )
 from slamfusion.evaluation.relations import RelationErrorsAtScans
 from slamfusion.geometry import F64
-from slamfusion.palette import Rgb
-from slamfusion.report.canvas import (
-    INK,
-    LegendEntry,
-    label_axes,
-    plain_text,
-    stacked_axes,
-    unit_rgb,
-    write_note,
-)
+from slamfusion.palette import INK_RGB, Rgb
+from slamfusion.report.canvas import INK, label_axes, plain_text, stacked_axes, unit_rgb, write_note
 from slamfusion.report.page import Cell, Fact, Picture, Section, Table, number
-from slamfusion.report.series import thinned
+from slamfusion.slam.common.mapper import Series
 from slamfusion.trajectory import Trajectory
 
 FIGURES = ("mean", "std", "rmse", "median", "min", "max")
@@ -37,6 +29,11 @@ FIGURES = ("mean", "std", "rmse", "median", "min", "max")
 _BULK = 0.99
 # Errors below this are drawn here: a logarithmic axis has no zero.
 _LEAST = 1e-4
+# Half the columns of a picture: each shows the least and the greatest of what falls on it.
+_COLUMNS = 400
+_FEW = 50
+# No line is drawn over a time so much longer than that between most values, and than this, seconds.
+_PAUSE, _PAUSE_S = 5.0, 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,45 +67,53 @@ def errors_section(
             own = ErrorStatistics.of(item.relations.translation_m[revisits])
             kinds.append(("revisits, translation m", own, 4))
         for kind, statistics, digits in kinds:
-            rows.append([Cell(item.name), Cell(kind), *figure_cells(statistics, digits)])
+            values = [getattr(statistics, name, None) for name in FIGURES]
+            cells = [number(value, digits) for value in values]
+            rows.append([Cell(item.name), Cell(kind), *cells])
     if not rows:
         return []
+    of, stem = (f"{case}: ", f"{case}-") if case else ("", "")
     truth = {item.name: item.truth for item in measured if item.truth is not None}
+    if truth:
+        title = f"{of}Error against the truth"
+        pictures += _error_pictures(f"{stem}error", title, "", truth, colours)
     known = {item.name: item.relations for item in measured if item.relations is not None}
-    of = f"{case}: " if case else ""
-    for errors, stem, what, caption in (
-        (truth, "error", "Error against the truth", ""),
-        (
-            known,
-            "relations",
-            "Error on known relations",
-            f"Large dots: revisits, where the two times are over {REVISIT_S:g} s apart.",
-        ),
-    ):
-        if errors:
-            legend = tuple(LegendEntry(name, colours[name]) for name in errors)
-            values = {name: own.translation_m for name, own in errors.items()}
-            drawn = (
-                (stem, _over_time(errors, colours), f"{of}{what} over the drive", caption),
-                (
-                    f"{stem}-distribution",
-                    distribution_figure(values, colours, "error [m]"),
-                    f"{of}{what}, distribution",
-                    "Box: quartiles and median; whiskers: 5 % and 95 %.",
-                ),
-            )
-            pictures += [
-                Picture(f"{case}-{stem}" if case else stem, figure, title, text, legend=legend)
-                for stem, figure, title, text in drawn
-            ]
+    if known:
+        title = f"{of}Error on known relations"
+        caption = f"Large dots: revisits, where the two times are over {REVISIT_S:g} s apart."
+        pictures += _error_pictures(f"{stem}relations", title, caption, known, colours)
     text = (
         "ATE: error of each pose after one rigid alignment of the whole path (if asked for). RPE: "
         "error of the motion between two poses. Relations [K09]: error of the motion between two "
         "times against the known one; no common frame is needed."
     )
     table = Table("Errors of the paths", ("path", "error", *FIGURES), rows)
-    title = f"{case}: errors of the paths" if case else "Errors of the paths"
+    title = f"{of}errors of the paths" if of else "Errors of the paths"
     return [Section(title, text, pictures, [table])]
+
+
+def _error_pictures(
+    stem: str,
+    title: str,
+    caption: str,
+    errors: Mapping[str, TrajectoryErrors | RelationErrors],
+    colours: Mapping[str, Rgb],
+) -> list[Picture]:
+    """Return errors over the drive, with this caption, and their distribution."""
+    legend = {name: colours[name] for name in errors}
+    values = {name: own.translation_m for name, own in errors.items()}
+    return [
+        Picture(
+            stem, _over_time(errors, colours), f"{title} over the drive", caption, legend=legend
+        ),
+        Picture(
+            f"{stem}-distribution",
+            distribution_figure(values, colours, "error [m]"),
+            f"{title}, distribution",
+            "Box: quartiles and median; whiskers: 5 % and 95 %.",
+            legend=legend,
+        ),
+    ]
 
 
 def error_facts(item: MeasuredPath) -> list[Fact]:
@@ -123,12 +128,6 @@ def error_facts(item: MeasuredPath) -> list[Fact]:
         mean = item.relations.translation.mean
         facts.append(Fact(f"{mean:.4f} m", f"error of relations, mean, {item.name}"))
     return facts
-
-
-def figure_cells(statistics: ErrorStatistics | None, digits: int) -> list[Cell]:
-    """Return the ``FIGURES`` of an error as cells; dashes where there are none."""
-    values = [None if statistics is None else getattr(statistics, name) for name in FIGURES]
-    return [number(value, digits) for value in values]
 
 
 # --- figures -------------------------------------------------------------------------------------
@@ -220,3 +219,86 @@ def draw_boxes(axes: Axes, values: Sequence[tuple[str, F64]], colours: Mapping[s
         box.set(facecolor=unit_rgb(colours[name]), edgecolor=INK, linewidth=0.6)
     axes.set_yticks(range(1, len(values) + 1), [plain_text(name)[:14] for name, _ in values])
     axes.invert_yaxis()
+
+
+# --- quantities over time -------------------------------------------------------------------------
+
+
+def drawable(series: Sequence[Series]) -> list[Series]:
+    """Return the series that have a value to be drawn."""
+    return [item for item in series if np.isfinite(item.values).any()]
+
+
+def broken(stamps_s: F64, values: F64) -> tuple[F64, F64]:
+    """Return values over time, (N,), with NaN in each pause, where nothing is known."""
+    steps_s = np.diff(stamps_s)
+    if not len(steps_s):
+        return stamps_s, values
+    pauses = np.flatnonzero(steps_s > max(_PAUSE_S, _PAUSE * float(np.median(steps_s))))
+    middle_s = stamps_s[pauses] + 0.5 * steps_s[pauses]
+    return np.insert(stamps_s, pauses + 1, middle_s), np.insert(values, pauses + 1, np.nan)
+
+
+def series_picture(
+    series: Sequence[Series], *, colours: Sequence[Rgb] = (), start_s: float | None = None
+) -> Figure:
+    """Draw quantities over time, axes above each other; series of one name share axes.
+
+    A limit is a dotted line. A value that is not finite leaves a gap.
+
+    Args:
+        series: at least one, each ``drawable``.
+        colours: of the line of each series; default: the same for all.
+        start_s: stamp that counts as 0 s; default: the earliest of all series.
+    """
+    first_s = min(float(item.stamps_s[0]) for item in series)
+    begin = first_s if start_s is None else start_s
+    end_s = max(float(item.stamps_s[-1]) for item in series) - begin
+    from_s = min(0.0, first_s - begin)
+    room_s = 0.01 * (end_s - from_s) or 1.0
+    names = list(dict.fromkeys(item.name for item in series))
+    figure, axes = stacked_axes(len(names), 1.05)
+    for item, colour in zip(series, colours or [INK_RGB] * len(series), strict=True):
+        place, drawn = axes[names.index(item.name)], unit_rgb(colour)
+        since, values = thinned(item.stamps_s - begin, item.values)
+        marker = "o" if len(values) <= _FEW else ""  # one value alone makes no line
+        place.plot(since, values, color=drawn, lw=0.9, marker=marker, ms=2.0)
+        if item.limit is not None:
+            place.axhline(item.limit, color=drawn, lw=0.8, ls=":")
+            write_note(place, f"limit {item.limit:.4g}" if len(series) == len(names) else "")
+    for place, name in zip(axes, names, strict=True):
+        own = [item for item in series if item.name == name]
+        unit = own[0].unit
+        label_axes(place, name, y=f"[{unit}]" if unit else "")
+        place.set_ylim(*_span(own))
+        place.set_xlim(from_s - room_s, end_s + room_s)
+    label_axes(axes[-1], x="time since the start [s]")
+    return figure
+
+
+def _span(series: Sequence[Series]) -> tuple[float, float]:
+    """Return the limits of the y axis: from 0 unless a value is negative, the limits in sight."""
+    values = np.concatenate([item.values[np.isfinite(item.values)] for item in series])
+    limits = [item.limit for item in series if item.limit is not None]
+    low, high = min([0.0, *limits, float(values.min())]), max([*limits, float(values.max())])
+    room = 0.06 * (high - low) or 1.0
+    return low - (room if low < 0.0 else 0.0), high + room
+
+
+def thinned(x: F64, y: F64) -> tuple[F64, F64]:
+    """Return few enough points for the picture; of each run of them the least and the greatest.
+
+    Where a value of a run is not finite, the first such one is kept, too.
+    """
+    step = -(-len(x) // _COLUMNS)
+    if step <= 2:
+        return x, y
+    count = len(x) // step * step
+    rows = y[:count].reshape(-1, step)
+    known = np.isfinite(rows)
+    low = np.argmin(np.where(known, rows, np.inf), axis=1)
+    high = np.argmax(np.where(known, rows, -np.inf), axis=1)
+    gap = np.where(known.all(axis=1), low, np.argmin(known, axis=1))
+    kept = np.stack((low, high, gap), axis=1) + step * np.arange(len(rows))[:, None]
+    kept = np.append(np.unique(kept), np.arange(count, len(x)))
+    return x[kept], y[kept]

@@ -13,14 +13,13 @@ from slamfusion.evidence.recommendation import Recommendation
 from slamfusion.palette import DISAGREEMENT_RGB, NAMED, Rgb, colours_of
 from slamfusion.report.canvas import (
     INK,
-    LegendEntry,
+    PLACE_LOOK,
     label_axes,
     plain_text,
     stacked_axes,
     unit_rgb,
     write_note,
 )
-from slamfusion.report.map_axes import PLACE_LOOK
 from slamfusion.report.page import Cell, Picture, Section, Table, number
 
 # Gaps below this are drawn here: a logarithmic axis has no zero.
@@ -43,7 +42,7 @@ def evidence_section(
         "Above: mean log-likelihood of a hit under what other parts of the drive drew by the same "
         "path; higher is better. Below: distance from the recommended path, after each path is "
         "aligned with it where they agree most. Tinted: a path has left the recommended one.",
-        legend=tuple(LegendEntry(name, colour) for name, colour in colours.items()),
+        legend=colours,
     )
     note = (
         "Each hit is looked up in the map that all other parts of the drive draw by the path that "
@@ -99,9 +98,9 @@ def strip_picture(answer: Recommendation, colours: Mapping[str, Rgb]) -> Picture
     axes.set_yticks(range(len(names)), [plain_text(name)[:10] for name in names])
     axes.margins(x=0.0)
     label_axes(axes, x="time since the start [s]")
-    legend = [LegendEntry(f"{PART_M:g} m or more from the recommended path", DISAGREEMENT_RGB)]
+    legend = {f"{PART_M:g} m or more from the recommended path": DISAGREEMENT_RGB}
     caption = "Numbers and grey bands: the places to check."
-    return Picture("who-was-off", figure, "Who was off when", caption, legend=tuple(legend))
+    return Picture("who-was-off", figure, "Who was off when", caption, legend=legend)
 
 
 def evidence_picture(

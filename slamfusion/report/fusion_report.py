@@ -13,15 +13,19 @@ from slamfusion.evaluation import MapError
 from slamfusion.grid import CellBox, OccupancyGrid
 from slamfusion.io.files import AtomicFiles
 from slamfusion.palette import DISAGREEMENT_RGB
-from slamfusion.report import plots
-from slamfusion.report.canvas import Classes, LegendEntry, crop_box
+from slamfusion.report.canvas import Classes, crop_box, draw_places
 from slamfusion.report.layers import fusion_layers
-from slamfusion.report.map_axes import draw_places
 from slamfusion.report.maps import (
+    MAP_LEGEND,
+    YAW_TEXT,
+    agreement_colour,
+    agreement_picture,
     alignment_table,
     error_section,
     input_colours,
     input_picture,
+    map_picture,
+    overlay_picture,
     pair_overlay,
     pairs_section,
     statistics_table,
@@ -97,7 +101,7 @@ def write_failure_report(
         sections.append(pairs_section(grids, pairs, normalize))
         curves = yaw_pictures(pairs)
         if curves:
-            sections.append(Section("Score over yaw", _YAW_TEXT, curves))
+            sections.append(Section("Score over yaw", YAW_TEXT, curves))
     banner = Banner("bad", "Nothing was fused", [("", reason)])
     facts = [
         Fact(f"0 of {len(grids)}", "maps fused", "bad"),
@@ -105,12 +109,6 @@ def write_failure_report(
     ]
     page = Page("SLAMfusion report", banner, facts, sections, config, device)
     return write_page(page, directory)
-
-
-_YAW_TEXT = (
-    "The best coarse score at each yaw of the moving map. One sharp peak: the place fits in one "
-    "way only. A second peak of nearly the same height: the place is symmetric."
-)
 
 
 def _banner(result: FusionResult, failure: str | None) -> Banner:
@@ -198,49 +196,30 @@ def fused_section(
         box: cells of the fused lattice to draw.
         paths, places: see ``fusion_layers``; the places are numbered on the fused map.
     """
-    fused, agreement = result.fused, result.agreement
-    drawn = plots.map_picture(_classes(fused), fused.resolution, fused.origin, box)
+    fused = result.fused
+    drawn = map_picture(_classes(fused), fused.resolution, fused.origin, box)
     draw_places(drawn, places)
-    pictures = [
-        Picture(
-            "fused",
-            drawn,
-            "Fused map",
-            f"{fused.width} x {fused.height} cells of {fused.resolution:g} m, in the frame of "
-            f"{result.reference}.",
-            tone="good" if len(result.accepted) > 1 else "bad",
-            legend=plots.MAP_LEGEND,
-        )
-    ]
-    aligned = [record for record in result.accepted if record.aligned is not None]
-    layers = [record.aligned for record in aligned if record.aligned is not None]
-    colours = input_colours([record.name for record in result.inputs])
+    size = f"{fused.width} x {fused.height} cells of {fused.resolution:g} m"
+    caption = f"{size}, in the frame of {result.reference}."
+    tone = "good" if len(result.accepted) > 1 else "bad"
+    pictures = [Picture("fused", drawn, "Fused map", caption, tone, legend=MAP_LEGEND)]
+    layers = {own.name: own.aligned for own in result.accepted if own.aligned is not None}
     if layers:
-        pictures.append(
-            Picture(
-                "overlay",
-                plots.overlay_picture(
-                    layers,
-                    [colours[record.name] for record in aligned],
-                    fused.resolution,
-                    fused.origin,
-                    box,
-                ),
-                "The aligned inputs over each other",
-                "A wall has the colour of its map; it is darker where more maps have it, and black "
-                "where all do. A coloured copy next to a black wall shows a slip.",
-                legend=tuple(LegendEntry(own.name, colours[own.name]) for own in aligned),
-            )
+        colours = input_colours([record.name for record in result.inputs])
+        legend = {name: colours[name] for name in layers}
+        overlay = overlay_picture(
+            list(layers.values()), list(legend.values()), fused.resolution, fused.origin, box
         )
-    pictures.append(
-        Picture(
-            "agreement",
-            plots.agreement_picture(agreement.cells, agreement.resolution, agreement.origin, box),
-            "Agreement",
-            "Share of votes for the winner of each cell. A block of cells shows its worst.",
-            legend=plots.agreement_legend(),
+        title = "The aligned inputs over each other"
+        caption = (
+            "A wall has the colour of its map; it is darker where more maps have it, and black "
+            "where all do. A coloured copy next to a black wall shows a slip."
         )
-    )
+        pictures.append(Picture("overlay", overlay, title, caption, legend=legend))
+    shares = agreement_picture(result.agreement, box)
+    caption = "Share of votes for the winner of each cell. A block of cells shows its worst."
+    legend = {f"{share} %": agreement_colour(share) for share in (100, 75, 50, 25)}
+    pictures.append(Picture("agreement", shares, "Agreement", caption, legend=legend))
     return Section("Fused map", "", pictures, layers=fusion_layers(result, paths, places))
 
 
@@ -255,7 +234,7 @@ def group_sections(result: FusionResult) -> list[Section]:
         pictures.append(
             Picture(
                 f"group-{place}",
-                plots.map_picture(_classes(fused), fused.resolution, fused.origin),
+                map_picture(_classes(fused), fused.resolution, fused.origin),
                 f"Group {place}",
                 f"{names}; in the frame of {other.reference}.",
             )
@@ -284,19 +263,15 @@ def inputs_section(result: FusionResult, config: RunConfig) -> Section:
         if record.copy_of is not None:
             continue
         if record.aligned is not None:
-            drawn = plots.map_picture(
-                record.aligned, fused.resolution, fused.origin, box, record.dissent
-            )
+            drawn = map_picture(record.aligned, fused.resolution, fused.origin, box, record.dissent)
             role = "Reference. " if record.name == result.reference else ""
             caption = f"{role}Outvoted in {_outvoted(record)}."
-            legend = (*plots.MAP_LEGEND, LegendEntry("outvoted", DISAGREEMENT_RGB))
+            legend = {**MAP_LEGEND, "outvoted": DISAGREEMENT_RGB}
             stem, title = f"input-{record.name}", f"{record.name}, aligned"
             pictures.append(Picture(stem, drawn, title, caption, legend=legend))
             continue
-        caption = "" if record.accepted else f"Rejected: {record.reason}"
-        pictures.append(
-            input_picture(record.grid, normalize, caption=caption, accepted=record.accepted)
-        )
+        rejected = None if record.accepted else record.reason
+        pictures.append(input_picture(record.grid, normalize, rejected=rejected))
         if not record.accepted and alignment is not None and alignment.reference in grids:
             reference = grids[alignment.reference]
             pictures.append(pair_overlay(reference, record.grid, alignment, normalize, colours))
@@ -337,7 +312,7 @@ def alignment_section(result: FusionResult) -> Section:
         *alignment_table("All other pairs", others, folded=True),
     ]
     curves = yaw_pictures([item for item in (*to_reference, *others) if not item.accepted])
-    return Section("Alignment", _YAW_TEXT if curves else "", curves, tables)
+    return Section("Alignment", YAW_TEXT if curves else "", curves, tables)
 
 
 def statistics_section(

@@ -1,46 +1,233 @@
-"""Parts that several reports share: pictures and tables of maps, alignments and errors."""
+"""Pictures and tables of maps, alignments and errors, which several reports share."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from matplotlib import colormaps  # noqa: TID251
+from matplotlib.figure import Figure  # noqa: TID251
 
 from slamfusion.align.records import Alignment
 from slamfusion.config import NormalizeConfig
-from slamfusion.evaluation import Figure, MapError, doubled_wall_share, face_figures, shown_figures
+from slamfusion.evaluation import (
+    AGREE_FREE,
+    AGREE_UNKNOWN,
+    AGREE_WALL,
+    EXTRA_FREE,
+    EXTRA_WALL,
+    MISSING_FREE,
+    MISSING_WALL,
+    MapError,
+    doubled_wall_share,
+    face_figures,
+    shown_figures,
+)
+from slamfusion.evaluation import Figure as Measure
 from slamfusion.evaluation.distances import sample_on_lattice
 from slamfusion.geometry import Pose2
-from slamfusion.grid import CellBox, OccupancyGrid, known_box, trinary_cells
-from slamfusion.palette import Rgb, colours_of
-from slamfusion.report import plots
-from slamfusion.report.canvas import LegendEntry
+from slamfusion.grid import CellBox, OccupancyGrid, box_origin, known_box, trinary_cells
+from slamfusion.palette import (
+    DISAGREEMENT_RGB,
+    EXTRA_FREE_RGB,
+    EXTRA_WALL_RGB,
+    FREE_RGB,
+    MISSING_FREE_RGB,
+    MISSING_WALL_RGB,
+    UNKNOWN_RGB,
+    WALL_RGB,
+    Rgb,
+    colours_of,
+)
+from slamfusion.report.canvas import (
+    INK,
+    SMALL_PT,
+    Classes,
+    Legend,
+    cells_extent,
+    crop_box,
+    draw_cells,
+    label_axes,
+    map_axes,
+    shown_cells,
+    stacked_axes,
+    unit_rgb,
+)
 from slamfusion.report.page import Cell, Picture, Section, Table, number
 from slamfusion.web.scene import layer_name
 
+# In the order of visibility when cells are pooled: the last wins.
+DIFFERENCES: dict[int, tuple[str, Rgb]] = {
+    AGREE_UNKNOWN: ("both unknown", UNKNOWN_RGB),
+    AGREE_FREE: ("both free", FREE_RGB),
+    EXTRA_FREE: ("free, unknown in the truth", EXTRA_FREE_RGB),
+    MISSING_FREE: ("unknown, free in the truth", MISSING_FREE_RGB),
+    AGREE_WALL: ("true wall", WALL_RGB),
+    EXTRA_WALL: ("extra wall", EXTRA_WALL_RGB),
+    MISSING_WALL: ("missing wall", MISSING_WALL_RGB),
+}
+
+MAP_LEGEND: Legend = {"wall": WALL_RGB, "free": FREE_RGB, "unknown": UNKNOWN_RGB}
+
+# Share of votes for the winner: white for all, through yellow to red for hardly any.
+_AGREEMENT_MAP = "YlOrRd"
 # An overlay of a wrong alignment may spread over far more cells than either map.
 _OVERLAY_CELLS = 40_000_000
 # Pairs that are drawn: with ten inputs there are 45.
 _MOST_OVERLAYS = 12
+YAW_TEXT = (
+    "The best coarse score at each yaw of the moving map. One sharp peak: the place fits in one "
+    "way only. A second peak of nearly the same height: the place is symmetric."
+)
+
+
+# --- figures --------------------------------------------------------------------------------------
+
+
+def map_picture(
+    cells: Classes,
+    resolution: float,
+    origin: Pose2,
+    box: CellBox | None = None,
+    outvoted: npt.NDArray[np.bool_] | None = None,
+) -> Figure:
+    """Draw one map: walls dark, free white, unknown grey; cropped to what is known.
+
+    Args:
+        cells: (H, W) int8 in {-1, 0, 1}.
+        resolution: metres per cell.
+        origin: pose of the lower-left corner of cell [0, 0]; its yaw turns the picture.
+        box: cells to show; default: what is known, with a small margin.
+        outvoted: (H, W) bool, cells that are marked; default: none.
+    """
+    codes = cells if outvoted is None else np.where(outvoted, np.int8(2), cells)
+    colours = (UNKNOWN_RGB, FREE_RGB, WALL_RGB, DISAGREEMENT_RGB)
+    return _codes_figure(codes, colours, resolution, origin, box)
+
+
+def overlay_picture(
+    layers: Sequence[Classes],
+    colours: Sequence[Rgb],
+    resolution: float,
+    origin: Pose2,
+    box: CellBox | None = None,
+) -> Figure:
+    """Draw the walls of several maps over each other.
+
+    A wall of one map has its colour, darker where more have one, of all that of a wall. Other cells
+    are the whiter, the more of the maps know them.
+
+    Args:
+        layers: (H, W) int8 each, in {-1, 0, 1}, one lattice.
+        resolution, origin, box: see ``map_picture``.
+    """
+    box = box or crop_box(np.any([layer != -1 for layer in layers], axis=0))
+    shown = [shown_cells(layer, resolution, origin, box) for layer in layers]
+    pooled = np.array([cells for cells, _, _ in shown])
+    walls = (pooled == 1)[..., None]
+    count = walls.sum(axis=0)
+    own = (walls * np.array(colours, dtype=np.float64)[:, None, None]).sum(axis=0)
+    dark = np.clip((count - 1) / max(len(layers) - 1, 1), 0.0, 1.0)
+    wall = own / np.maximum(count, 1) * (1.0 - dark) + np.array(WALL_RGB) * dark
+    known = np.mean(pooled != -1, axis=0)[..., None]
+    ground = np.array(UNKNOWN_RGB) * (1.0 - known) + np.array(FREE_RGB) * known
+    rgb = np.asarray(np.rint(np.where(count > 0, wall, ground)), dtype=np.uint8)
+    return _cells_figure(rgb, *shown[0][1:])
+
+
+def agreement_picture(agreement: OccupancyGrid, box: CellBox | None = None) -> Figure:
+    """Draw the share of votes for the winner of each cell, light where all agree.
+
+    Args:
+        agreement: 0 to 100 percent, -1 without votes.
+        box: see ``map_picture``.
+    """
+    # The worst cell of a block counts: disagreement must not vanish in a small picture.
+    cells = agreement.cells
+    disagreement = np.where(cells < 0, -1, 100 - cells.astype(np.int16)).astype(np.int8)
+    colours = [UNKNOWN_RGB, *(agreement_colour(100 - step) for step in range(101))]
+    return _codes_figure(disagreement, colours, agreement.resolution, agreement.origin, box)
+
+
+def agreement_colour(percent: int) -> Rgb:
+    """Return the colour of a share of votes: white for all, then yellow to dark red."""
+    if percent >= 100:
+        return FREE_RGB
+    r, g, b, _ = colormaps[_AGREEMENT_MAP](0.15 + 0.85 * (100 - percent) / 100.0)
+    return round(255 * r), round(255 * g), round(255 * b)
+
+
+def yaw_picture(alignment: Alignment, profile: npt.NDArray[np.float64]) -> Figure:
+    """Draw the best coarse score over yaw, (N, 2), with the answer and its rival marked.
+
+    A single sharp peak is a place that looks like itself under one yaw only.
+    """
+    order = np.argsort(profile[:, 0])
+    yaw_deg, score = np.rad2deg(profile[order, 0]), profile[order, 1]
+
+    figure, (axes,) = stacked_axes(1, 1.5)
+    axes.fill_between(yaw_deg, score, min(0.0, float(score.min())), color=INK, alpha=0.16, lw=0)
+    axes.plot(yaw_deg, score, color=INK, lw=1.1)
+    marks = [(alignment.transform, "answer", WALL_RGB, "o")]
+    if alignment.runner_up is not None:
+        ratio = f"runner-up, {alignment.runner_up.ratio:.2f} of it"
+        marks.append((alignment.runner_up.transform, ratio, DISAGREEMENT_RGB, "D"))
+    for pose, label, rgb, marker in marks:
+        angle = math.degrees(math.remainder(pose.yaw_rad, 2 * math.pi))
+        look: dict[str, Any] = {"color": unit_rgb(rgb), "marker": marker, "ms": 5, "ls": "none"}
+        axes.axvline(angle, color=unit_rgb(rgb), lw=1.0, ls=":")
+        height = float(np.interp(angle, yaw_deg, score))
+        axes.plot([angle], [height], label=f"{label} ({angle:.1f}°)", **look)
+    label_axes(axes, x="yaw [°]", y="coarse score")
+    axes.margins(x=0)
+    axes.set_ylim(top=float(score.max()) * 1.35 + 1e-9)
+    axes.legend(loc="upper left", ncols=2, frameon=False, fontsize=SMALL_PT, labelcolor=INK)
+    if yaw_deg[-1] - yaw_deg[0] > 300:
+        axes.set_xticks(range(-180, 181, 45))
+    return figure
+
+
+def _codes_figure(
+    codes: Classes, colours: Sequence[Rgb], resolution: float, origin: Pose2, box: CellBox | None
+) -> Figure:
+    """Draw cells by their codes, from -1 on; of a block of cells the largest code shows."""
+    pooled, side_m, corner = shown_cells(codes, resolution, origin, box)
+    rgb = np.array(colours, dtype=np.uint8)[pooled.astype(np.int16) + 1]
+    return _cells_figure(rgb, side_m, corner)
+
+
+def _cells_figure(rgb: npt.NDArray[np.uint8], side_m: float, corner: Pose2) -> Figure:
+    """Return the picture of an image of cells; see ``draw_cells``."""
+    figure, axes = map_axes(cells_extent(rgb.shape, side_m, corner), margin_m=0.0)
+    draw_cells(axes, rgb, side_m, corner)
+    return figure
+
+
+# --- pictures -------------------------------------------------------------------------------------
+
+
+def judged_picture(
+    stem: str, figure: Figure, title: str, alignment: Alignment, legend: Legend, lead: str = ""
+) -> Picture:
+    """Return the picture of an alignment, framed and marked if it was rejected."""
+    is_bad = not alignment.accepted
+    tone, badge = ("bad", "rejected") if is_bad else ("plain", "")
+    return Picture(stem, figure, title, f"{lead}{alignment.reason}", tone, badge, legend)
 
 
 def input_picture(
-    grid: OccupancyGrid, normalize: NormalizeConfig, *, caption: str = "", accepted: bool = True
+    grid: OccupancyGrid, normalize: NormalizeConfig, *, rejected: str | None = None
 ) -> Picture:
-    """Return one input in its own frame, framed and marked if it was rejected."""
+    """Return one input in its own frame, framed and marked if it was rejected for a reason."""
     classes = trinary_cells(grid.cells, normalize)
     size = f"{grid.width} x {grid.height} cells of {grid.resolution:g} m"
-    return Picture(
-        f"input-{grid.name}",
-        plots.map_picture(classes, grid.resolution, grid.origin),
-        grid.name,
-        f"{size}. {caption}" if caption else size,
-        tone="plain" if accepted else "bad",
-        badge="" if accepted else "rejected",
-        legend=plots.MAP_LEGEND,
-    )
+    figure = map_picture(classes, grid.resolution, grid.origin)
+    caption = size if rejected is None else f"{size}. Rejected: {rejected}"
+    tone, badge = ("plain", "") if rejected is None else ("bad", "rejected")
+    return Picture(f"input-{grid.name}", figure, grid.name, caption, tone, badge, MAP_LEGEND)
 
 
 def input_colours(names: Sequence[str]) -> dict[str, Rgb]:
@@ -65,30 +252,38 @@ def pair_overlay(
     None if they are too far apart to be drawn, or one of them is all unknown.
     """
     fixed, moved = trinary_cells(reference.cells, normalize), trinary_cells(moving.cells, normalize)
-    box = _common_box(reference, fixed, moving, moved, alignment.transform)
-    if box is None or box.area > _OVERLAY_CELLS:
+    own, other = known_box(fixed), known_box(moved)
+    if own is None or other is None:
+        return None
+    corners = [(col, row) for row in (other.row0, other.row1) for col in (other.col0, other.col1)]
+    points = moving.origin.transform(moving.resolution * np.array(corners, dtype=np.float64))
+    rows, cols = reference.cell_indices(alignment.transform.transform(points))
+    box = CellBox(
+        min(own.row0, int(rows.min())),
+        min(own.col0, int(cols.min())),
+        max(own.row1, int(rows.max()) + 1),
+        max(own.col1, int(cols.max()) + 1),
+    )
+    if box.area > _OVERLAY_CELLS:
         return None
     layers = [
         sample_on_lattice(fixed, reference, reference, box, Pose2()),
         sample_on_lattice(moved, moving, reference, box, alignment.transform),
     ]
-    corner = reference.origin.transform(
-        (box.col0 * reference.resolution, box.row0 * reference.resolution)
+    legend = {name: colours[name] for name in (reference.name, moving.name)}
+    figure = overlay_picture(
+        layers,
+        list(legend.values()),
+        reference.resolution,
+        box_origin(reference.origin, reference.resolution, box),
     )
-    origin = Pose2(float(corner[0]), float(corner[1]), reference.origin.yaw_rad)
-    return Picture(
+    return judged_picture(
         f"pair-{reference.name}-{moving.name}",
-        plots.overlay_picture(
-            layers,
-            [colours[grid.name] for grid in (reference, moving)],
-            reference.resolution,
-            origin,
-        ),
+        figure,
         f"{moving.name} on {reference.name}",
-        f"The best alignment found. {alignment.reason}",
-        tone="plain" if alignment.accepted else "bad",
-        badge="" if alignment.accepted else "rejected",
-        legend=tuple(LegendEntry(grid.name, colours[grid.name]) for grid in (reference, moving)),
+        alignment,
+        legend,
+        "The best alignment found. ",
     )
 
 
@@ -114,17 +309,19 @@ def pairs_section(
 def yaw_pictures(alignments: Sequence[Alignment]) -> list[Picture]:
     """Return the score over yaw of every alignment that kept it."""
     return [
-        Picture(
-            f"yaw-{alignment.moving}-{alignment.reference}",
-            plots.yaw_picture(alignment),
-            f"{alignment.moving} on {alignment.reference}",
-            alignment.reason,
-            tone="plain" if alignment.accepted else "bad",
-            badge="" if alignment.accepted else "rejected",
+        judged_picture(
+            f"yaw-{own.moving}-{own.reference}",
+            yaw_picture(own, own.yaw_profile),
+            f"{own.moving} on {own.reference}",
+            own,
+            {},
         )
-        for alignment in alignments
-        if alignment.yaw_profile is not None and len(alignment.yaw_profile)
+        for own in alignments
+        if own.yaw_profile is not None and len(own.yaw_profile)
     ]
+
+
+# --- tables ---------------------------------------------------------------------------------------
 
 
 def alignment_table(
@@ -252,28 +449,31 @@ def error_section(
 
 def difference_picture(evaluation: MapError, alignment: Alignment | None) -> Picture:
     """Return where a map differs from the truth; an alignment that was rejected is marked."""
-    is_placed = alignment is None or alignment.accepted
-    caption = f"Error {evaluation.error:.2f}."
-    if alignment is not None and not is_placed:
-        caption = f"Error {evaluation.error:.2f} at best: not aligned. {alignment.reason}"
-    colours = plots.DIFFERENCE_COLOURS.items()
-    return Picture(
-        f"difference-{evaluation.name}",
-        plots.difference_picture(evaluation.difference, evaluation.resolution, evaluation.origin),
-        f"{evaluation.name} against {evaluation.truth}",
-        caption,
-        tone="plain" if is_placed else "bad",
-        badge="" if is_placed else "not aligned",
-        legend=tuple(
-            LegendEntry(*entry) for code, entry in colours if (evaluation.difference == code).any()
-        ),
+    difference, caption, tone, badge = evaluation.difference, ".", "plain", ""
+    if alignment is not None and not alignment.accepted:
+        caption = f" at best: not aligned. {alignment.reason}"
+        tone, badge = "bad", "not aligned"
+    order = list(DIFFERENCES)
+    rank = np.zeros(len(order), dtype=np.int8)
+    rank[order] = np.arange(len(order), dtype=np.int8)
+    figure = _codes_figure(
+        rank[difference] - np.int8(1),
+        [colour for _, colour in DIFFERENCES.values()],
+        evaluation.resolution,
+        evaluation.origin,
+        CellBox(0, 0, *difference.shape),
     )
+    title = f"{evaluation.name} against {evaluation.truth}"
+    caption = f"Error {evaluation.error:.2f}{caption}"
+    legend = dict(own for code, own in DIFFERENCES.items() if (difference == code).any())
+    stem = f"difference-{evaluation.name}"
+    return Picture(stem, figure, title, caption, tone, badge, legend)
 
 
 def _error_table(
     title: str,
     evaluations: Sequence[MapError],
-    figures_of: Callable[[MapError], Sequence[tuple[Figure, float | None]]],
+    figures_of: Callable[[MapError], Sequence[tuple[Measure, float | None]]],
     note: str,
     alignments: Sequence[Alignment | None],
 ) -> Table:
@@ -293,32 +493,3 @@ def _error_table(
             tone = "best" if value == best is not None else "plain"
             row.append(number(value, figure.digits, tone))
     return Table(title, heads, rows, f"{note} The best of each column is green.")
-
-
-def _common_box(
-    reference: OccupancyGrid,
-    fixed: npt.NDArray[np.int8],
-    moving: OccupancyGrid,
-    moved: npt.NDArray[np.int8],
-    transform: Pose2,
-) -> CellBox | None:
-    """Return the box of the reference's lattice that holds what both maps know."""
-    own, other = known_box(fixed), known_box(moved)
-    if own is None or other is None:
-        return None
-    corners = moving.resolution * np.array(
-        [
-            (other.col0, other.row0),
-            (other.col1, other.row0),
-            (other.col0, other.row1),
-            (other.col1, other.row1),
-        ],
-        dtype=np.float64,
-    )
-    rows, cols = reference.cell_indices(transform.transform(moving.origin.transform(corners)))
-    return CellBox(
-        min(own.row0, int(rows.min())),
-        min(own.col0, int(cols.min())),
-        max(own.row1, int(rows.max()) + 1),
-        max(own.col1, int(cols.max()) + 1),
-    )

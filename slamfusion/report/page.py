@@ -23,7 +23,7 @@ from matplotlib.figure import Figure  # noqa: TID251
 
 from slamfusion.config import PICTURE_FORMS, RunConfig, to_mapping
 from slamfusion.io.files import AtomicFiles
-from slamfusion.report.canvas import LegendEntry, add_lettering, to_form
+from slamfusion.report.canvas import Legend, add_lettering, to_form
 from slamfusion.report.layers import Layers
 from slamfusion.slam.registry import with_producers
 from slamfusion.version import __version__, version_of, versions
@@ -31,7 +31,7 @@ from slamfusion.web.front import bundled, front_end
 
 T = TypeVar("T")
 
-_STEM_CHARACTERS = re.compile(r"[^A-Za-z0-9_-]+")
+_STEM = re.compile(r"[^A-Za-z0-9_-]+")
 _STEM_LENGTH = 40
 # Facts that are cards at the top.
 CARDS = 4
@@ -54,7 +54,7 @@ class Picture:
     caption: str = ""
     tone: str = "plain"
     badge: str = ""
-    legend: tuple[LegendEntry, ...] = ()
+    legend: Legend = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         add_lettering(self.figure, self.title, self.legend)
@@ -94,15 +94,6 @@ class Table:
     note: str = ""
     folded: bool = False
 
-    @property
-    def headings(self) -> list[Cell]:
-        """The columns, those of numbers marked."""
-        first = self.rows[0] if self.rows else [Cell("")] * len(self.columns)
-        return [
-            Cell(text, is_number=cell.is_number)
-            for text, cell in zip(self.columns, first, strict=True)
-        ]
-
     @classmethod
     def of(
         cls,
@@ -118,7 +109,13 @@ class Table:
         Args:
             columns: by heading, what returns the cell of an item: a text, a count, or a ``Cell``.
         """
-        rows = [[_cell(value(item)) for value in columns.values()] for item in items]
+        rows = [
+            [
+                own if isinstance(own, Cell) else Cell(str(own), is_number=isinstance(own, int))
+                for own in (value(item) for value in columns.values())
+            ]
+            for item in items
+        ]
         return cls(title, tuple(columns), rows, note, folded)
 
 
@@ -175,11 +172,6 @@ def number(value: float | None, digits: int = 3, tone: str = "plain") -> Cell:
     if value is None:
         return Cell("-", tone, is_number=True)
     return Cell(f"{value:.{digits}f}", tone, is_number=True)
-
-
-def _cell(value: Cell | str | int) -> Cell:
-    """Return a text or a count as a cell."""
-    return value if isinstance(value, Cell) else Cell(str(value), is_number=isinstance(value, int))
 
 
 def _circumstances(page: Page) -> Section:
@@ -247,33 +239,24 @@ def write_page(page: Page, directory: str | Path, files: AtomicFiles | None = No
     directory = Path(directory)
     sections = [*page.sections, _circumstances(page)]
     pictures = [picture for section in sections for picture in section.pictures]
-    numbers = {id(picture): index for index, picture in enumerate(pictures, start=1)}
+    # Each is a file name everywhere and no path anywhere.
+    stems = [_STEM.sub("-", picture.stem).strip("-")[:_STEM_LENGTH] for picture in pictures]
     names = {
-        id(picture): f"{numbers[id(picture)]:02d}-{_safe_stem(picture.stem)}.png"
-        for picture in pictures
+        picture: f"{number:02d}-{stem or 'picture'}.png"
+        for number, (picture, stem) in enumerate(zip(pictures, stems, strict=True), start=1)
     }
     has_layers = any(section.layers and section.layers.recorded for section in sections)
-    html = _template().render(
-        page=page,
-        cards=page.facts[:CARDS],
-        sections=sections,
-        script=_script() if has_layers else {},
-        names=names,
-        numbers=numbers,
-        identity=id,
-        made_at=dt.datetime.now(dt.timezone.utc).strftime("%Y-%m-%d %H:%M UTC"),
-        version=__version__,
-    )
     path = directory / "report.html"
     earlier = set(directory.glob("[0-9][0-9]-*.*")) if path.exists() else set()
     written = {
-        (directory / names[id(picture)]).with_suffix(f".{form}"): data
-        for picture in pictures
+        (directory / name).with_suffix(f".{form}"): data
+        for picture, name in names.items()
         for form, data in (
             ("png", picture.png),
             *((form, to_form(picture.figure, form)) for form in page.config.report.pictures),
         )
     }
+    html = _html(page=page, sections=sections, names=names, script=_script(is_used=has_layers))
     with contextlib.nullcontext(files) if files is not None else AtomicFiles() as whole:
         for picture_path, data in written.items():
             whole.add(picture_path, data)
@@ -284,15 +267,17 @@ def write_page(page: Page, directory: str | Path, files: AtomicFiles | None = No
     return path
 
 
-def _script() -> dict[str, str]:
+def _script(*, is_used: bool) -> dict[str, str]:
     """Return the front end of the maps and its digest; the page's policy allows no other script."""
+    if not is_used:
+        return {}
     text = bundled(_own_file("report.js"))
     digest = hashlib.sha256(text.encode()).digest()
     return {"text": Markup(text), "sha256": base64.b64encode(digest).decode("ascii")}  # noqa: S704
 
 
-def _template() -> jinja2.Template:
-    """Return the one template; every value in it is escaped."""
+def _html(**values: Any) -> str:
+    """Fill the one template; every value in it is escaped."""
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
@@ -304,16 +289,13 @@ def _template() -> jinja2.Template:
     }
     # Our own files, no values of the user's: the only texts that are not escaped, but for the
     # recorded layers, which contain no tag.
-    environment.globals |= {name: Markup(text) for name, text in ours.items()}  # noqa: S704
-    return environment.from_string(_own_file("report.html.j2"))
+    own = {name: Markup(text) for name, text in ours.items()}  # noqa: S704
+    now = dt.datetime.now(dt.timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
+    template = environment.from_string(_own_file("report.html.j2"))
+    return template.render(**values, **own, cards=CARDS, made_at=now, version=__version__)
 
 
 def _own_file(name: str) -> str:
     """Return the text of a file of the templates."""
     folder = importlib.resources.files("slamfusion.report") / "templates"
     return (folder / name).read_text(encoding="utf-8")
-
-
-def _safe_stem(stem: str) -> str:
-    """Return a name that is a file name everywhere and no path anywhere."""
-    return _STEM_CHARACTERS.sub("-", stem).strip("-")[:_STEM_LENGTH] or "picture"

@@ -1,7 +1,4 @@
-"""The pictures of trajectories: where they went, and how large their errors were on the way.
-
-See ``canvas`` for the look.
-"""
+"""The pictures of paths: where they went, and how large their errors were on the way."""
 
 from __future__ import annotations
 
@@ -10,26 +7,29 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib import colormaps  # noqa: TID251
 from matplotlib.axes import Axes  # noqa: TID251
 from matplotlib.collections import LineCollection  # noqa: TID251
-from matplotlib.colors import Colormap, LinearSegmentedColormap, Normalize  # noqa: TID251
+from matplotlib.colors import LinearSegmentedColormap, Normalize  # noqa: TID251
 from matplotlib.figure import Figure  # noqa: TID251
 
-from slamfusion.config import NormalizeConfig
+from slamfusion.config import NormalizeConfig, RunConfig
+from slamfusion.evaluation import TrajectoryErrors
 from slamfusion.fusion.path_check import moved_path
-from slamfusion.geometry import compose_poses
+from slamfusion.geometry import F64, compose_poses
 from slamfusion.grid import OccupancyGrid
 from slamfusion.palette import DISAGREEMENT_RGB, NAMED, Rgb, colours_of
-from slamfusion.report.canvas import INK, SMALL_PT, LegendEntry, unit_rgb
-from slamfusion.report.map_axes import (
+from slamfusion.report.canvas import (
+    INK,
+    MARKS,
+    SMALL_PT,
+    Extent,
+    Legend,
     draw_grid,
     draw_marks,
-    grid_extent,
     map_axes,
-    mark_legend,
-    path_extent,
+    place_extent,
+    unit_rgb,
 )
 from slamfusion.report.page import Picture
 from slamfusion.slam.common.mapper import Closure
@@ -47,6 +47,8 @@ _DRIFT_SHARE = 0.25
 # The alternatives are drawn faintly; where they coincide they add up.
 _OTHERS_OPACITY = 0.35
 _OTHERS_POINTS = 400_000
+# Closures of less weight than this are outliers.
+USED_FROM = 0.5
 
 
 def laid_on_start(odometry: Trajectory, path: Trajectory) -> Trajectory:
@@ -60,7 +62,7 @@ def path_picture(
     *,
     grid: OccupancyGrid | None = None,
     normalize: NormalizeConfig = _NORMALIZE,
-    values: npt.NDArray[np.float64] | None = None,
+    values: F64 | None = None,
 ) -> Figure:
     """Draw a path over the map that it belongs to, coloured by time or by an error.
 
@@ -68,25 +70,17 @@ def path_picture(
         trajectory: the path, in the frame of the map; at least one pose.
         values: (N,) float64, an error for each pose, metres; default: the time since the first.
     """
-    poses = trajectory.poses
-    extent = path_extent(poses)
-    if grid is not None:
-        extent = extent.grown(grid_extent(grid, normalize))
-    if values is None:
-        label = "time since the start [s]"
+    poses, span = trajectory.poses, _ERROR_SPAN
+    label, shown, scale = "error [m]", values, "YlOrRd"
+    if shown is None:
+        label, scale, span = "time since the start [s]", "plasma", _TIME_SPAN
         shown = trajectory.stamps_s - trajectory.stamps_s[0]
-        colours = _part(colormaps["plasma"], _TIME_SPAN)
-    else:
-        label, shown = "error [m]", np.asarray(values, dtype=np.float64)
-        colours = _part(colormaps["YlOrRd"], _ERROR_SPAN)
-    figure, axes = map_axes(extent, bar=True)
-    if grid is not None:
-        draw_grid(axes, grid, normalize)
-    top = float(shown.max()) or 1.0
+    figure, axes = map_axes(place_extent(poses, grid, normalize), bar=True)
+    draw_grid(axes, grid, normalize)
     lines = LineCollection(
         list(np.stack((poses[:-1, :2], poses[1:, :2]), axis=1)),
-        cmap=colours,
-        norm=Normalize(0.0, top),
+        cmap=LinearSegmentedColormap.from_list("part", colormaps[scale](np.linspace(*span, 256))),
+        norm=Normalize(0.0, float(shown.max()) or 1.0),
         linewidths=1.3,
         capstyle="round",
     )
@@ -151,16 +145,13 @@ def paths_picture(
         others: what else this path may have been, drawn faintly under the lines; cut off as drift.
     """
     shown = [other for other in others if len(other)]
-    extent = path_extent(marked.poses)
-    if grid is not None:
-        extent = extent.grown(grid_extent(grid, normalize))
+    extent = place_extent(marked.poses, grid, normalize)
     for line in sorted(lines, key=lambda line: line.is_cut):
-        extent = extent.grown(path_extent(line.path.poses), _DRIFT_SHARE if line.is_cut else None)
+        extent = extent.grown(Extent.of(line.path.poses), _DRIFT_SHARE if line.is_cut else None)
     for other in shown:
-        extent = extent.grown(path_extent(other.poses), _DRIFT_SHARE)
+        extent = extent.grown(Extent.of(other.poses), _DRIFT_SHARE)
     figure, axes = map_axes(extent)
-    if grid is not None:
-        draw_grid(axes, grid, normalize)
+    draw_grid(axes, grid, normalize)
     _draw_others(axes, shown, _others_rgb(marked.name))
     for line in lines:
         axes.plot(
@@ -175,18 +166,13 @@ def paths_picture(
     return figure
 
 
-def paths_legend(
-    lines: Sequence[Line], others: Sequence[Trajectory] = ()
-) -> tuple[LegendEntry, ...]:
+def paths_legend(lines: Sequence[Line], others: Sequence[Trajectory] = ()) -> Legend:
     """Return what the colours of ``paths_picture`` mean, the uppermost line first."""
-    entries = [LegendEntry(line.text, line.rgb) for line in reversed(lines)]
+    legend = {line.text: line.rgb for line in reversed(lines)}
     if others:
         text = f"{len(others)} other path{'s' if len(others) > 1 else ''}, faint"
-        entries.append(LegendEntry(text, _others_rgb(lines[-1].path.name)))
-    return (*entries, *mark_legend())
-
-
-# --- parts ---------------------------------------------------------------------------------------
+        legend[text] = _others_rgb(lines[-1].path.name)
+    return {**legend, **MARKS}
 
 
 def _others_rgb(name: str) -> Rgb:
@@ -204,15 +190,66 @@ def _draw_others(axes: Axes, others: Sequence[Trajectory], rgb: Rgb) -> None:
     axes.add_collection(LineCollection(lines, colors=[colour], linewidths=0.7), autolim=False)
 
 
-def _part(colours: Colormap, span: tuple[float, float]) -> Colormap:
-    """Return a part of a colour scale as a whole one."""
-    return LinearSegmentedColormap.from_list("part", colours(np.linspace(*span, 256)))
+def path_pictures(
+    trajectory: Trajectory,
+    *,
+    config: RunConfig,
+    grid: OccupancyGrid | None = None,
+    errors: TrajectoryErrors | None = None,
+    truth: Trajectory | None = None,
+    odometry: Trajectory | None = None,
+    others: Sequence[Trajectory] = (),
+) -> list[Picture]:
+    """Return the path by time, by its error, and with the truth and raw odometry.
 
-
-# --- the pose graph -------------------------------------------------------------------------------
-
-
-USED_FROM = 0.5
+    Args:
+        trajectory: the estimate, in the frame of ``grid``.
+        errors: align the truth with the estimate; without them the truth is left out.
+        truth: the true path, in its own frame.
+        odometry: raw odometry, in its own frame; it is aligned with the estimate's start.
+        others: alternatives that the SLAM still considered.
+    """
+    normalize = config.fusion.normalize
+    pictures = [
+        Picture(
+            "path",
+            path_picture(trajectory, grid=grid, normalize=normalize),
+            "The path over the map" if grid is not None else "The path",
+            f"{len(trajectory)} poses, {trajectory.path_length_m():.1f} m.",
+            legend=MARKS,
+        )
+    ]
+    lines, captions = [estimate_line(trajectory)], []
+    if odometry is not None and len(odometry):
+        lines.insert(0, odometry_line(laid_on_start(odometry, trajectory)))
+        captions.append("Raw odometry is aligned with the start; its far drift is cut off.")
+    if truth is not None and errors is not None:
+        lines.append(truth_line(moved_path(truth, errors.pose_truth_estimate.inverse())))
+        captions.append("The truth is aligned with the whole estimate.")
+    if others:
+        captions.append("Faint: alternatives of the SLAM; where they spread, it is uncertain.")
+    if captions:
+        pictures.append(
+            Picture(
+                "paths",
+                paths_picture(lines, trajectory, others=others, grid=grid, normalize=normalize),
+                "The path and others",
+                " ".join(captions),
+                legend=paths_legend(lines, others),
+            )
+        )
+    if errors is not None:
+        aligned = Trajectory(errors.stamps_s, errors.aligned, errors.name)
+        figure = path_picture(
+            moved_path(aligned, errors.pose_truth_estimate.inverse()),
+            grid=grid,
+            normalize=normalize,
+            values=errors.translation_m,
+        )
+        caption = "The estimated path, coloured by the distance from the true place."
+        where = Picture("error-on-path", figure, "Where the error is", caption)
+        pictures.append(where)
+    return pictures
 
 
 def closures_picture(
@@ -228,7 +265,7 @@ def closures_picture(
         path: in the frame of the map; at least one pose.
         closures: of the graph, at least one; times beyond the path's count as its ends.
     """
-    figure, axes = map_axes(path_extent(path.poses).grown(grid_extent(grid, normalize)))
+    figure, axes = map_axes(place_extent(path.poses, grid, normalize))
     draw_grid(axes, grid, normalize)
     own, used, outlier = (*colours_of((path.name, "closures")).values(), DISAGREEMENT_RGB)
     still: dict[str, Any] = {"scalex": False, "scaley": False}
@@ -264,5 +301,5 @@ def closures_picture(
         figure,
         "The loop closures",
         "A line leads to where a closure has the robot; a long one contradicts the path.",
-        legend=(*map(LegendEntry, texts, (own, used, outlier)), *mark_legend()),
+        legend={**dict(zip(texts, (own, used, outlier), strict=True)), **MARKS},
     )

@@ -57,8 +57,7 @@ def test_layers_hold_every_map_where_it_was_laid() -> None:
         assert layer["anchor"] == [grid.origin.x, grid.origin.y, grid.origin.yaw_rad]
         # In the colour that it has on the overlay, and the path with it.
         if layer["name"] in rooms:
-            legend = {entry.text: entry.rgb for entry in overlay.legend}
-            assert tuple(layer["colours"]["wall"]) == legend[layer["name"]], layer["name"]
+            assert tuple(layer["colours"]["wall"]) == overlay.legend[layer["name"]], layer["name"]
     (status,) = messages["status"]
     votes = {item["name"]: item["votes"] for item in status["inputs"]}
     assert votes == {**dict.fromkeys(rooms, True), NASTY: False}

@@ -34,7 +34,7 @@ def test_the_overlay_of_a_rejected_pair_is_marked() -> None:
     )
     assert picture is not None
     assert (picture.tone, picture.badge) == ("bad", "rejected")
-    assert {entry.text: entry.rgb for entry in picture.legend} == COLOURS
+    assert picture.legend == COLOURS
 
 
 def test_an_input_has_no_colour_of_another_nor_of_the_fused_map() -> None:

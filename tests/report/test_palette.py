@@ -26,7 +26,7 @@ from slamfusion.palette import (
     Rgb,
     colours_of,
 )
-from slamfusion.report import plots
+from slamfusion.report import maps as plots
 from tests.cli.command import ROOT
 
 pytestmark = pytest.mark.once
@@ -76,9 +76,7 @@ def distance(one: Rgb, two: Rgb, sight: str) -> float:
 TOGETHER = {
     "layers and paths": (*NAMED.values(), *OTHERS, DISAGREEMENT_RGB, FREE_RGB),
     "start and end": (START_RGB, END_RGB),
-    "difference": tuple(
-        rgb for text, rgb in plots.DIFFERENCE_COLOURS.values() if text.endswith("wall")
-    ),
+    "difference": tuple(rgb for text, rgb in plots.DIFFERENCES.values() if text.endswith("wall")),
 }
 
 

@@ -101,7 +101,7 @@ def test_every_path_has_its_colour() -> None:
     assert heights == sorted(heights)
     # Dashed: of the same path less is drawn.
     assert near(image, NAMED["truth"]).sum() < 0.75 * near(image, ESTIMATE).sum()
-    legend = [entry.text for entry in paths.paths_legend(lines)]
+    legend = list(paths.paths_legend(lines))
     assert legend[:3] == ["truth, dashed", "estimate", "raw odometry"]
 
 

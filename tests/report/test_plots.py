@@ -10,8 +10,9 @@ import numpy.typing as npt
 import pytest
 
 from slamfusion.geometry import Pose2
+from slamfusion.grid import OccupancyGrid
 from slamfusion.palette import DISAGREEMENT_RGB, colours_of
-from slamfusion.report import plots
+from slamfusion.report import maps as plots
 from tests.report.drawn import pixels
 
 WALL = (18, 22, 28)
@@ -59,7 +60,7 @@ def test_agreeing_layers_are_walls_and_single_ones_keep_their_colour(count: int)
 def test_full_agreement_is_white_and_the_worst_cell_of_a_block_shows() -> None:
     agreement = np.full((3000, 3000), 100, dtype=np.int8)
     agreement[1500, 1500] = 33
-    image = pixels(plots.agreement_picture(agreement, 0.05, Pose2()))
+    image = pixels(plots.agreement_picture(OccupancyGrid(agreement, 0.05)))
     assert (image == plots.agreement_colour(33)).all(axis=2).any()
     assert plots.agreement_colour(100) == (255, 255, 255)
 

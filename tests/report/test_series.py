@@ -9,7 +9,7 @@ import numpy.typing as npt
 import pytest
 
 from slamfusion.palette import Rgb
-from slamfusion.report.series import broken, drawable, series_picture
+from slamfusion.report.errors import broken, drawable, series_picture
 from slamfusion.slam.common.mapper import Series
 from tests.report.drawn import pixels
 

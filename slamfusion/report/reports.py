@@ -1,0 +1,385 @@
+"""The reports of a SLAM's run, of paths and maps against a truth, and of paths by their scans."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import zip_longest
+from pathlib import Path
+
+from slamfusion.align.records import Alignment
+from slamfusion.config import PICTURE_FORMS, RunConfig
+from slamfusion.errors import MapFileError
+from slamfusion.evaluation import MapError, RelationErrors, trajectory_errors
+from slamfusion.evidence.predictive import PathEvidence
+from slamfusion.evidence.recommendation import Recommendation
+from slamfusion.fusion.path_check import moved_path
+from slamfusion.grid import OccupancyGrid
+from slamfusion.io.files import AtomicFiles, write_atomic
+from slamfusion.palette import Rgb, colours_of
+from slamfusion.report.canvas import to_form
+from slamfusion.report.errors import (
+    MeasuredPath,
+    drawable,
+    error_facts,
+    errors_section,
+    series_picture,
+)
+from slamfusion.report.evidence import evidence_section, path_colours, place_lines, strip_picture
+from slamfusion.report.layers import error_layers, map_layers
+from slamfusion.report.maps import (
+    alignment_table,
+    difference_picture,
+    error_section,
+    input_picture,
+    statistics_table,
+    yaw_pictures,
+)
+from slamfusion.report.page import (
+    Banner,
+    Cell,
+    Fact,
+    Page,
+    Picture,
+    Section,
+    Table,
+    number,
+    write_page,
+)
+from slamfusion.report.paths import (
+    Line,
+    closures_picture,
+    path_pictures,
+    paths_legend,
+    paths_picture,
+    truth_line,
+)
+from slamfusion.slam.common.runner import ProducerRun
+from slamfusion.trajectory import Trajectory
+
+# --- a SLAM's run ---------------------------------------------------------------------------------
+
+
+def write_slam_report(
+    directory: str | Path,
+    run: ProducerRun,
+    *,
+    config: RunConfig,
+    facts: Sequence[Fact] = (),
+    tables: Sequence[Table] = (),
+    truth: Trajectory | None = None,
+    relations: RelationErrors | None = None,
+    device: str = "",
+    files: AtomicFiles | None = None,
+) -> Path:
+    """Write the report of a producer's run as one self-contained page with its pictures.
+
+    Args:
+        directory, files: see ``write_page``, also for what is returned and raised.
+        run: what was made; its path has at least one pose. The first of the other paths of a
+            producer with closures is the path as it was first reported.
+        facts: health and timing, for the headline, in this order.
+        truth: the true path; its errors are computed as ``config.trajectory`` says.
+        relations: the trajectory's errors on known relations.
+
+    Raises:
+        TrajectoryError: the truth does not meet the trajectory in time.
+    """
+    normalize, warnings = config.fusion.normalize, run.warnings()
+    grid, trajectory, errors = run.grid, run.trajectory, None
+    if truth is not None:
+        errors = trajectory_errors(trajectory, truth, config.trajectory)
+    pictures = [
+        input_picture(grid, normalize),
+        *path_pictures(
+            trajectory,
+            config=config,
+            grid=grid,
+            errors=errors,
+            truth=truth,
+            odometry=run.odometry,
+            others=run.other_paths,
+        ),
+    ]
+    if run.closures:
+        pictures.append(closures_picture(trajectory, run.closures, grid=grid, normalize=normalize))
+    tables_of_map = [statistics_table([grid], normalize)]
+    layers = map_layers(grid, trajectory)
+    sections = [Section("Map and path", "", pictures, tables_of_map, layers=layers)]
+    measured = MeasuredPath(run.name, trajectory, errors, relations)
+    sections += errors_section([measured], colours_of([run.name]))
+    over_time = _series_pictures(run)
+    if tables or over_time:
+        health = Section("Health and time", pictures=over_time, tables=tables)
+        sections.append(health)
+    judged = "its map may be wrong" if warnings else "no warning from its run"
+    size = f"{len(trajectory)} poses, {trajectory.path_length_m():.1f} m"
+    lines = [(f"{run.name}:", sentence) for sentence in warnings]
+    banner = Banner("warn" if warnings else "plain", f"{run.name}: {judged} ({size})", lines)
+    shown = [*error_facts(measured), *facts]
+    page = Page("SLAMfusion run", banner, shown, sections, config, device)
+    return write_page(page, directory, files)
+
+
+def _series_pictures(run: ProducerRun) -> list[Picture]:
+    """Return the quantities over time as one picture; nothing where none has a value."""
+    shown = drawable(run.series)
+    if not shown:
+        return []
+    names, path = ", ".join(item.name for item in shown), run.trajectory
+    colour = colours_of([path.name])[path.name]
+    figure = series_picture(shown, colours=[colour] * len(shown), start_s=float(path.stamps_s[0]))
+    return [Picture("over-time", figure, "Over the run", f"From the top: {names}.")]
+
+
+# --- paths ----------------------------------------------------------------------------------------
+
+
+def write_trajectory_report(
+    directory: str | Path,
+    cases: Mapping[str, Sequence[MeasuredPath]],
+    *,
+    config: RunConfig,
+    truths: Mapping[str, Trajectory],
+    odometry: Trajectory | None = None,
+    grid: OccupancyGrid | None = None,
+    files: AtomicFiles | None = None,
+) -> Path:
+    """Write the errors of paths as one self-contained page with its pictures.
+
+    Args:
+        directory, files: see ``write_page``, also for what is returned and raised.
+        cases: by case its paths, at least one.
+        odometry: of a single path, where the wheels alone would have gone.
+        grid: a map in the frame of a single path, drawn under it.
+    """
+    sections, by_path, lines = [], [], []
+    is_one = len(cases) == 1
+    colours = colours_of(item.name for own in cases.values() for item in own)
+    for case, measured in cases.items():
+        truth = truths.get(case)
+        if len(measured) == 1:
+            (item,) = measured
+            pictures = path_pictures(
+                item.path,
+                config=config,
+                grid=grid,
+                errors=item.truth,
+                truth=truth,
+                odometry=odometry,
+            )
+        else:
+            pictures = [_paths_over_truth(case, measured, truth, colours)]
+        title = f"The path{'s' if len(measured) > 1 else ''}"
+        sections.append(Section(title if is_one else f"{case}: {title}", "", pictures))
+        sections += errors_section(measured, colours, "" if is_one else case)
+        by_path += [error_facts(item) for item in measured]
+        words: dict[str, list[str]] = {}
+        for item in measured:
+            words.setdefault(_how_counted(item), []).append(item.name)
+        lines += [(f"{case}, {', '.join(names)}:", text) for text, names in words.items()]
+    # The leading error of each path comes first.
+    facts = [fact for row in zip_longest(*by_path) for fact in row if fact is not None]
+    measured = [item for own in cases.values() for item in own]
+    if len(measured) == 1:
+        facts += [
+            Fact(f"{len(measured[0].path)}", "poses"),
+            Fact(f"{measured[0].path.path_length_m():.1f} m", "travelled by the estimate"),
+        ]
+    banner = Banner("plain", _headline(cases), lines)
+    page = Page("SLAMfusion trajectory", banner, facts, sections, config, "none needed")
+    return write_page(page, directory, files)
+
+
+def _paths_over_truth(
+    case: str,
+    measured: Sequence[MeasuredPath],
+    truth: Trajectory | None,
+    colours: Mapping[str, Rgb],
+) -> Picture:
+    """Draw all paths of a case, each aligned with the truth as its errors are."""
+    lines = []
+    for item in measured:
+        path = item.path
+        if item.truth is not None:
+            path = moved_path(path, item.truth.pose_truth_estimate)
+        lines.append(Line(path, item.name, colours[item.name], 1.0))
+    marked = lines[0].path
+    if truth is not None:
+        lines.append(truth_line(truth))
+        marked = truth
+    return Picture(
+        f"{case}-paths",
+        paths_picture(lines, marked),
+        f"{case}: all paths" + (" over the truth" if truth is not None else ""),
+        "Each path is aligned with the truth as a whole." if truth is not None else "",
+        legend=paths_legend(lines),
+    )
+
+
+def _headline(cases: Mapping[str, Sequence[MeasuredPath]]) -> str:
+    """Name the path with the smallest error; of several cases the number of paths."""
+    measured = [item for own in cases.values() for item in own]
+    truth = {item.name: item.truth.ate.rmse for item in measured if item.truth is not None}
+    known = {
+        item.name: item.relations.translation.mean
+        for item in measured
+        if item.relations is not None
+    }
+    if len(cases) > 1 or not (truth or known):
+        return f"{len(measured)} paths of {len(cases)} cases"
+    errors_m = truth or known
+    best = min(errors_m, key=errors_m.__getitem__)
+    kind = "from the truth (ATE rmse)" if truth else "off the relations (mean)"
+    place = f", the nearest of {len(errors_m)}" if len(errors_m) > 1 else ""
+    return f"{best}: {errors_m[best]:.4f} m {kind}{place}"
+
+
+def _how_counted(item: MeasuredPath) -> str:
+    """Return which poses and relations the numbers rest on."""
+    words = []
+    if item.relations is not None:
+        own = item.relations
+        words.append(
+            f"{own.relations_used} of {own.relations_total} of {own.relations}, poses within "
+            f"{own.tolerance_s:g} s of both times."
+        )
+    if item.truth is not None:
+        errors = item.truth
+        aligned = "aligned" if errors.alignment.kind == "se2" else "not aligned"
+        words.append(
+            f"{errors.poses_matched} of {errors.poses} poses have one of {errors.truth} within "
+            f"{errors.tolerance_s:g} s; {aligned}."
+        )
+    return " ".join(words)
+
+
+# --- maps -----------------------------------------------------------------------------------------
+
+
+def write_evaluation_report(
+    evaluations: Sequence[MapError],
+    directory: str | Path,
+    *,
+    config: RunConfig,
+    alignments: Sequence[Alignment | None] = (),
+    device: str = "",
+    files: AtomicFiles | None = None,
+) -> Path:
+    """Write how maps differ from a truth as one self-contained page with its pictures.
+
+    Args:
+        evaluations: at least one map, all against one truth.
+        directory, files: see ``write_page``, also for what is returned and raised.
+        alignments: the alignment with the truth that each evaluation rests on, in the same order,
+            None if the map was not moved; a rejected one is named at the top.
+
+    Raises:
+        ValueError: there is no evaluation.
+    """
+    if not evaluations:
+        raise ValueError("an evaluation report needs at least one evaluated map")
+    section = error_section(evaluations, alignments)
+    sections = [replace(section, layers=error_layers(evaluations))]
+    searched = [alignment for alignment in alignments if alignment is not None]
+    if searched:
+        tables = alignment_table("Alignment to the truth", searched)
+        sections.append(Section("Alignment", "", yaw_pictures(searched), tables))
+    lost = [
+        (f"{alignment.moving} could not be aligned:", alignment.reason)
+        for alignment in searched
+        if not alignment.accepted
+    ]
+    best, truth = min(evaluations, key=lambda item: item.error), evaluations[0].truth
+    is_one = len(evaluations) == 1
+    headline = f"{best.name} against {truth}" if is_one else f"{best.name} is nearest to {truth}"
+    facts = [
+        Fact(
+            f"{item.error:.2f}",
+            f"error of {item.name} [F16]",
+            "good" if item.error == best.error and not is_one else "plain",
+        )
+        for item in evaluations
+    ]
+    banner = Banner("warn" if lost else "good", headline, lost)
+    page = Page("SLAMfusion evaluation", banner, facts, sections, config, device)
+    return write_page(page, directory, files)
+
+
+def write_difference_image(
+    evaluation: MapError, path: str | Path, files: AtomicFiles | None = None
+) -> None:
+    """Write the difference to the truth as one picture, in the colours of the report.
+
+    Args:
+        path: of the picture; its suffix says the form.
+
+    Raises:
+        MapFileError: the file is not called ``.png``, ``.svg`` or ``.pdf``, or cannot be written.
+    """
+    path = Path(path)
+    form = path.suffix.lower().removeprefix(".")
+    if form not in PICTURE_FORMS:
+        raise MapFileError(f"{path}: wanted a name that ends in .{', .'.join(PICTURE_FORMS)}")
+    picture = difference_picture(evaluation, None)
+    write_atomic(path, to_form(picture.figure, form), files=files)
+
+
+# --- paths by their scans -------------------------------------------------------------------------
+
+
+def write_judge_report(
+    answer: Recommendation,
+    evidence: PathEvidence,
+    directory: str | Path,
+    *,
+    log: str,
+    config: RunConfig,
+    errors_m: Mapping[str, Mapping[str, float]] | None = None,
+    not_measured: Sequence[str] = (),
+    device: str = "",
+    files: AtomicFiles | None = None,
+) -> Path:
+    """Write which path to use as one self-contained page with its pictures.
+
+    Args:
+        directory, files: see ``write_page``, also for what is returned and raised.
+        errors_m: by what they are (ATE, relations), the errors of the paths by name, metres; a path
+            that could not be measured is missing.
+        not_measured: what could not be measured, a sentence each.
+    """
+    strip = strip_picture(answer, path_colours(answer, evidence, {}))
+    sections = [Section("Over the drive", "", [strip]), evidence_section(answer, evidence)]
+    known = {name: errors for name, errors in (errors_m or {}).items() if errors}
+    if known:
+        sections.append(_errors_section(answer, known))
+    lines = place_lines(answer)
+    lines += [("Not measured:", sentence) for sentence in not_measured]
+    banner = Banner(answer.tone, answer.headline, [*lines, ("Log:", log)])
+    facts = [
+        Fact(
+            f"{path.consistency:.3f}",
+            f"log-likelihood of a hit, {path.name}",
+            "good" if path.behind_95 is None else "plain",
+        )
+        for path in answer.paths
+    ]
+    page = Page("SLAMfusion judge", banner, facts, sections, config, device)
+    return write_page(page, directory, files)
+
+
+def _errors_section(answer: Recommendation, errors_m: Mapping[str, Mapping[str, float]]) -> Section:
+    """Return the errors of the paths, in the order that the scans put them in."""
+    ranks = {name: sorted(errors, key=errors.__getitem__) for name, errors in errors_m.items()}
+    columns = ["path", *(word for name in errors_m for word in (f"{name} [m]", "rank"))]
+    rows = []
+    for path in answer.paths:
+        row = [Cell(path.name)]
+        for name, errors in errors_m.items():
+            row.append(number(errors.get(path.name), 4))
+            rank = ranks[name].index(path.name) + 1 if path.name in errors else None
+            row.append(number(rank, 0))
+        rows.append(row)
+    table = Table("Errors of the paths", columns, rows, "The recommended path first.")
+    what = "The order by the scans next to the errors against the truth or known relations."
+    return Section("Compared with what is known", what, tables=[table])
