@@ -14,7 +14,7 @@ from slamfusion.config import LogConfig
 from slamfusion.deskew import Deskewer
 from slamfusion.errors import TrajectoryError
 from slamfusion.io import LogScan
-from slamfusion.jobs.live_drive import DriveSolution, LiveDrive, Pace
+from slamfusion.jobs.live_drive import DriveSolution, LiveDrive, LocatedPose, Pace
 from slamfusion.ros import messages, qos
 from slamfusion.ros.base import Worker
 from slamfusion.ros.input_health import MAP_SUFFIX, HeardPose, MapSource
@@ -66,6 +66,10 @@ class DriveInput:
     def put_pose(self, name: str, heard: HeardPose) -> None:
         """Take a pose of an input."""
         self._drive.add_pose(name, messages.stamp_s(heard.stamp), heard.pose)
+
+    def locate(self, name: str, heard: HeardPose) -> LocatedPose | None:
+        """Return where a new pose of an input has the robot; see ``LiveDrive.locate``."""
+        return self._drive.locate(name, messages.stamp_s(heard.stamp), heard.pose)
 
     def forget(self) -> None:
         """Let a new drive start."""
@@ -138,6 +142,7 @@ class DriveInput:
         if solution is None:
             return
         self.solution = solution
+        self._drive.take(solution)
         self._on_solution(solution)
         if self._path_topic.get_subscription_count():
             stamp = messages.to_stamp(float(solution.path.stamps_s[-1]))

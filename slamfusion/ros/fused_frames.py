@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator
 from typing import TYPE_CHECKING, Any
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
@@ -31,7 +31,8 @@ STEP_NS = 1000
 POSE_FRESH_S = 2.0
 # publish_tf that has sent nothing for so long since an input votes is named, seconds.
 TF_LATE_S = 5.0
-# A correction of fused_map -> odom that takes longer is named, seconds.
+# A correction of fused_map -> odom that takes longer is named, and so is a longer time in which no
+# scan matches, seconds.
 LONG_S = 2.0
 
 
@@ -97,9 +98,9 @@ class FusedFrames:
     A voter's transform goes out with every pose of it, at that pose's stamp; those without poses
     get the newest stamp of anything heard. The pose is that of the healthiest voter: the reference,
     or else the best score; it stays with one until that one votes no more or is silent. Where the
-    scans support an input, the motion that carries its newest poses onto the fused path places the
-    pose. The stamps of each of them only grow, see ``_fresh``. The transform to the odometry frame
-    is sent at stamps of the odometry, see ``OdomFrame``.
+    scans support it, the scan is matched to the walls along the fused path from there. The stamps
+    of each of them only grow, see ``_fresh``. The transform to the odometry frame is sent at stamps
+    of the odometry, see ``OdomFrame``.
 
     Attributes:
         leader: name of the input whose pose is taken; empty without.
@@ -110,9 +111,11 @@ class FusedFrames:
         self._node = node
         self._odometry = odometry or TransformStore()
         self._children = ChildFrames([node.settings.fused_frame])
-        # What is fused now, and the corrections by the scans; and the state that was sent last.
+        # What is fused now, and what was sent last; the inputs that the scans support; and since
+        # when no scan matches the fused path, a stamp.
         self._state = self._sent_state = FusionState()
-        self._corrections: Mapping[str, Pose2] = {}
+        self._supported: Collection[str] = ()
+        self._unmatched_s: float | None = None
         self._newest_s: float | None = None
         # The last stamp and what was sent with it: by child frame, and of the fused pose.
         self._sent: dict[str, tuple[int, Pose2]] = {}
@@ -198,30 +201,35 @@ class FusedFrames:
     def _read(self) -> None:
         """Take what is fused now, and what the scans support."""
         self._state, solution = self._node.session.snapshot, self._node.drive.solution
-        self._corrections = {} if solution is None else solution.supported
+        self._supported = () if solution is None else solution.supported
 
     def _send(self, source: MapSource, heard: HeardPose, *, is_revised: bool) -> None:
         """Send what a pose means; ``is_revised``: it was sent before, and may mean another now."""
         settings, live = self._node.settings, self._node.live
         transform = self._state.transform(source.name)
-        place = self._corrections.get(source.name, transform)
-        if place is None:
+        if transform is None and source.name not in self._supported:
             return
         stamp_s = messages.stamp_s(heard.stamp)
         self._note(stamp_s)
         if transform is not None:
             self._send_frame(source, transform, heard.stamp)
         self.leader = self._choose()
-        pose = place.compose(heard.pose)
-        if not is_revised:
-            stamp_ns = messages.stamp_ns(heard.stamp)
-            self._spread.hear(self.leader, source.name, stamp_ns, pose)
-        if source.name != self.leader:
+        is_leader = source.name == self.leader
+        located = self._node.drive.locate(source.name, heard) if is_leader else None
+        if located is not None:
+            pose, covariance = located.pose, located.covariance
+            self._name_unmatched(stamp_s, is_matched=located.is_matched)
+        elif transform is not None:
+            pose = transform.compose(heard.pose)
+            if not is_revised:
+                stamp_ns = messages.stamp_ns(heard.stamp)
+                self._spread.hear(self.leader, source.name, stamp_ns, pose)
+            alone = live.pose_apart_m, live.pose_apart_rad
+            covariance = self._spread.covariance(stamp_s, *alone)
+        if not is_leader:
             return
         stamp = self._fresh(POSE_TOPIC, heard.stamp, pose, is_revised=is_revised)
         if stamp is not None:
-            alone = live.pose_apart_m, live.pose_apart_rad
-            covariance = self._spread.covariance(messages.stamp_s(stamp), *alone)
             self._pose_topic.publish(
                 messages.sure_pose_to_message(pose, covariance, settings.fused_frame, stamp)
             )
@@ -254,7 +262,7 @@ class FusedFrames:
         fresh = {
             name: record
             for name, record in self._state.inputs.items()
-            if (record.accepted or name in self._corrections)
+            if (record.accepted or name in self._supported)
             and (source := sources.get(name)) is not None
             and source.pose is not None
             and now_s - source.pose.heard_s < POSE_FRESH_S
@@ -298,6 +306,17 @@ class FusedFrames:
         )
         is_long = away_m > LONG_S * speed or turn_rad > LONG_S * turn
         diagnostics.say("correction", text if is_long else None)
+
+    def _name_unmatched(self, stamp_s: float, *, is_matched: bool) -> None:
+        """Name that no scan has matched the walls along the fused path for long."""
+        if is_matched or self._unmatched_s is None:
+            self._unmatched_s = stamp_s
+        since_s = self._unmatched_s
+        text = (
+            f"no scan since stamp {since_s:.1f} s matches the walls along the fused path: the pose "
+            f"goes by {self.leader} alone"
+        )
+        self._node.diagnostics.say("match", text if stamp_s - since_s > LONG_S else None)
 
     # --- what is wrong with frames -----------------------------------------------------------
 

@@ -136,8 +136,8 @@ TOPICS = (
         ("fusion",),
         (),
         STREAM,
-        "the robot in fused_map: by the fused path where scans are heard, else by the healthiest "
-        "producer; its covariance is the spread of the voters' poses",
+        "the robot in fused_map: matched to the walls along the fused path where scans are heard, "
+        "else by the healthiest producer, with the spread of the voters' poses as covariance",
     ),
     Topic(
         "fused/path",
