@@ -5,12 +5,14 @@ from __future__ import annotations
 import inspect
 import math
 import pkgutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import click
 
-from slamfusion.errors import unknown
+from slamfusion.cli.output import one_line
+from slamfusion.errors import SlamFusionError, unknown
 
 # The groups of a command's options: names, and the sections of settings whose options they hold.
 GROUPS: Mapping[str, Sequence[str]] = {
@@ -226,3 +228,51 @@ class Group(Command, click.Group):
         super().format_options(ctx, formatter)
         with formatter.section("Commands"):
             formatter.write_dl(self.summaries())
+
+
+class ProducerGroup(Group):
+    """A group with a command for each producer of the registry, and for a few others.
+
+    Args:
+        make: returns the command of a name.
+        others: by name, what they do.
+    """
+
+    def __init__(
+        self,
+        *args: Any,
+        make: Callable[[str], click.Command],
+        others: Mapping[str, str] = MappingProxyType({}),
+        **named: Any,
+    ) -> None:
+        super().__init__(*args, **named)
+        self.make, self.others = make, others
+
+    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
+        """Return the names of the producers, then the others."""
+        from slamfusion.slam.registry import producer_names  # noqa: PLC0415  (loads slowly)
+
+        return [*producer_names(), *self.others]
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Make a command; None where there is none of this name.
+
+        Raises:
+            SlamFusionError: the package that offers the producer is broken.
+        """
+        from slamfusion.slam.registry import BUILT_IN  # noqa: PLC0415  (loads slowly)
+
+        known = cmd_name in (*self.others, *BUILT_IN) or cmd_name in self.list_commands(ctx)
+        return self.make(cmd_name) if known else None
+
+    def summaries(self) -> list[tuple[str, str]]:
+        """Return each name and what it is; of a broken producer, what is wrong with it."""
+        from slamfusion.slam.registry import producer, producer_names  # noqa: PLC0415
+
+        rows = []
+        for name in producer_names():
+            try:
+                rows.append((name, producer(name).summary))
+            except SlamFusionError as error:
+                rows.append((name, f"BROKEN: {one_line(str(error))}"))
+        return [*rows, *self.others.items()]

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import click
 
-from slamfusion.cli.help import Command, Group
+from slamfusion.cli.help import Command, ProducerGroup
 from slamfusion.errors import SlamFusionError
 
 # The nodes that are no producer's: the module, which has ``make_node(kind)``, and a summary.
@@ -24,44 +24,6 @@ ABSENT = (
     "rclpy cannot be imported ({}); source a ROS 2 Jazzy, or without one "
     "pip install 'slamfusion[ros]'"
 )
-
-
-class _Nodes(Group):
-    """A command for each node: the producers of the registry, then the others."""
-
-    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
-        """Return the names of the nodes."""
-        from slamfusion.slam.registry import producer_names  # noqa: PLC0415  (loads slowly)
-
-        return [*producer_names(), *NODES]
-
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Return the command of one node; None if there is none of this name."""
-        from slamfusion.slam.registry import BUILT_IN  # noqa: PLC0415  (loads slowly)
-
-        known = cmd_name in (*NODES, *BUILT_IN) or cmd_name in self.list_commands(ctx)
-        return _make_command(cmd_name) if known else None
-
-    def summaries(self) -> list[tuple[str, str]]:
-        """Return each node and what it does; of a broken producer, what is wrong with it."""
-        from slamfusion.cli.slam import producer_summaries  # noqa: PLC0415  (loads slowly)
-
-        return [*producer_summaries(), *((name, text) for name, (_, text) in NODES.items())]
-
-
-@click.group(
-    "node",
-    cls=_Nodes,
-    examples=["node graph", "node fusion --ros-args -p page:=true"],
-    subcommand_metavar="NAME [--ros-args ...]",
-)
-def command() -> None:
-    """Run a ROS 2 node.
-
-    Parameters, names and remappings follow --ros-args as with `ros2 run`: -p rate:=2.0
-    -r scan:=front/scan -r __ns:=/robot1 --params-file FILE. `node NAME --help` lists the topics and
-    parameters of a node.
-    """
 
 
 class _Node(Command):
@@ -118,6 +80,23 @@ def _make_command(name: str) -> click.Command:
 
     run.help = f"Run the ROS 2 node {name}."
     return run
+
+
+@click.group(
+    "node",
+    cls=ProducerGroup,
+    make=_make_command,
+    others={name: text for name, (_, text) in NODES.items()},
+    examples=["node graph", "node fusion --ros-args -p page:=true"],
+    subcommand_metavar="NAME [--ros-args ...]",
+)
+def command() -> None:
+    """Run a ROS 2 node.
+
+    Parameters, names and remappings follow --ros-args as with `ros2 run`: -p rate:=2.0
+    -r scan:=front/scan -r __ns:=/robot1 --params-file FILE. `node NAME --help` lists the topics and
+    parameters of a node.
+    """
 
 
 def import_rclpy() -> None:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import functools
 import math
 import typing
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
@@ -35,6 +34,7 @@ from slamfusion.config import (
     RunConfig,
     checked_start,
     config_fields,
+    from_mapping,
     shown_value,
     split_list,
 )
@@ -71,11 +71,12 @@ def with_config(
         def wrapper(
             *args: Any, config_file: Path | None, like_paper: bool = False, **values: Any
         ) -> Any:
-            explicit = {option.key: values.pop(option.parameter) for option in chosen}
+            found = [(option, values.pop(option.parameter)) for option in chosen]
+            given = [(option, value) for option, value in found if value is not None]
             config = preset if like_paper and preset is not None else defaults
             if config_file is not None:
                 config = _read(config_file, config)
-            return function(*args, config=_override(config, chosen, explicit), **values)
+            return function(*args, config=_override(config, given), **values)
 
         command: Any = wrapper
         for option in reversed(chosen):
@@ -276,87 +277,53 @@ def common_options(function: F) -> F:
         check_paths(context, {**context.params, **values})
         return function(*args, **values)
 
-    def remember_debug(context: click.Context, _: click.Parameter, value: bool) -> None:
-        if value:
-            context.ensure_object(Settings).debug = True
-
-    def remember_json(context: click.Context, _: click.Parameter, value: bool) -> bool:
-        context.ensure_object(Settings).json = value
+    def remember(context: click.Context, option: click.Parameter, value: bool) -> bool:
+        setattr(context.ensure_object(Settings), str(option.name), value)
         return value
 
-    def remember_verbose(context: click.Context, _: click.Parameter, value: bool) -> None:
-        context.ensure_object(Settings).verbose = value
+    def flag(*names: str, text: str, exposed: bool = False) -> Callable[[Any], Any]:
+        return click.option(
+            *names, is_flag=True, is_eager=True, expose_value=exposed, callback=remember, help=text
+        )
 
-    verbose = click.option(
-        "-v",
-        "--verbose",
-        is_flag=True,
-        is_eager=True,
-        expose_value=False,
-        callback=remember_verbose,
-        help="Print all columns, reasons and warnings.",
-    )
-    debug = click.option(
-        "--debug",
-        is_flag=True,
-        is_eager=True,
-        expose_value=False,
-        callback=remember_debug,
-        help="Show the traceback of an error.",
-    )
-    as_json = click.option(
-        "--json",
-        "as_json",
-        is_flag=True,
-        is_eager=True,
-        callback=remember_json,
-        help="Print one JSON document instead of tables.",
-    )
-    return as_json(verbose(debug(typing.cast("F", wrapper))))
+    command: Any = flag("--debug", text="Show the traceback of an error.")(wrapper)
+    words = "Print all columns, reasons and warnings."
+    command = flag("-v", "--verbose", text=words)(command)
+    words = "Print one JSON document instead of tables."
+    return typing.cast("F", flag("--json", "as_json", text=words, exposed=True)(command))
 
 
-class _List(click.ParamType):  # type: ignore[type-arg]  # generic from click 8.3 on
-    """Values parted by commas; of numbers also ``first..last``."""
-
-    name = "list"
-
-    def __init__(self, info: FieldInfo) -> None:
-        self._info = info
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[Any, ...]:
-        """Return the values of the text; which of them are allowed is seen later."""
-        if not isinstance(value, str):
-            return tuple(value)
-        values = split_list(value, self._info.kind)
-        if self._info.kind is str and not values:
-            self.fail("wanted names with commas between them, found none", param, ctx)
-        if not values or not all(type(item) is self._info.kind for item in values):
-            self.fail(f"must be like 0.1..0.6 or 0.1,0.25, found {value!r}", param, ctx)
-        return tuple(values)
+def _listed(info: FieldInfo, text: str | None) -> tuple[Any, ...] | None:
+    """Return the values of a text; which of them are allowed is seen later."""
+    if text is None:
+        return None
+    values = split_list(text, info.kind)
+    if info.kind is str and not values:
+        raise click.BadParameter("wanted names with commas between them, found none")
+    if not values or not all(type(item) is info.kind for item in values):
+        raise click.BadParameter(f"must be like 0.1..0.6 or 0.1,0.25, found {text!r}")
+    return tuple(values)
 
 
 def _click_option(option: ConfigOption) -> Callable[[Any], Any]:
     """Return the click option of one field; without it the field keeps its value."""
     info, name = option.info, option.flag
-    help_text = info.help[0].upper() + info.help[1:] + "." + _default_help(option)
+    more: dict[str, Any] = {}
     if info.kind is bool:
-        flags = f"{name}/--no-{name.removeprefix('--')}"
-        return click.option(
-            flags, option.parameter, cls=Setting, section=option.section, default=None,
-            help=help_text,
-        )  # fmt: skip
-    kind: Any = Choice(info.choices) if info.choices else info.kind
-    if info.is_list:
-        kind = _List(info)
-    elif kind in {int, float}:
-        kind = Number(kind)
-    word = info.unit or info.kind.__name__
-    metavar = None if info.choices and not info.is_list else METAVARS.get(word, word.upper())
+        name = f"{name}/--no-{name.removeprefix('--')}"
+    elif info.is_list:
+        more["callback"] = lambda _context, _option, text: _listed(info, text)
+    elif info.choices:
+        more["type"] = Choice(info.choices)
+    else:
+        more["type"] = Number(info.kind) if info.kind in {int, float} else info.kind
+    if info.kind is not bool and (info.is_list or not info.choices):
+        word = info.unit or info.kind.__name__
+        more["metavar"] = METAVARS.get(word, word.upper())
+    help_text = info.help[0].upper() + info.help[1:] + "." + _default_help(option)
     return click.option(
-        name, option.parameter, cls=Setting, section=option.section, type=kind, default=None,
-        metavar=metavar, help=help_text,
+        name, option.parameter, cls=Setting, section=option.section, default=None, help=help_text,
+        **more,
     )  # fmt: skip
 
 
@@ -368,46 +335,28 @@ def _default_help(option: ConfigOption) -> str:
     return f" [default: {option.shown_default()}{published}]"
 
 
-def _override(config: RunConfig, chosen: list[ConfigOption], values: dict[str, Any]) -> RunConfig:
-    """Return the configuration with the explicit options put in."""
-    changed = {key: value for key, value in values.items() if value is not None}
+def _override(config: RunConfig, given: Sequence[tuple[ConfigOption, Any]]) -> RunConfig:
+    """Return the configuration with the values of some options put in."""
+    nested: dict[str, Any] = {}
+    for option, value in given:
+        section = nested
+        for name in option.key.split(".")[:-1]:
+            section = section.setdefault(name, {})
+        section[option.info.name] = value
     try:
-        return typing.cast("RunConfig", _replace(config, changed))
+        return from_mapping(config, nested)
     except ConfigError as error:
-        raise _refusal(
-            config, [option for option in chosen if option.key in changed], error
-        ) from None
-
-
-def _refusal(config: RunConfig, given: list[ConfigOption], error: ConfigError) -> click.UsageError:
-    """Return what the configuration refuses in the words of the command line: by the option."""
-    for option in given:
-        section: Any = config
-        for name in option.section.split(".") if option.section else ():
-            section = _below(section, name)
-        field = f"{type(section).__name__}.{option.info.name} "
-        if str(error).startswith(field):
-            hint = f"'{option.flag}'"
-            return click.BadParameter(str(error).removeprefix(field), param_hint=hint)
-    return click.BadParameter(str(error))
-
-
-def _replace(config: Any, changed: dict[str, Any]) -> Any:
-    """Replace fields by dotted key, those of one section together: they check each other."""
-    own = {key: value for key, value in changed.items() if "." not in key}
-    for section in {key.split(".", 1)[0] for key in changed if "." in key}:
-        below = {
-            key.split(".", 1)[1]: value
-            for key, value in changed.items()
-            if key.startswith(f"{section}.")
-        }
-        own[section] = _replace(_below(config, section), below)
-    return {**config, **own} if isinstance(config, Mapping) else dataclasses.replace(config, **own)
-
-
-def _below(section: Any, name: str) -> Any:
-    """Return a part of a configuration: a field, or one of the named sections."""
-    return section[name] if isinstance(section, Mapping) else getattr(section, name)
+        # It starts with the section; then, where one field is wrong, with its class and its name.
+        text, shared = str(error), "config: "
+        for option, _ in given:
+            where = ": ".join(["config", *filter(None, option.section.split(".")), ""])
+            shared = max(shared, where, key=len) if text.startswith(where) else shared
+        text = text.removeprefix(shared)
+        field, _, words = text.partition(" ")
+        for option, _ in given:
+            if field.partition(".")[2] == option.info.name:
+                raise click.BadParameter(words, param_hint=f"'{option.flag}'") from None
+        raise click.BadParameter(text) from None
 
 
 # --- --scheduler and --processes ------------------------------------------------------------------
@@ -415,11 +364,23 @@ def _below(section: Any, name: str) -> Any:
 
 def scheduler_option(tasks: str) -> Callable[[F], F]:
     """Return the option ``--scheduler`` of a command."""
+
+    def checked(_: click.Context, __: click.Parameter, where: str | None) -> str | None:
+        """Refuse what is no address before any work."""
+        if where is not None:
+            from slamfusion.fleet import check_address  # noqa: PLC0415
+
+            try:
+                check_address(where)
+            except ConfigError as error:
+                raise click.BadParameter(str(error)) from None
+        return where
+
     return click.option(
         "--scheduler",
         "scheduler",
         metavar="WHERE",
-        callback=_checked,
+        callback=checked,
         help=f"Run {tasks} on a Dask cluster: local or local:N (N processes on this machine), or "
         "tcp://HOST:PORT or tls://HOST:PORT, a running scheduler.",
     )
@@ -448,46 +409,26 @@ def asked_executor(
     return executor_for(where, processes, config.device.device)
 
 
-def _checked(_: click.Context, __: click.Parameter, where: str | None) -> str | None:
-    """Refuse what is no address before any work."""
-    from slamfusion.fleet import check_address  # noqa: PLC0415
-
-    if where is not None:
-        try:
-            check_address(where)
-        except ConfigError as error:
-            raise click.BadParameter(str(error)) from None
-    return where
-
-
 # --- --seeds --------------------------------------------------------------------------------------
-
-
-class _Seeds(click.ParamType):  # type: ignore[type-arg]  # generic from click 8.3 on
-    """Seeds as ``0-9``, or parted by commas."""
-
-    name = "seeds"
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[int, ...]:
-        """Return the seeds in the order given, each once."""
-        found: dict[int, None] = {}
-        for part in value.split(",") if isinstance(value, str) else value:
-            first, dash, last = str(part).partition("-")
-            if not first.strip().isdecimal() or (dash and not last.strip().isdecimal()):
-                self.fail(f"wanted seeds like 0-9 or 1,2,5, found {value!r}", param, ctx)
-            found |= dict.fromkeys(range(int(first), int(last if dash else first) + 1))
-        return tuple(found)
 
 
 def seeds_option(places: str) -> Callable[[F], F]:
     """Return the option ``--seeds`` of a command; ``places`` says where the results go."""
+
+    def seeds(_: click.Context, __: click.Parameter, text: str | None) -> tuple[int, ...]:
+        """Return the seeds in the order given, each once."""
+        found: dict[int, None] = {}
+        for part in [] if text is None else text.split(","):
+            first, dash, last = part.partition("-")
+            if not first.strip().isdecimal() or (dash and not last.strip().isdecimal()):
+                raise click.BadParameter(f"wanted seeds like 0-9 or 1,2,5, found {text!r}")
+            found |= dict.fromkeys(range(int(first), int(last if dash else first) + 1))
+        return tuple(found)
+
     return click.option(
         "--seeds",
         "seeds",
-        type=_Seeds(),
-        default=(),
+        callback=seeds,
         metavar="0-9",
         help=f"Run with each of these seeds (0-9 or 1,2,5) and compare them: {places}.",
     )
@@ -499,55 +440,36 @@ def seeds_option(places: str) -> Callable[[F], F]:
 # What ``--start`` gave: names with 3 or 5 numbers each.
 GivenStarts = tuple[tuple[str, tuple[float, ...]], ...]
 
-OPTION = "--start"
-
 
 def start_option(text: str, *, bare_name: bool = False) -> Callable[[F], F]:
-    """Give a command ``--start`` as its argument ``starts``."""
-    form = "NAME=X,Y,YAW[,M,RAD]"
+    """Give a command ``--start`` as its argument ``starts``; ``bare_name``: it may have no name."""
+    form = "[NAME=]X,Y,YAW[,M,RAD]" if bare_name else "NAME=X,Y,YAW[,M,RAD]"
+
+    def starts(_: click.Context, __: click.Parameter, given: Sequence[str]) -> GivenStarts:
+        found: dict[str, tuple[float, ...]] = {}
+        for value in given:
+            name, equals, numbers = value.rpartition("=")
+            if not name and (equals or not bare_name):
+                raise click.BadParameter(
+                    f"wanted NAME=x,y,yaw or NAME=x,y,yaw,metres,radians, found {value!r}"
+                )
+            if name in found:
+                raise click.BadParameter(f"{name or 'the start'} is given twice; keep one")
+            try:
+                found[name] = checked_start(numbers, name or "start")
+            except StartError as error:
+                raise click.BadParameter(str(error)) from None
+        return tuple(found.items())
+
     return click.option(
-        OPTION,
+        "--start",
         "starts",
         multiple=True,
-        type=_Start(bare_name=bare_name),
-        callback=_refuse_twice,
-        metavar=f"[NAME=]{form.removeprefix('NAME=')}" if bare_name else form,
+        callback=starts,
+        metavar=form,
         help=f"{text} In metres and radians, or degrees as in 46.4deg. The search covers M metres "
         f"and RAD radians around it. [default: {START_M:g} m, {START_RAD:g} rad]",
     )
-
-
-class _Start(click.ParamType):  # type: ignore[type-arg]  # generic from click 8.3 on
-    """A name, and 3 or 5 numbers."""
-
-    name = "start"
-
-    def __init__(self, *, bare_name: bool) -> None:
-        self._bare_name = bare_name
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[str, tuple[float, ...]]:
-        """Return the name, empty where it is left out, and the numbers."""
-        if not isinstance(value, str):
-            return typing.cast("tuple[str, tuple[float, ...]]", value)
-        name, equals, numbers = value.rpartition("=")
-        if not name and (equals or not self._bare_name):
-            self.fail(f"wanted NAME=x,y,yaw or NAME=x,y,yaw,metres,radians, found {value!r}")
-        try:
-            return name, checked_start(numbers, name or "start")
-        except StartError as error:
-            self.fail(str(error), param, ctx)
-
-
-def _refuse_twice(context: click.Context, option: click.Parameter, given: GivenStarts) -> Any:
-    """Refuse a name that has several starts."""
-    names = [name for name, _ in given]
-    for name in names:
-        if names.count(name) > 1:
-            message = f"{name or 'the start'} is given twice; keep one"
-            raise click.BadParameter(message, context, option)
-    return given
 
 
 def with_starts(config: RunConfig, given: GivenStarts) -> RunConfig:
@@ -563,4 +485,4 @@ def start_errors(given: GivenStarts) -> Iterator[None]:
     except StartError as error:
         if not given:
             raise
-        raise click.BadParameter(str(error), param_hint=f"'{OPTION}'") from None
+        raise click.BadParameter(str(error), param_hint="'--start'") from None

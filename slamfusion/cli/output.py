@@ -35,14 +35,14 @@ class Settings:
     """What the common options of a run say; the error handler reads them.
 
     Attributes:
-        debug, json, verbose: as asked.
+        debug, as_json, verbose: as asked.
         printed: whether the JSON document was.
         tables: where tables that are printed are kept, too; None: nowhere.
         arguments: the whole command line, without the program.
     """
 
     debug: bool = False
-    json: bool = False
+    as_json: bool = False
     verbose: bool = False
     printed: bool = False
     tables: list[Table] | None = None

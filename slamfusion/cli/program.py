@@ -166,7 +166,7 @@ def _fail(message: str, settings: Settings) -> int:
     if settings.debug:
         traceback.print_exc()
     try:
-        if settings.json and not settings.printed:
+        if settings.as_json and not settings.printed:
             print_json({"error": one_line(message)})
         sys.stdout.flush()
     except (OSError, ValueError):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slamfusion.cli.help import Command, Group, Number
+from slamfusion.cli.help import Command, Number, ProducerGroup
 from slamfusion.cli.options import (
     check_odometry,
     check_report,
@@ -21,14 +21,7 @@ from slamfusion.cli.options import (
     seeds_option,
     with_config,
 )
-from slamfusion.cli.output import (
-    notice,
-    one_line,
-    print_facts,
-    print_json,
-    print_table,
-    progress_bar,
-)
+from slamfusion.cli.output import notice, print_facts, print_json, print_table, progress_bar
 from slamfusion.cli.paths import FILE, MAP
 from slamfusion.cli.results import print_items, table_option
 from slamfusion.cli.tables import print_evaluations, print_measures, tell_unaligned
@@ -38,49 +31,6 @@ from slamfusion.jobs.outputs import PAGE, SUFFIXES, output_files
 
 if TYPE_CHECKING:
     from slamfusion.jobs.map_log import ProducerResult
-
-
-class _Producers(Group):
-    """A command for each producer of the registry, made when it is asked for."""
-
-    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
-        """Return the names of the producers."""
-        from slamfusion.slam.registry import producer_names  # noqa: PLC0415  (loads slowly)
-
-        return list(producer_names())
-
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Return the command of one producer; None where there is none of this name.
-
-        Raises:
-            SlamFusionError: the package that offers it is broken.
-        """
-        from slamfusion.slam.registry import BUILT_IN  # noqa: PLC0415  (loads slowly)
-
-        known = cmd_name in BUILT_IN or cmd_name in self.list_commands(ctx)
-        return _make_command(cmd_name) if known else None
-
-    def summaries(self) -> list[tuple[str, str]]:
-        """Return each producer and what it is; of a broken one, what is wrong with it."""
-        return producer_summaries()
-
-
-def producer_summaries() -> list[tuple[str, str]]:
-    """Return the name and the summary of each producer; of a broken one, what is wrong with it."""
-    from slamfusion.slam.registry import producer, producer_names  # noqa: PLC0415  (loads slowly)
-
-    rows = []
-    for name in producer_names():
-        try:
-            rows.append((name, producer(name).summary))
-        except SlamFusionError as error:
-            rows.append((name, f"BROKEN: {one_line(str(error))}"))
-    return rows
-
-
-@click.group("slam", cls=_Producers)
-def command() -> None:
-    """Map a log with one SLAM."""
 
 
 def _stem(out: Path) -> Path:
@@ -160,6 +110,11 @@ def _make_command(name: str) -> click.Command:
         "constant velocity between scans."
     )
     return run
+
+
+@click.group("slam", cls=ProducerGroup, make=_make_command)
+def command() -> None:
+    """Map a log with one SLAM."""
 
 
 def _run(
