@@ -34,7 +34,7 @@ def _read(path: Path, given: Mapping[str, Any]) -> list[Path]:
 
     course = choose_course(path, given["config"])
     world = course.world.map
-    return [path, *([] if world is None else MAP.files(course.folder / world, given))]
+    return [path, *([] if world is None else MAP.files(Path(world), given))]
 
 
 def _files(folder: Path, given: Mapping[str, Any]) -> list[Path]:

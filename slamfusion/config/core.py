@@ -23,6 +23,8 @@ INTEGER_MAX = 2**63 - 1
 # A list ``first..last`` has at most this many numbers.
 LIST_MAX = 10_000
 
+# Coordinates are smaller, metres.
+FARTHEST = 1e7
 # Step of a list of numbers that is written as ``first..last``, in the unit of the field.
 LIST_STEP = 0.1
 
@@ -325,12 +327,45 @@ def from_mapping(config: Any, values: Any, where: str = "config") -> Any:
             # A section's defaults may be others than its class's.
             section = getattr(config, key, hint)
             arguments[key] = from_mapping(section, value, f"{where}: {key}")
-        else:
+        elif key in infos:
             arguments[key] = _coerce(value, infos[key], f"{where}: {key}")
+        else:
+            arguments[key] = _value(hint, value, f"{where}: {key}")
     try:
         return config(**arguments) if is_class else dataclasses.replace(config, **arguments)
     except ConfigError as error:
         raise ConfigError(f"{where}: {error}") from None
+
+
+def _value(hint: Any, value: Any, where: str) -> Any:
+    """Return what is no option: a text or number, a list of sections or of rows of numbers."""
+    parts = typing.get_args(hint)
+    if typing.get_origin(hint) in {Union, types.UnionType}:
+        if value is None and type(None) in parts:
+            return None
+        kinds: list[Any] = [part for part in parts if part is not type(None)]
+        kinds.sort(key=lambda part: bool(typing.get_args(part)) != isinstance(value, list))
+        if not typing.get_args(kinds[0]) and type(value) is not kinds[0]:
+            words = " or ".join("a list" if typing.get_args(it) else it.__name__ for it in kinds)
+            raise ConfigError(f"{where}: wanted {words}, found {shown(value)}")
+        return _value(kinds[0], value, where)
+    if typing.get_origin(hint) is tuple and parts[-1] is Ellipsis:
+        if not isinstance(value, list):
+            raise ConfigError(f"{where}: wanted a list, found {shown(value)}")
+        items = enumerate(value, start=1)
+        return tuple(_value(parts[0], item, f"{where}: number {n}") for n, item in items)
+    if typing.get_origin(hint) is tuple:
+        row = value if isinstance(value, list) else []
+        numbers = [item for item in row if type(item) in {int, float} and abs(item) < FARTHEST]
+        if len(row) != len(parts) or len(numbers) != len(parts):
+            wanted = f"{len(parts)} numbers in metres and radians"
+            raise ConfigError(f"{where}: wanted {wanted}, found {shown(value)}")
+        return tuple(map(float, numbers))
+    if dataclasses.is_dataclass(hint):
+        return from_mapping(hint, value, where)
+    if type(value) is not hint:
+        raise ConfigError(f"{where}: wanted {hint.__name__}, found {shown(value)}")
+    return value
 
 
 def _sections(known: Mapping[str, Any], values: Any, where: str) -> dict[str, Any]:

@@ -147,8 +147,13 @@ class ObstacleConfig(Checked):
 
 @dataclass(frozen=True)
 class PersonConfig(Checked):
-    """Someone who walks about."""
+    """Someone who walks to and fro; never part of the truth map.
 
+    Attributes:
+        waypoints: x and y in metres, map frame; walked from first to last and back, around walls.
+    """
+
+    waypoints: tuple[tuple[float, float], ...] = ()
     speed_mps: float = option(1.0, "walking speed", low=0.05, high=5.0)
     body: Literal["legs", "disc"] = option("legs", "what the laser meets: two legs, or one body")
     distance_m: float = option(

@@ -11,9 +11,9 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar, cast, get_args
+from typing import Any, cast, get_args
 
 from slamfusion.config import (
     COURSES,
@@ -28,48 +28,32 @@ from slamfusion.config import (
     SimulateConfig,
     WorldConfig,
     from_mapping,
-    to_mapping,
 )
 from slamfusion.errors import ConfigError, SimulationError, shown
-from slamfusion.geometry import Pose2
 from slamfusion.io.yaml_file import read_yaml
 from slamfusion.sim.drive import DRIVES
-from slamfusion.sim.world import LIDARS, Person
+from slamfusion.sim.world import LIDARS
 
-T = TypeVar("T")
 Point = tuple[float, float]
 
 WORLD_NAMES: tuple[str, ...] = get_args(DrawnPlace)
-KEYS = (
-    "name",
-    "seed",
-    "world",
-    "lidar",
-    "drive",
-    "start",
-    "waypoints",
-    "script",
-    "people",
-    "obstacles",
-)
 
 
 @dataclass(frozen=True)
 class Course:
-    """Everything that decides a simulated drive.
+    """Everything that decides a simulated drive, as its file holds it.
 
     Attributes:
         name: of the log; a plain file name.
         seed: of every random number, beside those of a world with its own.
-        world: where.
-        start: first pose, map frame; None: the world's.
-        waypoints: x and y in metres, map frame; None: planned.
-        script: what the wheels do; empty: drive along the waypoints.
         people: who walks about, or how many.
         obstacles: cables on the floor, or whether there is one on the way.
-        folder: a relative map file of the world lies here.
+        start: first pose, map frame, metres and radians; None: the world's.
+        waypoints: x and y in metres, map frame; None: planned.
+        script: what the wheels do; empty: drive along the waypoints.
 
     Raises:
+        ConfigError: a number below 0, or a person without a place.
         SimulationError: a name that is no plain file name, or waypoints beside a script.
     """
 
@@ -78,14 +62,23 @@ class Course:
     world: WorldConfig
     lidar: LidarConfig
     drive: DriveConfig
-    start: Pose2 | None = None
+    people: int | tuple[PersonConfig, ...] = 0
+    obstacles: bool | tuple[ObstacleConfig, ...] = False
+    start: tuple[float, float, float] | None = None
     waypoints: tuple[Point, ...] | None = None
     script: tuple[ActionConfig, ...] = ()
-    people: int | tuple[Person, ...] = 0
-    obstacles: bool | tuple[ObstacleConfig, ...] = False
-    folder: Path = Path()
 
     def __post_init__(self) -> None:
+        for key in ("seed", "people"):
+            value = getattr(self, key)
+            if isinstance(value, int) and not 0 <= value <= INTEGER_MAX:
+                raise ConfigError(f"{key}: wanted a whole number from 0, found {shown(value)}")
+        for number, person in enumerate(() if isinstance(self.people, int) else self.people, 1):
+            if not person.waypoints:
+                raise ConfigError(
+                    f"people: number {number}: 'waypoints' is missing; give at least one [x, y] in "
+                    "metres"
+                )
         if not self.name or self.name.startswith(".") or set(self.name) & set("/\\\0\n"):
             message = (
                 f"a course's name must be a plain file name, found {shown(self.name)}; change it"
@@ -130,7 +123,7 @@ def load_course(path: str | Path, seed: int = 0) -> Course:
 def with_overrides(course: Course, changes: SimulateConfig) -> Course:
     """Return a course with the settings of a run put in.
 
-    A world by file is taken relative to the current folder. A course that is named after its world
+    A course that is named after its world
     is then named after the new one.
 
     Raises:
@@ -168,136 +161,27 @@ def with_overrides(course: Course, changes: SimulateConfig) -> Course:
 
 def course_to_mapping(course: Course) -> dict[str, Any]:
     """Return a course as its file holds it; ``load_course`` gives the same course back."""
-    people, obstacles = course.people, course.obstacles
-    values: dict[str, Any] = {
-        "name": course.name,
-        "seed": course.seed,
-        "world": to_mapping(course.world),
-        "lidar": to_mapping(course.lidar),
-        "drive": to_mapping(course.drive),
-        "people": people
-        if isinstance(people, int)
-        else [
-            {"waypoints": [list(point) for point in person.waypoints]} | to_mapping(person.settings)
-            for person in people
-        ],
-        "obstacles": obstacles
-        if isinstance(obstacles, bool)
-        else [to_mapping(obstacle) for obstacle in obstacles],
-    }
-    if course.start is not None:
-        values["start"] = [course.start.x, course.start.y, course.start.yaw_rad]
-    if course.waypoints is not None:
-        values["waypoints"] = [list(point) for point in course.waypoints]
-    if course.script:
-        values["script"] = [to_mapping(action) for action in course.script]
-    return values
-
-
-# --- from the file -------------------------------------------------------------------------------
+    left_out = [key for key in ("start", "waypoints", "script") if not getattr(course, key)]
+    return {key: value for key, value in asdict(course).items() if key not in left_out}
 
 
 def _course(values: dict[str, Any], where: str, folder: Path) -> Course:
-    for key in values:
-        if key not in KEYS:
-            near = difflib.get_close_matches(shown(key), KEYS, n=1, cutoff=0.0)[0]
-            message = f"{where}: unknown key {shown(key)}; the nearest known one is {near!r}"
-            raise ConfigError(message)
+    values = dict(values)
     if "world" not in values:
         message = f"{where}: 'world' is missing; give one of {', '.join(WORLD_NAMES)} or a map file"
         raise ConfigError(message)
-    people, obstacles = values.get("people", 0), values.get("obstacles", False)
-    waypoints = values.get("waypoints")
-    return Course(
-        name=_of_type(values["name"], str, f"{where}: name"),
-        seed=_count(values["seed"], f"{where}: seed"),
-        world=_world(values["world"], f"{where}: world"),
-        lidar=_modelled(values.get("lidar", {}), LIDARS, "hokuyo", f"{where}: lidar"),
-        drive=_modelled(values.get("drive", {}), DRIVES, "differential", f"{where}: drive"),
-        start=_start(values.get("start"), f"{where}: start"),
-        waypoints=None if waypoints is None else _points(waypoints, f"{where}: waypoints"),
-        script=tuple(
-            from_mapping(ActionConfig, item, f"{where}: script {number}")
-            for number, item in enumerate(_list(values.get("script"), f"{where}: script"), 1)
-        ),
-        people=_people(people, f"{where}: people"),
-        obstacles=obstacles
-        if isinstance(obstacles, bool)
-        else tuple(
-            from_mapping(ObstacleConfig, item, f"{where}: obstacle {number}")
-            for number, item in enumerate(_list(obstacles, f"{where}: obstacles"), 1)
-        ),
-        folder=folder,
-    )
-
-
-def _world(value: Any, where: str) -> WorldConfig:
-    if isinstance(value, str):
-        value = {"name": value} if value in WORLD_NAMES else {"name": "map", "map": value}
-    return from_mapping(WorldConfig, value, where)
-
-
-def _modelled(value: Any, models: Mapping[str, T], default: str, where: str) -> T:
-    """Read a laser or drive: a model's name, or a mapping that changes some of a model's fields."""
-    if isinstance(value, str):
-        value = {"model": value}
-    under: T | type[T] = type(models[default])
-    if isinstance(value, dict):
-        model = value.get("model", default)
-        if isinstance(model, str) and model in models:
-            under = models[model]
-    return from_mapping(under, value, where)
-
-
-def _start(value: Any, where: str) -> Pose2 | None:
-    if value is None:
-        return None
-    return Pose2(*_numbers(value, 3, where))
-
-
-def _people(value: Any, where: str) -> int | tuple[Person, ...]:
-    if not isinstance(value, list):
-        return _count(value, where)
-    people = []
-    for number, item in enumerate(value, start=1):
-        place = f"{where}: person {number}"
-        settings = dict(_of_type(item, dict, place))
-        waypoints = _points(settings.pop("waypoints", []), f"{place}: waypoints")
-        if not waypoints:
-            message = f"{place}: 'waypoints' is missing; give at least one [x, y] in metres"
-            raise ConfigError(message)
-        people.append(Person(waypoints, from_mapping(PersonConfig, settings, place)))
-    return tuple(people)
-
-
-def _points(value: Any, where: str) -> tuple[Point, ...]:
-    points = []
-    for number, item in enumerate(_list(value, where), start=1):
-        x, y = _numbers(item, 2, f"{where}: number {number}")
-        points.append((x, y))
-    return tuple(points)
-
-
-def _numbers(value: Any, count: int, where: str) -> tuple[float, ...]:
-    row = value if isinstance(value, list) else []
-    numbers = [item for item in row if type(item) in {int, float} and abs(item) < 1e7]
-    if len(row) != count or len(numbers) != count:
-        message = f"{where}: wanted {count} numbers in metres and radians, found {shown(value)}"
-        raise ConfigError(message)
-    return tuple(float(item) for item in numbers)
-
-
-def _count(value: Any, where: str) -> int:
-    if type(value) is not int or not 0 <= value <= INTEGER_MAX:
-        raise ConfigError(f"{where}: wanted a whole number from 0, found {shown(value)}")
-    return value
-
-
-def _list(value: Any, where: str) -> list[Any]:
-    return [] if value is None else _of_type(value, list, where)
-
-
-def _of_type(value: Any, kind: type[T], where: str) -> T:
-    if not isinstance(value, kind):
-        raise ConfigError(f"{where}: wanted a {kind.__name__}, found {shown(value)}")
-    return value
+    world = values["world"]
+    if isinstance(world, str):
+        values["world"] = {"name": world} if world in WORLD_NAMES else {"name": "map", "map": world}
+    bases = {}
+    for key, models, default in (("lidar", LIDARS, "hokuyo"), ("drive", DRIVES, "differential")):
+        value = values.get(key, {})
+        # A model's name, or a mapping that changes some of a model's fields.
+        values[key] = value = {"model": value} if isinstance(value, str) else value
+        model = value.get("model") if isinstance(value, dict) else None
+        known = cast("Mapping[Any, Any]", models)
+        bases[key] = known.get(model if isinstance(model, str) else None, known[default])
+    course = from_mapping(Course("course", 0, WorldConfig(), **bases), values, where)
+    if course.world.map is None:
+        return course
+    return replace(course, world=replace(course.world, map=str(folder / course.world.map)))

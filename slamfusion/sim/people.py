@@ -12,7 +12,6 @@ import numpy as np
 from slamfusion.config import PersonConfig
 from slamfusion.geometry import F64, travelled
 from slamfusion.sim.route import FreeSpace
-from slamfusion.sim.world import Person
 
 Point = tuple[float, float]
 
@@ -42,18 +41,18 @@ class Walks(NamedTuple):
     radii_m: F64
 
 
-def draw_people(space: FreeSpace, count: int, rng: np.random.Generator) -> tuple[Person, ...]:
+def draw_people(space: FreeSpace, count: int, rng: np.random.Generator) -> tuple[PersonConfig, ...]:
     """Draw people with two places each between which they walk."""
     people = []
     for _ in range(count):
         pairs = [(space.any_place(rng), space.any_place(rng)) for _ in range(8)]
         far = [pair for pair in pairs if math.dist(*pair) >= WALK_M]
-        settings = PersonConfig(speed_mps=round(float(rng.uniform(0.7, 1.3)), 3))
-        people.append(Person((far or pairs)[0], settings))
+        speed_mps = round(float(rng.uniform(0.7, 1.3)), 3)
+        people.append(PersonConfig((far or pairs)[0], speed_mps=speed_mps))
     return tuple(people)
 
 
-def walk(people: Sequence[Person], space: FreeSpace, robot: F64, step_s: float) -> Walks:
+def walk(people: Sequence[PersonConfig], space: FreeSpace, robot: F64, step_s: float) -> Walks:
     """Walk people along their ways while a robot drives by.
 
     Args:
@@ -63,10 +62,10 @@ def walk(people: Sequence[Person], space: FreeSpace, robot: F64, step_s: float) 
     places, discs, radii = [], [], []
     for number, person in enumerate(people, start=1):
         way = _there_and_back(person, space, f"waypoint of person {number}")
-        along = _paced(way, person.settings, robot, step_s)
+        along = _paced(way, person, robot, step_s)
         centre, heading = _on(way, along)
         places.append(centre)
-        if person.settings.body == "disc":
+        if person.body == "disc":
             discs.append(centre)
             radii.append(BODY_RADIUS_M)
             continue
@@ -82,7 +81,7 @@ def walk(people: Sequence[Person], space: FreeSpace, robot: F64, step_s: float) 
     return Walks(np.stack(places, axis=1), np.stack(discs, axis=1), np.array(radii))
 
 
-def _there_and_back(person: Person, space: FreeSpace, what: str) -> F64:
+def _there_and_back(person: PersonConfig, space: FreeSpace, what: str) -> F64:
     stops = person.waypoints
     if len(stops) == 1:
         space.place(stops[0], what)
@@ -92,17 +91,17 @@ def _there_and_back(person: Person, space: FreeSpace, what: str) -> F64:
     return np.concatenate((there, there[-2::-1]))
 
 
-def _paced(way: F64, settings: PersonConfig, robot: F64, step_s: float) -> F64:
+def _paced(way: F64, person: PersonConfig, robot: F64, step_s: float) -> F64:
     """Return how far someone has walked at each step, (N,) metres."""
     walked = np.zeros(len(robot))
     if len(way) < 2:
         return walked
     lengths = travelled(way)
-    along, pace_m = 0.0, settings.speed_mps * step_s
+    along, pace_m = 0.0, person.speed_mps * step_s
     for n in range(1, len(robot)):
         at = (along + pace_m) % float(lengths[-1])
         x, y = (float(np.interp(at, lengths, way[:, axis])) for axis in (0, 1))
-        if math.hypot(x - robot[n, 0], y - robot[n, 1]) >= settings.distance_m:
+        if math.hypot(x - robot[n, 0], y - robot[n, 1]) >= person.distance_m:
             along += pace_m
         walked[n] = along
     return walked

@@ -88,12 +88,13 @@ def simulate(course: Course, device: ComputeDevice, progress: Progress | None = 
         SimulationError: the course cannot be driven: a wall, no way, a robot too large.
         MapFileError: the map file of the world cannot be read.
     """
-    floor = draw_floor(course.world, _chance(course, WORLD_STREAM), course.folder)
+    floor = draw_floor(course.world, _chance(course, WORLD_STREAM))
     glass_rng = _chance(course, GLASS_STREAM)
     glass = pick_glass(floor.grid, course.world.glass_share, glass_rng)
     drive = course.drive
     space = FreeSpace(floor.grid, drive.radius_m, MARGIN_M[drive.model])
-    start = course.start or floor.start or Pose2(*space.any_place(_chance(course, START_STREAM)))
+    start = floor.start if course.start is None else Pose2(*course.start)
+    start = start or Pose2(*space.any_place(_chance(course, START_STREAM)))
     walkers = FreeSpace(floor.grid, PERSON_RADIUS_M)
     people = course.people
     if isinstance(people, int):
@@ -115,7 +116,7 @@ def simulate(course: Course, device: ComputeDevice, progress: Progress | None = 
             stops = (*stops[:worst], *stops[worst + 1 :])
     chosen = replace(
         course,
-        start=start,
+        start=(start.x, start.y, start.yaw_rad),
         waypoints=None if course.script else stops,
         people=people,
         obstacles=world.obstacles,

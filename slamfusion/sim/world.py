@@ -16,20 +16,6 @@ from slamfusion.errors import SimulationError
 from slamfusion.geometry import F64, Pose2, compose_poses
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 
-Point = tuple[float, float]
-
-
-@dataclass(frozen=True)
-class Person:
-    """Someone who walks to and fro; never part of the truth map.
-
-    Attributes:
-        waypoints: x and y in metres, map frame; walked from first to last and back, around walls.
-    """
-
-    waypoints: tuple[Point, ...]
-    settings: PersonConfig
-
 
 @dataclass(frozen=True, eq=False)
 class World:
@@ -48,7 +34,7 @@ class World:
     grid: OccupancyGrid
     glass: npt.NDArray[np.bool_]
     wall_height_m: float = 2.5
-    people: tuple[Person, ...] = ()
+    people: tuple[PersonConfig, ...] = ()
     obstacles: tuple[ObstacleConfig, ...] = ()
 
     def __post_init__(self) -> None:

@@ -11,7 +11,6 @@ import itertools
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -48,13 +47,13 @@ class Floor:
     stops: tuple[Point, ...] = ()
 
 
-def draw_floor(config: WorldConfig, rng: np.random.Generator, folder: Path) -> Floor:
+def draw_floor(config: WorldConfig, rng: np.random.Generator) -> Floor:
     """Draw a place, or load the map that is taken for one."""
     if (config.name == "map") != (config.map is not None):
         message = f"world {config.name!r} and map file {config.map!r}: give both or neither"
         raise SimulationError(message)
     if config.map is not None:
-        grid = load_map(folder / config.map)
+        grid = load_map(config.map)
         classes = trinary_cells(grid.cells, NormalizeConfig())
         return Floor(replace(grid, cells=np.where(classes == 1, np.int8(OCCUPIED), classes)))
     return _DRAWINGS[config.name](rng, config.resolution)

@@ -148,7 +148,7 @@ def _degraded(seed: int) -> list[list[str]]:
 def _true_maps(place: str, rng: np.random.Generator) -> dict[str, OccupancyGrid]:
     """Return the true maps of a place, by how their walls are drawn."""
     if place in DRAWN_PLACES:
-        solid = draw_floor(named_course(place, 0).world, rng, Path()).grid
+        solid = draw_floor(named_course(place, 0).world, rng).grid
         return {"thin": thin_walls(solid), "solid": solid}
     path, legacy_unknown = RECORDED[place]
     return {"thin": _trinary(load_map(path, legacy_unknown=legacy_unknown))}

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.config import ObstacleConfig
+from slamfusion.config import ObstacleConfig, PersonConfig
 from slamfusion.geometry import Pose2
 from slamfusion.grid import FREE, OCCUPIED, OccupancyGrid
-from slamfusion.sim.world import Person, World
+from slamfusion.sim.world import World
 
 CELL_M = 0.05
 
@@ -29,7 +29,7 @@ def world_of(
     *,
     glass: npt.NDArray[np.bool_] | None = None,
     wall_height_m: float = 2.5,
-    people: tuple[Person, ...] = (),
+    people: tuple[PersonConfig, ...] = (),
     obstacles: tuple[ObstacleConfig, ...] = (),
 ) -> World:
     """A world of a grid without glass, people and obstacles, but those that are given."""

@@ -9,7 +9,6 @@ from slamfusion.config import PersonConfig
 from slamfusion.errors import SimulationError
 from slamfusion.sim.people import PERSON_RADIUS_M, draw_people, walk
 from slamfusion.sim.route import FreeSpace
-from slamfusion.sim.world import Person
 from tests.sim.places import room
 
 SPACE = FreeSpace(room(10.0, 6.0), PERSON_RADIUS_M)
@@ -18,8 +17,8 @@ AWAY = np.tile([100.0, 100.0], (200, 1))
 
 
 def test_a_body_walks_there_and_back_at_its_speed() -> None:
-    settings = PersonConfig(speed_mps=1.0, body="disc")
-    _, discs, radii = walk((Person(((-4.0, 0.0), (4.0, 0.0)), settings),), SPACE, AWAY, STEP_S)
+    person = PersonConfig(((-4.0, 0.0), (4.0, 0.0)), speed_mps=1.0, body="disc")
+    _, discs, radii = walk((person,), SPACE, AWAY, STEP_S)
     assert discs.shape == (200, 1, 2)
     assert radii.shape == (1,)
     assert discs[0, 0].tolist() == [-4.0, 0.0]
@@ -30,9 +29,7 @@ def test_a_body_walks_there_and_back_at_its_speed() -> None:
 
 
 def test_legs_are_two_and_stay_near_each_other() -> None:
-    _, discs, radii = walk(
-        (Person(((-4.0, 0.0), (4.0, 0.0)), PersonConfig()),), SPACE, AWAY, STEP_S
-    )
+    _, discs, radii = walk((PersonConfig(((-4.0, 0.0), (4.0, 0.0))),), SPACE, AWAY, STEP_S)
     assert discs.shape == (200, 2, 2)
     apart = np.hypot(*(discs[:, 0] - discs[:, 1]).T)
     assert apart.min() >= 2.0 * radii[0] - 1e-9
@@ -41,7 +38,7 @@ def test_legs_are_two_and_stay_near_each_other() -> None:
 
 def test_a_place_is_the_middle_of_both_legs_and_of_a_body() -> None:
     way = ((-4.0, 0.0), (4.0, 0.0))
-    people = (Person(way, PersonConfig()), Person(way[::-1], PersonConfig(body="disc")))
+    people = (PersonConfig(way), PersonConfig(way[::-1], body="disc"))
     places, discs, radii = walk(people, SPACE, AWAY, STEP_S)
     assert places.shape == (200, 2, 2)
     assert (discs.shape, radii.shape) == ((200, 3, 2), (3,))
@@ -52,7 +49,7 @@ def test_a_place_is_the_middle_of_both_legs_and_of_a_body() -> None:
 def test_nobody_walks_into_the_robot() -> None:
     robot = np.tile([0.0, 0.0], (200, 1))
     robot[120:] = (0.0, 2.5)
-    person = Person(((-4.0, 0.0), (4.0, 0.0)), PersonConfig(body="disc"))
+    person = PersonConfig(((-4.0, 0.0), (4.0, 0.0)), body="disc")
     _, discs, _ = walk((person,), SPACE, robot, STEP_S)
     away = np.hypot(*(discs[:, 0] - robot).T)
     assert away.min() >= 0.7 - 1e-9
@@ -61,7 +58,7 @@ def test_nobody_walks_into_the_robot() -> None:
 
 
 def test_a_place_in_a_wall_is_refused_by_the_persons_number() -> None:
-    people = (Person(((0.0, 0.0), (5.0, 0.0)), PersonConfig()),)
+    people = (PersonConfig(((0.0, 0.0), (5.0, 0.0))),)
     with pytest.raises(SimulationError, match="waypoint of person 1"):
         walk(people, SPACE, AWAY, STEP_S)
 

@@ -23,7 +23,7 @@ DRAWN = ("office", "corridor", "hall", "atrium", "yard", *MISLEADING)
 
 def floor_of(name: str, seed: int = 0, resolution: float = 0.05) -> Floor:
     config = WorldConfig(name=name, resolution=resolution)
-    return draw_floor(config, np.random.default_rng(seed), Path())
+    return draw_floor(config, np.random.default_rng(seed))
 
 
 @pytest.mark.parametrize("resolution", [0.04, 0.1])
@@ -104,17 +104,17 @@ def test_glass_is_a_share_of_the_walls(share: float) -> None:
 def test_a_saved_map_is_a_world(tmp_path: Path) -> None:
     grid = room(4.0, 3.0)
     save_map(grid, tmp_path / "drawn")
-    config = WorldConfig(name="map", map="drawn.yaml")
-    floor = draw_floor(config, np.random.default_rng(0), tmp_path)
+    config = WorldConfig(name="map", map=str(tmp_path / "drawn.yaml"))
+    floor = draw_floor(config, np.random.default_rng(0))
     assert floor.grid.cells.tobytes() == grid.cells.tobytes()
     assert floor.grid.origin == grid.origin
     assert floor.start is None
 
 
-def test_a_map_world_needs_its_map_and_no_other_has_one(tmp_path: Path) -> None:
+def test_a_map_world_needs_its_map_and_no_other_has_one() -> None:
     for config in (WorldConfig(name="map"), WorldConfig(name="hall", map="drawn.yaml")):
         with pytest.raises(SimulationError, match="give both or neither"):
-            draw_floor(config, np.random.default_rng(0), tmp_path)
+            draw_floor(config, np.random.default_rng(0))
 
 
 CABLE = ObstacleConfig(x_m=1.0, y_m=2.0, yaw_rad=np.pi / 2, across_m=0.4, along_m=2.0)

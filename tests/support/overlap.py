@@ -338,7 +338,7 @@ def load_source(source: str) -> OccupancyGrid:
     if place == "building":
         return trinary(draw_building(rng, *BUILDING_M)).with_name(source)
     config = WorldConfig(name=cast("DrawnPlace", place))
-    return trinary(draw_floor(config, rng, MAPS).grid).with_name(source)
+    return trinary(draw_floor(config, rng).grid).with_name(source)
 
 
 def place_of(source: str) -> str:

@@ -62,8 +62,8 @@ def drive_through(seed: int, folder: Path, device: ComputeDevice) -> Recording:
         WorldConfig(name="map", map=str(folder / "place.yaml")),
         replace(brisk.lidar, range_max_m=RANGE_M, beams=BEAMS, rate_hz=RATE_HZ),
         brisk.drive,
-        Pose2(*stops[0]),
-        tuple(stops[1:]),
+        start=(*stops[0], 0.0),
+        waypoints=tuple(stops[1:]),
     )
     return simulate(course, device)
 
