@@ -81,10 +81,9 @@ from slamfusion.jobs.simulate import (
     simulate_course as simulate_course,
 )
 from slamfusion.jobs.trajectory import (
-    CaseFiles as CaseFiles,
+    KnownFiles as KnownFiles,
     MeasuredTrajectory as MeasuredTrajectory,
     Measures as Measures,
-    TrajectoryFiles as TrajectoryFiles,
     measure_trajectories as measure_trajectories,
     measure_trajectory as measure_trajectory,
     write_trajectories as write_trajectories,

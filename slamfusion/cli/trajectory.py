@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 from slamfusion.cli.help import Command
 from slamfusion.cli.options import (
     case_option,
-    check_odometry,
     check_report,
     common_options,
     file_option,
@@ -24,58 +23,11 @@ from slamfusion.cli.results import print_items, results_option, save_results, ta
 from slamfusion.cli.tables import print_measures
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
-from slamfusion.jobs.cases import CaseFile, Placed, files_by_case, place_files, shared_case_names
+from slamfusion.jobs.cases import CaseFile, place_files, shared_case_names
 from slamfusion.jobs.inputs import load_maps
 
 if TYPE_CHECKING:
-    from slamfusion.jobs.trajectory import CaseFiles, TrajectoriesDocument, TrajectoryDocument
-
-
-@dataclass(frozen=True)
-class _Request:
-    """The request, without the settings."""
-
-    estimates: tuple[CaseFile, ...]
-    relations: tuple[CaseFile, ...]
-    odometry: tuple[CaseFile, ...]
-    logs: tuple[CaseFile, ...]
-    truths: tuple[CaseFile, ...]
-    map_path: Path | None
-    report_dir: Path | None
-    results_path: Path | None
-    as_json: bool
-
-    @property
-    def is_one(self) -> bool:
-        """Whether it is one path, held against one truth or relations."""
-        return max(map(len, (self.estimates, self.truths, self.relations))) == 1
-
-    def check(self) -> None:
-        """Refuse what cannot be measured before any work."""
-        if not self.relations and not self.truths:
-            raise click.UsageError("give --relations FILE, --truth FILE, or both")
-        check_odometry(self.odometry, self.relations)
-        if self.logs and not self.odometry:
-            message = "--log needs --odometry FILE, the raw odometry of the run"
-            raise click.UsageError(message)
-        if self.map_path is not None and self.report_dir is None:
-            raise click.UsageError("--map needs --report DIR, where it is drawn")
-        if self.map_path is not None and not self.is_one:
-            raise click.UsageError("--map is for one path; give one EST")
-        check_report(self.report_dir)
-
-    def placed(self) -> tuple[list[Placed], CaseFiles]:
-        """Return the paths in their cases, and what they are held against there."""
-        from slamfusion.jobs.trajectory import CaseFiles  # noqa: PLC0415  (loads slowly)
-
-        cases = shared_case_names(self.truths, self.relations)
-        held = CaseFiles(
-            relations=files_by_case(cases, self.relations, "--relations"),
-            odometry=files_by_case(cases, self.odometry, "--odometry"),
-            logs=files_by_case(cases, self.logs, "--log"),
-            truths=files_by_case(cases, self.truths, "--truth"),
-        )
-        return place_files(cases, self.estimates), held
+    from slamfusion.jobs.trajectory import TrajectoriesDocument, TrajectoryDocument
 
 
 def paths_in(item: CaseFile) -> list[CaseFile]:
@@ -127,7 +79,18 @@ def paths_in(item: CaseFile) -> list[CaseFile]:
 @common_options
 @results_option
 @table_option
-def command(config: RunConfig, **asked: Any) -> int:
+def command(
+    config: RunConfig,
+    estimates: tuple[CaseFile, ...],
+    relations: tuple[CaseFile, ...],
+    odometry: tuple[CaseFile, ...],
+    logs: tuple[CaseFile, ...],
+    truths: tuple[CaseFile, ...],
+    map_path: Path | None,
+    report_dir: Path | None,
+    results_path: Path | None,
+    as_json: bool,
+) -> int:
     """Measure the errors of paths.
 
     EST is a file of poses (TUM, 't x y theta' or CSV), a log, whose raw odometry is measured, or a
@@ -138,37 +101,45 @@ def command(config: RunConfig, **asked: Any) -> int:
     that. The same holds for the files of other options. One table and one report then
     show all paths.
     """
-    estimates = [found for item in asked.pop("estimates") for found in paths_in(item)]
-    request = _Request(estimates=tuple(estimates), **asked)
-    request.check()
-    return _measure(request, config)
-
-
-def _measure(request: _Request, config: RunConfig) -> int:
-    """Measure the paths, each by what there is of its case."""
     from slamfusion.jobs.trajectory import (  # noqa: PLC0415
+        known_files,
+        known_inputs,
         measure_trajectories,
         trajectories_document,
         write_trajectories,
     )
 
-    placed, held = request.placed()
-    found, not_measured = measure_trajectories(placed, held, config)
-    first, folder, grid = found[0][1], request.report_dir, None
-    if request.map_path is not None:
-        (grid,) = load_maps([request.map_path], None, config.map_files, notice)
-    if folder is not None:
-        write_trajectories([(item, replace(own, grid=grid)) for item, own in found], folder)
-    rows = [row for item, own in found for row in own.rows(item)]
-    document: TrajectoryDocument | TrajectoriesDocument = first.to_json()
-    if not request.is_one:
+    paths = [found for item in estimates for found in paths_in(item)]
+    is_one = max(map(len, (paths, truths, relations))) == 1
+    for is_wrong, message in (
+        (not relations and not truths, "give --relations FILE, --truth FILE, or both"),
+        (odometry and not relations, "--odometry needs --relations FILE"),
+        (logs and not odometry, "--log needs --odometry FILE, the raw odometry of the run"),
+        (map_path and not report_dir, "--map needs --report DIR, where it is drawn"),
+        (map_path and not is_one, "--map is for one path; give one EST"),
+    ):
+        if is_wrong:
+            raise click.UsageError(message)
+    check_report(report_dir)
+
+    cases = shared_case_names(truths, relations)
+    known = known_files(cases, logs, relations=relations, odometry=odometry, truth=truths)
+    found, not_measured = measure_trajectories(place_files(cases, paths), known, config)
+    if map_path is not None:
+        (grid,) = load_maps([map_path], None, config.map_files, notice)
+        found = [replace(own, grid=grid) for own in found]
+    if report_dir is not None:
+        write_trajectories(found, report_dir)
+    rows = [row for own in found for row in own.rows()]
+    document: TrajectoryDocument | TrajectoriesDocument = found[0].to_json()
+    if not is_one:
         document = trajectories_document(found, not_measured, config)
-    inputs = [item for item, _ in found]
-    save_results(request.results_path, document, rows, lambda: held.inputs(inputs))
-    if request.as_json:
+    inputs = [own.placed for own in found]
+    save_results(results_path, document, rows, lambda: known_inputs(inputs, known))
+    if as_json:
         print_json(document)
-    elif request.is_one:
-        print_measures(first.estimate, first.measures)
+    elif is_one:
+        print_measures(found[0].estimate, found[0].measures)
     else:
         print_items(rows, "path", ("ate_rmse_m", "relations_mean_m"))
     if not_measured:

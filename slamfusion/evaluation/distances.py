@@ -221,29 +221,26 @@ def _read_csv(path: Path) -> list[tuple[str, dict[str, Any]]]:
         text = read_small(path, MapFileError, "a file of distances").decode("utf-8-sig")
     except UnicodeDecodeError:
         raise MapFileError(f"{path}: not UTF-8 text; save the distances as UTF-8") from None
+    reader = csv.DictReader(io.StringIO(text, newline=""), skipinitialspace=True, strict=True)
     try:
-        lines = list(csv.reader(io.StringIO(text, newline=""), skipinitialspace=True, strict=True))
+        reader.fieldnames = [column.strip() for column in reader.fieldnames or _COLUMNS]
+        # A spreadsheet may end in rows of empty cells.
+        rows = [(f"row {reader.line_num}", row) for row in reader if any(row.values())]
     except csv.Error as error:
         message = f"{path}: not a CSV file ({error}); wanted a header {','.join(_COLUMNS)}"
         raise MapFileError(message) from None
-    numbered = [
-        (number, line) for number, line in enumerate(lines, start=1) if any(map(str.strip, line))
-    ]
-    if not numbered:
-        return []
-    header = [column.strip() for column in numbered[0][1]]
-    missing = [column for column in _NUMBERS if column not in header]
+    missing = [column for column in _NUMBERS if column not in reader.fieldnames]
     if missing:
         raise MapFileError(
             f"{path}: the header lacks {', '.join(missing)}; the first line must be "
             f"{','.join(_COLUMNS)}"
         )
-    rows = []
-    for number, line in numbered[1:]:
-        if len(line) != len(header):
-            message = f"{path}: row {number}: wanted {len(header)} values, found {len(line)}"
-            raise MapFileError(message)
-        rows.append((f"row {number}", dict(zip(header, line, strict=True))))
+    wanted = len(reader.fieldnames)
+    for where, row in rows:
+        # The reader puts values without a column under None, and None where a value is missing.
+        found = wanted + len(row.pop(None, ())) - list(row.values()).count(None)
+        if found != wanted:
+            raise MapFileError(f"{path}: {where}: wanted {wanted} values, found {found}")
     return rows
 
 
@@ -283,17 +280,14 @@ def _distance(values: dict[str, Any], where: str, default_name: str) -> Measured
     if numbers["distance_m"] <= 0:
         raise MapFileError(f"{where}: distance_m must be above 0, found {numbers['distance_m']:g}")
     name = values.get("name")
+    if name is not None and not isinstance(name, str):
+        name = shown(name)
     return MeasuredDistance(
-        _name(name).strip() if name not in (None, "") else default_name,
+        name.strip() if name else default_name,
         (numbers["x1"], numbers["y1"]),
         (numbers["x2"], numbers["y2"]),
         numbers["distance_m"],
     )
-
-
-def _name(value: Any) -> str:
-    """Return what a distance is called; a name is a text, or something short in its place."""
-    return value if isinstance(value, str) else shown(value)
 
 
 def _mean(values: list[float]) -> float | None:

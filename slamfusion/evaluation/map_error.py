@@ -19,15 +19,13 @@ from slamfusion.errors import GridError
 from slamfusion.evaluation.distances import sample_on_lattice, wall_centres
 from slamfusion.evaluation.doubled_walls import doubled_wall_share
 from slamfusion.evaluation.wall_faces import (
+    Nearness,
     WallDistance,
     WallFaces,
     WallThickness,
     compare_faces,
     distance_summary,
-    harmonic_mean,
-    nearest_distances,
     outside_area,
-    share_within,
     wall_thickness,
 )
 from slamfusion.geometry import Pose2
@@ -63,19 +61,9 @@ _DIFFERENCE = np.array(
 )
 
 
-def _told_cells() -> npt.NDArray[np.int8]:
-    """Return the cell of the truth and of the map by code; unknown where a code leaves it open."""
-    classes = (UNKNOWN, FREE, OCCUPIED)
-    told = np.full((2, int(_DIFFERENCE.max()) + 1), UNKNOWN, dtype=np.int8)
-    for code in range(told.shape[1]):
-        found = np.nonzero(np.equal(_DIFFERENCE, code))
-        for side, its_classes in zip(told, found, strict=True):
-            if len(set(its_classes)) == 1:
-                side[code] = classes[its_classes[0]]
-    return told
-
-
-_TRUE_CELLS, _MAP_CELLS = _told_cells()
+# The cell of the truth and of the map by code; unknown where a code leaves it open.
+_TRUE_CELLS = np.array((UNKNOWN, FREE, OCCUPIED, OCCUPIED, UNKNOWN, FREE, UNKNOWN), np.int8)
+_MAP_CELLS = np.array((UNKNOWN, FREE, OCCUPIED, UNKNOWN, OCCUPIED, UNKNOWN, FREE), np.int8)
 
 _SSIM_SIGMA_CELLS = 1.5
 _SSIM_WINDOW_CELLS = 11
@@ -222,10 +210,8 @@ def compare_to_truth(
     # The walls, as points of the truth's map frame.
     true_walls = wall_centres(true_classes, truth)
     map_walls = wall_centres(map_classes, grid, transform)
-    map_to_truth = nearest_distances(map_walls, true_walls)
-    truth_to_map = nearest_distances(true_walls, map_walls)
-    precision = share_within(map_to_truth, tolerance_m)
-    recall = share_within(truth_to_map, tolerance_m)
+    walls = Nearness.between(map_walls, true_walls)
+    agreement = walls.agreement(tolerance_m)
 
     known = max(1, int(confusion[1:].sum()))
     return MapError(
@@ -238,13 +224,13 @@ def compare_to_truth(
             for truth_class, row in zip(CLASS_NAMES, confusion.tolist(), strict=True)
         },
         mapped=mapped,
-        wall_precision=precision,
-        wall_recall=recall,
-        wall_f1=harmonic_mean(precision, recall),
+        wall_precision=agreement.precision,
+        wall_recall=agreement.recall,
+        wall_f1=agreement.f1,
         iou_occupied=_intersection_over_union(confusion, 2),
         iou_free=_intersection_over_union(confusion, 1),
-        map_to_truth_m=distance_summary(map_to_truth),
-        truth_to_map_m=distance_summary(truth_to_map),
+        map_to_truth_m=distance_summary(walls.map_to_truth),
+        truth_to_map_m=distance_summary(walls.truth_to_map),
         faces=compare_faces(map_classes, grid, transform, true_classes, truth),
         wall_thickness_m=wall_thickness(grid, normalize=normalize),
         doubled_wall_share=doubled_wall_share(grid, normalize=normalize),

@@ -155,7 +155,8 @@ def poses_by_odometry(
         _refuse_none(used, estimate, odometry, tolerance_s)
     by_row = np.argsort(rows, kind="stable")
     used, rows = used[by_row], rows[by_row]
-    nearest = _nearest_in_rows(rows, len(odometry))
+    # Of each row the nearest one of these; of two the earlier.
+    nearest = np.searchsorted(0.5 * (rows[1:] + rows[:-1]), np.arange(len(odometry)))
     increment = compose_poses(invert_poses(odometry.poses[rows[nearest]]), odometry.poses)
     poses = compose_poses(estimate.poses[used[nearest]], increment)
     stamps_s = _refined_stamps(odometry.stamps_s, rows, estimate.stamps_s[used], tolerance_s)
@@ -175,42 +176,30 @@ def _rows_by_stamp(
     """Return which poses of the estimate have a row of (nearly) their stamp, and which row.
 
     Odometry that was written with rounded stamps has several rows of one stamp, so the nearest row
-    alone would send several poses to one. The poses take rows in order, one each, with the least
-    sum of differences, where a pose that is left out costs the tolerance: dynamic programming over
-    the rows within it. Of rows with one stamp a lone pose takes the one on its side.
+    alone would send several poses to one. The poses take one row each, with the least sum of
+    differences, where a pose that is left out costs the tolerance. Of rows with one stamp a lone
+    pose takes the one on its side.
     """
-    stamps_s = odometry.stamps_s
-    lows = np.searchsorted(stamps_s, estimate.stamps_s - tolerance_s, "left")
-    highs = np.searchsorted(stamps_s, estimate.stamps_s + tolerance_s, "right")
+    count = len(odometry)
+    lows = np.searchsorted(odometry.stamps_s, estimate.stamps_s - tolerance_s, "left")
+    highs = np.searchsorted(odometry.stamps_s, estimate.stamps_s + tolerance_s, "right")
+    rows = np.concatenate([np.arange(*ends) for ends in zip(lows, highs, strict=True)])
+    poses = np.repeat(np.arange(len(estimate)), highs - lows)
     nearest = odometry.nearest(estimate.stamps_s)
-    leave = tolerance_s + _TIE_S * len(odometry)
-
-    # costs[k]: least cost of the poses so far when all rows they take are below row low + k.
-    costs, low = np.zeros(1), 0
-    choices = []
-    for stamp_s, new_low, high, wanted in zip(estimate.stamps_s, lows, highs, nearest, strict=True):
-        window = np.arange(new_low, high + 1)
-        before = costs[np.minimum(window - low, len(costs) - 1)]
-        rows = window[:-1]
-        take = np.abs(stamps_s[rows] - stamp_s) + _TIE_S * np.abs(rows - wanted) + before[:-1]
-        best = np.minimum.accumulate(take)
-        costs = before + leave
-        takes = np.concatenate(([False], best < costs[1:]))
-        costs[1:] = np.minimum(costs[1:], best)
-        # The row behind each running minimum is the last place where the minimum fell.
-        fell = np.concatenate(([True], take[1:] < best[:-1])) if len(take) else np.zeros(0, bool)
-        behind = np.maximum.accumulate(np.where(fell, rows, new_low)) if len(take) else rows
-        choices.append(np.where(takes, np.concatenate(([-1], behind)), -1))
-        low = new_low
-
-    chosen = np.full(len(estimate), -1, dtype=np.int64)
-    limit = len(odometry)
-    for index in range(len(estimate) - 1, -1, -1):
-        place = min(limit, highs[index]) - lows[index]
-        if place > 0 and choices[index][place] >= 0:
-            chosen[index] = limit = choices[index][place]
-    used = np.flatnonzero(chosen >= 0)
-    return used, chosen[used]
+    costs = np.abs(odometry.stamps_s[rows] - estimate.stamps_s[poses])
+    costs += _TIE_S * np.abs(rows - nearest[poses])
+    # Each pose has a column of its own, in which it is left out. No cost may be 0 in such a matrix.
+    every = np.arange(len(estimate))
+    left_out = np.full(len(estimate), tolerance_s + _TIE_S * count)
+    matrix = scipy.sparse.csr_array(
+        (
+            1.0 + np.concatenate((costs, left_out)),
+            (np.concatenate((poses, every)), np.concatenate((rows, count + every))),
+        )
+    )
+    used, chosen = scipy.sparse.csgraph.min_weight_full_bipartite_matching(matrix)
+    takes = chosen < count
+    return used[takes].astype(np.int64), np.sort(chosen[takes]).astype(np.int64)
 
 
 def _refined_stamps(
@@ -245,15 +234,6 @@ def _refuse_none(
         f"first is from {estimate.stamps_s[0]:.3f} to {estimate.stamps_s[-1]:.3f} s, the other "
         f"from {other.stamps_s[0]:.3f} to {other.stamps_s[-1]:.3f} s; give the files of one run"
     )
-
-
-def _nearest_in_rows(rows: npt.NDArray[np.int64], count: int) -> npt.NDArray[np.int64]:
-    """Return for each of ``count`` rows which of the sorted ``rows`` is nearest; the earlier."""
-    wanted = np.arange(count)
-    after = np.clip(np.searchsorted(rows, wanted), 0, len(rows) - 1)
-    before = np.maximum(after - 1, 0)
-    later_is_nearer = np.abs(rows[after] - wanted) < np.abs(wanted - rows[before])
-    return np.asarray(np.where(later_is_nearer, after, before), dtype=np.int64)
 
 
 def _fit_frame(scan_odometry: Trajectory, odometry: Trajectory, tolerance_m: float) -> Pose2:

@@ -118,7 +118,20 @@ def mean_interval(errors: npt.ArrayLike, share: float = 0.95) -> tuple[float, fl
 
     Source: Efron and Tibshirani, An Introduction to the Bootstrap, 1993, section 13.3.
     """
-    return _bootstrap(np.abs(_checked(errors)), share)
+    values = np.abs(_checked(errors))
+    if len(values) == 1:  # which SciPy refuses to draw from
+        return float(values[0]), float(values[0])
+    drawn = scipy.stats.bootstrap(
+        (values,),
+        np.mean,
+        n_resamples=DRAWS,
+        batch=DRAWS_AT_ONCE,
+        vectorized=True,
+        confidence_level=share,
+        method="percentile",
+        random_state=np.random.default_rng(SEED),
+    ).confidence_interval
+    return float(drawn.low), float(drawn.high)
 
 
 def correct_by_holm(p_values: Sequence[float]) -> list[float]:
@@ -138,23 +151,6 @@ def correct_by_holm(p_values: Sequence[float]) -> list[float]:
     corrected = np.empty_like(values)
     corrected[order] = np.minimum(1.0, np.maximum.accumulate(left * values[order]))
     return [float(p_value) for p_value in corrected]
-
-
-def _bootstrap(values: npt.NDArray[np.float64], share: float) -> tuple[float, float]:
-    """Return the percentile interval of the mean; the same values give the same interval."""
-    if len(values) == 1:  # which SciPy refuses to draw from
-        return float(values[0]), float(values[0])
-    drawn = scipy.stats.bootstrap(
-        (values,),
-        np.mean,
-        n_resamples=DRAWS,
-        batch=DRAWS_AT_ONCE,
-        vectorized=True,
-        confidence_level=share,
-        method="percentile",
-        random_state=np.random.default_rng(SEED),
-    ).confidence_interval
-    return float(drawn.low), float(drawn.high)
 
 
 def _checked(values: npt.ArrayLike) -> npt.NDArray[np.float64]:

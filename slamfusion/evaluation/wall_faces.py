@@ -17,8 +17,8 @@ import scipy
 
 from slamfusion.config import NormalizeConfig
 from slamfusion.evaluation.distances import wall_centres
-from slamfusion.geometry import Pose2
-from slamfusion.grid import IDENTITY, UNKNOWN, OccupancyGrid, trinary_cells
+from slamfusion.geometry import F64, Pose2
+from slamfusion.grid import UNKNOWN, OccupancyGrid, trinary_cells
 
 # A wall exactly the tolerance away counts as found, whatever the last digits of the poses are.
 _TOLERANCE_SLACK_M = 1e-6
@@ -34,47 +34,6 @@ class WallDistance:
     """95th percentile, metres."""
     max: float
     """The largest, metres."""
-
-
-def nearest_distances(
-    walls: npt.NDArray[np.float64], others: npt.NDArray[np.float64]
-) -> npt.NDArray[np.float64] | None:
-    """Return (N,) metres to the nearest of ``others``, inf where there is none; None without walls.
-
-    Args:
-        walls: (N, 2) points, metres.
-        others: (M, 2) points, metres, same frame.
-    """
-    if walls.shape[0] == 0:
-        return None
-    if others.shape[0] == 0:
-        return np.full(walls.shape[0], np.inf)
-    distances, _ = scipy.spatial.KDTree(others).query(walls)
-    return np.asarray(distances, dtype=np.float64)
-
-
-def share_within(distances: npt.NDArray[np.float64] | None, tolerance_m: float) -> float | None:
-    """Return the share of distances at most the tolerance, or None without walls."""
-    if distances is None:
-        return None
-    return float(np.mean(distances <= tolerance_m + _TOLERANCE_SLACK_M))
-
-
-def harmonic_mean(precision: float | None, recall: float | None) -> float | None:
-    """Return F1, 0 when both are 0, None when one is undefined."""
-    if precision is None or recall is None:
-        return None
-    total = precision + recall
-    return 2.0 * precision * recall / total if total else 0.0
-
-
-def distance_summary(distances: npt.NDArray[np.float64] | None) -> WallDistance | None:
-    """Return mean, 95th percentile and maximum, or None when a side has no walls."""
-    if distances is None or not np.isfinite(distances[0]):
-        return None
-    return WallDistance(
-        float(distances.mean()), float(np.percentile(distances, 95)), float(distances.max())
-    )
 
 
 _DEFAULT_NORMALIZE = NormalizeConfig()
@@ -123,6 +82,49 @@ class WallFaces:
         return by_tolerance[tolerance_m]
 
 
+@dataclass(frozen=True, eq=False)
+class Nearness:
+    """Metres from each point of one map to the nearest of another, and back.
+
+    Without points in the other map all are infinite; a map without points has none.
+    """
+
+    map_to_truth: F64
+    truth_to_map: F64
+
+    @classmethod
+    def between(cls, found: F64, expected: F64) -> Nearness:
+        """Measure the points of a map, (N, 2) metres, and those of the truth, (M, 2)."""
+        # A tree of no points finds nothing: infinitely far.
+        there, back = (
+            np.asarray(scipy.spatial.KDTree(others).query(points)[0], dtype=np.float64)
+            for points, others in ((found, expected), (expected, found))
+        )
+        return cls(there, back)
+
+    def agreement(self, tolerance_m: float) -> FaceAgreement:
+        """Return precision, recall and F1 at a tolerance."""
+        near_m = tolerance_m + _TOLERANCE_SLACK_M
+        precision, recall = (
+            float(np.mean(distances <= near_m)) if len(distances) else None
+            for distances in (self.map_to_truth, self.truth_to_map)
+        )
+        f1 = None
+        if precision is not None and recall is not None:
+            total = precision + recall
+            f1 = 2.0 * precision * recall / total if total else 0.0
+        return FaceAgreement(tolerance_m, precision, recall, f1)
+
+
+def distance_summary(distances: F64) -> WallDistance | None:
+    """Return mean, 95th percentile and maximum, or None when a side has no walls."""
+    if not len(distances) or not np.isfinite(distances[0]):
+        return None
+    return WallDistance(
+        float(distances.mean()), float(np.percentile(distances, 95)), float(distances.max())
+    )
+
+
 @dataclass(frozen=True)
 class WallThickness:
     """How thick walls are, measured through each cell next to a free one, metres."""
@@ -167,19 +169,13 @@ def compare_faces(
         transform: maps a point of the map's frame into the truth's, metres.
         truth: gives resolution and origin of ``true_classes``.
     """
-    found = _centres(face_cells(classes), grid, transform)
-    expected = _centres(face_cells(true_classes), truth, IDENTITY)
-    map_to_truth = nearest_distances(found, expected)
-    truth_to_map = nearest_distances(expected, found)
-    agreements = []
-    for tolerance_m in FACE_TOLERANCES_M:
-        precision = share_within(map_to_truth, tolerance_m)
-        recall = share_within(truth_to_map, tolerance_m)
-        agreements.append(
-            FaceAgreement(tolerance_m, precision, recall, harmonic_mean(precision, recall))
-        )
+    found = wall_centres(face_cells(classes).view(np.int8), grid, transform)
+    expected = wall_centres(face_cells(true_classes).view(np.int8), truth)
+    faces = Nearness.between(found, expected)
     return WallFaces(
-        tuple(agreements), distance_summary(map_to_truth), distance_summary(truth_to_map)
+        tuple(map(faces.agreement, FACE_TOLERANCES_M)),
+        distance_summary(faces.map_to_truth),
+        distance_summary(faces.truth_to_map),
     )
 
 
@@ -249,13 +245,6 @@ def outside_area(
     within &= (true_cols >= 0) & (true_cols < outline.shape[1])
     within[within] = outline[true_rows[within], true_cols[within]]
     return int(np.count_nonzero(~within)) * grid.resolution**2
-
-
-def _centres(
-    marked: npt.NDArray[np.bool_], grid: OccupancyGrid, transform: Pose2
-) -> npt.NDArray[np.float64]:
-    """Return the centres of marked cells, carried through ``transform``, (N, 2) metres."""
-    return wall_centres(marked.astype(np.int8), grid, transform)
 
 
 def _run_behind(walls: npt.NDArray[np.bool_], row_step: int, col_step: int) -> npt.NDArray[np.int_]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
@@ -23,13 +24,24 @@ from slamfusion.evaluation import (
 from slamfusion.fusion import align_grids, fuse_grids
 from slamfusion.geometry import Pose2
 from slamfusion.io import AtomicFiles
-from slamfusion.jobs.cases import CaseFile, Placed, place_files
+from slamfusion.jobs.cases import CaseFile, Placed, case_names, place_files
 from slamfusion.jobs.documents import circumstances, path_text, settings_used
 from slamfusion.jobs.fuse_documents import FusedInputJson, UnalignedInputJson, input_document
-from slamfusion.jobs.inputs import MapInput, PixelSizes, Progress, as_grids, device_for, load_truth
+from slamfusion.jobs.inputs import (
+    MapInput,
+    PixelSizes,
+    Progress,
+    Warn,
+    as_grids,
+    device_for,
+    load_maps,
+    load_truth,
+)
 from slamfusion.jobs.plan import align_plan_with_all
 from slamfusion.jobs.records import CircumstancesJson, Evaluation, SettingsJson, SummariesJson
 from slamfusion.json_values import record_keys
+
+_LOG = logging.getLogger(__name__)
 
 
 class EvaluateDocument(SettingsJson):
@@ -185,20 +197,129 @@ def measure_distances(
     )
 
 
-def evaluation_rows(placed: Sequence[Placed], evaluations: Sequence[Evaluation]) -> list[Row]:
-    """Return the figures of maps against truths as rows of a table of results."""
-    pairs = zip(placed, evaluations, strict=True)
-    return [row for item, own in pairs for row in result_rows(*item.keys, map_figures(own))]
+@dataclass(frozen=True, eq=False)
+class EvaluatedCases:
+    """Maps, each compared with the truth of its case, or with measured distances alone.
+
+    Attributes:
+        maps: the files, as they were given.
+        truths: the true maps' files, by case; empty: the maps were not compared with a truth.
+        placed, evaluations: of each map, if there are truths.
+        device: what computed the alignments; None where none was.
+    """
+
+    maps: tuple[CaseFile, ...]
+    truths: Mapping[str, Path]
+    placed: Sequence[Placed]
+    evaluations: Sequence[Evaluation]
+    distances: Sequence[DistanceComparison]
+    config: RunConfig
+    device: str | None
+
+    def rows(self) -> list[Row]:
+        """Return the figures against the truths as rows of a table of results."""
+        pairs = zip(self.placed, self.evaluations, strict=True)
+        return [row for item, own in pairs for row in result_rows(*item.keys, map_figures(own))]
+
+    def distance_rows(self) -> list[Row]:
+        """Return the figures against measured distances, a case of their own, as rows."""
+        if not self.distances:
+            return []
+        files = [CaseFile(item.path) for item in self.maps]
+        pairs = zip(place_files(["measured distances"], files), self.distances, strict=True)
+        return [
+            row
+            for item, found in pairs
+            for row in result_rows(
+                *item.keys, {"distance_error_mean_m": found.mean_absolute_error_m}
+            )
+        ]
+
+    def to_json(self) -> EvaluateDocument | CasesEvaluationDocument:
+        """Return what ``slamfusion evaluate`` prints as JSON."""
+        if len(self.truths) < 2:
+            truth = next(iter(self.truths.values()), None)
+            return evaluate_document(
+                self.evaluations, self.distances, self.config, truth=truth, device=self.device
+            )
+        from slamfusion.jobs.results import summaries  # noqa: PLC0415  (pandas is an extra)
+
+        pairs = zip(self.placed, self.evaluations, strict=True)
+        return {
+            "maps": [CaseEvaluation(**vars(own), **record_keys(item)) for item, own in pairs],
+            **summaries(self.rows()),
+            "distances": self.distances,
+            "truths": {case: str(path) for case, path in self.truths.items()},
+            **circumstances(self.config, self.device or ""),
+        }
+
+    def write(self, report: Path | None, images: Sequence[Path]) -> None:
+        """Write reports and pictures; of several cases a report each. See ``write_evaluation``."""
+        with AtomicFiles() as files:
+            for case in self.truths if self.placed else ():
+                own = [row for row, item in enumerate(self.placed) if item.case == case]
+                if own:
+                    write_evaluation(
+                        [self.evaluations[row] for row in own],
+                        self.config,
+                        device=self.device or "",
+                        report=report / case if report and len(self.truths) > 1 else report,
+                        images=[images[row] for row in own] if images else [],
+                        files=files,
+                    )
 
 
-def distance_rows(maps: Sequence[CaseFile], distances: Sequence[DistanceComparison]) -> list[Row]:
-    """Return the figures of maps against measured distances, a case of their own, as rows."""
-    placed = place_files(["measured distances"], [CaseFile(file.path) for file in maps])
-    return [
-        row
-        for item, found in zip(placed, distances, strict=bool(distances))
-        for row in result_rows(*item.keys, {"distance_error_mean_m": found.mean_absolute_error_m})
+def evaluate_cases(
+    maps: tuple[CaseFile, ...],
+    truths: Sequence[CaseFile],
+    config: RunConfig,
+    *,
+    distances: Path | None = None,
+    align: bool = True,
+    scale: PixelSizes | None = None,
+    resolution: float | None = None,
+    progress: Progress | None = None,
+    warn: Warn = _LOG.warning,
+) -> EvaluatedCases:
+    """Compare maps, each with the truth of its case, and with measured distances.
+
+    Raises:
+        ConfigError: a map belongs to no case, or to several.
+        MapFileError, GridError, DeviceError: see ``evaluate_maps``.
+    """
+    cases = case_names(truths)
+    placed = place_files(cases, maps) if cases else []
+    paths = [item.path for item in maps]
+    grids = load_maps(paths, resolution, config.map_files, warn, measured=True)
+    if len(cases) > 1:
+        grids = [grid.with_name(own.name) for grid, own in zip(grids, placed, strict=True)]
+    true_grids = [
+        load_truth(item.path, config, resolution=resolution, scale=scale, warn=warn)
+        for item in truths
     ]
+    device = device_for(config) if cases else None
+    found: dict[int, Evaluation] = {}
+    for case, truth in zip(cases, true_grids, strict=True):
+        rows = [row for row, own in enumerate(placed) if own.case == case]
+        evaluations = evaluate_maps(
+            [grids[row] for row in rows],
+            truth if len(cases) == 1 else truth.with_name(case),
+            config,
+            device,
+            align=align,
+            scale=scale,
+            progress=progress,
+        )
+        found.update(zip(rows, evaluations, strict=True))
+    return EvaluatedCases(
+        maps,
+        {case: item.path for case, item in zip(cases, truths, strict=True)},
+        placed,
+        [found[row] for row in sorted(found)],
+        () if distances is None else measure_distances(grids, distances, config),
+        config,
+        None if device is None else device.name,
+    )
 
 
 def evaluate_document(
@@ -222,39 +343,13 @@ def evaluate_document(
     }
 
 
-def cases_document(
-    placed: Sequence[Placed],
-    evaluations: Sequence[Evaluation],
-    distances: Sequence[DistanceComparison],
-    config: RunConfig,
-    *,
-    truths: Mapping[str, Path],
-    device: str,
-) -> CasesEvaluationDocument:
-    """Return what ``slamfusion evaluate`` prints as JSON with several truths."""
-    from slamfusion.jobs.results import summaries  # noqa: PLC0415  (pandas is an extra)
-
-    maps = [
-        CaseEvaluation(**vars(own), **record_keys(item))
-        for item, own in zip(placed, evaluations, strict=True)
-    ]
-    return {
-        "maps": maps,
-        **summaries(evaluation_rows(placed, evaluations)),
-        "distances": distances,
-        "truths": {case: str(path) for case, path in truths.items()},
-        **circumstances(config, device),
-    }
-
-
 def write_evaluation(
     evaluations: Sequence[Evaluation],
     config: RunConfig,
     *,
     device: str = "",
     report: Path | None = None,
-    image: Path | None = None,
-    name_each: bool = False,
+    images: Sequence[Path] = (),
     files: AtomicFiles | None = None,
 ) -> None:
     """Write the report and the difference images that are asked for, all of them or none.
@@ -262,14 +357,13 @@ def write_evaluation(
     Args:
         evaluations: at least one.
         report: folder of the page and its pictures; None: no report.
-        image: picture (PNG, SVG or PDF) of the differences to the truth, several maps add their
-            names; None: no picture.
-        name_each: a map alone adds its name, too.
+        images: a picture (PNG, SVG or PDF) for each map, of its differences to the truth; empty:
+            none.
 
     Raises:
         SlamFusionError: matplotlib is missing, or a file cannot be written.
     """
-    if report is None and image is None:
+    if report is None and not images:
         return
     from slamfusion.report import write_difference_image, write_evaluation_report  # noqa: PLC0415  (an extra)
 
@@ -284,14 +378,10 @@ def write_evaluation(
                 device=device,
                 files=together,
             )
-        if image is not None:
-            is_one = len(evaluations) == 1 and not name_each
-            names = [evaluation.name for evaluation in evaluations]
-            paths = [image] if is_one else difference_images(image, names)
-            for evaluation, path in zip(evaluations, paths, strict=True):
-                write_difference_image(evaluation, path, together)
+        for evaluation, path in zip(evaluations, images, strict=bool(images)):
+            write_difference_image(evaluation, path, together)
 
 
 def difference_images(image: Path, names: Sequence[str]) -> list[Path]:
-    """Return where the difference images of several maps go: beside one that is asked for."""
+    """Return where the difference images of several maps go: their names are added to one."""
     return [image.with_stem(f"{image.stem}_{name.replace('/', '_')}") for name in names]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from pathlib import Path
 from typing import TypedDict
 
@@ -37,7 +38,7 @@ from slamfusion.jobs.inputs import Warn, as_path, device_for, distinct_names
 from slamfusion.jobs.outputs import FUSED
 from slamfusion.jobs.records import CircumstancesJson, SummariesJson
 from slamfusion.jobs.saved_maps import SavedPath, path_at_scans
-from slamfusion.jobs.trajectory import JudgedPathJson, Measures, Yardsticks
+from slamfusion.jobs.trajectory import JudgedPathJson, KnownFiles, Measures, Yardsticks
 from slamfusion.slam.common.odometry_check import contradictions, laser_fault
 from slamfusion.trajectory import Trajectory
 
@@ -91,40 +92,26 @@ class JudgementsDocument(SummariesJson, CircumstancesJson):
     """The logs in the order given; paths are named by what made them."""
 
 
-@dataclass(frozen=True)
-class JudgeFiles:
-    """A log, paths of it, and what they are held against; None: there is none.
-
-    Attributes:
-        odometry: raw odometry of the whole run, to carry poses on to the relations' times.
-        scan_odometry: what gives the scans their odometry instead of the log.
-        fused: where the path that is fused of them goes.
-    """
-
-    log: Path
-    paths: Mapping[str, Path]
-    relations: Path | None = None
-    odometry: Path | None = None
-    truth: Path | None = None
-    scan_odometry: Path | None = None
-    fused: Path | None = None
-
-
 @dataclass(frozen=True, eq=False)
 class JudgedPaths:
     """Paths of a drive in the order that the scans put them in.
 
     Attributes:
+        files: the log, and what the paths are measured with.
+        given: the paths' files, by name.
         fused: the path that was made of them; None where none was asked for.
+        fused_file: where it goes.
         recommendation: which of them to use, the fused path among them.
         measures: errors of each path by name, where there was something to measure by.
         not_measured: what could not be measured, a sentence each.
     """
 
-    files: JudgeFiles
+    files: KnownFiles
+    given: Mapping[str, Path]
     config: RunConfig
     paths: Mapping[str, Trajectory]
     fused: DrivePath | None
+    fused_file: Path | None
     recommendation: Recommendation
     evidence: PathEvidence
     measures: Mapping[str, Measures]
@@ -132,30 +119,18 @@ class JudgedPaths:
     device: str
 
     def errors_by_truth_m(self) -> dict[str, float]:
-        """Return the ATE of the paths that met the truth, metres, by name."""
-        return {
-            name: found.truth.ate.rmse
-            for name, found in self.measures.items()
-            if found.truth is not None
-        }
+        """Return the ATE of the paths that met the truth, metres, by name; the least first."""
+        found = self.measures.items()
+        errors = {name: own.truth.ate.rmse for name, own in found if own.truth is not None}
+        return dict(sorted(errors.items(), key=itemgetter(1)))
 
     def errors_by_relations_m(self) -> dict[str, float]:
-        """Return the mean error of the paths that met the relations, metres, by name."""
-        return {
-            name: found.relations.translation.mean
-            for name, found in self.measures.items()
-            if found.relations is not None
+        """Return the mean error of the paths on the relations, metres, by name; the least first."""
+        found = self.measures.items()
+        errors = {
+            name: own.relations.translation.mean for name, own in found if own.relations is not None
         }
-
-    def ranking_by_truth(self) -> tuple[str, ...]:
-        """Return the names of the paths that met the truth, that of the least ATE first."""
-        errors = self.errors_by_truth_m()
-        return tuple(sorted(errors, key=errors.__getitem__))
-
-    def ranking_by_relations(self) -> tuple[str, ...]:
-        """Return the names of the paths that met the relations, the least mean error first."""
-        errors = self.errors_by_relations_m()
-        return tuple(sorted(errors, key=errors.__getitem__))
+        return dict(sorted(errors.items(), key=itemgetter(1)))
 
     def to_json(self) -> JudgeDocument:
         """Return what ``slamfusion judge`` prints as JSON."""
@@ -169,15 +144,15 @@ class JudgedPaths:
             "path_evidence": self.recommendation.paths,
             "paths": [
                 SavedPath(
-                    files.paths[name], replace(path, name=name), self.measures.get(name, Measures())
+                    self.given[name], replace(path, name=name), self.measures.get(name, Measures())
                 ).to_json()
                 for name, path in self.paths.items()
             ],
             "fused_path": None
-            if self.fused is None or files.fused is None
-            else self.fused.to_json(files.fused),
-            "ranking_by_truth": self.ranking_by_truth(),
-            "ranking_by_relations": self.ranking_by_relations(),
+            if self.fused is None or self.fused_file is None
+            else self.fused.to_json(self.fused_file),
+            "ranking_by_truth": tuple(self.errors_by_truth_m()),
+            "ranking_by_relations": tuple(self.errors_by_relations_m()),
             "not_measured": self.not_measured,
             "log": str(files.log),
             "relations": path_text(files.relations),
@@ -248,34 +223,29 @@ def judge_paths(
         raise TrajectoryError(f"{log}: no path to judge; give at least one file of poses")
     config = config or RunConfig()
     if not isinstance(paths, Mapping):
-        given = [Path(path) for path in paths]
-        paths = dict(zip(distinct_names(given), given, strict=True))
-    files = JudgeFiles(
-        Path(log),
-        {name: Path(path) for name, path in paths.items()},
-        *map(as_path, (relations, odometry, truth, scan_odometry, fused)),
-    )
-    if files.fused is not None:
-        _check_fused(files)
-    read = {name: read_trajectory(path, config.log) for name, path in files.paths.items()}
-    held = Yardsticks.read(
-        config, relations=files.relations, odometry=files.odometry, truth=files.truth, warn=warn
-    )
+        paths = dict(zip(distinct_names([*map(Path, paths)]), paths, strict=True))
+    given = {name: Path(path) for name, path in paths.items()}
+    fused_file = as_path(fused)
+    if fused_file is not None:
+        _check_fused(given)
+    read = {name: read_trajectory(path, config.log) for name, path in given.items()}
+    files = KnownFiles(*map(as_path, (relations, odometry, log, truth, scan_odometry)))
+    held = Yardsticks.read(config, files.relations, files.odometry, files.truth, warn)
     device = device_for(config) if device is None else device
-    source = open_log(files.log, config.log, files.scan_odometry)
+    source = open_log(log, config.log, files.scan_odometry)
     scans = judged_scans(source)
     for sentence in (*source.skips.sentences(), *source.warnings.sentences(), *source.notes):
-        warn(f"{files.log}: {sentence}")
+        warn(f"{log}: {sentence}")
     wheels = scans.odometry_path()
     offset = config.trajectory.time_offset
     read = {name: on_clock(path, wheels, offset) for name, path in read.items()}
     evidence = score_paths(scans, read, device)
-    made, fused = None, None
-    if files.fused is not None:
-        made, fused = _fuse(read, evidence, device), FUSED
+    made = None
+    if fused_file is not None:
+        made = _fuse(read, evidence, device)
         if made.refined is not None:
             evidence = made.refined.evidence
-    found = recommend(evidence, tuple(read), device, fused=fused)
+    found = recommend(evidence, tuple(read), device, fused=None if made is None else FUSED)
     every = read if made is None else {**read, FUSED: made.trajectory}
     found = _with_sensor_faults(found, wheels, every.get(found.path or ""), warn)
     measures, not_measured = {}, []
@@ -287,8 +257,9 @@ def judge_paths(
     if made is not None:
         made = replace(made, measures=measures.get(FUSED, Measures()))
     return JudgedPaths(
-        files, config, read, made, found, evidence, measures, tuple(not_measured), device.name
-    )
+        files, given, config, read, made, fused_file,
+        found, evidence, measures, tuple(not_measured), device.name,
+    )  # fmt: skip
 
 
 def judgements_document(
@@ -310,8 +281,8 @@ def write_fused_path(found: JudgedPaths, files: AtomicFiles | None = None) -> No
     Raises:
         MapFileError: the file cannot be written.
     """
-    if found.fused is not None and found.files.fused is not None:
-        write_tum(found.files.fused, found.fused.trajectory, files=files)
+    if found.fused is not None and found.fused_file is not None:
+        write_tum(found.fused_file, found.fused.trajectory, files=files)
 
 
 def write_judgement(
@@ -351,14 +322,14 @@ def _with_sensor_faults(
     return replace(found, laser_fault=fault)
 
 
-def _check_fused(files: JudgeFiles) -> None:
+def _check_fused(files: Mapping[str, Path]) -> None:
     """Refuse paths of which none can be fused, before any work."""
-    if len(files.paths) < LEAST_FUSED:
-        message = f"{len(files.paths)} path cannot be fused; give at least {LEAST_FUSED}"
+    if len(files) < LEAST_FUSED:
+        message = f"{len(files)} path cannot be fused; give at least {LEAST_FUSED}"
         raise TrajectoryError(message)
-    if FUSED in files.paths:
+    if FUSED in files:
         raise TrajectoryError(
-            f"{files.paths[FUSED]}: the path that is made of the others is called {FUSED}, too; "
+            f"{files[FUSED]}: the path that is made of the others is called {FUSED}, too; "
             "give this one another name, or leave it out"
         )
 

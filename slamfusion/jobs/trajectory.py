@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, TypedDict, cast
 
@@ -28,7 +28,7 @@ from slamfusion.evaluation import (
 from slamfusion.evaluation.relations import RelationErrorsAtScans
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import AtomicFiles, read_trajectory
-from slamfusion.jobs.cases import Placed
+from slamfusion.jobs.cases import CaseFile, Placed, files_by_case
 from slamfusion.jobs.documents import path_text, settings_used
 from slamfusion.jobs.inputs import Warn, as_path
 from slamfusion.jobs.records import PlacedJson, SettingsJson, SummariesJson
@@ -144,11 +144,13 @@ class Yardsticks:
     Attributes:
         relations: known motions between pairs of times.
         odometry: raw odometry of the whole run, to carry poses on to the relations' times.
+        scans: raw odometry of the scans of the path's log.
     """
 
     relations: Relations | None = None
     odometry: Trajectory | None = None
     truth: Trajectory | None = None
+    scans: Trajectory | None = None
 
     @classmethod
     def read(
@@ -188,7 +190,7 @@ class Yardsticks:
             config.trajectory,
             relations=self.relations,
             odometry=self.odometry,
-            scans=scans,
+            scans=scans or self.scans,
             truth=self.truth,
         )
 
@@ -230,53 +232,51 @@ def measure_trajectory(
 
 
 @dataclass(frozen=True)
-class TrajectoryFiles:
-    """A trajectory's file, and those that it is measured with; None where there is none."""
+class KnownFiles:
+    """The files that the paths of one drive are measured with; None where there is none.
 
-    estimate: Path
+    Attributes:
+        log: what the paths were made from.
+        scan_odometry: what gives the scans of the log their odometry.
+    """
+
     relations: Path | None = None
     odometry: Path | None = None
     log: Path | None = None
     truth: Path | None = None
+    scan_odometry: Path | None = None
 
 
-@dataclass(frozen=True)
-class CaseFiles:
-    """What paths of several cases are held against: of each kind the file of a case, by its name.
+def known_files(
+    cases: Sequence[str], logs: Sequence[CaseFile], **others: Sequence[CaseFile]
+) -> dict[str, KnownFiles]:
+    """Return the files of each case.
 
-    Attributes:
-        logs: what the paths were made from.
-        scan_odometry: what gives the scans of a log their odometry.
+    Args:
+        others: of each other kind of ``KnownFiles``, by its name.
+
+    Raises:
+        ConfigError: a file belongs to none of the cases, or to several; or two are of one.
     """
+    found = {
+        kind: files_by_case(cases, own, f"--{kind.replace('_', '-')}")
+        for kind, own in {"log": logs, **others}.items()
+    }
+    return {
+        case: KnownFiles(**{kind: own.get(case) for kind, own in found.items()}) for case in cases
+    }
 
-    relations: Mapping[str, Path] = field(default_factory=dict)
-    odometry: Mapping[str, Path] = field(default_factory=dict)
-    logs: Mapping[str, Path] = field(default_factory=dict)
-    truths: Mapping[str, Path] = field(default_factory=dict)
-    scan_odometry: Mapping[str, Path] = field(default_factory=dict)
 
-    def of(self, case: str, estimate: Path) -> TrajectoryFiles:
-        """Return a path's files."""
-        return TrajectoryFiles(
-            estimate,
-            self.relations.get(case),
-            self.odometry.get(case),
-            self.logs.get(case),
-            self.truths.get(case),
-        )
-
-    def inputs(self, placed: Sequence[Placed]) -> list[tuple[str, str, Path]]:
-        """Return role, case and path of these files, and of the paths compared with them."""
-        found = [("path", item.case, item.path) for item in placed]
-        for role, files in (
-            ("relations", self.relations),
-            ("odometry", self.odometry),
-            ("log", self.logs),
-            ("truth", self.truths),
-            ("scan odometry", self.scan_odometry),
-        ):
-            found += [(role, case, path) for case, path in files.items()]
-        return found
+def known_inputs(
+    placed: Sequence[Placed], known: Mapping[str, KnownFiles]
+) -> list[tuple[str, str, Path]]:
+    """Return role, case and path of paths and of the files that they are measured with."""
+    return [("path", item.case, item.path) for item in placed] + [
+        (item.name.replace("_", " "), case, path)
+        for item in fields(KnownFiles)
+        for case, files in known.items()
+        if (path := getattr(files, item.name)) is not None
+    ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -284,17 +284,17 @@ class MeasuredTrajectory:
     """A trajectory with its errors.
 
     Attributes:
-        truth: the true poses; None without them.
-        scans: raw odometry of the scans of the estimate's log; None without it.
+        placed: its file and its case.
+        held: what it was measured by.
         grid: a map in the frame of the estimate, to be drawn under it; None: none.
     """
 
-    files: TrajectoryFiles
+    placed: Placed
+    files: KnownFiles
     config: RunConfig
     estimate: Trajectory
     measures: Measures
-    truth: Trajectory | None = None
-    scans: Trajectory | None = None
+    held: Yardsticks
     grid: OccupancyGrid | None = None
 
     def to_json(self) -> TrajectoryDocument:
@@ -310,22 +310,22 @@ class MeasuredTrajectory:
             "duration_s": float(poses.stamps_s[-1] - poses.stamps_s[0]),
             **self.measures.to_json(),
             "poses": len(poses),
-            "estimate": str(files.estimate),
+            "estimate": str(self.placed.path),
             "relations": path_text(files.relations),
             "odometry_file": path_text(files.odometry),
             "log": path_text(files.log),
             "truth": path_text(files.truth),
         }
 
-    def rows(self, placed: Placed) -> list[Row]:
+    def rows(self) -> list[Row]:
         """Return figures and single errors as rows of a table of results."""
         held = (self.measures.truth, self.measures.relations)
-        return result_rows(*placed.keys, path_figures(*held), path_series(*held))
+        return result_rows(*self.placed.keys, path_figures(*held), path_series(*held))
 
 
 def measure_trajectories(
-    placed: Sequence[Placed], held: CaseFiles, config: RunConfig | None = None
-) -> tuple[list[tuple[Placed, MeasuredTrajectory]], list[str]]:
+    placed: Sequence[Placed], known: Mapping[str, KnownFiles], config: RunConfig | None = None
+) -> tuple[list[MeasuredTrajectory], list[str]]:
     """Measure paths, each by what there is of its case.
 
     Returns:
@@ -340,60 +340,52 @@ def measure_trajectories(
     config = config or RunConfig()
     yardsticks = {}
     for case in dict.fromkeys(item.case for item in placed):
-        log, files = held.logs.get(case), (held.relations, held.odometry, held.truths)
-        relations, odometry, truth = (own.get(case) for own in files)
-        yardsticks[case] = (
-            Yardsticks.read(config, relations, odometry, truth),
-            None if log is None else read_trajectory(log, config.log),
-        )
+        files = known[case]
+        held = Yardsticks.read(config, files.relations, files.odometry, files.truth)
+        scans = None if files.log is None else read_trajectory(files.log, config.log)
+        yardsticks[case] = replace(held, scans=scans)
     found, not_measured = [], []
     for item in placed:
-        known, scans = yardsticks[item.case]
-        if known.relations is None and known.truth is None:
+        held = yardsticks[item.case]
+        if held.relations is None and held.truth is None:
             not_measured.append(
                 f"{item.path}: neither truth nor relations of {item.case} was given"
             )
             continue
         try:
             estimate = read_trajectory(item.path, config.log)
-            measures = known.measure(estimate, config, scans)
+            measures = held.measure(estimate, config)
         except (SlamFusionError, OSError) as error:
             if len(placed) == 1:
                 raise
             why = (error.strerror if isinstance(error, OSError) else None) or str(error)
             not_measured.append(f"{item.path}: {why.removeprefix(f'{item.path}: ')}")
             continue
-        files_of = held.of(item.case, item.path)
-        own = MeasuredTrajectory(files_of, config, estimate, measures, known.truth, scans)
-        found.append((item, own))
+        found.append(MeasuredTrajectory(item, known[item.case], config, estimate, measures, held))
     if not found:
         raise SlamFusionError("; ".join(not_measured) or "no path to measure; give at least one")
     return found, not_measured
 
 
 def trajectories_document(
-    found: Sequence[tuple[Placed, MeasuredTrajectory]],
-    not_measured: Sequence[str],
-    config: RunConfig,
+    found: Sequence[MeasuredTrajectory], not_measured: Sequence[str], config: RunConfig
 ) -> TrajectoriesDocument:
     """Return what ``slamfusion trajectory`` prints of several paths as JSON."""
     from slamfusion.jobs.results import summaries  # noqa: PLC0415  (pandas is an extra)
 
     paths: list[CaseTrajectoryJson] = [
-        {**own.record_to_json(), **cast("PlacedJson", record_keys(item))} for item, own in found
+        {**own.record_to_json(), **cast("PlacedJson", record_keys(own.placed))} for own in found
     ]
     return {
         "trajectories": paths,
-        **summaries(row for item, own in found for row in own.rows(item)),
+        **summaries(row for own in found for row in own.rows()),
         "not_measured": not_measured,
         **settings_used(config),
     }
 
 
 def write_trajectories(
-    found: Sequence[tuple[Placed, MeasuredTrajectory]],
-    directory: str | Path,
-    files: AtomicFiles | None = None,
+    found: Sequence[MeasuredTrajectory], directory: str | Path, files: AtomicFiles | None = None
 ) -> Path:
     """Write one report of the errors of paths; see ``slamfusion.report.page.write_page``.
 
@@ -403,19 +395,19 @@ def write_trajectories(
     from slamfusion.report import MeasuredPath, write_trajectory_report  # noqa: PLC0415  (an extra)
 
     cases: dict[str, list[MeasuredPath]] = {}
-    for item, own in found:
+    for own in found:
         errors = own.measures
         path = MeasuredPath(
-            item.name, own.estimate, errors.truth, errors.relations, errors.at_scans
+            own.placed.name, own.estimate, errors.truth, errors.relations, errors.at_scans
         )
-        cases.setdefault(item.case, []).append(path)
-    first = found[0][1]
+        cases.setdefault(own.placed.case, []).append(path)
+    first = found[0]
     return write_trajectory_report(
         directory,
         cases,
         config=first.config,
-        truths={item.case: own.truth for item, own in found if own.truth is not None},
-        odometry=first.scans if len(found) == 1 else None,
+        truths={own.placed.case: own.held.truth for own in found if own.held.truth is not None},
+        odometry=first.held.scans if len(found) == 1 else None,
         grid=first.grid,
         files=files,
     )

@@ -52,7 +52,7 @@ from slamfusion.config import EvaluateConfig, FusionConfig, NormalizeConfig, Vot
 from slamfusion.errors import AlignmentError
 from slamfusion.evaluation import doubled_wall_share, wall_thickness
 from slamfusion.evaluation.distances import sample_on_lattice, wall_centres
-from slamfusion.evaluation.wall_faces import harmonic_mean, nearest_distances, share_within
+from slamfusion.evaluation.wall_faces import Nearness
 from slamfusion.fusion.pipeline import fuse_grids, vote_again
 from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, trinary_cells
@@ -256,9 +256,7 @@ def _walls(grid: OccupancyGrid, pose: Pose2 = IDENTITY) -> F64:
 
 def _f1(walls: F64, true_walls: F64) -> float:
     """Return the F1 of walls, (N, 2) metres, against true ones; 0 where one side has none."""
-    precision = share_within(nearest_distances(walls, true_walls), TOLERANCE_M)
-    recall = share_within(nearest_distances(true_walls, walls), TOLERANCE_M)
-    return harmonic_mean(precision, recall) or 0.0
+    return Nearness.between(walls, true_walls).agreement(TOLERANCE_M).f1 or 0.0
 
 
 # --- judge ---------------------------------------------------------------------------------------
@@ -332,11 +330,8 @@ def judge_pair(
     shown = []
     for mine, here, other in ((own[0], known[0], known[1]), (own[1], known[1], known[0])):
         alone = within(true_walls, here & ~scipy.ndimage.binary_dilation(other, iterations=apart))
-        distances = nearest_distances(alone, mine)
-        if distances is not None:
-            shown.append(alone[distances <= TOLERANCE_M])
-    only = np.concatenate(shown) if shown else np.empty((0, 2))
-    added = share_within(nearest_distances(only, walls), TOLERANCE_M)
+        shown.append(alone[Nearness.between(alone, mine).map_to_truth <= TOLERANCE_M])
+    added = Nearness.between(np.concatenate(shown), walls).agreement(TOLERANCE_M).precision
     return {
         "common": scores[0] - min(scores[1:]) + F1_LOSS,
         "adds": (1.0 if added is None else added) - ADDED_SHARE,

@@ -14,6 +14,7 @@ from slamfusion.grid import OCCUPIED, OccupancyGrid
 from slamfusion.jobs.evaluate import (
     agreement_items,
     compare_maps,
+    difference_images,
     evaluate_document,
     evaluate_maps,
     measure_distances,
@@ -39,9 +40,8 @@ def test_maps_are_measured_where_they_lie_or_aligned(tmp_path: Path) -> None:
     assert 0.0 < aligned.error < 0.5 * as_it_lies.error
     assert told == [("evaluate", 0, 2), ("evaluate", 1, 2), ("evaluate", 2, 2)]
 
-    write_evaluation(
-        [aligned, itself], CONFIG, report=tmp_path / "report", image=tmp_path / "image.png"
-    )
+    images = difference_images(tmp_path / "image.png", [aligned.name, itself.name])
+    write_evaluation([aligned, itself], CONFIG, report=tmp_path / "report", images=images)
     assert {"report/report.html", "image_moving.png", "image_building 3.png"} <= files(tmp_path)
     document = evaluate_document([aligned], [], CONFIG, truth=Path("t.yaml"), device=device().name)
     check_document(plain(document), "evaluate")
@@ -65,7 +65,9 @@ def test_an_evaluation_that_cannot_be_written_leaves_nothing(tmp_path: Path) -> 
     found = evaluate_maps([truth], truth, CONFIG, device())
     (tmp_path / "folder.png").mkdir()
     with pytest.raises(MapFileError, match=r"folder\.png: cannot write"):
-        write_evaluation(found, CONFIG, report=tmp_path / "report", image=tmp_path / "folder.png")
+        write_evaluation(
+            found, CONFIG, report=tmp_path / "report", images=[tmp_path / "folder.png"]
+        )
     assert not files(tmp_path)
     assert not (tmp_path / "report").exists()
 

@@ -61,8 +61,8 @@ def test_paths_are_ranked_without_a_truth(drive: Path) -> None:
 def test_with_a_truth_there_are_both_rankings(drive: Path) -> None:
     files = [drive / "bent.tum", drive / "elsewhere.tum"]
     found = judge_paths(drive / "drive.log", files, RunConfig(), truth=drive / "truth.tum")
-    assert found.ranking_by_truth() == ("elsewhere", "bent")
-    assert found.ranking_by_relations() == ()
+    assert list(found.errors_by_truth_m()) == ["elsewhere", "bent"]
+    assert found.errors_by_relations_m() == {}
     document = plain(found.to_json())
     check_document(document, "judge")
     bent_path, elsewhere = document["paths"]
