@@ -82,7 +82,8 @@ def command(
     exit code is 1 if the alignment is rejected. If a start has no M and RAD, the --window options
     apply around it.
     """
-    from slamfusion.jobs.align import align_document, align_maps  # noqa: PLC0415
+    from slamfusion.jobs.align import align_maps  # noqa: PLC0415
+    from slamfusion.jobs.records import AlignDocument, Circumstances  # noqa: PLC0415
 
     if scale is None and output is not None:
         raise click.UsageError("-o and --scale belong together; give both or neither")
@@ -109,9 +110,8 @@ def command(
             found = align_maps(still, moved, config, device)
     if as_json:
         factor = None if scale is None else plan.scale
-        print_json(
-            align_document(found, config, device.name, resolution=moved.resolution, scale=factor)
-        )
+        made_by = Circumstances(config, device.name)
+        print_json(AlignDocument(found, made_by, moved.resolution, factor))
     else:
         _print_alignment(found, device.name, None if scale is None else moved.resolution)
     if not found.accepted:

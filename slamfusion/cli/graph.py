@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
@@ -13,10 +14,6 @@ from slamfusion.cli.output import notice, print_json, print_table
 from slamfusion.cli.paths import FILE
 from slamfusion.config import RunConfig
 from slamfusion.jobs.documents import number
-
-if TYPE_CHECKING:
-    from slamfusion.jobs.graph import OptimizedGraph
-    from slamfusion.pose_graph import GraphFile
 
 # Outliers that the table names.
 NAMED = 10
@@ -55,54 +52,39 @@ def optimize_command(
     from slamfusion.jobs.graph import optimize_graph, save_optimized_graph  # noqa: PLC0415
 
     graph = optimize_graph(path, config)
-    if graph.file.skipped:
-        notice(f"{path}: lines not understood: {_kinds(graph.file.skipped)}")
-    if not graph.found.is_converged:
+    if graph.skipped_lines:
+        kinds = sorted(graph.skipped_lines.items(), key=lambda item: (-item[1], item[0]))
+        words = _first_few(f"{count} {kind[:40]}" for kind, count in kinds)
+        notice(f"{path}: lines not understood: {words}")
+    if not graph.converged:
         notice(f"{path}: not converged; raise graph_optimizer.max_iterations")
-    document = save_optimized_graph(graph, out, tum=tum_path)
+    graph = save_optimized_graph(graph, out, tum=tum_path)
     if as_json:
-        print_json(document)
-    else:
-        _print_result(graph)
+        print_json(graph)
+        return 0
+    along = "" if graph.has_poses else " (along the odometry; the file has no vertices)"
+    rows = [
+        ["nodes", str(graph.nodes)],
+        ["edges", str(graph.edges)],
+        ["closures", str(graph.closures)],
+        ["chi-square before", f"{graph.chi2_start:.8g}{along}"],
+        ["chi-square after", f"{graph.chi2:.8g}"],
+    ]
+    doubted = graph.doubted
+    if doubted:
+        names = _first_few(f"{start} to {end}" for start, end in doubted)
+        rows.append(["outliers", f"{len(doubted)}: {names}"])
+        rows.append(["chi-square with them", f"{graph.chi2_all:.8g}"])
+    elif config.graph_optimizer.robust != "none":
+        rows.append(["outliers", "0"])
+    rows += [
+        ["iterations", str(graph.iterations) + ("" if graph.converged else ", not converged")],
+        ["time", f"{number(graph.time_s)} s"],
+    ]
+    print_table((" ", " "), rows, title=path.name, header=False)
     return 0
 
 
-def _print_result(optimized: OptimizedGraph) -> None:
-    """Print the figures as two columns."""
-    file, found = optimized.file, optimized.found
-    graph, outliers = file.graph, optimized.outliers()
-    rows = [
-        ["nodes", str(len(graph))],
-        ["edges", str(len(graph.edges))],
-        ["closures", str(int(graph.is_closure.sum()))],
-        ["chi-square before", f"{found.chi2_start:.8g}" + _of_odometry(file)],
-        ["chi-square after", f"{found.chi2:.8g}"],
-    ]
-    if optimized.config.graph_optimizer.robust != "none":
-        rows.append(["outliers", _named(outliers)])
-    if outliers:
-        rows.append(["chi-square with them", f"{found.chi2_all:.8g}"])
-    rows += [
-        ["iterations", str(found.iterations) + ("" if found.is_converged else ", not converged")],
-        ["time", f"{number(found.time_s)} s"],
-    ]
-    print_table((" ", " "), rows, title=optimized.path.name, header=False)
-
-
-def _of_odometry(file: GraphFile) -> str:
-    return "" if file.has_poses else " (along the odometry; the file has no vertices)"
-
-
-def _named(outliers: list[tuple[int, int]]) -> str:
-    """Return how many closures are outliers and which, the first few by name."""
-    if not outliers:
-        return "0"
-    names = ", ".join(f"{start} to {end}" for start, end in outliers[:NAMED])
-    return f"{len(outliers)}: {names}" + (", ..." if len(outliers) > NAMED else "")
-
-
-def _kinds(skipped: dict[str, int]) -> str:
-    """Return how many lines of which kind were not understood."""
-    kinds = sorted(skipped.items(), key=lambda item: (-item[1], item[0]))
-    named = ", ".join(f"{count} {kind[:40]}" for kind, count in kinds[:NAMED])
-    return named + (", ..." if len(kinds) > NAMED else "")
+def _first_few(names: Iterable[str]) -> str:
+    first = list(islice(names, NAMED + 1))
+    return ", ".join([*first[:NAMED], *["..."] * (len(first) > NAMED)])

@@ -38,14 +38,8 @@ from slamfusion.evaluation.measured import (
     result_rows,
     shown_figures,
 )
-from slamfusion.evaluation.odometry import (
-    DensePoses,
-    OdometryMatch,
-    match_odometry,
-    poses_by_odometry,
-)
+from slamfusion.evaluation.odometry import DensePoses, poses_by_odometry
 from slamfusion.evaluation.relations import (
-    AT_SCAN_S,
     REVISIT_S,
     RelationErrors,
     Relations,
@@ -59,22 +53,12 @@ from slamfusion.evaluation.statistics import (
     difference_test,
     mean_interval,
 )
-from slamfusion.evaluation.trajectory_error import (
-    TrajectoryErrors,
-    associate,
-    clock_offset_s,
-    on_clock,
-    trajectory_errors,
-)
+from slamfusion.evaluation.trajectory_error import TrajectoryErrors, on_clock, trajectory_errors
 from slamfusion.evaluation.wall_faces import (
-    FACE_TOLERANCES_M,
     FaceAgreement,
     WallDistance,
     WallFaces,
     WallThickness,
-    compare_faces,
-    face_cells,
-    outside_area,
     wall_thickness,
 )
 
@@ -82,10 +66,8 @@ __all__ = [
     "AGREE_FREE",
     "AGREE_UNKNOWN",
     "AGREE_WALL",
-    "AT_SCAN_S",
     "EXTRA_FREE",
     "EXTRA_WALL",
-    "FACE_TOLERANCES_M",
     "MISSING_FREE",
     "MISSING_WALL",
     "REVISIT_S",
@@ -97,7 +79,6 @@ __all__ = [
     "Figure",
     "MapError",
     "MeasuredDistance",
-    "OdometryMatch",
     "RelationErrors",
     "Relations",
     "Row",
@@ -105,10 +86,7 @@ __all__ = [
     "WallDistance",
     "WallFaces",
     "WallThickness",
-    "associate",
-    "clock_offset_s",
     "compare_distances",
-    "compare_faces",
     "compare_to_truth",
     "correct_by_holm",
     "difference_test",
@@ -116,17 +94,14 @@ __all__ = [
     "error_kinds",
     "error_series",
     "errors_at_scans",
-    "face_cells",
     "face_figures",
     "figure_of",
     "fused_doubled_shares",
     "load_distances",
     "map_figures",
     "maps_of_differences",
-    "match_odometry",
     "mean_interval",
     "on_clock",
-    "outside_area",
     "path_figures",
     "path_series",
     "poses_by_odometry",

@@ -143,9 +143,6 @@ def fuse_in_every_way(
 
     Returns:
         All maps in order, and the paths with the fused one.
-
-    Raises:
-        TrajectoryError: the scans of a producer are not those of its path.
     """
     notes, paths = dict(made.notes), {name: path for name, path in made.paths.items() if len(path)}
     grids = [*(grid for grid in made.maps.values() if grid is not None), *saved]

@@ -328,9 +328,6 @@ class Experiment:
 
         Args:
             folder: made when missing; older files of the same names are replaced.
-
-        Raises:
-            SlamFusionError: matplotlib is missing, or a file cannot be written.
         """
         from slamfusion.report.result_plots import experiment_plot  # noqa: PLC0415  (an extra)
 

@@ -89,11 +89,7 @@ REAL_LOGS: dict[str, RealLog] = {
 
 
 def logs_there(folder: Path, warn: Warn) -> list[str]:
-    """Return the recorded drives of ``REAL_LOGS`` whose files lie in a folder.
-
-    Raises:
-        SlamFusionError: there is none.
-    """
+    """Return the recorded drives of ``REAL_LOGS`` whose files lie in a folder."""
     names = []
     for name, files in REAL_LOGS.items():
         absent = [path for path in (files.log, files.reference) if not (folder / path).is_file()]
@@ -116,11 +112,6 @@ def compare_on_logs(
         names: of ``REAL_LOGS``; those whose files are there.
         others: saved maps of other SLAMs, with their paths or without, by drive; see
             ``other_slams``.
-
-    Raises:
-        LogError, TrajectoryError: a file cannot be read.
-        SlamFusionError: no producer made a map, or no scan has a pose in the reference.
-        OSError: a file cannot be opened.
     """
     given = others or {}
     read = log_inputs(folder, names, given)
@@ -163,9 +154,6 @@ def other_slams(
     """Return the saved maps of other SLAMs, and the paths that were found with them, by drive.
 
     Whose drive a file is of, and by which SLAM, its name tells; see ``slamfusion.jobs.cases``.
-
-    Raises:
-        ConfigError: a file is of no drive, or a path of no map.
     """
     own = place_files(names, maps)
     files = {(item.case, item.method): item.path for item in own}
@@ -251,9 +239,6 @@ def reference_map(
     Args:
         trajectory: poses of the robot in the frame of the map.
         config: the graph's settings say how cells are counted.
-
-    Raises:
-        SlamFusionError: no scan has a pose.
     """
     settings = settings_of(config, "graph")
     stamps = np.array([item.scan.stamp_s for item in scans])

@@ -91,9 +91,6 @@ def run_all(
 
     Returns:
         The results in the order of the tasks.
-
-    Raises:
-        SlamFusionError: a run failed, or a process died. Started again, only the rest is run.
     """
     config, folder = setup.config, setup.folder
     facts = [] if inputs is None else [setup.device.name]
@@ -209,9 +206,6 @@ def kept_maps(folder: Path, key: str) -> tuple[OccupancyGrid, list[OccupancyGrid
     """Return the truth and the maps of a run, all on one lattice.
 
     Where a map lacks a true wall its cells are unknown, whatever it has there.
-
-    Raises:
-        MapFileError: the file is damaged.
     """
     path = _maps_file(folder, key)
     try:

@@ -183,11 +183,7 @@ class Drive:
     odometry: Trajectory | None = None
 
     def errors(self, path: Trajectory, config: RunConfig) -> dict[str, float]:
-        """Return the errors of a path, by name: what there is something to measure with.
-
-        Raises:
-            TrajectoryError: it does not meet the relations or the truth in time.
-        """
+        """Return the errors of a path, by name: what there is something to measure with."""
         measures = self.held.measure(path, config, self.odometry)
         found = path_figures(measures.truth, measures.relations)
         return {name: found[name] for name in (RELATIONS, ATE) if name in found}
@@ -229,11 +225,6 @@ def read_drive(files: LogFiles, config: RunConfig) -> Drive:
 
     Args:
         files: with relations, a true or the best known path, or both.
-
-    Raises:
-        LogError: the log cannot be read, has no usable scan, or there is nothing to measure by.
-        TrajectoryError: relations, odometry or truth cannot be read.
-        OSError: a file cannot be opened.
     """
     if files.relations is None and files.truth is None:
         message = f"{files.log}: nothing to measure it by; give relations, a reference, or both"
@@ -262,12 +253,7 @@ def run_on_drives(
     floors: int,
     setup: Setup,
 ) -> list[Row]:
-    """Run producers on recorded drives and simulated office floors; return the rows of all runs.
-
-    Raises:
-        SlamFusionError: a drive has no usable scan, or a path does not meet its relations in time.
-        OSError: a file cannot be opened.
-    """
+    """Run producers on recorded drives and simulated office floors; return the rows of all runs."""
     config, device = setup.config, setup.device
     drives: list[Drive] = []
     for files in recorded:

@@ -189,9 +189,6 @@ def run_trials(name: str, title: str, trials: Sequence[Trial], setup: Setup) -> 
 
     Args:
         trials: their keys differ; maps are drawn in all of them or in none.
-
-    Raises:
-        SlamFusionError: a course that cannot be driven, or a process that died.
     """
     found = run_all({trial.key: trial for trial in trials}, _work, setup)
     results = [(trial.condition, own) for trial, own in zip(trials, found, strict=True)]
@@ -253,9 +250,6 @@ def measure_trial(
     truth share, or at the best or next best place that the alignment search finds, turned by a
     quarter at most. Where no two maps agree, the fallback map that ``run`` names counts alone. A
     producer without a map, and a fusion of none, has the error of a map that knows nothing.
-
-    Raises:
-        SimulationError: the course cannot be driven.
     """
     config = replace(config, seed=trial.course.seed)
     recording = simulate(trial.course, device)

@@ -13,9 +13,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.fusion import align_grids
 from slamfusion.geometry import Pose2
-from slamfusion.jobs.documents import circumstances
 from slamfusion.jobs.inputs import MapInput, Warn, as_grids, device_for
-from slamfusion.jobs.records import AlignDocument
 
 _LOG = logging.getLogger(__name__)
 
@@ -80,28 +78,3 @@ def _expected(config: RunConfig, reference: str, moving: str) -> Pose2 | StartPo
     if found is not None and has_window and not has_tolerances:
         return found.pose
     return found
-
-
-def align_document(
-    found: Alignment,
-    config: RunConfig,
-    device: str,
-    *,
-    resolution: float,
-    scale: float | None = None,
-) -> AlignDocument:
-    """Return what ``slamfusion align`` prints as JSON.
-
-    Args:
-        found: the alignment.
-        config: the settings in effect.
-        device: what computed it, in words.
-        resolution: of the moving map, metres per cell.
-        scale: by which that is larger than the map says; None: it was not searched.
-    """
-    return {
-        **found.to_json(),
-        **circumstances(config, device),
-        "resolution": resolution,
-        "scale": scale,
-    }

@@ -3,25 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from slamfusion.config import RunConfig
 from slamfusion.io import AtomicFiles, write_tum
-from slamfusion.jobs.documents import path_text, settings_used
 from slamfusion.jobs.inputs import as_path
-from slamfusion.jobs.records import SettingsJson
+from slamfusion.jobs.records import Settings
+from slamfusion.json_values import FLAT
 from slamfusion.pose_graph import GraphFile, Optimized, optimize, read_g2o, write_g2o
 from slamfusion.trajectory import Trajectory
 
 
-class GraphOptimizeDocument(SettingsJson):
-    """``slamfusion graph optimize``."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class OptimizedGraph:
+    """A pose graph with the poses that fit its edges best; ``slamfusion graph optimize``."""
 
-    file: str
+    graph: GraphFile = field(repr=False)
+    found: Optimized = field(repr=False)
+    file: Path
     """The pose graph."""
     nodes: int
     """Its vertices."""
@@ -49,33 +51,15 @@ class GraphOptimizeDocument(SettingsJson):
     """Ids of both ends of the outliers: closures taken to be false."""
     time_s: float
     """Wall time of the optimisation, seconds."""
-    output: str | None
+    output: Path | None = None
     """The file that the graph was written to."""
-    tum: str | None
+    tum: Path | None = None
     """The file that the poses were written to."""
-
-
-@dataclass(frozen=True, eq=False)
-class OptimizedGraph:
-    """A pose graph of a file with the poses that fit its edges best.
-
-    Attributes:
-        found: the new poses, and what was found on the way.
-    """
-
-    path: Path
-    config: RunConfig
-    file: GraphFile
-    found: Optimized
-
-    def outliers(self) -> list[tuple[int, int]]:
-        """Return the ids of from and to of the outliers: closures taken to be false."""
-        ends = self.file.ids[self.file.graph.edges[self.found.is_outlier]]
-        return [(int(start), int(end)) for start, end in ends]
+    settings: Settings = field(metadata=FLAT)
 
     def trajectory(self) -> Trajectory:
         """Return the new poses, with the vertex ids as times."""
-        return Trajectory(self.file.ids.astype(np.float64), self.found.poses)
+        return Trajectory(self.graph.ids.astype(np.float64), self.found.poses)
 
 
 def optimize_graph(path: str | Path, config: RunConfig | None = None) -> OptimizedGraph:
@@ -99,52 +83,46 @@ def optimize_graph(path: str | Path, config: RunConfig | None = None) -> Optimiz
         max_iterations=settings.max_iterations,
         tolerance=settings.tolerance,
     )
-    return OptimizedGraph(Path(path), config, file, found)
+    outliers = file.ids[file.graph.edges[found.is_outlier]]
+    return OptimizedGraph(
+        graph=file,
+        found=found,
+        file=Path(path),
+        nodes=len(file.graph),
+        edges=len(file.graph.edges),
+        closures=int(file.graph.is_closure.sum()),
+        fixed=file.ids[list(file.fixed)].tolist(),
+        has_poses=file.has_poses,
+        skipped_lines=file.skipped,
+        chi2_start=found.chi2_start,
+        chi2=found.chi2,
+        chi2_all=found.chi2_all,
+        iterations=found.iterations,
+        converged=found.is_converged,
+        doubted=[(int(start), int(end)) for start, end in outliers],
+        time_s=found.time_s,
+        settings=Settings(config),
+    )
 
 
 def save_optimized_graph(
-    graph: OptimizedGraph,
-    output: str | Path | None = None,
-    *,
-    tum: str | Path | None = None,
-    files: AtomicFiles | None = None,
-) -> GraphOptimizeDocument:
-    """Write what is asked for, all of it or nothing.
+    graph: OptimizedGraph, output: str | Path | None = None, *, tum: str | Path | None = None
+) -> OptimizedGraph:
+    """Write what is asked for, all of it or nothing; return the graph with its files.
 
     Args:
         output: g2o file for the graph with its new poses; all edges stay. None: none.
         tum: file for the new poses, with the vertex ids as times. None: none.
 
-    Returns:
-        What ``slamfusion graph optimize`` prints as JSON; it names the files.
-
     Raises:
         MapFileError: a file cannot be written.
     """
-    file, found = graph.file, graph.found
-    out_path, tum_path = as_path(output), as_path(tum)
-    with AtomicFiles() if files is None else nullcontext(files) as together:
-        if out_path is not None:
-            moved = file.graph.with_poses(found.poses)
-            write_g2o(out_path, moved, file.ids, file.fixed, files=together)
-        if tum_path is not None:
-            write_tum(tum_path, graph.trajectory(), files=together)
-    return {
-        "file": str(graph.path),
-        "nodes": len(file.graph),
-        "edges": len(file.graph.edges),
-        "closures": int(file.graph.is_closure.sum()),
-        "fixed": [int(file.ids[index]) for index in file.fixed],
-        "has_poses": file.has_poses,
-        "skipped_lines": file.skipped,
-        "chi2_start": found.chi2_start,
-        "chi2": found.chi2,
-        "chi2_all": found.chi2_all,
-        "iterations": found.iterations,
-        "converged": found.is_converged,
-        "doubted": graph.outliers(),
-        "time_s": found.time_s,
-        "output": path_text(out_path),
-        "tum": path_text(tum_path),
-        **settings_used(graph.config),
-    }
+    file = graph.graph
+    written = replace(graph, output=as_path(output), tum=as_path(tum))
+    with AtomicFiles() as files:
+        if written.output is not None:
+            moved = file.graph.with_poses(graph.found.poses)
+            write_g2o(written.output, moved, file.ids, file.fixed, files=files)
+        if written.tum is not None:
+            write_tum(written.tum, graph.trajectory(), files=files)
+    return written

@@ -12,14 +12,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import resources
 from typing import Any, TypedDict
 
-from slamfusion.align.records import Alignment, AlignmentJson
+from slamfusion.align.records import Alignment
 from slamfusion.config import RunConfig
 from slamfusion.evaluation import MapError
 from slamfusion.jobs.documents import circumstances, settings_used
+from slamfusion.json_values import FLAT
 
 # --- what many documents share ----------------------------------------------------------------
 
@@ -131,12 +132,15 @@ class SummariesJson(TypedDict):
 # --- align, evaluate --------------------------------------------------------------------------
 
 
-class AlignDocument(AlignmentJson, CircumstancesJson):
+@dataclass(frozen=True, eq=False)
+class AlignDocument:
     """``slamfusion align``; exit code 1 where the alignment is not accepted."""
 
+    alignment: Alignment = field(metadata=FLAT)
+    circumstances: Circumstances = field(metadata=FLAT)
     resolution: float
     """Metres per cell of the moving map; with --scale as it was found."""
-    scale: float | None
+    scale: float | None = None
     """By which that is larger than the map says; null: without --scale."""
 
 

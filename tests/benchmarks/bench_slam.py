@@ -22,7 +22,8 @@ from rich.table import Table
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import RunConfig
 from slamfusion.config.sim import LidarName
-from slamfusion.evaluation import Relations, match_odometry
+from slamfusion.evaluation import Relations
+from slamfusion.evaluation.odometry import match_odometry
 from slamfusion.experiments.tinyslam import ATE, RELATIONS, Drive, read_drive
 from slamfusion.io import open_log, read_trajectory, save_map
 from slamfusion.jobs.map_log import LogFiles

@@ -10,7 +10,7 @@ import pytest
 
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import MapFileError
-from slamfusion.evaluation import face_cells
+from slamfusion.evaluation.wall_faces import face_cells
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, trinary_cells
 from slamfusion.io.map_server import load_map
 

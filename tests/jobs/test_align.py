@@ -11,7 +11,8 @@ from slamfusion.align.starts import StartPose
 from slamfusion.errors import MapFileError, StartError
 from slamfusion.geometry import Pose2
 from slamfusion.io import save_map
-from slamfusion.jobs.align import align_document, align_maps
+from slamfusion.jobs.align import align_maps
+from slamfusion.jobs.records import AlignDocument, Circumstances
 from slamfusion.json_values import plain
 from tests.fusion.drawings import fusion_config
 from tests.jobs.maps import CONFIG, device, moved
@@ -32,7 +33,7 @@ def test_maps_in_memory_and_in_files_are_aligned_alike(tmp_path: Path) -> None:
     assert (from_files.reference, from_files.moving) == ("truth", "moving")
     assert from_files.transform == in_memory.transform
     check_document(
-        plain(align_document(from_files, CONFIG, device().name, resolution=grid.resolution)),
+        plain(AlignDocument(from_files, Circumstances(CONFIG, device().name), grid.resolution)),
         "align",
     )
     with pytest.raises(MapFileError, match="absent"):

@@ -17,8 +17,7 @@ from slamfusion.cli.main import main
 from slamfusion.cli.program import cli
 from slamfusion.config import RunConfig
 from slamfusion.geometry import Pose2
-from slamfusion.jobs.align import align_document
-from slamfusion.jobs.records import load_schema
+from slamfusion.jobs.records import AlignDocument, Circumstances, load_schema
 from slamfusion.jobs.trajectory import measure_trajectory
 from slamfusion.json_values import plain
 from slamfusion.slam.registry import BUILT_IN
@@ -36,7 +35,7 @@ def aligned() -> dict[str, Any]:
         "one", "other", place, True, "fits", 0.9, 0.8, 12.0, RunnerUp(place, 0.3, 0.4), 0.1,
         {"z": 9.0},
     )  # fmt: skip
-    return plain(align_document(found, RunConfig(), "numpy", resolution=0.05))
+    return plain(AlignDocument(found, Circumstances(RunConfig(), "numpy"), 0.05))
 
 
 @pytest.mark.once

@@ -72,7 +72,7 @@ DOCUMENTS: dict[str, tuple[type, ...]] = {
     "judge": (judge.JudgeDocument, judge.JudgementsDocument),
     "info": (InfoDocument,),
     "compare": (comparisons.CompareDocument,),
-    "graph optimize": (graph.GraphOptimizeDocument,),
+    "graph optimize": (graph.OptimizedGraph,),
     "devices": (doctor.DevicesDocument,),
     "show": (records.ShowDocument,),
     "live status": (records.LiveStatusDocument,),
