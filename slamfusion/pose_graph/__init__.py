@@ -9,7 +9,15 @@ from __future__ import annotations
 
 from slamfusion.pose_graph.g2o import GraphFile, read_g2o, write_g2o
 from slamfusion.pose_graph.graph import PoseGraph, loop_closing
-from slamfusion.pose_graph.optimize import Optimized, Robust, Start, chi2_of, optimize
+from slamfusion.pose_graph.least_squares import Steps, take_steps
+from slamfusion.pose_graph.optimize import (
+    Optimized,
+    Robust,
+    Start,
+    chi2_of,
+    optimize,
+    optimize_in_steps,
+)
 
 __all__ = [
     "GraphFile",
@@ -17,9 +25,12 @@ __all__ = [
     "PoseGraph",
     "Robust",
     "Start",
+    "Steps",
     "chi2_of",
     "loop_closing",
     "optimize",
+    "optimize_in_steps",
     "read_g2o",
+    "take_steps",
     "write_g2o",
 ]

@@ -16,9 +16,11 @@ Graph-Based Simultaneous Localization and Mapping, RSS 2011 (the second step).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import functools
+import math
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ParamSpec, TypeAlias, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -391,9 +393,37 @@ class Descent:
     is_converged: bool
 
 
+Result = TypeVar("Result")
+Parameters = ParamSpec("Parameters")
+# Work that may rest after each of its steps, which take about as long as a factorisation each.
+Steps: TypeAlias = Generator[None, None, Result]
+
+
+def take_steps(steps: Steps[Result], most: float = math.inf) -> Result | None:
+    """Take up to some steps; return the result where these were the last, or else None."""
+    taken = 0
+    try:
+        while taken < most:
+            next(steps)
+            taken += 1
+    except StopIteration as end:
+        return cast("Result", end.value)
+    return None
+
+
+def at_once(in_steps: Callable[Parameters, Steps[Result]]) -> Callable[Parameters, Result]:
+    """Return the same work as a function that does all of it."""
+
+    @functools.wraps(in_steps)
+    def done(*arguments: Parameters.args, **options: Parameters.kwargs) -> Result:
+        return cast("Result", take_steps(in_steps(*arguments, **options)))
+
+    return done
+
+
 def descend(
     equations: NormalEquations, poses: F64, *, max_iterations: int = 100, tolerance: float = 1e-5
-) -> Descent:
+) -> Steps[Descent]:
     """Descend to the nearest least sum of squared errors.
 
     Args:
@@ -403,6 +433,7 @@ def descend(
     walk = _Walk(equations, poses)
     for iteration in range(1, max_iterations + 1):
         step, promised = walk.next_step()
+        yield
         cost = walk.cost_at(walk.poses + step)
         is_small = promised <= tolerance * walk.costs[-1] + NEGLIGIBLE
         if cost <= walk.costs[-1]:

@@ -13,13 +13,13 @@ import numpy.typing as npt
 from slamfusion.errors import GraphError
 from slamfusion.geometry import F64, wrap_angles
 from slamfusion.pose_graph.graph import PoseGraph, chained_poses, disconnected, joining, part_labels
-from slamfusion.pose_graph.least_squares import Measurements, rotations_first
+from slamfusion.pose_graph.least_squares import Measurements, Steps, at_once, rotations_first
 from slamfusion.pose_graph.robust import InlierSet, Problem, consensus, dcs, gnc
 
 Robust = Literal["none", "consensus", "gnc", "dcs"]
 Start = Literal["best", "given", "odometry", "chordal"]
 
-_ROBUST: dict[str, Callable[[Problem, F64 | None], InlierSet]] = {
+_ROBUST: dict[str, Callable[[Problem, F64 | None], Steps[InlierSet]]] = {
     "consensus": consensus,
     "gnc": gnc,
     "dcs": dcs,
@@ -57,7 +57,7 @@ class Optimized:
         return np.asarray(self.weights < 0.5)
 
 
-def optimize(
+def optimize_in_steps(
     graph: PoseGraph,
     *,
     fixed: int | Sequence[int] = 0,
@@ -67,7 +67,7 @@ def optimize(
     tolerated: int = 0,
     max_iterations: int = 100,
     tolerance: float = 1e-5,
-) -> Optimized:
+) -> Steps[Optimized]:
     """Find the poses with the least sum of squared errors, in their deviations (chi-square).
 
     Args:
@@ -109,9 +109,9 @@ def optimize(
         if len(set(held)) == len(graph):
             found = InlierSet(graph.poses, np.ones(len(measured)), 0, is_converged=True)
         elif robust == "none":
-            found = _believe_all(problem, graph, start)
+            found = yield from _believe_all(problem, graph, start)
         else:
-            found = _ROBUST[robust](problem, _start(problem, graph, start))
+            found = yield from _ROBUST[robust](problem, _start(problem, graph, start))
     except RuntimeError as error:
         message = f"the graph's equations cannot be solved ({error}); look for edges of no weight"
         raise GraphError(message) from None
@@ -129,6 +129,9 @@ def optimize(
         is_reevaluated=found.is_reevaluated,
         time_s=time.perf_counter() - began,
     )
+
+
+optimize = at_once(optimize_in_steps)
 
 
 def chi2_of(graph: PoseGraph, poses: F64 | None = None) -> F64:
@@ -169,7 +172,7 @@ def _start(problem: Problem, graph: PoseGraph, start: Start) -> F64 | None:
     return None
 
 
-def _believe_all(problem: Problem, graph: PoseGraph, start: Start) -> InlierSet:
+def _believe_all(problem: Problem, graph: PoseGraph, start: Start) -> Steps[InlierSet]:
     everything = np.ones(len(problem.measured), np.bool_)
     poses = _start(problem, graph, start)
     equations = problem.equations(everything)
@@ -178,7 +181,7 @@ def _believe_all(problem: Problem, graph: PoseGraph, start: Start) -> InlierSet:
             (graph.poses, rotations_first(equations, graph.poses)),
             key=lambda at: float(problem.measured.squared_errors(at).sum()),
         )
-    descent = problem.descend(equations, poses)
+    descent = yield from problem.descend(equations, poses)
     return InlierSet(
         descent.poses, everything.astype(np.float64), descent.iterations, descent.is_converged
     )

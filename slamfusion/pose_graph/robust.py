@@ -16,6 +16,8 @@ A graph that grows is solved again and again. The outliers of the last solution 
 as long as all other closures fit, or all but a few where that is tolerated: the inlier set stands,
 and costs no more than a plain descent.
 
+Searches are ``Steps``: a caller that has other work to do takes a few of them at a time.
+
 Sources: Yang, Antonante, Tzoumas and Carlone, Graduated Non-Convexity for Robust Spatial
 Perception, RA-L 2020 (truncated least squares); Agarwal, Tipaldi, Spinello, Stachniss and Burgard,
 Robust Map Optimization Using Dynamic Covariance Scaling, ICRA 2013.
@@ -35,6 +37,7 @@ from slamfusion.pose_graph.least_squares import (
     Descent,
     Measurements,
     NormalEquations,
+    Steps,
     descend,
     rotations_first,
 )
@@ -104,16 +107,15 @@ class Problem:
         measured = self.measured if used.all() else self.measured.chosen(used)
         return NormalEquations(measured, len(self.poses), self.fixed)
 
-    def fit(self, equations: NormalEquations, start: F64 | None = None) -> Descent:
+    def descend(self, equations: NormalEquations, start: F64 | None = None) -> Steps[Descent]:
         """Fit the poses to some edges, from a start or else from the rotations."""
-        return self.descend(
-            equations, rotations_first(equations, self.poses) if start is None else start
-        )
-
-    def descend(self, equations: NormalEquations, start: F64) -> Descent:
-        """Descend from a start."""
-        return descend(
-            equations, start, max_iterations=self.max_iterations, tolerance=self.tolerance
+        if start is None:
+            start = rotations_first(equations, self.poses)
+            yield
+        return (
+            yield from descend(
+                equations, start, max_iterations=self.max_iterations, tolerance=self.tolerance
+            )
         )
 
     def truncated_cost(self, squares: F64, limit: float) -> float:
@@ -139,7 +141,7 @@ class InlierSet:
     is_reevaluated: bool = True
 
 
-def consensus(problem: Problem, start: F64 | None = None) -> InlierSet:
+def consensus(problem: Problem, start: F64 | None = None) -> Steps[InlierSet]:
     """Start from closures that bear each other out and grow from there.
 
     Args:
@@ -147,7 +149,7 @@ def consensus(problem: Problem, start: F64 | None = None) -> InlierSet:
     """
     if start is not None and problem.was_outlier is not None:
         earlier = _Search(problem, LIMIT)
-        earlier.keep_what_fits(start)
+        yield from earlier.keep_what_fits(start)
         if not earlier.new_outliers():
             return earlier.inlier_set()
     found = find_consensus(problem.measured, problem.may_be_outlier)
@@ -157,23 +159,25 @@ def consensus(problem: Problem, start: F64 | None = None) -> InlierSet:
     has_two = found.mates > 1
     has_enough = has_two if has_two.mean() > 0.5 else found.mates > 0
     seeds[np.flatnonzero(problem.may_be_outlier)[has_enough]] = True
-    search.propose(seeds, start)
+    yield from search.propose(seeds, start)
     if search.is_strained(found.scale):
-        search.propose(seeds, search.odometry(), at_once=False)
+        odometry = yield from search.odometry()
+        yield from search.propose(seeds, odometry, at_once=False)
     if search.is_nearly_complete():
-        search.try_all(start)
+        yield from search.try_all(start)
     if not seeds.any():
-        search.propose(problem.may_be_outlier, search.odometry(), at_once=False)
+        odometry = yield from search.odometry()
+        yield from search.propose(problem.may_be_outlier, odometry, at_once=False)
     agreement = float(np.clip(0.5 * LIMIT_PER_SCALE * found.scale, SMALLEST_AGREEMENT, LIMIT))
     alone = np.zeros(len(problem.measured), np.bool_)
     alone[np.flatnonzero(problem.may_be_outlier)[found.mates == 0]] = True
-    search.grow(agreement, alone)
+    yield from search.grow(agreement, alone)
     if start is None and (problem.may_be_outlier & ~search.used).any():
-        search.propose(search.used, None)
+        yield from search.propose(search.used, None)
     return search.inlier_set()
 
 
-def gnc(problem: Problem, start: F64 | None = None) -> InlierSet:
+def gnc(problem: Problem, start: F64 | None = None) -> Steps[InlierSet]:
     """Believe what fits given poses and what agrees with that; or harden all closures.
 
     Args:
@@ -184,16 +188,17 @@ def gnc(problem: Problem, start: F64 | None = None) -> InlierSet:
     """
     search = _Search(problem, LIMIT)
     if start is not None:
-        search.keep_what_fits(start)
-        search.grow(LIMIT)
+        yield from search.keep_what_fits(start)
+        yield from search.grow(LIMIT)
         if search.new_outliers() <= problem.tolerated:
             return replace(search.inlier_set(), is_reevaluated=False)
-    search.propose(problem.may_be_outlier, search.odometry(start), at_once=False)
-    search.grow(LIMIT)
+    odometry = yield from search.odometry(start)
+    yield from search.propose(problem.may_be_outlier, odometry, at_once=False)
+    yield from search.grow(LIMIT)
     return search.inlier_set()
 
 
-def dcs(problem: Problem, start: F64 | None = None) -> InlierSet:
+def dcs(problem: Problem, start: F64 | None = None) -> Steps[InlierSet]:
     """Weaken each closure by its own error, from given poses or else from those of all closures."""
     everything = np.ones(len(problem.measured), np.bool_)
     equations = problem.equations(everything)
@@ -205,6 +210,7 @@ def dcs(problem: Problem, start: F64 | None = None) -> InlierSet:
         weights = np.where(problem.may_be_outlier, np.maximum(scale * scale, 1e-9), 1.0)
         equations.linearise(poses, weights)
         step, promised = equations.step()
+        yield
         poses = poses + step
         if promised <= problem.tolerance * float(np.dot(weights, squares)) + NEGLIGIBLE:
             return InlierSet(poses, weights, iteration, is_converged=True)
@@ -250,24 +256,25 @@ class _Search:
         weights = (self._trusted | self.used).astype(np.float64)
         return InlierSet(self.poses, weights, self._iterations, self._is_converged)
 
-    def propose(self, closures: Mask, start: F64 | None, *, at_once: bool = True) -> bool:
+    def propose(self, closures: Mask, start: F64 | None, *, at_once: bool = True) -> Steps[bool]:
         """Fit some closures, leave out those that do not go with the rest, keep what is better."""
         if at_once or start is None:
-            descent = self._fit(closures, start)
+            descent = yield from self._fit(closures, start)
             squares = self._problem.measured.squared_errors(descent.poses)
             if not (squares[closures] > self._limit).any():
                 return self._keep_better(descent, squares, closures)
             start = descent.poses if start is None else start
             self._is_thinned = True
-        return self._keep_better(*self._graduate(closures, start))
+        return self._keep_better(*(yield from self._graduate(closures, start)))
 
-    def keep_what_fits(self, start: F64) -> None:
+    def keep_what_fits(self, start: F64) -> Steps[None]:
         """Fit the closures that fit poses, (N, 3), already."""
         squares = self._problem.measured.squared_errors(start)
-        self.propose(self._problem.may_be_outlier & (squares <= self._limit), start)
+        fits = self._problem.may_be_outlier & (squares <= self._limit)
+        yield from self.propose(fits, start)
         fitting = self._outside() & (self._squares <= self._limit)
         if fitting.any():
-            self.propose(self.used | fitting, self.poses)
+            yield from self.propose(self.used | fitting, self.poses)
 
     def new_outliers(self) -> int:
         """Count the outliers that were none in the earlier solution."""
@@ -275,9 +282,9 @@ class _Search:
         outside = self._outside()
         return int((outside if outliers is None else outside & ~outliers).sum())
 
-    def odometry(self, start: F64 | None = None) -> F64:
+    def odometry(self, start: F64 | None = None) -> Steps[F64]:
         """Return the poses without any closure, by way of given ones, (N, 3), or of none."""
-        return self._fit(np.zeros_like(self.used), start).poses
+        return (yield from self._fit(np.zeros_like(self.used), start)).poses
 
     def is_strained(self, scale: float) -> bool:
         """Whether closures had to be left out or weigh far more on the graph than they should."""
@@ -289,17 +296,17 @@ class _Search:
         left_out = self._outside() & (self._squares > self._limit)
         return bool(0 < left_out.sum() <= FEW_LEFT * self._problem.may_be_outlier.sum())
 
-    def try_all(self, start: F64 | None) -> None:
+    def try_all(self, start: F64 | None) -> Steps[None]:
         """Believe all closures if they can all be fitted."""
-        descent = self._fit(self._problem.may_be_outlier, start)
+        descent = yield from self._fit(self._problem.may_be_outlier, start)
         squares = self._problem.measured.squared_errors(descent.poses)
         if not (squares[self._problem.may_be_outlier] > self._limit).any():
             self._keep_better(descent, squares, self._problem.may_be_outlier)
 
-    def grow(self, agreement: float, alone: Mask | None = None) -> None:
+    def grow(self, agreement: float, alone: Mask | None = None) -> Steps[None]:
         """Let in closures that agree with the graph, the best first, until none does."""
         fitting = self._outside() & (self._squares <= self._limit)
-        if fitting.any() and not self.propose(self.used | fitting, self.poses):
+        if fitting.any() and not (yield from self.propose(self.used | fitting, self.poses)):
             return
         outliers = self._problem.was_outlier
         known_false = np.zeros_like(self.used) if outliers is None else outliers & self._outside()
@@ -307,6 +314,7 @@ class _Search:
         asked_about = asked_about[np.argsort(self._squares[asked_about], kind="stable")]
         asked = first_asked = asked_about[:GATED_AT_ONCE]
         found = self._against_graph(asked)
+        yield
         for share in AGREEMENT_SHARES:
             while True:
                 agrees = found.errors <= share * agreement
@@ -319,11 +327,12 @@ class _Search:
                     break
                 admitted = self.used.copy()
                 admitted[asked[agrees]] = True
-                if not self.propose(admitted, self.poses):
+                if not (yield from self.propose(admitted, self.poses)):
                     return
                 # What was far off will not agree once the graph is known better.
                 asked = asked[(found.errors <= HOPELESS_TIMES * agreement) & ~agrees]
                 found = self._against_graph(asked)
+                yield
 
     def _outside(self) -> Mask:
         """Return the closures that are outside the inlier set, (M,) bool."""
@@ -337,7 +346,7 @@ class _Search:
         uncertainty = Uncertainty(equations, self.poses)
         return gates(uncertainty, self.poses, self._problem.measured.chosen(asked))
 
-    def _graduate(self, closures: Mask, poses: F64) -> tuple[Descent, F64, Mask]:
+    def _graduate(self, closures: Mask, poses: F64) -> Steps[tuple[Descent, F64, Mask]]:
         """Harden the weights of closures from nearly equal pull to all or nothing."""
         measured = self._problem.measured
         squares = measured.squared_errors(poses)
@@ -349,6 +358,7 @@ class _Search:
             used, equations = self._equations_of(weights > 0.0)
             equations.linearise(poses, weights[used])
             step, _ = equations.step()
+            yield
             self._iterations += 1
             poses = poses + step
             squares = measured.squared_errors(poses)
@@ -357,7 +367,7 @@ class _Search:
             hardness *= HARDENING
         for _ in range(SETTLING):
             kept = closures & (squares <= self._limit)
-            descent = self._fit(kept, poses)
+            descent = yield from self._fit(kept, poses)
             poses, squares = descent.poses, measured.squared_errors(descent.poses)
             if ((squares <= self._limit)[closures] == kept[closures]).all():
                 break
@@ -375,9 +385,10 @@ class _Search:
         self._equations = (used, self._problem.equations(used))
         return self._equations
 
-    def _fit(self, closures: Mask, start: F64 | None) -> Descent:
+    def _fit(self, closures: Mask, start: F64 | None) -> Steps[Descent]:
         _, equations = self._equations_of(self._trusted | closures, superfluous=0.0)
-        descent = self._problem.fit(equations, start)
+        yield
+        descent = yield from self._problem.descend(equations, start)
         self._iterations += descent.iterations
         return descent
 

@@ -60,6 +60,7 @@ from slamfusion.pose_graph import PoseGraph, chi2_of, optimize, read_g2o
 from slamfusion.pose_graph.least_squares import (
     Measurements,
     NormalEquations,
+    at_once,
     descend,
     rotations_first,
 )
@@ -108,7 +109,7 @@ def in_all(graph: PoseGraph) -> tuple[Array, int]:
     """Return our solution and the steps it took, nothing known beforehand."""
     measured = Measurements(graph.edges, graph.motions, graph.information)
     equations = NormalEquations(measured, len(graph), (0,))
-    found = descend(equations, rotations_first(equations, graph.poses))
+    found = at_once(descend)(equations, rotations_first(equations, graph.poses))
     return found.poses, found.iterations
 
 

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import importlib
 import math
-from collections.abc import Sequence
+import time
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -19,13 +20,14 @@ from slamfusion.geometry import (
     F64,
     Pose2,
     compose_poses,
+    invert_poses,
     pose_of,
     row_of,
     wrap_angle,
     wrapped_row_of,
 )
 from slamfusion.grid import IDENTITY
-from slamfusion.pose_graph import Optimized, PoseGraph, optimize
+from slamfusion.pose_graph import Optimized, PoseGraph, Steps, optimize_in_steps, take_steps
 from slamfusion.slam.common.mapper import Health, Series
 from slamfusion.slam.common.state import Stateful
 from slamfusion.slam.graph.node_map import Node
@@ -53,7 +55,7 @@ class Constraint:
 
 def solve_constraints(
     poses: F64, constraints: Sequence[Constraint], weights: F64 | None = None, tolerated: int = 0
-) -> Optimized:
+) -> Steps[Optimized]:
     """Return the poses that fit the constraints best; the first node is held.
 
     Args:
@@ -71,7 +73,9 @@ def solve_constraints(
         information=_in_end_frame(information, motions[:, 2]),
         is_closure=np.array([one.is_closure for one in constraints]),
     )
-    return optimize(graph, robust="gnc", start="given", weights=weights, tolerated=tolerated)
+    return optimize_in_steps(
+        graph, robust="gnc", start="given", weights=weights, tolerated=tolerated
+    )
 
 
 def turned(information: F64, angle_rad: float) -> F64:
@@ -174,6 +178,9 @@ SOLVE_NODES = 30
 # New closures, and share of them, that may be left out as outliers without re-evaluating all, which
 # takes many times as long.
 NEW_OUTLIERS, NEW_OUTLIERS_SHARE = 3, 1.0 / 6.0
+# Work of a solution at one scan, in constraints that are linearised; a step costs some more. About
+# 40 ms: what is left goes on at the next scans, the same number of steps on any machine.
+SCAN_WORK, STEP_WORK = 28_000, 400
 # Memory of a constraint: motion, information and ends.
 CONSTRAINT_BYTES = 112
 
@@ -248,6 +255,33 @@ class GraphHealth(Health):
         self.closures_rejected[reason] = self.closures_rejected.get(reason, 0) + 1
 
 
+@dataclass
+class Solution:
+    """A solution under way: of the nodes and the first constraints that there were at its start.
+
+    Attributes:
+        poses: (N, 3) to start from.
+        constraints: number of them.
+        closures: times that closures came that it is the first to solve.
+        tolerated: outliers without re-evaluation, see ``optimize``.
+        weights: of the solution before it.
+        taken: steps so far.
+    """
+
+    poses: F64
+    constraints: int
+    closures: int
+    tolerated: int
+    weights: F64
+    taken: int = 0
+    time_s: float = 0.0
+
+    def steps(self, constraints: Sequence[Constraint]) -> Steps[Optimized]:
+        """Return all its steps, given the graph's constraints."""
+        known = constraints[: self.constraints]
+        return solve_constraints(self.poses, known, self.weights, self.tolerated)
+
+
 class MapGraph(Stateful):
     """The pose graph: it owns nodes, poses and constraints, and decides when it is solved.
 
@@ -267,6 +301,7 @@ class MapGraph(Stateful):
         "_unsolved",
         "_is_urgent",
         "_solved_at",
+        "_solution",
     )
 
     def __init__(self, health: GraphHealth) -> None:
@@ -287,6 +322,10 @@ class MapGraph(Stateful):
         self._unsolved = 0
         self._is_urgent = False
         self._solved_at = 0
+        # The solution that is under way, and its next steps.
+        self._solution: Solution | None = None
+        self._steps: Steps[Optimized] | None = None
+        self._left = 0
         # Poses by all closures, as of a number of constraints.
         self._settled: tuple[int, F64] | None = None
 
@@ -357,9 +396,12 @@ class MapGraph(Stateful):
         self._is_urgent = self._is_urgent or len(closures) > 1
 
     def move_nodes(self, chosen: npt.NDArray[np.bool_], motion: Pose2) -> None:
-        """Move the chosen nodes, (N,), by a motion of the map frame."""
+        """Move the chosen nodes, (N,), by a motion of the map frame, as no solution knows yet."""
         motions = np.broadcast_to(wrapped_row_of(motion), (int(chosen.sum()), 3))
         self.poses[chosen] = compose_poses(motions, self.poses[chosen])
+        if self._solution is not None:
+            self._unsolved += self._solution.closures
+            self._solution = self._steps = None
 
     def closures(self) -> list[tuple[Constraint, float]]:
         """Return the closures and the weight that the last solution gave each, 1 for new ones."""
@@ -372,39 +414,66 @@ class MapGraph(Stateful):
 
     def settled_poses(self) -> F64:
         """Return the nodes' poses by all closures; asking changes nothing of how it goes on."""
-        if not (self._unsolved or self._new_outliers):
+        if not (self._unsolved or self._new_outliers or self._solution):
             return self.poses
         if self._settled is None or self._settled[0] != len(self.constraints):
-            self._settled = (len(self.constraints), self.solution().poses)
+            # By all closures, those too that were left out without re-evaluation.
+            weights = None if self._new_outliers else self._weights
+            solved = take_steps(solve_constraints(self.poses, self.constraints, weights))
+            self._settled = (len(self.constraints), cast("Optimized", solved).poses)
         return self._settled[1]
 
-    def solution(self) -> Optimized:
-        """Return the solution by all closures, those too that were left out without re-evaluation.
-
-        It is not taken over.
-        """
-        weights = None if self._new_outliers else self._weights
-        return solve_constraints(self.poses, self.constraints, weights)
+    def go_on(self) -> None:
+        """Take this scan's steps of the solution that is under way, if there is one."""
+        self._left = max(1, SCAN_WORK // (len(self.constraints) + STEP_WORK))
+        self._take_steps()
 
     def solve_if_due(self, number: int) -> None:
-        """Solve the graph if closures wait for it and enough nodes have come or it is urgent."""
+        """Begin to solve if closures wait for it and enough nodes have come or it is urgent."""
         is_due = number - self._solved_at >= SOLVE_NODES
-        if self._unsolved and (is_due or self._is_urgent):
-            self.solve()
+        if self._solution is None and self._unsolved and (is_due or self._is_urgent):
+            share = int(NEW_OUTLIERS_SHARE * self._unsolved)
+            tolerated = min(NEW_OUTLIERS - self._new_outliers, share)
+            self._solution = Solution(
+                self.poses, len(self.constraints), self._unsolved, tolerated, self._weights
+            )
+            self._steps = self._solution.steps(self.constraints)
+            self._unsolved, self._is_urgent, self._solved_at = 0, False, number
+            self._take_steps()
 
-    def solve(self) -> None:
-        """Solve the graph and take over its poses."""
-        share = int(NEW_OUTLIERS_SHARE * self._unsolved)
-        tolerated = min(NEW_OUTLIERS - self._new_outliers, share)
-        solved = solve_constraints(self.poses, self.constraints, self._weights, tolerated)
-        self.poses, self._weights = solved.poses, solved.weights
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take over what ``to_state`` returned; a solution that was under way goes on."""
+        super().restore(state)
+        if self._solution is not None:
+            self._steps = self._solution.steps(self.constraints)
+            take_steps(self._steps, self._solution.taken)
+
+    def _take_steps(self) -> None:
+        """Take the steps that are left for this scan, and over the poses where that is all."""
+        solution = self._solution
+        if solution is None or self._steps is None or not self._left:
+            return
+        begun_s = time.perf_counter()
+        solved = take_steps(self._steps, self._left)
+        solution.taken += self._left
+        solution.time_s += time.perf_counter() - begun_s
+        self._left = 0
+        if solved is not None:
+            self._solution = self._steps = None
+            self._take_over(solution, solved)
+
+    def _take_over(self, solution: Solution, solved: Optimized) -> None:
+        """Take over a solution's poses; nodes that came since then move with the last one in it."""
+        last = len(solved.poses) - 1
+        since = compose_poses(invert_poses(self.poses[last]), self.poses[last + 1 :])
+        since = compose_poses(solved.poses[last], since)
+        self.poses = np.concatenate((solved.poses, since))
+        self._weights = solved.weights
         outliers = int(solved.is_outlier.sum())
         more = max(0, outliers - self._outliers)
         self._new_outliers = 0 if solved.is_reevaluated else self._new_outliers + more
         self._outliers = outliers
-        self._unsolved, self._is_urgent = 0, False
-        self._solved_at = len(self.nodes) - 1
         health = self._health
-        health.chi2, health.solve_s = solved.chi2, solved.time_s
+        health.chi2, health.solve_s = solved.chi2, solution.time_s
         health.closure_outliers = outliers
         health.solutions += 1

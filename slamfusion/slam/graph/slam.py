@@ -30,7 +30,14 @@ from slamfusion.slam.graph.closure_search import ClosureSearch
 from slamfusion.slam.graph.local_map import LocalMap
 from slamfusion.slam.graph.localizer import Localizer, Observation, TrackingQuality
 from slamfusion.slam.graph.loop_closure import LoopClosure, PendingClosure, RelocalizationHypothesis
-from slamfusion.slam.graph.map_graph import NO_NODE, Constraint, DrivenPath, GraphHealth, MapGraph
+from slamfusion.slam.graph.map_graph import (
+    NO_NODE,
+    Constraint,
+    DrivenPath,
+    GraphHealth,
+    MapGraph,
+    Solution,
+)
 from slamfusion.slam.graph.node_map import Node, NodeMap
 from slamfusion.trajectory import Trajectory
 
@@ -45,13 +52,14 @@ class GraphSlam(SavedMapper):
     """
 
     name = NAME
-    STATE_FORMAT = 7
+    STATE_FORMAT = 8
     STATE_KINDS = (
         Constraint,
         GraphHealth,
         Node,
         PendingClosure,
         RelocalizationHypothesis,
+        Solution,
         TrackingQuality,
     )
     STATE = ("health", "last_stamp_s", "_localizer", "_graph", "_local_map", "_loops", "_path")
@@ -81,6 +89,8 @@ class GraphSlam(SavedMapper):
         self.health.scans += 1
         if self.last_stamp_s is not None:
             self.health.count_pause(scan.stamp_s - self.last_stamp_s)
+
+        self._graph.go_on()
 
         # Where may the robot be?
         known = None if self._config.odometry == "none" else odometry

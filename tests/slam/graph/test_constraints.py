@@ -10,11 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slamfusion.geometry import compose_poses, invert_poses, wrap_angles
-from slamfusion.slam.graph.map_graph import Constraint, solve_constraints
+from slamfusion.geometry import Pose2, compose_poses, invert_poses, pose_of, wrap_angles
+from slamfusion.pose_graph.least_squares import at_once
+from slamfusion.slam.graph.map_graph import Constraint, GraphHealth, MapGraph, solve_constraints
+from slamfusion.slam.graph.node_map import Node
 from tests.support.examples import examples
 
 F64 = npt.NDArray[np.float64]
+solve = at_once(solve_constraints)
 STEP_SIGMAS = (0.05, 0.05, 0.02)
 CLOSURE_SIGMAS = (0.02, 0.02, 0.01)
 
@@ -80,7 +83,7 @@ def test_a_ring_without_noise_is_exact_in_any_frame(
     truth = compose_poses(frame, true_ring())
     steps = chain(truth)
     start = drifted(steps, truth[0], np.array([0.01, -0.01, turn_bias]))
-    solved = solve_constraints(start, [*steps, closure(truth, 0, 15), closure(truth, 2, 14)])
+    solved = solve(start, [*steps, closure(truth, 0, 15), closure(truth, 2, 14)])
     assert off(solved.poses, truth) < 1e-5
     assert solved.chi2 < 1e-4
     assert not solved.is_outlier.any()
@@ -109,11 +112,11 @@ def test_a_false_closure_gets_no_weight(seed: int, angle_rad: float, away_m: flo
     wrong = np.array([away_m * math.cos(angle_rad), away_m * math.sin(angle_rad), 0.3])
     false = closure(truth, 3, 12, wrong)
     true = [closure(truth, *ends) for ends in ((0, 15), (1, 14), (2, 13))]
-    solved = solve_constraints(drifted(steps, truth[0], np.zeros(3)), [*steps, false, *true])
+    solved = solve(drifted(steps, truth[0], np.zeros(3)), [*steps, false, *true])
     assert solved.weights[15] == 0.0
     np.testing.assert_array_equal(solved.weights[16:], 1.0)
     np.testing.assert_array_equal(solved.weights[:15], 1.0)
-    without = solve_constraints(drifted(steps, truth[0], np.zeros(3)), [*steps, *true])
+    without = solve(drifted(steps, truth[0], np.zeros(3)), [*steps, *true])
     assert off(solved.poses, without.poses) < 1e-4
 
 
@@ -129,7 +132,7 @@ def test_a_weak_tie_gives_way_to_closures_that_agree(*, is_right: bool):
         Constraint(4, 5, told, known((0.3, 0.3, 0.2)), is_closure=True),
     ]
     seen = [closure(truth, *ends) for ends in ((0, 8), (1, 9), (2, 7))]
-    solved = solve_constraints(truth, [*steps, *seen])
+    solved = solve(truth, [*steps, *seen])
     assert off(solved.poses, truth) < (1e-5 if is_right else 0.02)
     assert (solved.weights[5] > 0.5) == is_right
     np.testing.assert_array_equal(solved.weights[-3:], 1.0)
@@ -141,15 +144,79 @@ def test_new_closures_that_contradict_are_left_out_until_they_are_too_many(count
     truth = true_ring()
     steps = chain(truth)
     false = closure(truth, 3, 12, np.array([0.5, 0.2, 0.05]))
-    first = solve_constraints(truth, [*steps, false])
+    first = solve(truth, [*steps, false])
     assert first.weights[15] == 1.0
     true = [closure(truth, *ends) for ends in ((2, 13), (4, 11), (1, 14), (0, 15))][:count]
     later = [*steps, false, *true]
-    stands = solve_constraints(first.poses, later, first.weights, tolerated=count)
+    stands = solve(first.poses, later, first.weights, tolerated=count)
     assert not stands.is_reevaluated
     assert stands.weights[15] == 1.0
     np.testing.assert_array_equal(stands.weights[16:], 0.0)
-    again = solve_constraints(first.poses, later, first.weights, tolerated=count - 1)
+    again = solve(first.poses, later, first.weights, tolerated=count - 1)
     assert again.is_reevaluated
     assert again.weights[15] == 0.0
     assert off(again.poses, truth) < 1e-6
+
+
+# -- a solution beside the scans -------------------------------------------------------------------
+
+
+def add_node(graph: MapGraph, pose: Pose2) -> int:
+    empty = np.zeros((0, 2), dtype=np.float32)
+    return graph.add_node(Node(empty, empty, 0.0, None), pose)
+
+
+def begun_graph(rounds: int = 120) -> MapGraph:
+    """Return a graph of many rounds, some of whose closures are false, that has begun to solve."""
+    truth = np.concatenate([true_ring()] * rounds)
+    rng = np.random.default_rng(3)
+    graph = MapGraph(GraphHealth())
+    graph.add(chain(truth))
+    for pose in drifted(graph.constraints, truth[0], np.array([0.001, 0.0, 0.0005])):
+        add_node(graph, pose_of(pose))
+    for end in range(16, len(truth), 2):
+        wrong = rng.normal(0.0, 2.0, 3) if end % 12 == 0 else None
+        graph.add_closures([closure(truth, end - 16, end, wrong)])
+    graph.go_on()
+    graph.solve_if_due(len(truth) - 1)
+    return graph
+
+
+def test_a_long_solution_is_taken_over_some_scans_later_with_the_nodes_that_came_since():
+    graph = begun_graph()
+    before, count = graph.poses.copy(), len(graph.poses)
+    whole = solve(before, graph.constraints, np.zeros(0), 3)
+    step = Pose2(0.5, 0.1, 0.2)
+    add_node(graph, graph.pose(count - 1).compose(step))
+    scans = 0
+    while np.array_equal(graph.poses[:count], before):
+        graph.go_on()
+        scans += 1
+    assert scans > 1
+    np.testing.assert_array_equal(graph.poses[:count], whole.poses)
+    moved = graph.pose(count - 1).inverse().compose(graph.pose(count))
+    np.testing.assert_allclose((moved.x, moved.y, moved.yaw_rad), (0.5, 0.1, 0.2), atol=1e-9)
+
+
+def test_a_state_saved_while_a_solution_is_under_way_goes_on_with_it():
+    graph = begun_graph()
+    graph.go_on()
+    other = MapGraph(GraphHealth())
+    other.restore(graph.to_state())
+    for _ in range(200):
+        graph.go_on()
+        other.go_on()
+        np.testing.assert_array_equal(graph.poses, other.poses)
+    assert not np.array_equal(graph.poses, begun_graph().poses)
+
+
+def test_nodes_that_are_moved_while_a_solution_is_under_way_stay_there_until_the_next():
+    graph = begun_graph()
+    graph.move_nodes(np.ones(len(graph.poses), dtype=np.bool_), Pose2(1.0, 0.0, 0.0))
+    moved = graph.poses.copy()
+    for _ in range(200):
+        graph.go_on()
+    np.testing.assert_array_equal(graph.poses, moved)
+    graph.solve_if_due(len(moved) + 30)
+    while np.array_equal(graph.poses, moved):
+        graph.go_on()
