@@ -52,10 +52,10 @@ def command(files: tuple[Path, ...], plot_path: Path | None, as_json: bool) -> i
     found = compare_results(files)
     if plot_path is not None:
         write_comparison_plot(found, plot_path)
-    for sentence in found.document["notes"]:
+    for sentence in found.notes:
         notice(sentence)
     if as_json:
-        print_json(found.document)
+        print_json(found)
     else:
         print_comparison(found)
     return 0
@@ -94,7 +94,7 @@ def _print_figures(found: ComparedResults) -> None:
             *_numbers(item["std_first"], item["std_second"]),
             " and ".join(map(str, dict.fromkeys((item["count_first"], item["count_second"])))),
         ]
-        for item in found.document["figures"]
+        for item in found.figures
     ]
     tests = ("items", "p t-test", "p rank test")
     if len(found.is_paired) == 1:
@@ -108,7 +108,7 @@ def _print_figures(found: ComparedResults) -> None:
     title = f"{found.results[0].name} (first) and {found.results[1].name} (second)"
     if has_names:
         title = f"Every two of {len(found.results)} results; better: p below 0.05"
-    sentences = found.document["pairings"]
+    sentences = found.pairings
     same = {sentence.partition(": ")[2] for sentence in sentences} if has_names else set()
     title = "; ".join((title, *(same if len(same) == 1 else sentences)))
     columns = (*columns, "std first", "std second", tests[0])

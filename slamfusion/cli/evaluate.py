@@ -147,7 +147,12 @@ def command(
     found.write(report_dir, [] if image_path is None else _image_files(image_path, given))
     tell_unaligned(found.evaluations)
     rows, document = found.rows(), found.to_json()
-    save_results(results_path, document, rows, lambda: _inputs(paths, found.truths, distances_path))
+    save_results(
+        results_path,
+        document,
+        [*rows, *found.distance_rows()],
+        lambda: _inputs(paths, found.truths, distances_path),
+    )
     if as_json:
         print_json(document)
         return 0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict
 
@@ -76,8 +76,9 @@ class ComparisonJson(TypedDict):
     """The results that are better beyond chance (p_holm below 0.05); null: neither."""
 
 
-class CompareDocument(TypedDict):
-    """``slamfusion compare``."""
+@dataclass(frozen=True, eq=False)
+class ComparedResults:
+    """Every two of several results compared; ``slamfusion compare``."""
 
     results: Sequence[SavedResults]
     """The compared results, in the order given."""
@@ -89,20 +90,8 @@ class CompareDocument(TypedDict):
     """What was not compared, and what makes the comparison doubtful."""
     versions: Mapping[str, str | None]
     """Versions of Python, of this package and of the packages it needs; null: not installed."""
-
-
-@dataclass(frozen=True, eq=False)
-class ComparedResults:
-    """Every two of several results compared.
-
-    Attributes:
-        document: as ``slamfusion compare`` prints it as JSON.
-        is_paired: whether the figures of any two results are pairs, and of any two are not.
-    """
-
-    results: tuple[SavedResults, ...]
-    document: CompareDocument
-    is_paired: frozenset[bool]
+    is_paired: Collection[bool] = field(repr=False)
+    """Whether the figures of any two results are pairs, and of any two are not."""
 
 
 def compare_results(files: Sequence[str | Path]) -> ComparedResults:
@@ -156,14 +145,14 @@ def compare_results(files: Sequence[str | Path]) -> ComparedResults:
     if not figures:
         raise SlamFusionError(f"{apart[0]}; compare results of the same kind")
     _correct(figures)
-    document: CompareDocument = {
-        "results": results,
-        "pairings": pairings,
-        "figures": figures,
-        "notes": list(dict.fromkeys([*apart, *notes, *_too_few(figures, is_paired)])),
-        "versions": versions(),
-    }
-    return ComparedResults(tuple(results), document, frozenset(is_paired))
+    return ComparedResults(
+        results,
+        pairings,
+        figures,
+        list(dict.fromkeys([*apart, *notes, *_too_few(figures, is_paired)])),
+        versions(),
+        is_paired,
+    )
 
 
 def _compared(files: Sequence[SavedResults]) -> list[SavedResults]:

@@ -11,10 +11,13 @@ import pytest
 from slamfusion.errors import MapFileError
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OCCUPIED, OccupancyGrid
+from slamfusion.io import save_map
+from slamfusion.jobs.cases import CaseFile
 from slamfusion.jobs.evaluate import (
     agreement_items,
     compare_maps,
     difference_images,
+    evaluate_cases,
     evaluate_document,
     evaluate_maps,
     measure_distances,
@@ -80,6 +83,12 @@ def test_measured_distances_are_compared(tmp_path: Path) -> None:
     measured.write_text("name,x1,y1,x2,y2,distance_m\nwidth,2.05,-0.9,2.05,1.2,1.9\n")
     (found,) = measure_distances([corridor], measured)
     assert found.mean_absolute_error_m == pytest.approx(0.1)
+    save_map(corridor, tmp_path / "corridor")
+    maps = (CaseFile(tmp_path / "corridor.yaml"),)
+    cases = evaluate_cases(maps, [], CONFIG, distances=measured)
+    ((case, _, method, figure, value, *_),) = cases.distance_rows()
+    assert (case, method, figure) == ("measured distances", "corridor", "distance_error_mean_m")
+    assert (value, cases.rows()) == (pytest.approx(0.1), [])
     with pytest.raises(MapFileError, match="absent"):
         measure_distances([corridor], tmp_path / "absent.csv")
 

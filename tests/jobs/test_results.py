@@ -19,7 +19,7 @@ from slamfusion.errors import SlamFusionError
 from slamfusion.evaluation import Row, error_series, result_rows
 from slamfusion.jobs import results
 from slamfusion.jobs.cases import CaseFile, place_files
-from slamfusion.jobs.compare import CompareDocument, compare_results, write_comparison_plot
+from slamfusion.jobs.compare import ComparedResults, compare_results, write_comparison_plot
 from slamfusion.jobs.results import (
     ResultsFileError,
     map_inputs,
@@ -84,11 +84,11 @@ def save(
     return path
 
 
-def compared(folder: Path, *sets: Sequence[Row]) -> CompareDocument:
+def compared(folder: Path, *sets: Sequence[Row]) -> ComparedResults:
     """Return sets of items against each other, in files of the names a, b, ..."""
     return compare_results(
         [save(folder / f"{chr(97 + n)}.zip", rows) for n, rows in enumerate(sets)]
-    ).document
+    )
 
 
 @pytest.fixture
@@ -221,8 +221,8 @@ def repeated(method: str, gain: float = 0.0, seeds: Sequence[int] = (0, 1, 2)) -
 
 def test_seeds_are_repetitions_of_a_case_and_pairs_of_the_same_seed(tmp_path: Path) -> None:
     found = compared(tmp_path, repeated("graph"), repeated("gmapping", gain=0.1))
-    assert found["pairings"] == ["9 pairs of the same case and seed, in 3 cases"]
-    (figure,) = found["figures"]
+    assert found.pairings == ["9 pairs of the same case and seed, in 3 cases"]
+    (figure,) = found.figures
     # By hand: errors 1, 1.01, 1.02, 2, ...; 0.1, 0.2, 0.3 less of the second in each case.
     assert (figure["mean_first"], figure["mean_second"]) == pytest.approx((2.01, 1.81))
     values = np.array([case + seed / 100 for case in (1, 2, 3) for seed in (0, 1, 2)])
@@ -233,17 +233,17 @@ def test_seeds_are_repetitions_of_a_case_and_pairs_of_the_same_seed(tmp_path: Pa
     assert figure["p_t"] == pytest.approx(0.000121, abs=1e-6)
     # All nine of one sign: two of 2^9 outcomes are as extreme.
     assert figure["p_rank"] == pytest.approx(2 / 512)
-    assert (figure["better"], found["notes"]) == ("b", [])
+    assert (figure["better"], found.notes) == ("b", [])
     check_document(plain(found), "compare")
 
 
 def test_other_seeds_are_compared_by_the_means_of_each_case(tmp_path: Path) -> None:
     found = compared(tmp_path, repeated("graph"), repeated("graph", 0.1, seeds=(3, 4)))
-    assert found["pairings"][0] == (
+    assert found.pairings[0] == (
         "3 pairs of the same case and method; no seed is in both, so the means over the seeds are "
         "the pairs"
     )
-    (figure,) = found["figures"]
+    (figure,) = found.figures
     assert (figure["count_first"], figure["mean_first"]) == (3, pytest.approx(2.01))
     assert figure["mean_second"] == pytest.approx(2.035 - 0.15)
 
@@ -254,12 +254,10 @@ def test_methods_of_one_file_are_compared_with_each_other(tmp_path: Path) -> Non
     other = save(tmp_path / "other.zip", repeated("karto", 0.05))
     one, two = compare_results([file]), compare_results([file, other])
     assert [result.name for result in one.results] == ["graph", "gmapping", "drawn"]
-    assert [own["figure"] for own in one.document["figures"]] == ["ate_rmse_m"]
-    assert one.document["notes"][0] == (
-        "graph (trajectory) and drawn (trajectory) have no figure in common"
-    )
+    assert [own["figure"] for own in one.figures] == ["ate_rmse_m"]
+    assert one.notes[0] == ("graph (trajectory) and drawn (trajectory) have no figure in common")
     apart = compared(tmp_path, repeated("graph"), repeated("gmapping", 0.1))
-    assert one.document["figures"][0]["p_t"] == apart["figures"][0]["p_t"]
+    assert one.figures[0]["p_t"] == apart.figures[0]["p_t"]
     assert [result.name for result in two.results] == ["graph", "gmapping", "drawn", "other"]
     with pytest.raises(SlamFusionError, match=r"one with several methods of a case, found .*other"):
         compare_results([other])
@@ -275,17 +273,17 @@ def test_two_files_are_compared_case_by_case(tmp_path: Path) -> None:
         for error in (0.2, 0.15)
     )
     found = compared(tmp_path, old, new)
-    (figure,) = found["figures"]
+    (figure,) = found.figures
     assert (figure["count_first"], figure["better"]) == (4, "b")
     assert figure["p_t"] is not None
     assert figure["p_t"] < 0.01
     few = "4 pairs: too few for Wilcoxon's test, whose p cannot be below 0.12; add cases or seeds"
-    assert found["notes"] == [few]
+    assert found.notes == [few]
     check_document(plain(found), "compare")
     together = compared(tmp_path, old, new, best)
-    names = [sentence.partition(":")[0] for sentence in together["pairings"]]
+    names = [sentence.partition(":")[0] for sentence in together.pairings]
     assert names == ["a and b", "a and c", "b and c"]
-    first = together["figures"][0]
+    first = together.figures[0]
     assert first["p_t"] == figure["p_t"]
     assert first["p_holm"] is not None
     assert first["p_holm"] > figure["p_t"]
@@ -302,8 +300,8 @@ def test_an_interval_holds_no_zero_if_the_corrected_p_value_is_small(tmp_path: P
         joined(item(str(n), name, error=1.0 - share * gain) for n, gain in enumerate(gains))
         for name, share in (("x", 0.0), ("y", 1.0), ("z", 1.001))
     ]
-    two = compared(tmp_path, *rows[:2])["figures"][0]
-    three = compared(tmp_path, *rows)["figures"][0]
+    two = compared(tmp_path, *rows[:2]).figures[0]
+    three = compared(tmp_path, *rows).figures[0]
     for figure, is_significant in ((two, True), (three, False)):
         assert figure["p_holm"] is not None
         assert figure["low"] is not None
@@ -312,7 +310,7 @@ def test_an_interval_holds_no_zero_if_the_corrected_p_value_is_small(tmp_path: P
 
 def test_samples_that_are_too_few_for_ranks_are_named(tmp_path: Path) -> None:
     rows = [joined(item(f"{name}{n}", name, error=n + 1.0) for n in range(3)) for name in "xy"]
-    (note,) = compared(tmp_path, *rows)["notes"]
+    (note,) = compared(tmp_path, *rows).notes
     assert note.startswith("3 and 3 results: too few for Mann and Whitney's test")
 
 
@@ -322,18 +320,18 @@ def test_pairs_show_what_samples_hide(tmp_path: Path) -> None:
     first = joined(item(str(n), "x", error=value) for n, value in enumerate(values))
     others = reversed(list(enumerate(zip(values, gains, strict=True))))
     second = joined(item(str(n), "y", error=value - gain) for n, (value, gain) in others)
-    (found,) = compared(tmp_path, first, second)["figures"]
+    (found,) = compared(tmp_path, first, second).figures
     assert found["difference"] == pytest.approx(np.mean(gains))
     assert found["p_t"] == pytest.approx(stats.ttest_1samp(gains, 0.0).pvalue)
     assert found["better"] == "b"
     apart = compared(tmp_path, first, [(f"other {case}", *rest) for case, *rest in second])
-    assert np.isnan(apart["figures"][0]["low"])
-    assert apart["figures"][0]["p_t"] == pytest.approx(
+    assert np.isnan(apart.figures[0]["low"])
+    assert apart.figures[0]["p_t"] == pytest.approx(
         stats.ttest_ind(values, np.subtract(values, gains), equal_var=False).pvalue
     )
-    assert apart["figures"][0]["better"] is None
+    assert apart.figures[0]["better"] is None
     sentence = "no case in common; figures are compared as two samples"
-    assert apart["pairings"] == [sentence]
+    assert apart.pairings == [sentence]
 
 
 def test_rows_without_a_partner_and_another_truth_are_told(tmp_path: Path) -> None:
@@ -345,7 +343,7 @@ def test_rows_without_a_partner_and_another_truth_are_told(tmp_path: Path) -> No
     some = [*path_item("intel", "new", 0.2), *item("attic", "new", "3", ate_rmse_m=1.0)]
     new = save(tmp_path / "new.zip", all_items, inputs["one"])
     few = save(tmp_path / "few.zip", some, inputs["other"])
-    assert compare_results([new, few]).document["notes"] == [
+    assert compare_results([new, few]).notes == [
         "new: not in few: new in mit, new in office, new in hall",
         "few: not in new: new in attic seed 3",
         "new and few rest on different files: truth",
@@ -361,7 +359,7 @@ def test_some_figures_are_better_when_they_are_larger(
 ) -> None:
     first = joined(item(str(n), "x", **{figure: 2.0 + 0.01 * n}) for n in range(4))
     second = joined(item(str(n), "x", **{figure: 1.0 + 0.02 * n}) for n in range(4))
-    (found,) = compared(tmp_path, first, second)["figures"]
+    (found,) = compared(tmp_path, first, second).figures
     assert found["better"] == better
 
 

@@ -71,7 +71,7 @@ DOCUMENTS: dict[str, tuple[type, ...]] = {
     "trajectory": (trajectory.TrajectoryDocument, trajectory.TrajectoriesDocument),
     "judge": (judge.JudgeDocument, judge.JudgementsDocument),
     "info": (InfoDocument,),
-    "compare": (comparisons.CompareDocument,),
+    "compare": (comparisons.ComparedResults,),
     "graph optimize": (graph.OptimizedGraph,),
     "devices": (doctor.DevicesDocument,),
     "show": (records.ShowDocument,),
