@@ -12,12 +12,11 @@ import click
 from slamfusion.cli.help import Command, ProducerGroup
 from slamfusion.errors import SlamFusionError
 
-# The nodes that are no producer's: the module, which has ``make_node(kind)``, and a summary.
+# The nodes that are no producer's: the class of ``slamfusion.ros.NAME_node``, and a summary.
 NODES = {
-    "fusion": ("slamfusion.ros.fusion_node", "fuses the maps of the others"),
-    "player": ("slamfusion.ros.player_node", "publishes a log or bag"),
+    "fusion": ("FusionNode", "fuses the maps of the others"),
+    "player": ("PlayerNode", "publishes a log or bag"),
 }
-PRODUCER_NODE = "slamfusion.ros.producer_node"
 # Set by the ROS wheels' start-up code when it has put their libraries on the path.
 BOOTSTRAPPED = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
 ABSENT = (
@@ -74,9 +73,12 @@ def _make_command(name: str) -> click.Command:
         if ros_arguments and "--ros-args" not in ros_arguments:
             raise click.UsageError(f"{ros_arguments[0]!r}: a node's options stand after --ros-args")
         import_rclpy()
-        module = importlib.import_module(NODES[name][0] if name in NODES else PRODUCER_NODE)
+        module = importlib.import_module(
+            f"slamfusion.ros.{name if name in NODES else 'producer'}_node"
+        )
+        node = getattr(module, NODES[name][0] if name in NODES else "ProducerNode")
         base = importlib.import_module("slamfusion.ros.base")
-        return int(base.run_node(lambda: module.make_node(name), ros_arguments))
+        return int(base.run_node(lambda: node(name), ros_arguments))
 
     run.help = f"Run the ROS 2 node {name}."
     return run

@@ -157,10 +157,10 @@ class TransformInput(TransformStore):
 class TransformOutput:
     """Sends transforms, and notices when another node sends the same.
 
-    Two senders of one child frame make it jump between two places; see ``rivals``.
+    Two senders of one child frame make it jump between two places; see ``rival``.
 
     Args:
-        node: an rclpy node; its executor must spin for ``rivals``.
+        node: an rclpy node; its executor must spin for ``rival``.
     """
 
     def __init__(self, node: Any) -> None:
@@ -186,12 +186,20 @@ class TransformOutput:
         """Send one that holds from now on, the only one; a late listener gets it too."""
         self._publish(self._latched, transform_to_message(pose, parent, child, stamp))
 
-    def rivals(self) -> dict[str, str]:
-        """Return child frames that another node sent in the last seconds, with its parent frame."""
+    def rival(self, first: str = "") -> tuple[str, str]:
+        """Return a child frame that another node sent in the last seconds, and that in words.
+
+        Args:
+            first: the frame that is named where there are several.
+        """
         since_s = time.monotonic() - RIVAL_KEPT_S
         with self._lock:
             rivals = self._rivals.items()
-            return {child: parent for child, (parent, seen_s) in rivals if seen_s > since_s}
+            found = {child: parent for child, (parent, seen_s) in rivals if seen_s > since_s}
+        child = first if first in found else next(iter(found), "")
+        if not child:
+            return "", ""
+        return child, f"another node sends the transform to {child!r} too (from {found[child]!r})"
 
     @staticmethod
     def _publish(publisher: Any, item: TransformStamped) -> None:

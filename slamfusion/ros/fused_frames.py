@@ -39,14 +39,10 @@ LONG_S = 2.0
 class ChildFrames:
     """The frame that each input's transform is sent to, where several maps claim one.
 
-    Two robots that run the same programs call their maps' frames the same. The first that claims a
-    frame keeps it; the frame of another is put into as much of its topic's namespace as tells the
-    two apart: ``graph_map`` of ``robot2/graph/map`` is ``robot2/graph_map`` where that of
-    ``robot1/graph/map`` came before. No frame changes its place when others come, go or lose their
-    votes.
-
-    Args:
-        taken: frames that no input may have, such as the fused one.
+    The first that claims a frame keeps it; the frame of another is put into as much of its topic's
+    namespace as tells the two apart: ``graph_map`` of ``robot2/graph/map`` is ``robot2/graph_map``
+    where that of ``robot1/graph/map`` came before. No frame changes when others come or go. Those
+    of ``taken`` no input may have.
     """
 
     def __init__(self, taken: Collection[str] = ()) -> None:
@@ -334,17 +330,17 @@ class FusedFrames:
         self._node.diagnostics.say("own frame", text if is_own else None)
 
     def _rival_words(self) -> str | None:
-        """Return who else sends one of our transforms, and what to do; None without one."""
-        rivals, odom_frame = self._output.rivals(), self._node.settings.odom_frame
-        if not rivals:
+        """Return which of our transforms another node sends, and what to do; None without one."""
+        odom_frame = self._node.settings.odom_frame
+        child, words = self._output.rival(odom_frame)
+        if not child:
             return None
-        child = odom_frame if odom_frame in rivals else next(iter(rivals))
-        words = f"another node sends the transform to {child!r} too (from {rivals[child]!r}): "
+        what = "end one of them, or give the frames of each robot names of their own"
         if self._node.rival:
-            return words + f"the other fusion is {self._node.rival!r}; end one of the two"
-        if child == odom_frame:
-            return words + "set publish_tf to false in all but one"
-        return words + "end one of them, or give the frames of each robot names of their own"
+            what = f"the other fusion is {self._node.rival!r}; end one of the two"
+        elif child == odom_frame:
+            what = "set publish_tf to false in all but one"
+        return f"{words}: {what}"
 
     def _name_unsent(self) -> None:
         """Name that fused_frame -> odom_frame was never sent, though an input votes."""

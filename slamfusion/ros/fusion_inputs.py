@@ -131,8 +131,7 @@ class FusionInputs:
 
     Attributes:
         entries: those of ``inputs`` by name.
-        sources: of the map topics, by name; none before ``begin``.
-        saved: the saved maps, by name; the same.
+        sources, saved: of the map topics, and the saved maps, by name; none before ``begin``.
 
     Raises:
         ConfigError: there is none, or one is given twice.

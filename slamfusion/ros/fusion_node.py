@@ -59,26 +59,13 @@ LEVELS = {State.TRACKED: Level.OK, State.LOST: Level.STALE}
 MANY, REST = 8, 3.0
 
 
-def make_node(_: str, **options: Any) -> NodeBase:
-    """Return the fusion node; see ``FusionNode``."""
-    return FusionNode(**options)
-
-
 class FusionNode(NodeBase):
     """Fuses the maps of several SLAMs while they grow; see ``slamfusion.fusion.live``.
 
-    Reads the map topics of ``inputs`` and the poses beside them (``NAME/pose`` for ``NAME/map``);
-    an entry ``file:PATH`` is a saved map. Writes ``fused/map`` and ``fused/agreement`` (reliable,
-    transient local: who comes late gets the last ones; the agreement is sent only while somebody
-    listens, and to the first who does), ``fused/pose``, ``/diagnostics`` and the transforms of
-    ``FusedFrames``. Services: those of ``FusionServices``.
-
-    ``start.NAME`` says where an input's map frame is expected (x, y, yaw and tolerances); see
-    ``slamfusion.align.starts``.
-
-    With ``state_path`` the fused frame, the transforms and the last map are kept in a file. A node
-    that finds one publishes that map at once and goes on in that frame; its inputs are tried where
-    they lay, and those that fit nowhere do not vote until ``reset`` begins a new frame.
+    Its topics, services and parameters: ``slamfusion.ros.interface``. With ``state_path`` the fused
+    frame, the transforms and the last map are kept in a file. A node that finds one publishes that
+    map at once and goes on in that frame; its inputs are tried at their old places, and those that
+    fit nowhere do not vote until ``reset`` starts a new frame.
 
     The callbacks only keep the newest message. One worker converts, fuses and publishes: of maps
     that come while it works only the newest of each input counts, and a fused map waits a moment
@@ -91,8 +78,8 @@ class FusionNode(NodeBase):
         MapFileError: a saved map cannot be read.
     """
 
-    def __init__(self, *, context: Any = None, arguments: Any = None) -> None:
-        super().__init__("fusion", context=context, arguments=arguments)
+    def __init__(self, name: str = "fusion", *, context: Any = None, arguments: Any = None) -> None:
+        super().__init__(name, context=context, arguments=arguments)
         node = self.node
         self.settings = declare(
             node, FusionNodeConfig(), changeable=CHANGEABLE, on_change=self._on_settings

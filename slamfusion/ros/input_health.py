@@ -131,11 +131,7 @@ class Clocks:
         self._ahead_s: dict[str, float] = {}
 
     def too_far_ahead_s(self, name: str, stamp_s: float) -> float | None:
-        """Note a stamp of an input; return by how much it is too far ahead, or None.
-
-        Inputs are compared by how far they are ahead of the clock, so one that has been silent for
-        an hour is no witness for an hour ago.
-        """
+        """Note a stamp of an input; return by how much it is too far ahead, or None."""
         now_s = self._clock_s()
         if now_s <= 0.0:
             return None
@@ -157,10 +153,7 @@ class Clocks:
         heard.append((stamp_s, stamp_s - now_s))
 
     def _relative_s(self) -> dict[str, float]:
-        """Return by how much the clock of each input is ahead of the one that most have, seconds.
-
-        Inputs that sent too little are left out; without two there is nothing to compare.
-        """
+        """Return by how much each input's clock is ahead of what most have, where it is known."""
         ahead_s: dict[str, float] = {}
         stamps: dict[str, set[float]] = {}
         for (name, _), heard in self._heard.items():
@@ -212,11 +205,10 @@ class Writers:
         self._alike_since_s: dict[str, float] = {}
 
     def look(self, topics: Mapping[str, str], output: str) -> str:
-        """Name topics with several writers; return another node that writes the output, or "".
+        """Name topics with several writers, of inputs by name and of the output.
 
-        Args:
-            topics: of the inputs by their names.
-            output: topic of the fused map.
+        Returns:
+            Another node that writes the output; empty without.
         """
         diagnostics = self._base.diagnostics
         for name, topic in topics.items():
@@ -258,16 +250,10 @@ class Writers:
 
 @dataclass(frozen=True)
 class HeardPose:
-    """The robot's pose by an input's SLAM.
-
-    Attributes:
-        pose: of the base in the input's map frame; metres, radians.
-        stamp: builtin_interfaces/Time of it.
-        heard_s: when it came, ``time.monotonic``.
-    """
+    """The robot's pose in an input's map frame, and when it came by ``time.monotonic``."""
 
     pose: Pose2
-    stamp: Any
+    stamp: Any  # builtin_interfaces/Time
     heard_s: float
 
 
@@ -279,25 +265,21 @@ class MapSource:
     which some SLAMs and costmaps send for the part that changed, are put into the last whole map.
     Stamps far ahead of all else are named and not used, nor are poses that have them.
 
-    A robot that stands still, or whose log has ended, makes no maps and no poses, and its SLAMs are
-    well; one whose process was killed or frozen must lose its vote. Neither messages nor
-    diagnostics tell the two apart soon enough: a node that is busy with a loop closure is late with
-    both. So the poses of our producers are offered with a DDS liveliness lease, which the process
-    renews three times a second from a thread that neither Python nor a long computation holds up,
-    and a second reader of the pose topic asks for that lease. It hears nothing from writers that
-    offer none (the SLAMs of others); of such inputs DDS itself says that they are dead, after the
-    lease of a participant (20 s by default).
+    A robot that stands still makes no maps and no poses, and its SLAMs are well; one whose process
+    was killed or frozen must lose its vote. A node that is busy with a loop closure is late with
+    messages and diagnostics, so the poses of our producers are offered with a DDS liveliness lease,
+    which the process renews three times a second from a thread that neither Python nor a long
+    computation holds up, and a second reader of the pose topic asks for that lease. Of inputs
+    without one (the SLAMs of others) DDS itself says that they are dead, after the lease of a
+    participant (20 s by default).
 
     In the executor's thread, apart from ``read``.
 
     Args:
-        topic: of its maps.
         lost_after_s: an input whose process gave no sign of life for this long is lost, and one
             that no node publishes; below one second it is taken for one.
-        clocks: of all inputs.
-        on_map: called with this and the message when a map has come, and with None when its
-            process fell silent or is back.
-        on_pose: called with this and a pose that has come.
+        on_map: called with the message when a map has come, and with None when its process fell
+            silent or is back.
 
     Attributes:
         frame: of the newest map that was read; empty before the first.

@@ -5,7 +5,7 @@ Nothing here needs ROS; a test compares the lists with the running nodes.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,14 +30,12 @@ NODES = (*PRODUCERS, "fusion", "player")
 
 @dataclass(frozen=True)
 class Topic:
-    """A topic of one of our nodes.
+    """A topic of our nodes.
 
     Attributes:
         name: relative unless it starts with a slash; NAME is the producer's name.
-        type: of its messages.
         writers, readers: of our nodes; ``producers`` stands for the three.
         qos: what is written, or asked for where only others write it.
-        text: what it carries.
         needs_tf2: only there where tf2_msgs is (a sourced ROS's messages); None: no matter.
     """
 
@@ -256,13 +254,11 @@ def node_parameters(node: str) -> Iterator[ConfigOption]:
     Raises:
         SlamFusionError: there is no producer of this name, or it is broken.
     """
-    sections: Sequence[tuple[str, Any]]
+    sections: list[tuple[str, Any]] = [("", PlayerNodeConfig), ("log", LogConfig)]
     if node == "fusion":
         sections = [("", FusionNodeConfig), ("", DeviceConfig), ("", MapFileConfig)]
-        sections = [*sections, ("live", LiveConfig), ("fusion", FusionConfig)]
-    elif node == "player":
-        sections = [("", PlayerNodeConfig), ("log", LogConfig)]
-    else:
+        sections += [("live", LiveConfig), ("fusion", FusionConfig)]
+    elif node != "player":
         sections = [("", ProducerNodeConfig), ("", DeviceConfig), (node, producer(node).config)]
     for prefix, section in sections:
         yield from config_fields(section, prefix)

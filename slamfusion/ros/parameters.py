@@ -24,7 +24,6 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from slamfusion.config import (
-    START_FORM,
     START_M,
     START_RAD,
     FieldInfo,
@@ -33,7 +32,7 @@ from slamfusion.config import (
     config_fields,
 )
 from slamfusion.errors import ConfigError, SlamFusionError
-from slamfusion.ros.interface import NameList
+from slamfusion.ros.interface import START_TEXT, NameList
 
 T = TypeVar("T")
 
@@ -221,10 +220,7 @@ def declare_starts(
             message = f"{_where(node)}: {given} names no input; the inputs are {', '.join(names)}"
             raise ConfigError(message)
         names.append(name)
-    text = (
-        f"where the map frame of this input lies in one that all starts share: {START_FORM} in m "
-        f"and rad; tolerances unless given: {START_M:g} m, {START_RAD:g} rad (public)"
-    )
+    text = f"{START_TEXT}; tolerances unless given: {START_M:g} m, {START_RAD:g} rad (public)"
     descriptor = ParameterDescriptor(description=text, read_only=True, dynamic_typing=True)
     values = {name: node.declare_parameter(START + name, None, descriptor).value for name in names}
     return {

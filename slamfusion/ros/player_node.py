@@ -63,11 +63,6 @@ SAVE_AT_END_S = 8.0
 LONGEST_PAUSE_S = 3600.0
 
 
-def make_node(_: str, **options: Any) -> NodeBase:
-    """Return a player; see ``PlayerNode``."""
-    return PlayerNode(**options)
-
-
 class PlayerNode(NodeBase):
     """Plays a log: ``scan``, ``odom``, transforms and ``/clock``, all with the log's stamps.
 
@@ -82,8 +77,8 @@ class PlayerNode(NodeBase):
         OSError: the same, by the system; or the folder of ``save`` cannot be written to.
     """
 
-    def __init__(self, *, context: Any = None, arguments: Any = None) -> None:
-        super().__init__("player", context=context, arguments=arguments)
+    def __init__(self, name: str = "player", *, context: Any = None, arguments: Any = None) -> None:
+        super().__init__(name, context=context, arguments=arguments)
         node = self.node
         self.settings = declare(
             node, PlayerNodeConfig(), changeable=("rate",), on_change=self._take
@@ -115,8 +110,9 @@ class PlayerNode(NodeBase):
         self._odometry = node.create_publisher(Odometry, ODOM_TOPIC, qos.STREAM)
         self._clock = node.create_publisher(Clock, CLOCK_TOPIC, qos.STREAM)
         self._transforms = TransformOutput(node)
-        for name in self.wait_for:
-            self.subscribe(PoseStamped, f"{name}/pose", partial(self._on_pose, name), qos.STREAM)
+        for producer in self.wait_for:
+            on_pose = partial(self._on_pose, producer)
+            self.subscribe(PoseStamped, f"{producer}/pose", on_pose, qos.STREAM)
         # Scans sent, each counted once, and those sent again; stamp and mount of the last.
         self._sent = self._sent_again = self._rounds = 0
         self._stamp_s: float | None = None
@@ -437,9 +433,8 @@ class PlayerNode(NodeBase):
         level, message = self.diagnostics.worst(
             "playing" if self._sent else "waiting for listeners"
         )
-        for child, parent in self._transforms.rivals().items():
-            text = f"another node sends the transform to {child!r} too (from {parent!r})"
-            level, message = Level.ERROR, text
+        if rival := self._transforms.rival()[1]:
+            level, message = Level.ERROR, rival
         values = {
             "log": str(self._log.path),
             "scans sent": self._sent,

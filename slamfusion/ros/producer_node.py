@@ -45,13 +45,6 @@ LOOK_S = 0.1
 PAUSE_S = 1.0
 # A scan that is worked on for longer is named.
 SLOW_SCAN_S = 5.0
-
-
-def make_node(kind: str, **options: Any) -> NodeBase:
-    """Return the node of a producer; see ``ProducerNode``."""
-    return ProducerNode(kind, **options)
-
-
 STRAY = "a stamp far from those before and after it"
 
 
@@ -63,22 +56,16 @@ class _Queued(QueuedScan):
 
 
 class ProducerNode(NodeBase):
-    """A SLAM that maps live scans.
-
-    Topics, all relative: reads ``scan`` and ``odom`` (or transforms); writes ``NAME/map``,
-    ``NAME/map_metadata``, ``NAME/pose`` (PoseStamped, one for every scan that was fed, with its
-    stamp), ``NAME/path`` and ``/diagnostics``. NAME is the node's name, so two nodes of one kind
-    can run side by side; the map's frame is NAME_map, and robot1/NAME_map in the namespace /robot1.
+    """A SLAM that maps live scans; its topics and parameters: ``slamfusion.ros.interface``.
 
     Scans wait in a queue of ``scan_queue``; when one more comes the oldest is dropped and counted.
     A scan is matched with the odometry of its own time, interpolated; it waits for that up to
-    ``odometry_wait_s`` and then goes on without. Scans before the first odometry are left out.
-    Time that jumps back by more than ``reset_back_s`` begins a new map, when several scans in a row
-    say so and the odometry does not contradict; far forward it is named. A single scan whose stamp
-    is far from the others is left out.
+    ``odometry_wait_s`` and then goes on without. Scans before the first odometry are left out. For
+    jumps of time see ``ScanInput``.
 
     Args:
-        kind: a producer of ``slamfusion.slam.registry``; also the node's name unless remapped.
+        kind: a producer of ``slamfusion.slam.registry``; also the node's name unless remapped, so
+            two of one kind can run at once.
 
     Raises:
         ConfigError: a parameter is refused.
@@ -279,13 +266,9 @@ class ProducerNode(NodeBase):
         )
         is_late = now_s - since_s > NEVER_SENT_S
         self.diagnostics.say("unsent", text if is_late else None, Level.ERROR)
-        rivals = {} if self._transforms is None else self._transforms.rivals()
-        texts = [
-            f"another node sends the transform to {child!r} too (from {parent!r}): set publish_tf "
-            "to false in all but one"
-            for child, parent in rivals.items()
-        ]
-        self.diagnostics.say("rival", next(iter(texts), None), Level.ERROR)
+        rival = "" if self._transforms is None else self._transforms.rival()[1]
+        text = f"{rival}: set publish_tf to false in all but one"
+        self.diagnostics.say("rival", text if rival else None, Level.ERROR)
 
     # --- the thread of messages --------------------------------------------------------------
 

@@ -49,8 +49,10 @@ def _is_same(one: ArrivedScan, other: ArrivedScan) -> bool:
 class ScanInput:
     """Which scans go on by their stamps, and the laser's place and the odometry at each.
 
-    Subscribes to what the settings ask for. A scan older than the last one by more than
-    ``reset_back_s`` is held back, see ``StampGate``.
+    Subscribes to what the settings ask for. Time that jumps back by more than ``reset_back_s``
+    starts a new map, when several scans in a row agree and the odometry does not contradict; far
+    forward it is named. A single scan whose stamp is far from the others is left out; see
+    ``StampGate``.
 
     Attributes:
         transforms: from ``/tf``; None where nothing is taken from there.

@@ -110,7 +110,7 @@ def test_a_start_is_an_array_or_a_text(make_node: MakeNode, value: str, wanted: 
     assert declare_starts(node, ("lab", "hall", "robot1/slam")) == {"hall": wanted}
     told = node.describe_parameter("start.robot1/slam")
     assert told.read_only
-    assert "x,y,yaw or x,y,yaw,metres,radians in m and rad" in told.description
+    assert "x,y,yaw or x,y,yaw,metres,radians;" in told.description
     assert declare_starts(make_node(), ("lab",)) == {}
 
 
