@@ -18,6 +18,7 @@ from nav_msgs.msg import OccupancyGrid
 from rclpy.event_handler import SubscriptionEventCallbacks, UnsupportedEventTypeError
 
 from slamfusion.errors import GridError, TrajectoryError
+from slamfusion.fusion.live.inputs import Reason
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid as Grid
 from slamfusion.ros import messages, qos
@@ -332,13 +333,10 @@ class MapSource:
         """Why the input is lost, one line; empty while it is not."""
         now_s = time.monotonic()
         if self._liveliness.is_dead(now_s):
-            return (
-                f"lost: its process gave no sign of life for {self._lost_after_s:g} s (killed, "
-                "frozen or cut off)"
-            )
+            return Reason.SILENT.says(seconds=self._lost_after_s)
         since_s = self.silent_since_s
         if since_s is not None and now_s - since_s > self._lost_after_s:
-            return f"lost: no node publishes {self._base.resolved(self.topic)!r} any more"
+            return Reason.UNPUBLISHED.says(topic=self._base.resolved(self.topic))
         return ""
 
     @property

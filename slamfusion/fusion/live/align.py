@@ -16,7 +16,7 @@ from slamfusion.align.records import Alignment
 from slamfusion.align.starts import StartPose, Starts
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, LiveConfig
-from slamfusion.fusion.live.inputs import CHANGED_SHARE, Event, Fit, Input, Jump
+from slamfusion.fusion.live.inputs import CHANGED_SHARE, Fit, Input, Jump, Reason
 from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY
 from slamfusion.vote.lattice import Lattice
@@ -184,7 +184,7 @@ class Aligner:
         # What explains much less than when it was searched is news: a map may bend as it grows.
         lasting = 0.0 if found is None else self.live.search_share * found.share
         is_good = pair.accepted and explained(pair) >= lasting
-        mismatch = "" if pair.accepted else f"to {held.name}: {pair.reason}"
+        mismatch = "" if pair.accepted else _not_aligned(held, pair.reason)
         track.fit = Fit(
             pair.score, pair.overlap, track.fit.is_tracked, mismatch, pair.decision == "bent"
         )
@@ -214,9 +214,8 @@ class Aligner:
         moved = held.transform.compose(pair.transform)
         track.fit = replace(track.fit, score=pair.score, overlap=pair.overlap)
         if not pair.accepted:
-            reason = f"to {held.name}: {pair.reason}"
-            track.fit = replace(track.fit, mismatch=reason)
-            track.reject(reason)
+            track.fit = replace(track.fit, mismatch=_not_aligned(held, pair.reason))
+            track.turn(Reason.NOT_ALIGNED, other=held.name, why=pair.reason)
             return
         is_again = jump is not None and not self.is_jump(track, jump.transform, moved)
         is_found_again = is_again and not track.awaits_confirmation
@@ -226,11 +225,9 @@ class Aligner:
         if jump is None or not is_again:
             jump = Jump(moved, track.version, self.now_s)
         track.jump = replace(jump, transform=moved, version=track.version, confirms=0)
-        track.turn(
-            Event.JUMP,
-            f"{_jumped(track, last, moved)}; its next map must confirm it, or a second search "
-            f"after {self.live.confirm_s:g} s",
-        )
+        away_m, turn_rad, _ = track.apart(last, moved)
+        wait_s = self.live.confirm_s
+        track.turn(Reason.JUMPED, away_m=away_m, turn_rad=turn_rad, seconds=wait_s)
 
     def _accept_searched(
         self, track: Input, held: AnchorMap, pair: Alignment, moved: Pose2
@@ -268,10 +265,8 @@ class Aligner:
         if pair.accepted and not self.is_jump(track, jump.transform, moved):
             self._accept_searched(track, held, pair, moved)
         elif is_last:
-            words = _jumped(track, track.transform or IDENTITY, jump.transform)
-            track.reject(
-                f"{words}, and a second search does not find it there; waits for its next map"
-            )
+            away_m, turn_rad, _ = track.apart(track.transform or IDENTITY, jump.transform)
+            track.turn(Reason.NOT_CONFIRMED, away_m=away_m, turn_rad=turn_rad)
         return not is_last
 
     def searched(
@@ -300,7 +295,7 @@ class Aligner:
         except CancelledSearchError:
             pace.patience_s *= 2.0
             if not track.votes:
-                track.doubt("its search takes long and was put off for the maps of others")
+                track.turn(Reason.PUT_OFF)
             return None
         pace.count += 1
         if is_swapped:
@@ -324,7 +319,7 @@ class Aligner:
         if track.transform is None or self.is_worth_a_move(track, track.transform, moved):
             track.transform = moved
         track.fit = Fit(pair.score, pair.overlap, is_tracked)
-        track.accept(pair.reason)
+        track.accept(Reason.ALIGNED, why=pair.reason)
 
     def _expected(self, track: Input, held: AnchorMap) -> Pose2 | StartPose | None:
         """Return where a search expects an input in the frame of what it is aligned to.
@@ -355,11 +350,9 @@ class Aligner:
         refused = decide_mirrored(gain)
         if refused is None:
             return fit
-        track.fit = replace(track.fit, mismatch=f"to {held.name}: {refused.reason}")
+        track.fit = replace(track.fit, mismatch=_not_aligned(held, refused.reason))
         return None
 
 
-def _jumped(track: Input, last: Pose2, moved: Pose2) -> str:
-    """Return in words how far from its transform an input was found."""
-    away_m, turn_rad, _ = track.apart(last, moved)
-    return f"jumped by {away_m:.2f} m and {turn_rad:.2f} rad"
+def _not_aligned(held: AnchorMap, why: str) -> str:
+    return Reason.NOT_ALIGNED.says(other=held.name, why=why)

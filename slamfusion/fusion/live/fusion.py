@@ -38,7 +38,7 @@ from slamfusion.config import LiveConfig, RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.fusion.inputs import odd_resolution
 from slamfusion.fusion.live.align import Aligner
-from slamfusion.fusion.live.inputs import Event, Input, State
+from slamfusion.fusion.live.inputs import Input, Reason, State
 from slamfusion.fusion.live.limits import too_large, unusable
 from slamfusion.fusion.live.mailbox import Evidence, InputMessage, Mailbox
 from slamfusion.fusion.live.poses import PoseWatch
@@ -52,7 +52,6 @@ from slamfusion.vote.tiles import check_votes
 
 # The input that is drawn from scans; no topic has a blank in its name.
 DRAWN = "the scans"
-SAVED = "since its only one; name a map that never changes as file:PATH in inputs"
 
 
 @dataclass(frozen=True, eq=False)
@@ -302,7 +301,7 @@ class LiveFusion(Mailbox):
             track = self._drawn
             resolution, thresholds = lattice.resolution, self._config.normalize
             change = track.follow(drawn.with_name(DRAWN), resolution, thresholds, self._device)
-            track.accept("drawn from the scans")
+            track.accept(Reason.DRAWN)
             if change is not None:
                 self._layers.note(DRAWN, change.box)
         else:
@@ -335,18 +334,18 @@ class LiveFusion(Mailbox):
         for name, item in fresh.items():
             track = self._inputs.setdefault(name, Input(name, transform=self._restored.get(name)))
             if item.gone is not None:
-                track.lose(item.gone)
-            elif reason := self._take(track, item):
+                track.turn(Reason.GONE, why=item.gone)
+            elif why := self._take(track, item):
                 self.count_rejected(name)
-                track.refuse_map(reason)
+                track.refuse_map(why)
         came = {name: item for name, item in self.counts().items() if not item.is_saved}
         newest_s = max((item.received_s for item in came.values()), default=now_s)
         for name, item in came.items():
             one = self._inputs.get(name)
             is_stale = newest_s - item.received_s > self._live.stale_after_s
             if one is not None and one.is_live and is_stale:
-                only = f" {SAVED}" if item.maps == 1 else ""
-                one.lose(f"no map for {now_s - item.received_s:.0f} s{only}")
+                reason = Reason.STALE_ONE if item.maps == 1 else Reason.STALE
+                one.turn(reason, seconds=now_s - item.received_s)
         since_s = [
             item.waits_since_s
             for item in fresh.values()
@@ -376,7 +375,7 @@ class LiveFusion(Mailbox):
         except MemoryError:
             return "no memory is left for its map"
         if not was_live:
-            track.turn(Event.MAP, "new; not aligned yet")
+            track.turn(Reason.NEW)
             track.tried = None
         if change is not None:
             self._layers.note(track.name, change.box)
@@ -412,7 +411,7 @@ class LiveFusion(Mailbox):
                 reason += f"; {self._layers.bent[name].words}"
                 reason += "; or the other map is" if len(self._layers.names) == 2 else ""
             if self._layers.names == (name,) and self._live.minimum_inputs > 1:
-                reason = "goes on alone: no other input to agree with"
+                reason = Reason.ALONE.says()
             out.append(
                 LiveInput(
                     name,

@@ -28,7 +28,6 @@ RESTARTED_SHARE, GROWN_SHARE = 0.5, 0.75
 # An input is aligned again once this share of its wall cells has changed; a new map belongs to its
 # old transform where the second share of the old walls still stands.
 CHANGED_SHARE, STEADY_SHARE = 0.01, 0.75
-YOUNG = "its map restarted: what it does not know yet is no vote"
 
 
 class State(Enum):
@@ -63,6 +62,64 @@ TRANSITIONS: Mapping[Event, Mapping[State, State]] = {
     Event.JUMP: dict.fromkeys(State, State.JUMPED),
     Event.ACCEPTANCE: dict.fromkeys(State, State.TRACKED),
 }
+
+
+_JUMP = "jumped by {away_m:.2f} m and {turn_rad:.2f} rad"
+
+
+class Reason(Enum):
+    """Why an input is in its state: the event, and the sentence that diagnostics and page show.
+
+    ``{why}`` is the sentence of the part that decided: of the alignment in ``slamfusion.align``, of
+    a map in ``live.limits``, of the first fusion in ``slamfusion.fusion.groups``.
+    """
+
+    NEW = Event.MAP, "new; not aligned yet"
+    GONE = Event.LOSS, "{why}"  # one of the next two
+    SILENT = (
+        Event.LOSS,
+        "lost: its process gave no sign of life for {seconds:g} s (killed, frozen or cut off)",
+    )
+    UNPUBLISHED = Event.LOSS, "lost: no node publishes {topic!r} any more"
+    STALE = Event.LOSS, "no map for {seconds:.0f} s"
+    STALE_ONE = (
+        Event.LOSS,
+        f"{STALE[1]} since its only one; name a map that never changes as file:PATH in inputs",
+    )
+    MOVED = Event.DOUBT, "its walls moved; not aligned again yet"
+    TOO_FEW = Event.DOUBT, "waits for {least} inputs that agree, has {found}"
+    NO_START = Event.DOUBT, "{why}"
+    WAITS = Event.DOUBT, "waits for a full search"
+    MISMATCH = Event.DOUBT, "{why}; waits for a full search"
+    PUT_OFF = Event.DOUBT, "its search takes long and was put off for the maps of others"
+    NO_FIT = Event.DOUBT, "does not fit {other}"
+    FEW_WALLS = Event.DOUBT, "{other} has too few walls to go by"
+    DISPUTE = Event.DOUBT, "{names} disagree and no majority decides"
+    REJECTED = Event.REJECTION, "{why}"
+    NOT_ALIGNED = Event.REJECTION, "to {other}: {why}"
+    FAILED = Event.REJECTION, "cannot be aligned: {why}"
+    OUTVOTED = Event.REJECTION, "{names} agree with each other and not with it"
+    NOT_CONFIRMED = (
+        Event.REJECTION,
+        f"{_JUMP}, and a second search does not find it there; waits for its next map",
+    )
+    JUMPED = (
+        Event.JUMP,
+        _JUMP + "; its next map must confirm it, or a second search after {seconds:g} s",
+    )
+    ALIGNED = Event.ACCEPTANCE, "{why}"
+    AGREES = Event.ACCEPTANCE, "agrees with {other}"
+    REFERENCE = Event.ACCEPTANCE, "the reference"
+    CHANGED = Event.ACCEPTANCE, "the reference; the place is not as it was in the last fused map"
+    DRAWN = Event.ACCEPTANCE, "drawn from the scans"
+    # In place of those, or after them, while it votes. One whose poses contradict the scans or
+    # others' has the sentence of ``jobs.live_drive`` or of ``live.poses``.
+    YOUNG = Event.ACCEPTANCE, "its map restarted: what it does not know yet is no vote"
+    ALONE = Event.ACCEPTANCE, "goes on alone: no other input to agree with"
+
+    def says(self, **words: object) -> str:
+        """Return the sentence, filled in."""
+        return self.value[1].format(**words)
 
 
 @dataclass(frozen=True)
@@ -161,12 +218,12 @@ class Input:
 
     # -- its state --------------------------------------------------------------------------------
 
-    def turn(self, event: Event, reason: str) -> None:
-        """Take an event: the next state by ``TRANSITIONS``, with its reason in one line."""
-        state = TRANSITIONS[event].get(self._state)
+    def turn(self, reason: Reason, **words: object) -> None:
+        """Take an event for a reason: the next state by ``TRANSITIONS``, and why in one line."""
+        state = TRANSITIONS[reason.value[0]].get(self._state)
         if state is None:
             return
-        self._state, self.reason = state, reason
+        self._state, self.reason = state, reason.says(**words)
         if state is not State.JUMPED:
             self.jump = None
 
@@ -205,28 +262,16 @@ class Input:
         """Why it votes, or why not, one line."""
         if self.stands and self.contradiction:
             return self.contradiction
-        return self.reason + (f"; {YOUNG}" if self.votes and self.is_young else "")
+        return self.reason + (f"; {Reason.YOUNG.says()}" if self.votes and self.is_young else "")
 
-    def doubt(self, reason: str) -> None:
-        """Let it not vote until it fits again."""
-        self.turn(Event.DOUBT, reason)
-
-    def reject(self, reason: str) -> None:
-        """Let it not vote, for it fits nowhere."""
-        self.turn(Event.REJECTION, reason)
-
-    def refuse_map(self, reason: str) -> None:
+    def refuse_map(self, why: str) -> None:
         """Let it not vote, for its newest map cannot be used; no older one counts either."""
         self.grid = None
-        self.turn(Event.REJECTION, reason)
+        self.turn(Reason.REJECTED, why=why)
 
-    def lose(self, reason: str) -> None:
-        """Let it not vote until its next usable map."""
-        self.turn(Event.LOSS, reason)
-
-    def accept(self, reason: str) -> None:
+    def accept(self, reason: Reason, **words: object) -> None:
         """Let it vote with its newest map, where its transform puts that."""
-        self.turn(Event.ACCEPTANCE, reason)
+        self.turn(reason, **words)
         self.drift, self.tried = 0, None
         if self.layer is not None:
             self._key = self.layer, self._changed
@@ -284,7 +329,7 @@ class Input:
         self.drift += change.walls
         self._changed += change.walls
         if not (change.is_steady(STEADY_SHARE) and self._is_steady(thresholds, device)):
-            self.doubt("its walls moved; not aligned again yet")
+            self.turn(Reason.MOVED)
             self._features = None
         return change
 

@@ -16,7 +16,7 @@ from slamfusion.align.features import GridFeatures
 from slamfusion.align.normalize import normalize_grid
 from slamfusion.align.records import Alignment
 from slamfusion.fusion.live.align import Aligner, AnchorMap, explained
-from slamfusion.fusion.live.inputs import GROWN_SHARE, Input
+from slamfusion.fusion.live.inputs import GROWN_SHARE, Input, Reason
 from slamfusion.fusion.live.limits import unusable
 from slamfusion.fusion.live.voting import FusedLayers
 from slamfusion.geometry import Pose2
@@ -25,7 +25,6 @@ from slamfusion.grid import IDENTITY, OccupancyGrid
 LAST_FUSED, LAST_AGREED = "the last fused map", "the last map that a majority decided"
 # The reference is laid onto the last fused map again when it has this many times the walls.
 GROWTH = 1.2
-CHANGED = "the place is not as it was in the last fused map"
 # What ``Input.tried`` has in the place of a reference's version: all was tried in vain on the last
 # fused map; or the input was only compared with it where it lay, and waits for its search.
 IN_VAIN, WAITING = -1, -2
@@ -113,7 +112,7 @@ class Anchor:
         if not is_done:
             return
         self._settled = (reference.name, reference.walls)
-        reference.reason = "the reference" + ("" if moved else f"; {CHANGED}")
+        reference.reason = (Reason.REFERENCE if moved else Reason.CHANGED).says()
         if moved and aligner.is_worth_a_move(reference, last, moved):
             correction = moved.compose(last.inverse())
             for one in inputs:
@@ -158,8 +157,8 @@ class Anchor:
             return None, None
         last = hold_map(self._layers.last_fused(), LAST_FUSED, aligner)
         if last is None:
-            return None, _doubt(inputs, f"{LAST_FUSED} has too few walls to go by")
-        _doubt(inputs, f"does not fit {LAST_FUSED}")
+            return None, _doubt(inputs, Reason.FEW_WALLS, other=LAST_FUSED)
+        _doubt(inputs, Reason.NO_FIT, other=LAST_FUSED)
         for one in inputs:
             if not _is_in_vain(one, names):
                 one.tried = (one.version, names, WAITING)
@@ -183,7 +182,8 @@ class Anchor:
         self.keep(last)
         if not group:
             return None, None
-        _doubt([one for one in inputs if one not in group], f"does not fit {last.name}")
+        others = [one for one in inputs if one not in group]
+        _doubt(others, Reason.NO_FIT, other=last.name)
         return max(group, key=lambda one: one.walls), None
 
     def _fitting(self, inputs: Sequence[Input], held: AnchorMap) -> dict[str, Placed]:
@@ -211,8 +211,8 @@ class Anchor:
         An input that fits nowhere, as one that has come back, is searched on one of them; without
         any, the one whose place was looked for last. Where it is found both go on.
         """
-        who = ", ".join(one.name for one in rivals)
-        problem = _doubt(inputs, f"{who} disagree and no majority decides")
+        own = ", ".join(one.name for one in rivals)
+        problem = _doubt(inputs, Reason.DISPUTE, names=own)
         absent = [one for one in inputs if one not in rivals]
         wanted = absent or [max(rivals, key=lambda one: one.pace.last_s)]
 
@@ -229,7 +229,7 @@ class Anchor:
         if chosen is None:
             return None, problem
         partner = partners[chosen.name]
-        partner.accept(f"agrees with {chosen.name}")
+        partner.accept(Reason.AGREES, other=chosen.name)
         return partner, None
 
     def _search_one(
@@ -264,10 +264,10 @@ def _share(placed: Placed) -> float:
     return explained(placed[1])
 
 
-def _doubt(inputs: Iterable[Input], problem: str) -> str:
+def _doubt(inputs: Iterable[Input], reason: Reason, **words: object) -> str:
     for one in inputs:
-        one.doubt(problem)
-    return problem
+        one.turn(reason, **words)
+    return reason.says(**words)
 
 
 def _is_in_vain(one: Input, names: str) -> bool:

@@ -12,7 +12,7 @@ from slamfusion.errors import AlignmentError, MemoryBudgetError, SlamFusionError
 from slamfusion.fusion.groups import AlignedGroup, align_group
 from slamfusion.fusion.inputs import odd_resolution, odd_resolutions
 from slamfusion.fusion.live.align import Aligner
-from slamfusion.fusion.live.inputs import CHANGED_SHARE, RESTARTED_SHARE, Input
+from slamfusion.fusion.live.inputs import CHANGED_SHARE, RESTARTED_SHARE, Input, Reason
 from slamfusion.fusion.live.layers import Change
 from slamfusion.fusion.live.limits import too_large
 from slamfusion.fusion.live.recovery import Anchor
@@ -88,7 +88,7 @@ class InputSupervisor:
         aligner = self._aligner
         usable, least = self._usable(), aligner.live.minimum_inputs
         if len(usable) < least:
-            self._wait(usable, f"waits for {least} inputs that agree, has {len(usable)}")
+            self._wait(usable, Reason.TOO_FEW, least=least, found=len(usable))
             return
         versions = tuple((one.name, one.version) for one in usable)
         last_s, tried = self._tried
@@ -99,14 +99,14 @@ class InputSupervisor:
         try:
             group, lattice = self._first_group(usable, least)
         except SlamFusionError as error:
-            self._wait(usable, str(error))
+            self._wait(usable, Reason.NO_START, why=error)
         else:
             self._accept_first(group, lattice)
 
-    def _wait(self, inputs: Sequence[Input], problem: str) -> None:
-        self.problem = problem
+    def _wait(self, inputs: Sequence[Input], reason: Reason, **words: object) -> None:
+        self.problem = reason.says(**words)
         for one in inputs:
-            one.doubt(problem)
+            one.turn(reason, **words)
 
     def _usable(self) -> list[Input]:
         """Return the inputs that can be brought to one resolution; reject the others by name."""
@@ -117,8 +117,8 @@ class InputSupervisor:
             reason = too_large(grid, common_resolution(rest, self._aligner.config.normalize))
             if reason is not None:
                 reasons[grid.name] = reason
-        for name, reason in reasons.items():
-            self.inputs[name].reject(reason)
+        for name, why in reasons.items():
+            self.inputs[name].turn(Reason.REJECTED, why=why)
         return [self.inputs[name] for name in grids if name not in reasons]
 
     def _first_group(self, usable: Sequence[Input], least: int) -> tuple[AlignedGroup, Lattice]:
@@ -166,7 +166,7 @@ class InputSupervisor:
                 aligner.note(pair)
         for name, (reason, shown) in group.left_out.items():
             one = self.inputs[name]
-            one.reject(reason)
+            one.turn(Reason.REJECTED, why=reason)
             if shown is not None:
                 one.fit = replace(one.fit, score=shown.score, overlap=shown.overlap)
 
@@ -189,7 +189,7 @@ class InputSupervisor:
     def _hand_over(self, one: Input) -> None:
         self.anchor.hand_over(one)
         self.reference = one.name
-        one.accept("the reference")
+        one.accept(Reason.REFERENCE)
 
     def _realign(self, *, is_idle: bool) -> None:
         """Align what is due: doubtful inputs always, steady voters as far as time allows.
@@ -224,7 +224,7 @@ class InputSupervisor:
                     self._align(one, reference)
                 except (SlamFusionError, MemoryError) as error:
                     one.tried = (one.version, reference.name, reference.version)
-                    one.reject(f"cannot be aligned: {str(error) or type(error).__name__}")
+                    one.turn(Reason.FAILED, why=str(error) or type(error).__name__)
             cells += own
 
     def _align(
@@ -244,7 +244,8 @@ class InputSupervisor:
             # A voter whose walls and the reference's contradict each other has no vote until a
             # search, or a third, says which of them is right; one that jumped waits on.
             if not had_vote or one.fit.mismatch:
-                one.doubt("; ".join(filter(None, (one.fit.mismatch, "waits for a full search"))))
+                reason = Reason.MISMATCH if one.fit.mismatch else Reason.WAITS
+                one.turn(reason, why=one.fit.mismatch)
             if had_vote and one.fit.mismatch:
                 self._arbitrate(one, reference, others)
             return
@@ -276,7 +277,7 @@ class InputSupervisor:
             if self._aligner.follow(one, self._aligner.held(third)):
                 if self._aligner.fit(reference, self._aligner.held(third)) is None:
                     names = f"{third.name} and {one.name}"
-                    reference.reject(f"{names} agree with each other and not with it")
+                    reference.turn(Reason.OUTVOTED, names=names)
                     self._hand_over(third)
                 return
 

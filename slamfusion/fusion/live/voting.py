@@ -19,7 +19,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, LiveConfig
 from slamfusion.errors import MemoryBudgetError
 from slamfusion.fusion.lattice_vote import bent_maps
-from slamfusion.fusion.live.inputs import Input
+from slamfusion.fusion.live.inputs import Input, Reason
 from slamfusion.fusion.live.layers import Layer, carry
 from slamfusion.fusion.live.state import LiveState
 from slamfusion.geometry import Pose2
@@ -172,7 +172,7 @@ class FusedLayers:
         try:
             return self.grow(needed, track.name) is not None
         except MemoryBudgetError as error:
-            track.reject(str(error))
+            track.turn(Reason.REJECTED, why=error)
             return False
 
     def _give_back(self, voters: Sequence[Input], reference: str) -> bool:

@@ -7,7 +7,7 @@ import pytest
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, LiveConfig
-from slamfusion.fusion.live.inputs import Event, Input
+from slamfusion.fusion.live.inputs import Input, Reason
 from slamfusion.fusion.live.voting import FusedLayers
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, OccupancyGrid
@@ -22,8 +22,8 @@ def voter(name: str, x: float, device: ComputeDevice) -> Input:
     grid = OccupancyGrid(random_cells(3, 30, 40), SIZE, Pose2(x, 0.0, 0.0), name)
     one = Input(name, transform=Pose2())
     one.follow(grid, SIZE, FusionConfig().normalize, device)
-    one.turn(Event.MAP, "new")
-    one.accept("fits")
+    one.turn(Reason.NEW)
+    one.accept(Reason.REFERENCE)
     return one
 
 
@@ -42,7 +42,7 @@ def test_what_was_laid_is_not_laid_again_until_a_voter_leaves(device: ComputeDev
     assert voting.names == ("a", "b")
     assert voting.update(inputs, inputs, "a") is None
     # Without b its cells are voted on again, and the frame keeps its size.
-    inputs[1].lose("gone")
+    inputs[1].turn(Reason.GONE, why="gone")
     assert voting.update(inputs, inputs[:1], "a") == box
     assert voting.grids()[0].cells.shape == fused.cells.shape
     assert voting.update(inputs, [], "a") is None
