@@ -50,12 +50,14 @@ def node_arrows() -> dict[tuple[str, str], list[str]]:
 
     The way is from the player by the producers and the fusion to whoever listens, who also gets
     what no later node of ours reads. What goes the other way (``/tf`` to everybody, and maps and
-    poses to the player, who waits for them) and the topics that stand in for ``/tf`` where tf2_msgs
-    is absent are left out.
+    poses to the player, who waits for them), the topics that stand in for ``/tf`` where tf2_msgs is
+    absent, and updates of a map are left out.
     """
     arrows: dict[tuple[str, str], list[str]] = {}
     for topic in TOPICS:
-        for writer in topic.writers if topic.needs_tf2 is not False else ():
+        if topic.needs_tf2 is False or topic.name.endswith("_updates"):
+            continue
+        for writer in topic.writers:
             later = WAY[WAY.index(writer) + 1 : -1]
             for reader in [name for name in later if name in topic.readers] or WAY[-1:]:
                 arrows.setdefault((writer, reader), []).append(topic.name)

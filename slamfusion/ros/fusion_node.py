@@ -127,6 +127,8 @@ class FusionNode(NodeBase):
         # Another node that writes the fused map; empty without.
         self.rival = ""
         self._map_topic = node.create_publisher(OccupancyGrid, MAP_TOPIC, qos.MAP)
+        updates = messages.MapUpdate, f"{MAP_TOPIC}_updates", qos.STREAM
+        self._updates_topic = None if updates[0] is None else node.create_publisher(*updates)
         self._agreement_topic = node.create_publisher(OccupancyGrid, AGREEMENT_TOPIC, qos.MAP)
         self.session = FusionSession(
             self._fusion,
@@ -316,9 +318,14 @@ class FusionNode(NodeBase):
         return grid
 
     def _publish(self, fused: FusedMap) -> None:
-        message = self._message(fused, fused.grid)
+        message, before = self._message(fused, fused.grid), self.published
         self.published = message, fused.grid
         self._map_topic.publish(message)
+        topic = self._updates_topic
+        if before is not None and topic is not None and topic.get_subscription_count():
+            update = messages.update_to_message(before[1], fused.grid, message.header)
+            if update is not None:
+                topic.publish(update)
         if self._page is not None:
             self._page.put_fused(fused)
 

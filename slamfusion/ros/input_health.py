@@ -24,11 +24,6 @@ from slamfusion.grid import OccupancyGrid as Grid
 from slamfusion.ros import messages, qos
 from slamfusion.ros.base import Diagnostics, Level, NodeBase
 
-try:
-    from map_msgs.msg import OccupancyGridUpdate
-except ImportError:  # only a sourced ROS has it; without it whole maps are taken alone
-    OccupancyGridUpdate = None
-
 MAP_SUFFIX = "/map"
 
 # A lease that ran out counts after this long, seconds: when this process itself was stopped, every
@@ -316,9 +311,9 @@ class MapSource:
         self._liveliness = Liveliness()
         # By what they hear: map, updates, pose, and lease.
         self._subscriptions: dict[str, Any] = {}
-        if OccupancyGridUpdate is not None:
+        if messages.MapUpdate is not None:
             self._subscriptions["updates"] = base.subscribe(
-                OccupancyGridUpdate, f"{topic}_updates", self._take_update, qos.STREAM
+                messages.MapUpdate, f"{topic}_updates", self._take_update, qos.STREAM
             )
         self._listen()
         self._pose_topic = ""
@@ -414,7 +409,7 @@ class MapSource:
         self.silent_since_s = None
         if self._liveliness.is_dead(time.monotonic()):
             self._liveliness.forgive()
-        if OccupancyGridUpdate is not None:
+        if messages.MapUpdate is not None:
             self._last = message
         self._on_map(self, message)
 

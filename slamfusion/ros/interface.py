@@ -120,6 +120,15 @@ TOPICS = (
     ),
     Topic("fused/map", "nav_msgs/OccupancyGrid", ("fusion",), (), MAP, "the fused map"),
     Topic(
+        "fused/map_updates",
+        "map_msgs/OccupancyGridUpdate",
+        ("fusion",),
+        (),
+        STREAM,
+        "the box of fused/map that changed, unless the map has grown; where map_msgs is installed",
+        needs_tf2=True,
+    ),
+    Topic(
         "fused/agreement",
         "nav_msgs/OccupancyGrid",
         ("fusion",),

@@ -24,6 +24,13 @@ from slamfusion.geometry import F64, Pose2, quaternion_yaw_rad
 from slamfusion.grid import IDENTITY
 from slamfusion.trajectory import Trajectory
 
+try:
+    from map_msgs import msg as map_msgs
+
+    MapUpdate: Any = map_msgs.OccupancyGridUpdate
+except ImportError:  # only a sourced ROS has it; without it maps are heard and sent as wholes
+    MapUpdate = None
+
 NS = 10**9
 # A quaternion whose axis leaves the vertical by more (sine of half the tilt) is no yaw rotation.
 TILT_MAX = 0.02
@@ -215,6 +222,34 @@ def grid_to_message(grid: grids.OccupancyGrid, frame_id: str, stamp: Time) -> Oc
     data.frombytes(grid.cells.reshape(-1).view(np.uint8).data)
     header = Header(frame_id=frame_id, stamp=stamp)
     return OccupancyGrid(header=header, info=info, data=data)
+
+
+def update_to_message(
+    before: grids.OccupancyGrid, grid: grids.OccupancyGrid, header: Header
+) -> Any:
+    """Return the box that changed of a map as a map_msgs/OccupancyGridUpdate.
+
+    None where nothing changed, and where the map has another size or place, so that it must be
+    sent as a whole.
+    """
+    if (before.origin, before.resolution) != (grid.origin, grid.resolution):
+        return None
+    if before.cells.shape != grid.cells.shape:
+        return None
+    changed = before.cells != grid.cells
+    rows, columns = np.flatnonzero(changed.any(axis=1)), np.flatnonzero(changed.any(axis=0))
+    if not len(rows):
+        return None
+    part = grid.cells[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    height, width = part.shape
+    return MapUpdate(
+        header=header,
+        x=int(columns[0]),
+        y=int(rows[0]),
+        width=width,
+        height=height,
+        data=array("b", part.tobytes()),
+    )
 
 
 def updated_map(message: OccupancyGrid, update: Any) -> OccupancyGrid:

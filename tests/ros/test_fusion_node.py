@@ -123,6 +123,27 @@ def test_who_listens_late_gets_the_agreement_of_the_newest_map(
         observer.node.destroy_subscription(late)
 
 
+def test_updates_make_each_fused_map_of_the_one_before(
+    processes: Processes, observer: Observer, makers: Makers
+):
+    tf2.skip_without("map_msgs")
+    from map_msgs.msg import OccupancyGridUpdate  # noqa: PLC0415 - only where it was built
+
+    maps = observer.collect(OccupancyGrid, "fused/map", qos.MAP)
+    updates = observer.collect(OccupancyGridUpdate, "fused/map_updates")
+    start_fusion(processes)
+    makers.send_all()
+    wait_for_all(observer)
+    for number in range(3):
+        observer.listen(0.5)
+        before, count = maps[-1], len(updates)
+        makers.send(touched(three()["b"], number))
+        observer.wait(lambda count=count: len(updates) > count, what="an update")
+        observer.wait(lambda: maps[-1].header == updates[-1].header, what="the map of the update")
+        assert messages.updated_map(before, updates[-1]).data == maps[-1].data
+        assert len(updates[-1].data) < len(maps[-1].data) / 2
+
+
 def test_before_two_agree_nothing_is_published_and_the_services_say_so(
     processes: Processes, observer: Observer, makers: Makers
 ):
