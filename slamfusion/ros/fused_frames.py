@@ -215,7 +215,9 @@ class FusedFrames:
         if located is not None:
             pose, covariance = located.pose, located.covariance
             self._name_unmatched(stamp_s, is_matched=located.is_matched)
-        elif transform is not None:
+        elif transform is None:
+            return
+        else:
             pose = transform.compose(heard.pose)
             if not is_revised:
                 stamp_ns = messages.stamp_ns(heard.stamp)
