@@ -2,18 +2,20 @@
 
 tinySLAM's map (a beam leaves a valley around its hit) and the likelihood field of the graph's
 submaps (how near a scan's hits come) share the way: a scan is marked into a pool of words, then
-what was marked is integrated, so that each cell learns once a scan.
+what was marked is integrated, so that each cell learns once a scan. Pools are (T, TILE, TILE); the
+rule says which a map has, and how it learns.
 
 ``kernels/cell_means.cl`` computes the same on an OpenCL device, bit for bit.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from slamfusion.compute.arrays import I32, I64, U8, U32, ArrayDevice, DeviceArray, host
+from slamfusion.compute.arrays import I32, I64, U8, ArrayDevice, DeviceArray, host
 from slamfusion.compute.layout import (
     BEAM_HALF,
     BEAM_SHIFT,
@@ -35,9 +37,20 @@ from slamfusion.compute.layout import (
     WALK_TO_BEAM_SHIFT,
 )
 
+Pools = Mapping[str, DeviceArray[Any]]
+# Tile, row and column of some cells.
+Places = tuple[I64, ...]
+
 
 class ScanRule(NamedTuple):
-    """How beams of one scan write into the map.
+    """How beams of one scan write into tinySLAM's map.
+
+    Pools: ``observed`` uint32, ``valley`` uint32 states with the blur, for the matcher,
+    ``published`` uint32 states without the blur and without what lies behind hits, ``field`` uint8:
+    how much of a wall the valley is. Beams are (B, 6) int32: x, y of the hit and of the laser and
+    the length between them in 1/1024 cell, the value at the ridge of the valley, 0 to 4095. Of what
+    a cell is told the strongest word stays: a hit over the greatest value over in front over
+    behind.
 
     Attributes:
         half_blur: half width of the valley around a hit, 1/1024 cell.
@@ -62,6 +75,10 @@ class ScanRule(NamedTuple):
 
 class LikelihoodRule(NamedTuple):
     """How the hits of one scan spread into the cells around them.
+
+    Pools: ``observed`` uint32, ``states`` uint32: mean in 1/2^20 of 255 above 12 bits of
+    observations, ``field`` uint8: the mean. Beams are (B, 4) int32: x, y of the hit and of the
+    laser in 1/1024 cell. The strongest word stays.
 
     Attributes:
         table: (256,) uint8 value by the squared distance from a cell's centre to a hit, in (1/1024
@@ -105,6 +122,39 @@ def _walks(beams: I32, half_blur: int) -> _Walks:
     return _Walks(beam, i, col, row, step[beam])
 
 
+def _valley_words(beams: I32, rule: ScanRule) -> tuple[I64, I64, I64]:
+    """Return row, column and word of every cell that beams tell something."""
+    w = _walks(beams, rule.half_blur)
+    away = (np.abs(w.i) * w.step) >> WALK_TO_BEAM_SHIFT
+    half = max(1, rule.half_blur)
+    value = np.full(len(w.i), rule.free, dtype=np.int64)
+    near = away < rule.half_blur
+    rise = np.maximum(beams[w.beam, 5].astype(np.int64) - rule.free, 0)
+    value[near] += (rise * (rule.half_blur - away) // half)[near]
+    keep = (w.i >= 0) | (value >= rule.behind)
+    value[w.i == 0] = beams[w.beam[w.i == 0], 5]
+    word = (w.i == 0).astype(np.int64) << HIT_SHIFT | value << VALUE_SHIFT | (w.i >= 0)
+    return w.row[keep], w.col[keep], word[keep]
+
+
+def _likelihood_words(beams: I32, rule: LikelihoodRule) -> tuple[I64, I64, I64]:
+    """Return the same; a passed cell learns that nothing was near."""
+    w = _walks(np.column_stack((beams, np.zeros((len(beams), 2), dtype=np.int32))), 0)
+    passed = w.i >= 1
+    around = np.arange(-rule.reach, rule.reach + 1)
+    rows, cols = (axis.ravel() for axis in np.meshgrid(around, around, indexing="ij"))
+    hits = beams[:, :2, None].astype(np.int64)
+    col, row = (hits[:, 0] >> BEAM_SHIFT) + cols, (hits[:, 1] >> BEAM_SHIFT) + rows
+    dx = hits[:, 0] - (col << BEAM_SHIFT) - BEAM_HALF
+    dy = hits[:, 1] - (row << BEAM_SHIFT) - BEAM_HALF
+    step = np.minimum((dx * dx + dy * dy) >> rule.shift, TABLE_LAST)
+    value = np.concatenate((np.zeros(passed.sum(), np.int64), rule.table[step].ravel()))
+    row, col = (
+        np.concatenate((way[passed], near.ravel())) for way, near in ((w.row, row), (w.col, col))
+    )
+    return row, col, value << LIKELIHOOD_SHIFT | 1
+
+
 def _joined(state: I64, value: I64, rule: ScanRule) -> I64:
     """Join observations (0 to 4095) to the states of cells, by the cell model."""
     mean, seen = state >> MEAN_SHIFT, state & MOST_OBSERVATIONS
@@ -117,35 +167,30 @@ def _joined(state: I64, value: I64, rule: ScanRule) -> I64:
     return np.asarray(following << MEAN_SHIFT | np.minimum(seen + 1, MOST_OBSERVATIONS))
 
 
-def _put(observed: U32, pages: I32, wanted: I32, row: I64, col: I64, words: I64) -> bool:
-    """Put words into cells, of which the strongest stays; return whether a page was missing."""
-    tiles = pages[row // TILE, col // TILE]
-    missing = tiles == 0
-    wanted[1 + (row // TILE * pages.shape[1] + col // TILE)[missing]] = 1
-    wanted[0] |= int(missing.any())
-    put = ~missing
-    at = (tiles[put], row[put] % TILE, col[put] % TILE)
-    np.maximum.at(observed, at, words[put].astype(np.uint32))
-    return bool(wanted[0])
+def _learn_valley(pools: Pools, at: Places, words: I64, rule: ScanRule) -> None:
+    """Fold words into the cells of tinySLAM's map."""
+    valley, published, field = (host(pools[name]) for name in ("valley", "published", "field"))
+    value = words >> VALUE_SHIFT & VALUE_ONE
+    state = _joined(valley[at].astype(np.int64), value, rule)
+    valley[at] = state.astype(np.uint32)
+    walls = ((state >> MEAN_SHIFT) - rule.wall_floor) * rule.wall_gain >> MEAN_BITS
+    field[at] = np.clip(walls, 0, FIELD_ONE).astype(np.uint8)
+    front = (words & 1) == 1
+    at = tuple(part[front] for part in at)
+    told = np.where(words[front] >> HIT_SHIFT, value[front], rule.map_free)
+    published[at] = _joined(published[at].astype(np.int64), told, rule).astype(np.uint32)
 
 
-def _near_cells(beams: I32, reach: int) -> tuple[I64, I64, I64, I64]:
-    """Return beam, column and row of every cell that beams speak of, and whether it is passed."""
-    flat = np.column_stack((beams, np.zeros((len(beams), 2), dtype=np.int32)))
-    w = _walks(flat, 0)
-    way = w.i >= 1
-    around = np.arange(-reach, reach + 1)
-    rows, cols = (axis.ravel() for axis in np.meshgrid(around, around, indexing="ij"))
-    col = (beams[:, :1].astype(np.int64) >> BEAM_SHIFT) + cols
-    row = (beams[:, 1:2].astype(np.int64) >> BEAM_SHIFT) + rows
-    beam = np.repeat(np.arange(len(beams)), len(rows))
-    passed = np.concatenate((np.ones(int(way.sum()), np.int64), np.zeros(col.size, np.int64)))
-    return (
-        np.concatenate((w.beam[way], beam)),
-        np.concatenate((w.col[way], col.ravel())),
-        np.concatenate((w.row[way], row.ravel())),
-        passed,
-    )
+def _learn_likelihood(pools: Pools, at: Places, words: I64, rule: LikelihoodRule) -> None:
+    """Fold words into the cells of a submap."""
+    states, field = host(pools["states"]), host(pools["field"])
+    state = states[at].astype(np.int64)
+    mean = state >> MEAN_SHIFT
+    more = np.minimum((state & MOST_OBSERVATIONS) + 1, rule.most)
+    change = (words >> LIKELIHOOD_SHIFT) * LIKELIHOOD_ONE - mean
+    following = mean + np.sign(change) * (np.abs(change) // more)
+    states[at] = (following << MEAN_SHIFT | more).astype(np.uint32)
+    field[at] = (following // LIKELIHOOD_ONE).astype(np.uint8)
 
 
 class CellMeanDevice(ArrayDevice):
@@ -153,21 +198,18 @@ class CellMeanDevice(ArrayDevice):
 
     def mark_scan(
         self,
-        observed: DeviceArray[np.uint32],
+        pools: Pools,
         pages: DeviceArray[np.int32],
         beams: DeviceArray[np.int32],
-        rule: ScanRule,
+        rule: ScanRule | LikelihoodRule,
         wanted: DeviceArray[np.int32],
     ) -> bool:
         """Write into ``observed``, in place, what the beams of a scan say of their cells.
 
         Args:
-            observed: (T, TILE, TILE) uint32, 0 before; the strongest word stays: a hit over the
-                greatest value over in front over behind.
+            pools: of the rule's kinds; ``observed`` is 0 before.
             pages: (PH, PW) int32.
-            beams: (B, 6) int32: x, y of the hit and of the laser and the length between them in
-                1/1024 cell, the value at the ridge of the valley, 0 to 4095. All inside the window.
-            rule: see ``ScanRule``.
+            beams: as the rule says; they, and all that they come near to, are inside the window.
             wanted: (1 + PH * PW,) int32, set to 1 in place at 0 and at 1 + page where a page has no
                 tile yet; those cells are left out.
 
@@ -177,154 +219,68 @@ class CellMeanDevice(ArrayDevice):
         if self.opencl:
             height, width = pages.shape
             count = beams.shape[0]
+            own: tuple[Any, ...]
+            if isinstance(rule, ScanRule):
+                name, own = "mark_scan", (rule.half_blur, rule.behind, rule.free)
+            else:
+                name = "mark_likelihood"
+                own = (self.opencl.table(rule.table), rule.shift, rule.reach)
             self.opencl.launch(
-                "mark_scan", (count,), observed, pages, width, height, beams, count,
-                rule.half_blur, rule.behind, rule.free, wanted,
-            )  # fmt: skip
+                name, (count,), pools["observed"], pages, width, height, beams, count, *own, wanted
+            )
             return bool(self.opencl.first(wanted))
-        observed, pages, beams = host(observed), host(pages), host(beams)
-        wanted = host(wanted)
-        w = _walks(beams, rule.half_blur)
-        away = (np.abs(w.i) * w.step) >> WALK_TO_BEAM_SHIFT
-        half = max(1, rule.half_blur)
-        value = np.full(len(w.i), rule.free, dtype=np.int64)
-        near = away < rule.half_blur
-        rise = np.maximum(beams[w.beam, 5].astype(np.int64) - rule.free, 0)
-        value[near] += (rise * (rule.half_blur - away) // half)[near]
-        keep = (w.i >= 0) | (value >= rule.behind)
-        value[w.i == 0] = beams[w.beam[w.i == 0], 5]
-        word = (w.i == 0).astype(np.int64) << HIT_SHIFT | value << VALUE_SHIFT | (w.i >= 0)
-        return _put(observed, pages, wanted, w.row[keep], w.col[keep], word[keep])
+        row, col, words = _words(host(beams), rule)
+        tables, missed = host(pages), host(wanted)
+        tiles = tables[row // TILE, col // TILE]
+        missing = tiles == 0
+        missed[1 + (row // TILE * tables.shape[1] + col // TILE)[missing]] = 1
+        missed[0] |= int(missing.any())
+        put = ~missing
+        at = (tiles[put], row[put] % TILE, col[put] % TILE)
+        np.maximum.at(host(pools["observed"]), at, words[put].astype(np.uint32))
+        return bool(missed[0])
 
     def integrate_scan(
         self,
-        observed: DeviceArray[np.uint32],
-        valley: DeviceArray[np.uint32],
-        published: DeviceArray[np.uint32],
-        field: DeviceArray[np.uint8],
+        pools: Pools,
         pages: DeviceArray[np.int32],
         beams: DeviceArray[np.int32],
-        rule: ScanRule,
+        rule: ScanRule | LikelihoodRule,
     ) -> None:
         """Fold, in place, what a scan marked into the cells; each cell learns once a scan.
 
         Args:
-            observed: (T, TILE, TILE) uint32, as ``mark_scan`` left it; becomes 0.
-            valley: (T, TILE, TILE) uint32 states with the blur, for the matcher.
-            published: the same without the blur and without what lies behind hits.
-            field: (T, TILE, TILE) uint8: how much of a wall the valley is, 0 to 255.
-            pages: (PH, PW) int32.
-            beams: as for ``mark_scan``.
-            rule: as for ``mark_scan``.
+            pools: ``observed`` as ``mark_scan`` left it; it becomes 0.
+            pages, beams, rule: as for ``mark_scan``.
         """
         if self.opencl:
             height, width = pages.shape
             count = beams.shape[0]
-            self.opencl.launch(
-                "integrate_scan", (count,), observed, valley, published, field, pages, width,
-                height, beams, count, rule.half_blur, rule.map_free, rule.quality, rule.is_mean,
-                rule.wall_floor, rule.wall_gain,
-            )  # fmt: skip
+            own: tuple[int, ...]
+            names: tuple[str, ...]
+            if isinstance(rule, ScanRule):
+                name, names = "integrate_scan", ("observed", "valley", "published", "field")
+                own = (rule.half_blur, *rule[3:])
+            else:
+                name, names = "update_likelihood", ("observed", "states", "field")
+                own = (rule.reach, rule.most)
+            written = [pools[pool] for pool in names]
+            self.opencl.launch(name, (count,), *written, pages, width, height, beams, count, *own)
             return
-        observed, valley, published = host(observed), host(valley), host(published)
-        field, pages, beams = host(field), host(pages), host(beams)
-        w = _walks(beams, rule.half_blur)
-        places = np.stack(
-            (pages[w.row // TILE, w.col // TILE], w.row % TILE, w.col % TILE), axis=-1
-        )
-        places = np.unique(places, axis=0)
+        row, col, _ = _words(host(beams), rule)
+        tiles, observed = host(pages)[row // TILE, col // TILE], host(pools["observed"])
+        places = np.unique(np.stack((tiles, row % TILE, col % TILE), axis=-1), axis=0)
         words = observed[tuple(places.T)].astype(np.int64)
-        places, words = (item[words > 0] for item in (places, words))
-        at = tuple(places.T)
+        at, words = tuple(places[words > 0].T), words[words > 0]
         observed[at] = 0
-        value = words >> VALUE_SHIFT & VALUE_ONE
-        state = _joined(valley[at].astype(np.int64), value, rule)
-        valley[at] = state.astype(np.uint32)
-        walls = ((state >> MEAN_SHIFT) - rule.wall_floor) * rule.wall_gain >> MEAN_BITS
-        field[at] = np.clip(walls, 0, FIELD_ONE).astype(np.uint8)
-        front = (words & 1) == 1
-        at = tuple(places[front].T)
-        told = np.where(words[front] >> HIT_SHIFT, value[front], rule.map_free)
-        published[at] = _joined(published[at].astype(np.int64), told, rule).astype(np.uint32)
+        if isinstance(rule, ScanRule):
+            _learn_valley(pools, at, words, rule)
+        else:
+            _learn_likelihood(pools, at, words, rule)
 
-    def mark_likelihood(
-        self,
-        observed: DeviceArray[np.uint32],
-        pages: DeviceArray[np.int32],
-        beams: DeviceArray[np.int32],
-        rule: LikelihoodRule,
-        wanted: DeviceArray[np.int32],
-    ) -> bool:
-        """Write into ``observed``, in place, how near the hits of a scan come to the cells.
 
-        Args:
-            observed: (T, TILE, TILE) uint32, 0 before; the strongest word stays.
-            pages: (PH, PW) int32.
-            beams: (B, 4) int32: x, y of the hit and of the laser in 1/1024 cell; all that they come
-                near to inside the window.
-            rule: see ``LikelihoodRule``.
-            wanted: as for ``mark_scan``.
-
-        Returns:
-            Whether a page was missing: provide tiles and mark again, which changes nothing twice.
-        """
-        if self.opencl:
-            height, width = pages.shape
-            count = beams.shape[0]
-            self.opencl.launch(
-                "mark_likelihood", (count,), observed, pages, width, height, beams, count,
-                self.opencl.table(rule.table), rule.shift, rule.reach, wanted,
-            )  # fmt: skip
-            return bool(self.opencl.first(wanted))
-        observed, pages, beams = host(observed), host(pages), host(beams)
-        wanted = host(wanted)
-        beam, col, row, passed = _near_cells(beams, rule.reach)
-        hit_x, hit_y = beams[beam, 0].astype(np.int64), beams[beam, 1].astype(np.int64)
-        dx, dy = hit_x - (col << BEAM_SHIFT) - BEAM_HALF, hit_y - (row << BEAM_SHIFT) - BEAM_HALF
-        step = np.minimum((dx * dx + dy * dy) >> rule.shift, TABLE_LAST)
-        value = np.where(passed == 1, 0, rule.table[step].astype(np.int64))
-        return _put(observed, pages, wanted, row, col, value << LIKELIHOOD_SHIFT | 1)
-
-    def update_likelihood(
-        self,
-        observed: DeviceArray[np.uint32],
-        states: DeviceArray[np.uint32],
-        field: DeviceArray[np.uint8],
-        pages: DeviceArray[np.int32],
-        beams: DeviceArray[np.int32],
-        rule: LikelihoodRule,
-    ) -> None:
-        """Fold, in place, what a scan marked into the cells' means; each cell learns once a scan.
-
-        Args:
-            observed: (T, TILE, TILE) uint32, as ``mark_likelihood`` left it; becomes 0.
-            states: (T, TILE, TILE) uint32: mean in 1/2^20 of 255 above 12 bits of observations.
-            field: (T, TILE, TILE) uint8: the mean.
-            pages: (PH, PW) int32.
-            beams: as for ``mark_likelihood``.
-            rule: as for ``mark_likelihood``.
-        """
-        if self.opencl:
-            height, width = pages.shape
-            count = beams.shape[0]
-            self.opencl.launch(
-                "update_likelihood", (count,), observed, states, field, pages, width, height,
-                beams, count, rule.reach, rule.most,
-            )  # fmt: skip
-            return
-        observed, states, field = host(observed), host(states), host(field)
-        pages, beams = host(pages), host(beams)
-        _, col, row, _ = _near_cells(beams, rule.reach)
-        places = np.stack((pages[row // TILE, col // TILE], row % TILE, col % TILE), axis=-1)
-        places = np.unique(places, axis=0)
-        words = observed[tuple(places.T)].astype(np.int64)
-        places, words = (item[words > 0] for item in (places, words))
-        at = tuple(places.T)
-        observed[at] = 0
-        state = states[at].astype(np.int64)
-        mean = state >> MEAN_SHIFT
-        more = np.minimum((state & MOST_OBSERVATIONS) + 1, rule.most)
-        change = (words >> LIKELIHOOD_SHIFT) * LIKELIHOOD_ONE - mean
-        following = mean + np.sign(change) * (np.abs(change) // more)
-        states[at] = (following << MEAN_SHIFT | more).astype(np.uint32)
-        field[at] = (following // LIKELIHOOD_ONE).astype(np.uint8)
+def _words(beams: I32, rule: ScanRule | LikelihoodRule) -> tuple[I64, I64, I64]:
+    """Return row, column and word of every cell that beams tell something."""
+    if isinstance(rule, ScanRule):
+        return _valley_words(beams, rule)
+    return _likelihood_words(beams, rule)

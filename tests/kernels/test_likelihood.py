@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 
@@ -18,7 +16,6 @@ MEAN_ONE = 4112
 # Squared distances of up to 255 * 2^14 / 2^20 = 4 square cells are told apart.
 SHIFT = 14
 ROOM = LikelihoodRule(FALLING, SHIFT, 1, 64)
-KINDS = ("observed", "states", "field")
 
 
 class Map:
@@ -27,36 +24,31 @@ class Map:
     def __init__(self, device: ComputeDevice, pages: I32) -> None:
         self.device, self.pages = device, pages
         shape = (int(pages.max()) + 1, TILE, TILE)
-        self.observed = device.upload(np.zeros(shape, dtype=np.uint32))
-        self.states = device.upload(np.zeros(shape, dtype=np.uint32))
-        self.field = device.upload(np.full(shape, UNSEEN, dtype=np.uint8))
+        self.pools = {
+            "observed": device.upload(np.zeros(shape, dtype=np.uint32)),
+            "states": device.upload(np.zeros(shape, dtype=np.uint32)),
+            "field": device.upload(np.full(shape, UNSEEN, dtype=np.uint8)),
+        }
         self.table = device.upload(pages)
         self.wanted = device.upload(np.zeros(1 + pages.size, dtype=np.int32))
 
     def mark(self, beams: I32, rule: LikelihoodRule = ROOM) -> bool:
         """Mark a scan; whether a page was missing."""
         handle = self.device.upload(beams)
-        return self.device.mark_likelihood(self.observed, self.table, handle, rule, self.wanted)
+        return self.device.mark_scan(self.pools, self.table, handle, rule, self.wanted)
 
     def fold(self, beams: I32, rule: LikelihoodRule = ROOM) -> None:
         """Fold what was marked."""
         handle = self.device.upload(beams)
-        self.device.update_likelihood(
-            self.observed, self.states, self.field, self.table, handle, rule
-        )
+        self.device.integrate_scan(self.pools, self.table, handle, rule)
 
     def cells(self, name: str) -> npt.NDArray[np.int64]:
         """Return a pool as one array."""
         height, width = self.pages.shape
-        pool = self.device.download(getattr(self, name))[self.pages]
+        pool = self.device.download(self.pools[name])[self.pages]
         return np.asarray(
             pool.transpose(0, 2, 1, 3).reshape(height * TILE, width * TILE), dtype=np.int64
         )
-
-    def pools(self) -> list[npt.NDArray[Any]]:
-        """Return all that there is."""
-        names = (*KINDS, "wanted")
-        return [self.device.download(getattr(self, name)) for name in names]
 
 
 def own_pages(height: int, width: int) -> I32:

@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.arrays import DeviceArray
+from slamfusion.compute.cell_means import LikelihoodRule, ScanRule
 from slamfusion.compute.layout import TILE
 from slamfusion.errors import MemoryBudgetError
 from slamfusion.geometry import F64
@@ -24,9 +25,10 @@ from slamfusion.slam.common.state import check_indices, check_kinds, check_shape
 
 # Tiles of a new pool: a room's, so that a small map never grows.
 FIRST_TILES = 64
-# Factor by which a full pool grows: the number of copies stays logarithmic, and little is held for
-# nothing.
-GROWTH = 1.5
+# Factors by which a full pool grows: the number of copies stays logarithmic, and little is held for
+# nothing. Of shared maps less; of large ones, from so many tiles on, still less.
+GROWTH, SHARED_GROWTH = 1.5, 1.25
+LARGE_TILES, LARGE_GROWTH = 10_000, 1.1
 # Empty pages that the window keeps between its content and its border, so that it seldom moves.
 MARGIN = 2
 # Pages that a window may have: 64 MB of page table, far beyond any building.
@@ -34,131 +36,51 @@ MOST_PAGES = 1 << 24
 # Pages on a side that beams can cross, which count in 1/1024 cell in 32 bits.
 MOST_SIDE = 1 << 15
 
-
-def check_tiles(
-    arrays: Mapping[str, npt.NDArray[Any]],
-    pools: Mapping[str, DeviceArray[Any]],
-    pages: str,
-    *others: str,
-) -> int:
-    """Return how many tiles each saved pool holds."""
-    shapes = {f"pool_{name}": f"T {TILE} {TILE}" for name in pools}
-    shapes |= {"pages": pages, "corner": "2", **dict.fromkeys(others, "T")}
-    lengths = check_shapes(arrays, shapes)
-    check_kinds(arrays, {f"pool_{name}": pool.dtype for name, pool in pools.items()})
-    kinds: dict[str, npt.DTypeLike] = {"pages": np.int32, "corner": np.int64}
-    check_kinds(arrays, kinds | dict.fromkeys(others, np.int32))
-    if arrays["pages"].size > MOST_PAGES * max(len(arrays["pages"]), 1):
-        raise ValueError(f"a window of {arrays['pages'].shape} pages")
-    check_indices("pages", arrays["pages"], lengths.get("T", 0))
-    check_indices("corner", arrays["corner"], MOST_SIDE, first=-MOST_SIDE)
-    return lengths.get("T", 0)
+Array = npt.NDArray[Any]
 
 
-def grown_window(
-    corner: npt.NDArray[np.int64], shape: tuple[int, ...], low: F64, high: F64
-) -> tuple[npt.NDArray[np.int64], tuple[int, int]] | None:
-    """Return the window of pages that holds a box of cells with a margin of empty pages.
-
-    Args:
-        corner: (2,) column and row of the present window's lower-left page.
-        low: (2,) x and y of the box, cells from the anchor.
-        high: (2,) its other corner.
-
-    Returns:
-        The corner and shape of a window that holds the present one too; None where that one does.
-    """
-    size = np.array(shape[::-1], dtype=np.int64)
-    first = np.floor(low / TILE).astype(np.int64) - MARGIN
-    last = np.floor(high / TILE).astype(np.int64) + MARGIN + 1
-    if (first >= corner).all() and (last <= corner + size).all():
-        return None
-    start = np.minimum(first, corner)
-    end = np.maximum(last, corner + size)
-    grown = (end - start) // 4
-    start = np.where(start < corner, start - grown, start)
-    end = np.where(end > corner + size, end + grown, end)
-    width, height = (int(value) for value in end - start)
-    if width * height > MOST_PAGES or max(width, height) > MOST_SIDE:
-        raise MemoryBudgetError(
-            f"the map would span {width * TILE} x {height * TILE} cells; the pose has jumped "
-            f"or the log's units are wrong; use a coarser cell"
-        )
-    return start, (height, width)
-
-
-def joined_tiles(
-    device: ComputeDevice,
-    pool: DeviceArray[Any],
-    pages: npt.NDArray[np.int32],
-    corner: npt.NDArray[np.int64],
-) -> tuple[npt.NDArray[np.generic], npt.NDArray[np.int64]]:
-    """Return the tiles of a window as one array, cut to the pages in use.
-
-    Of a pool that many maps share only these tiles are fetched.
-
-    Args:
-        pool: (T, TILE, TILE) handle.
-        pages: (PH, PW) int32.
-        corner: (2,) column and row of the window's lower-left page, counted from the anchor.
-
-    Returns:
-        (H, W) values, and (2,) column and row of the first cell from the anchor.
-    """
-    rows, cols = np.nonzero(pages)
-    if len(rows) == 0:
-        rows = cols = np.zeros(1, dtype=np.int64)
-    row0, col0 = int(rows.min()), int(cols.min())
-    height, width = int(rows.max()) + 1 - row0, int(cols.max()) + 1 - col0
-    cut = pages[row0 : row0 + height, col0 : col0 + width]
-    numbers, places = np.unique(cut, return_inverse=True)
-    tiles = device.take_tiles(pool, numbers)
-    values = np.empty((height, TILE, width, TILE), dtype=tiles.dtype)
-    for row, own in zip(values, places.reshape(cut.shape), strict=True):
-        row[:] = tiles[own].transpose(1, 0, 2)
-    first = (corner + np.array([col0, row0])) * TILE
-    return values.reshape(height * TILE, width * TILE), first
-
-
-class TileMap:
+class _Tiles:
     """Pools of tiles on the device behind one window of pages.
 
     Attributes:
         pools: by name, (T, TILE, TILE) handles.
-        pages: (PH, PW) int32, tile of each page of the window, 0 where there is none.
+        pages: (..., PH, PW) int32, tile of each page of the window, 0 where there is none.
         corner: (2,) int64, column and row of the window's lower-left page, counted from the anchor.
+        page_tables: ``pages`` on the device.
     """
 
     def __init__(
-        self, device: ComputeDevice, pools: Mapping[str, tuple[npt.DTypeLike, int]]
+        self,
+        device: ComputeDevice,
+        pools: Mapping[str, tuple[npt.DTypeLike, int]],
+        maps: tuple[int, ...] = (),
     ) -> None:
-        """Make pools with their empty tile."""
         self._device = device
         self._fills = {name: fill for name, (_, fill) in pools.items()}
-        self._cell_bytes = {name: np.dtype(kind).itemsize for name, (kind, _) in pools.items()}
         self.pools: dict[str, DeviceArray[Any]] = {
             name: device.upload(np.full((FIRST_TILES, TILE, TILE), fill, dtype=kind))
             for name, (kind, fill) in pools.items()
         }
-        self._capacity = FIRST_TILES
-        self.tiles = 1
         size = 2 * MARGIN + 1
         self.corner = np.array([-(size // 2), -(size // 2)], dtype=np.int64)
-        self.pages = np.zeros((size, size), dtype=np.int32)
-        self.page_table: DeviceArray[Any]
-        self.wanted: Any = None
-        self._send_pages()
+        self.pages = np.zeros((*maps, size, size), dtype=np.int32)
+        self.page_tables: DeviceArray[Any]
+        self._send()
 
     @property
     def memory_bytes(self) -> int:
-        """Bytes of pools and page table on the device."""
-        cell_bytes = sum(self._cell_bytes[name] for name in self.pools)
-        return self._capacity * TILE * TILE * cell_bytes + 2 * self.pages.nbytes
+        """Bytes of pools and page tables, on host and device."""
+        pools = sum(pool.size * pool.dtype.itemsize for pool in self.pools.values())
+        return pools + 2 * self.pages.nbytes
 
     @property
     def origin(self) -> F64:
         """Lower-left corner of the window from the anchor, (2,) x and y in cells."""
         return np.asarray(self.corner * TILE, dtype=np.float64)
+
+    @property
+    def _capacity(self) -> int:
+        return next(iter(self.pools.values())).shape[0]
 
     def cover(self, low: F64, high: F64) -> None:
         """Move and grow the window until it holds a box of cells with a margin of empty pages.
@@ -166,111 +88,157 @@ class TileMap:
         Args:
             low: (2,) x and y of the box, cells from the anchor.
             high: (2,) its other corner.
+
+        Raises:
+            MemoryBudgetError: the window would be larger than any building.
         """
-        window = grown_window(self.corner, self.pages.shape, low, high)
-        if window is None:
+        old_height, old_width = self.pages.shape[-2:]
+        old_end = self.corner + np.array([old_width, old_height])
+        first = np.floor(low / TILE).astype(np.int64) - MARGIN
+        last = np.floor(high / TILE).astype(np.int64) + MARGIN + 1
+        if (first >= self.corner).all() and (last <= old_end).all():
             return
-        start, (height, width) = window
-        pages = np.zeros((height, width), dtype=np.int32)
+        start, end = np.minimum(first, self.corner), np.maximum(last, old_end)
+        grown = (end - start) // 4
+        start = np.where(start < self.corner, start - grown, start)
+        end = np.where(end > old_end, end + grown, end)
+        width, height = (int(value) for value in end - start)
+        if width * height > MOST_PAGES or max(width, height) > MOST_SIDE:
+            raise MemoryBudgetError(
+                f"the map would span {width * TILE} x {height * TILE} cells; the pose has jumped "
+                f"or the log's units are wrong; use a coarser cell"
+            )
+        pages = np.zeros((*self.pages.shape[:-2], height, width), dtype=np.int32)
         col, row = (int(value) for value in self.corner - start)
-        pages[row : row + self.pages.shape[0], col : col + self.pages.shape[1]] = self.pages
+        pages[..., row : row + old_height, col : col + old_width] = self.pages
         self.pages, self.corner = pages, start
-        self._send_pages()
+        self._send()
 
-    def provide_wanted(self) -> None:
-        """Give a tile to every page that ``wanted`` names, and clear it."""
-        missing = np.flatnonzero(self._device.download(self.wanted)[1:])
-        needed = self.tiles + len(missing)
-        if needed > self._capacity:
-            self._capacity = max(needed, int(self._capacity * GROWTH))
-            for name in self.pools:  # no old pool outlives its turn
-                self.pools[name] = self._device.extend(
-                    self.pools[name], self._capacity, self._fills[name]
-                )
-        self.pages.flat[missing] = np.arange(self.tiles, needed)
-        self.tiles = needed
-        self._send_pages()
+    def cells(self, name: str, *index: int) -> tuple[Array, npt.NDArray[np.int64]]:
+        """Return one map of a pool as an array, cut to the pages in use; only these are fetched.
 
-    def cells(self, name: str) -> tuple[npt.NDArray[np.generic], npt.NDArray[np.int64]]:
-        """Return one map of a pool as an array, cut to the pages in use; see ``joined_tiles``."""
-        return joined_tiles(self._device, self.pools[name], self.pages, self.corner)
+        Returns:
+            (H, W) values, and (2,) column and row of the first cell from the anchor.
+        """
+        pages = self.pages[index]
+        rows, cols = np.nonzero(pages)
+        if len(rows) == 0:
+            rows = cols = np.zeros(1, dtype=np.int64)
+        row0, col0 = int(rows.min()), int(cols.min())
+        height, width = int(rows.max()) + 1 - row0, int(cols.max()) + 1 - col0
+        cut = pages[row0 : row0 + height, col0 : col0 + width]
+        numbers, places = np.unique(cut, return_inverse=True)
+        tiles = self._device.take_tiles(self.pools[name], numbers)
+        values = np.empty((height, TILE, width, TILE), dtype=tiles.dtype)
+        for row, own in zip(values, places.reshape(cut.shape), strict=True):
+            row[:] = tiles[own].transpose(1, 0, 2)
+        first = (self.corner + np.array([col0, row0])) * TILE
+        return values.reshape(height * TILE, width * TILE), first
 
-    def to_arrays(self) -> dict[str, npt.NDArray[Any]]:
+    def _extend(self, capacity: int) -> None:
+        for name in self.pools:  # no old pool outlives its turn
+            self.pools[name] = self._device.extend(self.pools[name], capacity, self._fills[name])
+
+    def _restore(self, arrays: Mapping[str, Array], *others: str) -> int:
+        """Take over saved pools, pages and corner; return how many tiles each pool holds."""
+        kept = {name: pool for name, pool in self.pools.items() if f"pool_{name}" in arrays}
+        shapes = {f"pool_{name}": f"T {TILE} {TILE}" for name in kept}
+        pages = "N H W" if self.pages.ndim > 2 else "H W"
+        lengths = check_shapes(
+            arrays, {**shapes, "pages": pages, "corner": "2", **dict.fromkeys(others, "T")}
+        )
+        kinds: dict[str, npt.DTypeLike] = {"pages": np.int32, "corner": np.int64}
+        check_kinds(arrays, {f"pool_{name}": pool.dtype for name, pool in kept.items()})
+        check_kinds(arrays, kinds | dict.fromkeys(others, np.int32))
+        if arrays["pages"].size > MOST_PAGES * max(len(arrays["pages"]), 1):
+            raise ValueError(f"a window of {arrays['pages'].shape} pages")
+        tiles = lengths.get("T", 0)
+        check_indices("pages", arrays["pages"], tiles)
+        check_indices("corner", arrays["corner"], MOST_SIDE, first=-MOST_SIDE)
+        self.pages, self.corner = arrays["pages"].copy(), arrays["corner"].copy()
+        self.pools = {name: self._device.upload(arrays[f"pool_{name}"]) for name in kept}
+        return tiles
+
+    def _send(self) -> None:
+        self.page_tables = self._device.upload(self.pages)
+
+
+class TileMap(_Tiles):
+    """One map of cell means, see ``slamfusion.compute.cell_means``; its pages are (PH, PW)."""
+
+    def __init__(
+        self, device: ComputeDevice, pools: Mapping[str, tuple[npt.DTypeLike, int]]
+    ) -> None:
+        """Make pools with their empty tile: by name what kind of cell and its value."""
+        self.tiles = 1
+        self._wanted: Any = None
+        super().__init__(device, pools)
+
+    def write(self, beams: npt.NDArray[np.int32], rule: ScanRule | LikelihoodRule) -> None:
+        """Write a scan into the cells.
+
+        Args:
+            beams: (B, K) as the rule says; all that they come near to is covered.
+        """
+        device, handle = self._device, self._device.upload(beams)
+        if device.mark_scan(self.pools, self.page_tables, handle, rule, self._wanted):
+            self._provide_wanted()
+            device.mark_scan(self.pools, self.page_tables, handle, rule, self._wanted)
+        device.integrate_scan(self.pools, self.page_tables, handle, rule)
+
+    def to_arrays(self) -> dict[str, Array]:
         """Return everything as arrays, for saving."""
         pools = {f"pool_{name}": self._device.download(p) for name, p in self.pools.items()}
         tiles = np.array(self.tiles)
         return {"pages": self.pages, "corner": self.corner, "tiles": tiles, **pools}
 
-    def restore(self, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
+    def restore(self, arrays: Mapping[str, Array]) -> None:
         """Take over what ``to_arrays`` returned, with the pools that it has."""
-        kept = {name: pool for name, pool in self.pools.items() if f"pool_{name}" in arrays}
         check_shapes(arrays, {"tiles": ""})
         check_kinds(arrays, {"tiles": np.int64})
-        tiles = check_tiles(arrays, kept, "H W")
-        if not kept or not 0 < int(arrays["tiles"]) <= tiles:
+        tiles = self._restore(arrays)
+        if not 0 < int(arrays["tiles"]) <= tiles:
             raise ValueError(f"{arrays['tiles']} tiles used, of {tiles}")
-        self.pages, self.corner = arrays["pages"].copy(), arrays["corner"].copy()
         self.tiles = int(arrays["tiles"])
-        names = [name for name in self.pools if f"pool_{name}" in arrays]
-        self.pools = {name: self._device.upload(arrays[f"pool_{name}"]) for name in names}
-        self._capacity = len(arrays[f"pool_{names[0]}"])
-        self._send_pages()
+        self._send()
 
     def keep_only(self, name: str) -> None:
         """Let go of every pool but one; nothing can be written any more."""
         self.pools = {name: self.pools[name]}
-        self.wanted = None
+        self._wanted = None
 
-    def _send_pages(self) -> None:
-        self.page_table = self._device.upload(self.pages)
-        self.wanted = self._device.upload(np.zeros(1 + self.pages.size, dtype=np.int32))
+    def _provide_wanted(self) -> None:
+        """Give a tile to every page that is wanted."""
+        missing = np.flatnonzero(self._device.download(self._wanted)[1:])
+        needed = self.tiles + len(missing)
+        if needed > self._capacity:
+            self._extend(max(needed, int(self._capacity * GROWTH)))
+        self.pages.flat[missing] = np.arange(self.tiles, needed)
+        self.tiles = needed
+        self._send()
+
+    def _send(self) -> None:
+        super()._send()
+        self._wanted = self._device.upload(np.zeros(1 + self.pages.size, dtype=np.int32))
 
 
-# Factor by which a full pool grows: the number of copies stays logarithmic.
-POOL_GROWTH = 1.25
-# Tiles from which on a pool is large, and the factor by which it grows then: little is held in
-# reserve.
-LARGE_TILES, LARGE_GROWTH = 10_000, 1.1
-
-
-class SharedTileMaps:
-    """N maps of tiles that share what is equal.
-
-    Attributes:
-        pools: by name, (T, TILE, TILE) handles; unseen cells are 0.
-        pages: (N, PH, PW) int32, tile of each page of the window, 0 where there is none.
-        corner: (2,) int64, column and row of the window's lower-left page, counted from the anchor.
-        page_tables: ``pages`` on the device.
-    """
+class SharedTileMaps(_Tiles):
+    """N maps of tiles that share what is equal; pages are (N, PH, PW), unseen cells 0."""
 
     def __init__(
         self, device: ComputeDevice, count: int, pools: Mapping[str, npt.DTypeLike]
     ) -> None:
         """Make empty maps."""
-        self._device = device
-        self._cell_bytes = sum(np.dtype(kind).itemsize for kind in pools.values())
-        self.pools: dict[str, DeviceArray[Any]] = {
-            name: device.upload(np.zeros((FIRST_TILES, TILE, TILE), dtype=kind))
-            for name, kind in pools.items()
-        }
         # Maps that use each tile; the empty tile is nobody's and never free.
         self._users = np.zeros(FIRST_TILES, dtype=np.int32)
-        size = 2 * MARGIN + 1
-        self.corner = np.array([-(size // 2), -(size // 2)], dtype=np.int64)
-        self.pages = np.zeros((count, size, size), dtype=np.int32)
-        self.page_tables: DeviceArray[Any]
         self._one: tuple[int, DeviceArray[Any]] | None = None
-        self._send()
-
-    @property
-    def memory_bytes(self) -> int:
-        """Bytes of pools and page tables, on host and device."""
-        return len(self._users) * TILE * TILE * self._cell_bytes + 2 * self.pages.nbytes
+        super().__init__(device, {name: (kind, 0) for name, kind in pools.items()}, (count,))
 
     @property
     def used_bytes(self) -> int:
         """Bytes of the tiles that some map uses."""
-        return int((self._users > 0).sum()) * TILE * TILE * self._cell_bytes
+        cell_bytes = sum(pool.dtype.itemsize for pool in self.pools.values())
+        return int((self._users > 0).sum()) * TILE * TILE * cell_bytes
 
     @property
     def tiles_shared(self) -> int:
@@ -281,11 +249,6 @@ class SharedTileMaps:
     def tiles_owned(self) -> int:
         """Tiles that one map uses alone."""
         return int((self._users == 1).sum())
-
-    @property
-    def origin(self) -> F64:
-        """Lower-left corner of the window from the anchor, (2,) x and y in cells."""
-        return np.asarray(self.corner * TILE, dtype=np.float64)
 
     def page_table(self, index: int) -> DeviceArray[Any]:
         """Return one map's pages on the device."""
@@ -299,25 +262,8 @@ class SharedTileMaps:
             return self.page_tables
         return self._device.upload(self.pages[indices])
 
-    def cover(self, low: F64, high: F64) -> None:
-        """Move and grow the window until it holds a box of cells; see ``grown_window``."""
-        window = grown_window(self.corner, self.pages.shape[1:], low, high)
-        if window is None:
-            return
-        start, (height, width) = window
-        pages = np.zeros((len(self.pages), height, width), dtype=np.int32)
-        col, row = (int(value) for value in self.corner - start)
-        old_height, old_width = self.pages.shape[1:]
-        pages[:, row : row + old_height, col : col + old_width] = self.pages
-        self.pages, self.corner = pages, start
-        self._send()
-
     def take_over(self, parents: npt.NDArray[np.int64]) -> None:
-        """Let every map become that of its parent; no cell is copied.
-
-        Args:
-            parents: (N,) indices of maps.
-        """
+        """Let every map become that of its parent, (N,) indices of maps; no cell is copied."""
         self.pages = self.pages[parents]
         self._users = np.bincount(self.pages.ravel(), minlength=len(self._users)).astype(np.int32)
         self._users[0] = 0
@@ -350,16 +296,10 @@ class SharedTileMaps:
         self.pages.flat[places[changed]] = targets
         self._send()
 
-    def cells(self, name: str, index: int) -> tuple[npt.NDArray[np.generic], npt.NDArray[np.int64]]:
-        """Return one map of a pool as an array, cut to the pages in use; see ``joined_tiles``."""
-        return joined_tiles(self._device, self.pools[name], self.pages[index], self.corner)
-
-    def to_state(self) -> dict[str, npt.NDArray[Any]]:
+    def to_state(self) -> dict[str, Array]:
         """Return everything as arrays, for saving; tiles keep their numbers."""
         used = int(np.flatnonzero(self._users).max(initial=0)) + 1
-        pools = {
-            f"pool_{name}": self._device.download(pool)[:used] for name, pool in self.pools.items()
-        }
+        pools = {f"pool_{name}": self._device.download(p)[:used] for name, p in self.pools.items()}
         return {
             "pages": self.pages,
             "corner": self.corner,
@@ -368,23 +308,20 @@ class SharedTileMaps:
             **pools,
         }
 
-    def restore(self, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
+    def restore(self, state: Mapping[str, Array]) -> None:
         """Take over what ``to_state`` returned."""
-        tiles = check_tiles(arrays, self.pools, "N H W", "users")
-        check_shapes(arrays, {"capacity": ""})
-        check_kinds(arrays, {"capacity": np.int64})
-        capacity = int(arrays["capacity"])
+        pools = {f"pool_{name}": f"T {TILE} {TILE}" for name in self.pools}
+        check_shapes(state, {"capacity": "", **pools})
+        check_kinds(state, {"capacity": np.int64})
+        tiles, capacity = self._restore(state, "users"), int(state["capacity"])
         if not tiles <= capacity <= max(4 * tiles, FIRST_TILES):
             raise ValueError(f"room for {capacity} tiles, of which {tiles} are used")
-        users = np.bincount(arrays["pages"].ravel(), minlength=tiles)
-        if not np.array_equal(users[1:], arrays["users"][1:]):
+        users = np.bincount(state["pages"].ravel(), minlength=tiles)
+        if not np.array_equal(users[1:], state["users"][1:]):
             raise ValueError("users: not as many as the pages have")
-        self.pages, self.corner = arrays["pages"].copy(), arrays["corner"].copy()
         self._users = np.zeros(capacity, dtype=np.int32)
-        self._users[: len(arrays["users"])] = arrays["users"]
-        for name in self.pools:
-            saved = arrays[f"pool_{name}"]
-            self.pools[name] = self._device.extend(self._device.upload(saved), capacity, 0)
+        self._users[: len(state["users"])] = state["users"]
+        self._extend(capacity)
         self._send()
 
     def _take(self, count: int) -> npt.NDArray[np.int64]:
@@ -393,14 +330,13 @@ class SharedTileMaps:
         missing = count - len(free)
         if missing > 0:
             held = len(self._users)
-            growth = LARGE_GROWTH if held > LARGE_TILES else POOL_GROWTH
+            growth = LARGE_GROWTH if held > LARGE_TILES else SHARED_GROWTH
             capacity = max(held + missing, int(held * growth))
-            for name in self.pools:  # no old pool outlives its turn
-                self.pools[name] = self._device.extend(self.pools[name], capacity, 0)
+            self._extend(capacity)
             self._users = np.append(self._users, np.zeros(capacity - held, dtype=np.int32))
             free = np.append(free, np.arange(held, held + missing))
         return free
 
     def _send(self) -> None:
-        self.page_tables = self._device.upload(self.pages)
+        super()._send()
         self._one = None

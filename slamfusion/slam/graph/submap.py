@@ -164,7 +164,7 @@ class Submap:
     def walls(self) -> FieldMap:
         """Return it as the matcher sees it; poses are in the anchor's frame."""
         tiles = self._tiles
-        return FieldMap(tiles.pools["field"], tiles.page_table, tiles.origin, self._cell)
+        return FieldMap(tiles.pools["field"], tiles.page_tables, tiles.origin, self._cell)
 
     def insert(self, points: F64, laser: F64, pose: Pose2) -> None:
         """Update the likelihood field by the hits of a scan.
@@ -184,18 +184,7 @@ class Submap:
         beams = np.empty((len(hits), 4), dtype=np.int32)
         beams[:, 0:2] = (hits - tiles.origin) * BEAM_ONE
         beams[:, 2:4] = (start - tiles.origin) * BEAM_ONE
-        handle = self._device.upload(beams)
-        pools = tiles.pools
-        marked = (pools["observed"], tiles.page_table, handle, rule, tiles.wanted)
-        if self._device.mark_likelihood(*marked):
-            tiles.provide_wanted()
-            pools = tiles.pools
-            self._device.mark_likelihood(
-                pools["observed"], tiles.page_table, handle, rule, tiles.wanted
-            )
-        self._device.update_likelihood(
-            pools["observed"], pools["states"], pools["field"], tiles.page_table, handle, rule
-        )
+        tiles.write(beams, rule)
         place = np.array([pose.x, pose.y])
         self.low = np.minimum(self.low, place)
         self.high = np.maximum(self.high, place)

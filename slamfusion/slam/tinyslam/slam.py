@@ -144,7 +144,6 @@ class TinySlam:
         """
         self.health = Health()
         self._config = config
-        self._device = device
         rng = np.random.default_rng(seed)
         self._tracker = Tracker(config.matcher, device, rng, self.health, doubts_young_map=True)
         self._map = TileMap(
@@ -229,7 +228,7 @@ class TinySlam:
         """Return the map as the matcher sees it."""
         cell, tiles = self._config.resolution, self._map
         corner = self._anchor / cell + tiles.origin
-        return FieldMap(tiles.pools["field"], tiles.page_table, corner, cell)
+        return FieldMap(tiles.pools["field"], tiles.page_tables, corner, cell)
 
     def _quality(self, match: Match | None) -> float:
         """Return how much of the scan the map believes."""
@@ -265,21 +264,7 @@ class TinySlam:
             wall_floor=round(floor * (1 << 20)),
             wall_gain=round(255.0 / (peak - floor)),
         )
-        pools, handle = tiles.pools, self._device.upload(beams)
-        marked = (pools["observed"], tiles.page_table, handle, rule, tiles.wanted)
-        if self._device.mark_scan(*marked):
-            tiles.provide_wanted()
-            pools = tiles.pools
-            self._device.mark_scan(pools["observed"], tiles.page_table, handle, rule, tiles.wanted)
-        self._device.integrate_scan(
-            pools["observed"],
-            pools["valley"],
-            pools["published"],
-            pools["field"],
-            tiles.page_table,
-            handle,
-            rule,
-        )
+        tiles.write(beams, rule)
 
     def _beams(self, hits: F64, laser: F64) -> npt.NDArray[np.int32]:
         """Return the beams as the kernels take them; positions in cells of the window."""

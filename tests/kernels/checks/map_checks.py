@@ -136,71 +136,58 @@ def _beams(sample: Sample) -> npt.NDArray[np.int32]:
     )
 
 
-def _scan_map(device: ComputeDevice, sample: Sample, *, fold: bool) -> Arrays:
-    """Mark and fold a few scans, with both cell models, with blur and without."""
+def _write_scans(
+    device: ComputeDevice, sample: Sample, kinds: dict[str, tuple[Any, int]], rules: list[Any]
+) -> Arrays:
+    """Mark and integrate scans into one map, each by a rule; return also what was marked."""
+    pages, tiles = _window(sample)
+    pools = {
+        name: device.upload(np.full((tiles, TILE, TILE), fill, dtype=kind))
+        for name, (kind, fill) in kinds.items()
+    }
+    table, wanted = device.upload(pages), device.upload(np.zeros(1 + pages.size, dtype=np.int32))
+    results: Arrays = []
+    for seed, rule in enumerate(rules):
+        beams = _beams(replace(sample, seed=sample.seed + seed))
+        if isinstance(rule, LikelihoodRule):
+            beams = np.ascontiguousarray(beams[:, :4])
+        handle = device.upload(beams)
+        results.append(np.array([device.mark_scan(pools, table, handle, rule, wanted)]))
+        results.append(device.download(pools["observed"]).copy())
+        device.integrate_scan(pools, table, handle, rule)
+    return [*results, *fetch(device, [wanted, *pools.values()])]
+
+
+def _scan_map(device: ComputeDevice, sample: Sample) -> Arrays:
+    """With both cell models, with blur and without."""
+    unseen = (np.uint32, UNSEEN)
+    kinds = {
+        "observed": (np.uint32, 0),
+        "valley": unseen,
+        "published": unseen,
+        "field": (np.uint8, 0),
+    }
     results: Arrays = []
     for is_mean, half_blur in ((True, 3000), (False, 3000), (True, 0)):
-        pages, tiles = _window(sample)
-        shape = (tiles, TILE, TILE)
-        unseen = np.full(shape, UNSEEN, dtype=np.uint32)
-        observed = device.upload(np.zeros(shape, dtype=np.uint32))
-        valley, published = device.upload(unseen), device.upload(unseen)
-        field = device.upload(np.zeros(shape, dtype=np.uint8))
-        table = device.upload(pages)
-        wanted = device.upload(np.zeros(1 + pages.size, dtype=np.int32))
-        for seed, quality in ((1, 1024), (2, 300), (3, 700)):
-            rule = ScanRule(
-                half_blur, 2048, 819, 41, quality, is_mean, wall_floor=367002, wall_gain=425
-            )
-            beams = device.upload(_beams(replace(sample, seed=sample.seed + seed)))
-            missing = device.mark_scan(observed, table, beams, rule, wanted)
-            if fold:
-                device.integrate_scan(observed, valley, published, field, table, beams, rule)
-            else:
-                results.append(np.array([missing]))
-        results += fetch(device, [observed, wanted, valley, published, field])
+        rules = [
+            ScanRule(half_blur, 2048, 819, 41, quality, is_mean, wall_floor=367002, wall_gain=425)
+            for quality in (1024, 300, 700)
+        ]
+        results += _write_scans(device, sample, kinds, rules)
     return results
 
 
-def _likelihood_map(device: ComputeDevice, sample: Sample, *, fold: bool) -> Arrays:
-    """Mark and fold a few scans, near and far around their hits."""
-    results: Arrays = []
+def _likelihood_map(device: ComputeDevice, sample: Sample) -> Arrays:
+    """Near and far around the hits of some scans."""
+    kinds = {"observed": (np.uint32, 0), "states": (np.uint32, 0), "field": (np.uint8, 20)}
     table = np.linspace(255.0, 0.0, 256).astype(np.uint8)
-    for reach, most in ((2, 4095), (0, 2)):
-        pages, tiles = _window(sample)
-        shape = (tiles, TILE, TILE)
-        observed = device.upload(np.zeros(shape, dtype=np.uint32))
-        states = device.upload(np.zeros(shape, dtype=np.uint32))
-        field = device.upload(np.full(shape, 20, dtype=np.uint8))
-        page_table = device.upload(pages)
-        wanted = device.upload(np.zeros(1 + pages.size, dtype=np.int32))
-        rule = LikelihoodRule(table, 15, reach, most)
-        for seed in range(4):
-            beams = _beams(replace(sample, seed=sample.seed + seed))[:, :4]
-            handle = device.upload(np.ascontiguousarray(beams))
-            missing = device.mark_likelihood(observed, page_table, handle, rule, wanted)
-            if fold:
-                device.update_likelihood(observed, states, field, page_table, handle, rule)
-            else:
-                results.append(np.array([missing]))
-        results += fetch(device, [observed, wanted, states, field])
-    return results
-
-
-def _mark_likelihood(device: ComputeDevice, sample: Sample) -> Arrays:
-    return _likelihood_map(device, sample, fold=False)
-
-
-def _update_likelihood(device: ComputeDevice, sample: Sample) -> Arrays:
-    return _likelihood_map(device, sample, fold=True)
-
-
-def _mark_scan(device: ComputeDevice, sample: Sample) -> Arrays:
-    return _scan_map(device, sample, fold=False)
-
-
-def _integrate_scan(device: ComputeDevice, sample: Sample) -> Arrays:
-    return _scan_map(device, sample, fold=True)
+    return [
+        result
+        for reach, most in ((2, 4095), (0, 2))
+        for result in _write_scans(
+            device, sample, kinds, 4 * [LikelihoodRule(table, 15, reach, most)]
+        )
+    ]
 
 
 def _hit_pools(sample: Sample, tiles: int) -> list[npt.NDArray[Any]]:
@@ -349,10 +336,8 @@ MAP_CHECKS: dict[str, Check] = {
     "climb": _climb,
     "climb_maps": _climb_maps,
     "score_maps": _score_maps,
-    "mark_scan": _mark_scan,
-    "integrate_scan": _integrate_scan,
-    "mark_likelihood": _mark_likelihood,
-    "update_likelihood": _update_likelihood,
+    "mark_scan, integrate_scan": _scan_map,
+    "mark_scan, integrate_scan of likelihoods": _likelihood_map,
     "touch_pages": _touch_pages,
     "copy_tiles": _copy_tiles,
     "take_tiles": _take_tiles,

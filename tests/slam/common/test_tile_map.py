@@ -35,23 +35,14 @@ def device(request: pytest.FixtureRequest) -> ComputeDevice:
     return open_device(request.param)
 
 
-def write(
-    tiles: TileMap, device: ComputeDevice, hit: tuple[float, float], rule: ScanRule = RULE
-) -> None:
+def write(tiles: TileMap, hit: tuple[float, float], rule: ScanRule = RULE) -> None:
     """Write one beam from the anchor's cell to a hit, in cells from the anchor."""
     ends = np.array([[hit[0] + 0.5, hit[1] + 0.5], [0.5, 0.5]])
     tiles.cover(ends.min(axis=0), ends.max(axis=0))
     (hit_x, hit_y), (laser_x, laser_y) = ((ends - tiles.origin) * BEAM_ONE).astype(int)
     length = np.hypot(hit_x - laser_x, hit_y - laser_y)
-    beams = device.upload(
-        np.array([[hit_x, hit_y, laser_x, laser_y, length, 3890]], dtype=np.int32)
-    )
-    while device.mark_scan(tiles.pools["observed"], tiles.page_table, beams, rule, tiles.wanted):
-        tiles.provide_wanted()
-    p = tiles.pools
-    device.integrate_scan(
-        p["observed"], p["valley"], p["published"], p["field"], tiles.page_table, beams, rule
-    )
+    beams = np.array([[hit_x, hit_y, laser_x, laser_y, length, 3890]], dtype=np.int32)
+    tiles.write(beams, rule)
 
 
 def seen(tiles: TileMap) -> set[tuple[int, int]]:
@@ -65,7 +56,7 @@ def test_cells_stay_where_they_are_while_the_window_grows(device: ComputeDevice)
     tiles = TileMap(device, POOLS)
     wanted: set[tuple[int, int]] = set()
     for hit in ((9, 0), (-200, 0), (0, 333), (0, -1000), (5000, 0)):
-        write(tiles, device, hit)
+        write(tiles, hit)
         x, y = (np.linspace(0, end, max(map(abs, hit)) + 1).astype(int) for end in hit)
         wanted |= set(zip(x.tolist(), y.tolist(), strict=True))
         assert seen(tiles) == wanted
@@ -73,8 +64,8 @@ def test_cells_stay_where_they_are_while_the_window_grows(device: ComputeDevice)
 
 def test_memory_follows_the_beams_and_not_the_box(device: ComputeDevice):
     tiles = TileMap(device, POOLS)
-    write(tiles, device, (3200, 0))
-    write(tiles, device, (0, 3200))
+    write(tiles, (3200, 0))
+    write(tiles, (0, 3200))
     assert tiles.tiles == 1 + 2 * (3200 // TILE) + 1
     assert tiles.memory_bytes < 3e6  # the box would take 133 MB
 
@@ -92,7 +83,7 @@ def test_cells_follow_the_paper_s_models(device: ComputeDevice, model: str, qual
     rule = RULE._replace(quality=round(1024 * quality), is_mean=model == "mean")
     told = []
     for hit in (True, True, False, True, False, False, False, True, False):
-        write(tiles, device, (6, 0) if hit else (20, 0), rule)
+        write(tiles, (6, 0) if hit else (20, 0), rule)
         told.append(0.95 if hit else 0.01)
         states, first = tiles.cells("published")
         found = int(states[-first[1], 6 - first[0]] >> 12) / 2**20
@@ -101,7 +92,7 @@ def test_cells_follow_the_paper_s_models(device: ComputeDevice, model: str, qual
 
 def test_a_valley_slopes_to_both_sides_of_a_hit(device: ComputeDevice):
     tiles = TileMap(device, POOLS)
-    write(tiles, device, (20, 0), RULE._replace(half_blur=6 * BEAM_ONE, free=800))
+    write(tiles, (20, 0), RULE._replace(half_blur=6 * BEAM_ONE, free=800))
     states, first = tiles.cells("valley")
     row = (states[-first[1], -first[0] :] >> 12).astype(float) / 2**20
     peak, free = 3890 / 4096, 800 / 4096
