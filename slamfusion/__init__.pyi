@@ -73,8 +73,8 @@ from slamfusion.jobs.results import (
     read_results as read_results,
     write_results_file as write_results_file,
 )
-from slamfusion.jobs.run import LogRun as LogRun, run_log as run_log
-from slamfusion.jobs.run_files import SavedRun as SavedRun, save_run as save_run
+from slamfusion.jobs.run import run_log as run_log
+from slamfusion.jobs.run_files import LogRun as LogRun, save_run as save_run
 from slamfusion.jobs.simulate import (
     SimulatedDrive as SimulatedDrive,
     save_simulated_drive as save_simulated_drive,

@@ -47,7 +47,7 @@ def results_option(function: F) -> F:
 
 def save_results(
     path: Path | None,
-    document: Mapping[str, Any],
+    document: Any,
     rows: Sequence[Row],
     inputs: Callable[[], Sequence[tuple[str, str, Path]]] = list,
 ) -> None:
@@ -55,13 +55,14 @@ def save_results(
     if path is None:
         return
     from slamfusion.jobs.results import write_results_file  # noqa: PLC0415  (loads slowly)
+    from slamfusion.json_values import plain  # noqa: PLC0415
 
     context = click.get_current_context()
     write_results_file(
         path,
         command=" ".join(context.command_path.split()[1:]),
         arguments=context.ensure_object(Settings).arguments,
-        document=document,
+        document=plain(document),
         rows=rows,
         inputs=inputs(),
     )

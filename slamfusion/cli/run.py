@@ -54,25 +54,27 @@ from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.jobs.documents import number
 from slamfusion.jobs.inputs import RUN_DEFAULTS
-from slamfusion.jobs.outputs import (
-    AGREEMENT,
-    DRAWN,
-    FAILED,
-    FUSED,
-    FUSED_PATH,
-    PAGE,
-    REPORT,
-    possible_outputs,
-    possible_report,
-)
+from slamfusion.jobs.outputs import FAILED, FUSED, PAGE, REPORT, possible_outputs, possible_report
 
 if TYPE_CHECKING:
-    from slamfusion.jobs.run import LogRun
-    from slamfusion.jobs.run_files import SavedRun
-    from slamfusion.jobs.run_many import RunOfLog
-    from slamfusion.jobs.trajectory import Measures
+    from slamfusion.jobs.run_files import LogRun
+    from slamfusion.jobs.run_many import LogTask, RunOfLog
 
-# Columns of the table of SLAMs without --verbose.
+# Columns of the table of SLAMs, and their number without --verbose.
+COLUMNS = (
+    "SLAM ",
+    "votes",
+    "ATE rmse [m]",
+    "relations mean [m]",
+    "map error",
+    "wall F1",
+    "time [s]",
+    "scan mean [ms]",
+    "scan 95 % [ms]",
+    "scans used",
+    "memory [MB]",
+    "match score, mean",
+)
 BRIEF = 7
 # Suffixes of what may follow an option's value as one more; no log has such a name.
 MORE = {"--inputs": {".yaml", ".yml", ".pgm", ".png", ".bmp", ".pnm"}, "--paths": {".tum", ".csv"}}
@@ -107,17 +109,14 @@ def _files(out: Path, given: Mapping[str, Any]) -> list[Path]:
 
     if out.exists() and not out.is_dir():
         raise click.UsageError(f"-o {out} is not a folder; name one for the maps and the report")
-    logs = given["logs"]
-    seeds = given["seeds"]
-    runs = (
-        [out]
-        if len(logs) == 1 and not seeds
-        else [task.folder for task in log_tasks(logs, out, seeds=seeds)]
-    )
-    folders = [folder for run in runs for folder in (run, run / FAILED)]
+    logs, seeds = given["logs"], given["seeds"]
+    runs = [out]
+    if len(logs) > 1 or seeds:
+        runs = [task.folder for task in log_tasks(logs, out, seeds)]
     return [
         file
-        for folder in folders
+        for run in runs
+        for folder in (run, run / FAILED)
         for file in (*possible_outputs(folder), *possible_report(folder / REPORT))
     ]
 
@@ -144,7 +143,7 @@ def _files(out: Path, given: Mapping[str, Any]) -> list[Path]:
 )
 @click.option(
     "--inputs",
-    "maps",
+    "saved_maps",
     multiple=True,
     type=MAP,
     metavar="MAP",
@@ -152,18 +151,16 @@ def _files(out: Path, given: Mapping[str, Any]) -> list[Path]:
 )
 @click.option(
     "--paths",
-    "paths",
+    "saved_paths",
     multiple=True,
     type=CASE_FILE,
     metavar="PATH",
     help="Paths of these maps, each in its map's frame. The scans rank them, and they join the "
     "fused path. The file name assigns a path to its map: MAP.tum, or MAP=PATH.",
 )
-@file_option("--truth", "truth", "MAP", "The true map. Adds the errors of all maps.", MAP)
+@file_option("--truth", "truth_map", "MAP", "The true map. Adds the errors of all maps.", MAP)
 @truth_scale_option
-@file_option(
-    "--truth-trajectory", "truth_trajectory", "FILE", "The true path. Adds the errors of all paths."
-)
+@file_option("--truth-trajectory", "truth", "FILE", "The true path. Adds the errors of all paths.")
 @start_option(
     "Expected pose of the saved map or SLAM NAME. Several starts share one frame. A single start "
     "is given in the start frame of the drive."
@@ -201,6 +198,7 @@ def command(
     is_opened: bool,
     config: RunConfig,
     as_json: bool,
+    probabilities: bool,
     **asked: Any,
 ) -> int:
     """Map a log with several SLAMs, fuse their maps, write a report.
@@ -212,6 +210,8 @@ def command(
     A run that makes a fused map replaces the results of an earlier run in DIR. A run that makes
     none leaves them unchanged and writes to DIR/failed.
     """
+    from slamfusion.jobs.run_many import log_tasks, run_rows  # noqa: PLC0415
+
     # The import takes longer than the look: it is made while the producers are at work.
     if importlib.util.find_spec("matplotlib") is None:
         import slamfusion.report  # noqa: F401, PLC0415  (says what to install)
@@ -220,97 +220,75 @@ def command(
     with start_errors(starts):
         config = with_starts(config, starts)
         if len(logs) > 1 or seeds:
-            return run_many(
-                logs, out, config, scheduler, asked,
-                seeds=seeds, results_path=results_path, as_json=as_json,
+            if len(logs) > 1:
+                _refuse_files_of_one_log(config, asked)
+            return _run_several(
+                log_tasks(logs, out, seeds, probabilities=probabilities),
+                out, config, scheduler, asked, results_path=results_path, as_json=as_json,
             )  # fmt: skip
         if scheduler is not None:
             message = (
                 "--scheduler is for several logs or seeds; the SLAMs of one log run in parallel"
             )
             raise click.UsageError(message)
-        return _run(
-            logs[0], out, config, results_path, is_opened=is_opened, as_json=as_json, **asked
-        )
+        from slamfusion.jobs.run import run_log  # noqa: PLC0415  (the SLAMs load slowly)
+        from slamfusion.jobs.run_files import load_report, save_run  # noqa: PLC0415
 
-
-def _run(
-    log: Path,
-    out: Path,
-    config: RunConfig,
-    results_path: Path | None,
-    *,
-    is_opened: bool,
-    as_json: bool,
-    probabilities: bool,
-    **asked: Any,
-) -> int:
-    """Run, write, print."""
-    from slamfusion.jobs.run import run_log  # noqa: PLC0415
-    from slamfusion.jobs.run_files import load_report, save_run  # noqa: PLC0415
-
-    with progress_bar() as progress:
-        run = run_log(
-            log, config, **_run_options(asked), progress=progress, warn=notice, prepare=load_report
-        )
-        progress(REPORT, 0, 1)
-        saved = save_run(run, out, probabilities=probabilities)
-    if click.get_current_context().ensure_object(Settings).debug:
-        for outcome in run.failed:
-            if outcome.detail:
-                print(f"{outcome.name}: {outcome.detail}", file=sys.stderr)
-    if results_path is not None:
-        from slamfusion.jobs.run_many import run_rows  # noqa: PLC0415
-
-        rows = run_rows(run, log.stem)
-        save_results(results_path, saved.document, rows, lambda: _inputs([log], asked))
-    if as_json:
-        for sentence in run.sentences():
-            notice(sentence)
-        print_json(saved.document)
-    else:
-        _print(run, saved)
+        with progress_bar() as progress:
+            run = run_log(
+                logs[0], config, **asked, progress=progress, warn=notice, prepare=load_report
+            )
+            progress(REPORT, 0, 1)
+            run = save_run(run, out, probabilities=probabilities)
+    rows = run_rows(run, logs[0].stem) if results_path is not None else []
+    save_results(results_path, run, rows, lambda: _inputs(logs, asked))
+    _print(run, as_json=as_json)
     if is_opened:
-        click.launch(str(saved.folder / REPORT / PAGE))
-    reason = "; ".join(run.not_measured) if run.failure is None else str(run.failure)
-    if reason:
-        earlier = "" if saved.folder == out else f"; {out} keeps its earlier results"
-        raise SlamFusionError(f"{reason} (the files so far are in {saved.folder}{earlier})")
+        click.launch(str(run.report))
+    if reason := run.error or "; ".join(run.not_measured):
+        earlier = "" if run.folder == out else f"; {out} keeps its earlier results"
+        raise SlamFusionError(f"{reason} (the files so far are in {run.folder}{earlier})")
     return 0
 
 
-def _run_options(asked: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the arguments of ``run_log`` that the command's options give."""
-    names = {"maps": "saved_maps", "paths": "saved_paths", "truth": "truth_map"}
-    names["truth_trajectory"] = "truth"
-    return {names.get(name, name): value for name, value in asked.items()}
+def _print(run: LogRun, *, as_json: bool) -> None:
+    """Print the document, or tables; warnings to stderr."""
+    if click.get_current_context().ensure_object(Settings).debug:
+        for item in run.failed:
+            if item.detail:
+                print(f"{item.name}: {item.detail}", file=sys.stderr)
+    if not as_json:
+        _print_tables(run)
+    warnings = run.sentences()
+    if as_json or is_verbose():
+        for sentence in warnings:
+            notice(sentence)
+    elif warnings:
+        count = f"{len(warnings)} warning{'s' * (len(warnings) > 1)}"
+        notice(f"{count} in the report; --verbose prints them")
+    if as_json:
+        print_json(run)
 
 
-def _print(run: LogRun, saved: SavedRun) -> None:
+def _print_tables(run: LogRun) -> None:
     """Print what to use, one table of the SLAMs, the files and what to do next."""
-    answer = run.recommendation
-    if answer is not None:
-        print_recommendation(answer)
+    if run.recommendation is not None:
+        print_recommendation(run.recommendation)
         print()
     _print_slams(run)
     if is_verbose():
-        _print_details(run, saved)
-    files: list[tuple[str, object]] = []
-    if run.usable is not None:
-        files.append(("fused map", f"{saved.folder / FUSED}.yaml ({run.fused_mode})"))
+        _print_details(run)
+    facts: list[tuple[str, object]] = []
+    if run.fused is not None:
+        facts.append(("fused map", f"{run.fused} ({run.fused_mode})"))
     if run.fused_path is not None:
-        files.append(("fused path", saved.folder / FUSED_PATH))
-    if run.drawn is not None:
-        files.append(("drawn map", f"{saved.folder / DRAWN}.yaml"))
-    print_facts(*files, ("report", saved.folder / REPORT / PAGE))
-    if run.usable is not None:
-        print_facts(("next", f"slamfusion show {shlex.quote(str(saved.folder))}"))
-    warnings = run.sentences()
-    for sentence in warnings if is_verbose() else ():
-        notice(sentence)
-    if warnings and not is_verbose():
-        count = f"{len(warnings)} warning{'s' * (len(warnings) > 1)}"
-        notice(f"{count} in the report; --verbose prints them")
+        facts.append(("fused path", run.fused_path.file))
+    if run.drawn_map is not None:
+        facts.append(("drawn map", str(run.drawn_map.file)))
+    facts.append(("report", run.report))
+    if run.fused is not None:
+        facts.append(("next", f"slamfusion show {shlex.quote(str(run.folder))}"))
+    print_facts(*facts)
 
 
 def _print_slams(run: LogRun) -> None:
@@ -318,61 +296,55 @@ def _print_slams(run: LogRun) -> None:
     from slamfusion.jobs.trajectory import Measures  # noqa: PLC0415  (loads slowly)
 
     errors = {item.name: item for item in run.evaluations}
-    accepted = {item.name for item in (run.usable.accepted if run.usable is not None else ())}
-    voted = dict.fromkeys(accepted, "yes")
-    names = [item.name for item in run.outcomes]
+    measures = {name: own for name, (_, own) in run.paths.items()}
+    notes = {item.name: f"NO MAP: {item.failed}" for item in run.failed}
+    made = run.results
+    names = [item.name for item in run.producers]
     names += [grid.name for grid in run.grids if grid.name not in names]
-    measures = {name: item.measures for name, item in run.results.items()}
-    measures |= {name: item.measures for name, item in run.saved_paths.items()}
+    votes = dict.fromkeys(names, "no")
     if run.usable is not None:
-        names.append(FUSED)
+        votes |= {item.name: "yes" for item in run.usable.accepted} | {FUSED: "-"}
+        notes |= {record.name: record.reason for record in run.usable.rejected}
         if run.fused_path is not None:
             measures[FUSED] = run.fused_path.measures
-    reasons = {item.name: f"NO MAP: {item.reason}" for item in run.failed}
-    if run.usable is not None:
-        reasons |= {record.name: record.reason for record in run.usable.rejected}
     rows = []
-    for name in names:
-        own, found = measures.get(name, Measures()), run.results.get(name)
-        row = [name, voted.get(name, "-" if name == FUSED else "no")]
-        row += _path_cells(own)
-        row.append(number(errors[name].error if name in errors else None, 1))
-        row.append(number(errors[name].wall_f1 if name in errors else None))
-        if found is None:
-            rows.append([*row, *["-"] * 6])
-        else:
-            made, ms = found.run, found.run.time_per_scan_ms()
-            row += [number(made.time_s, 1), number(ms["mean"], 1), number(ms["p95"], 1)]
-            row += [str(made.scans_used), number(made.peak_memory_bytes / 1e6, 1)]
-            rows.append([*row, number(made.health.mean_match_score)])
-    columns = ["SLAM ", "votes", "ATE rmse [m]", "relations mean [m]", "map error", "wall F1"]
-    columns += ["time [s]", "scan mean [ms]", "scan 95 % [ms]", "scans used", "memory [MB]"]
-    columns.append("match score, mean")
-    shown = len(columns) if is_verbose() else BRIEF
-    notes = [reasons.get(name, "") for name in names] if reasons else ()
-    print_table(columns[:shown], [row[:shown] for row in rows], notes=notes)
+    for name, vote in votes.items():
+        truth, relations = (own := measures.get(name, Measures())).truth, own.relations
+        error = errors.get(name)
+        row = [
+            name,
+            vote,
+            number(None if truth is None else truth.ate.rmse, 3),
+            number(None if relations is None else relations.translation.mean, 4),
+            number(None if error is None else error.error, 1),
+            number(None if error is None else error.wall_f1),
+        ]
+        if name in made:
+            own_run = made[name].run
+            ms = own_run.time_per_scan_ms()
+            row += [number(own_run.time_s, 1), number(ms["mean"], 1), number(ms["p95"], 1)]
+            row += [str(own_run.scans_used), number(own_run.peak_memory_bytes / 1e6, 1)]
+            row.append(number(own_run.health.mean_match_score))
+        rows.append(row + ["-"] * (len(COLUMNS) - len(row)))
+    shown = len(COLUMNS) if is_verbose() else BRIEF
+    print_table(
+        COLUMNS[:shown],
+        [row[:shown] for row in rows],
+        notes=[notes.get(name, "") for name in votes] if notes else (),
+    )
 
 
-def _path_cells(measures: Measures) -> list[str]:
-    """Return the errors of a path as cells: ATE rmse and relations mean, metres."""
-    truth, relations = measures.truth, measures.relations
-    return [
-        number(None if truth is None else truth.ate.rmse, 3),
-        number(None if relations is None else relations.translation.mean, 4),
-    ]
-
-
-def _print_details(run: LogRun, saved: SavedRun) -> None:
+def _print_details(run: LogRun) -> None:
     """Print the alignment, the gaps between the paths, all errors, the evidence and the times."""
     for sentence in run.log_notes():
         say(f"the log: {sentence}")
     if run.usable is not None:
-        print_fusion(run.usable, run.doubled, run.config.fusion.reference)
-        for gap in run.fusion.gaps:
+        print_fusion(run.usable, run.fusion.doubled, run.made_with.config.fusion.reference)
+        for gap in run.path_gaps:
             say(f"paths in the fused map: {gap.sentence()}")
         print()
     elif run.fusion.pairs:
-        print_pairs(run.fusion.pairs, run.device)
+        print_pairs(run.fusion.pairs, run.made_with.device)
     if run.evaluations:
         tell_unaligned(run.evaluations)
         print_evaluations(run.evaluations)
@@ -381,102 +353,97 @@ def _print_details(run: LogRun, saved: SavedRun) -> None:
     if run.fused_path is not None:
         trust = ", ".join(f"{name} {share:.2f}" for name, share in run.fused_path.trust.items())
         say(f"weights in the fused path: {trust}")
-    stages = ", ".join(f"{name} {seconds:.1f}" for name, seconds in saved.stages.items())
-    say(f"time: {saved.document['time_s']:.1f} s ({stages})")
-    if run.usable is not None:
-        print_facts(
-            ("agreement", f"{saved.folder / AGREEMENT}.yaml"),
-            *map_server_facts(saved.folder / f"{FUSED}.yaml"),
-        )
+    stages = ", ".join(f"{name} {seconds:.1f}" for name, seconds in run.stages_s.items())
+    say(f"time: {run.time_s:.1f} s ({stages})")
+    if run.fused is not None:
+        print_facts(("agreement", str(run.agreement)), *map_server_facts(run.fused))
 
 
 # --- several logs ---------------------------------------------------------------------------------
 
 
-# What belongs to one log.
-OF_ONE_LOG = ("paths", "truth", "truth_trajectory", "relations", "odometry", "scan_odometry")
+# What belongs to one log, by the argument of ``run_log``.
+OF_ONE_LOG = {
+    "saved_paths": "--paths",
+    "truth_map": "--truth",
+    "truth": "--truth-trajectory",
+    "relations": "--relations",
+    "odometry": "--odometry",
+    "scan_odometry": "--scan-odometry",
+}
 
 
-def run_many(
-    logs: Sequence[Path],
+def _refuse_files_of_one_log(config: RunConfig, asked: Mapping[str, Any]) -> None:
+    """Refuse what says something of one log alone."""
+    for name, option in OF_ONE_LOG.items():
+        if asked[name]:
+            message = f"{option} belongs to one log; run each log that has such a file alone"
+            raise click.UsageError(message)
+    if config.start:
+        raise click.UsageError("--start belongs to one log; run each log that needs it alone")
+
+
+def _inputs(logs: Sequence[Path], asked: Mapping[str, Any]) -> list[tuple[str, str, Path]]:
+    """Return role, case and path of the files that runs read."""
+    options = {name: option for name, option in OF_ONE_LOG.items() if name != "saved_paths"}
+    return [("log", log.stem, log) for log in logs] + [
+        (option.removeprefix("--").replace("-", " "), "", asked[name])
+        for name, option in options.items()
+        if asked[name] is not None
+    ]
+
+
+def _run_several(
+    tasks: Sequence[LogTask],
     out: Path,
     config: RunConfig,
     scheduler: str | None,
     asked: Mapping[str, Any],
     *,
-    seeds: Sequence[int],
     results_path: Path | None,
     as_json: bool,
 ) -> int:
     """Run the main job on each log with each seed, and print the outcome of each."""
     from slamfusion.fleet import executor_for  # noqa: PLC0415
-    from slamfusion.jobs.run_many import log_tasks, run_logs, runs_document  # noqa: PLC0415
+    from slamfusion.jobs.records import Settings as SettingsUsed  # noqa: PLC0415
+    from slamfusion.jobs.run_many import RunsDocument, run_logs  # noqa: PLC0415
 
-    if len(logs) > 1:
-        _refuse_files_of_one_log(config, asked)
-    probabilities = asked["probabilities"]
-    options = _run_options({key: asked[key] for key in asked if key != "probabilities"})
     # Workers have another working folder.
-    options["saved_maps"] = tuple(path.absolute() for path in options["saved_maps"])
-    tasks = log_tasks(logs, out, options, seeds=seeds, probabilities=probabilities)
+    options = {**asked, "saved_maps": tuple(path.absolute() for path in asked["saved_maps"])}
     with (
         executor_for(scheduler, device=config.device.device) as executor,
         progress_bar() as progress,
     ):
-        runs = run_logs(tasks, config, executor, progress)
+        runs = run_logs(tasks, config, options, executor=executor, progress=progress)
     for run in runs:
         for sentence in run.warnings:
-            notice(f"{_name(run)}: {sentence}")
-    document, rows = runs_document(runs, config), [row for run in runs for row in run.rows]
+            notice(f"{run.name}: {sentence}")
+    document = RunsDocument(runs, SettingsUsed(config))
+    rows = [row for run in runs for row in run.rows]
+    logs = list(dict.fromkeys(task.log for task in tasks))
     save_results(results_path, document, rows, lambda: _inputs(logs, asked))
     if as_json:
         print_json(document)
     else:
         _print_logs(runs, out)
-        if rows and seeds:
+        if rows and tasks[0].seed is not None:
             print_items(rows, "path", ("ate_rmse_m", "relations_mean_m", "error"))
-    if reason := _failure(runs):
-        raise SlamFusionError(reason)
-    return 0
-
-
-def _name(run: RunOfLog) -> str:
-    """Return what a run is called: its log, and its seed."""
-    return run.log.name if run.seed is None else f"{run.log.name} seed {run.seed}"
-
-
-def _inputs(logs: Sequence[Path], asked: Mapping[str, Any]) -> list[tuple[str, str, Path]]:
-    """Return role, case and path of the files that runs read."""
-    roles = ("truth", "relations", "odometry", "scan_odometry", "truth_trajectory")
-    read = [(role.replace("_", " "), "", asked[role]) for role in roles if asked[role] is not None]
-    return [*(("log", log.stem, log) for log in logs), *read]
-
-
-def _failure(runs: Sequence[RunOfLog]) -> str:
-    """Return of which logs there is no fused map, or not every measure; empty: of none."""
-    failed = [run for run in runs if run.error is not None]
-    unmeasured = [run for run in runs if run.error is None and run.not_measured]
     reasons = []
-    if failed:
-        words = "; ".join(f"{_name(run)}: {run.error}" for run in failed)
+    if failed := [f"{run.name}: {run.error}" for run in runs if run.error is not None]:
+        words = "; ".join(failed)
         reasons.append(f"{len(failed)} of {len(runs)} logs have no fused map ({words})")
+    unmeasured = [
+        f"{run.name}: {', '.join(run.not_measured)}"
+        for run in runs
+        if run.error is None and run.not_measured
+    ]
     if unmeasured:
-        words = "; ".join(f"{_name(run)}: {', '.join(run.not_measured)}" for run in unmeasured)
-        reasons.append(
-            f"of {len(unmeasured)} of {len(runs)} logs not all could be measured ({words})"
-        )
-    return "; ".join(reasons)
-
-
-def _refuse_files_of_one_log(config: RunConfig, asked: Mapping[str, Any]) -> None:
-    """Refuse what says something of one log alone."""
-    for name in OF_ONE_LOG:
-        if asked[name]:
-            option = "--" + name.replace("_", "-")
-            message = f"{option} belongs to one log; run each log that has such a file alone"
-            raise click.UsageError(message)
-    if config.start:
-        raise click.UsageError("--start belongs to one log; run each log that needs it alone")
+        words = "; ".join(unmeasured)
+        count = f"of {len(unmeasured)} of {len(runs)} logs"
+        reasons.append(f"{count} not all could be measured ({words})")
+    if reasons:
+        raise SlamFusionError("; ".join(reasons))
+    return 0
 
 
 def _print_logs(runs: Sequence[RunOfLog], out: Path) -> None:
@@ -485,7 +452,7 @@ def _print_logs(runs: Sequence[RunOfLog], out: Path) -> None:
         ("log ", "maps fused", "use ", "time [s]", "folder "),
         [
             [
-                _name(run),
+                run.name,
                 str(run.fused_count) if run.fused_count else "-",
                 (run.recommendation and run.recommendation.use) or "-",
                 number(run.time_s, 1),

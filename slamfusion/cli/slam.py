@@ -30,7 +30,7 @@ from slamfusion.errors import SlamFusionError
 from slamfusion.jobs.outputs import PAGE, SUFFIXES, output_files
 
 if TYPE_CHECKING:
-    from slamfusion.jobs.map_log import ProducerResult
+    from slamfusion.jobs.map_log import MappedLog, ProducerResult
 
 
 def _stem(out: Path) -> Path:
@@ -151,21 +151,18 @@ def _run(
             warn=notice,
             **asked,
         )
-    document = save_mapped_log(
-        mapped, stem, probabilities=probabilities, state=state, report=report
-    )
+    saved = save_mapped_log(mapped, stem, probabilities=probabilities, state=state, report=report)
     if mapped.failure is not None:
         message = f"{mapped.failure} (the map and the path were written all the same)"
         raise SlamFusionError(message) from mapped.failure
     for sentence in mapped.notices():
         notice(f"{name}: {sentence}")
     if as_json:
-        print_json(document)
+        print_json(saved)
         return 0
     _print(mapped.result, log)
-    for path in (*output_files(stem, probabilities=probabilities), state):
-        if path is not None:
-            print(path)
+    for path in saved.result.files:
+        print(path)
     if report is not None:
         print(report / PAGE)
     return 0
@@ -184,29 +181,29 @@ def _run_seeds(
     """Run with each seed, write the files of each, and print one table with their means."""
     from slamfusion.evaluation import map_figures, path_figures, result_rows  # noqa: PLC0415
     from slamfusion.jobs.map_log import map_log, save_mapped_log  # noqa: PLC0415
+    from slamfusion.json_values import record_keys  # noqa: PLC0415  (NumPy loads slowly)
 
     for option in ("report", "resume", "state"):
         if asked.pop(option, None) is not None:
             message = "--report, --resume and --save-state belong to one run; leave out --seeds"
             raise click.UsageError(message)
     limit, rows = asked.pop("stop_after", None), []
-    document: dict[str, Any] = {"producers": []}
+    saved: list[MappedLog] = []
     with progress_bar() as progress:
         for done, (seed, stem) in enumerate(stems.items()):
             progress("seeds", done, len(stems))
             own = replace(config, seed=seed or 0)
             mapped = map_log(log, name, own, limit=limit, progress=progress, warn=notice, **asked)
-            saved = save_mapped_log(mapped, stem, probabilities=probabilities)
-            document = {**saved, "producers": [*document["producers"], *saved["producers"]]}
+            saved.append(save_mapped_log(mapped, stem, probabilities=probabilities))
             result = mapped.result
             figures = path_figures(result.measures.truth, result.measures.relations)
             figures["time_per_scan_ms"] = result.run.time_per_scan_ms()["mean"]
-            errors = {} if result.evaluation is None else map_figures(result.evaluation)
+            errors = {} if result.map_error is None else map_figures(result.map_error)
             rows += result_rows(log.stem, str(seed), name, {**figures, **errors})
             if mapped.failure is not None:
                 raise SlamFusionError(f"seed {seed}: {mapped.failure}") from mapped.failure
     if as_json:
-        print_json(document)
+        print_json({**record_keys(saved[-1]), "producers": [own.result for own in saved]})
     else:
         print_items(rows, "SLAM", ("ate_rmse_m", "relations_mean_m", "error"))
         print_facts(*((f"seed {seed}", f"{stem}.yaml") for seed, stem in stems.items()))
@@ -228,6 +225,6 @@ def _print(result: ProducerResult, log: Path) -> None:
         print(f"{where}: {sentence}")
     if result.measures.relations is not None or result.measures.truth is not None:
         print_measures(run.trajectory, result.measures)
-    if result.evaluation is not None:
-        tell_unaligned([result.evaluation])
-        print_evaluations([result.evaluation])
+    if result.map_error is not None:
+        tell_unaligned([result.map_error])
+        print_evaluations([result.map_error])

@@ -28,10 +28,9 @@ from slamfusion.fusion.pipeline import vote_again
 from slamfusion.geometry import wrap_angle
 from slamfusion.grid import IDENTITY, UNKNOWN, OccupancyGrid
 from slamfusion.io import LogScan
-from slamfusion.jobs.fuse_drive import fuse_drive
 from slamfusion.jobs.fused_path import fuse_weighed_paths
 from slamfusion.jobs.outputs import DRAWN
-from slamfusion.jobs.run import score_all_paths
+from slamfusion.jobs.run import fuse_drive, score_all_paths
 from slamfusion.slam.common.runner import run_producer
 from slamfusion.slam.registry import BUILT_IN, make_producer, producer
 from slamfusion.trajectory import SAME_STAMP_S, Trajectory
@@ -198,8 +197,8 @@ def _fuse(
             notes[FUSED_PATH] = str(error)
         else:
             fused = found.trajectory
-            if found.refined is not None:
-                choice = choose_path(found.refined.evidence, paths, fused.name)[1]
+            if found.refinement is not None:
+                choice = choose_path(found.refinement.evidence, paths, fused.name)[1]
     return vote_every_way(grids, paths, config, device, notes), fused, choice
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import cast, get_args
 
@@ -211,12 +211,12 @@ class DriveRun:
 
 def drive_inputs(recorded: Sequence[LogFiles]) -> Inputs:
     """Return role, drive and path of each file of recorded drives."""
-    roles = ("log", "relations", "odometry", "truth")
+    roles = {"log": "log", "relations": "relations", "odometry": "odometry_file", "truth": "truth"}
     return [
-        (role, files.log.stem, path)
+        (role, files.log.stem, getattr(files, name))
         for files in recorded
-        for role, path in zip(roles, astuple(files), strict=False)
-        if path is not None
+        for role, name in roles.items()
+        if getattr(files, name) is not None
     ]
 
 
@@ -234,7 +234,7 @@ def read_drive(files: LogFiles, config: RunConfig) -> Drive:
     if not scans:
         reasons = "; ".join(log.skips.sentences())
         raise LogError(f"{files.log}: no scan of it can be used: {reasons}")
-    held = Yardsticks.read(config, files.relations, files.odometry, files.truth)
+    held = Yardsticks.read(config, files.relations, files.odometry_file, files.truth)
     odometry = None if held.odometry is None else read_trajectory(files.log, config.log)
     return Drive(Path(strip_gz(files.log.name)).stem, scans, held, odometry)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +14,7 @@ if TYPE_CHECKING:
     from slamfusion.jobs.records import CircumstancesJson, SettingsJson
 
 
-def record_bytes(document: Mapping[str, Any]) -> bytes:
+def record_bytes(document: Any) -> bytes:
     """Return a document as the indented UTF-8 text of a JSON file; NaN and infinity become null."""
     from slamfusion.json_values import plain  # noqa: PLC0415  (NumPy loads slowly; --help needs none)
 

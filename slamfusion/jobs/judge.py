@@ -33,7 +33,7 @@ from slamfusion.io import open_log, read_trajectory, write_tum
 from slamfusion.io.files import AtomicFiles
 from slamfusion.jobs.cases import Placed
 from slamfusion.jobs.documents import circumstances, path_text
-from slamfusion.jobs.fused_path import DrivePath, FusedPathJson, fuse_weighed_paths
+from slamfusion.jobs.fused_path import DrivePath, fuse_weighed_paths
 from slamfusion.jobs.inputs import Warn, as_path, device_for, distinct_names
 from slamfusion.jobs.outputs import FUSED
 from slamfusion.jobs.records import CircumstancesJson, SummariesJson
@@ -54,7 +54,7 @@ class JudgeRecordJson(TypedDict):
     """What the scans say of each path, the recommended one first."""
     paths: Sequence[JudgedPathJson]
     """The paths as they were given."""
-    fused_path: FusedPathJson | None
+    fused_path: DrivePath | None
     """The path fused of them, with ``--fused``."""
     ranking_by_truth: Sequence[str]
     """The paths by their ATE, the least first; empty without a truth."""
@@ -150,7 +150,7 @@ class JudgedPaths:
             ],
             "fused_path": None
             if self.fused is None or self.fused_file is None
-            else self.fused.to_json(self.fused_file),
+            else replace(self.fused, file=self.fused_file),
             "ranking_by_truth": tuple(self.errors_by_truth_m()),
             "ranking_by_relations": tuple(self.errors_by_relations_m()),
             "not_measured": self.not_measured,
@@ -243,8 +243,8 @@ def judge_paths(
     made = None
     if fused_file is not None:
         made = _fuse(read, evidence, device)
-        if made.refined is not None:
-            evidence = made.refined.evidence
+        if made.refinement is not None:
+            evidence = made.refinement.evidence
     found = recommend(evidence, tuple(read), device, fused=None if made is None else FUSED)
     every = read if made is None else {**read, FUSED: made.trajectory}
     found = _with_sensor_faults(found, wheels, every.get(found.path or ""), warn)

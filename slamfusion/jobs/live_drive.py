@@ -357,7 +357,7 @@ class LiveDrive:
             self._place(found.trajectory, paths, lattice, transforms or {}, is_whole=is_whole)
             path = self._path
             assert path is not None  # noqa: S101  (just placed)
-            evidence = None if found.refined is None else found.refined.evidence
+            evidence = None if found.refinement is None else found.refinement.evidence
             if evidence is None or not is_whole:
                 evidence = score_paths(scans, {**paths, FUSED: path}, self._device)
         except SlamFusionError:

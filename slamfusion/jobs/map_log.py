@@ -3,125 +3,67 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from operator import itemgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, TypedDict
+from typing import Any
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import MapFileError, SlamFusionError
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import AtomicFiles, open_log, save_map, write_tum
-from slamfusion.jobs.documents import circumstances, number, path_text, record_bytes
+from slamfusion.jobs.documents import number, record_bytes
 from slamfusion.jobs.evaluate import evaluate_maps
-from slamfusion.jobs.inputs import Progress, Warn, as_path, load_maps
+from slamfusion.jobs.inputs import Progress, Warn, as_path, load_truth
 from slamfusion.jobs.outputs import PROBABILITY, output_files
-from slamfusion.jobs.records import CircumstancesJson, Evaluation
-from slamfusion.jobs.trajectory import Measures, MeasuresJson, Yardsticks
+from slamfusion.jobs.records import Circumstances, Evaluation
+from slamfusion.jobs.trajectory import Measures, Yardsticks
+from slamfusion.json_values import FLAT
 from slamfusion.slam.common.mapper import Mapper
 from slamfusion.slam.common.runner import ProducerRun, Resumable, run_producer
-from slamfusion.slam.records import ProducerRunJson
 from slamfusion.slam.registry import make_producer, open_producer_device, resume_producer
 from slamfusion.trajectory import Trajectory
 
 _LOG = logging.getLogger(__name__)
 
 
-class ProducerJson(ProducerRunJson, MeasuresJson):
-    """What one producer made of a log, what it took, and the errors that could be measured."""
-
-    map_error: Evaluation | None
-    """Errors of its map; null without a true map."""
-    files: Sequence[str]
-    """The files that it was written to: map, picture, path, record."""
-
-
-class SlamProducerJson(ProducerJson):
-    """The producer of ``slamfusion slam``."""
-
-    resumed_from: str | None
-    """The state that it was resumed from; null: it began afresh."""
-    state_file: str | None
-    """The file that its state was saved to."""
-
-
-class LogFilesJson(TypedDict):
+@dataclass(frozen=True)
+class LogFiles:
     """A log, and the files that its results are compared with."""
 
-    log: str
+    log: Path
     """The log that was mapped."""
-    relations: str | None
+    relations: Path | None = None
     """The file of known relations."""
-    odometry_file: str | None
+    odometry_file: Path | None = None
     """The file of raw odometry."""
-    scan_odometry: str | None
+    scan_odometry: Path | None = field(default=None, kw_only=True)
     """The file that gave the scans their odometry."""
-    truth: str | None
+    truth: Path | None = None
     """The file of the true trajectory."""
-    truth_map: str | None
+    truth_map: Path | None = None
     """The true map's file."""
 
 
-class SlamDocument(LogFilesJson, CircumstancesJson):
-    """``slamfusion slam``; also the record OUT.json."""
-
-    producers: Sequence[SlamProducerJson]
-    """The one producer."""
-
-
-@dataclass(frozen=True)
-class LogFiles:
-    """A log, and what the path and the map made of it are held against; None: there is none.
-
-    Attributes:
-        relations: known motions between pairs of times.
-        odometry: raw odometry of the whole run, to carry poses on to the relations' times.
-        scan_odometry: what gives the scans their odometry instead of the log; see ``open_log``.
-    """
-
-    log: Path
-    relations: Path | None = None
-    odometry: Path | None = None
-    truth: Path | None = None
-    truth_map: Path | None = None
-    scan_odometry: Path | None = None
-
-    def to_json(self) -> LogFilesJson:
-        """Return the files for a JSON document."""
-        return {
-            "log": str(self.log),
-            "relations": path_text(self.relations),
-            "odometry_file": path_text(self.odometry),
-            "scan_odometry": path_text(self.scan_odometry),
-            "truth": path_text(self.truth),
-            "truth_map": path_text(self.truth_map),
-        }
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class ProducerResult:
-    """A run and everything that was measured of it.
+    """What one producer made of a log, what it took, and the errors that could be measured."""
 
-    Attributes:
-        evaluation: errors of its map; None without a true map.
-    """
+    run: ProducerRun = field(metadata=FLAT)
+    measures: Measures = field(metadata=FLAT)
+    map_error: Evaluation | None
+    """Errors of its map; null without a true map."""
+    files: Sequence[Path] = ()
+    """The files that it was written to: map, picture, path, record."""
+    device: str = field(repr=False)
 
-    run: ProducerRun
-    measures: Measures
-    evaluation: Evaluation | None
-    device: str
-
-    def to_json(self, files: Sequence[Path]) -> ProducerJson:
-        """Return the run's record with its errors and files."""
-        return {
-            **self.run.to_json(),
-            **self.measures.to_json(),
-            "map_error": self.evaluation,
-            "files": [str(path) for path in files],
-        }
+    @property
+    def name(self) -> str:
+        """The producer."""
+        return self.run.name
 
     def figures(self) -> list[tuple[str, str]]:
         """Return the run's numbers with their names."""
@@ -152,25 +94,39 @@ class ProducerResult:
         return [(name, value) for name, value in found.items() if value]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SlamProducer(ProducerResult):
+    """The producer of ``slamfusion slam``."""
+
+    resumed_from: Path | None
+    """The state that it was resumed from; null: it began afresh."""
+    state_file: Path | None = None
+    """The file that its state was saved to."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class MappedLog:
-    """What a producer made of a log, with its errors.
+    """``slamfusion slam``; also the record OUT.json.
 
     Attributes:
         mapper: the producer, which may go on, or save its state.
-        truth: the true path; None without one.
-        resumed_from: the saved state that it went on from; None: it began afresh.
+        true_path: None without one.
         failure: why something could not be measured; None where all could. Map and path are good
             all the same.
     """
 
-    files: LogFiles
-    config: RunConfig
-    result: ProducerResult
-    mapper: Mapper
-    truth: Trajectory | None = None
-    resumed_from: Path | None = None
-    failure: SlamFusionError | None = None
+    producers: tuple[SlamProducer]
+    """The one producer."""
+    files: LogFiles = field(metadata=FLAT)
+    made_with: Circumstances = field(metadata=FLAT)
+    mapper: Mapper = field(repr=False)
+    true_path: Trajectory | None = field(repr=False)
+    failure: SlamFusionError | None = field(repr=False)
+
+    @property
+    def result(self) -> SlamProducer:
+        """The producer's run and everything that was measured of it."""
+        return self.producers[0]
 
     @property
     def grid(self) -> OccupancyGrid:
@@ -187,9 +143,8 @@ class MappedLog:
         run, log = self.result.run, self.files.log
         sentences = []
         if run.known_scans:
-            sentences.append(
-                f"passed over {run.known_scans} scans of {log} that {self.resumed_from} knows"
-            )
+            state = self.result.resumed_from
+            sentences.append(f"passed over {run.known_scans} scans of {log} that {state} knows")
         if not run.is_complete:
             sentences.append(
                 f"stopped after {len(run.feed_s)} scans, as asked for; the rest of {log} is "
@@ -218,7 +173,9 @@ def map_log(
 
     Args:
         log: a CARMEN or tinySLAM log, or a ROS bag.
-        relations, odometry, truth, truth_map, scan_odometry: see ``LogFiles``.
+        relations, odometry, truth, truth_map: what path and map are compared with; odometry is that
+            of the whole run, to carry poses on to the relations' times.
+        scan_odometry: what gives the scans their odometry instead of the log; see ``open_log``.
         resume: a saved state to go on from, made with the same settings.
         limit: scans after which it stops, at least 1; default: none.
 
@@ -235,44 +192,42 @@ def map_log(
             used.
         OSError: a file cannot be opened.
     """
-    config = config or RunConfig()
-    files = LogFiles(
-        Path(log), *map(as_path, (relations, odometry, truth, truth_map, scan_odometry))
-    )
-    held = Yardsticks.read(config, files.relations, files.odometry, files.truth, warn)
-    true_map = None
-    if files.truth_map is not None:
-        (true_map,) = load_maps([files.truth_map], None, config.map_files, warn, measured=True)
+    config, state = config or RunConfig(), as_path(resume)
+    read = map(as_path, (relations, odometry, truth, truth_map))
+    files = LogFiles(Path(log), *read, scan_odometry=as_path(scan_odometry))
+    held = Yardsticks.read(config, relations, odometry, truth, warn)
+    true_map = None if truth_map is None else load_truth(truth_map, config, warn=warn)
     device = open_producer_device(producer, config) if device is None else device
-    state = as_path(resume)
     mapper = (
         make_producer(producer, config, device)
         if state is None
         else resume_producer(producer, state, config, device)
     )
-    run = _run(mapper, files, config, limit, progress)
-    failure, measures, evaluation = None, Measures(), None
-    try:
-        measures = measure_run(run, config, held)
-        if true_map is not None:
-            (evaluation,) = evaluate_maps([run.grid], true_map, config, device)
-    except SlamFusionError as error:  # the map is made; it is kept, and the failure is told
-        failure = error
-    result = ProducerResult(run, measures, evaluation, device.name)
-    return MappedLog(files, config, result, mapper, held.truth, state, failure)
-
-
-def _run(
-    mapper: Mapper, files: LogFiles, config: RunConfig, limit: int | None, progress: Progress | None
-) -> ProducerRun:
-    """Run the producer over the log; progress follows the file."""
-    log = open_log(files.log, config.log, files.scan_odometry)
+    source = open_log(files.log, config.log, files.scan_odometry)
 
     def tell(_: int) -> None:
         if progress is not None:
-            progress(mapper.name, log.fraction_read, 1)
+            progress(mapper.name, source.fraction_read, 1)
 
-    return run_producer(mapper, log, log=log, progress=tell, limit=limit)
+    run = run_producer(mapper, source, log=source, progress=tell, limit=limit)
+    failure, measures, map_error = None, Measures(), None
+    try:
+        measures = measure_run(run, config, held)
+        if true_map is not None:
+            (map_error,) = evaluate_maps([run.grid], true_map, config, device)
+    except SlamFusionError as error:  # the map is made; it is kept, and the failure is told
+        failure = error
+    result = SlamProducer(
+        run=run, measures=measures, map_error=map_error, device=device.name, resumed_from=state
+    )
+    return MappedLog(
+        producers=(result,),
+        files=files,
+        made_with=Circumstances(config, device.name),
+        mapper=mapper,
+        true_path=held.truth,
+        failure=failure,
+    )
 
 
 def run_remarks(run: ProducerRun) -> list[tuple[str, str]]:
@@ -301,39 +256,23 @@ def measure_run(run: ProducerRun, config: RunConfig, held: Yardsticks) -> Measur
 # --- files ------------------------------------------------------------------------------------
 
 
-def slam_document(mapped: MappedLog, outputs: Sequence[Path], state: Path | None) -> SlamDocument:
-    """Return what ``slamfusion slam`` prints as JSON and writes as the record."""
-    files, result = mapped.files, mapped.result
-    return {
-        "producers": [
-            {
-                **result.to_json(outputs),
-                "resumed_from": path_text(mapped.resumed_from),
-                "state_file": path_text(state),
-            }
-        ],
-        **files.to_json(),
-        **circumstances(mapped.config, result.device),
-    }
-
-
 def add_run(
     files: AtomicFiles,
     run: ProducerRun,
-    document: Mapping[str, Any],
+    record: Any,
     stem: Path,
     config: RunConfig,
     *,
     probabilities: bool,
 ) -> None:
     """Stage a run's map, path and record with other files."""
-    _, _, tum, record = output_files(stem)
+    _, _, tum, record_file = output_files(stem)
     save_map(run.grid, stem, classes=config.fusion.normalize, files=files)
     if probabilities:
         other = stem.with_name(stem.name + PROBABILITY)
         save_map(run.grid, other, mode="raw", image_format="png", files=files)
     write_tum(tum, run.trajectory, files=files)
-    files.add(record, record_bytes(document))
+    files.add(record_file, record_bytes(record))
 
 
 def save_mapped_log(
@@ -343,7 +282,7 @@ def save_mapped_log(
     probabilities: bool = False,
     state: str | Path | None = None,
     report: str | Path | None = None,
-) -> SlamDocument:
+) -> MappedLog:
     """Write map, path, record, state and report; all of them or none.
 
     Args:
@@ -353,7 +292,7 @@ def save_mapped_log(
         report: folder for ``report.html`` and its pictures; None: no report.
 
     Returns:
-        The record that is written beside the map.
+        The same with its files, as the record next to the map has it.
 
     Raises:
         SlamFusionError: a file cannot be written, the producer cannot save its state, or
@@ -361,16 +300,17 @@ def save_mapped_log(
     """
     stem, state = Path(stem), as_path(state)
     outputs = output_files(stem, probabilities=probabilities)
-    document = slam_document(mapped, outputs if state is None else [*outputs, state], state)
+    if state is not None:
+        outputs.append(state)
+    saved = replace(mapped, producers=(replace(mapped.result, files=outputs, state_file=state),))
+    config = mapped.made_with.config
     with AtomicFiles() as files:
-        add_run(
-            files, mapped.result.run, document, stem, mapped.config, probabilities=probabilities
-        )
+        add_run(files, mapped.result.run, saved, stem, config, probabilities=probabilities)
         if state is not None:
             _add_state(files, state, mapped.mapper)
         if report is not None:
             _add_report(files, mapped, Path(report))
-    return document
+    return saved
 
 
 def _add_state(files: AtomicFiles, target: Path, mapper: Mapper) -> None:
@@ -406,17 +346,17 @@ def _add_report(files: AtomicFiles, mapped: MappedLog, directory: Path) -> None:
         tables.append(Table.of(title, remarks, {"where": first, "what": second}))
     # A resumed run's log may only go on: then its odometry cannot be laid on the start of the path.
     is_later = (
-        mapped.resumed_from is not None
+        result.resumed_from is not None
         and run.odometry is not None
         and run.odometry.stamps_s[0] > run.trajectory.stamps_s[0]
     )
     write_slam_report(
         directory,
         replace(run, odometry=None) if is_later else run,
-        config=mapped.config,
+        config=mapped.made_with.config,
         facts=facts,
         tables=tables,
-        truth=mapped.truth,
+        truth=mapped.true_path,
         relations=result.measures.relations,
         device=result.device,
         files=files,

@@ -152,7 +152,7 @@ def load_schema(what: str | None = None) -> dict[str, Any]:
 
     Args:
         what: the words of a command, e.g. ``fuse`` or ``graph optimize``, or the name of a record,
-            e.g. ``Alignment`` or ``RunRecordDocument``; None: any command's document.
+            e.g. ``Alignment`` or ``RunRecord``; None: any command's document.
 
     Returns:
         A whole schema, for any validator. ``$defs`` holds an entry for each command, named by its

@@ -1,6 +1,6 @@
 """The main job: the producers on one log side by side, their fusion, and errors of everything.
 
-``run_log`` is the whole pipeline, stage by stage; ``run_files`` writes the files of its result.
+``run_log`` is the whole pipeline, stage by stage; ``save_run`` writes the files of its result.
 """
 
 from __future__ import annotations
@@ -9,15 +9,14 @@ import logging
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
-from slamfusion.align.records import FusionResult
-from slamfusion.align.starts import place_starts
+from slamfusion.align.starts import Starts, place_starts
 from slamfusion.compute import ComputeDevice
-from slamfusion.config import FusionMode, RunConfig
+from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError, SlamFusionError, TrajectoryError
 from slamfusion.evaluation import on_clock
 from slamfusion.evidence import (
@@ -29,15 +28,15 @@ from slamfusion.evidence import (
     score_paths,
     with_path,
 )
-from slamfusion.evidence.drawn_map import DrawnScan, drawn_scans, fuse_with_drawn
+from slamfusion.evidence.drawn_map import DrawnScan, draw_map, drawn_scans, fuse_with_drawn
 from slamfusion.fusion.groups import LEAST_FUSED
+from slamfusion.fusion.path_check import PathsApartError, fallback_map, fuse_with_paths
 from slamfusion.grid import OccupancyGrid
 from slamfusion.jobs.cases import CaseFile
 from slamfusion.jobs.evaluate import evaluate_maps
 from slamfusion.jobs.fuse import AllRequiredError
-from slamfusion.jobs.fuse_documents import DoubledWalls, left_out_sentences
-from slamfusion.jobs.fuse_drive import DriveFusion, fuse_drive
-from slamfusion.jobs.fused_path import DrivePath, draw_like, fuse_weighed_paths
+from slamfusion.jobs.fuse_documents import DoubledWalls
+from slamfusion.jobs.fused_path import DrivePath, fuse_weighed_paths
 from slamfusion.jobs.inputs import (
     RUN_DEFAULTS,
     RUN_VOTE,
@@ -48,13 +47,21 @@ from slamfusion.jobs.inputs import (
     device_for,
     load_truth,
 )
-from slamfusion.jobs.map_log import LogFiles, ProducerResult, measure_run
+from slamfusion.jobs.map_log import measure_run
 from slamfusion.jobs.outputs import DRAWN, FUSED
-from slamfusion.jobs.records import Evaluation
+from slamfusion.jobs.records import Circumstances, Evaluation
+from slamfusion.jobs.run_files import (
+    DrawnMap,
+    DriveFusion,
+    FailedProducer,
+    LogRun,
+    RunFiles,
+    RunProducer,
+)
 from slamfusion.jobs.saved_maps import SavedMaps, SavedPath, path_at_scans
 from slamfusion.jobs.trajectory import Measures, Yardsticks
 from slamfusion.slam.common.odometry_check import laser_fault
-from slamfusion.slam.registry import BUILT_IN, producer
+from slamfusion.slam.registry import BUILT_IN, loop_closers, producer
 from slamfusion.slam.side_by_side import Outcome, SideBySide
 from slamfusion.trajectory import Trajectory
 
@@ -66,108 +73,6 @@ Result = TypeVar("Result")
 WHOLE = "whole run"
 SLAM_SHARE, LATE_STAGES = 0.65, 9
 NO_PATH = "fewer than two producers have a path, so there is no fused path to draw at"
-
-
-@dataclass(frozen=True, eq=False)
-class LogRun:
-    """The result of the main job.
-
-    Attributes:
-        files: where the log and what it is held against were read.
-        saved_maps: files of other SLAMs' maps that voted too.
-        saved_paths: the paths of these that were given, by the maps' names.
-        grids: the producers' maps, then the saved ones.
-        fusion: the outcome of fusing them, also where it may not be used.
-        fused_path: one path made of the producers' paths; None where fewer than two have one, or
-            where no fused map may be used.
-        drawn: the map drawn from all scans at the fused path, beside the fused map; None where it
-            was not asked for, or there is no such path.
-        why_voted: why the maps voted although ``drawn`` was the mode asked for; None where they did
-            not, or it was not asked for.
-        results: the producers that made a map, by name, with their errors.
-        doubled: the doubled walls of the fusion; None where nothing was fused.
-        evaluations: errors of the inputs and of the fused map; empty without a true map.
-        recommendation: which map and path to use; None if no map was made.
-        evidence: what the scans say of the producers' paths and of the fused one; None where they
-            could not be asked.
-        no_verdict: why they could not; None where they were.
-        failure: why there is no fused map that may be used; None where there is one.
-        not_measured: what could not be measured, a sentence each.
-        stages: wall time of each stage in order, seconds.
-        begun_s: when it began, seconds of ``time.perf_counter``.
-        truth: the true path; None without one.
-    """
-
-    files: LogFiles
-    saved_maps: tuple[Path, ...]
-    saved_paths: Mapping[str, SavedPath]
-    config: RunConfig
-    outcomes: tuple[Outcome, ...]
-    grids: tuple[OccupancyGrid, ...]
-    fusion: DriveFusion
-    fused_path: DrivePath | None
-    drawn: OccupancyGrid | None
-    why_voted: str | None
-    results: Mapping[str, ProducerResult]
-    doubled: DoubledWalls | None
-    evaluations: tuple[Evaluation, ...]
-    recommendation: Recommendation | None
-    evidence: PathEvidence | None
-    no_verdict: str | None
-    failure: SlamFusionError | None
-    not_measured: tuple[str, ...]
-    stages: Mapping[str, float]
-    begun_s: float
-    device: str
-    truth: Trajectory | None
-
-    @property
-    def failed(self) -> tuple[Outcome, ...]:
-        """The producers that made no map."""
-        return tuple(outcome for outcome in self.outcomes if outcome.run is None)
-
-    def log_notes(self) -> list[str]:
-        """Return what the log says of itself, and how its scans were deskewed."""
-        logs = (item.run.log for item in self.results.values())
-        return list(dict.fromkeys(note for log in logs if log is not None for note in log.notes))
-
-    @property
-    def usable(self) -> FusionResult | None:
-        """The fusion where it may be used."""
-        return None if self.failure is not None else self.fusion.result
-
-    @property
-    def fused_mode(self) -> FusionMode | None:
-        """How the fused map came to be; None where there is none that may be used."""
-        if self.usable is None:
-            return None
-        if self.why_voted is not None:
-            return voting_config(self.config).fusion.vote.mode
-        return self.config.fusion.vote.mode
-
-    @property
-    def grid(self) -> OccupancyGrid | None:
-        """The fused map: cells in {-1, 0, 100}; None where there is none that may be used."""
-        return None if self.usable is None else self.usable.fused
-
-    def sentences(self) -> tuple[str, ...]:
-        """Return what was left out and what is doubtful; ``not_measured`` and ``failure`` apart."""
-        found = [f"no map: {outcome.name}: {outcome.reason}" for outcome in self.failed]
-        if self.fusion.result is not None:
-            found += left_out_sentences(self.fusion.result)
-        by_sentence: dict[str, list[str]] = {}
-        for name, result in self.results.items():
-            for sentence in result.run.warnings():
-                by_sentence.setdefault(sentence, []).append(name)
-        found += [f"{', '.join(names)}: {text}" for text, names in by_sentence.items()]
-        if self.no_verdict is not None:
-            found.append(f"the scans could not be asked about the paths: {self.no_verdict}")
-        if self.why_voted is not None:
-            why = f"the maps vote ({self.fused_mode}): {self.why_voted}"
-            found.append(f"the fused map is not drawn, {why}")
-        if self.fused_path is not None and self.fused_path.refined is None:
-            found.append(f"all paths count alike in the fused path: {self.no_verdict}")
-        return tuple(found)
 
 
 def run_log(  # noqa: PLR0915 - one page, a heading a stage
@@ -185,7 +90,7 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
     scan_odometry: str | Path | None = None,
     progress: Progress | None = None,
     warn: Warn = _LOG.warning,
-    prepare: Callable[[], None] | None = None,
+    prepare: Callable[[], None] = lambda: None,
 ) -> LogRun:
     """Map a log with several producers side by side, fuse their maps, and measure everything.
 
@@ -198,7 +103,7 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
         saved_paths: paths that were found with the saved maps, each in its map's frame and on the
             clock of the log, may be sparse: what the scans say of them counts as for the
             producers' own. Whose path each one is, its name tells; see ``slamfusion.jobs.cases``.
-        relations, odometry, truth, truth_map, scan_odometry: see ``LogFiles``.
+        relations, odometry, truth, truth_map, scan_odometry: see ``map_log``.
         scale: the true map is a floor plan with pixels of this size; see ``evaluate_maps``.
         prepare: called while the producers are at work; what it raises ends the run at once.
 
@@ -217,10 +122,14 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
         OSError: a file cannot be opened.
     """
     config = config or RUN_DEFAULTS
-    files = LogFiles(
-        Path(log), *map(as_path, (relations, odometry, truth, truth_map, scan_odometry))
-    )
     saved = SavedMaps.of(saved_maps, saved_paths)
+    given = (relations, odometry, truth, truth_map)
+    files = RunFiles(
+        Path(log),
+        *map(as_path, given),
+        scan_odometry=as_path(scan_odometry),
+        saved_maps=saved.files,
+    )
     names = config.run.producers or BUILT_IN
     starts = place_starts(
         config.start, (*names, *saved.names), config.fusion.reference, drive=names
@@ -233,14 +142,11 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
         SideBySide(names, files.log, config, files.scan_odometry) as work,
     ):
         config = work.config
-        if prepare is not None:
-            prepare()
+        prepare()
         true_map = None
-        if files.truth_map is not None:
-            true_map = load_truth(
-                files.truth_map, config, resolution=resolution, scale=scale, warn=warn
-            )
-        held = Yardsticks.read(config, files.relations, files.odometry, files.truth, warn)
+        if truth_map is not None:
+            true_map = load_truth(truth_map, config, resolution=resolution, scale=scale, warn=warn)
+        held = Yardsticks.read(config, relations, odometry, truth, warn)
         others, their_paths = saved.load(config, resolution, warn)
         device = device_for(config)
         outcomes = work.wait(stages.tell_slam)
@@ -284,93 +190,94 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
             starts=starts,
         )
         failure = _why_not_fused(fusion, outcomes, len(others), config)
-    usable = fusion.result if failure is None else None
 
-    # Lay the fused path into the fused map, and say which map and path to use.
+    # Align the fused path with the fused map, and recommend a map and a path.
     with stages.timed("path"):
-        if usable is None or fused_path is None:
+        if fusion.result is None or failure is not None:
             fused_path = None
-        else:
-            fused_path = fused_path.in_fused_frame(paths, usable)
+        elif fused_path is not None:
+            fused_path = fused_path.in_fused_frame(paths, fusion.result)
             measures = stages.attempt(
                 "the fused path", Measures(), held.measure, fused_path.trajectory, config, wheels
             )
             fused_path = replace(fused_path, measures=measures)
     with stages.timed("evidence"):
-        if fused_path is not None and fused_path.refined is not None:
-            evidence = fused_path.refined.evidence
-        recommendation = _recommend(
-            paths, evidence, fused_path, fusion, device, is_fused=usable is not None
-        )
-        if recommendation is not None:
-            every = paths if fused_path is None else {**paths, FUSED: fused_path.trajectory}
-            fault = laser_fault(wheels, every.get(recommendation.path or ""))
-            recommendation = replace(recommendation, laser_fault=fault)
-    if recommendation is not None and failure is not None and failure is fusion.failure:
-        words = f"{failure}; the fallback map is that of {recommendation.use}"
+        if fused_path is not None and fused_path.refinement is not None:
+            evidence = fused_path.refinement.evidence
+        is_fused = fusion.result is not None and failure is None
+        answer = _recommend(paths, evidence, fused_path, fusion, wheels, device, is_fused=is_fused)
+    if answer is not None and failure is not None and failure is fusion.failure:
+        words = f"{failure}; the fallback map is that of {answer.use}"
         failure = AlignmentError(words, fusion.pairs)
+    fusion = replace(fusion, failure=failure)
 
-    # Draw the map of all scans at the fused path, as the fused one or beside it.
+    # Draw the map of all scans at the fused path, as the fused one or next to it.
     drawn, why_voted = None, None
-    if usable is not None and (config.run.draw or config.fusion.vote.mode == DRAWN):
+    if fusion.usable is not None and (config.run.draw or config.fusion.vote.mode == DRAWN):
         with stages.timed("drawing"):
-            # What a map with a path knows is in the fused path.
+            # The fused path contains what a map with a path knows.
             voting = [name for name in saved.names if name not in paths]
             fusion, drawn, why_voted = draw_run(scans, fused_path, fusion, voting, config, device)
 
     # Measure everything by what is known.
     with stages.timed("errors"):
-        doubled = None if fusion.result is None else DoubledWalls.of(fusion.result, config)
-        fused = None if fusion.result is None else fusion.result.fused.with_name(FUSED)
+        fused = None
+        if (result := fusion.result) is not None:
+            fusion = replace(fusion, doubled=DoubledWalls.of(result, config))
+            fused = result.fused.with_name(FUSED)
         evaluations: tuple[Evaluation, ...] = ()
         if true_map is not None and grids:
-            measured = [grid for grid in (*grids, fused, drawn) if grid is not None]
+            more = (fused, drawn and drawn.grid)
+            measured = [*grids, *(grid for grid in more if grid is not None)]
             evaluations = stages.attempt(
                 "", (), evaluate_maps, measured, true_map, config, device,
                 scale=scale, progress=progress,
             )  # fmt: skip
         errors = {item.name: item for item in evaluations}
-        results = {
-            item.name: ProducerResult(
-                item.run,
-                stages.attempt(item.name, Measures(), measure_run, item.run, config, held),
-                errors.get(item.name),
-                item.device,
+        producers = [
+            FailedProducer.of(item)
+            if item.run is None
+            else RunProducer(
+                run=item.run,
+                measures=stages.attempt(item.name, Measures(), measure_run, item.run, config, held),
+                map_error=errors.get(item.name),
+                device=item.device,
+                process_time_s=item.time_s,
+                process_cpu_s=item.cpu_s,
             )
             for item in outcomes
-            if item.run is not None
-        }
-        found_paths = {
-            name: SavedPath(
+        ]
+        found_paths = [
+            SavedPath(
                 saved.paths[name],
                 path,
                 stages.attempt(name, Measures(), held.measure, path, config, wheels),
             )
             for name, path in their_paths.items()
-        }
+        ]
+    mode = (config if why_voted is None else voting_config(config)).fusion.vote.mode
     return LogRun(
-        files=files,
-        saved_maps=saved.files,
-        saved_paths=found_paths,
-        config=config,
-        outcomes=outcomes,
-        grids=grids,
+        producers=tuple(producers),
         fusion=fusion,
-        fused_path=fused_path,
-        drawn=drawn,
+        fused_mode=None if fusion.usable is None else mode,
         why_voted=why_voted,
-        results=results,
-        doubled=doubled,
-        evaluations=evaluations,
-        recommendation=recommendation,
-        evidence=evidence,
+        best_founded=None if answer is None or fusion.usable is not None else answer.use,
+        path_gaps=fusion.gaps,
+        recommendation=answer,
+        path_evidence=() if answer is None else answer.paths,
         no_verdict=no_verdict,
-        failure=failure,
+        fused_path=fused_path,
+        drawn_map=drawn,
+        saved_paths=found_paths,
+        evaluations=evaluations,
+        error=None if fusion.failure is None else str(fusion.failure),
         not_measured=tuple(stages.troubles),
-        stages=stages.times_s,
+        files=files,
+        made_with=Circumstances(config, device.name),
+        stages_s=stages.times_s,
+        evidence=evidence,
+        true_path=held.truth,
         begun_s=stages.begun_s,
-        device=device.name,
-        truth=held.truth,
     )
 
 
@@ -457,6 +364,47 @@ def score_all_paths(
     return evidence, None if evidence is not None else reason
 
 
+def fuse_drive(
+    grids: Sequence[OccupancyGrid],
+    paths: Mapping[str, Trajectory],
+    config: RunConfig,
+    device: ComputeDevice,
+    *,
+    shared_frame: bool,
+    progress: Progress | None = None,
+    starts: Starts | None = None,
+) -> DriveFusion:
+    """Fuse the maps of a drive, and compare the producers' paths in the fused frame.
+
+    All producers start in one frame, the odometry's. The search is full all the same: a lost
+    producer must not be pulled into place. The common frame only decides between answers that fit
+    equally well, in places that look alike under two turns. Saved maps may have any frame, so with
+    them the settings decide.
+
+    Returns:
+        The fusion; where there are too few maps, or too few fit, why there is none.
+    """
+    given = tuple(grids)
+    if len(given) < LEAST_FUSED:
+        failure = AlignmentError(f"a vote needs at least {LEAST_FUSED} maps, found {len(given)}")
+        return DriveFusion(given, fallback=given[0] if given else None, failure=failure)
+    fusion = config.fusion
+    if shared_frame:
+        fusion = replace(fusion, align=replace(fusion.align, shared_frame=True))
+    limit_m = config.run.path_gap_m
+    try:
+        result, gaps = fuse_with_paths(given, paths, fusion, limit_m, device, progress, starts)
+    except AlignmentError as error:
+        return DriveFusion(
+            given,
+            gaps=error.gaps if isinstance(error, PathsApartError) else (),
+            pairs=error.pairs,
+            fallback=fallback_map(given, error.pairs, loop_closers(paths)),
+            failure=error,
+        )
+    return DriveFusion(given, result, gaps)
+
+
 def _why_not_fused(
     fusion: DriveFusion, outcomes: Sequence[Outcome], saved: int, config: RunConfig
 ) -> SlamFusionError | None:
@@ -483,20 +431,24 @@ def _recommend(
     evidence: PathEvidence | None,
     fused_path: DrivePath | None,
     fusion: DriveFusion,
+    wheels: Trajectory | None,
     device: ComputeDevice,
     *,
     is_fused: bool,
 ) -> Recommendation | None:
     """Say which map and path to use; None if there is no map."""
     fallback = None if fusion.fallback is None else fusion.fallback.name
-    if evidence is None:
+    every = paths if fused_path is None else {**paths, FUSED: fused_path.trajectory}
+    if evidence is not None:
+        found = recommend(evidence, tuple(paths), device, fused=FUSED, frames=every)
+        is_one_map = found.path == FUSED or (is_fused and fused_path is None)
+        found = replace(found, use=FUSED if is_one_map else found.path)
+    elif (use := FUSED if is_fused else fallback) is not None:
         path = FUSED if fused_path is not None else fallback if fallback in paths else None
-        use = FUSED if is_fused else fallback
-        return None if use is None else Recommendation(use, path, fallback)
-    frames = paths if fused_path is None else {**paths, FUSED: fused_path.trajectory}
-    found = recommend(evidence, tuple(paths), device, fused=FUSED, frames=frames)
-    is_one_map = found.path == FUSED or (is_fused and fused_path is None)
-    return replace(found, use=FUSED if is_one_map else found.path)
+        found = Recommendation(use, path, fallback)
+    else:
+        return None
+    return replace(found, laser_fault=laser_fault(wheels, every.get(found.path or "")))
 
 
 def voting_config(config: RunConfig) -> RunConfig:
@@ -514,7 +466,7 @@ def draw_run(
     saved: Collection[str],
     config: RunConfig,
     device: ComputeDevice,
-) -> tuple[DriveFusion, OccupancyGrid | None, str | None]:
+) -> tuple[DriveFusion, DrawnMap | None, str | None]:
     """Draw the map of a log at the fused path, as the fused map or beside it, as was asked for.
 
     Returns:
@@ -525,10 +477,15 @@ def draw_run(
     result, why = fusion.result, NO_PATH
     if path is not None and result is not None:
         try:
-            layer = draw_like(scans(), path.trajectory, device, result.fused)
+            like = result.fused
+            layer = draw_map(
+                scans(), path.trajectory, device,
+                resolution=like.resolution, origin=like.origin, name=DRAWN,
+            )  # fmt: skip
             if is_mode:
                 result = fuse_with_drawn(result, layer, saved, config.fusion, device)
-            return replace(fusion, result=result), layer if config.run.draw else None, None
+            drawn = DrawnMap.of(layer, config) if config.run.draw else None
+            return replace(fusion, result=result), drawn, None
         except SlamFusionError as error:
             why = str(error)
     return fusion, None, why if is_mode else None

@@ -1,21 +1,31 @@
-"""What ``run_log`` made, in files: maps, paths, records, the report and the JSON document."""
+"""The record of a run, which is also its JSON document, and its files."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TypedDict, cast
+from typing import TYPE_CHECKING
 
-from slamfusion.config import FusionMode
-from slamfusion.evidence import RankedPath, Recommendation
+from slamfusion.align.records import Alignment, FusionResult
+from slamfusion.config import FusionMode, RunConfig
+from slamfusion.errors import SlamFusionError
+from slamfusion.evaluation import WallThickness, doubled_wall_share, wall_thickness
+from slamfusion.evidence import PathEvidence, RankedPath, Recommendation
 from slamfusion.fusion.path_check import PathGap
+from slamfusion.grid import OccupancyGrid
 from slamfusion.io import AtomicFiles, save_map, write_tum
-from slamfusion.jobs.documents import circumstances, record_bytes
-from slamfusion.jobs.fuse_documents import FusionJson, failure_document, fusion_document
-from slamfusion.jobs.fused_path import DrawnMapJson, FusedPathJson, drawn_document
-from slamfusion.jobs.map_log import LogFilesJson, ProducerJson, add_run
+from slamfusion.jobs.documents import number, record_bytes
+from slamfusion.jobs.fuse_documents import (
+    DoubledWalls,
+    FusionJson,
+    failure_document,
+    fusion_document,
+    left_out_sentences,
+)
+from slamfusion.jobs.fused_path import DrivePath
+from slamfusion.jobs.map_log import LogFiles, ProducerResult, add_run
 from slamfusion.jobs.outputs import (
     AGREEMENT,
     DRAWN,
@@ -32,35 +42,46 @@ from slamfusion.jobs.outputs import (
     remove_empty,
     report_files,
 )
-from slamfusion.jobs.records import CircumstancesJson, Evaluation
-from slamfusion.jobs.run import LogRun
-from slamfusion.jobs.trajectory import JudgedPathJson
-from slamfusion.slam.side_by_side import Outcome
+from slamfusion.jobs.records import Circumstances, Evaluation
+from slamfusion.jobs.saved_maps import SavedPath
+from slamfusion.jobs.trajectory import Measures
+from slamfusion.json_values import FLAT
+from slamfusion.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from slamfusion.slam.side_by_side import Outcome
 
 
-class RunProducerJson(ProducerJson):
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RunProducer(ProducerResult):
     """A producer of ``slamfusion run`` that made a map."""
 
-    failed: None
+    failed: None = None
     process_time_s: float
     """Wall time of its process, seconds."""
     process_cpu_s: float | None
     """Processor time of its process, seconds; null where unknown."""
 
+    def figures(self) -> list[tuple[str, str]]:
+        """Return the run's numbers with their names, and the time of its process."""
+        cpu = f"{number(self.process_time_s, 1)} s, {number(self.process_cpu_s, 1)} s of processor"
+        return [*super().figures(), ("process", cpu)]
 
-class FailedProducerJson(TypedDict):
+
+@dataclass(frozen=True, kw_only=True)
+class FailedProducer:
     """A producer of ``slamfusion run`` that made no map."""
 
     name: str
     """The producer."""
-    scans: None
-    scans_used: None
-    time_s: None
-    time_per_scan_ms: None
-    peak_memory_mb: None
-    health: None
-    map_error: None
-    files: Sequence[str]
+    scans: None = None
+    scans_used: None = None
+    time_s: None = None
+    time_per_scan_ms: None = None
+    peak_memory_mb: None = None
+    health: None = None
+    map_error: None = None
+    files: Sequence[Path] = ()
     """Empty: nothing was written."""
     failed: str
     """Why it made no map."""
@@ -68,51 +89,132 @@ class FailedProducerJson(TypedDict):
     """Wall time of its process, seconds."""
     process_cpu_s: float | None
     """Processor time of its process, seconds; null where unknown."""
+    detail: str = field(default="", repr=False)
+
+    @classmethod
+    def of(cls, outcome: Outcome) -> FailedProducer:
+        """Return the record of a process that made no map."""
+        return cls(
+            name=outcome.name,
+            failed=outcome.reason,
+            process_time_s=outcome.time_s,
+            process_cpu_s=outcome.cpu_s,
+            detail=outcome.detail,
+        )
 
 
-class RunFilesJson(LogFilesJson):
+@dataclass(frozen=True)
+class RunFiles(LogFiles):
     """The files that ``slamfusion run`` was given."""
 
-    saved_maps: Sequence[str]
+    saved_maps: tuple[Path, ...] = field(default=(), kw_only=True)
     """Saved maps that voted too."""
 
 
-class RunRecordDocument(RunFilesJson, CircumstancesJson):
+@dataclass(frozen=True, eq=False)
+class RunRecord:
     """The record NAME.json that ``slamfusion run`` writes next to a producer's map."""
 
-    producers: Sequence[RunProducerJson]
+    producers: tuple[RunProducer]
     """The one producer."""
+    files: RunFiles = field(metadata=FLAT)
+    made_with: Circumstances = field(metadata=FLAT)
 
 
-class RunDocument(FusionJson, RunFilesJson, CircumstancesJson):
-    """``slamfusion run``; exit code 1 where there is an ``error`` or something ``not_measured``."""
+@dataclass(frozen=True, eq=False)
+class DriveFusion:
+    """The result of fusing the maps of one drive.
 
-    producers: Sequence[RunProducerJson | FailedProducerJson]
+    Attributes:
+        grids: what was fused: the producers' maps, then the saved ones.
+        result: the fusion, also where it may not be used; None where nothing was fused.
+        gaps: between the producers' paths in the fused frame.
+        pairs: of the maps, where nothing was fused.
+        fallback: where nothing was fused, the map to go on with: whose walls the others' fit
+            best, or the only one; None where there is a fusion, or no map.
+        failure: why there is no fused map that may be used; None where there is one.
+        doubled: the doubled walls of the fusion; None where they were not measured.
+    """
+
+    grids: tuple[OccupancyGrid, ...] = ()
+    result: FusionResult | None = None
+    gaps: tuple[PathGap, ...] = ()
+    pairs: tuple[Alignment, ...] = ()
+    fallback: OccupancyGrid | None = None
+    failure: SlamFusionError | None = None
+    doubled: DoubledWalls | None = None
+
+    @property
+    def usable(self) -> FusionResult | None:
+        """The fusion where it may be used."""
+        return None if self.failure is not None else self.result
+
+    def to_json(self) -> FusionJson:
+        """Return the fusion for a JSON document."""
+        if self.usable is None:
+            return failure_document(self.grids, self.pairs, str(self.failure))
+        return fusion_document(self.usable, self.doubled)
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnMap:
+    """The map that is drawn from all scans at the fused path."""
+
+    grid: OccupancyGrid = field(repr=False)
+    file: Path | None
+    """Its YAML file."""
+    doubled_wall_share: float
+    """Share of its wall cells that have a parallel wall close by, 0 to 1."""
+    wall_thickness_m: WallThickness | None
+    """How thick its walls are; null when no wall is next to a free cell."""
+
+    @classmethod
+    def of(cls, grid: OccupancyGrid, config: RunConfig) -> DrawnMap:
+        """Measure a drawn map."""
+        normalize = config.fusion.normalize
+        doubled = doubled_wall_share(grid, normalize=normalize)
+        return cls(grid, None, doubled, wall_thickness(grid, normalize=normalize))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LogRun:
+    """``slamfusion run``; exit code 1 where there is an ``error`` or something ``not_measured``.
+
+    Attributes:
+        evidence: what the scans say of the paths; None where they could not be asked.
+        true_path: None without one.
+        begun_s: when it began, seconds of ``time.perf_counter``.
+        folder: of its files: the one asked for, or ``failed`` in it, where a run without a fused
+            map must not replace earlier results.
+    """
+
+    producers: tuple[RunProducer | FailedProducer, ...]
     """The outcome of each producer."""
-    fused: str | None
+    fusion: DriveFusion = field(metadata=FLAT)
+    fused: Path | None = None
     """YAML file of the fused map; null where nothing was fused."""
     fused_mode: FusionMode | None
     """How the fused map came to be: by which vote, or drawn; null where nothing was fused."""
     why_voted: str | None
     """Why the maps voted although --mode drawn was asked for; null: it was drawn, or not asked."""
-    agreement: str | None
+    agreement: Path | None = None
     """YAML file of the agreement map; null where nothing was fused."""
     best_founded: str | None
     """Where nothing was fused, the map of ``recommendation``; else null."""
     path_gaps: Sequence[PathGap]
     """Between every two producers' paths in the fused frame."""
+    recommendation: Recommendation | None
+    """What to use, and what to check first; null if no map was made."""
     path_evidence: Sequence[RankedPath]
     """What the scans say of each path, the recommended one first; empty where they could not be
     asked."""
-    recommendation: Recommendation | None
-    """What to use, and what to check first; null if no map was made."""
     no_verdict: str | None
     """Why the scans could not be asked; null where they were."""
-    fused_path: FusedPathJson | None
+    fused_path: DrivePath | None
     """The fused path; null where nothing was fused, or fewer than two producers have a path."""
-    drawn_map: DrawnMapJson | None
+    drawn_map: DrawnMap | None
     """The map drawn at the fused path; null where it was not asked for, or there is no path."""
-    saved_paths: Sequence[JudgedPathJson]
+    saved_paths: Sequence[SavedPath]
     """The paths that were given with saved maps, and their errors."""
     evaluations: Sequence[Evaluation]
     """Errors of the inputs and of the fused map, with --truth."""
@@ -120,188 +222,161 @@ class RunDocument(FusionJson, RunFilesJson, CircumstancesJson):
     """Why nothing was fused; null where it was."""
     not_measured: Sequence[str]
     """What could not be measured, a sentence each."""
-    report: str
+    report: Path | None = None
     """The page of the report."""
+    files: RunFiles = field(metadata=FLAT)
+    made_with: Circumstances = field(metadata=FLAT)
     stages_s: Mapping[str, float]
     """Wall time of each stage, seconds."""
-    time_s: float
+    time_s: float = 0.0
     """Wall time of all, seconds."""
+    evidence: PathEvidence | None = field(repr=False)
+    true_path: Trajectory | None = field(repr=False)
+    begun_s: float = field(repr=False)
+    folder: Path = field(default=Path(), repr=False)
 
+    @property
+    def results(self) -> dict[str, RunProducer]:
+        """The producers that made a map, by name, with their errors."""
+        made = (item for item in self.producers if isinstance(item, RunProducer))
+        return {item.name: item for item in made}
 
-@dataclass(frozen=True, eq=False)
-class SavedRun:
-    """Where the files of a run lie.
+    @property
+    def failed(self) -> tuple[FailedProducer, ...]:
+        """The producers that made no map."""
+        return tuple(item for item in self.producers if isinstance(item, FailedProducer))
 
-    Attributes:
-        folder: of the files: the one asked for, or ``failed`` in it, where a run without a fused
-            map must not replace earlier results.
-        files: of each producer, of the fused map, of the agreement, of the fused path, of the
-            run's record and of the report, by name.
-        stages: wall time of each stage in order, the report among them, seconds.
-        document: what ``slamfusion run`` prints as JSON.
-    """
+    @property
+    def paths(self) -> dict[str, tuple[Trajectory, Measures]]:
+        """The paths of the producers and of saved maps, by name, with their errors."""
+        made = {name: (item.run.trajectory, item.measures) for name, item in self.results.items()}
+        return made | {item.path.name: (item.path, item.measures) for item in self.saved_paths}
 
-    folder: Path
-    files: Mapping[str, Sequence[Path]]
-    stages: Mapping[str, float]
-    document: RunDocument
+    @property
+    def grids(self) -> tuple[OccupancyGrid, ...]:
+        """The producers' maps, then the saved ones."""
+        return self.fusion.grids
+
+    @property
+    def usable(self) -> FusionResult | None:
+        """The fusion where it may be used."""
+        return self.fusion.usable
+
+    @property
+    def grid(self) -> OccupancyGrid | None:
+        """The fused map: cells in {-1, 0, 100}; None where there is none that may be used."""
+        return None if self.usable is None else self.usable.fused
+
+    def log_notes(self) -> list[str]:
+        """Return what the log says of itself, and how its scans were deskewed."""
+        logs = (item.run.log for item in self.results.values())
+        return list(dict.fromkeys(note for log in logs if log is not None for note in log.notes))
+
+    def sentences(self) -> tuple[str, ...]:
+        """Return what was left out and what is doubtful; ``not_measured`` and ``error`` apart."""
+        found = [f"no map: {item.name}: {item.failed}" for item in self.failed]
+        if self.fusion.result is not None:
+            found += left_out_sentences(self.fusion.result)
+        by_sentence: dict[str, list[str]] = {}
+        for name, result in self.results.items():
+            for sentence in result.run.warnings():
+                by_sentence.setdefault(sentence, []).append(name)
+        found += [f"{', '.join(names)}: {text}" for text, names in by_sentence.items()]
+        if self.no_verdict is not None:
+            found.append(f"the scans could not be asked about the paths: {self.no_verdict}")
+        if self.why_voted is not None:
+            why = f"the maps vote ({self.fused_mode}): {self.why_voted}"
+            found.append(f"the fused map is not drawn, {why}")
+        if self.fused_path is not None and self.fused_path.refinement is None:
+            found.append(f"all paths count alike in the fused path: {self.no_verdict}")
+        return tuple(found)
 
 
 def load_report() -> None:
-    """Load what draws the report: where its extra is missing or damaged, that is said at once.
-
-    Raises:
-        SlamFusionError: matplotlib is missing or damaged.
-    """
+    """Import what draws the report, so that a missing or damaged extra is an error at once."""
     import slamfusion.jobs.run_page  # noqa: F401, PLC0415
 
 
-def save_run(run: LogRun, folder: str | Path, *, probabilities: bool = False) -> SavedRun:
-    """Write all files together or none; with them goes what an earlier run left beside them.
+def save_run(run: LogRun, folder: str | Path, *, probabilities: bool = False) -> LogRun:
+    """Write all files together or none, and remove those of an earlier run.
 
-    A map of an earlier run beside those of this one would be taken for one of them. So a run that
+    A map of an earlier run next to those of this one would be taken for one of them. So a run that
     made a fused map replaces everything of an earlier one, and one that made none writes into a
-    folder of its own where there are results already. That there was an earlier run is told by its
-    report; without one nothing is removed.
+    folder of its own where there are results already. An earlier run is known by its report;
+    without one nothing is removed.
 
     Args:
         folder: for the maps; ``report`` in it is that of the report.
         probabilities: also write the producers' maps with their probabilities.
 
     Returns:
-        Where everything lies.
+        The same with its files and the time of the report.
 
     Raises:
         SlamFusionError: a file cannot be written, or matplotlib is missing.
     """
+    from slamfusion.jobs.run_page import write_run_page  # noqa: PLC0415  (an extra)
+
     wanted = target = Path(folder)
     if run.usable is None:
         target = failure_folder(wanted, [*possible_outputs(wanted), *report_files(wanted / REPORT)])
+    written: list[Path] = []
     with AtomicFiles() as files:
-        written = _add_producers(files, run, target, probabilities=probabilities)
-        if run.usable is not None:
-            save_map(run.usable.fused, target / FUSED, files=files)
-            save_map(run.usable.agreement, target / AGREEMENT, mode="raw", files=files)
-            written |= {name: map_files(target / name) for name in (FUSED, AGREEMENT)}
-            if run.fused_path is not None:
-                write_tum(target / FUSED_PATH, run.fused_path.trajectory, files=files)
-                written[FUSED_PATH] = [target / FUSED_PATH]
-            if run.drawn is not None:
-                save_map(run.drawn, target / DRAWN, files=files)
-                written[DRAWN] = map_files(target / DRAWN)
-        began_s = time.perf_counter()
-        from slamfusion.jobs.run_page import write_run_page  # noqa: PLC0415  (an extra)
 
-        written[REPORT] = [write_run_page(run, target / REPORT, files)]
-        stages = {**run.stages, "report": time.perf_counter() - began_s}
-        document = run_document(run, written, stages, time.perf_counter() - run.begun_s)
+        def add_map(grid: OccupancyGrid, name: str, **options: str) -> Path:
+            save_map(grid, target / name, files=files, **options)  # type: ignore[arg-type]
+            written.extend(map_files(target / name))
+            return target / f"{name}.yaml"
+
+        producers = [
+            item
+            if isinstance(item, FailedProducer)
+            else _add_producer(files, run, item, target, probabilities=probabilities)
+            for item in run.producers
+        ]
+        written += [path for item in producers for path in item.files]
+        run = replace(run, producers=tuple(producers), folder=target)
         if run.usable is not None:
-            files.add(target / RUN_RECORD, record_bytes(document))
-            written[RUN_RECORD] = [target / RUN_RECORD]
-        kept = {path for paths in written.values() for path in paths}
-        kept |= set(report_files(target / REPORT))
+            run = replace(
+                run,
+                fused=add_map(run.usable.fused, FUSED),
+                agreement=add_map(run.usable.agreement, AGREEMENT, mode="raw"),
+            )
+        if run.fused_path is not None:
+            path = target / FUSED_PATH
+            write_tum(path, run.fused_path.trajectory, files=files)
+            written.append(path)
+            run = replace(run, fused_path=replace(run.fused_path, file=path))
+        if run.drawn_map is not None:
+            drawn = add_map(run.drawn_map.grid, DRAWN)
+            run = replace(run, drawn_map=replace(run.drawn_map, file=drawn))
+        began_s = time.perf_counter()
+        page = write_run_page(run, target / REPORT, files)
+        ended_s = time.perf_counter()
+        run = replace(
+            run,
+            report=page,
+            stages_s={**run.stages_s, "report": ended_s - began_s},
+            time_s=ended_s - run.begun_s,
+        )
+        if run.usable is not None:
+            files.add(target / RUN_RECORD, record_bytes(run))
+            written.append(target / RUN_RECORD)
+        kept = {*written, *report_files(target / REPORT), page}
         for path in earlier_results([target] if run.usable is None else [wanted, wanted / FAILED]):
             if path not in kept:
                 files.remove(path)
     if run.usable is not None:
         remove_empty(wanted / FAILED / REPORT, wanted / FAILED)
-    return SavedRun(target, written, stages, document)
+    return run
 
 
-def _add_producers(
-    files: AtomicFiles, run: LogRun, folder: Path, *, probabilities: bool
-) -> dict[str, list[Path]]:
-    """Stage the map, the path and the record of each producer; return their files by name."""
-    written = {}
-    for name, result in run.results.items():
-        stem = folder / name
-        written[name] = output_files(stem, probabilities=probabilities)
-        document: RunRecordDocument = {
-            "producers": [_made(run, name, written[name])],
-            **_files_read(run),
-            **circumstances(run.config, result.device),
-        }
-        add_run(files, result.run, document, stem, run.config, probabilities=probabilities)
-    return written
-
-
-# --- what is said -----------------------------------------------------------------------------
-
-
-def run_document(
-    run: LogRun, files: Mapping[str, Sequence[Path]], stages: Mapping[str, float], time_s: float
-) -> RunDocument:
-    """Return what ``slamfusion run`` prints as JSON.
-
-    Args:
-        stages: wall time of each stage, seconds.
-        time_s: wall time of all, seconds.
-    """
-    usable, failure, found = run.usable, run.failure, run.recommendation
-    path = run.fused_path
-    fusion = (
-        failure_document(run.grids, run.fusion.pairs, str(failure))
-        if usable is None or run.doubled is None
-        else fusion_document(usable, run.doubled)
-    )
-    return {
-        "producers": [
-            _record(run, outcome, files.get(outcome.name, ())) for outcome in run.outcomes
-        ],
-        **fusion,
-        "fused": None if usable is None else str(files[FUSED][0]),
-        "fused_mode": run.fused_mode,
-        "why_voted": run.why_voted,
-        "agreement": None if usable is None else str(files[AGREEMENT][0]),
-        "best_founded": None if usable is not None or found is None else found.use,
-        "path_gaps": run.fusion.gaps,
-        "recommendation": found,
-        "path_evidence": [] if found is None else found.paths,
-        "no_verdict": run.no_verdict,
-        "fused_path": None if path is None else path.to_json(files[FUSED_PATH][0]),
-        "drawn_map": None
-        if run.drawn is None
-        else drawn_document(run.drawn, files[DRAWN][0], run.config),
-        "saved_paths": [path.to_json() for path in run.saved_paths.values()],
-        "evaluations": run.evaluations,
-        "error": None if failure is None else str(failure),
-        "not_measured": run.not_measured,
-        "report": str(files[REPORT][0]),
-        **_files_read(run),
-        **circumstances(run.config, run.device),
-        "stages_s": stages,
-        "time_s": time_s,
-    }
-
-
-def _files_read(run: LogRun) -> RunFilesJson:
-    """Return the files that the run was given, for a JSON document."""
-    return {**run.files.to_json(), "saved_maps": [str(path) for path in run.saved_maps]}
-
-
-def _record(
-    run: LogRun, outcome: Outcome, files: Sequence[Path]
-) -> RunProducerJson | FailedProducerJson:
-    """Return a producer's record; of one that made no map, why."""
-    if outcome.name in run.results:
-        return _made(run, outcome.name, files)
-    unknown = cast("FailedProducerJson", dict.fromkeys(FailedProducerJson.__annotations__))
-    return {
-        **unknown,
-        "name": outcome.name,
-        "files": [],
-        "failed": outcome.reason,
-        "process_time_s": outcome.time_s,
-        "process_cpu_s": outcome.cpu_s,
-    }
-
-
-def _made(run: LogRun, name: str, files: Sequence[Path]) -> RunProducerJson:
-    """Return the record of a producer that made a map."""
-    outcome = next(item for item in run.outcomes if item.name == name)
-    return {
-        **run.results[name].to_json(files),
-        "failed": None,
-        "process_time_s": outcome.time_s,
-        "process_cpu_s": outcome.cpu_s,
-    }
+def _add_producer(
+    files: AtomicFiles, run: LogRun, made: RunProducer, folder: Path, *, probabilities: bool
+) -> RunProducer:
+    """Stage the map, the path and the record of a producer; return it with its files."""
+    stem, config = folder / made.name, run.made_with.config
+    made = replace(made, files=output_files(stem, probabilities=probabilities))
+    record = RunRecord((made,), run.files, Circumstances(config, made.device))
+    add_run(files, made.run, record, stem, config, probabilities=probabilities)
+    return made

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 from slamfusion.fusion.path_check import PathGap, moved_path
 from slamfusion.geometry import Pose2
 from slamfusion.io.files import AtomicFiles
-from slamfusion.jobs.map_log import ProducerResult
-from slamfusion.jobs.run import LogRun
+from slamfusion.jobs.run_files import LogRun
 from slamfusion.palette import NAMED, Rgb
 from slamfusion.report import paths
 from slamfusion.report.canvas import MARKS
@@ -40,52 +38,13 @@ from slamfusion.report.maps import (
     pairs_section,
     statistics_table,
 )
-from slamfusion.report.page import (
-    Banner,
-    Cell,
-    Fact,
-    Page,
-    Picture,
-    Section,
-    Table,
-    number,
-    write_page,
-)
+from slamfusion.report.page import Banner, Fact, Page, Picture, Section, Table, number, write_page
 from slamfusion.slam.common.mapper import Series
 from slamfusion.slam.common.runner import ProducerRun
 
-BYTES_PER_MB = 1e6
 # What the path is called that is made of those of the producers; among those of the verdict; and
 # the fused map among the doubled walls.
 FUSED_PATH, FUSED_VERDICT, FUSED_MAP = "fused path", "fused", "fused map"
-
-
-def _measured_paths(run: LogRun) -> list[MeasuredPath]:
-    """Return the producers' paths, those of saved maps and the fused one, with their errors."""
-    found = [(name, item.run.trajectory, item.measures) for name, item in run.results.items()]
-    found += [(name, item.path, item.measures) for name, item in run.saved_paths.items()]
-    if run.fused_path is not None:
-        found.append((FUSED_PATH, run.fused_path.trajectory, run.fused_path.measures))
-    return [
-        MeasuredPath(name, path, own.truth, own.relations, own.at_scans)
-        for name, path, own in found
-    ]
-
-
-def _colours(run: LogRun) -> dict[str, Rgb]:
-    """Return the colour of each input, of each path, and of the fused one, on all of the page."""
-    names = [*(grid.name for grid in run.grids), *run.results, *run.saved_paths]
-    return {**input_colours(names), FUSED_PATH: NAMED["fused"]}
-
-
-def _warnings(run: LogRun) -> list[tuple[str, str]]:
-    """Return what the user must see first, each a subject and a sentence."""
-    found = [
-        (f"{name}:", text) for name, item in run.results.items() for text in item.run.warnings()
-    ]
-    if run.why_voted is not None:
-        found.append(("Not drawn:", f"the maps vote ({run.fused_mode}): {run.why_voted}"))
-    return [*found, *(("Not measured:", trouble) for trouble in run.not_measured)]
 
 
 def write_run_page(run: LogRun, directory: str | Path, files: AtomicFiles | None = None) -> Path:
@@ -95,47 +54,63 @@ def write_run_page(run: LogRun, directory: str | Path, files: AtomicFiles | None
 
 def run_page(run: LogRun) -> Page:
     """Return the report of a run."""
-    config, result, normalize = run.config, run.fusion.result, run.config.fusion.normalize
-    sections = [_maps_section(run)]
+    config, result = run.made_with.config, run.fusion.result
+    normalize = config.fusion.normalize
+    # Each input and path has one colour on all of the page.
+    colours = input_colours([*(grid.name for grid in run.grids), *run.paths])
+    colours[FUSED_PATH] = NAMED["fused"]
+    found = run.paths
+    if run.fused_path is not None:
+        found[FUSED_PATH] = (run.fused_path.trajectory, run.fused_path.measures)
+    measured = [
+        MeasuredPath(name, path, own.truth, own.relations, own.at_scans)
+        for name, (path, own) in found.items()
+    ]
+    sections = [_maps_section(run, colours)]
     if run.results:
-        sections += [_drive_section(run), _paths_section(run)]
+        sections += [*_drive_section(run, colours), _paths_section(run, colours)]
     if run.recommendation is not None and run.evidence is not None:
-        sections.append(evidence_section(run.recommendation, run.evidence, _colours(run)))
+        sections.append(evidence_section(run.recommendation, run.evidence, colours))
     if result is not None:
         sections.append(alignment_section(result))
     elif run.fusion.pairs:
         sections.append(pairs_section(run.grids, run.fusion.pairs, normalize))
-    sections += errors_section(_measured_paths(run), _colours(run))
+    sections += errors_section(measured, colours)
     if run.evaluations:
         alignments = [item.alignment for item in run.evaluations]
         sections.append(error_section(run.evaluations, alignments))
     sections.append(_timings_section(run))
     if result is not None:
-        doubled = (
-            None if run.doubled is None else run.doubled.inputs | {FUSED_MAP: run.doubled.fused}
-        )
+        walls = run.fusion.doubled
+        doubled = None if walls is None else walls.inputs | {FUSED_MAP: walls.fused}
         sections.append(statistics_section(result, config, doubled))
     elif run.grids:
         tables = [statistics_table(run.grids, normalize)]
         sections.append(Section("The maps in numbers", tables=tables))
-    return Page("SLAMfusion run", _banner(run), _facts(run), sections, config, run.device)
+    facts = _facts(run, measured)
+    return Page("SLAMfusion run", _banner(run), facts, sections, config, run.made_with.device)
 
 
 def _banner(run: LogRun) -> Banner:
     """Say first what to use, then what to check, then what was fused and what was not."""
     answer, result = run.recommendation, run.fusion.result
     lines = [] if answer is None else place_lines(answer)
-    lines += [(f"{item.name} made no map:", item.reason) for item in run.failed]
+    lines += [(f"{item.name} made no map:", item.failed) for item in run.failed]
     if result is not None:
         lines += doubtful_lines(result)
-    lines += _warnings(run)
-    if result is None or run.failure is not None:
+    for name, item in run.results.items():
+        lines += [(f"{name}:", text) for text in item.run.warnings()]
+    if run.why_voted is not None:
+        lines.append(("Not drawn:", f"the maps vote ({run.fused_mode}): {run.why_voted}"))
+    lines += [("Not measured:", trouble) for trouble in run.not_measured]
+    if result is None or run.error is not None:
         headline = "Do not use this map" if result is not None else "Nothing was fused"
-        return Banner("bad", headline, [("", str(run.failure or "")), *lines])
+        return Banner("bad", headline, [("", run.error or ""), *lines])
     accepted = ", ".join(record.name for record in result.accepted)
-    lines.append(
-        ("Fused:", f"{accepted}{_how(run.fused_mode)}; in the frame of {result.reference}.")
-    )
+    how = f"by vote ({run.fused_mode})"
+    if run.fused_mode == "drawn":
+        how = "the map is drawn from all scans at the path fused of theirs"
+    lines.append(("Fused:", f"{accepted}; {how}; in the frame of {result.reference}."))
     total = len(result.inputs) - len(result.copies) + len(run.failed)
     fused = len(result.accepted)
     how_many = (
@@ -147,104 +122,65 @@ def _banner(run: LogRun) -> Banner:
     return Banner(answer.tone, answer.headline, lines)
 
 
-def _how(mode: str | None) -> str:
-    """Return how a fused map came to be, for the end of a list of names."""
-    if mode == "drawn":
-        return "; the map is drawn from all scans at the path fused of theirs"
-    return f"; by vote ({mode})" if mode else ""
-
-
-def _facts(run: LogRun) -> list[Fact]:
+def _facts(run: LogRun, measured: Sequence[MeasuredPath]) -> list[Fact]:
     """Return the numbers of the headline, the first four as cards."""
-    facts, more = [], []
-    result, all_gaps = run.fusion.result, run.fusion.gaps
-    if run.results:
-        first = next(iter(run.results.values())).run
-        stamps_s = first.trajectory.stamps_s
-        length_m = first.trajectory.path_length_m()
-        duration_s = float(stamps_s[-1] - stamps_s[0])
-        facts.append(Fact(f"{length_m:.0f} m in {duration_s:.0f} s", f"drive, {first.scans} scans"))
-    if result is not None:
-        facts += fusion_facts(result, len(run.failed))
-    if all_gaps:
-        widest = max(gap.median_m for gap in all_gaps)
+    facts = []
+    for item in list(run.results.values())[:1]:
+        path = item.run.trajectory
+        duration_s = float(path.stamps_s[-1] - path.stamps_s[0])
+        length = f"{path.path_length_m():.0f} m in {duration_s:.0f} s"
+        facts.append(Fact(length, f"drive, {item.run.scans} scans"))
+    if run.fusion.result is not None:
+        facts += fusion_facts(run.fusion.result, len(run.failed))
+    if run.path_gaps:
+        widest = max(gap.median_m for gap in run.path_gaps)
         what = "between the paths farthest apart in the fused map (median)"
-        more.append(Fact(f"{widest:.2f} m", what))
-    more += [fact for item in _measured_paths(run) for fact in error_facts(item)]
-    more += [Fact(f"{item.error:.1f}", f"{item.name}: map error [F16]") for item in run.evaluations]
-    time = Fact(f"{sum(run.stages.values()):.1f} s", "for all, without this page")
-    return [*facts, *more, time]
+        facts.append(Fact(f"{widest:.2f} m", what))
+    facts += [fact for path in measured for fact in error_facts(path)]
+    facts += [Fact(f"{one.error:.1f}", f"{one.name}: map error [F16]") for one in run.evaluations]
+    time = Fact(f"{sum(run.stages_s.values()):.1f} s", "for all, without this page")
+    return [*facts, time]
 
 
-def _places(run: LogRun) -> list[tuple[float, float]]:
-    """Return the places to check, x and y in metres in the fused frame."""
-    return [(place.x, place.y) for place in run.recommendation.check] if run.recommendation else []
-
-
-def _maps_section(run: LogRun) -> Section:
-    """Return the fused map, the inputs that voted, and where they agree."""
-    result = run.fusion.result
+def _maps_section(run: LogRun, colours: Mapping[str, Rgb]) -> Section:
+    """Return who was off when, the fused map, the inputs that voted, and where they agree."""
+    result, config, answer = run.fusion.result, run.made_with.config, run.recommendation
     if result is None:
-        pictures = [input_picture(grid, run.config.fusion.normalize) for grid in run.grids]
+        pictures = [input_picture(grid, config.fusion.normalize) for grid in run.grids]
         return Section("Maps", "Each map in its own frame.", pictures)
     voted = {record.name for record in result.accepted}
-    found = {name: item.run.trajectory for name, item in run.results.items()}
-    found |= {name: item.path for name, item in run.saved_paths.items()}
-    shown = {name: path for name, path in found.items() if name in voted}
+    shown = {name: path for name, (path, _) in run.paths.items() if name in voted}
     if run.fused_path is not None:
         shown[FUSED_VERDICT] = run.fused_path.trajectory
-    section = fused_section(result, shown_box(result), shown, _places(run))
+    places = [] if answer is None else [(place.x, place.y) for place in answer.check]
+    section = fused_section(result, shown_box(result), shown, places)
     fused, *others = section.pictures
-    inputs = inputs_section(result, run.config)
-    pictures = [*_strip(run), fused, *inputs.pictures, *others]
+    inputs = inputs_section(result, config)
+    pictures = [fused, *inputs.pictures, *others]
+    if answer is not None and run.evidence is not None:
+        strip = strip_picture(answer, path_colours(answer, run.evidence, colours))
+        pictures.insert(0, strip)
     return Section("Maps", inputs.text, pictures, layers=section.layers)
 
 
-def _strip(run: LogRun) -> list[Picture]:
-    """Return who was off when; empty if the scans could not be asked."""
-    answer, evidence = run.recommendation, run.evidence
-    if answer is None or evidence is None:
-        return []
-    return [strip_picture(answer, path_colours(answer, evidence, _colours(run)))]
-
-
-def _drive_section(run: LogRun) -> Section:
-    """Return the match scores, each SLAM's own quantities, and its warnings."""
-    colours, pictures = _colours(run), []
+def _drive_section(run: LogRun, colours: Mapping[str, Rgb]) -> list[Section]:
+    """Return the match scores and each SLAM's own quantities over time; empty without any."""
     runs = [item.run for item in run.results.values()]
     series = [(item.name, one) for item in runs for one in drawable(_over_time(item))]
-    if series:
-        figure = series_picture(
-            [one for _, one in series],
-            colours=[colours[name] for name, _ in series],
-            start_s=min(float(item.trajectory.stamps_s[0]) for item in runs),
-        )
-        legend = {name: colours[name] for name, _ in series}
-        title = "The SLAMs over the drive"
-        pictures.append(Picture("over-time", figure, title, "Dotted: limits.", legend=legend))
-    health = Table.of(
-        "Health",
-        runs,
-        {
-            "producer": lambda own: own.name,
-            "scans": lambda own: own.scans,
-            "used": lambda own: own.scans_used,
-            "mean match score": lambda own: number(own.health.mean_match_score),
-            "low scores": lambda own: own.health.low_scores,
-            "in a row": lambda own: own.low_in_a_row,
-            "warnings": lambda own: Cell(
-                "; ".join(own.warnings()) or "none", "bad" if own.warnings() else "good"
-            ),
-        },
-        "Match score: share of a scan's hits that fall on known walls. Low: below half of the "
-        "mean, the dotted line; a robot that gets lost has many in a row.",
+    if not series:
+        return []
+    figure = series_picture(
+        [one for _, one in series],
+        colours=[colours[name] for name, _ in series],
+        start_s=min(float(item.trajectory.stamps_s[0]) for item in runs),
     )
-    failed = [
-        [Cell(item.name), *[Cell("-", is_number=True)] * 5, Cell(f"no map: {item.reason}", "bad")]
-        for item in run.failed
-    ]
-    tables = [replace(health, rows=[*health.rows, *failed])]
-    return Section("Over the drive", pictures=pictures, tables=tables)
+    legend = {name: colours[name] for name, _ in series}
+    caption = (
+        "Match score: share of a scan's hits that fall on known walls; a robot that gets lost has "
+        "many low ones in a row. Dotted: limits."
+    )
+    picture = Picture("over-time", figure, "The SLAMs over the drive", caption, legend=legend)
+    return [Section("Over the drive", pictures=[picture])]
 
 
 def _over_time(run: ProducerRun) -> list[Series]:
@@ -260,71 +196,52 @@ def _over_time(run: ProducerRun) -> list[Series]:
 
 
 def _timings_section(run: LogRun) -> Section:
-    """Return what the producers and the stages took."""
-    producers = Table.of(
-        "Producers",
-        [(item, item.run, item.run.time_per_scan_ms()) for item in run.outcomes if item.run],
-        {
-            "producer": lambda own: own[0].name,
-            "ms a scan": lambda own: number(own[2]["mean"], 2),
-            "median": lambda own: number(own[2]["p50"], 2),
-            "95 %": lambda own: number(own[2]["p95"], 2),
-            "99.9 %": lambda own: number(own[2]["p999"], 2),
-            "longest": lambda own: number(own[2]["max"], 2),
-            "log to map [s]": lambda own: number(own[1].time_s, 1),
-            "process [s]": lambda own: number(own[0].time_s, 1),
-            "processor [s]": lambda own: number(own[0].cpu_s, 1),
-            "map and filter [MB]": lambda own: number(own[1].peak_memory_bytes / BYTES_PER_MB, 1),
-            "process [MB]": lambda own: number(own[1].process_peak_memory_bytes / BYTES_PER_MB, 0),
-        },
-        "The producers run side by side, so their times overlap. Process: imports, the device and "
-        "the kernels included.",
-    )
+    """Return the numbers of each SLAM, and the time of the stages."""
+    tables = []
+    if run.results:
+        shown = {name: dict(item.figures()) for name, item in run.results.items()}
+        rows = list(dict.fromkeys(row for own in shown.values() for row in own))
+        slams = {name: [own.get(row, "-") for row in rows] for name, own in shown.items()}
+        tables.append(
+            Table.of(
+                "The SLAMs",
+                range(len(rows)),
+                {"": rows.__getitem__} | {name: own.__getitem__ for name, own in slams.items()},
+                "They run side by side, so their times overlap. Process: imports, the device and "
+                "the kernels included.",
+            )
+        )
     stages = Table.of(
         "Stages",
-        run.stages.items(),
+        run.stages_s.items(),
         {"stage": lambda own: own[0], "s": lambda own: number(own[1], 2)},
         "The drawing of this page comes on top.",
     )
-    tables = [producers, stages] if producers.rows else [stages]
     text = "; ".join((f"The log: {run.files.log}", *run.log_notes()))
-    return Section("Timings and memory", text, tables=tables)
+    return Section("Timings and memory", text, tables=[*tables, stages])
 
 
 # --- paths -------------------------------------------------------------------------------------
 
 
-def _placed(run: LogRun) -> dict[str, Pose2]:
-    """Return the transform into the fused frame of each producer that voted."""
-    if run.fusion.result is None:
-        return {}
-    return {
+def _paths_section(run: LogRun, colours: Mapping[str, Rgb]) -> Section:
+    """Return all paths in the fused map, or each over its own map, and how far they are apart."""
+    config, pictures, tables = run.made_with.config, [], []
+    accepted = [] if run.fusion.result is None else run.fusion.result.accepted
+    placed = {
         record.name: Pose2() if record.alignment is None else record.alignment.transform
-        for record in run.fusion.result.accepted
+        for record in accepted
     }
-
-
-def _paths_section(run: LogRun) -> Section:
-    """Return all paths in the fused map, how far they are apart, and each over its own map."""
-    placed, gaps, pictures = _placed(run), run.fusion.gaps, []
-    together = [item for name, item in run.results.items() if name in placed]
-    if together:
-        pictures.append(_together(run, together, placed))
+    if placed.keys() & run.results.keys():
+        pictures.append(_together(run, placed, colours))
     else:
-        pictures += [
-            Picture(
-                f"path-{item.run.name}",
-                paths.path_picture(
-                    item.run.trajectory, grid=item.run.grid, normalize=run.config.fusion.normalize
-                ),
-                f"{item.run.name}: its path over its map",
-                legend=MARKS,
-            )
-            for item in run.results.values()
-        ]
-    tables = []
-    if gaps:
-        limit_m = run.config.run.path_gap_m
+        for name, item in run.results.items():
+            path, grid = item.run.trajectory, item.run.grid
+            picture = paths.path_picture(path, grid=grid, normalize=config.fusion.normalize)
+            title = f"{name}: its path over its map"
+            pictures.append(Picture(f"path-{name}", picture, title, legend=MARKS))
+    if gaps := run.path_gaps:
+        limit_m = config.run.path_gap_m
         over_time = [
             Series(
                 f"{gap.a} to {gap.b}",
@@ -334,16 +251,13 @@ def _paths_section(run: LogRun) -> Section:
             )
             for gap in gaps
         ]
-        start_s = float(gaps[0].stamps_s[0])
-        pictures.append(
-            Picture(
-                "path-gaps",
-                series_picture(over_time, start_s=start_s),
-                "Distance between the paths in the fused map",
-                "All SLAMs ran on one robot: where two paths part, one of them or the alignment of "
-                "their maps is wrong.",
-            )
+        figure = series_picture(over_time, start_s=float(gaps[0].stamps_s[0]))
+        title = "Distance between the paths in the fused map"
+        caption = (
+            "All SLAMs ran on one robot: where two paths part, one of them or the alignment of "
+            "their maps is wrong."
         )
+        pictures.append(Picture("path-gaps", figure, title, caption))
         tables.append(_gaps_table(gaps, limit_m))
     return Section("Paths", "", pictures, tables)
 
@@ -367,43 +281,39 @@ def _gaps_table(gaps: Sequence[PathGap], limit_m: float) -> Table:
     )
 
 
-def _together(
-    run: LogRun, together: Sequence[ProducerResult], placed: Mapping[str, Pose2]
-) -> Picture:
+def _together(run: LogRun, placed: Mapping[str, Pose2], colours: Mapping[str, Rgb]) -> Picture:
     """Return the paths whose maps were fused, with truth and odometry, in the fused map."""
-    first, colours, result = together[0], _colours(run), run.fusion.result
-    found = {item.run.name: item.run.trajectory for item in together}
-    found |= {name: item.path for name, item in run.saved_paths.items() if name in placed}
-    shown = {name: moved_path(path, placed[name]) for name, path in found.items()}
+    result = run.fusion.result
+    shown = {
+        name: moved_path(path, placed[name])
+        for name, (path, _) in run.paths.items()
+        if name in placed
+    }
     # The first lies on top; the lower ones are wider, so that each is seen where all are one line.
     step = 1.2 / max(1, len(shown) - 1)
     lines = [
         paths.Line(path, name, colours[name], 1.0 + step * index)
         for index, (name, path) in reversed(list(enumerate(shown.items())))
     ]
-    top, sentences = shown[first.run.name], []
     if run.fused_path is not None:
-        lines.append(
-            paths.Line(run.fused_path.trajectory, FUSED_PATH, colours[FUSED_PATH], width=0.8)
-        )
-    if run.truth is not None and (errors := first.measures.truth) is not None:
-        motion = placed[first.run.name].compose(errors.pose_truth_estimate.inverse())
-        lines.append(paths.truth_line(moved_path(run.truth, motion)))
+        path = run.fused_path.trajectory
+        lines.append(paths.Line(path, FUSED_PATH, colours[FUSED_PATH], width=0.8))
+    name, top = next(iter(shown.items()))
+    first, sentences = run.results[name], []
+    if run.true_path is not None and (errors := first.measures.truth) is not None:
+        motion = placed[name].compose(errors.pose_truth_estimate.inverse())
+        lines.append(paths.truth_line(moved_path(run.true_path, motion)))
         sentences.append("The truth is aligned with the whole first path.")
     if first.run.odometry is not None:
         lines.insert(0, paths.odometry_line(paths.laid_on_start(first.run.odometry, top)))
         sentences.append(
             "Raw odometry is aligned with its start; drift far beyond the picture is cut off."
         )
-    return Picture(
-        "paths",
-        paths.paths_picture(
-            lines,
-            top,
-            grid=None if result is None else result.fused,
-            normalize=run.config.fusion.normalize,
-        ),
-        "The paths over the fused map",
-        " ".join(sentences),
-        legend=paths.paths_legend(lines),
+    picture = paths.paths_picture(
+        lines,
+        top,
+        grid=None if result is None else result.fused,
+        normalize=run.made_with.config.fusion.normalize,
     )
+    title, text = "The paths over the fused map", " ".join(sentences)
+    return Picture("paths", picture, title, text, legend=paths.paths_legend(lines))

@@ -100,7 +100,7 @@ def candidates(
     """Return every path that may be chosen, and what the even scans say of each."""
     evidence = score_paths(judged_scans(even), paths, device)
     laid = lay_paths(paths)
-    refined = fuse_weighed_paths(paths, evidence, device).refined
+    refined = fuse_weighed_paths(paths, evidence, device).refinement
     assert refined is not None
     found = {
         **paths,

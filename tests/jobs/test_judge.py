@@ -85,8 +85,8 @@ def test_one_path_is_made_of_all_and_judged_beside_them(drive: Path, tmp_path: P
     check_document(plain(document), "judge")
     fused = document["fused_path"]
     assert fused is not None
-    assert (fused["file"], fused["poses"]) == (str(out), len(TRUTH))
-    assert fused["trust"]["bent"] < 0.9 < fused["trust"]["sparse"]
+    assert (fused.file, fused.poses) == (out, len(TRUTH))
+    assert fused.trust["bent"] < 0.9 < fused.trust["sparse"]
     # Nothing is written before it is asked for.
     assert not out.exists()
     write_fused_path(found)

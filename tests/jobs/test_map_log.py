@@ -29,9 +29,9 @@ def test_a_log_is_mapped_measured_saved_and_gone_on_with(place: Path, tmp_path: 
     assert told[0][0] == "graph"
     assert told[-1][1] <= told[-1][2]
     record = save_mapped_log(begun, tmp_path / "begun", state=tmp_path / "state")
-    assert record["producers"][0]["files"] == [
-        str(tmp_path / f"begun{end}") for end in (".yaml", ".pgm", ".tum", ".json")
-    ] + [str(tmp_path / "state")]
+    assert list(record.result.files) == [
+        tmp_path / f"begun{end}" for end in (".yaml", ".pgm", ".tum", ".json")
+    ] + [tmp_path / "state"]
 
     ended = map_log(
         place / "flat.log", "graph", truth=str(place / "truth.tum"),
@@ -41,10 +41,11 @@ def test_a_log_is_mapped_measured_saved_and_gone_on_with(place: Path, tmp_path: 
     assert ended.failure is None
     assert ended.result.run.known_scans == 20
     assert len(ended.trajectory) == 32
-    document = save_mapped_log(ended, tmp_path / "end" / "map", report=tmp_path / "report")
-    check_document(plain(document), "slam")
-    assert document["producers"][0]["ate"].rmse < 0.1
-    assert document["producers"][0]["map_error"] is not None
+    saved = save_mapped_log(ended, tmp_path / "end" / "map", report=tmp_path / "report")
+    check_document(plain(saved), "slam")
+    assert saved.result.measures.truth is not None
+    assert saved.result.measures.truth.ate.rmse < 0.1
+    assert saved.result.map_error is not None
     assert (tmp_path / "report" / "report.html").exists()
     assert load_map(tmp_path / "end" / "map.yaml").cells.shape == ended.grid.cells.shape
 

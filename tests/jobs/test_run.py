@@ -10,26 +10,27 @@ import pytest
 from scipy.spatial import KDTree
 
 from slamfusion.compute import NumpyDevice
-from slamfusion.errors import ConfigError, SlamFusionError, StartError
+from slamfusion.errors import AlignmentError, ConfigError, SlamFusionError, StartError
 from slamfusion.evaluation.distances import wall_centres
-from slamfusion.evidence import FusedPath, judged_scans, score_paths
+from slamfusion.evidence import judged_scans, score_paths
 from slamfusion.evidence.drawn_map import drawn_scans
 from slamfusion.fusion.path_check import moved_path
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid, trinary_cells
 from slamfusion.io import load_map, open_log, read_trajectory, save_map, write_carmen, write_tum
 from slamfusion.jobs.cases import CaseFile
-from slamfusion.jobs.fuse_drive import DriveFusion
 from slamfusion.jobs.fused_path import DrivePath
 from slamfusion.jobs.inputs import RUN_DEFAULTS
-from slamfusion.jobs.run import WHOLE, LogRun, draw_run, run_log, score_all_paths
-from slamfusion.jobs.run_files import SavedRun, save_run
-from slamfusion.jobs.run_many import LogTask, RunOfLog
+from slamfusion.jobs.run import WHOLE, draw_run, fuse_drive, run_log, score_all_paths
+from slamfusion.jobs.run_files import DriveFusion, FailedProducer, LogRun, RunProducer, save_run
+from slamfusion.jobs.run_many import LogTask, outcome
 from slamfusion.jobs.saved_maps import SavedMaps
 from slamfusion.json_values import plain
 from slamfusion.slam.side_by_side import Outcome
 from slamfusion.trajectory import Trajectory
 from tests.evidence.rooms import circuit, recorded
+from tests.fusion.drawings import building
+from tests.jobs.maps import CONFIG, device
 from tests.slam.drives import CELL_M, draw_flat
 from tests.support.documents import check_document
 from tests.support.written_maps import fits, written_map
@@ -61,32 +62,30 @@ def test_the_main_job_from_a_log_to_files(
     assert len(set(whole)) > 5
     assert (whole[0], round(whole[-1], 2)) == (0, 0.92)  # the report follows
     assert [grid.name for grid in run.grids] == ["tinyslam", "graph"]
-    assert run.failure is None
+    assert run.error is None
     assert run.grid is not None
     saved = save_run(run, tmp_path / "out")
-    check_document(plain(saved.document), "run")
+    check_document(plain(saved), "run")
     assert saved.folder == tmp_path / "out"
     wanted = ["producers", "evidence", "path", "fusion", "drawing", "errors", "report"]
-    assert list(saved.stages) == wanted
+    assert list(saved.stages_s) == wanted
     answer = run.recommendation
     assert answer is not None
-    assert saved.document["recommendation"] is answer
+    assert saved.recommendation is answer
     assert (answer.use, answer.path) == ("fused", "fused")
     assert answer.best_single in {"tinyslam", "graph"}
-    assert "verdict" not in saved.document
-    evidence = saved.document["path_evidence"]
-    assert {item.name for item in evidence} == {"tinyslam", "graph", "fused"}
+    assert {item.name for item in saved.path_evidence} == {"tinyslam", "graph", "fused"}
     page = (tmp_path / "out" / "report" / "report.html").read_text(encoding="utf-8")
     assert f"<h1>{answer.headline}</h1>" in page
     assert page.index("<strong>Single SLAM:</strong>") < page.index("maps were fused")
     assert list((tmp_path / "out" / "report").glob("*-evidence.png"))
     assert load_map(tmp_path / "out" / "fused.yaml").cells.tolist() == run.grid.cells.tolist()
-    assert_path_and_drawing_lie_on_the_fused_map(run, saved, tmp_path / "out")
+    assert_path_and_drawing_lie_on_the_fused_map(saved, tmp_path / "out")
 
-    assert_all_that_is_doubtful_is_told(run, saved)
+    assert_all_that_is_doubtful_is_told(saved)
 
 
-def assert_all_that_is_doubtful_is_told(run: LogRun, saved: SavedRun) -> None:
+def assert_all_that_is_doubtful_is_told(run: LogRun) -> None:
     """Of several logs as of one: what the job says of this run, had it gone less well."""
     assert run.usable is not None
     first, second = run.usable.inputs
@@ -95,21 +94,22 @@ def assert_all_that_is_doubtful_is_told(run: LogRun, saved: SavedRun) -> None:
         replace(second, copy_of=first.name, reason="a copy"),
     ]
     fusion = replace(run.fusion, result=replace(run.usable, inputs=left_out))
-    results = {
-        name: replace(result, run=replace(result.run, low_in_a_row=8))
-        for name, result in run.results.items()
-    }
+    producers = [
+        replace(item, run=replace(item.run, low_in_a_row=8))
+        for item in run.producers
+        if isinstance(item, RunProducer)
+    ]
+    died = FailedProducer.of(Outcome("gmapping", None, "it was killed", 1.0))
     less = replace(
         run,
-        outcomes=(*run.outcomes, Outcome("gmapping", None, "it was killed", "")),
+        producers=(*producers, died),
         fusion=fusion,
-        results=results,
         no_verdict="no scan saw a wall twice",
         why_voted="there is no path",
         not_measured=("the fused path: no pose in time",),
     )
-    task = LogTask(Path("flat.log"), saved.folder)
-    found = RunOfLog.of(task, less, saved, ["flat.yaml: it is odd"])
+    task = LogTask(Path("flat.log"), run.folder)
+    found = outcome(task, less, ["flat.yaml: it is odd"])
     assert found.not_measured == less.not_measured
     assert (found.recommendation, found.error) == (run.recommendation, None)
     (stopped,) = [text for text in found.warnings if "tracking may be lost" in text]
@@ -124,15 +124,16 @@ def assert_all_that_is_doubtful_is_told(run: LogRun, saved: SavedRun) -> None:
     ]
 
 
-def assert_path_and_drawing_lie_on_the_fused_map(run: LogRun, saved: SavedRun, out: Path) -> None:
+def assert_path_and_drawing_lie_on_the_fused_map(run: LogRun, out: Path) -> None:
     # Near the producers' paths as these were laid into it.
     path = read_trajectory(out / "fused.tum")
-    told = saved.document["fused_path"]
+    told = run.fused_path
     assert told is not None
-    assert told["file"] == str(out / "fused.tum")
-    assert (told["poses"], set(told["trust"])) == (32, {"tinyslam", "graph"})
-    assert max(told["trust"].values()) == 1.0
-    assert told["ate"].rmse < 0.05
+    assert told.file == out / "fused.tum"
+    assert (told.poses, set(told.trust)) == (32, {"tinyslam", "graph"})
+    assert max(told.trust.values()) == 1.0
+    assert told.measures.truth is not None
+    assert told.measures.truth.ate.rmse < 0.05
     assert run.usable is not None
     assert run.grid is not None
     for record in run.usable.accepted:
@@ -143,14 +144,16 @@ def assert_path_and_drawing_lie_on_the_fused_map(run: LogRun, saved: SavedRun, o
 
     # The drawn map lies on the lattice of the fused one, and shows the same place.
     drawn = load_map(out / "drawn.yaml")
-    written = saved.document["drawn_map"]
+    written = run.drawn_map
     assert written is not None
-    assert written["file"] == str(out / "drawn.yaml")
-    assert written["wall_thickness_m"] is not None
-    assert written["wall_thickness_m"].median < 0.2
+    assert written.file == out / "drawn.yaml"
+    assert written.wall_thickness_m is not None
+    assert written.wall_thickness_m.median < 0.2
     assert drawn.resolution == run.grid.resolution
-    walls = wall_centres(trinary_cells(drawn.cells, run.config.fusion.normalize), drawn)
-    voted = wall_centres(trinary_cells(run.grid.cells, run.config.fusion.normalize), run.grid)
+    walls = wall_centres(trinary_cells(drawn.cells, run.made_with.config.fusion.normalize), drawn)
+    voted = wall_centres(
+        trinary_cells(run.grid.cells, run.made_with.config.fusion.normalize), run.grid
+    )
     assert np.median(KDTree(voted).query(walls)[0]) < 0.06
 
 
@@ -181,8 +184,9 @@ def test_a_saved_map_is_searched_around_its_start_in_the_frame_of_the_drive(
 
     Where it fits it votes beside the drawn map, which keeps all that it knows.
     """
-    grid = told_run[0].drawn
-    assert grid is not None
+    drawn = told_run[0].drawn_map
+    assert drawn is not None
+    grid = drawn.grid
     moved = Pose2(6.0, -2.0, 1.0)
     save_map(replace(grid, origin=moved.compose(grid.origin)), place / "saved")
     right = moved.inverse()
@@ -191,12 +195,10 @@ def test_a_saved_map_is_searched_around_its_start_in_the_frame_of_the_drive(
     assert run.usable is not None
     became = {record.name: record.accepted for record in run.usable.inputs}
     assert became == {"tinyslam": True, "graph": True, "saved": True}
-    assert (run.fused_mode, run.why_voted, run.drawn) == ("drawn", None, None)
+    assert (run.fused_mode, run.why_voted, run.drawn_map) == ("drawn", None, None)
     assert set(run.usable.weights) == {"drawn", "saved"}
     assert_all_of_the_saved_map_is_there(run)
-    document = save_run(run, tmp_path / "out").document
-    check_document(plain(document), "run")
-    assert document["fused_mode"] == "drawn"
+    check_document(plain(save_run(run, tmp_path / "out")), "run")
     assert (
         load_map(tmp_path / "out" / "fused.yaml").cells.tolist() == run.usable.fused.cells.tolist()
     )
@@ -226,7 +228,7 @@ def test_a_saved_map_brings_its_path(place: Path, tmp_path: Path) -> None:
         saved_maps=[tmp_path / "karto" / "map.yaml"],
         saved_paths=[CaseFile(tmp_path / "karto" / "poses.tum")],
     )  # fmt: skip
-    assert run.not_measured == ()
+    assert not run.not_measured
     assert run.recommendation is not None
     assert {path.name for path in run.recommendation.paths} == {"graph", "map", "fused"}
     assert run.recommendation.best_single in {"graph", "map"}
@@ -239,12 +241,13 @@ def test_a_saved_map_brings_its_path(place: Path, tmp_path: Path) -> None:
     (gap,) = run.fusion.gaps
     assert {gap.a, gap.b} == {"graph", "map"}
     assert gap.median_m < 0.1
-    document = save_run(run, tmp_path / "out").document
-    check_document(plain(document), "run")
-    (told,) = document["saved_paths"]
-    assert (told["name"], told["poses"]) == ("map", 11)
-    assert told["ate"].rmse == pytest.approx(0.0, abs=1e-6)
-    own = next(item for item in document["path_evidence"] if item.name == "map")
+    saved = save_run(run, tmp_path / "out")
+    check_document(plain(saved), "run")
+    (told,) = saved.saved_paths
+    assert (told.path.name, len(told.path)) == ("map", 11)
+    assert told.measures.truth is not None
+    assert told.measures.truth.ate.rmse == pytest.approx(0.0, abs=1e-6)
+    own = next(item for item in saved.path_evidence if item.name == "map")
     assert own.own_poses_share == pytest.approx(1.0 / 3.0, abs=0.05)
     assert own.covered_share > 0.9
     page = (tmp_path / "out" / "report" / "report.html").read_text(encoding="utf-8")
@@ -292,9 +295,9 @@ def test_a_path_belongs_to_a_saved_map(place: Path) -> None:
 def test_where_nothing_can_be_drawn_the_maps_vote(place: Path) -> None:
     scans = drawn_scans(open_log(place / "flat.log"))
     a_map = written_map("a", "|#..#|")
-    vote = DriveFusion(fits(a_map, a_map.with_name("b")))
+    vote = DriveFusion((), fits(a_map, a_map.with_name("b")))
     late = Trajectory(np.array([1e6, 1e6 + 1.0]), np.zeros((2, 3)), "fused")
-    no_scan = DrivePath(FusedPath(late, ("a", "b"), np.zeros((2, 2))), {})
+    no_scan = DrivePath(trajectory=late, poses=2, trust={})
     for path, why in (
         (None, "fewer than two producers have a path"),
         (no_scan, "give a path of this"),
@@ -313,3 +316,21 @@ def test_what_goes_wrong_while_preparing_ends_the_run(place: Path) -> None:
 
     with pytest.raises(SlamFusionError, match="no plots here"):
         run_log(place / "flat.log", prepare=prepare)
+
+
+def test_where_nothing_is_fused_a_map_to_go_on_with_is_named() -> None:
+    grids = [building(3).with_name("a"), building(4).with_name("b")]
+    paths = {
+        name: Trajectory(np.arange(2.0), np.array([[0.0, 0, 0], [9.0 * index, 0, 0]]))
+        for index, name in enumerate("ab")
+    }
+    none = fuse_drive([], {}, CONFIG, device(), shared_frame=True)
+    assert (none.result, none.fallback) == (None, None)
+    assert "needs at least 2 maps, found 0" in str(none.failure)
+    single = fuse_drive(grids[:1], paths, CONFIG, device(), shared_frame=True)
+    assert single.fallback is grids[0]
+    apart = fuse_drive(grids, paths, CONFIG, device(), shared_frame=False)
+    assert apart.result is None
+    assert apart.fallback in grids
+    assert len(apart.pairs) == 1
+    assert isinstance(apart.failure, AlignmentError)

@@ -107,28 +107,23 @@ def test_a_scheduler_is_for_several_logs(
 def test_an_error_of_another_machine_names_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def elsewhere(task: run_many.LogTask, *_: object) -> tuple[RunOfLog, str]:
-        error = "no such file" if task.log.stem == "a" else None
-        return RunOfLog(log=task.log, error=error), "robot-7"
-
-    monkeypatch.setattr(run_many, "run_one", elsewhere)
-    tasks = log_tasks([tmp_path / "a.log", tmp_path / "b.log"], tmp_path)
+    near, far = log_tasks([tmp_path / "a.log", tmp_path / "b.log"], tmp_path)
+    monkeypatch.setattr(socket, "gethostname", lambda: "robot-7")
     told: list[tuple[str, float, int]] = []
-    first, second = run_logs(
-        tasks, replace(RUN_DEFAULTS), progress=lambda *words: told.append(words)
-    )
-    assert (first.error, second.error) == ("no such file (on robot-7)", None)
-    assert told == [("logs", 0, 2), ("logs", 1, 2), ("logs", 2, 2)]
+    tasks = [replace(near, host="robot-7"), far]
+    first, second = run_logs(tasks, RUN_DEFAULTS, progress=lambda *words: told.append(words))
+    assert str(first.error).endswith("a.log'")
+    assert str(second.error).endswith("b.log' (on robot-7)")
+    assert (told[0], told[-1]) == (("logs", 0, 2), ("logs", 2, 2))
 
 
 def test_what_could_not_be_measured_is_told_by_the_code_as_of_one_log(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def mapped(task: run_many.LogTask, *_: object) -> tuple[RunOfLog, str]:
+    def mapped(task: run_many.LogTask, *_: object) -> RunOfLog:
         troubles = ("the fused path: no pose in time",) if task.log.stem == "a" else ()
         answer = Recommendation("graph", "graph", "graph")
-        done = RunOfLog(log=task.log, recommendation=answer, not_measured=troubles, time_s=1.0)
-        return done, socket.gethostname()
+        return RunOfLog(log=task.log, recommendation=answer, not_measured=troubles, time_s=1.0)
 
     monkeypatch.setattr(run_many, "run_one", mapped)
     words = ["run", "a.log", "b.log", "-o", str(tmp_path), "--json"]

@@ -14,15 +14,12 @@ import pytest
 from slamfusion.config import NormalizeConfig, RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.evaluation import Relations, compare_to_truth, relation_errors, trajectory_errors
-from slamfusion.evidence import FusedPath
 from slamfusion.fusion.path_check import moved_path, path_gaps
 from slamfusion.geometry import Pose2
 from slamfusion.jobs.fuse_documents import DoubledWalls
-from slamfusion.jobs.fuse_drive import DriveFusion
 from slamfusion.jobs.fused_path import DrivePath
-from slamfusion.jobs.map_log import LogFiles, ProducerResult
-from slamfusion.jobs.records import Evaluation
-from slamfusion.jobs.run import LogRun
+from slamfusion.jobs.records import Circumstances, Evaluation
+from slamfusion.jobs.run_files import DriveFusion, FailedProducer, LogRun, RunFiles, RunProducer
 from slamfusion.jobs.run_page import run_page, write_run_page
 from slamfusion.jobs.trajectory import Measures
 from slamfusion.palette import NAMED, OTHERS
@@ -71,43 +68,51 @@ def everything() -> LogRun:
         )
         for grid in (room("room 0", 0), room("fused", 7))
     ]
-    died = Outcome("gmapping", None, f"its process was killed {NASTY}", 1.0)
+    died = FailedProducer.of(Outcome("gmapping", None, f"its process was killed {NASTY}", 1.0))
+    producers = [
+        RunProducer(
+            run=run,
+            measures=Measures(truth=trajectory_errors(run.trajectory, truth, CONFIG.trajectory)),
+            map_error=None,
+            device="numpy",
+            process_time_s=4.0,
+            process_cpu_s=3.5,
+        )
+        for run in runs
+    ]
     errors = trajectory_errors(path, truth, CONFIG.trajectory)
     return LogRun(
-        files=LogFiles(Path(NASTY)),
-        saved_maps=(),
-        saved_paths={},
-        config=CONFIG,
-        outcomes=(*(Outcome(run.name, run, "", 4.0, 3.5, "numpy") for run in runs), died),
-        grids=grids,
-        fusion=DriveFusion(result, gaps),
+        files=RunFiles(Path(NASTY)),
+        saved_paths=(),
+        made_with=Circumstances(CONFIG, "numpy"),
+        producers=(*producers, died),
+        fusion=DriveFusion(
+            grids,
+            result,
+            gaps,
+            doubled=DoubledWalls(dict.fromkeys([*NAMES, NASTY], 0.125), 0.125, 0.0),
+        ),
+        fused_mode="consensus",
+        path_gaps=gaps,
+        path_evidence=(),
+        best_founded=None,
         fused_path=DrivePath(
-            FusedPath(path, NAMES, np.zeros((3, len(path)))),
-            {},
+            trajectory=path,
+            poses=len(path),
+            trust={},
             measures=Measures(relation_errors(path, standing(path), 0.01), truth=errors),
         ),
-        drawn=None,
+        drawn_map=None,
         why_voted=None,
-        results={
-            run.name: ProducerResult(
-                run,
-                Measures(truth=trajectory_errors(run.trajectory, truth, CONFIG.trajectory)),
-                None,
-                "numpy",
-            )
-            for run in runs
-        },
-        doubled=DoubledWalls(dict.fromkeys([*NAMES, NASTY], 0.125), 0.125, 0.0),
         evaluations=tuple(evaluations),
         recommendation=None,
         evidence=None,
         no_verdict=None,
-        failure=None,
+        error=None,
         not_measured=(),
-        stages={"producers": 12.5, "fusion": 0.25},
+        stages_s={"producers": 12.5, "fusion": 0.25},
         begun_s=0.0,
-        device="numpy",
-        truth=truth,
+        true_path=truth,
     )
 
 
@@ -141,7 +146,7 @@ def test_every_part_is_on_the_one_page(page: Path) -> None:
         "Errors of the paths",
         "Error against the truth",
         "Timings and memory",
-        "processor [s]",
+        "4.0 s, 3.5 s of processor",
         "12.8 s",
         "for all, without this page",
         "12.50",
@@ -201,9 +206,13 @@ def test_a_failed_fusion_shows_the_maps_and_why(tmp_path: Path) -> None:
     assert full.fusion.result is not None
     report = replace(
         full,
-        fusion=DriveFusion(pairs=full.fusion.result.pairs),
-        failure=SlamFusionError("no two of them align"),
-        doubled=None,
+        fusion=DriveFusion(
+            full.grids,
+            pairs=full.fusion.result.pairs,
+            failure=SlamFusionError("no two of them align"),
+        ),
+        error="no two of them align",
+        path_gaps=(),
         evaluations=(),
     )
     text = read(write_run_page(report, tmp_path)).text
@@ -214,7 +223,9 @@ def test_a_failed_fusion_shows_the_maps_and_why(tmp_path: Path) -> None:
 
 
 def test_a_map_that_may_not_be_used_is_not_called_fused(tmp_path: Path) -> None:
-    report = replace(everything(), failure=SlamFusionError("--require-all, but one was rejected"))
+    failure = SlamFusionError("--require-all, but one was rejected")
+    full = everything()
+    report = replace(full, fusion=replace(full.fusion, failure=failure), error=str(failure))
     text = read(write_run_page(report, tmp_path)).text
     assert "Do not use this map --require-all, but one was rejected" in text
     assert "maps were fused" not in text

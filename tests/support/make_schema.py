@@ -56,7 +56,7 @@ DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
 # What each command may print; after a failure, any of them prints a ``FailureDocument`` alone.
 DOCUMENTS: dict[str, tuple[type, ...]] = {
-    "run": (run_files.RunDocument, run_many.RunsDocument),
+    "run": (run_files.LogRun, run_many.RunsDocument),
     "fuse": (fuse_documents.FuseDocument, fuse_documents.FailedFuseDocument),
     "align": (records.AlignDocument,),
     "evaluate": (evaluate.EvaluateDocument, evaluate.CasesEvaluationDocument),
@@ -67,7 +67,7 @@ DOCUMENTS: dict[str, tuple[type, ...]] = {
     "experiment ground-obstacle": (ExperimentDocument,),
     "experiment failures": (ExperimentDocument,),
     "experiment real-logs": (ExperimentDocument,),
-    "slam": (map_log.SlamDocument,),
+    "slam": (map_log.MappedLog,),
     "trajectory": (trajectory.TrajectoryDocument, trajectory.TrajectoriesDocument),
     "judge": (judge.JudgeDocument, judge.JudgementsDocument),
     "info": (InfoDocument,),
@@ -85,7 +85,7 @@ DOCUMENTS: dict[str, tuple[type, ...]] = {
     "doctor": (doctor.DoctorDocument,),
 }
 # Written to files alone.
-WRITTEN = (run_files.RunRecordDocument,)
+WRITTEN = (run_files.RunRecord,)
 # A producer of another package may say more of itself.
 OPEN = (HealthJson,)
 _FORMS: tuple[Any, ...] = (Annotated, typing_extensions.NotRequired, typing_extensions.TypedDict)
