@@ -103,7 +103,7 @@ def command(
         if output is not None and found.accepted:
             plan.save(output, config.fusion.normalize)
     else:
-        still, moved = load_maps((reference, moving), resolution, config.map_files, notice)
+        still, moved = load_maps((reference, moving), config, resolution=resolution, warn=notice)
         starts = _named(starts, moved.name)
         config = with_starts(config, starts)
         with start_errors(starts):

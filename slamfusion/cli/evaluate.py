@@ -137,7 +137,9 @@ def command(
     check_report(report_dir)
     paths = [item.path for item in maps]
     if is_mutual:
-        return _compare(load_maps(paths, resolution, config.map_files, notice), config, as_json)
+        return _compare(
+            load_maps(paths, config, resolution=resolution, warn=notice), config, as_json
+        )
     with progress_bar() as progress:
         found = evaluate_cases(
             maps, truths, config, distances=distances_path,

@@ -176,7 +176,7 @@ def command(
             )
             raise click.UsageError(message)
         check_stores(store, len(maps))
-    grids = load_maps(maps, resolution, config.map_files, notice)
+    grids = load_maps(maps, config, resolution=resolution, warn=notice)
     truth = None
     if truth_path is not None:
         truth = load_truth(truth_path, config, resolution=resolution, scale=scale, warn=notice)

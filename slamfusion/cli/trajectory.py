@@ -126,7 +126,7 @@ def command(
     known = known_files(cases, logs, relations=relations, odometry=odometry, truth=truths)
     found, not_measured = measure_trajectories(place_files(cases, paths), known, config)
     if map_path is not None:
-        (grid,) = load_maps([map_path], None, config.map_files, notice)
+        (grid,) = load_maps([map_path], config, warn=notice)
         found = [replace(own, grid=grid) for own in found]
     if report_dir is not None:
         write_trajectories(found, report_dir)

@@ -13,7 +13,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.fusion import align_grids
 from slamfusion.geometry import Pose2
-from slamfusion.jobs.inputs import MapInput, Warn, as_grids, device_for
+from slamfusion.jobs.inputs import MapInput, Warn, device_for, load_maps
 
 _LOG = logging.getLogger(__name__)
 
@@ -57,7 +57,7 @@ def align_maps(
         StartError: ``config.start`` names another map.
     """
     config = config or RunConfig()
-    still, moved = as_grids((reference, moving), config, resolution=resolution, warn=warn)
+    still, moved = load_maps((reference, moving), config, resolution=resolution, warn=warn)
     if start is None:
         start = _expected(config, still.name, moved.name)
     device = device_for(config, device)

@@ -32,7 +32,6 @@ from slamfusion.jobs.inputs import (
     PixelSizes,
     Progress,
     Warn,
-    as_grids,
     device_for,
     load_maps,
     load_truth,
@@ -114,7 +113,7 @@ def evaluate_maps(
         DeviceError: the device cannot be opened.
     """
     config = config or RunConfig()
-    grids = as_grids(maps, config, resolution=resolution, measured=True)
+    grids = load_maps(maps, config, resolution=resolution, measured=True)
     true_grid = load_truth(truth, config, resolution=resolution, scale=scale)
     device = device_for(config, device)
     search = replace(config.fusion, align=replace(config.fusion.align, step=None))
@@ -162,7 +161,7 @@ def compare_maps(
         MapFileError, DeviceError: as there.
     """
     config = config or RunConfig()
-    grids = as_grids(maps, config)
+    grids = load_maps(maps, config)
     fusion = replace(config.fusion, vote=replace(config.fusion.vote, mode="consensus"))
     return fuse_grids(grids, fusion, device_for(config, device), progress)
 
@@ -193,7 +192,7 @@ def measure_distances(
     rows = load_distances(distances) if isinstance(distances, (str, Path)) else distances
     return tuple(
         compare_distances(grid, rows, normalize=config.fusion.normalize)
-        for grid in as_grids(maps, config, resolution=resolution)
+        for grid in load_maps(maps, config, resolution=resolution)
     )
 
 
@@ -290,7 +289,7 @@ def evaluate_cases(
     cases = case_names(truths)
     placed = place_files(cases, maps) if cases else []
     paths = [item.path for item in maps]
-    grids = load_maps(paths, resolution, config.map_files, warn, measured=True)
+    grids = load_maps(paths, config, resolution=resolution, warn=warn, measured=True)
     if len(cases) > 1:
         grids = [grid.with_name(own.name) for grid, own in zip(grids, placed, strict=True)]
     true_grids = [

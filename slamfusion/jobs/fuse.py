@@ -44,8 +44,8 @@ from slamfusion.jobs.inputs import (
     PixelSizes,
     Progress,
     Warn,
-    as_grids,
     device_for,
+    load_maps,
     load_truth,
 )
 from slamfusion.jobs.outputs import (
@@ -211,7 +211,7 @@ def fuse_maps(
     check_count(maps)
     if store is not None:
         check_stores(Path(store), len(maps))
-    grids = as_grids(maps, config, resolution=resolution, warn=warn)
+    grids = load_maps(maps, config, resolution=resolution, warn=warn)
     given = given or GivenMaps.of(maps, resolution)
     names = [grid.name for grid in grids]
     starts = place_starts(config.start, names, config.fusion.reference)

@@ -224,7 +224,7 @@ def _run_time_s(scans: int) -> float:
 def _map_info(path: Path, config: RunConfig) -> InfoDocument:
     """Load a map."""
     remarks: list[str] = []
-    (grid,) = load_maps([path], None, config.map_files, remarks.append)
+    (grid,) = load_maps([path], config, warn=remarks.append)
     cell_m2 = grid.resolution**2
     origin = grid.origin
     known, walls = (grid.cells != UNKNOWN).sum(), (grid.cells == OCCUPIED).sum()

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypeAlias, TypedDict
 
-from slamfusion.config import SMALLEST, FusionConfig, MapFileConfig, RunConfig, VoteConfig, VoteMode
+from slamfusion.config import SMALLEST, FusionConfig, RunConfig, VoteConfig, VoteMode
 from slamfusion.errors import MapFileError
 from slamfusion.jobs.outputs import FUSED
 
@@ -72,17 +72,19 @@ NO_FILES = GivenMaps()
 
 
 def load_maps(
-    paths: Sequence[Path],
-    resolution: float | None,
-    config: MapFileConfig,
-    warn: Warn = _LOG.warning,
+    maps: Sequence[MapInput],
+    config: RunConfig,
     *,
+    resolution: float | None = None,
+    warn: Warn = _LOG.warning,
     measured: bool = False,
 ) -> list[OccupancyGrid]:
-    """Load maps in order, named apart even where their files have one name.
+    """Return maps in order; files are loaded, and named apart even where they have one name.
 
     Args:
-        paths: map_server YAML files, bare images, or folders with a fused map or a single one.
+        maps: in memory, map_server YAML files, bare images, or folders with a fused map or a single
+            one.
+        config: ``map_files`` says how they are read.
         resolution: metres per cell of the bare images.
         measured: they are compared with a truth, or are one: drawings have edges of grey cells.
 
@@ -92,18 +94,19 @@ def load_maps(
     """
     from slamfusion.io import load_map  # noqa: PLC0415  (OpenCV loads slowly; --help needs none)
 
-    files = [map_file(path) for path in paths]
-    return [
+    files = [map_file(Path(item)) for item in maps if isinstance(item, (str, Path))]
+    loaded = (
         load_map(
-            path,
-            resolution=None if _is_yaml(path) else resolution,
+            file,
+            resolution=None if _is_yaml(file) else resolution,
             name=name,
-            legacy_unknown=config.legacy_unknown,
+            legacy_unknown=config.map_files.legacy_unknown,
             settle_edges=measured,
             warn=warn,
         )
-        for path, name in zip(files, distinct_names(files), strict=True)
-    ]
+        for file, name in zip(files, distinct_names(files), strict=True)
+    )
+    return [next(loaded) if isinstance(item, (str, Path)) else item for item in maps]
 
 
 def map_file(path: Path) -> Path:
@@ -120,20 +123,6 @@ def map_file(path: Path) -> Path:
         return chosen[0]
     found = ", ".join(item.name for item in maps[:MOST_NAMED]) or "no YAML file"
     raise MapFileError(f"{path}: wanted a map, found a folder with {found}; name a map in it")
-
-
-def as_grids(
-    maps: Sequence[MapInput],
-    config: RunConfig,
-    *,
-    resolution: float | None = None,
-    warn: Warn = _LOG.warning,
-    measured: bool = False,
-) -> list[OccupancyGrid]:
-    """Return maps in order: those in memory as they are, files loaded; see ``load_maps``."""
-    paths = [Path(item) for item in maps if isinstance(item, (str, Path))]
-    loaded = iter(load_maps(paths, resolution, config.map_files, warn, measured=measured))
-    return [next(loaded) if isinstance(item, (str, Path)) else item for item in maps]
 
 
 def load_truth(
@@ -153,7 +142,7 @@ def load_truth(
     """
     if scale is not None and resolution is None:
         resolution = PIXEL_M
-    return as_grids([truth], config, resolution=resolution, warn=warn, measured=True)[0]
+    return load_maps([truth], config, resolution=resolution, warn=warn, measured=True)[0]
 
 
 def as_path(path: str | Path | None) -> Path | None:
@@ -194,24 +183,15 @@ def distinct_names(paths: Sequence[Path]) -> list[str]:
     ``map`` and ``map#2``.
     """
     parts = [(*path.absolute().parent.parts, _stem(path)) for path in paths]
-    depth = [1] * len(paths)
-    while True:
-        names = ["/".join(own[-count:]) for own, count in zip(parts, depth, strict=True)]
-        clashes = {name for name, count in Counter(names).items() if count > 1}
-        deeper = [
-            min(count + 1, len(own)) if name in clashes else count
-            for own, count, name in zip(parts, depth, names, strict=True)
-        ]
-        if deeper == depth:
-            break
-        depth = deeper
-    seen: Counter[str] = Counter()
-    for index, own in enumerate(parts):
-        seen[names[index]] += 1
-        if seen[names[index]] > 1:
-            names[index] = f"{own[-1]}#{seen[names[index]]}"
-        elif names[index] in clashes:
-            names[index] = own[-1]
+    ends = Counter(own[-depth:] for own in set(parts) for depth in range(1, len(own) + 1))
+    names, seen = [], Counter[tuple[str, ...]]()
+    for own in parts:
+        seen[own] += 1
+        if parts.count(own) == 1:
+            depth = next(depth for depth in range(1, len(own) + 1) if ends[own[-depth:]] == 1)
+            names.append("/".join(own[-depth:]))
+        else:
+            names.append(own[-1] if seen[own] == 1 else f"{own[-1]}#{seen[own]}")
     return names
 
 

@@ -88,7 +88,7 @@ class SavedMaps:
             TrajectoryError: a path is damaged.
             OSError: a file cannot be opened.
         """
-        grids = load_maps(self.files, resolution, config.map_files, warn)
+        grids = load_maps(self.files, config, resolution=resolution, warn=warn)
         named = [grid.with_name(name) for grid, name in zip(grids, self.names, strict=True)]
         paths = {
             name: replace(read_trajectory(file, config.log), name=name)

@@ -15,7 +15,7 @@ from slamfusion.cli.fuse import command as fuse_command
 from slamfusion.cli.output import one_line, progress_bar
 from slamfusion.cli.paths import FILE
 from slamfusion.cli.program import COMMANDS, cli, run_program
-from slamfusion.config import GMAPPING_PROFILES, MapFileConfig, RunConfig, config_fields
+from slamfusion.config import GMAPPING_PROFILES, RunConfig, config_fields
 from slamfusion.errors import MapFileError
 from slamfusion.jobs.inputs import check_writable, distinct_names, load_maps
 from slamfusion.slam.registry import BUILT_IN, producer
@@ -274,10 +274,10 @@ def test_a_path_may_begin_with_the_home_folder(monkeypatch: pytest.MonkeyPatch) 
 def test_the_map_of_a_folder_is_the_fused_or_the_only_one(tmp_path: Path) -> None:
     sample = ROOT / "data" / "sample"
     with pytest.raises(MapFileError, match=r"map_a\.yaml, map_b\.yaml, .*; name a map in it"):
-        load_maps([sample], None, MapFileConfig())
+        load_maps([sample], RunConfig())
     for name in ("map_a.yaml", "map_a.pgm"):
         (tmp_path / name).write_bytes((sample / name).read_bytes())
-    assert load_maps([tmp_path], None, MapFileConfig())[0].name == "map_a"
+    assert load_maps([tmp_path], RunConfig())[0].name == "map_a"
     fused = (tmp_path / "map_a.yaml").read_text(encoding="utf-8")
     (tmp_path / "fused.yaml").write_text(fused, encoding="utf-8")
-    assert load_maps([tmp_path], None, MapFileConfig())[0].name == "fused"
+    assert load_maps([tmp_path], RunConfig())[0].name == "fused"
