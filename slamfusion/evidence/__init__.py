@@ -28,7 +28,7 @@ from slamfusion.evidence.displacement import (
     find_contradiction,
     find_displacements,
 )
-from slamfusion.evidence.fused_path import FusedPath, fuse_paths, trust_in_paths
+from slamfusion.evidence.fused_path import fuse_paths, trust_in_paths
 from slamfusion.evidence.predictive import (
     Comparison,
     PathEvidence,
@@ -54,7 +54,6 @@ __all__ = [
     "Contradiction",
     "CoveredPath",
     "Displacement",
-    "FusedPath",
     "JudgedScans",
     "PathEvidence",
     "PathScore",

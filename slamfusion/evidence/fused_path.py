@@ -74,22 +74,6 @@ LEAST_WEIGHT = 1e-6
 TRUST_SCALE = 0.15
 
 
-@dataclass(frozen=True, eq=False)
-class FusedPath:
-    """A path made of several.
-
-    Attributes:
-        trajectory: at the scans, in the frame of the path that the others are nearest to.
-        names: of the K paths that it is made of.
-        gaps_m: (K, N) float64, how far each path lies from it, metres, and ``TURN_M`` for a radian;
-            NaN where a path has no pose.
-    """
-
-    trajectory: Trajectory
-    names: tuple[str, ...]
-    gaps_m: F64
-
-
 def trust_in_paths(evidence: PathEvidence) -> dict[str, float]:
     """Return how much each path is believed by what the scans say of it, by name, 0 to 1.
 
@@ -127,7 +111,7 @@ def fuse_paths(
     *,
     sharing_fault: Collection[str] = (),
     name: str = "fused",
-) -> FusedPath:
+) -> Trajectory:
     """Make one path of several paths of one drive.
 
     Args:
@@ -138,7 +122,8 @@ def fuse_paths(
             long spans they count together as much as the best of them alone.
 
     Returns:
-        A path at the stamps of the path with most poses. Of one path alone: that path.
+        A path at the stamps of the path with most poses, in the frame of the path that the others
+        are nearest to. Of one path alone: that path.
 
     Raises:
         TrajectoryError: see ``lay_paths``.
@@ -149,8 +134,7 @@ def fuse_paths(
     poses = consensus_poses(over_long)
     if len(laid.names) > 1 and len(laid) > 1:
         poses = _optimized(laid, over_long, poses)
-    gaps_m = pose_distances(laid.poses, poses)
-    return FusedPath(Trajectory(laid.stamps_s, poses, name), laid.names, gaps_m)
+    return Trajectory(laid.stamps_s, poses, name)
 
 
 def _counted_once(laid: LaidPaths, names: Collection[str]) -> LaidPaths:

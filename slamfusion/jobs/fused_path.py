@@ -77,7 +77,7 @@ def fuse_weighed_paths(
     trust = dict.fromkeys(paths, 1.0) if evidence is None else trust_in_paths(evidence)
     closers = loop_closers(paths)
     drifting = [name for name in paths if name not in closers]
-    path = fuse_paths(paths, trust, sharing_fault=drifting, name=FUSED).trajectory
+    path = fuse_paths(paths, trust, sharing_fault=drifting, name=FUSED)
     refined = None
     if evidence is not None:
         refined = refine_borne_out(evidence, path, device)

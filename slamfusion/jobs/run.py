@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from slamfusion.align.starts import Starts, place_starts
 from slamfusion.compute import ComputeDevice
@@ -66,7 +66,6 @@ from slamfusion.slam.side_by_side import Outcome, SideBySide
 from slamfusion.trajectory import Trajectory
 
 _LOG = logging.getLogger(__name__)
-Result = TypeVar("Result")
 
 # The progress of all stages together, the share of the time that the SLAMs take (of two drives on
 # two cores), and the number of stages that follow, with the report, which counts as two.
@@ -174,9 +173,8 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
     fused_path: DrivePath | None = None
     with stages.timed("path"):
         if len(paths) >= LEAST_FUSED:
-            fused_path = stages.attempt(
-                "the fused path", None, fuse_weighed_paths, paths, evidence, device
-            )
+            with stages.noting("the fused path: "):
+                fused_path = fuse_weighed_paths(paths, evidence, device)
 
     # Vote.
     with stages.timed("fusion"):
@@ -197,10 +195,10 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
             fused_path = None
         elif fused_path is not None:
             fused_path = fused_path.in_fused_frame(paths, fusion.result)
-            measures = stages.attempt(
-                "the fused path", Measures(), held.measure, fused_path.trajectory, config, wheels
+            own = stages.measured(
+                "the fused path", held.measure, fused_path.trajectory, config, wheels
             )
-            fused_path = replace(fused_path, measures=measures)
+            fused_path = replace(fused_path, measures=own)
     with stages.timed("evidence"):
         if fused_path is not None and fused_path.refinement is not None:
             evidence = fused_path.refinement.evidence
@@ -227,37 +225,25 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
             fused = result.fused.with_name(FUSED)
         evaluations: tuple[Evaluation, ...] = ()
         if true_map is not None and grids:
-            more = (fused, drawn and drawn.grid)
+            more = (fused, None if drawn is None else drawn.grid)
             measured = [*grids, *(grid for grid in more if grid is not None)]
-            evaluations = stages.attempt(
-                "", (), evaluate_maps, measured, true_map, config, device,
-                scale=scale, progress=progress,
-            )  # fmt: skip
-        errors = {item.name: item for item in evaluations}
-        producers = [
-            FailedProducer.of(item)
-            if item.run is None
-            else RunProducer(
-                run=item.run,
-                measures=stages.attempt(item.name, Measures(), measure_run, item.run, config, held),
-                map_error=errors.get(item.name),
-                device=item.device,
-                process_time_s=item.time_s,
-                process_cpu_s=item.cpu_s,
-            )
-            for item in outcomes
-        ]
+            with stages.noting():
+                evaluations = evaluate_maps(
+                    measured, true_map, config, device, scale=scale, progress=progress
+                )
+        measures = {
+            name: stages.measured(name, measure_run, run, config, held)
+            for name, run in runs.items()
+        }
         found_paths = [
             SavedPath(
-                saved.paths[name],
-                path,
-                stages.attempt(name, Measures(), held.measure, path, config, wheels),
+                saved.paths[name], path, stages.measured(name, held.measure, path, config, wheels)
             )
             for name, path in their_paths.items()
         ]
     mode = (config if why_voted is None else voting_config(config)).fusion.vote.mode
     return LogRun(
-        producers=tuple(producers),
+        producers=_producers(outcomes, measures, evaluations),
         fusion=fusion,
         fused_mode=None if fusion.usable is None else mode,
         why_voted=why_voted,
@@ -321,20 +307,39 @@ class _Stages:
         self.ended += 1
         self.times_s[name] = self.times_s.get(name, 0.0) + time.perf_counter() - began_s
 
-    def attempt(
-        self,
-        what: str,
-        otherwise: Result,
-        function: Callable[..., Result],
-        *arguments: Any,
-        **named: Any,
-    ) -> Result:
-        """Return the result of a call; if it fails, note the error and return another value."""
+    def measured(self, what: str, measure: Callable[..., Measures], *given: Any) -> Measures:
+        """Return the errors of a path; if it cannot be measured, note why and return none."""
+        with self.noting(f"{what}: "):
+            return measure(*given)
+        return Measures()
+
+    @contextmanager
+    def noting(self, what: str = "") -> Iterator[None]:
+        """Note the error of a block that fails; the run goes on."""
         try:
-            return function(*arguments, **named)
+            yield
         except SlamFusionError as error:
-            self.troubles.append(f"{what}: {error}" if what else str(error))
-            return otherwise
+            self.troubles.append(f"{what}{error}")
+
+
+def _producers(
+    outcomes: Sequence[Outcome], measures: Mapping[str, Measures], evaluations: Sequence[Evaluation]
+) -> tuple[RunProducer | FailedProducer, ...]:
+    """Return the record of each producer."""
+    errors = {item.name: item for item in evaluations}
+    return tuple(
+        FailedProducer.of(item)
+        if item.run is None
+        else RunProducer(
+            run=item.run,
+            measures=measures[item.name],
+            map_error=errors.get(item.name),
+            device=item.device,
+            process_time_s=item.time_s,
+            process_cpu_s=item.cpu_s,
+        )
+        for item in outcomes
+    )
 
 
 def score_all_paths(

@@ -159,10 +159,10 @@ def test_every_part_is_on_the_one_page(page: Path) -> None:
 def test_a_name_has_one_colour_on_all_of_the_page(page: Path) -> None:
     html = page.read_text(encoding="utf-8")
     legends = [
-        (f"rgb{entry.rgb}", entry.text)
+        (f"rgb{rgb}", name)
         for section in run_page(everything()).sections
         for picture in section.pictures
-        for entry in picture.legend
+        for name, rgb in picture.legend.items()
     ]
     recorded = re.search(r'id="recorded">(.*?)</script>', html, re.DOTALL)
     assert recorded is not None
