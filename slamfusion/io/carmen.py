@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
@@ -36,11 +36,9 @@ from slamfusion.io.log import (
     Skips,
     parsed_lines,
 )
-from slamfusion.io.scan_odometry import ScanOdometry
+from slamfusion.io.scan_odometry import PoseRow, ScanOdometry
 from slamfusion.io.stamps import StampGate
 from slamfusion.scan import LaserScan
-
-PoseRow = tuple[float, float, float]
 
 # FLASER does not say its angles: 180 degrees forward, by convention in these steps.
 FORWARD_STEPS_RAD = {
@@ -118,42 +116,29 @@ class CarmenLog(ScanLog):
         if trouble:
             period = f"the scan's index times {config.index_period_s:g} s"
             self.notes.append(f"{trouble}; used instead: {period}")
-        self.notes += _angle_notes(messages)
-        if is_twice:
-            repeated = parser.words[b"FLASER"]
-            self.notes.append(f"the {repeated} FLASER lines repeat ROBOTLASER1; left out")
-        for word, what in OTHER_LASERS.items():
-            if parser.words[word]:
-                self.notes.append(f"{parser.words[word]} {word.decode()} lines left out: {what}")
+        self.notes += _notes(messages, parser.words, is_twice=is_twice)
         self._mount = self._find_mount(messages, parser.settings.get(OFFSET_PARAM, 0.0))
         self._time_increment_s = parser.settings.get(TIME_INCREMENT_PARAM, 0.0)
         self._said_m = parser.settings.get(NO_RETURN_PARAM, 0.0)
         self._no_return = self._find_no_return(messages)
+        logged = [
+            found.robot if isinstance(found, Message) else None
+            for _, word, found in lines
+            if word in kinds
+        ]
+        poses = iter([None if robot is None else Pose2(*robot) for robot in logged])
         if odometry is not None:
-            odometry.check_count(self.path, sum(word in kinds for _, word, _ in lines))
+            poses = iter(odometry.for_lines(self.path, logged))
             self.notes.append(f"odometry is that of {odometry.path}, not the poses in the log")
-        self._keep(lines, kinds, odometry)
-
-    def _keep(
-        self,
-        lines: Sequence[tuple[int, bytes, Message | str]],
-        kinds: Collection[bytes],
-        odometry: ScanOdometry | None,
-    ) -> None:
-        """Keep the scans of the lines to be used, with their time and odometry."""
-        laser_line = index = 0
-        period_s = self._config.index_period_s
+        index = 0
         for number, word, found in lines:
+            pose = next(poses) if word in kinds else None
             if isinstance(found, str):
                 self.records.append((number, found))
-            elif word in kinds:
-                pose = Pose2(*found.robot)
-                if odometry is not None:
-                    pose = odometry.pose(laser_line, self.path, found.robot)
-                stamp_s = found.stamp_s if self.has_stamps else index * period_s
+            elif pose is not None:
+                stamp_s = found.stamp_s if self.has_stamps else index * config.index_period_s
                 index += 1
                 self.records.append((number, self._scan(found, stamp_s or 0.0, pose, number)))
-            laser_line += word in kinds
 
     def _scan(self, message: Message, stamp_s: float, pose: Pose2, line: int) -> LogScan | str:
         """Return the sweep with the mount and the range limit of the whole log."""
@@ -436,14 +421,21 @@ def _stamp_trouble(stamps_s: Sequence[float | None]) -> str:
     return ""
 
 
-def _angle_notes(messages: Sequence[Message]) -> list[str]:
-    """Say which angles were taken where the number of beams does not tell."""
+def _notes(messages: Sequence[Message], words: Counter[bytes], *, is_twice: bool) -> list[str]:
+    """Say which angles were taken, and which lines are left out."""
     counts = Counter(len(one.ranges_m) for one in messages if one.kind != b"ROBOTLASER1")
-    return [
+    notes = [
         f"{scans} scans of {beams} beams do not say their angles; taken: 180 degrees forward in "
         f"steps of {math.degrees(forward_angles(beams)[1]):.4g} degrees"
         for beams, scans in sorted(counts.items())
         if beams not in FORWARD_STEPS_RAD
+    ]
+    if is_twice:
+        notes.append(f"the {words[b'FLASER']} FLASER lines repeat ROBOTLASER1; left out")
+    return notes + [
+        f"{words[word]} {word.decode()} lines left out: {what}"
+        for word, what in OTHER_LASERS.items()
+        if words[word]
     ]
 
 

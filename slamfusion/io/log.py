@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from itertools import islice
 from pathlib import Path
 from typing import TypedDict, TypeVar
 
@@ -18,6 +20,7 @@ from slamfusion.io.files import check_memory
 from slamfusion.io.lines import text_lines
 from slamfusion.io.stamps import StampGate
 from slamfusion.scan import LaserScan
+from slamfusion.trajectory import Trajectory
 
 T = TypeVar("T")
 
@@ -35,6 +38,9 @@ JUMP_M = 50.0
 # A scan further ahead, seconds, waits for two more to bear its time out. Lines of a log may be out
 # of order by less.
 AHEAD_S = 10.0
+
+# These are enough to tell whether a sweep takes long.
+FIRST_SCANS = 500
 
 # Scans of two lasers that have one stamp are taken this far apart, seconds.
 LASERS_APART_S = 1e-6
@@ -230,6 +236,17 @@ class Continuity:
         return None if end is None else np.outer((times - first.scan.stamp_s) / span_s, end)
 
 
+def odometry_path(scans: Iterable[LogScan], name: str) -> Trajectory:
+    """Return the odometry of the scans that have some."""
+    rows = [
+        (item.scan.stamp_s, pose.x, pose.y, pose.yaw_rad)
+        for item in scans
+        if (pose := item.odometry) is not None
+    ]
+    table = np.array(rows).reshape(-1, 4)
+    return Trajectory(table[:, 0], table[:, 1:], name)
+
+
 def deskewed_scans(scans: Iterable[LogScan]) -> Iterator[LogScan]:
     """Yield scans that are in memory as a log gives them: deskewed."""
     continuity = Continuity(Skips(), Skips())
@@ -322,6 +339,23 @@ class ScanLog:
             yield from continuity.passed(item)
         yield from continuity.rest()
         self.fraction_read = 1.0
+
+    def learn_sweep(self) -> None:
+        """Find from the first scans how long a sweep takes, against what they say."""
+        deskewer = Deskewer(self._config)
+        with suppress(LogError):  # which reading it raises again
+            for item in islice(self, FIRST_SCANS):
+                deskewer.note(item.scan.stamp_s)
+                if item.odometry is None or deskewer.learn(item.scan, item.odometry):
+                    break
+        self.skips, self.warnings, self.fraction_read = Skips(), Skips(), 0.0
+        if deskewer.learned_s is not None:
+            self._config = replace(self._config, sweep_s=deskewer.learned_s)
+            self.notes.append(
+                f"taken: a sweep lasts {deskewer.learned_s:.3f} s (0: all beams are of one time), "
+                "unlike its time_increment; so the scans of turns fit the others; set --sweep-s "
+                "where it is wrong"
+            )
 
     def _scans(self) -> Iterator[LogScan]:
         """Yield the readable scans as they were recorded, and count the others."""

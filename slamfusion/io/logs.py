@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import suppress
-from dataclasses import replace
-from itertools import islice
 from pathlib import Path
 
 from slamfusion.config import LogConfig
-from slamfusion.deskew import Deskewer
 from slamfusion.errors import LogError
 from slamfusion.io.bags import BagLog
 from slamfusion.io.bags.reader import (
@@ -42,10 +38,7 @@ _READERS: dict[str, Reader] = {
     ".dat": TinySlamDat,
     **dict.fromkeys(BAG_SUFFIXES, BagLog),
 }
-_TEXT_READERS: tuple[Reader, ...] = (CarmenLog, TinySlamDat)
 _BAG_MAGICS = (ROS1_MAGIC, SQLITE_MAGIC, MCAP_MAGIC, ZSTD_MAGIC)
-# These are enough to tell whether a sweep takes long.
-FIRST_SCANS = 500
 # Logs of a folder that a message names.
 _NAMED = 5
 _BAG_FILES = (METADATA, *STORAGE_FILES)
@@ -76,34 +69,17 @@ def open_log(
     """
     where = _place(Path(path))
     reader = _reader(where)
+    log: ScanLog
     if scan_odometry is None:
-        return _timed(lambda how: reader(where, how), config)
-    if reader is not CarmenLog:
-        message = (
+        log = reader(where, config)
+    elif reader is CarmenLog:
+        log = CarmenLog(where, config, read_scan_odometry(scan_odometry))
+    else:
+        raise LogError(
             f"{where}: only a CARMEN log takes its odometry from {scan_odometry}; leave it out"
         )
-        raise LogError(message)
-    poses = read_scan_odometry(scan_odometry)
-    return _timed(lambda how: CarmenLog(where, how, poses), config)
-
-
-def _timed(opened: Callable[[LogConfig], ScanLog], config: LogConfig) -> ScanLog:
-    """Return a log; its first scans tell how long a sweep takes, against what they say."""
-    log, deskewer = opened(config), Deskewer(config)
-    if config.deskew == "no":
-        return log
-    with suppress(LogError):  # which reading it raises again
-        for item in islice(log, FIRST_SCANS):
-            deskewer.note(item.scan.stamp_s)
-            if item.odometry is None or deskewer.learn(item.scan, item.odometry):
-                break
-    if deskewer.learned_s is None:
-        return log
-    log = opened(replace(config, sweep_s=deskewer.learned_s))
-    log.notes.append(
-        f"taken: a sweep lasts {deskewer.learned_s:.3f} s (0: all beams are of one time), unlike "
-        "its time_increment; so the scans of turns fit the others; set --sweep-s where it is wrong"
-    )
+    if config.deskew == "auto":
+        log.learn_sweep()
     return log
 
 
@@ -152,22 +128,25 @@ def _reader(where: Path) -> Reader:
         )
     head = read_head(where)
     suffix = _suffix(where)
-    reader = _READERS.get(suffix)
-    if reader is None:
+    if suffix not in _READERS:
         raise LogError(
             f"{where}: wanted a log named {', '.join(_READERS)} (text also .gz) or a ROS 2 bag's "
             f"folder, found {suffix or 'no extension'!r}; rename it by its kind"
         )
     if not head:
         raise LogError(f"{where}: the file is empty; give a log with scans")
-    return _reader_by_content(head) or _checked_text(where, head, reader)
+    known = _reader_by_content(head)
+    if known is not None:
+        return known
+    if _READERS[suffix] is not BagLog and head.translate(None, _NO_TEXT) != head:
+        raise LogError(f"{where}: wanted a text log, found binary data; check what the file is")
+    return _READERS[suffix]
 
 
 def _reader_by_content(head: bytes) -> Reader | None:
     if head.startswith(_BAG_MAGICS):
         return BagLog
-    for line in head.splitlines():
-        fields = line.split()
+    for fields in map(bytes.split, head.splitlines()):
         if not fields or fields[0].startswith(b"#"):
             continue
         if fields[0] in CARMEN_WORDS:
@@ -175,10 +154,3 @@ def _reader_by_content(head: bytes) -> Reader | None:
         if len(fields) == FIELDS and fields[0].isdigit():
             return TinySlamDat
     return None
-
-
-def _checked_text(where: Path, head: bytes, reader: Reader) -> Reader:
-    """Return the reader that the name asks for, unless the content cannot be that kind."""
-    if reader in _TEXT_READERS and head.translate(None, _NO_TEXT) != head:
-        raise LogError(f"{where}: wanted a text log, found binary data; check what the file is")
-    return reader

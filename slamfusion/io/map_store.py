@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from slamfusion.errors import GridError, MapFileError
 from slamfusion.geometry import Pose2
-from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid, box_origin
+from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid
 
 
 class MapStore:
@@ -127,28 +127,19 @@ def check_store(path: Path) -> None:
     _zarr()
 
 
-def read_stored_map(path: str | Path, name: str, box: CellBox | None = None) -> OccupancyGrid:
-    """Read a map, or a box of its cells, from a store.
-
-    Args:
-        box: of its cells; None: all of them.
-    """
+def read_stored_map(path: str | Path, name: str) -> OccupancyGrid:
+    """Read a map from a store, whole."""
     zarr, _ = _zarr()
     try:
         group = zarr.open_group(str(path), mode="r")
-        array = group[name]
+        cells = np.ascontiguousarray(group[name][:], dtype=np.int8)
         resolution = float(group.attrs["resolution"])
         origin = Pose2(*(float(value) for value in group.attrs["origin"]))
     except (OSError, KeyError, ValueError, TypeError) as error:
         message = f"{path}: no store with a map {name!r} ({error}); name one that fuse wrote"
         raise MapFileError(message) from None
-    height, width = array.shape
-    box = box or CellBox(0, 0, height, width)
-    if not (0 <= box.row0 < box.row1 <= height and 0 <= box.col0 < box.col1 <= width):
-        raise MapFileError(f"{path}: wanted cells of {height} x {width}, asked for {box}")
-    cells = np.ascontiguousarray(array[box.row0 : box.row1, box.col0 : box.col1], dtype=np.int8)
     cells.flags.writeable = False
-    return OccupancyGrid(cells, resolution, box_origin(origin, resolution, box), name)
+    return OccupancyGrid(cells, resolution, origin, name)
 
 
 def _zarr() -> tuple[Any, dict[str, int]]:

@@ -7,6 +7,7 @@ where the odometry could be had back from elsewhere, it stands in such a file.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +17,8 @@ import numpy.typing as npt
 from slamfusion.errors import LogError
 from slamfusion.geometry import F64, Pose2, wrap_angle
 from slamfusion.io.lines import ROW_BYTES, text_lines
+
+PoseRow = tuple[float, float, float]
 
 INDEX = "index"
 POSE = ("odom_x", "odom_y", "odom_theta")
@@ -40,34 +43,32 @@ class ScanOdometry:
     poses: F64
     logged: F64 | None = None
 
-    def __len__(self) -> int:
-        return len(self.poses)
-
-    def check_count(self, log: Path, lines: int) -> None:
-        """Refuse a file that has not one row for each laser line."""
-        if len(self) != lines:
-            raise LogError(
-                f"{self.path}: wanted a row for each of the {lines} laser lines of {log}, found "
-                f"{len(self)}; give the odometry of this log"
-            )
-
-    def pose(self, index: int, log: Path, logged: tuple[float, float, float]) -> Pose2:
-        """Return the odometry of a laser line.
+    def for_lines(self, log: Path, logged: Sequence[PoseRow | None]) -> list[Pose2]:
+        """Return the odometry of each laser line of a log.
 
         Args:
-            logged: the pose that the line itself carries; metres, radians.
+            logged: the poses that the lines carry, metres and radians; None: it cannot be read.
+
+        Raises:
+            LogError: the file has not one row for each line, or a line has another pose.
         """
-        if self.logged is not None:
-            own = self.logged[index]
-            away = np.abs(own - np.array(logged))
+        if len(self.poses) != len(logged):
+            raise LogError(
+                f"{self.path}: wanted a row for each of the {len(logged)} laser lines of {log}, "
+                f"found {len(self.poses)}; give the odometry of this log"
+            )
+        rows = () if self.logged is None else self.logged
+        for index, (own, line) in enumerate(zip(rows, logged, strict=False)):
+            if line is None:
+                continue
+            away = np.abs(own - np.array(line))
             away[2] = abs(wrap_angle(float(away[2])))
             if (away > ROUNDING + ROUNDING_SHARE * np.abs(own)).any():
                 raise LogError(
                     f"{self.path}: row {index} belongs to a scan at {_text(own)}, but that laser "
-                    f"line of {log} is at {_text(logged)}; give the odometry of this log"
+                    f"line of {log} is at {_text(line)}; give the odometry of this log"
                 )
-        x, y, yaw_rad = self.poses[index].tolist()
-        return Pose2(x, y, yaw_rad)
+        return [Pose2(*row) for row in self.poses.tolist()]
 
 
 def read_scan_odometry(path: str | Path) -> ScanOdometry:

@@ -18,6 +18,7 @@ from slamfusion.io.bags.odometry import read_poses
 from slamfusion.io.carmen import CARMEN_WORDS
 from slamfusion.io.files import AtomicFiles, write_atomic
 from slamfusion.io.lines import ROW_BYTES, packed_by_name, read_head, strip_gz, text_lines
+from slamfusion.io.log import odometry_path
 from slamfusion.io.logs import BAG_SUFFIXES, bag_at, open_log
 from slamfusion.io.tinyslam_dat import FIELDS
 from slamfusion.trajectory import Trajectory
@@ -154,12 +155,12 @@ def _rows(where: Path, first: list[bytes], columns: list[int] | None) -> Iterato
     """Yield time in seconds, x, y and yaw of every line, or what a TUM file has."""
     if columns is None:
         if len(first) not in {_PLANAR, _TUM} or not _is_number(first[0]):
-            shown = " ".join(item.decode("ascii", "replace") for item in first)[:60]
             count = f"{len(first)} column{'s' if len(first) > 1 else ''}"
             cause = ", the first of them no time" if len(first) in {_PLANAR, _TUM} else ""
+            shown = _printable(b" ".join(first))
             raise TrajectoryError(
-                f"{where}: wanted {_WANTED}, found {count}{cause}: {_printable(shown)!r} in the "
-                "first line; check the file"
+                f"{where}: wanted {_WANTED}, found {count}{cause}: {shown!r} in the first line; "
+                "check the file"
             )
         columns = list(range(len(first)))
     last_s = -math.inf
@@ -167,51 +168,44 @@ def _rows(where: Path, first: list[bytes], columns: list[int] | None) -> Iterato
         fields = _fields(line)
         if not fields or (last_s == -math.inf and _named_columns(fields) is not None):
             continue
+        at = f"{where}: line {number}"
         if len(fields) != len(first):
             raise TrajectoryError(
-                f"{where}: line {number}: wanted {len(first)} columns as in the lines before, "
-                f"found {len(fields)}; fix or remove the line"
+                f"{at}: wanted {len(first)} columns as in the lines before, found {len(fields)}; "
+                "fix or remove the line"
             )
-        values = _floats([fields[i] for i in columns], where, number)
+        values = _floats([fields[i] for i in columns], at)
         wrong = [columns[i] + 1 for i, value in enumerate(values) if not math.isfinite(value)]
-        if wrong or not any(values[4:] or [1.0]):
+        length = math.hypot(*values[4:]) if len(values) == _TUM else 1.0
+        if wrong or not length:
             which = f"column {wrong[0]}" if wrong else "the quaternion of columns 5 to 8"
             raise TrajectoryError(
-                f"{where}: line {number}, {which} of {len(fields)}: not a finite pose; fix or "
-                "remove the line"
+                f"{at}, {which} of {len(fields)}: not a finite pose; fix or remove the line"
+            )
+        if abs(length - 1.0) > _QUATERNION_SLACK:
+            raise TrajectoryError(
+                f"{at}: the quaternion has length {length:.3g}, wanted 1; check that this is a TUM "
+                "file (t x y z qx qy qz qw)"
             )
         if abs(values[0]) >= _NANOSECONDS_FROM:
             values[0] *= 1e-9
-        if len(values) == _TUM:
-            _check_tum(where, number, values, last_s)
+        if len(values) == _TUM and values[0] < last_s:
+            raise TrajectoryError(
+                f"{at}: time goes back from {last_s:.6f} s to {values[0]:.6f} s; sort the lines by "
+                "time"
+            )
         last_s = values[0]
         yield values
 
 
-def _check_tum(where: Path, number: int, values: list[float], last_s: float) -> None:
-    """Refuse rows of 8 numbers that are something else, such as relations."""
-    length = math.hypot(*values[4:])
-    if abs(length - 1.0) > _QUATERNION_SLACK:
-        raise TrajectoryError(
-            f"{where}: line {number}: the quaternion has length {length:.3g}, wanted 1; check that "
-            "this is a TUM file (t x y z qx qy qz qw)"
-        )
-    if values[0] < last_s:
-        raise TrajectoryError(
-            f"{where}: line {number}: time goes back from {last_s:.6f} s to {values[0]:.6f} s; "
-            "sort the lines by time"
-        )
-
-
-def _floats(fields: list[bytes], where: Path, number: int) -> list[float]:
+def _floats(fields: list[bytes], at: str) -> list[float]:
     try:
         return [float(item) for item in fields]
     except ValueError:
         wrong = next(index for index, item in enumerate(fields) if not _is_number(item))
-        shown = _printable(fields[wrong][:60].decode("ascii", "replace"))
         raise TrajectoryError(
-            f"{where}: line {number}, column {wrong + 1} of {len(fields)}: wanted a number, found "
-            f"{shown!r}; fix or remove the line"
+            f"{at}, column {wrong + 1} of {len(fields)}: wanted a number, found "
+            f"{_printable(fields[wrong])!r}; fix or remove the line"
         ) from None
 
 
@@ -223,8 +217,9 @@ def _is_number(text: bytes) -> bool:
     return True
 
 
-def _printable(text: str) -> str:
-    return "".join(item if item.isprintable() else "?" for item in text)
+def _printable(text: bytes) -> str:
+    words = text.decode("ascii", "replace")[:60]
+    return "".join(item if item.isprintable() else "?" for item in words)
 
 
 # --- the plane ------------------------------------------------------------------------------------
@@ -299,7 +294,7 @@ def _read_graph(where: Path, name: str) -> Trajectory | None:
             if len(fields) != 5:
                 message = f"{where}: line {number}: wanted 'VERTEX2 id x y theta'; fix the line"
                 raise TrajectoryError(message)
-            pose = _floats(fields[2:], where, number)
+            pose = _floats(fields[2:], f"{where}: line {number}")
             vertices += 1
         elif pose is not None and line.startswith(b"ROBOTLASER1"):
             row = _vertex_row(pose, line.rsplit(None, 11))
@@ -353,22 +348,19 @@ def _bag_path(
 
 def _log_odometry(where: Path, config: LogConfig, name: str) -> Trajectory:
     log = open_log(where, config)
-    rows = []
-    for scan in log:
-        if scan.odometry is None:
-            message = f"{where}: its scans have no odometry, so there is no trajectory in it"
-            raise TrajectoryError(message)
-        pose = scan.odometry
-        rows.append((scan.scan.stamp_s, pose.x, pose.y, pose.yaw_rad))
+    scans = list(log)
+    if any(item.odometry is None for item in scans):
+        raise TrajectoryError(
+            f"{where}: its scans have no odometry, so there is no trajectory in it"
+        )
     for sentence in (*log.skips.sentences(), *log.warnings.sentences()):
         _LOGGER.warning("%s: %s", where, sentence)
     if not log.has_stamps:
         _LOGGER.warning("%s: its time stamps cannot be used; times are made from indices", where)
-    if not rows:
+    if not scans:
         reasons = "; ".join(log.skips.sentences())
         raise TrajectoryError(f"{where}: no scan of it can be used: {reasons}")
-    table = np.array(rows)
-    return Trajectory(table[:, 0], table[:, 1:], name)
+    return odometry_path(scans, name)
 
 
 def _warn(where: Path, count: int, what: str) -> None:

@@ -13,10 +13,10 @@ import yaml
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import ObstacleConfig
 from slamfusion.errors import SimulationError
-from slamfusion.geometry import F64, Pose2, interpolate_poses
+from slamfusion.geometry import F64, Pose2, interpolate_poses, travelled
 from slamfusion.io.carmen import write_carmen
 from slamfusion.io.files import AtomicFiles
-from slamfusion.io.log import LogScan, deskewed_scans
+from slamfusion.io.log import LogScan, deskewed_scans, odometry_path
 from slamfusion.io.map_server import save_map
 from slamfusion.io.trajectories import write_tum
 from slamfusion.scan import LaserScan
@@ -74,8 +74,7 @@ class Recording:
 
     def odometry(self) -> Trajectory:
         """Return what the wheels say where the robot was at each scan."""
-        poses = [(p.x, p.y, p.yaw_rad) for scan in self.scans if (p := scan.odometry) is not None]
-        return Trajectory(self.truth.stamps_s, np.array(poses), "odometry")
+        return odometry_path(self.scans, "odometry")
 
 
 def simulate(course: Course, device: ComputeDevice, progress: Progress | None = None) -> Recording:
@@ -91,7 +90,7 @@ def simulate(course: Course, device: ComputeDevice, progress: Progress | None = 
     floor = draw_floor(course.world, _chance(course, WORLD_STREAM))
     glass_rng = _chance(course, GLASS_STREAM)
     glass = pick_glass(floor.grid, course.world.glass_share, glass_rng)
-    drive = course.drive
+    drive, period_s = course.drive, 1.0 / course.lidar.rate_hz
     space = FreeSpace(floor.grid, drive.radius_m, MARGIN_M[drive.model])
     start = floor.start if course.start is None else Pose2(*course.start)
     start = start or Pose2(*space.any_place(_chance(course, START_STREAM)))
@@ -106,7 +105,10 @@ def simulate(course: Course, device: ComputeDevice, progress: Progress | None = 
         ways = _ways(space, start, stops)
         world = replace(world, obstacles=_obstacles(course, start, ways))
         try:
-            motion = _drive(course, world, space, start, ways)
+            if course.script:
+                motion = run_script(world, space, drive, start, course.script, period_s)
+            else:
+                motion = follow_ways(world, space, drive, start, ways, period_s)
             break
         except StuckError as error:
             if course.waypoints is not None or len(stops) == 1:
@@ -121,8 +123,10 @@ def simulate(course: Course, device: ComputeDevice, progress: Progress | None = 
         people=people,
         obstacles=world.obstacles,
     )
-    walks = _walks(chosen, world, motion, walkers)
-    scans, truth = _record(chosen, world, motion, walks, device, progress)
+    every = round(1.0 / (course.lidar.rate_hz * motion.step_s))  # steps from sweep to sweep
+    robot = motion.poses[::every, :2]
+    walks = walk(people, walkers, robot, period_s)
+    scans, truth = _record(chosen, world, motion, every, walks, device, progress)
     return Recording(chosen, world, scans, truth, walks.places, tuple(left_out))
 
 
@@ -185,7 +189,10 @@ def _stops(course: Course, floor: Floor, space: FreeSpace, start: Pose2) -> tupl
     area_m2 = np.count_nonzero(floor.grid.cells == 0) * floor.grid.resolution**2
     spacing_m = min(max(SPACING_SHARE * math.sqrt(area_m2), SPACING_LEAST_M), SPACING_MOST_M)
     tour = space.tour((start.x, start.y), spacing_m, MOST_STOPS)
-    if len(tour) > 1 and sum(_length(way) for way in _ways(space, start, tour)) < SHORT_TOUR_M:
+    if (
+        len(tour) > 1
+        and sum(travelled(way)[-1] for way in _ways(space, start, tour)) < SHORT_TOUR_M
+    ):
         tour += [*tour[-2::-1], tour[-1]]
     return tuple(tour)
 
@@ -197,17 +204,6 @@ def _ways(space: FreeSpace, start: Pose2, stops: tuple[Point, ...] | list[Point]
         ways.append(space.way(here, stop, f"waypoint {number}"))
         here = stop
     return ways
-
-
-def _length(way: F64) -> float:
-    return float(np.hypot(*np.diff(way, axis=0).T).sum())
-
-
-def _drive(course: Course, world: World, space: FreeSpace, start: Pose2, ways: list[F64]) -> Motion:
-    period_s = 1.0 / course.lidar.rate_hz
-    if course.script:
-        return run_script(world, space, course.drive, start, course.script, period_s)
-    return follow_ways(world, space, course.drive, start, ways, period_s)
 
 
 def _obstacles(course: Course, start: Pose2, ways: list[F64]) -> tuple[ObstacleConfig, ...]:
@@ -243,27 +239,16 @@ def _script_way(course: Course, start: Pose2) -> F64:
     return np.array(points)
 
 
-def _scans_every(course: Course, motion: Motion) -> int:
-    """Return the steps of a motion from one sweep to the next."""
-    return round(1.0 / (course.lidar.rate_hz * motion.step_s))
-
-
-def _walks(course: Course, world: World, motion: Motion, walkers: FreeSpace) -> Walks:
-    """Let the world's people walk while the robot moves; a row a sweep."""
-    robot = motion.poses[:: _scans_every(course, motion), :2]
-    return walk(world.people, walkers, robot, 1.0 / course.lidar.rate_hz)
-
-
 def _record(
     course: Course,
     world: World,
     motion: Motion,
+    every: int,
     walks: Walks,
     device: ComputeDevice,
     progress: Progress | None,
 ) -> tuple[tuple[LogScan, ...], Trajectory]:
     lidar = course.lidar
-    every = _scans_every(course, motion)
     poses = motion.poses[::every]
     odometry = read_odometry(motion, course.drive, _chance(course, ODOMETRY_STREAM))[::every]
     stamps_s = np.arange(len(poses)) / lidar.rate_hz

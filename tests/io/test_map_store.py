@@ -24,7 +24,7 @@ def opened(path: Path) -> MapStore:
     return MapStore(path, ("fused", "agreement"), (50, 70), 32, 0.05, ORIGIN, {"reference": "a"})
 
 
-def test_what_is_written_is_read_whole_or_in_part(tmp_path: Path) -> None:
+def test_what_is_written_is_read_back(tmp_path: Path) -> None:
     path = tmp_path / "new" / "map.zarr"
     with opened(path) as store:
         for box in (CellBox(0, 0, 32, 32), CellBox(32, 32, 50, 64)):
@@ -36,11 +36,6 @@ def test_what_is_written_is_read_whole_or_in_part(tmp_path: Path) -> None:
     whole = read_stored_map(path, "fused")
     assert np.array_equal(whole.cells, wanted)
     assert (whole.origin, whole.resolution, whole.name) == (ORIGIN, 0.05, "fused")
-    box = CellBox(30, 20, 45, 60)
-    part = read_stored_map(path, "fused", box)
-    assert np.array_equal(part.cells, wanted[30:45, 20:60])
-    corner = part.origin.transform((0.0, 0.0))
-    assert np.allclose(corner, whole.crop(box).origin.transform((0.0, 0.0)))
     assert (read_stored_map(path, "agreement").cells == -1).all()
 
 
@@ -109,5 +104,3 @@ def test_what_is_no_store_cannot_be_read(tmp_path: Path) -> None:
         pass
     with pytest.raises(MapFileError, match="no store with a map 'drawn'"):
         read_stored_map(path, "drawn")
-    with pytest.raises(MapFileError, match="wanted cells of 50 x 70"):
-        read_stored_map(path, "fused", CellBox(0, 0, 51, 10))
