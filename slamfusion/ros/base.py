@@ -92,6 +92,7 @@ class Diagnostics:
         self._lock = threading.Lock()
         # Level, words, and until when it holds.
         self._now: dict[str, tuple[Level, str, float]] = {}
+        self._since_s: dict[str, float] = {}
 
     def say(
         self,
@@ -100,6 +101,7 @@ class Diagnostics:
         level: Level = Level.WARN,
         for_s: float = math.inf,
         *,
+        after_s: float = 0.0,
         is_of_all: bool = False,
     ) -> None:
         """Report that something is wrong, or with None that it is right again.
@@ -108,14 +110,19 @@ class Diagnostics:
             key: what; the same key replaces the words that it had.
             text: why, for people, with what to do.
             for_s: it is over after this time, seconds; default: until it is right.
+            after_s: it counts once it has been wrong for this long, seconds.
             is_of_all: as true of the nodes started with this one: one of them logs it.
         """
+        now_s = time.monotonic()
         with self._lock:
             before = self._alive().get(key)
             if text is None:
                 self._now.pop(key, None)
+                self._since_s.pop(key, None)
+            elif now_s - self._since_s.setdefault(key, now_s) < after_s:
+                return
             else:
-                self._now[key] = level, text, time.monotonic() + for_s
+                self._now[key] = level, text, now_s + for_s
         if text is None and before is not None:
             self._log.info(f"over: {before[1]}")
         if text is None or before is not None or (is_of_all and not is_first_to_say(text)):

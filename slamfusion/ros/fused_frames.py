@@ -118,7 +118,6 @@ class FusedFrames:
         self._heard_ns: dict[str, int] = {}
         self._has_sent_odometry = False
         self._resets = 0
-        self._wanted_since_s: float | None = None
         self._output = TransformOutput(node.node)
         self._spread, self._odom_frame = PoseSpread(), OdomFrame()
         self._pose_topic = node.node.create_publisher(
@@ -346,20 +345,13 @@ class FusedFrames:
 
     def _name_unsent(self) -> None:
         """Name that fused_frame -> odom_frame was never sent, though an input votes."""
-        settings, now_s = self._node.settings, time.monotonic()
+        settings = self._node.settings
         has_voters = any(record.accepted for record in self._state.inputs.values())
-        if not (settings.publish_tf and has_voters) or self._has_sent_odometry:
-            self._wanted_since_s = None
-            self._node.diagnostics.clear("unsent")
-            return
-        if self._wanted_since_s is None:
-            self._wanted_since_s = now_s
-        if now_s - self._wanted_since_s < TF_LATE_S:
-            return
         why = "the odometry does not tell where the robot is at the times of its poses"
         if settings.fused_frame == settings.odom_frame:
             why = "both are one frame; rename one of them"
         elif not self.leader:
             why = "no input that votes tells the robot's pose (NAME/pose beside NAME/map)"
         text = f"publish_tf: {settings.fused_frame} -> {settings.odom_frame} was never sent: {why}"
-        self._node.diagnostics.say("unsent", text)
+        is_unsent = settings.publish_tf and has_voters and not self._has_sent_odometry
+        self._node.diagnostics.say("unsent", text if is_unsent else None, after_s=TF_LATE_S)

@@ -34,7 +34,7 @@ from slamfusion.ros.fused_frames import FusedFrames
 from slamfusion.ros.fusion_inputs import ENTRY, FUSION, PREFIX, FusionInputs
 from slamfusion.ros.fusion_services import MAP_TOPIC, FusionServices
 from slamfusion.ros.fusion_state import StateKeeper
-from slamfusion.ros.input_health import Clocks, HeardPose, MapSource, Writers
+from slamfusion.ros.input_health import Clocks, HeardPose, MapSource, name_writers
 from slamfusion.ros.live_page import LivePage
 from slamfusion.ros.parameters import declare, declare_starts
 
@@ -140,7 +140,6 @@ class FusionNode(NodeBase):
             is_heard=lambda: self._agreement_topic.get_subscription_count() > 0,
         )
         self._services = FusionServices(self)
-        self._writers = Writers(self)
         self._keeper = StateKeeper(self, self._fusion, self.settings.state_path, names)
         if (kept := self._keeper.restored) is not None:
             self.session.offer(FusedMap(*kept.grids(), kept.stamp_s))
@@ -236,7 +235,7 @@ class FusionNode(NodeBase):
         for source in sources.values():
             source.look()
         topics = {name: source.topic for name, source in sources.items()}
-        self.rival = self._writers.look(topics, MAP_TOPIC)
+        self.rival = name_writers(self, topics, MAP_TOPIC)
         self._clocks.look(sources)
         self.drive.look(sources)
         self._wake()

@@ -1,8 +1,7 @@
 """An input of the fusion node, and whether it is well.
 
 ``MapSource`` hears a map topic and the poses next to it, and ``Liveliness`` whether the process
-that writes them lives. ``Clocks`` knows whose clock is off, ``Writers`` where several nodes write
-one topic.
+that writes them lives. ``Clocks`` knows whose clock is off.
 """
 
 from __future__ import annotations
@@ -43,8 +42,7 @@ KEPT, LEAST, SPAN_S = 50, 4, 1.0
 # Of the last stamps this share is farther ahead than the one that counts: a stray one does not.
 UPPER = 0.25
 
-# A process that was killed is known to DDS for another 20 s; two writers of one name are more than
-# a dead one and its successor only after this long, seconds.
+# Two writers of one name are more than a dead one and its successor after this long, seconds.
 DEAD_KNOWN_S = 45.0
 UNKNOWN = "_NODE_NAME_UNKNOWN_"
 
@@ -193,55 +191,43 @@ class Clocks:
         self._ahead_s.clear()
 
 
-class Writers:
-    """Names several nodes on a topic that should have one, by what DDS knows of them."""
+def name_writers(base: NodeBase, topics: Mapping[str, str], output: str) -> str:
+    """Name topics with several writers, of inputs by name and of the output.
 
-    def __init__(self, base: NodeBase) -> None:
-        self._base = base
-        self._alike_since_s: dict[str, float] = {}
-
-    def look(self, topics: Mapping[str, str], output: str) -> str:
-        """Name topics with several writers, of inputs by name and of the output.
-
-        Returns:
-            Another node that writes the output; empty without.
-        """
-        diagnostics = self._base.diagnostics
-        for name, topic in topics.items():
-            nodes = self._nodes(topic)
-            text = (
-                f"{len(nodes)} nodes publish {self._base.resolved(topic)!r}, "
-                f"{' and '.join(map(repr, nodes))}, and their maps take turns as one input: end "
-                "one, or give each a topic of its own in inputs"
-            )
-            diagnostics.say(f"writers {name}", text if len(nodes) > 1 else None)
-        own, others = self._base.node.get_fully_qualified_name(), self._nodes(output)
-        if own in others:
-            others.remove(own)
-        rival = others[0] if others else ""
+    Returns:
+        Another node that writes the output; empty without.
+    """
+    for name, topic in topics.items():
+        nodes = _writers(base, topic)
+        single = sorted(set(nodes))
+        nodes = nodes if len(single) == 1 else single
         text = (
-            f"another node, {rival!r}, publishes {self._base.resolved(output)!r} too: end one of "
-            "the two, or start it in a namespace of its own (-r __ns:=/NAME)"
+            f"{len(nodes)} nodes publish {base.resolved(topic)!r}, "
+            f"{' and '.join(map(repr, nodes))}, and their maps take turns as one input: end one, "
+            "or give each a topic of its own in inputs"
         )
-        diagnostics.say("other fusion", text if rival else None, Level.ERROR)
-        return rival
+        # A process that was killed is known to DDS for another 20 s, next to its successor.
+        after_s = DEAD_KNOWN_S if len(single) == 1 else 0.0
+        is_shared = len(nodes) > 1
+        base.diagnostics.say(f"writers {name}", text if is_shared else None, after_s=after_s)
+    own = base.node.get_fully_qualified_name()
+    rival = next((node for node in _writers(base, output) if node != own), "")
+    text = (
+        f"another node, {rival!r}, publishes {base.resolved(output)!r} too: end one of the two, or "
+        "start it in a namespace of its own (-r __ns:=/NAME)"
+    )
+    base.diagnostics.say("other fusion", text if rival else None, Level.ERROR)
+    return rival
 
-    def _nodes(self, topic: str) -> list[str]:
-        """Return the nodes that write a topic, each once; one more by a name that stays double."""
-        infos = self._base.node.get_publishers_info_by_topic(topic)
-        names = [
-            f"{info.node_namespace.rstrip('/')}/{info.node_name}"
-            for info in infos
-            if info.node_name != UNKNOWN
-        ]
-        single = sorted(set(names))
-        if len(names) == len(single):
-            self._alike_since_s.pop(topic, None)
-            return single
-        now_s = time.monotonic()
-        if now_s - self._alike_since_s.setdefault(topic, now_s) < DEAD_KNOWN_S:
-            return single
-        return sorted(names)
+
+def _writers(base: NodeBase, topic: str) -> list[str]:
+    """Return the names of the nodes that write a topic, by what DDS knows of them."""
+    infos = base.node.get_publishers_info_by_topic(topic)
+    return sorted(
+        f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+        for info in infos
+        if info.node_name != UNKNOWN
+    )
 
 
 @dataclass(frozen=True)

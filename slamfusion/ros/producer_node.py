@@ -116,9 +116,8 @@ class ProducerNode(NodeBase):
         )
         self._inputs = ScanInput(self, self.settings)
         self._transforms: TransformOutput | None = None
-        # Written by the worker that sends, read by the executor.
-        self._transform_sent_s: float | None = None
-        self._transform_due_s: float | None = None
+        # Whether the transform was sent since the last look.
+        self._has_sent_transform = False
         self._on_settings(self.settings)
         self.subscribe(LaserScan, SCAN_TOPIC, self._on_scan, qos.SENSOR)
         self.timer(LOOK_S, self._look)
@@ -244,16 +243,11 @@ class ProducerNode(NodeBase):
                 return
             pose = pose.compose(answer.odometry.inverse())
         self._transforms.send(pose, self._map_frame, self._child_frame, stamp)
-        self._transform_sent_s = time.monotonic()
+        self._has_sent_transform = True
 
     def _name_transform(self, *, is_due: bool) -> None:
         """Name a transform that is not sent although scans come, and other senders of the same."""
-        now_s, settings = time.monotonic(), self.settings
-        if not is_due:
-            self._transform_due_s = None
-        elif self._transform_due_s is None:
-            self._transform_due_s = now_s
-        since_s = max(self._transform_due_s or now_s, self._transform_sent_s or 0.0)
+        settings = self.settings
         wanted = {
             "topic": "odometry at the scans' times; check its topic and its stamps",
             "tf": f"transforms from {settings.base_frame!r} to {settings.odom_frame!r} at the "
@@ -264,8 +258,9 @@ class ProducerNode(NodeBase):
             f"publish_tf is on and {self._map_frame!r} -> {self._child_frame!r} cannot be sent: it "
             f"needs {wanted}"
         )
-        is_late = now_s - since_s > NEVER_SENT_S
-        self.diagnostics.say("unsent", text if is_late else None, Level.ERROR)
+        is_unsent, self._has_sent_transform = is_due and not self._has_sent_transform, False
+        words = text if is_unsent else None
+        self.diagnostics.say("unsent", words, Level.ERROR, after_s=NEVER_SENT_S)
         rival = "" if self._transforms is None else self._transforms.rival()[1]
         text = f"{rival}: set publish_tf to false in all but one"
         self.diagnostics.say("rival", text if rival else None, Level.ERROR)
