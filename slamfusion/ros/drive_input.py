@@ -17,7 +17,7 @@ from slamfusion.io import LogScan
 from slamfusion.jobs.live_drive import DriveSolution, LiveDrive, LocatedPose, Pace
 from slamfusion.ros import messages, qos
 from slamfusion.ros.base import Worker
-from slamfusion.ros.input_health import MAP_SUFFIX, HeardPose, MapSource
+from slamfusion.ros.input_health import HeardPose, MapSource
 from slamfusion.ros.scan_input import SCAN_TOPIC, ArrivedScan, ScanInput
 from slamfusion.slam.session import LeftOutError
 
@@ -55,7 +55,6 @@ class DriveInput:
         self._deskewer = Deskewer(LogConfig(deskew=settings.deskew, sweep_s=settings.sweep_s))
         self._drive = LiveDrive(node.open_device(device))
         self._count, self._pace = 0, Pace()
-        self._paths: dict[str, tuple[MapSource, Any]] = {}
         self._path_topic = node.node.create_publisher(Path, PATH_TOPIC, qos.MAP)
         self._reader: Worker[ArrivedScan] = Worker(self._read, SCAN_QUEUE, node.failed, "scans")
         self._solver: Worker[None] = Worker(self._solve, 1, node.failed, "drive")
@@ -71,6 +70,10 @@ class DriveInput:
         """Return where a new pose of an input has the robot; see ``LiveDrive.locate``."""
         return self._drive.locate(name, messages.stamp_s(heard.stamp), heard.pose)
 
+    def remove(self, name: str) -> None:
+        """Forget an input."""
+        self._drive.remove(name)
+
     def forget(self) -> None:
         """Let a new drive start."""
         self._drive.forget()
@@ -80,18 +83,8 @@ class DriveInput:
         """Listen to the paths of the inputs while scans are heard; solve what is left to solve."""
         self.scans.name_odometry()
         self._solver.put(None)
-        for name, (source, subscription) in [*self._paths.items()]:
-            if sources.get(name) is not source:
-                self._node.node.destroy_subscription(subscription)
-                del self._paths[name]
-                self._drive.remove(name)
-        for name, source in sources.items():
-            if self._count and name not in self._paths and source.topic.endswith(MAP_SUFFIX):
-                topic = source.topic.removesuffix(MAP_SUFFIX) + "/path"
-                subscription = self._node.subscribe(
-                    Path, topic, partial(self._on_path, name), qos.MAP
-                )
-                self._paths[name] = source, subscription
+        for name, source in sources.items() if self._count else ():
+            source.hear_path(partial(self._on_path, name))
 
     def _on_scan(self, message: Any) -> None:
         passed = self.scans.offer(message)

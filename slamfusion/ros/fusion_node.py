@@ -176,6 +176,7 @@ class FusionNode(NodeBase):
         for name in removed:
             self.session.remove(name)
             self._clocks.remove(name)
+            self.drive.remove(name)
             self.diagnostics.clear(f"writers {name}")
         for grid in saved:
             read = partial(self._on_page, grid.name, grid)
@@ -221,8 +222,6 @@ class FusionNode(NodeBase):
             self._shown_votes = snapshot.votes
             self.publish_diagnostics()
             self._show()
-        if self._page is not None:
-            self._page.look()
 
     def _show(self) -> None:
         """Show how the inputs are on the page."""

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped
-from nav_msgs.msg import OccupancyGrid
+from nav_msgs.msg import OccupancyGrid, Path
 from rclpy.event_handler import SubscriptionEventCallbacks, UnsupportedEventTypeError
 
 from slamfusion.errors import GridError, TrajectoryError
@@ -295,18 +295,18 @@ class MapSource:
         self._left_out = 0
         self._profile = qos.MAP
         self._liveliness = Liveliness()
-        # By what they hear: map, updates, pose, and lease.
+        # By what they hear: map, updates, pose, path and lease.
         self._subscriptions: dict[str, Any] = {}
         if messages.MapUpdate is not None:
             self._subscriptions["updates"] = base.subscribe(
                 messages.MapUpdate, f"{topic}_updates", self._take_update, qos.STREAM
             )
         self._listen()
-        self._pose_topic = ""
-        if topic.endswith(MAP_SUFFIX):
-            self._pose_topic = topic.removesuffix(MAP_SUFFIX) + "/pose"
+        # NAME of NAME/map, which is empty of /map; None of other topics.
+        self._stem = topic.removesuffix(MAP_SUFFIX) if topic.endswith(MAP_SUFFIX) else None
+        if self._stem is not None:
             self._subscriptions["pose"] = base.subscribe(
-                PoseStamped, self._pose_topic, self._take_pose, qos.SENSOR
+                PoseStamped, f"{self._stem}/pose", self._take_pose, qos.SENSOR
             )
 
     @property
@@ -332,6 +332,13 @@ class MapSource:
             self._close("lease")
             self._liveliness = Liveliness()
             self._watch()
+
+    def hear_path(self, on_path: Callable[[Any], None]) -> None:
+        """Hear ``NAME/path``, too."""
+        if self._stem is not None and "path" not in self._subscriptions:
+            self._subscriptions["path"] = self._base.subscribe(
+                Path, f"{self._stem}/path", on_path, qos.MAP
+            )
 
     def close(self) -> None:
         """Hear nothing more."""
@@ -363,16 +370,16 @@ class MapSource:
 
     def _watch(self) -> None:
         """Ask for signs of life once a writer of the poses offers a lease that is short enough."""
-        if not self._pose_topic or "lease" in self._subscriptions:
+        if self._stem is None or "lease" in self._subscriptions:
             return
-        node = self._base.node
+        node, topic = self._base.node, f"{self._stem}/pose"
         asked_s = max(self._lost_after_s - DOUBT_S - NOTICE_S, qos.LEASE_S)
-        infos = node.get_publishers_info_by_topic(self._pose_topic)
+        infos = node.get_publishers_info_by_topic(topic)
         leases_s = [1e-9 * one.qos_profile.liveliness_lease_duration.nanoseconds for one in infos]
         if not any(0.0 < lease_s <= asked_s for lease_s in leases_s):
             return
         # It is the lease that counts, not the poses.
-        wanted = PoseStamped, self._pose_topic, lambda _: None, qos.heartbeat(asked_s)
+        wanted = PoseStamped, topic, lambda _: None, qos.heartbeat(asked_s)
         # Without the default ones: that others offer no lease is nothing to warn of.
         events = SubscriptionEventCallbacks(
             use_default_callbacks=False, liveliness=self._on_liveliness

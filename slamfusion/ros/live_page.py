@@ -5,9 +5,7 @@ from __future__ import annotations
 import os
 import re
 import threading
-from collections import deque
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import Future
 
 from slamfusion.config import FusionNodeConfig
 from slamfusion.errors import ConfigError
@@ -23,19 +21,15 @@ LEVELS = {Level.OK: "good", Level.WARN: "warn", Level.ERROR: "bad", Level.STALE:
 # Holds the token of the page where that is to outlive the node.
 PAGE_TOKEN = "SLAMFUSION_PAGE_TOKEN"  # noqa: S105 - its name
 TOKEN = re.compile(r"[A-Za-z0-9_-]{24,}")
-# Commands that wait; more are refused.
-WAITING = 8
-ENDS = "the node ends"
 
 
 class LivePage:
     """Hands a page's server what the node has, and the node what pages ask for.
 
-    Nothing here waits: maps are cut into tiles in a thread of the server, and commands wait until
-    ``look`` is called.
+    Nothing here waits: maps are cut into tiles in a thread of the server.
 
     Args:
-        command: carries out ``save`` or ``reset`` in the node's own thread.
+        command: carries out ``save`` or ``reset``; called in a thread of the server.
 
     Raises:
         ConfigError: it cannot listen there, or the extra ``page`` is not installed.
@@ -52,8 +46,6 @@ class LivePage:
 
         self._command = command
         self._lock = threading.Lock()
-        self._asked: deque[tuple[str, Future[tuple[bool, str]]]] = deque()
-        self._is_closed = False
         # Whose maps were shown.
         self._inputs: set[str] = set()
         self._scene = Scene(f"SLAMfusion: {base.name}", is_live=True)
@@ -64,7 +56,7 @@ class LivePage:
             self._scene,
             host=settings.page_host,
             port=settings.page_port,
-            command=self._ask,
+            command=self._obey,
             token=token,
         )
         base.log.info(f"the live page: {self._server.url}")
@@ -87,16 +79,6 @@ class LivePage:
 
     # -- in the node's thread ---------------------------------------------------------------------
 
-    def look(self) -> None:
-        """Carry out what pages asked for."""
-        with self._lock:
-            asked = list(self._asked)
-            self._asked.clear()
-        for name, future in asked:
-            answer = self._command(name)
-            self._scene.put_event("ok" if answer[0] else "error", f"{name}: {answer[1]}")
-            future.set_result(answer)
-
     def put_pose(self, name: str, pose: Pose2) -> None:
         """Let the path of an input go on."""
         self._scene.put_point(layer_name(name), pose.x, pose.y)
@@ -104,13 +86,7 @@ class LivePage:
     def show(
         self, lines: Sequence[Status], state: FusionState, sources: Iterable[MapSource]
     ) -> None:
-        """Show how the inputs are, and no more the maps of those that were removed.
-
-        Args:
-            lines: of the diagnostics, the fusion's first.
-            state: after the last fusion.
-            sources: of the inputs, whose poses are drawn.
-        """
+        """Show the lines of the diagnostics, the fusion's first, and the poses of the inputs."""
         fusion, *others = lines
         names = [line.name.removeprefix(PREFIX) for line in others]
         for name in self._inputs.difference(names):
@@ -133,26 +109,17 @@ class LivePage:
         )
 
     def close(self) -> None:
-        """End the server; who still waits for a command is told."""
-        with self._lock:
-            self._is_closed = True
-            waiting = [future for _, future in self._asked]
-        for future in waiting:
-            future.set_result((False, ENDS))
+        """End the server."""
         self._server.close()
 
     # -- in the server's threads ------------------------------------------------------------------
 
-    def _ask(self, name: str) -> tuple[bool, str]:
-        """Let a command wait for the node's thread, and return its outcome."""
-        future: Future[tuple[bool, str]] = Future()
+    def _obey(self, name: str) -> tuple[bool, str]:
+        """Carry out a command of a page, one after the other, and return its outcome."""
         with self._lock:
-            if self._is_closed:
-                return False, ENDS
-            if len(self._asked) >= WAITING:
-                return False, "too much is asked at once"
-            self._asked.append((name, future))
-        return future.result()
+            is_done, text = self._command(name)
+        self._scene.put_event("ok" if is_done else "error", f"{name}: {text}")
+        return is_done, text
 
 
 def _shown(name: str, line: Status, state: FusionState) -> dict[str, object]:
