@@ -74,7 +74,7 @@ class FusionServices:
                 answer(request, response)
             except (SlamFusionError, OSError) as error:
                 text = f"not {'loaded' if answer == self._load_map else 'saved'}: {error}"
-                self._node.diagnostics.note("service", text)
+                self._node.diagnostics.note("refused", text)
                 _fail(response, text)
             except Exception as error:  # noqa: BLE001  (a node must outlive a request)
                 if hasattr(response, "RESULT_UNDEFINED_FAILURE"):
