@@ -6,10 +6,9 @@ import base64
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any
 
-from slamfusion.align.records import FusionResult, InputRecord
+from slamfusion.align.records import FusionResult
 from slamfusion.evaluation import MapError, maps_of_differences
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
@@ -20,6 +19,12 @@ from slamfusion.web.scene import AGREEMENT, FUSED, TRUTH, Kind, Scene, layer_nam
 MOST_CELLS = 100_000_000
 # How hard tiles are packed: at 9 an eighth less than at 6, in eight times the time.
 LEVEL = 6
+NOTE = (
+    "Drag the map, or click it and use the wheel, the arrow keys, + and -; 0 shows all of it. "
+    "Point at a cell, or move the cross to it by keys, to see its value in each map."
+)
+# Of a map: its cells, its kind, and whether it is shown at first.
+_Maps = Mapping[str, tuple[OccupancyGrid, Kind, bool]]
 
 
 @dataclass(frozen=True)
@@ -35,10 +40,6 @@ class Layers:
     note: str
 
 
-# Of a map: the name of its layer, its cells, its kind, and whether it is shown at first.
-_Map = tuple[str, OccupancyGrid, Kind, bool]
-
-
 def fusion_layers(
     result: FusionResult,
     paths: Mapping[str, Trajectory] | None = None,
@@ -52,28 +53,41 @@ def fusion_layers(
         paths: by input in the frame of its map, and as ``fused`` in the fused frame.
         places: x and y in the fused frame, metres, of what to check; the first has number 1.
     """
-    placed = [record for record in result.inputs if record.accepted or record.alignment]
-    maps: list[_Map] = [
-        (FUSED, result.fused, "fused", True),
-        (AGREEMENT, result.agreement, "agreement", False),
-        *((layer_name(own.name), own.grid, "input", own.accepted) for own in placed),
-    ]
-    return _layers(
-        maps,
-        "" if all(record.accepted for record in placed) else _HIDDEN,
-        names=[layer_name(record.name) for record in result.inputs],
-        inputs=[_told(record, result.reference) for record in placed],
-        paths={
-            name if name == FUSED else layer_name(name): path
-            for name, path in (paths or {}).items()
-        },
-        places=places,
-    )
+    scene = _scene([layer_name(record.name) for record in result.inputs])
+    maps: dict[str, tuple[OccupancyGrid, Kind, bool]] = {
+        FUSED: (result.fused, "fused", True),
+        AGREEMENT: (result.agreement, "agreement", False),
+    }
+    inputs: list[Mapping[str, Any]] = []
+    for record in result.inputs:
+        if not record.accepted and record.alignment is None:
+            continue
+        name, found = layer_name(record.name), record.alignment
+        place = Pose2() if found is None else found.transform
+        maps[name] = (record.grid, "input", record.accepted)
+        is_reference = record.name == result.reference
+        inputs.append(
+            {
+                "name": name,
+                "votes": record.accepted,
+                "reason": "the reference" if is_reference else record.reason,
+                "score": None if found is None else found.score,
+                "transform": [place.x, place.y, place.yaw_rad],
+            }
+        )
+    scene.put_status(inputs, places=places)
+    own = {name: name if name == FUSED else layer_name(name) for name in paths or {}}
+    scene.put_paths({own[name]: path for name, path in (paths or {}).items()})
+    hidden = "An input without a vote is at its best alignment, and hidden at first."
+    return _layers(scene, maps, "" if all(item["votes"] for item in inputs) else hidden)
 
 
 def map_layers(grid: OccupancyGrid, path: Trajectory) -> Layers:
     """Return a map and the path in its frame."""
-    return _layers([(grid.name, grid, "fused", True)], names=[grid.name], paths={grid.name: path})
+    scene = _scene([grid.name])
+    scene.put_status([], places=())
+    scene.put_paths({grid.name: path})
+    return _layers(scene, {grid.name: (grid, "fused", True)})
 
 
 def error_layers(evaluations: Sequence[MapError]) -> Layers:
@@ -86,32 +100,22 @@ def error_layers(evaluations: Sequence[MapError]) -> Layers:
     differences = {item.name: item.difference for item in evaluations}
     truth, grids = maps_of_differences(differences, first.resolution, first.origin)
     names = [f"{grid.name} (map)" if grid.name == TRUTH else grid.name for grid in grids]
-    maps: list[_Map] = [(TRUTH, truth, "fused", True)]
-    maps += [
-        (name, grid, "input", name == names[0]) for name, grid in zip(names, grids, strict=True)
-    ]
-    return _layers(maps, _LACKING, names=names, inputs=[unlaid(name) for name in names])
+    scene = _scene(names)
+    scene.put_status([unlaid(name) for name in names], places=())
+    maps: dict[str, tuple[OccupancyGrid, Kind, bool]] = {TRUTH: (truth, "fused", True)}
+    for name, grid in zip(names, grids, strict=True):
+        maps[name] = (grid, "input", name == names[0])
+    return _layers(scene, maps, "A true wall that a map lacks is shown as unknown in it.")
 
 
-_NOTE = (
-    "Drag the map, or click it and use the wheel, the arrow keys, + and -; 0 shows all of it. "
-    "Point at a cell, or move the cross to it by keys, to see its value in each map."
-)
-_LACKING = "A true wall that a map lacks is shown as unknown in it."
-_HIDDEN = "An input without a vote is at its best alignment, and hidden at first."
+def _scene(names: Sequence[str]) -> Scene:
+    """Return an empty scene; nothing of it depends on the time of day."""
+    return Scene("report", is_live=False, names=names, clock=lambda: 0.0, level=LEVEL)
 
 
-def _layers(
-    maps: Sequence[_Map],
-    note: str = "",
-    *,
-    names: Sequence[str],
-    inputs: Sequence[Mapping[str, Any]] = (),
-    paths: Mapping[str, Trajectory] = MappingProxyType({}),
-    places: Sequence[tuple[float, float]] = (),
-) -> Layers:
-    """Return layers; see ``Scene`` for the names, the inputs and the paths."""
-    cells = sum(grid.cells.size for _, grid, _, _ in maps)
+def _layers(scene: Scene, maps: _Maps, note: str = "") -> Layers:
+    """Put the maps into a scene and return all its messages, if they are not too large."""
+    cells = sum(grid.cells.size for grid, _, _ in maps.values())
     if cells > MOST_CELLS:
         text = (
             f"These maps have {cells / 1e6:.0f} million cells in all, and a page draws at most "
@@ -119,32 +123,11 @@ def _layers(
             "`slamfusion show` draws maps from their files."
         )
         return Layers("", text)
-    # Nothing depends on the time of day.
-    scene = Scene("report", is_live=False, names=names, clock=lambda: 0.0, level=LEVEL)
-    scene.put_status(inputs, places=places)
-    scene.put_paths(paths)
-    for name, grid, kind, is_shown in maps:
+    for name, (grid, kind, is_shown) in maps.items():
         scene.put_map(name, grid, kind, is_shown=is_shown)
-    return Layers(_recorded(scene), f"{_NOTE} {note}".strip())
-
-
-def _told(record: InputRecord, reference: str) -> dict[str, Any]:
-    """Return an input as ``Scene.put_status`` takes it."""
-    alignment = record.alignment
-    place = Pose2() if alignment is None else alignment.transform
-    return {
-        "name": layer_name(record.name),
-        "votes": record.accepted,
-        "reason": "the reference" if record.name == reference else record.reason,
-        "score": None if alignment is None else alignment.score,
-        "transform": [place.x, place.y, place.yaw_rad],
-    }
-
-
-def _recorded(scene: Scene) -> str:
-    """Return all messages of a scene as JSON that cannot end a script element."""
     messages, _ = scene.since(0)
     texts = [message for message in messages if isinstance(message, str)]
     tiles = [base64.b64encode(item).decode() for item in messages if isinstance(item, bytes)]
     recorded = f'{{"messages":[{",".join(texts)}],"tiles":{json.dumps(tiles)}}}'
-    return recorded.replace("<", "\\u003c")
+    # No text in it ends a script element.
+    return Layers(recorded.replace("<", "\\u003c"), f"{NOTE} {note}".strip())
