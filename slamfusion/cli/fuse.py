@@ -36,7 +36,7 @@ from slamfusion.cli.output import (
     print_json,
     progress_bar,
 )
-from slamfusion.cli.paths import MAP
+from slamfusion.cli.paths import MAP, stem_of
 from slamfusion.cli.results import table_option
 from slamfusion.cli.tables import (
     print_evaluations,
@@ -70,16 +70,9 @@ if TYPE_CHECKING:
     from slamfusion.jobs.fuse import FusedMaps
 
 
-def _stem(out: Path) -> Path:
-    """Take ``OUT`` as a stem; a .yaml written out by the user is dropped."""
-    if out.name in {"", ".."} or (out.is_dir() and out.suffix != STORE_END):
-        raise click.UsageError(f"-o {out}: name the map too, e.g. -o {out / 'fused'}")
-    return out.with_suffix("") if out.suffix in {".yaml", ".yml", STORE_END} else out
-
-
 def _files(out: Path, given: Mapping[str, Any]) -> list[Path]:
     """Return what may be written: also the maps of groups that may be found."""
-    stems = group_stems(_stem(out), len(given["maps"]) // 2)
+    stems = group_stems(stem_of(out, {".yaml", ".yml", STORE_END}), len(given["maps"]) // 2)
     maps = [f"{stem}{end}" for stem in stems for end in ("", AGREEMENT_END)]
     return [
         record_file(stems[0]),
@@ -195,7 +188,7 @@ def command(
     except AlignmentError as error:
         _report_failure(error, grids, config, device.name, report_dir, given, as_json)
         raise
-    stem = _stem(out)
+    stem = stem_of(out, {".yaml", ".yml", STORE_END})
     document = (
         fused.to_json()
         if store

@@ -179,28 +179,20 @@ open_option = click.option(
 def drive_files(judged: str, *, of_cases: bool = False) -> Callable[[F], F]:
     """Give a command ``--relations``, ``--odometry``, ``--scan-odometry``: more files of LOG."""
     option = case_option if of_cases else file_option
-    relations = option(
-        "--relations",
-        "relations",
-        "FILE",
-        f"Known motions between pairs of times [K09]. Adds the errors of the {judged}.",
-    )
-    odometry = option(
-        "--odometry",
-        "odometry",
-        "FILE",
-        "Raw odometry of the whole run. It carries poses to the times of the relations.",
-    )
-    scan_odometry = option(
-        "--scan-odometry",
-        "scan_odometry",
-        "FILE",
-        "CSV with the odometry of each scan of a CARMEN log (index, odom_x, odom_y, odom_theta). "
-        "It replaces the poses in LOG, which in a corrected log are the result of a SLAM.",
-    )
+    texts = {
+        "--relations": "Known motions between pairs of times [K09]. Adds the errors of the "
+        f"{judged}.",
+        "--odometry": "Raw odometry of the whole run. It carries poses to the times of the "
+        "relations.",
+        "--scan-odometry": "CSV with the odometry of each scan of a CARMEN log (index, odom_x, "
+        "odom_y, odom_theta). It replaces the poses in LOG, which in a corrected log are the "
+        "result of a SLAM.",
+    }
 
     def decorate(function: F) -> F:
-        return relations(odometry(scan_odometry(function)))
+        for name, text in reversed(texts.items()):
+            function = option(name, name[2:].replace("-", "_"), "FILE", text)(function)
+        return function
 
     return decorate
 

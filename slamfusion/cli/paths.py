@@ -3,65 +3,48 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import click
-from click.shell_completion import CompletionItem
 
 from slamfusion.errors import SlamFusionError
 from slamfusion.jobs.cases import CaseFile
 from slamfusion.jobs.inputs import check_writable, map_file
+from slamfusion.jobs.outputs import STORE_END
 
 # Files of a path, kept by name among the values that the command was given.
 Files = Callable[[Path, Mapping[str, Any]], Iterable[Path]]
 
 
-class _UserPath(click.ParamType):  # type: ignore[type-arg]  # generic from click 8.3 on
-    """A path, which need not exist; ``~`` is the home folder also where no shell has put it in.
+class InputPath(click.Path):
+    """A path that is read, and need not exist; ``~`` is the home folder where no shell put it in.
 
     Args:
-        files: returns the files that are read for it, or may be written or removed.
+        files: returns the files that are read for it.
     """
 
-    name = "path"
-
     def __init__(self, files: Files) -> None:
+        super().__init__(readable=False, path_type=Path)
         self.files = files
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the path; ``~NAME`` stays if there is no user NAME."""
-        del param, ctx
-        return Path(os.path.expanduser(value))  # noqa: PTH111 - pathlib's raises for an unknown user
-
-    def shell_complete(
-        self, ctx: click.Context, param: click.Parameter, incomplete: str
-    ) -> list[CompletionItem]:
-        """Let the shell complete files."""
-        del ctx, param
-        return [CompletionItem(incomplete, type="file")]
-
-
-class InputPath(_UserPath):
-    """A path that is read."""
+        return super().convert(os.path.expanduser(value), param, ctx)  # noqa: PTH111 - pathlib raises
 
 
 class CasePath(InputPath):
     """An input that may be said to belong to a case: ``CASE=FILE``."""
 
-    name = "case_file"
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> CaseFile:
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the file and the case."""
         found = CaseFile.parse(value)
         return replace(found, path=super().convert(str(found.path), param, ctx))
 
 
-class OutputPath(_UserPath):
+class OutputPath(InputPath):
     """A path that is written to: a file, or a folder or start of names for several."""
 
 
@@ -82,6 +65,13 @@ FILE, CASE_FILE = InputPath(_read_of_file), CasePath(_read_of_file)
 MAP, CASE_MAP = InputPath(_read_of_map), CasePath(_read_of_map)
 
 
+def stem_of(out: Path, suffixes: Collection[str]) -> Path:
+    """Take ``-o OUT`` as the stem of files; one of their suffixes that was written is dropped."""
+    if out.name in {"", ".."} or (out.is_dir() and out.suffix != STORE_END):
+        raise click.UsageError(f"-o {out}: name the map too, e.g. -o {out / 'map'}")
+    return out.with_suffix("") if out.suffix in suffixes else out
+
+
 def check_paths(context: click.Context, given: Mapping[str, Any]) -> None:
     """Refuse a command that would write over what it reads, or where it cannot, before any work.
 
@@ -95,11 +85,13 @@ def check_paths(context: click.Context, given: Mapping[str, Any]) -> None:
         value = given.get(option.name or "")
         for item in value if isinstance(value, tuple) else () if value is None else (value,):
             path = item.path if isinstance(item, CaseFile) else item
+            if not isinstance(option.type, InputPath):
+                continue
+            files = option.type.files(path, given)
             if isinstance(option.type, OutputPath):
-                asked = f"{option.opts[0]} {path}"
-                writes += [(asked, file) for file in option.type.files(path, given)]
-            elif isinstance(option.type, InputPath):
-                reads += [(path, file) for file in option.type.files(path, given)]
+                writes += [(f"{option.opts[0]} {path}", file) for file in files]
+            else:
+                reads += [(path, file) for file in files]
     if not writes:
         return
     from slamfusion.io.files import refuse_overwriting  # noqa: PLC0415  (OpenCV, as above)

@@ -22,7 +22,7 @@ from slamfusion.cli.options import (
     with_config,
 )
 from slamfusion.cli.output import notice, print_facts, print_json, print_table, progress_bar
-from slamfusion.cli.paths import FILE, MAP
+from slamfusion.cli.paths import FILE, MAP, stem_of
 from slamfusion.cli.results import print_items, table_option
 from slamfusion.cli.tables import print_evaluations, print_measures, tell_unaligned
 from slamfusion.config import RunConfig
@@ -33,13 +33,6 @@ if TYPE_CHECKING:
     from slamfusion.jobs.map_log import MappedLog, ProducerResult
 
 
-def _stem(out: Path) -> Path:
-    """Take ``OUT`` as a stem; a suffix of its files written out by the user is dropped."""
-    if out.name in {"", ".."} or out.is_dir():
-        raise click.UsageError(f"-o {out}: name the map too, e.g. -o {out / 'map'}")
-    return out.with_suffix("") if out.suffix in SUFFIXES else out
-
-
 def _stems(stem: Path, seeds: Sequence[int]) -> dict[int | None, Path]:
     """Return the stem of the files of each seed; without seeds that of the only run."""
     if not seeds:
@@ -48,7 +41,7 @@ def _stems(stem: Path, seeds: Sequence[int]) -> dict[int | None, Path]:
 
 
 def _files(out: Path, given: Mapping[str, Any]) -> list[Path]:
-    stems = _stems(_stem(out), given["seeds"]).values()
+    stems = _stems(stem_of(out, SUFFIXES), given["seeds"]).values()
     found = [output_files(stem, probabilities=given["probabilities"]) for stem in stems]
     return [file for files in found for file in files]
 
@@ -101,8 +94,8 @@ def _make_command(name: str) -> click.Command:
     @table_option
     def run(log: Path, out: Path, seeds: tuple[int, ...], **asked: Any) -> int:
         if not seeds:
-            return _run(name, log, _stem(out), **asked)
-        return _run_seeds(name, log, _stems(_stem(out), seeds), **asked)
+            return _run(name, log, stem_of(out, SUFFIXES), **asked)
+        return _run_seeds(name, log, _stems(stem_of(out, SUFFIXES), seeds), **asked)
 
     run.help = (
         f"Map a log with {record.summary}.\n\n"
