@@ -339,30 +339,27 @@ __kernel void squared_error(__global const char *a, const int height, const int 
 #define POINTS_BETWEEN 16
 
 /* Upper bounds of a lattice score over blocks of motions (branch and bound).
- * bounds[b] = sum over points of the pooled field of the point's class at start + shift; -1 where
- * that is not above `least`, which is seen before all points are read.
+ * bounds[b] = sum over points of the pooled field at start + shift; -1 where that is not above
+ * `least`, which is seen before all points are read.
  * blocks (count, 3) int: yaw group, row and column of the block's first shift;
  * starts (groups, 2, points) int: rows, then columns of the points' windows for shift 0;
- * classes (points) uchar: which pooled field a point reads; fields (classes, height, width) uchar,
- * fill outside; bounds (count) int. Global: (count). */
+ * field (height, width) uchar, 0 outside; bounds (count) int. Global: (count). */
 __kernel void bound_blocks(__global const int *blocks, const int count,
-                           __global const int *starts, __global const uchar *classes,
-                           const int points, __global const uchar *fields, const int height,
-                           const int width, const uchar fill, const int least,
-                           __global int *bounds) {
+                           __global const int *starts, const int points,
+                           __global const uchar *field, const int height, const int width,
+                           const int least, __global int *bounds) {
   const int b = get_global_id(0);
   if (b >= count) return;
   const int row0 = blocks[3 * b + 1], col0 = blocks[3 * b + 2];
   __global const int *rows = starts + (size_t)blocks[3 * b] * 2 * points, *cols = rows + points;
-  const size_t plane = (size_t)height * width;
   int sum = 0;
   for (int n = 0; n < points && sum + FIELD_ONE * (points - n) > least;) {
     const int end = LOWER(n + POINTS_BETWEEN, points);
     for (; n < end; n++) {
       const int row = rows[n] + row0, col = cols[n] + col0;
       const int inside = ((uint)row < (uint)height) & ((uint)col < (uint)width);
-      const int value = fields[classes[n] * plane + (inside ? row * width + col : 0)];
-      sum += inside ? value : fill;
+      const int value = field[inside ? row * width + col : 0];
+      sum += inside ? value : 0;
     }
   }
   bounds[b] = sum > least ? sum : -1;

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from slamfusion.compute.arrays import F32, F64, I32, I64, U8, ArrayDevice, DeviceArray, host
+from slamfusion.compute.arrays import F32, F64, I32, I64, ArrayDevice, DeviceArray, host
 from slamfusion.compute.lattice import fixed_cells, narrow_motions
 from slamfusion.compute.layout import (
     COUNT_TERMS,
@@ -267,39 +267,33 @@ class SearchDevice(ArrayDevice):
         self,
         blocks: I32,
         starts: DeviceArray[np.int32],
-        classes: U8,
-        fields: DeviceArray[np.uint8],
-        fill: int,
-        *,
+        field: DeviceArray[np.uint8],
         least: int = -1,
     ) -> I32:
-        """Return the sum over points of their pooled field at the block's first shift.
+        """Return the sum over points of a pooled field at the block's first shift.
 
         Args:
             blocks: (B, 3) int32: yaw group, row and column of the first shift.
             starts: (G, 2, N) int32: rows, then columns of the points' windows for shift 0.
-            classes: (N,) uint8: the pooled field that a point reads.
-            fields: (C, H, W) uint8; outside counts as ``fill``.
+            field: (H, W) uint8; outside counts as 0.
             least: a sum at or below it is of no use.
 
         Returns:
             (B,) int32; -1 where the sum is of no use.
         """
         if self.opencl:
-            _, height, width = fields.shape
             return self.opencl.launch_into(
                 np.empty(len(blocks), dtype=np.int32), "bound_blocks", (len(blocks),),
-                self.opencl.wrap_host(blocks), len(blocks), starts, self.opencl.wrap_host(classes),
-                len(classes), fields, height, width, np.uint8(fill), least,
+                self.opencl.wrap_host(blocks), len(blocks), starts, starts.shape[2], field,
+                *field.shape, least,
             )  # fmt: skip
-        starts, fields = host(starts), host(fields)
-        _, height, width = fields.shape
+        starts, field = host(starts), host(field)
+        height, width = field.shape
         out = np.zeros(len(blocks), dtype=np.int32)
         for b, (group, row0, col0) in enumerate(blocks):
             row, col = starts[group, 0] + row0, starts[group, 1] + col0
             inside = (row >= 0) & (col >= 0) & (row < height) & (col < width)
-            values = fields[classes[inside], row[inside], col[inside]]
-            out[b] = values.sum(dtype=np.int32) + fill * np.count_nonzero(~inside)
+            out[b] = field[row[inside], col[inside]].sum(dtype=np.int32)
         return np.where(out > least, out, np.int32(-1))
 
     def tile_peaks(

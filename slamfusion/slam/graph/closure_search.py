@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -46,29 +47,37 @@ BESIDE_M, BESIDE_RAD = 0.5, 0.35
 LEAST_REACH_CELLS = 20.0
 
 
-@dataclass(frozen=True)
-class WindowMatch:
+class Window(NamedTuple):
+    """Poses that are searched, in a submap's frame.
+
+    Attributes:
+        centre: (3,) metres and radians.
+        half_m: how far x and y reach from there.
+        half_rad: how far the yaw does.
+    """
+
+    centre: F64
+    half_m: float
+    half_rad: float
+
+
+class WindowMatch(NamedTuple):
     """The best pose of the search set.
 
     Attributes:
         pose: (3,) x, y in metres and yaw in radians, in the submap's frame.
         score: mean field under the hits, 0 to 1.
-        opened: blocks that were bounded: what the search took.
     """
 
     pose: F64
     score: float
-    opened: int
 
 
 def search_window(
     device: ComputeDevice,
     pyramid: Pyramid,
     points: F64,
-    centre: F64,
-    *,
-    half_m: float,
-    half_rad: float,
+    window: Window,
     resolution: float,
     least: float = 0.0,
     beside: F64 | None = None,
@@ -77,7 +86,6 @@ def search_window(
 
     Args:
         points: (P, 2) hits in the robot's frame, metres; at least one.
-        centre: (3,) middle of the window in the submap's frame.
         resolution: metres per cell.
         beside: (3,) a pose in the submap's frame; what lies within ``BESIDE_M`` and
             ``BESIDE_RAD`` of it is passed over: is there another place that fits?
@@ -87,33 +95,25 @@ def search_window(
     """
     cells = points / resolution
     reach = max(float(np.hypot(cells[:, 0], cells[:, 1]).max()), LEAST_REACH_CELLS)
-    yaw_count = int(np.ceil(half_rad * reach / YAW_CELLS))
-    yaws = centre[2] + np.arange(-yaw_count, yaw_count + 1) * (half_rad / max(1, yaw_count))
-    half = int(np.ceil(half_m / resolution))
-    start = centre[:2] / resolution - pyramid.corner - half
+    yaw_count = int(np.ceil(window.half_rad * reach / YAW_CELLS))
+    turns = np.arange(-yaw_count, yaw_count + 1) * (window.half_rad / max(1, yaw_count))
+    yaws = window.centre[2] + turns
+    half = int(np.ceil(window.half_m / resolution))
+    start = window.centre[:2] / resolution - pyramid.corner - half
     cos, sin = np.cos(yaws)[:, None], np.sin(yaws)[:, None]
     x = start[0] + cos * cells[:, 0] - sin * cells[:, 1]
     y = start[1] + sin * cells[:, 0] + cos * cells[:, 1]
-    starts = np.floor(np.stack((y, x), axis=1)).astype(np.int32)
-    handle = device.upload(starts)
-    classes = np.zeros(len(points), dtype=np.uint8)
+    starts = device.upload(np.floor(np.stack((y, x), axis=1)).astype(np.int32))
     span = 2 * half + 1
 
     # A sum is whole: what is added undoes the rounding of a score that was one.
     best_sum = int(np.floor(least * 255.0 * len(points) + 1e-6))
-
-    def bounds(blocks: I32, level: int) -> npt.NDArray[np.int32]:
-        field = pyramid.fields[level]
-        return device.bound_blocks(blocks, handle, classes, field, 0, least=best_sum)
-
-    window = pyramid.windows[0]
-    firsts = -(-span // window)
+    side = pyramid.windows[0]
+    firsts = -(-span // side)
     blocks = np.indices((len(yaws), firsts, firsts), dtype=np.int32).reshape(3, -1).T
-    blocks = blocks * np.array([1, window, window], dtype=np.int32)
-    values = bounds(blocks, 0)
-    opened = len(blocks)
+    blocks = blocks * np.array([1, side, side], dtype=np.int32)
     # A stack of open blocks by level; the most promising of the deepest level come first.
-    queues: list[tuple[I32, npt.NDArray[np.int32]]] = [(blocks, values)]
+    queues = [(blocks, device.bound_blocks(blocks, starts, pyramid.fields[0], best_sum))]
     best: I32 | None = None
     while queues:
         blocks, values = queues.pop()
@@ -123,30 +123,26 @@ def search_window(
         if len(blocks) == 0:
             continue
         order = np.argsort(-values, kind="stable")
-        chosen, rest = order[:BATCH], order[BATCH:]
         if level == len(pyramid.windows) - 1:
             if beside is not None:
                 place = (start + pyramid.corner + blocks[order][:, [2, 1]]) * resolution
-                order = order[_is_elsewhere(place, yaws[blocks[order, 0]], beside)]
+                away = np.hypot(*(place - beside[:2]).T)
+                turn = np.abs(wrap_angles(yaws[blocks[order, 0]] - beside[2]))
+                order = order[(away >= BESIDE_M) | (turn >= BESIDE_RAD)]
             if len(order):
                 best_sum, best = int(values[order[0]]), blocks[order[0]]
             continue
+        chosen, rest = order[:BATCH], order[BATCH:]
         queues.append((blocks[rest], values[rest]))
         children = _children(blocks[chosen], pyramid.windows[level], pyramid.windows[level + 1])
         children = children[(children[:, 1] < span) & (children[:, 2] < span)]
-        opened += len(children)
-        queues.append((children, bounds(children, level + 1)))
+        bounds = device.bound_blocks(children, starts, pyramid.fields[level + 1], best_sum)
+        queues.append((children, bounds))
     if best is None:
         return None
     place = (start + half + pyramid.corner) + (best[[2, 1]] - half)
     pose = np.array([*(place * resolution), yaws[best[0]]])
-    return WindowMatch(pose, best_sum / (255.0 * len(points)), opened)
-
-
-def _is_elsewhere(places: F64, yaws: F64, beside: F64) -> npt.NDArray[np.bool_]:
-    """Return of places (N, 2) in metres and yaws (N,) whether they are not at a pose (3,)."""
-    away = np.hypot(*(places - beside[:2]).T)
-    return np.asarray((away >= BESIDE_M) | (np.abs(wrap_angles(yaws - beside[2])) >= BESIDE_RAD))
+    return WindowMatch(pose, best_sum / (255.0 * len(points)))
 
 
 def _children(blocks: I32, window: int, part: int) -> I32:
@@ -218,21 +214,6 @@ class Found:
     information: F64
 
 
-@dataclass(frozen=True, eq=False)
-class _Window:
-    """Poses that are searched.
-
-    Attributes:
-        centre: (3,) in the submap's frame, metres and radians.
-        half_m: how far x and y reach from there.
-        half_rad: how far the yaw does.
-    """
-
-    centre: F64
-    half_m: float
-    half_rad: float
-
-
 class ClosureSearch:
     """Searches scans in old submaps."""
 
@@ -267,14 +248,14 @@ class ClosureSearch:
             hypothesis = PoseHypothesis(expected, spread)
             found = self._fine(submap, points, hypothesis, least, MOST_UNSEEN)
             if isinstance(found, Found) and _is_news(expected, found.pose):
-                window = _Window(expected, RIVAL_TIMES * drift_m + RIVAL_M, turn)
+                window = Window(expected, RIVAL_TIMES * drift_m + RIVAL_M, turn)
                 if self._has_rival(submap, points, window, found):
                     return AMBIGUOUS
             return found
         most = config.loop_search_space_dimension / 2.0
         half_m = min(drift_m, most)
         wider = min(RIVAL_TIMES * half_m + RIVAL_M, most)
-        windows = (_Window(expected, half_m, turn), _Window(expected, wider, turn))
+        windows = (Window(expected, half_m, turn), Window(expected, wider, turn))
         return self._only_place(submap, points, windows, least, MOST_UNSEEN)
 
     def anywhere(self, submap: Submap, points: F64, mean_score: float) -> Found | str:
@@ -282,7 +263,7 @@ class ClosureSearch:
         least = max(self._config.loop_match_minimum_response, MEAN_SHARE_ANYWHERE * mean_score)
         middle = np.array([*(0.5 * (submap.low + submap.high)), 0.0])
         half_m = 0.5 * float((submap.high - submap.low).max()) + AROUND_M
-        everything = _Window(middle, half_m, math.pi)
+        everything = Window(middle, half_m, math.pi)
         windows = everything, everything
         return self._only_place(submap, points, windows, least, MOST_UNSEEN_ANYWHERE)
 
@@ -301,7 +282,7 @@ class ClosureSearch:
             average and nowhere else nearly as well; or it fits badly, but best where it is
             expected: then the world has changed, not the place.
         """
-        window = _Window(expected, SEARCH_M, SEARCH_RAD)
+        window = Window(expected, SEARCH_M, SEARCH_RAD)
         best = self._searched(submap, points, window, 0.0)
         if best is None:
             return expected, False
@@ -322,7 +303,7 @@ class ClosureSearch:
         self,
         submap: Submap,
         points: F64,
-        windows: tuple[_Window, _Window],
+        windows: tuple[Window, Window],
         least: float,
         most_unseen: float,
     ) -> Found | str:
@@ -362,25 +343,16 @@ class ClosureSearch:
         return Found(match.pose, information)
 
     def _searched(
-        self, submap: Submap, points: F64, window: _Window, least: float, beside: F64 | None = None
+        self, submap: Submap, points: F64, window: Window, least: float, beside: F64 | None = None
     ) -> WindowMatch | None:
         """Return the best of a window, not ``beside`` a pose (3,); None where nothing fits."""
         every = -(-len(points) // self._config.matcher.beams)
-        return search_window(
-            self._device,
-            submap.pyramid(),
-            points[::every],
-            window.centre,
-            half_m=window.half_m,
-            half_rad=window.half_rad,
-            resolution=self._config.resolution,
-            least=least,
-            beside=beside,
-        )
+        cell, pyramid = self._config.resolution, submap.pyramid()
+        return search_window(self._device, pyramid, points[::every], window, cell, least, beside)
 
-    def _has_rival(self, submap: Submap, points: F64, window: _Window, found: Found) -> bool:
+    def _has_rival(self, submap: Submap, points: F64, window: Window, found: Found) -> bool:
         """Return whether another place of a window fits nearly as well."""
-        peak = _Window(found.pose, PEAK_CELLS * self._config.resolution, PEAK_RAD)
+        peak = Window(found.pose, PEAK_CELLS * self._config.resolution, PEAK_RAD)
         own = self._searched(submap, points, peak, 0.0)
         if own is None:
             return True

@@ -139,53 +139,6 @@ class RelocalizationHypothesis:
         return len(nodes) >= BORNE_OUT_NODES and driven_m >= BORNE_OUT_M
 
 
-class RelocalizationHypotheses(Stateful):
-    """The hypotheses about one kidnapped robot.
-
-    Attributes:
-        kept: that are not given up.
-    """
-
-    STATE = ("kept",)
-
-    def __init__(self) -> None:
-        self.kept: list[RelocalizationHypothesis] = []
-
-    def add(self, hit: PendingClosure, pose: Pose2) -> RelocalizationHypothesis:
-        """Take a closure as a hit of the hypothesis that says the same, or of a new one.
-
-        Args:
-            pose: of its node in the map frame, before any correction.
-        """
-        place = hit.correction.compose(pose)
-        for one in self.kept:
-            if is_same_place(one.correction.compose(pose), place):
-                break
-        else:
-            one = RelocalizationHypothesis(hit.correction)
-            self.kept.append(one)
-        one.hits.append(hit)
-        one.correction, one.misses = hit.correction, 0
-        if len(self.kept) > MOST_HYPOTHESES:
-            self.kept.remove(min(self.kept, key=lambda other: len(other.hits)))
-        return one
-
-    def miss(self, one: RelocalizationHypothesis) -> None:
-        """Count that a scan did not fit where a hypothesis says that it must."""
-        one.misses += 1
-        if one.misses >= MISSES and one in self.kept:
-            self.kept.remove(one)
-
-    def winner(self) -> RelocalizationHypothesis | None:
-        """Return the hypothesis that is borne out and has no rival left."""
-        if not self.kept:
-            return None
-        best = max(self.kept, key=lambda one: len(one.hits))
-        enough = max(RIVAL_HITS, RIVAL_SHARE * len(best.hits))
-        has_rival = any(len(one.hits) >= enough for one in self.kept if one is not best)
-        return best if best.is_borne_out and not has_rival else None
-
-
 @dataclass(frozen=True)
 class LoopCandidate:
     """A submap that is to be searched.
@@ -218,13 +171,13 @@ class Relocalization(Stateful):
     """The search for a kidnapped robot in the map components that it is not in.
 
     Attributes:
-        hypotheses: where it may be.
+        hypotheses: where it may be, those that are not given up.
     """
 
     STATE = ("hypotheses", "_searched", "_failed_searches", "_kidnapped_m")
 
     def __init__(self) -> None:
-        self.hypotheses = RelocalizationHypotheses()
+        self.hypotheses: list[RelocalizationHypothesis] = []
         # How often submaps of other components were searched all over.
         self._searched: dict[int, int] = {}
         # Searches where odometry has it, and the distance travelled when it was kidnapped.
@@ -239,8 +192,41 @@ class Relocalization(Stateful):
 
     def forget(self) -> None:
         """Forget what was searched, and every hypothesis: the robot is somewhere else now."""
-        self._searched = {}
-        self.hypotheses = RelocalizationHypotheses()
+        self._searched, self.hypotheses = {}, []
+
+    def add(self, hit: PendingClosure, pose: Pose2) -> RelocalizationHypothesis:
+        """Take a closure as a hit of the hypothesis that says the same, or of a new one.
+
+        Args:
+            pose: of its node in the map frame, before any correction.
+        """
+        place = hit.correction.compose(pose)
+        for one in self.hypotheses:
+            if is_same_place(one.correction.compose(pose), place):
+                break
+        else:
+            one = RelocalizationHypothesis(hit.correction)
+            self.hypotheses.append(one)
+        one.hits.append(hit)
+        one.correction, one.misses = hit.correction, 0
+        if len(self.hypotheses) > MOST_HYPOTHESES:
+            self.hypotheses.remove(min(self.hypotheses, key=lambda other: len(other.hits)))
+        return one
+
+    def miss(self, one: RelocalizationHypothesis) -> None:
+        """Count that a scan did not fit where a hypothesis says that it must."""
+        one.misses += 1
+        if one.misses >= MISSES and one in self.hypotheses:
+            self.hypotheses.remove(one)
+
+    def winner(self) -> RelocalizationHypothesis | None:
+        """Return the hypothesis that enough scans support and that has no rival left."""
+        if not self.hypotheses:
+            return None
+        best = max(self.hypotheses, key=lambda one: len(one.hits))
+        enough = max(RIVAL_HITS, RIVAL_SHARE * len(best.hits))
+        has_rival = any(len(one.hits) >= enough for one in self.hypotheses if one is not best)
+        return best if best.is_borne_out and not has_rival else None
 
     def candidates(self, graph: MapGraph, local_map: LocalMap, pose: Pose2) -> list[LoopCandidate]:
         """Return the submaps that a kidnapped robot is searched in at a node.
@@ -260,7 +246,7 @@ class Relocalization(Stateful):
         if self._failed_searches <= LOCAL_SEARCHES:
             return candidates
         # Then where hypotheses have it.
-        for hypothesis in sorted(self.hypotheses.kept, key=lambda one: one.tested)[:TESTED]:
+        for hypothesis in sorted(self.hypotheses, key=lambda one: one.tested)[:TESTED]:
             hypothesis.tested = len(graph.nodes)
             expected = hypothesis.correction.compose(pose)
             outside_m = local_map.distances_m(expected, graph.poses)[others]
@@ -290,8 +276,8 @@ class Relocalization(Stateful):
         Args:
             pose: of its node in the map frame, before any correction.
         """
-        self.hypotheses.add(closure, pose)
-        winner = self.hypotheses.winner()
+        self.add(closure, pose)
+        winner = self.winner()
         to_search = _covering(local_map.in_other_components())
         if winner is None or any(index not in self._searched for index in to_search):
             return []
@@ -384,88 +370,69 @@ class LoopClosure(Stateful):
 
     def _candidates(self, number: int, pose: Pose2) -> list[LoopCandidate]:
         """Return older submaps that the robot may be in again, the nearest ones."""
-        config, local_map, travelled_m = self._config, self._local_map, self._graph.travelled_m
-        away_m = local_map.distances_m(pose, self._graph.poses)
+        config, local_map, graph = self._config, self._local_map, self._graph
+        away_m = local_map.distances_m(pose, graph.poses)
         reach_m = config.loop_search_maximum_distance
-        farthest_m = reach_m + LEAST_DRIFT_M + DRIFT_SHARE * travelled_m + KIDNAPPED_DRIFT_M
+        # How far it has travelled since a submap was last tied to it, by its growth or a closure.
+        following = [submap.anchor for submap in local_map.submaps[1 : len(away_m) + 1]]
+        last = np.array(following, dtype=np.int64) + config.scan_buffer_size // 2
+        travelled_m = graph.travelled_m - graph.travelled_at(last)
+        for index, linked_m in self._linked_m.items():
+            travelled_m[index] = min(travelled_m[index], graph.travelled_m - linked_m)
+        drift_m = LEAST_DRIFT_M + DRIFT_SHARE * travelled_m
         found = []
-        for index in np.flatnonzero(away_m < farthest_m).tolist():
-            submap = local_map.submaps[index]
-            if submap.scans < config.loop_match_minimum_chain_size:
-                continue
-            if number - self._last_searched.get(index, -RETRY_NODES) < RETRY_NODES:
-                continue
-            if local_map.components[index] != local_map.active_component:
-                continue
-            drift_m = LEAST_DRIFT_M + DRIFT_SHARE * (travelled_m - self._tied_m(index))
+        for index in np.flatnonzero(away_m < reach_m + drift_m + KIDNAPPED_DRIFT_M).tolist():
+            submap, drift = local_map.submaps[index], float(drift_m[index])
             if self._failure_node is not None and submap.anchor < self._failure_node:
-                drift_m += KIDNAPPED_DRIFT_M
-            if away_m[index] < reach_m + drift_m:
-                found.append((float(away_m[index]), index, drift_m))
+                drift += KIDNAPPED_DRIFT_M
+            if (
+                away_m[index] < reach_m + drift
+                and submap.scans >= config.loop_match_minimum_chain_size
+                and number - self._last_searched.get(index, -RETRY_NODES) >= RETRY_NODES
+                and local_map.components[index] == local_map.active_component
+            ):
+                found.append((float(away_m[index]), index, drift))
         nearest = sorted(found)[:TRIES_PER_NODE]
-        return [LoopCandidate(index, pose, drift_m) for _, index, drift_m in nearest]
-
-    def _tied_m(self, index: int) -> float:
-        """Return the distance travelled up to where a submap was last tied to the robot."""
-        nodes = self._graph.nodes
-        following = self._local_map.submaps[index + 1].anchor
-        last = min(following + self._config.scan_buffer_size // 2, len(nodes) - 1)
-        return max(nodes[last].travelled_m, self._linked_m.get(index, 0.0))
+        return [LoopCandidate(index, pose, drift) for _, index, drift in nearest]
 
     # -- what is found -------------------------------------------------------------------------
 
     def _take(self, candidate: LoopCandidate, number: int, pose: Pose2, found: Found | str) -> None:
         """Take what a search has found into the graph, or count why not."""
-        self._health.closures_tried += 1
+        graph, health = self._graph, self._health
+        health.closures_tried += 1
         if candidate.hypothesis is not None and found == LOW_RESPONSE:
-            self.relocalization.hypotheses.miss(candidate.hypothesis)
+            self.relocalization.miss(candidate.hypothesis)
         if isinstance(found, str):
-            self._health.reject_closure(found)
+            health.reject_closure(found)
             return
-        closure = self._closure(candidate, number, pose, found)
-        confirmed = self._confirmed(closure, pose)
-        if not confirmed:
-            self._health.reject_closure(PENDING)
-            return
-        self._accept(candidate, closure, confirmed, pose)
 
-    def _closure(
-        self, candidate: LoopCandidate, number: int, pose: Pose2, found: Found
-    ) -> PendingClosure:
-        """Return what was found as a closure, which is not believed yet."""
+        # Which closures may be accepted now?
         anchor = self._local_map.submaps[candidate.index].anchor
         information = BELIEVED_SHARE * found.information
         constraint = Constraint(anchor, number, found.pose, information, is_closure=True)
-        there = self._graph.pose(anchor).compose(pose_of(found.pose))
-        correction = there.compose(pose.inverse())
-        return PendingClosure(constraint, correction, self._graph.travelled_m, candidate.how)
-
-    def _confirmed(self, closure: PendingClosure, pose: Pose2) -> list[PendingClosure]:
-        """Return the closures that may be believed now; often none."""
+        moved = graph.pose(anchor).compose(pose_of(found.pose))
+        correction = moved.compose(pose.inverse())
+        closure = PendingClosure(constraint, correction, graph.travelled_m, candidate.how)
         if closure.how == "anywhere":
-            return self.relocalization.confirmed(closure, pose, self._local_map)
-        return self._pending.confirmed(closure, pose)
+            confirmed = self.relocalization.confirmed(closure, pose, self._local_map)
+        else:
+            confirmed = self._pending.confirmed(closure, pose)
+        if not confirmed:
+            health.reject_closure(PENDING)
+            return
 
-    def _accept(
-        self,
-        candidate: LoopCandidate,
-        closure: PendingClosure,
-        confirmed: list[PendingClosure],
-        pose: Pose2,
-    ) -> None:
-        """Add closures that are believed to the graph; relocalize the robot where they do."""
-        graph, health = self._graph, self._health
+        # Add them to the graph; they may relocalize the robot.
         graph.add_closures([one.constraint for one in confirmed])
-        moved = closure.correction.compose(pose)
+        moved = correction.compose(pose)
         correction_m = math.hypot(moved.x - pose.x, moved.y - pose.y)
         health.largest_correction_m = max(health.largest_correction_m, correction_m)
         health.closures_accepted += len(confirmed)
         self._linked_m[candidate.index] = graph.travelled_m
-        start, end = closure.constraint.start, closure.constraint.end
-        if self._failure_node is not None and start < self._failure_node <= end:
+        if self._failure_node is not None and anchor < self._failure_node <= number:
             self._failure_node = None
         if candidate.how != "known":
-            self._relocalize(self._local_map.components[candidate.index], closure.correction)
+            self._relocalize(self._local_map.components[candidate.index], correction)
 
     def _relocalize(self, other: int, correction: Pose2) -> None:
         """Join the robot's map component and another one, now that it is known how they lie."""

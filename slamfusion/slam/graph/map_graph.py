@@ -313,6 +313,7 @@ class MapGraph(Stateful):
         self.constraints: list[Constraint] = []
         self._health = health
         self._node_bytes = 0
+        self._travelled = np.zeros(0)
         # Of the constraints that there were at the last solution, and outliers among them.
         self._weights = np.zeros(0)
         self._outliers = 0
@@ -336,6 +337,10 @@ class MapGraph(Stateful):
         """Distance that the robot has travelled up to the last node."""
         return self.nodes[-1].travelled_m if self.nodes else 0.0
 
+    def travelled_at(self, numbers: npt.NDArray[np.int64]) -> F64:
+        """Return the distances that the robot had travelled up to nodes, (K,), or to the last."""
+        return self._travelled[np.minimum(numbers, len(self.nodes) - 1)]
+
     @property
     def memory_bytes(self) -> int:
         """Bytes of nodes and constraints."""
@@ -349,6 +354,7 @@ class MapGraph(Stateful):
         """Add a node where it is taken to be in the map frame, and return its number."""
         self.nodes.append(node)
         self._node_bytes += node.ends.nbytes
+        self._travelled = np.append(self._travelled, node.travelled_m)
         self.poses = np.vstack((self.poses, (pose.x, pose.y, wrap_angle(pose.yaw_rad))))
         self._health.nodes = len(self.nodes)
         return len(self.nodes) - 1
@@ -444,6 +450,7 @@ class MapGraph(Stateful):
     def restore(self, state: Mapping[str, Any]) -> None:
         """Take over what ``to_state`` returned; a solution that was under way goes on."""
         super().restore(state)
+        self._travelled = np.array([node.travelled_m for node in self.nodes])
         if self._solution is not None:
             self._steps = self._solution.steps(self.constraints)
             take_steps(self._steps, self._solution.taken)

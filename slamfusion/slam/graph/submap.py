@@ -92,7 +92,7 @@ class Pyramid:
 
     Attributes:
         windows: sides of the squares in cells, the largest first, 1 last.
-        fields: (1, H, W) uint8 handles, one for each.
+        fields: (H, W) uint8 handles, one for each.
         corner: (2,) x and y of the first cell's lower-left corner in the submap's frame, cells.
     """
 
@@ -107,14 +107,13 @@ class Pyramid:
         pad = self.windows[0] - 1
         padded = np.pad(values, ((pad, 0), (pad, 0)))
         self.corner = corner - pad
-        shape = (1, *padded.shape)
         field = device.upload(padded)
         self.fields: list[DeviceArray[Any]] = []
         for window in self.windows:
             pooled = field
             for along_rows in (True, False):
                 pooled = device.max_window(pooled, window, along_rows=along_rows, fill=0)
-            self.fields.append(pooled.reshape(shape))
+            self.fields.append(pooled)
 
 
 class Submap:

@@ -122,16 +122,14 @@ def _correlate(device: ComputeDevice, sample: Sample) -> Arrays:
 
 def _bound_blocks(device: ComputeDevice, sample: Sample) -> Arrays:
     height, width = sample.shape
-    fields = sample.rng.integers(0, 256, (2, height, width)).astype(np.uint8)
+    field = device.upload(sample.rng.integers(0, 256, (height, width)).astype(np.uint8))
     starts = sample.rng.integers(-5, max(sample.shape) + 5, (2, 2, 29)).astype(np.int32)
-    classes = sample.rng.integers(0, 2, 29).astype(np.uint8)
     shifts = sample.rng.integers(-5, 5, (13, 2)) + round(sample.away)
     groups = sample.rng.integers(0, 2, (13, 1))
     blocks = np.concatenate((groups, shifts), axis=1).astype(np.int32)
-    places, planes = device.upload(starts), device.upload(fields)
-    bounds = device.bound_blocks(blocks, places, classes, planes, FLAT_FILL)
-    least = int(np.median(bounds))
-    return [bounds, device.bound_blocks(blocks, places, classes, planes, FLAT_FILL, least=least)]
+    places = device.upload(starts)
+    bounds = device.bound_blocks(blocks, places, field)
+    return [bounds, device.bound_blocks(blocks, places, field, int(np.median(bounds)))]
 
 
 def _tile_peaks(device: ComputeDevice, sample: Sample) -> Arrays:

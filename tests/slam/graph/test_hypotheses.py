@@ -11,7 +11,7 @@ from slamfusion.slam.graph.loop_closure import (
     BORNE_OUT_NODES,
     MISSES,
     PendingClosure,
-    RelocalizationHypotheses,
+    Relocalization,
 )
 from slamfusion.slam.graph.map_graph import Constraint
 
@@ -27,15 +27,13 @@ def hit(node: int, correction: Pose2, step_m: float = 1.0) -> PendingClosure:
     return PendingClosure(edge, correction, step_m * node, "anywhere")
 
 
-def told(
-    hypotheses: RelocalizationHypotheses, correction: Pose2, nodes: range, step_m: float = 1.0
-) -> None:
+def told(hypotheses: Relocalization, correction: Pose2, nodes: range, step_m: float = 1.0) -> None:
     for node in nodes:
         hypotheses.add(hit(node, correction, step_m), HERE)
 
 
 def test_a_hypothesis_is_believed_after_enough_hits_over_a_distance():
-    hypotheses = RelocalizationHypotheses()
+    hypotheses = Relocalization()
     for node in range(BORNE_OUT_NODES - 1):
         hypotheses.add(hit(node, TRUE), HERE)
         assert hypotheses.winner() is None
@@ -49,7 +47,7 @@ def test_a_hypothesis_is_believed_after_enough_hits_over_a_distance():
 
 
 def test_a_robot_that_hardly_drives_is_not_found():
-    hypotheses = RelocalizationHypotheses()
+    hypotheses = Relocalization()
     told(
         hypotheses,
         TRUE,
@@ -60,7 +58,7 @@ def test_a_robot_that_hardly_drives_is_not_found():
 
 
 def test_of_two_places_that_look_alike_none_is_believed_until_one_fails():
-    hypotheses = RelocalizationHypotheses()
+    hypotheses = Relocalization()
     for node in range(4 * BORNE_OUT_NODES):
         hypotheses.add(hit(node, TRUE), HERE)
         twin = hypotheses.add(hit(node, TWIN), HERE)

@@ -18,6 +18,7 @@ from slamfusion.slam.graph.closure_search import (
     BESIDE_RAD,
     LEAST_REACH_CELLS,
     YAW_CELLS,
+    Window,
     WindowMatch,
     search_window,
 )
@@ -59,12 +60,10 @@ class Case:
             device,
             Pyramid(device, self.field, self.corner),
             self.points,
-            self.centre,
-            half_m=self.half_m,
-            half_rad=self.half_rad,
-            resolution=self.resolution,
-            least=least,
-            beside=beside,
+            Window(self.centre, self.half_m, self.half_rad),
+            self.resolution,
+            least,
+            beside,
         )
 
     def poses(self) -> F64:
@@ -209,10 +208,12 @@ def test_a_true_pose_far_from_the_centre_is_found(
         device,
         flat.pyramid(),
         points[::2],
-        np.array([truth.x, truth.y, truth.yaw_rad]) + wrong,
-        half_m=4.0,
-        half_rad=0.349 if abs(wrong[2]) < 0.349 else math.pi,
-        resolution=CELL_M,
+        Window(
+            np.array([truth.x, truth.y, truth.yaw_rad]) + wrong,
+            4.0,
+            0.349 if abs(wrong[2]) < 0.349 else math.pi,
+        ),
+        CELL_M,
         least=0.3,
     )
     assert found is not None
