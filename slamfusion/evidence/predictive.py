@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -30,6 +31,10 @@ from slamfusion.errors import TrajectoryError
 from slamfusion.evidence.beams import CHUNKS, CoveredPath, JudgedScans, cover_stamps, no_common_time
 from slamfusion.geometry import F64, compose_poses, invert_poses, transform_points
 from slamfusion.trajectory import Trajectory
+
+I64 = npt.NDArray[np.int64]
+B8 = npt.NDArray[np.bool_]
+U32 = npt.NDArray[np.uint32]
 
 # Parts of the judged scans that are drawn again: four for each chunk, so that a path that is wrong
 # for a tenth of the drive is wrong in many of them.
@@ -83,8 +88,7 @@ def compare_sums(
     apart = np.bincount(block, (first - second)[judged], blocks)
     hits = np.bincount(block, beams[judged], blocks)
     difference = float(apart.sum() / hits.sum())
-    # Seeded: the same paths compare the same way each time.
-    draws = np.random.default_rng(0).multinomial(blocks, np.full(blocks, 1.0 / blocks), DRAWS)
+    draws = _draws(blocks)
     drawn = (draws @ apart) / np.maximum(draws @ hits, 1)
     low, high = np.quantile(drawn, (0.025, 0.975))
     turned = min(np.count_nonzero(drawn <= 0.0), np.count_nonzero(drawn >= 0.0))
@@ -95,9 +99,12 @@ def compare_sums(
     return Comparison(verdict, difference, float(low), float(high), p_value)
 
 
-I64 = npt.NDArray[np.int64]
-B8 = npt.NDArray[np.bool_]
-U32 = npt.NDArray[np.uint32]
+@lru_cache
+def _draws(blocks: int) -> I64:
+    """Return how often each draw has each block, (DRAWS, blocks); the same ones each time."""
+    shares = np.full(blocks, 1.0 / blocks)
+    return np.random.default_rng(0).multinomial(blocks, shares, DRAWS).astype(np.int64)
+
 
 # The lattice is turned against the first pose, radians: most walls are square to it, and a wall
 # along the cells is drawn thinner than one across them.

@@ -223,7 +223,7 @@ class FusedFrames:
                 self._spread.hear(self.leader, source.name, stamp_ns, pose)
             alone = live.pose_apart_m, live.pose_apart_rad
             covariance = self._spread.covariance(stamp_s, *alone)
-        if not is_leader:
+        if not is_leader or (located is None and transform is None):
             return
         stamp = self._fresh(POSE_TOPIC, heard.stamp, pose, is_revised=is_revised)
         if stamp is not None:
