@@ -10,7 +10,7 @@ from slamfusion.align.answer import conclude, rejected_alignment
 from slamfusion.align.decide import DECISIONS, DecisionKind
 from slamfusion.align.features import GridFeatures
 from slamfusion.align.normalize import check_resampling, common_resolution, normalize_grid
-from slamfusion.align.pair import Pair, watched
+from slamfusion.align.pair import Pair
 from slamfusion.align.records import Alignment
 from slamfusion.align.refine import settle
 from slamfusion.align.search import (
@@ -62,7 +62,6 @@ def align_grids(
     return align_pair(Pair(features[0], features[1]), config.align, start)
 
 
-@watched
 def align_pair(
     pair: Pair,
     config: AlignConfig,
@@ -81,9 +80,6 @@ def align_pair(
         thorough: search a pair that is refused once more on a finer level.
         image_after: kinds of refusals after which the mirror image is searched too; None: all where
             the search is thorough, else none.
-
-    Raises:
-        CancelledSearchError: ``pair.cancel`` says so; what was computed of the maps is kept.
     """
     began = time.perf_counter()
     for features in pair:
@@ -123,7 +119,6 @@ def align_pair(
     return conclude(pair, config, found, expected, pairs, began)
 
 
-@watched
 def track_pair(pair: Pair, start: Pose2, pairs: int = 1) -> Alignment:
     """Refine a known transform without a search, and decide as with a start there.
 
@@ -132,9 +127,6 @@ def track_pair(pair: Pair, start: Pose2, pairs: int = 1) -> Alignment:
         start: pose of the moving map frame in the reference's, within about half a metre and a few
             degrees.
         pairs: see ``align_pair``.
-
-    Raises:
-        CancelledSearchError: ``pair.cancel`` says so.
     """
     began = time.perf_counter()
     motion = settle(pair, pair.motion_of(start)[None])

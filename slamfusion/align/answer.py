@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from slamfusion.align.cancel import check_cancelled
 from slamfusion.align.decide import (
     EXPECTED_WRONG_MAX,
     GROUND_ONE_M2,
@@ -263,7 +262,6 @@ def measure(pair: Pair, motion: F64) -> dict[str, float]:
     ):
         sample = spread_sample(points, MEASURED_POINTS)
         for far2, shares in zip(clashes2, clash, strict=True):
-            check_cancelled()
             counts = pair.device.pose_counts(
                 sample,
                 fixed_poses(pose),
@@ -277,7 +275,6 @@ def measure(pair: Pair, motion: F64) -> dict[str, float]:
             shares.append(counts[2] / len(sample))
         match.append(counts[1] / len(sample))
         known.append(counts[0] / len(sample))
-        check_cancelled()
         chance.append(features.near_wall_share(near2))
     smaller = 0 if len(pair.moving.wall_points) <= len(pair.reference.wall_points) else 1
     overlap, error = _overlap_and_error(pair, lattice)
@@ -298,11 +295,9 @@ def measure(pair: Pair, motion: F64) -> dict[str, float]:
 
 def _overlap_and_error(pair: Pair, lattice: F64) -> tuple[float, float]:
     """Return the share of known cells in common, and the [F16] error over the reference's box."""
-    check_cancelled()
     warped = pair.device.warp(
         pair.moving.cells, fixed_poses(invert(lattice)), pair.reference.shape, -1
     )
-    check_cancelled()
     counts = pair.device.confusion(pair.reference.cells, warped)
     both = float(counts[1:, 1:].sum())
     smaller = max(1, min(pair.reference.known_cells, pair.moving.known_cells))

@@ -14,7 +14,6 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.align.cancel import check_cancelled
 from slamfusion.align.likelihood import (
     EvidenceTable,
     ScoreTable,
@@ -142,10 +141,7 @@ def _kept(
 
 
 class GridFeatures:
-    """The levels and fields of one normalised grid on one device.
-
-    What takes several operations can be cancelled between them; what was finished is kept.
-    """
+    """The levels and fields of one normalised grid on one device."""
 
     def __init__(
         self, grid: NormalizedGrid, device: ComputeDevice, memory: FieldMemory | None = None
@@ -220,10 +216,8 @@ class GridFeatures:
     @_kept
     def _surface(self) -> DeviceArray[Any]:
         """Return the surface walls; all solid walls where none touches free space."""
-        check_cancelled()
         solid = self.device.upload(self.grid.solid)
         surface = self.device.surface_walls(self.cells, solid)
-        check_cancelled()
         return surface if self.device.download(surface).any() else solid
 
     def level(self, step: int) -> Level:
@@ -232,12 +226,10 @@ class GridFeatures:
             self._memory.use(self, is_more=step not in self._levels)
         if step not in self._levels:
             wall = self._surface()
-            check_cancelled()
             if step == 1:
                 free = self.device.upload((self.grid.cells == 0).astype(np.uint8) * np.uint8(255))
             else:
                 wall, free = self.device.shrink(wall, self.cells, step)
-            check_cancelled()
             self._levels[step] = self._level_of(step, wall, free, DISTANCE_MAX)
         return self._levels[step]
 
@@ -245,7 +237,6 @@ class GridFeatures:
     def solid_level(self) -> Level:
         """Return the finest level with every solid wall cell, not only the surfaces."""
         free = self.level(1).free
-        check_cancelled()
         return self._level_of(1, self.device.upload(self.grid.solid), free, SOLID_REACH)
 
     def _level_of(
@@ -253,11 +244,8 @@ class GridFeatures:
     ) -> Level:
         """Return the level of walls; distances are known up to ``reach``, cells."""
         distance2 = self.device.distance_squared(wall, reach)
-        check_cancelled()
         far = self.device.look_up(distance2, DISTANCE_TABLE)
-        check_cancelled()
         distance = self._seen_distance(distance2, free, step)
-        check_cancelled()
         mask = self.device.download(wall)
         points = _lattice_points(mask != 0)
         return Level(step, mask.shape, wall, free, distance2, distance, far, points)
@@ -331,7 +319,6 @@ class GridFeatures:
         key = (step, table.name)
         if key not in self._fields:
             level = self.level(step)
-            check_cancelled()
             self._fields[key] = self.device.score_field(
                 level.distance2, level.free, table.hit, table.miss, table.base
             )

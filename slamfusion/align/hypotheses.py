@@ -18,7 +18,6 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.align.cancel import check_cancelled
 from slamfusion.align.decide import (
     EXPECTED_WRONG_MAX,
     MOST,
@@ -35,7 +34,7 @@ from slamfusion.align.decide import (
 )
 from slamfusion.align.features import GridFeatures, spread_sample
 from slamfusion.align.likelihood import likeness
-from slamfusion.align.pair import Pair, displacement, invert, to_lattice, watched
+from slamfusion.align.pair import Pair, displacement, invert, to_lattice
 from slamfusion.align.refine import common_walls, narrow_fits
 from slamfusion.align.scores import (
     GOOD_DOUBT,
@@ -365,7 +364,6 @@ def hit_share(pair: Pair, motion: F64) -> float:
 
 def _distances2(own: GridFeatures, other: GridFeatures, lattice: F64) -> npt.NDArray[np.int64]:
     """Return (N,) walls on ground that the other map knows, by squared distance to its walls."""
-    check_cancelled()
     x, y = spread_sample(own.level(1).points, SCORED_POINTS).astype(np.int64).T
     rows, cols = fixed_cells(fixed_poses(lattice)[0], x, y)
     height, width = other.shape
@@ -375,7 +373,6 @@ def _distances2(own: GridFeatures, other: GridFeatures, lattice: F64) -> npt.NDA
     return np.bincount(distance2[at][other.grid.cells[at] >= 0], minlength=1)
 
 
-@watched
 def mirror_gain(
     pair: Pair,
     motion: F64,

@@ -10,7 +10,6 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.align.cancel import check_cancelled
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.layout import FIXED_ONE
 from slamfusion.config import NormalizeConfig
@@ -166,13 +165,10 @@ def normalize_grid(
         GridError: no cell of the grid is known under these thresholds.
     """
     given, grid = grid, _without_margins(grid, config)
-    check_cancelled()
     cells = device.upload(trinary_cells(grid.cells, config))
     solid = device.download(device.solid_walls(cells))
     del cells
-    check_cancelled()
     voting, box = _voting_part(given, grid, resolution, config, device)
-    check_cancelled()
     blocks = _blocks(solid.view(np.int8), resolution / grid.resolution, 0, device)
     window = np.s_[box.row0 : box.row1, box.col0 : box.col1]
     walls = (_each_part(np.maximum, blocks)[window] != 0) & (voting.cells == 1)

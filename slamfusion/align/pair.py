@@ -7,23 +7,18 @@ reference's, as x_ref = R(yaw) (x - centre of moving) + (x, y): (x, y) is where 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import wraps
-from typing import Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.align.cancel import CancelToken, watched_by
 from slamfusion.align.features import GridFeatures
 from slamfusion.align.normalize import NormalizedGrid
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.layout import FIXED_ONE
 from slamfusion.geometry import F64, Pose2, wrap_angle
 
-P = ParamSpec("P")
-R = TypeVar("R")
 Columns = tuple[F64, F64, F64, F64]
 
 
@@ -150,12 +145,10 @@ class Pair:
     Attributes:
         reference: held still.
         moving: gets the transform.
-        cancel: asked before each operation of a search whether to give it up; None: never.
     """
 
     reference: GridFeatures
     moving: GridFeatures
-    cancel: CancelToken | None = None
 
     def __iter__(self) -> Iterator[GridFeatures]:
         """Yield the reference, then the moving map."""
@@ -191,7 +184,7 @@ class Pair:
             np.ascontiguousarray(given.cells[::-1]),
             np.ascontiguousarray(given.solid[::-1]),
         )
-        return Pair(self.reference, GridFeatures(image, self.device), self.cancel)
+        return Pair(self.reference, GridFeatures(image, self.device))
 
     def motion_of(self, transform: Pose2) -> F64:
         """Return a transform of map frames, metres, as a motion (3,), see ``pair``."""
@@ -209,14 +202,3 @@ class Pair:
             float(x) * ref.resolution, float(y) * ref.resolution, wrap_angle(float(yaw))
         )
         return ref.origin.compose(lattice).compose(mov.origin.inverse())
-
-
-def watched(work: Callable[Concatenate[Pair, P], R]) -> Callable[Concatenate[Pair, P], R]:
-    """Let the token of a pair, if it has one, give up work on it between any two operations."""
-
-    @wraps(work)
-    def with_token(pair: Pair, /, *given: P.args, **named: P.kwargs) -> R:
-        with watched_by(pair.cancel):
-            return work(pair, *given, **named)
-
-    return with_token

@@ -12,7 +12,6 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.align.cancel import check_cancelled
 from slamfusion.align.features import spread_sample
 from slamfusion.align.pair import Pair, both_ways, invert, to_lattice, turned_about
 from slamfusion.align.scores import GOOD_DOUBT, score_motions
@@ -98,7 +97,6 @@ def refine(
         moves = np.arange(len(local))
         for _ in range(iterations):
             there, back = _device_poses(local[moves], centre_mov)
-            check_cancelled()
             terms = pair.device.refine_terms(
                 FitSide(from_mov, there, on_ref),
                 FitSide(from_ref, back, on_mov),
@@ -183,7 +181,6 @@ def _surface_distance(pair: Pair, motions: F64) -> F64:
     near = np.zeros((len(SURFACE_RADII) + 1, len(motions)))
     for row, radius in enumerate((*SURFACE_RADII, 8)):
         for points, pose, level in sides:
-            check_cancelled()
             counts = pair.device.pose_counts(
                 spread_sample(points, SPREAD_POINTS),
                 fixed_poses(pose),

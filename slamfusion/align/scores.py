@@ -15,7 +15,6 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.align.cancel import check_cancelled
 from slamfusion.align.features import GridFeatures, spread_sample
 from slamfusion.align.likelihood import ScoreTable
 from slamfusion.align.pair import Pair, fixed_similarities, invert, to_lattice
@@ -132,7 +131,6 @@ def wall_pieces(
     sides = ((pair.moving, there, pair.reference), (pair.reference, back, pair.moving))
     found = []
     for own, pose, other in sides:
-        check_cancelled()
         found.append(_side(own, pose, other, sigma, points, pair.device, sided=sided))
     evidence, most, share_most, seen_m = zip(*found, strict=True)
     return WallPieces(
@@ -165,13 +163,11 @@ def _side(
     field, most_field, facing = other.field(1, table), seen, seen
     sides = np.zeros(len(points), dtype=np.uint8)
     if sided:
-        check_cancelled()
         facing = other.facing()
         sides = device.download(own.facing())[points[:, 1] // 2, points[:, 0] // 2]
         most_cells = device.download(field) - np.uint8(table.base)
         most_cells[other.grid.cells >= 0] = table.span
         most_field = device.upload(most_cells)
-    check_cancelled()
     turns = np.rint(np.arctan2(poses[:, 1], poses[:, 0]) * (FACING_PARTS / (2.0 * math.pi)))
     sums = device.piece_sums(
         points,
@@ -224,7 +220,6 @@ def score_motions(
         sample = spread_sample(own.points, points)
         sides.append(ScoredSide(sample, pose, field, table.base))
         units.append(table.unit * (len(own.points) / len(sample)))
-    check_cancelled()
     total = np.zeros(len(motions))
     for values, side, unit in zip(pair.device.pose_scores(*sides), sides, units, strict=True):
         total += (values - len(side.points) * side.base) * unit
@@ -248,7 +243,6 @@ def rank(
     weight = 0.0
     for sample, own, features, level, count in sides:
         field = features.field(level.step, table)
-        check_cancelled()
         counts = pair.device.pose_counts(
             sample,
             fixed_poses(own),

@@ -19,7 +19,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.align.cancel import check_cancelled
 from slamfusion.align.decide import DecisionKind
 from slamfusion.align.pair import Pair, distinct, distinct_rows, invert, to_lattice
 from slamfusion.align.refine import refine, settle
@@ -147,7 +146,6 @@ def coarse_search(
     start = _Leads(scores.motions(order), flat[order], step, scores.yaw_step)
     leads, doubted = _descend(pair, start)
     if is_cut:
-        check_cancelled()
         motions, finer, turn = parallel_motions(pair, PARALLEL)
         motions = inside(window, motions)
         if len(motions):
@@ -333,7 +331,7 @@ def fixed_step_search(pair: Pair, step: int, window: SearchWindow) -> F64:
     Args:
         pair: the two maps. step: first step, cells and degrees. window: the start,
         and how far to look; a quarter of the reference's longer side unless given. device:
-        computes the errors. cancel: asked before each batch of poses.
+        computes the errors.
     """
     reach = window.shift_cells
     if reach is None:
@@ -361,7 +359,6 @@ def _least_error(pair: Pair, motions: F64, stride: int) -> F64:
     """Return the motion of least error; of equals the first."""
     errors = []
     for start in range(0, len(motions), POSES_BATCH):
-        check_cancelled()
         poses = invert(to_lattice(motions[start : start + POSES_BATCH], pair.moving.centre))
         errors.append(
             pair.device.squared_error(

@@ -16,7 +16,6 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from slamfusion.align.cancel import check_cancelled
 from slamfusion.align.features import GridFeatures, Level, spread_sample
 from slamfusion.align.pair import Pair
 from slamfusion.compute import ComputeDevice
@@ -175,7 +174,6 @@ def score_shifts(pair: Pair, step: int, window: SearchWindow) -> ShiftScores:
     for some in np.array_split(yaws, surface.batches(len(yaws))):
         forward = surface.forward(on_ref, ours.base, some, own, pair.device)
         backward = surface.backward(on_mov, theirs.base, some, from_ref // 2, centre, pair.device)
-        check_cancelled()
         found = pair.device.tile_peaks(forward, backward, width)
         peaks.append([part.reshape(len(some), -1) for part in found])
     values, places = (np.concatenate(parts) for parts in zip(*peaks, strict=True))
@@ -227,7 +225,6 @@ class _ShiftSurface:
         reach = self.reach
         plane_shape = (self.height + 2 * reach + 1, self.lanes + 2 * reach + 1)
         corner = (self.cols[0] - reach, self.rows[0] - reach, 0.0)
-        check_cancelled()
         plane = device.warp(field, fixed_poses(corner), plane_shape, base)
         cos, sin = np.cos(yaws)[:, None], np.sin(yaws)[:, None]
         x = np.floor(cos * own[:, 0] - sin * own[:, 1] + 0.5).astype(np.int32)
@@ -237,7 +234,6 @@ class _ShiftSurface:
         box = (row, row + self.ref.shape[0], col, col + self.ref.shape[1])
         spans = shift_spans(y, x, np.array([box]))
         offsets = y * plane_shape[1] + x
-        check_cancelled()
         return device.correlate(plane, offsets, (self.height, self.lanes), spans, base)
 
     def backward(
@@ -257,13 +253,11 @@ class _ShiftSurface:
         poses = np.stack(
             (cos * dx + sin * dy + centre[0], -sin * dx + cos * dy + centre[1], -yaws), axis=1
         )
-        check_cancelled()
         planes = device.warp(field, fixed_poses(poses), plane_shape, base)
         spans = shift_spans(
             points[None, :, 1], points[None, :, 0], self._boxes(yaws, centre, dx, dy)
         )
         offsets = (points[:, 1] * plane_shape[1] + points[:, 0]).astype(np.int32)[None, :]
-        check_cancelled()
         return device.correlate(planes, offsets, (self.height, self.lanes), spans, base)
 
     def _boxes(self, yaws: F64, centre: F64, dx: float, dy: float) -> npt.NDArray[np.int32]:

@@ -7,7 +7,6 @@ from typing import Any
 
 from slamfusion.align import answer, hypotheses
 from slamfusion.align import search as searching
-from slamfusion.align.cancel import check_cancelled
 from slamfusion.align.features import GridFeatures
 from slamfusion.align.pair import Pair
 from slamfusion.align.search import COARSE_CHANCE_MAX, search
@@ -38,7 +37,6 @@ class RememberedSearches:
         chance: float = COARSE_CHANCE_MAX,
     ) -> tuple[Any, ...]:
         """Return what ``search`` returns."""
-        check_cancelled()
         asked = f"{config!r} {window!r} {pair.device.name} {chance!r}"
         key = (_cells(pair.reference), _cells(pair.moving), asked)
         if key not in self._answers:

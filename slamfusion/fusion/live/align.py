@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from slamfusion.align.align import align_pair, track_pair
-from slamfusion.align.cancel import CancelledSearchError, CancelToken
 from slamfusion.align.decide import SAME_TIME_SHARE, DecisionKind, decide_mirrored
 from slamfusion.align.features import GridFeatures
 from slamfusion.align.hypotheses import mirror_gain
@@ -54,10 +53,9 @@ MIRROR_SHARE = 0.9
 CONFIRM_MAPS = 2
 # A mirrored map fits nowhere, or two places of it are alike; that it is mirrored has to be told.
 MAY_BE_IMAGE: tuple[DecisionKind, ...] = ("ambiguous", "different place", "bent")
-# Seconds of a first search for which maps of others wait; each that is given up doubles them.
-PATIENCE_S = 1.0
-# A search longer than that which found nothing is followed by a pause this many times as long.
-REST = 4.0
+# A search that found nothing, and took longer than this, is followed by a pause this many times as
+# long: one bad map does not silence the others.
+LONG_S, REST = 1.0, 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +79,6 @@ class Aligner:
         lattice: of the fused frame; None before the first fusion.
         has_searched: whether this round searched an input everywhere.
         now_s: paces the searches.
-        is_wanted: asked while a search takes long; True gives it up.
         starts: where inputs are expected until they have a place in the fused frame.
     """
 
@@ -91,7 +88,6 @@ class Aligner:
         live: LiveConfig,
         device: ComputeDevice,
         starts: Starts | None = None,
-        is_wanted: Callable[[], bool] = lambda: False,
     ) -> None:
         """Start without a frame."""
         self.config = config
@@ -99,7 +95,6 @@ class Aligner:
         self.lattice: Lattice | None = None
         self.has_searched = False
         self.now_s = 0.0
-        self.is_wanted = is_wanted
         self.device = device
         self.starts = starts or Starts()
         self._found: dict[frozenset[str], LastSearch] = {}
@@ -112,10 +107,10 @@ class Aligner:
             raise ValueError("nothing was fused yet")
         return self.lattice
 
-    def features(self, track: Input, cancel: CancelToken | None = None) -> GridFeatures:
+    def features(self, track: Input) -> GridFeatures:
         """Return what alignment looks at in an input's map."""
         size, thresholds = self.fixed().resolution, self.config.normalize
-        return track.features(size, thresholds, CHANGED_SHARE, self.device, cancel)
+        return track.features(size, thresholds, CHANGED_SHARE, self.device)
 
     def held(self, track: Input) -> AnchorMap:
         """Return an input as something to align others to."""
@@ -144,20 +139,13 @@ class Aligner:
 
     # -- tracking ---------------------------------------------------------------------------------
 
-    def follow(
-        self, track: Input, held: AnchorMap, is_wanted: Callable[[], bool] | None = None
-    ) -> bool:
-        """Input an input from its last transform and believe it where it still fits.
-
-        Raises:
-            CancelledSearchError: ``is_wanted`` answered True meanwhile; nothing was changed.
-        """
-        cancel = None if is_wanted is None else CancelToken(is_wanted, self.device)
-        fit = self.fit(track, held, cancel)
+    def follow(self, track: Input, held: AnchorMap) -> bool:
+        """Track an input from its last transform and accept it where it still fits."""
+        fit = self.fit(track, held)
         if fit is not None and not track.stands:
             found = self._found.get(frozenset((track.name, held.name)))
             if found is None or fit[0].score < MIRROR_SHARE * found.score:
-                fit = self._unmirrored(track, held, fit, cancel)
+                fit = self._unmirrored(track, held, fit)
         if fit is not None:
             names = frozenset((track.name, held.name))
             if (found := self._found.get(names)) is not None:
@@ -165,20 +153,14 @@ class Aligner:
             self.accept(track, fit[1], fit[0], is_tracked=True)
         return fit is not None
 
-    def fit(
-        self, track: Input, held: AnchorMap, cancel: CancelToken | None = None
-    ) -> tuple[Alignment, Pose2] | None:
-        """Input an input from its last transform; None where it fits there no more.
+    def fit(self, track: Input, held: AnchorMap) -> tuple[Alignment, Pose2] | None:
+        """Track an input from its last transform; None where it fits there no more.
 
         ``track.fit.mismatch`` says so where its walls do not match, and is empty otherwise.
-
-        Raises:
-            CancelledSearchError: ``cancel`` says so; nothing was changed.
         """
         last = track.transform or IDENTITY
         start = held.transform.inverse().compose(last)
-        own = self.features(track, cancel)
-        pair = track_pair(Pair(held.features, own, cancel), start)
+        pair = track_pair(Pair(held.features, self.features(track)), start)
         moved = held.transform.compose(pair.transform)
         found = self._found.get(frozenset((track.name, held.name)))
         # What explains much less than when it was searched is news: a map may bend as it grows.
@@ -197,19 +179,9 @@ class Aligner:
         pause = max(self.live.search_pause_s, track.pace.rest_s)
         return not self.has_searched and self.now_s - track.pace.last_s >= pause
 
-    def search(self, track: Input, held: AnchorMap) -> bool:
-        """Search an input everywhere and believe, doubt or refuse what is found.
-
-        Returns:
-            Whether it was searched to the end, and not given up for maps that wait.
-        """
+    def search(self, track: Input, held: AnchorMap) -> None:
+        """Search an input everywhere and accept, doubt or refuse what is found."""
         pair = self.searched(track, held)
-        if pair is not None:
-            self._weigh(track, held, pair)
-        return pair is not None
-
-    def _weigh(self, track: Input, held: AnchorMap, pair: Alignment) -> None:
-        """Believe, doubt or refuse what a search found."""
         last, jump = track.transform, track.jump
         moved = held.transform.compose(pair.transform)
         track.fit = replace(track.fit, score=pair.score, overlap=pair.overlap)
@@ -258,8 +230,6 @@ class Aligner:
         index = min(jump.confirms, len(candidates) - 1)
         held, is_last = candidates[index], index == len(candidates) - 1
         pair = self.searched(track, held, is_swapped=is_last)
-        if pair is None:
-            return True
         moved = held.transform.compose(pair.transform)
         track.jump = replace(jump, confirms=jump.confirms + 1)
         if pair.accepted and not self.is_jump(track, jump.transform, moved):
@@ -269,40 +239,23 @@ class Aligner:
             track.turn(Reason.NOT_CONFIRMED, away_m=away_m, turn_rad=turn_rad)
         return not is_last
 
-    def searched(
-        self, track: Input, held: AnchorMap, *, is_swapped: bool = False
-    ) -> Alignment | None:
-        """Search an input everywhere; None where that was given up for maps that wait."""
+    def searched(self, track: Input, held: AnchorMap, *, is_swapped: bool = False) -> Alignment:
+        """Search an input everywhere."""
         self.has_searched = True
         pace = track.pace
         pace.last_s = self.now_s
         start = self._expected(track, held)
         own, began_s = self.features(track), time.perf_counter()
-        until_s = began_s + pace.patience_s
-
-        def is_wanted() -> bool:
-            return time.perf_counter() > until_s and self.is_wanted()
-
-        cancel = CancelToken(is_wanted, self.device)
-        sides, where = Pair(held.features, own, cancel), start
+        sides, where = Pair(held.features, own), start
         if is_swapped:
-            sides = Pair(own, held.features, cancel)
+            sides = Pair(own, held.features)
             where = None if start is None else start.inverse()
-        try:
-            pair = align_pair(
-                sides, self.config.align, where, thorough=False, image_after=MAY_BE_IMAGE
-            )
-        except CancelledSearchError:
-            pace.patience_s *= 2.0
-            if not track.votes:
-                track.turn(Reason.PUT_OFF)
-            return None
+        pair = align_pair(sides, self.config.align, where, thorough=False, image_after=MAY_BE_IMAGE)
         pace.count += 1
         if is_swapped:
             pair = replace(pair, transform=pair.transform.inverse())
-        pace.patience_s = PATIENCE_S
         spent_s = time.perf_counter() - began_s
-        pace.rest_s = 0.0 if pair.accepted or spent_s < PATIENCE_S else REST * spent_s
+        pace.rest_s = 0.0 if pair.accepted or spent_s < LONG_S else REST * spent_s
         return pair
 
     def is_jump(self, track: Input, a: Pose2, b: Pose2) -> bool:
@@ -333,18 +286,13 @@ class Aligner:
         return held.transform.inverse().compose(track.transform)
 
     def _unmirrored(
-        self,
-        track: Input,
-        held: AnchorMap,
-        fit: tuple[Alignment, Pose2],
-        cancel: CancelToken | None,
+        self, track: Input, held: AnchorMap, fit: tuple[Alignment, Pose2]
     ) -> tuple[Alignment, Pose2] | None:
         """Return the fit of new walls, which is much worse than the old ones'; None: mirrored."""
         pair, reference = fit[0], held.features
         if pair.evidence is not None and pair.evidence.share >= SAME_TIME_SHARE:
             return fit
-        own = self.features(track, cancel)
-        maps = Pair(reference, own, cancel)
+        maps = Pair(reference, self.features(track))
         motion = maps.motion_of(pair.transform)
         gain = mirror_gain(maps, motion, self.config.align)
         refused = decide_mirrored(gain)

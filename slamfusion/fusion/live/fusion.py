@@ -11,8 +11,8 @@ they ask of the code:
 * **Search.** The maps of two robots may grow away from each other: an input is searched everywhere
   when its tracked score and the ground in common both fall below a share of what the search gave.
   An unchanged map that jumped is searched once more in another way: with another voter, or with the
-  roles swapped. A search in vain is followed by a long pause, and a long one is put off while maps
-  of others wait, so that one bad map does not silence the others.
+  roles swapped. A long search in vain is followed by a longer pause, so that one bad map does not
+  silence the others.
 * **Reference.** It hands over when it is lost, when its walls moved, or when two others agree with
   each other and not with it; never because another looks better.
 * **Doubt.** A map in doubt does not vote, and neither does the older one before it. It takes no
@@ -151,9 +151,7 @@ class LiveFusion(Mailbox):
         self._clear()
 
     def _clear(self) -> None:
-        self._aligner = Aligner(
-            self._config, self._live, self._device, self._starts, is_wanted=lambda: self.has_new
-        )
+        self._aligner = Aligner(self._config, self._live, self._device, self._starts)
         self._layers = FusedLayers(self._config, self._live, self._device)
         self._supervisor = InputSupervisor(self._aligner, self._layers)
         self._inputs = self._supervisor.inputs
@@ -246,7 +244,7 @@ class LiveFusion(Mailbox):
         """Bring the fused map up to date; None when nothing came and nothing changed.
 
         Call it for every map that comes, and again until it answers None: what can wait (aligning
-        large maps again) is done while no map does, and given up for one that comes.
+        large maps again) is done while no map does.
 
         Args:
             now_s: on the clock of ``put``.

@@ -13,12 +13,11 @@ from enum import Enum
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.align.cancel import CancelToken, watched_by
 from slamfusion.align.features import GridFeatures
 from slamfusion.align.normalize import normalize_grid
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import NormalizeConfig
-from slamfusion.fusion.live.layers import Change, Layer, compare, lay_out, measured
+from slamfusion.fusion.live.layers import Change, Layer, compare, lay_out
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.grid import OccupancyGrid
 
@@ -91,7 +90,6 @@ class Reason(Enum):
     NO_START = Event.DOUBT, "{why}"
     WAITS = Event.DOUBT, "waits for a full search"
     MISMATCH = Event.DOUBT, "{why}; waits for a full search"
-    PUT_OFF = Event.DOUBT, "its search takes long and was put off for the maps of others"
     NO_FIT = Event.DOUBT, "does not fit {other}"
     FEW_WALLS = Event.DOUBT, "{other} has too few walls to go by"
     DISPUTE = Event.DOUBT, "{names} disagree and no majority decides"
@@ -167,13 +165,11 @@ class SearchPace:
         last_s: when it was searched last.
         count: searches so far.
         rest_s: the least pause after the last one.
-        patience_s: how long maps of others wait for the next one.
     """
 
     last_s: float = -math.inf
     count: int = 0
     rest_s: float = 0.0
-    patience_s: float = 1.0
 
 
 @dataclass(eq=False)
@@ -286,8 +282,7 @@ class Input:
     def place(self, resolution: float, thresholds: NormalizeConfig, device: ComputeDevice) -> None:
         """Lay the map out at the fused resolution; before the first fusion there is none."""
         if self.grid is not None:
-            layer = lay_out(self.grid, None, resolution, thresholds, device)
-            self.layer = measured(layer, thresholds)
+            self.layer = lay_out(self.grid, None, resolution, thresholds, device)
 
     def follow(
         self,
@@ -318,7 +313,7 @@ class Input:
             return None
         layer = lay_out(grid, before.lattice, resolution, thresholds, device)
         change = compare(before, layer, thresholds, device)
-        self.layer = measured(layer, thresholds, before, change)
+        self.layer = layer
         if change.box is None:
             return change
         self.version += 1
@@ -349,21 +344,15 @@ class Input:
         thresholds: NormalizeConfig,
         stale_share: float,
         device: ComputeDevice,
-        cancel: CancelToken | None = None,
     ) -> GridFeatures:
-        """Return what alignment looks at; that of an older map while few walls have changed.
-
-        Raises:
-            CancelledSearchError: ``cancel`` says so.
-        """
+        """Return what alignment looks at; that of an older map while few walls have changed."""
         if self._features is not None:
             features, changed = self._features
             if self._changed - changed <= stale_share * self.walls:
                 return features
         if self.grid is None:
             raise ValueError(f"{self.name} has no map")
-        with watched_by(cancel):
-            normalized = normalize_grid(self.grid, resolution, thresholds, device)
+        normalized = normalize_grid(self.grid, resolution, thresholds, device)
         features = GridFeatures(normalized, device)
         self._features = features, self._changed
         return features

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -37,16 +37,26 @@ class Layer:
         cells: (H, W) int8, -1 unknown, 0..100 percent.
         lattice: on which they lie.
         row, col: the lattice's indices of ``cells[0, 0]``.
-        known: cells of the lattice that hold every known one; None: none, or not ``measured``.
-        walls: wall cells; 0 before ``measured``.
+        known: cells of the lattice that hold every known one; None: none.
+        walls: wall cells.
     """
 
     cells: I8
     lattice: Lattice
-    row: int = 0
-    col: int = 0
-    known: CellBox | None = None
-    walls: int = 0
+    row: int
+    col: int
+    known: CellBox | None
+    walls: int
+
+    @classmethod
+    def of(
+        cls, cells: I8, lattice: Lattice, thresholds: NormalizeConfig, row: int = 0, col: int = 0
+    ) -> Layer:
+        """Measure cells whose first has these indices on the lattice."""
+        box = known_box(cells)
+        known = None if box is None else moved(box, row, col)
+        walls = int(np.count_nonzero(cells >= math.ceil(thresholds.occupied_percent)))
+        return cls(cells, lattice, row, col, known, walls)
 
     @property
     def box(self) -> CellBox:
@@ -79,7 +89,7 @@ def lay_out(
         lattice: where this input's cells lay before; None for a new input. A grid that lies on
             none of its cells starts a lattice of its own.
         resolution: metres per cell of the layer.
-        thresholds: what makes a wall, where cells are joined.
+        thresholds: what makes a wall.
         device: resamples. The nearest cell, or where the layer is coarser any wall in a cell.
     """
     own = Lattice(grid.resolution, grid.origin)
@@ -90,7 +100,7 @@ def lay_out(
     fused = Lattice(resolution, own.origin)
     ratio = resolution / grid.resolution
     if abs(ratio - 1.0) < SAME_RESOLUTION:
-        return Layer(grid.cells, fused, row, col)
+        return Layer.of(grid.cells, fused, thresholds, row, col)
     parts = max(1, int(np.ceil(ratio - 1e-9)))
     box = fused.box_of(CellBox(row, col, row + grid.height, col + grid.width), own, Pose2())
     scale = round(ratio / parts * FIXED_ONE)
@@ -101,7 +111,7 @@ def lay_out(
     fine = device.download(device.warp(device.upload(grid.cells), poses, shape, UNKNOWN))[0]
     if parts > 1:
         fine = pool_cells(fine.reshape(box.height, parts, box.width, parts), thresholds)
-    return Layer(np.ascontiguousarray(fine), fused, box.row0, box.col0)
+    return Layer.of(np.ascontiguousarray(fine), fused, thresholds, box.row0, box.col0)
 
 
 def carry(
@@ -144,8 +154,6 @@ class Change:
         standing: old wall cells with a wall within one cell.
         contradicted: old wall cells that are free now, no wall within one cell.
         before: all old wall cells.
-        after: all new wall cells; None where not all of them were looked at.
-        is_lost: whether a known cell became unknown.
     """
 
     box: CellBox | None
@@ -153,8 +161,6 @@ class Change:
     standing: int
     contradicted: int
     before: int
-    after: int | None = None
-    is_lost: bool = True
 
     def is_steady(self, share: float) -> bool:
         """Whether enough old walls still stand to believe that the map's frame did not move.
@@ -172,25 +178,23 @@ def compare(old: Layer, new: Layer, thresholds: NormalizeConfig, device: Compute
     """Compare two maps of one input, cell by cell where both lie in its frame.
 
     Args:
-        old: the map before, measured.
+        old: the map before.
         new: the map now; on another lattice it is resampled first, and all of it counts as changed.
         thresholds: what is a wall, and what is free.
     """
-    walls, is_same = old.walls, new.lattice == old.lattice
+    walls = old.walls
     occupied = math.ceil(thresholds.occupied_percent)
     box: CellBox | None = old.box
-    if is_same:
+    if new.lattice == old.lattice:
         box = _changed_box(old, new)
         if box is None:
-            return Change(None, 0, walls, 0, walls, walls, is_lost=False)
+            return Change(None, 0, walls, 0, walls)
         near = padded(box, 1)
         if near.area > SPARE_SHARE * (old.box.area + new.box.area):
-            total = int(np.count_nonzero(new.cells >= occupied))
-            return Change(box, walls + total, 0, 0, walls, total)  # nothing stands
+            return Change(box, walls + new.walls, 0, 0, walls)  # nothing stands
         before, after = old.window(near), new.window(near)
     else:
         before, after = old.cells, carry(new, Pose2(), old.lattice, old.box, device)
-    is_lost = not is_same or bool(((before >= 0) & (after < 0)).any())
     was, now = (before >= occupied).view(np.uint8), (after >= occupied).view(np.uint8)
     gone = (was != 0) & (cv2.dilate(now, NEIGHBOURS) == 0)
     free = (after >= 0) & (after <= thresholds.free_percent)
@@ -200,8 +204,6 @@ def compare(old: Layer, new: Layer, thresholds: NormalizeConfig, device: Compute
         walls - int(np.count_nonzero(gone)),
         int(np.count_nonzero(gone & free)),
         walls,
-        walls - int(np.count_nonzero(was)) + int(np.count_nonzero(now)) if is_same else None,
-        is_lost,
     )
 
 
@@ -213,31 +215,3 @@ def _changed_box(old: Layer, new: Layer) -> CellBox | None:
     differs = old.window(whole) != new.window(whole)
     found = known_box(differs.view(np.int8) - np.int8(1))
     return None if found is None else moved(found, whole.row0, whole.col0)
-
-
-def measured(
-    layer: Layer,
-    thresholds: NormalizeConfig,
-    before: Layer | None = None,
-    change: Change | None = None,
-) -> Layer:
-    """Return a layer with its known box and walls; only what ``change`` says is looked at."""
-    if before is None or change is None or change.after is None:
-        occupied = math.ceil(thresholds.occupied_percent)
-        walls = int(np.count_nonzero(layer.cells >= occupied))
-        return replace(layer, known=_known(layer, layer.box), walls=walls)
-    box, old = change.box, before.known
-    if box is None or (old is not None and padded(box, 1) == overlap(padded(box, 1), old)):
-        known = old  # the cells that bound it did not change
-    elif change.is_lost:
-        known = _known(layer, layer.box)
-    else:
-        found = _known(layer, overlap(box, layer.box) or box)
-        known = found if old is None else old if found is None else hull(old, found)
-    return replace(layer, known=known, walls=change.after)
-
-
-def _known(layer: Layer, box: CellBox) -> CellBox | None:
-    """Return the box of known cells inside a box of the layer's lattice."""
-    found = known_box(layer.window(box))
-    return None if found is None else moved(found, box.row0, box.col0)

@@ -1,8 +1,4 @@
-"""What a map must not be to take part in the live fusion: limits that cost little to look at.
-
-Everything else that the fusion does with a map costs more than these looks, so a map that says
-nothing, or that no memory holds, costs the other inputs no time.
-"""
+"""What a map must not be to take part in the live fusion."""
 
 from __future__ import annotations
 
@@ -13,13 +9,9 @@ import numpy as np
 from slamfusion.align.decide import WALLS_MIN
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import MemoryBudgetError
-from slamfusion.grid import OccupancyGrid, implausible
+from slamfusion.grid import OccupancyGrid, implausible, row_parts
 from slamfusion.io.files import check_memory
 
-# Cells that are looked at together, few enough for the processor's cache.
-BAND_CELLS = 1 << 18
-# Bands of a large map that are looked at before all of them are.
-SAMPLE_BANDS = 4
 # Steps from free to wall between neighbouring cells, per known cell. Of 70 recorded, rendered and
 # drawn maps of places the highest has 0.21; noise of three values has 0.67, a chequered board of
 # 4 x 4 cells 0.50.
@@ -34,12 +26,6 @@ LENGTH_MAX_M = 1e6
 # Working copies of one map, in bytes a cell, and the map from which they are worth a check.
 INPUT_BYTES = 12
 CHECKED_CELLS = 1 << 22
-
-
-def bands(height: int, width: int) -> list[slice]:
-    """Return rows that are looked at together, all of them one after the other."""
-    step = max(1, BAND_CELLS // width)
-    return [slice(row, min(row + step, height)) for row in range(0, height, step)]
 
 
 def unusable(grid: OccupancyGrid, thresholds: NormalizeConfig) -> str | None:
@@ -58,54 +44,35 @@ def unusable(grid: OccupancyGrid, thresholds: NormalizeConfig) -> str | None:
     length = math.hypot(grid.height, grid.width) * grid.resolution
     if length > LENGTH_MAX_M:
         return f"a map must be at most {LENGTH_MAX_M:g} m long, found {length:g} m"
-    occupied, walls = math.ceil(thresholds.occupied_percent), 0
-    for band in bands(grid.height, grid.width):
-        walls += int(np.count_nonzero(grid.cells[band] >= occupied))
-        if walls >= WALLS_MIN:
-            return _meaningless(grid, thresholds)
-    size = f"{grid.height} x {grid.width}"
-    if int(grid.cells.max()) < 0:
-        return f"all {size} cells are unknown"
-    return f"too few walls to judge: {walls} of the {WALLS_MIN} needed, on {size} cells"
-
-
-def _meaningless(grid: OccupancyGrid, thresholds: NormalizeConfig) -> str | None:
-    """Return in words why the walls of a map say nothing of a place, or None."""
-    every = bands(grid.height, grid.width)
-    stride = -(-len(every) // SAMPLE_BANDS)
-    if stride > 1 and _verdict(grid, every[::stride], thresholds) is None:
-        return None
-    return _verdict(grid, every, thresholds)
-
-
-def _verdict(grid: OccupancyGrid, rows: list[slice], thresholds: NormalizeConfig) -> str | None:
-    """Return in words what is wrong with some bands of rows of a map, or None.
-
-    Steps are pairs of neighbours, one a wall and one not.
-    """
     occupied = math.ceil(thresholds.occupied_percent)
-    walls = free = cells = steps = to_free = 0
-    for band in rows:
-        part = grid.cells[band]
+    # Steps are pairs of neighbours, one a wall and one not, or one free.
+    walls = free = steps = to_free = 0
+    for rows in row_parts(grid.cells.shape):
+        part = grid.cells[rows]
         is_wall, is_free = part >= occupied, (part >= 0) & (part <= thresholds.free_percent)
         walls += int(np.count_nonzero(is_wall))
         free += int(np.count_nonzero(is_free))
-        cells += part.size
         for a, b in ((np.s_[1:], np.s_[:-1]), (np.s_[:, 1:], np.s_[:, :-1])):
             steps += int(np.count_nonzero(is_wall[a] != is_wall[b]))
             both = (is_wall[a] & is_free[b]) | (is_free[a] & is_wall[b])
             to_free += int(np.count_nonzero(both))
-    is_all_walls = free < FREE_MIN * walls
-    steps, known = (steps, cells) if is_all_walls else (to_free, walls + free)
-    if steps < max(WALLS_MIN, EDGE_MIN * walls):
+    if walls < WALLS_MIN:
+        size = f"{grid.height} x {grid.width}"
+        if int(grid.cells.max()) < 0:
+            return f"all {size} cells are unknown"
+        return f"too few walls to judge: {walls} of the {WALLS_MIN} needed, on {size} cells"
+    known = walls + free
+    if free < FREE_MIN * walls:
+        known, to_free = grid.cells.size, steps
+    if to_free < max(WALLS_MIN, EDGE_MIN * walls):
         return (
             f"says nothing of a place: hardly any of its {walls} occupied cells lies beside "
             "another cell; is it all occupied?"
         )
-    if steps > STEPS_MAX * known:
+    if to_free > STEPS_MAX * known:
         return (
-            f"says nothing of a place: {steps / known:.2f} steps from free to wall per known cell, "
-            f"where maps have {STEPS_MAX:g} at most; is it noise?"
+            f"says nothing of a place: {to_free / known:.2f} steps from free to wall per known "
+            f"cell, where maps have {STEPS_MAX:g} at most; is it noise?"
         )
     return None
 

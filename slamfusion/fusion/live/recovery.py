@@ -107,10 +107,8 @@ class Anchor:
         fit = aligner.fit(reference, self.held)
         if fit is None and not aligner.may_search(reference):
             return  # with one of its next maps
-        moved, is_done = (fit[1], True) if fit else self._found(reference, self.held)
+        moved = fit[1] if fit else self._found(reference, self.held)
         reference.fit = replace(shown, mismatch="")
-        if not is_done:
-            return
         self._settled = (reference.name, reference.walls)
         reference.reason = (Reason.REFERENCE if moved else Reason.CHANGED).says()
         if moved and aligner.is_worth_a_move(reference, last, moved):
@@ -121,17 +119,15 @@ class Anchor:
         if reference.walls >= GROWN_SHARE * self.walls:
             self.held = None
 
-    def _found(self, reference: Input, held: AnchorMap) -> tuple[Pose2 | None, bool]:
-        """Return where a whole map has an input, if anywhere, and whether the search ended."""
+    def _found(self, reference: Input, held: AnchorMap) -> Pose2 | None:
+        """Return where a whole map has an input, if anywhere."""
         moved: list[Pose2] = []
         for is_swapped in (False, True):
             pair = self._aligner.searched(reference, held, is_swapped=is_swapped)
-            if pair is None:
-                return None, False
             if not pair.accepted:
-                return None, True
+                return None
             moved.append(held.transform.compose(pair.transform))
-        return (None if self._aligner.is_jump(reference, *moved) else moved[0]), True
+        return None if self._aligner.is_jump(reference, *moved) else moved[0]
 
     # -- when no input is left to align to ---------------------------------------------------------
 
@@ -244,8 +240,11 @@ class Anchor:
         if chosen is None:
             return None
         where = held(chosen)
-        is_done = not aligner.confirm(chosen, [where]) if jumped else aligner.search(chosen, where)
-        if is_done and not chosen.votes:
+        if jumped:
+            aligner.confirm(chosen, [where])
+        else:
+            aligner.search(chosen, where)
+        if not chosen.votes:
             chosen.tried = (chosen.version, names, IN_VAIN)
         return chosen if chosen.votes else None
 

@@ -1,8 +1,8 @@
 """``LiveState``: what a live fusion needs to go on in the same fused frame after a restart.
 
-As bytes: one line with the kind and version, one with the SHA-256 of everything after it, one line
-of JSON, then the two grids as zlib streams. Nothing is taken apart before its digest is right, and
-nothing in it is code.
+As bytes: one line with the kind and version, one with the SHA-256 of everything after it, and a
+zlib stream of one line of JSON and the cells of both grids. Nothing is unpacked before its digest
+is right, and nothing in it is code.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ import math
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -26,11 +25,9 @@ from slamfusion.vote.lattice import Lattice
 I8 = npt.NDArray[np.int8]
 
 KIND = b"slamfusion live state"
-VERSION = 1
+VERSION = 2
 # Most of a fused map is alike; more effort makes it hardly smaller.
 ZLIB_LEVEL = 1
-# A fused map with a side of more cells is none (1000 km of cells of 5 cm).
-SIDE_MAX = 20_000_000
 
 
 class StateError(SlamFusionError):
@@ -97,24 +94,20 @@ class LiveState:
 
     def to_bytes(self) -> bytes:
         """Return the state as bytes; the same state gives the same."""
-        fused, agreement = (
-            zlib.compress(np.ascontiguousarray(cells).data, ZLIB_LEVEL)
-            for cells in (self.fused, self.agreement)
-        )
         record = {
             "resolution": self.lattice.resolution,
             "origin": _numbers(self.lattice.origin),
             "first": [self.row, self.col],
             "shape": list(self.fused.shape),
-            "bytes": [len(fused), len(agreement)],
             "transforms": {name: _numbers(pose) for name, pose in self.transforms.items()},
             "reference": self.reference,
             "scores": [[*sorted(pair), score] for pair, score in self.scores.items()],
             "stamp_s": self.stamp_s,
         }
-        body = b"".join((json.dumps(record, allow_nan=False).encode(), b"\n", fused, agreement))
-        digest = hashlib.sha256(body).hexdigest().encode()
-        return b"".join((KIND, b" %d\n" % VERSION, digest, b"\n", body))
+        head = json.dumps(record, allow_nan=False).encode() + b"\n"
+        cells = self.fused.tobytes() + self.agreement.tobytes()
+        body = zlib.compress(head + cells, ZLIB_LEVEL)
+        return KIND + b" %d\n%s\n" % (VERSION, hashlib.sha256(body).hexdigest().encode()) + body
 
     @classmethod
     def from_bytes(cls, data: bytes) -> LiveState:
@@ -133,46 +126,31 @@ class LiveState:
         digest, _, body = rest.partition(b"\n")
         if hashlib.sha256(body).hexdigest().encode() != digest:
             raise StateError("the state is damaged or not whole: its digest is another")
-        line, _, packed = body.partition(b"\n")
         try:
-            return cls._from_record(json.loads(line), packed)
+            line, _, cells = zlib.decompress(body).partition(b"\n")
+            record = json.loads(line)
+            shape = (2, *(int(side) for side in record["shape"]))
+            row, col = (int(index) for index in record["first"])
+            fused, agreement = np.frombuffer(cells, dtype=np.int8).reshape(shape)
+            return cls(
+                Lattice(float(record["resolution"]), _pose(record["origin"])),
+                row,
+                col,
+                fused,
+                agreement,
+                {str(name): _pose(numbers) for name, numbers in record["transforms"].items()},
+                str(record["reference"]),
+                {frozenset((str(a), str(b))): float(score) for a, b, score in record["scores"]},
+                float(record["stamp_s"]),
+            )
         except (ValueError, KeyError, TypeError, zlib.error) as error:
             message = f"the state cannot be understood: {type(error).__name__}: {error}"
             raise StateError(message) from None
 
-    @classmethod
-    def _from_record(cls, record: dict[str, Any], packed: bytes) -> LiveState:
-        height, width = (int(side) for side in record["shape"])
-        if not (0 < height <= SIDE_MAX and 0 < width <= SIDE_MAX):
-            raise StateError(f"a state with {height} x {width} cells")
-        row, col = record["first"]
-        split = int(record["bytes"][0])
-        return cls(
-            Lattice(float(record["resolution"]), _pose(record["origin"])),
-            int(row),
-            int(col),
-            _cells(packed[:split], height, width),
-            _cells(packed[split:], height, width),
-            {str(name): _pose(numbers) for name, numbers in record["transforms"].items()},
-            str(record["reference"]),
-            {frozenset((str(a), str(b))): float(score) for a, b, score in record["scores"]},
-            float(record["stamp_s"]),
-        )
-
 
 def is_state(data: bytes) -> bool:
-    """Return whether bytes begin as a state does, of whatever version, damaged or not."""
+    """Return whether bytes start as a state does, of whatever version, damaged or not."""
     return data.startswith(KIND + b" ")
-
-
-def _cells(packed: bytes, height: int, width: int) -> I8:
-    """Return the cells of a zlib stream that must hold exactly this number."""
-    reader = zlib.decompressobj()
-    # One byte more than wanted tells a longer stream, however long it would be.
-    raw = reader.decompress(packed, height * width + 1)
-    if len(raw) != height * width or not reader.eof:
-        raise ValueError(f"cells of another number than {height} x {width}")
-    return np.frombuffer(raw, dtype=np.int8).reshape(height, width)
 
 
 def _numbers(pose: Pose2) -> list[float]:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
-from slamfusion.align.cancel import CancelledSearchError
 from slamfusion.align.normalize import common_resolution
 from slamfusion.config import SMALLEST
 from slamfusion.errors import AlignmentError, MemoryBudgetError, SlamFusionError
@@ -195,8 +194,8 @@ class InputSupervisor:
         """Align what is due: doubtful inputs always, steady voters as far as time allows.
 
         A steady voter's transform holds meanwhile, so a large one, or one of many, waits until no
-        new map does, and is given up for one that comes. Of those that are late the one that
-        changed most is aligned whatever waits, one a round, so that each has its turn.
+        new map does. Of those that are late the one that changed most is aligned whatever waits,
+        one a round, so that each has its turn.
         """
         first = self.inputs[self.reference]
         due = [one for one in self.inputs.values() if self._is_due(one, first)]
@@ -214,29 +213,19 @@ class InputSupervisor:
             if may_wait and (has_late or not is_late):
                 if not (is_idle and cells == 0):
                     continue
-                try:
-                    self._align(one, reference, self._aligner.is_wanted)
-                except CancelledSearchError:
-                    return
             else:
                 has_late = has_late or may_wait
-                try:
-                    self._align(one, reference)
-                except (SlamFusionError, MemoryError) as error:
-                    one.tried = (one.version, reference.name, reference.version)
-                    one.turn(Reason.FAILED, why=str(error) or type(error).__name__)
+            try:
+                self._align(one, reference)
+            except (SlamFusionError, MemoryError) as error:
+                one.tried = (one.version, reference.name, reference.version)
+                one.turn(Reason.FAILED, why=str(error) or type(error).__name__)
             cells += own
 
-    def _align(
-        self, one: Input, reference: Input, is_wanted: Callable[[], bool] | None = None
-    ) -> None:
-        """Align an input to the reference: tracked, or else searched everywhere.
-
-        Raises:
-            CancelledSearchError: ``is_wanted`` answered True meanwhile; nothing was changed.
-        """
+    def _align(self, one: Input, reference: Input) -> None:
+        """Align an input to the reference: tracked, or else searched everywhere."""
         aligner, had_vote = self._aligner, one.votes
-        if one.transform is not None and aligner.follow(one, aligner.held(reference), is_wanted):
+        if one.transform is not None and aligner.follow(one, aligner.held(reference)):
             return
         others = [other for other in self.voters if other is not reference and other is not one]
         now = (one.version, reference.name, reference.version)
@@ -256,10 +245,8 @@ class InputSupervisor:
         # The reference may share no ground with it where another input does.
         held = [reference] if had_vote else [reference, *others]
         turn = one.pace.count % len(held)
-        is_done = aligner.search(one, aligner.held(held[turn]))
-        if not is_done:
-            one.tried = None
-        if one.votes or not is_done:
+        aligner.search(one, aligner.held(held[turn]))
+        if one.votes:
             return
         one.tried = now if turn == len(held) - 1 else None
         if had_vote:

@@ -276,7 +276,7 @@ class FusedLayers:
 
         Args:
             name: the input.
-            layer: all of its cells, measured.
+            layer: all of its cells.
             transform: maps the layer's frame into the fused frame, metres.
             changed: cells of the layer's lattice that differ from what was laid here before with
                 the same transform and lattice; None for all.

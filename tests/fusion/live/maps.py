@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from typing import Any
-from unittest import mock
 
 import numpy as np
 from scipy import ndimage
@@ -16,7 +14,6 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, LiveConfig, NormalizeConfig, RunConfig, VoteConfig
 from slamfusion.fusion.live import LiveFusion, LiveInput, LiveUpdate
 from slamfusion.fusion.live.layers import Layer, lay_out
-from slamfusion.fusion.live.mailbox import Mailbox
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OCCUPIED, CellBox, OccupancyGrid
 from tests.fusion.drawings import building, degraded
@@ -126,14 +123,6 @@ def started(device: ComputeDevice, **live: Any) -> Drive:
     update = drive.step(*three().values())
     assert drive.accepted() == "abc", [record.reason for record in update.inputs]
     return drive
-
-
-def interrupted(drive: Drive, is_wanted: Callable[[], bool]) -> LiveUpdate | None:
-    """Update while maps come where ``is_wanted`` says so, which is asked as often as they are."""
-    has_new = Mailbox.has_new
-    wanted = property(lambda box: has_new.__get__(box) or is_wanted())
-    with mock.patch.object(Mailbox, "has_new", wanted):
-        return drive.live.update(drive.now_s)
 
 
 def touched(grid: OccupancyGrid, seed: int, share: float = 0.01) -> OccupancyGrid:

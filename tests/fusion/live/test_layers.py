@@ -11,7 +11,7 @@ import pytest
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, LiveConfig, NormalizeConfig, VoteConfig
 from slamfusion.errors import MemoryBudgetError
-from slamfusion.fusion.live.layers import Layer, measured
+from slamfusion.fusion.live.layers import Layer
 from slamfusion.fusion.live.voting import FusedLayers
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, trinary_cells
@@ -42,7 +42,7 @@ def test_boxes_voted_on_one_by_one_are_one_vote(
     box = CellBox(0, 0, *size)
     layers.grow(box, "all")
     for name, cells in zip("abc", full, strict=True):
-        layers.lay(name, Layer(cells, layers.lattice, known=box), Pose2(), None)
+        layers.lay(name, Layer(cells, layers.lattice, 0, 0, box, 0), Pose2(), None)
     for row in range(0, size[0], 13):
         for col in range(0, size[1], 17):
             part = CellBox(row, col, min(row + 13, size[0]), min(col + 17, size[1]))
@@ -53,7 +53,7 @@ def test_boxes_voted_on_one_by_one_are_one_vote(
     # A part of one map changes, and nothing else is laid or counted again.
     changed = CellBox(20, 5, 27, 15)
     full[1][slices(changed, 0, 0)] = random_cells(4, 40, 40)[:7, :10]
-    touched = layers.lay("b", Layer(full[1], layers.lattice, known=box), Pose2(), changed)
+    touched = layers.lay("b", Layer(full[1], layers.lattice, 0, 0, box, 0), Pose2(), changed)
     assert touched is not None
     layers.vote("abc", touched)
     assert_voted_anew(layers, config, full, device)
@@ -85,7 +85,7 @@ def test_fused_layers_grow_by_whole_cells_and_never_beyond_memory(
 ) -> None:
     layers = FusedLayers(FusionConfig(), LiveConfig(), device)
     layers.lattice = Lattice(0.1, Pose2(1.0, 2.0, 0.2))
-    layer = measured(Layer(random_cells(1), layers.lattice), RULES)
+    layer = Layer.of(random_cells(1), layers.lattice, RULES)
     layers.grow(layer.box, "a")
     layers.lay("a", layer, Pose2(), None)
     layers.vote("a", layer.box)

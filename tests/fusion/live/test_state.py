@@ -97,8 +97,8 @@ def test_a_damaged_state_is_refused_in_one_line(data: st.DataObject):
 
 
 def test_another_version_is_named():
-    data = SMALL.to_bytes().replace(b" 1\n", b" 2\n", 1)
-    with pytest.raises(StateError, match="version 1, found '2'"):
+    data = SMALL.to_bytes().replace(b" 2\n", b" 3\n", 1)
+    with pytest.raises(StateError, match="version 2, found '3'"):
         LiveState.from_bytes(data)
 
 
