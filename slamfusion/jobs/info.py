@@ -148,10 +148,10 @@ def describe(
     has_maps = path.is_dir() and not is_bag_folder and any(path.glob("*.yaml"))
     if path.suffix.lower() in MAP_SUFFIXES or has_maps:
         return _map_info(map_file(path), config)
-    return _log_info(path, config, progress)
+    return _log_info(path, config, progress or (lambda *_: None))
 
 
-def _log_info(path: Path, config: RunConfig, progress: Progress | None) -> InfoDocument:
+def _log_info(path: Path, config: RunConfig, progress: Progress) -> InfoDocument:
     """Read all scans of a log."""
     remarks: list[str] = []
     topics, frames = list[str](), list[str]()
@@ -165,44 +165,41 @@ def _log_info(path: Path, config: RunConfig, progress: Progress | None) -> InfoD
     except LogError as error:
         if not topics:
             raise
-        words = (f"{path}: topics {', '.join(topics)}", str(error))
-        raise LogError("; ".join(words)) from error
-    stamps, beams, poses, posed_s = [], set(), [], []
-    hits = readings = 0
+        raise LogError(f"{path}: topics {', '.join(topics)}; {error}") from error
+    rows = []
     for item in log:
-        scan = item.scan
-        stamps.append(scan.stamp_s)
-        beams.add(len(scan.ranges))
-        hits += int(np.isfinite(scan.ranges).sum())
-        readings += len(scan.ranges)
-        if item.odometry is not None:
-            poses.append((item.odometry.x, item.odometry.y))
-            posed_s.append(scan.stamp_s)
-        if progress is not None:
-            progress("reading", log.fraction_read, 1)
-    if not stamps:
+        scan, pose = item.scan, item.odometry
+        place = (math.nan, math.nan) if pose is None else (pose.x, pose.y)
+        rows.append((scan.stamp_s, len(scan.ranges), np.isfinite(scan.ranges).sum(), *place))
+        progress("reading", log.fraction_read, 1)
+    if not rows:
         raise LogError(f"{path}: no scan in it can be used; {'; '.join(log.skips.sentences())}")
-    steps_s = np.diff(stamps)
+    stamps_s, beams, hits, *odometry = np.array(rows).T
+    has_pose = np.isfinite(odometry[0])
+    steps_s, moves_m = np.diff(stamps_s), np.diff([axis[has_pose] for axis in odometry])
     period_s = float(np.median(steps_s)) if len(steps_s) else math.nan
-    moves_m = np.diff(np.reshape(poses, (-1, 2)), axis=0)
+    # Each of our own SLAMs has a process, the longest first.
+    free_s = [0.0] * min(usable_cores(), len(BUILT_IN))
+    for cost in sorted((producer(name).cost for name in BUILT_IN), reverse=True):
+        free_s[free_s.index(min(free_s))] += cost * len(rows) * SCAN_S
     found = LogInfo(
-        scans=len(stamps),
-        duration_s=stamps[-1] - stamps[0],
+        scans=len(rows),
+        duration_s=float(stamps_s[-1] - stamps_s[0]),
         rate_hz=1.0 / period_s if period_s > 0.0 else None,
         gaps=int((steps_s > GAP_PERIODS * period_s).sum()),
         longest_gap_s=float(steps_s.max(initial=0.0)),
-        beams=", ".join(map(str, sorted(beams))),
+        beams=", ".join(str(int(count)) for count in np.unique(beams)),
         field_of_view_deg=math.degrees(abs(scan.angle_increment_rad) * (len(scan.ranges) - 1)),
         range_max_m=scan.range_max_m,
-        returns_percent=100.0 * hits / readings,
-        odometry_m=float(np.hypot(*moves_m.T).sum()) if poses else None,
-        without_odometry=len(stamps) - len(poses),
-        longest_without_odometry_s=float(np.diff(posed_s).max(initial=0.0)),
+        returns_percent=100.0 * float(hits.sum() / beams.sum()),
+        odometry_m=float(np.hypot(*moves_m).sum()) if has_pose.any() else None,
+        without_odometry=int((~has_pose).sum()),
+        longest_without_odometry_s=float(np.diff(stamps_s[has_pose]).max(initial=0.0)),
         out_of_order=sum(log.skips.counts.get(reason, 0) for reason in (BACK, EQUAL, STRAY)),
         deskewed=log.deskewing.scans,
         topics=topics,
         frames=frames,
-        run_time_s=_run_time_s(len(stamps)),
+        run_time_s=OTHER_STAGES_S + max(free_s),
         run_memory_mb=RUN_MB,
     )
     remarks += [f"left out: {text}" for text in log.skips.sentences()]
@@ -213,27 +210,23 @@ def _log_info(path: Path, config: RunConfig, progress: Progress | None) -> InfoD
     return InfoDocument(path, log=found, remarks=list(dict.fromkeys(remarks)))
 
 
-def _run_time_s(scans: int) -> float:
-    """Return what a run of our own SLAMs takes, roughly: each has a process, longest first."""
-    free_s = [0.0] * min(usable_cores(), len(BUILT_IN))
-    for cost in sorted((producer(name).cost for name in BUILT_IN), reverse=True):
-        free_s[free_s.index(min(free_s))] += cost * scans * SCAN_S
-    return OTHER_STAGES_S + max(free_s)
-
-
 def _map_info(path: Path, config: RunConfig) -> InfoDocument:
     """Load a map."""
     remarks: list[str] = []
     (grid,) = load_maps([path], config, warn=remarks.append)
-    cell_m2 = grid.resolution**2
-    origin = grid.origin
-    known, walls = (grid.cells != UNKNOWN).sum(), (grid.cells == OCCUPIED).sum()
-    if not walls:
+    walls_m2 = float((grid.cells == OCCUPIED).sum() * grid.resolution**2)
+    if not walls_m2:
         remarks.append("no wall in it: it aligns with no other map")
     found = MapInfo(
-        grid.width, grid.height, grid.resolution, origin.x, origin.y,
-        math.degrees(origin.yaw_rad), float(known * cell_m2), float(walls * cell_m2),
-    )  # fmt: skip
+        width=grid.width,
+        height=grid.height,
+        resolution_m=grid.resolution,
+        origin_x_m=grid.origin.x,
+        origin_y_m=grid.origin.y,
+        origin_yaw_deg=math.degrees(grid.origin.yaw_rad),
+        known_m2=float((grid.cells != UNKNOWN).sum() * grid.resolution**2),
+        walls_m2=walls_m2,
+    )
     return InfoDocument(path, map=found, remarks=remarks)
 
 
