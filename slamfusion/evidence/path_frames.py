@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -98,8 +98,8 @@ def geman_mcclure(distance: F64) -> F64:
     return np.asarray(1.0 / (1.0 + distance**2) ** 2)
 
 
-def fit_onto(path: Trajectory, others: Iterable[Trajectory]) -> Pose2 | None:
-    """Return the motion that lays most of a path on others; None where no times meet.
+def moved_onto(path: Trajectory, others: Iterable[Trajectory]) -> Trajectory:
+    """Return a path moved so that most of it overlaps others; as it is where no times meet.
 
     Args:
         others: all in one frame, of at least one pose each, on the clock of the path.
@@ -110,8 +110,9 @@ def fit_onto(path: Trajectory, others: Iterable[Trajectory]) -> Pose2 | None:
         moving.append(path.poses[meets])
         still.append(other.poses[near[meets]])
     if not sum(map(len, moving)):
-        return None
-    return fit_frame(np.concatenate(moving), np.concatenate(still))
+        return path
+    motion = fit_frame(np.concatenate(moving), np.concatenate(still))
+    return replace(path, poses=moved_poses(motion, path.poses))
 
 
 def fit_frame(moving: F64, still: F64, weights: F64 | None = None) -> Pose2:

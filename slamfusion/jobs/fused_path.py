@@ -18,7 +18,7 @@ from slamfusion.evidence import (
     refine_borne_out,
     trust_in_paths,
 )
-from slamfusion.evidence.path_frames import fit_onto
+from slamfusion.evidence.path_frames import moved_onto
 from slamfusion.fusion.path_check import moved_path
 from slamfusion.jobs.outputs import FUSED
 from slamfusion.jobs.trajectory import Measures
@@ -57,10 +57,7 @@ class DrivePath:
             for record in fusion.accepted
             if record.name in paths
         ]
-        motion = fit_onto(self.trajectory, placed)
-        if motion is None:
-            return self
-        return replace(self, trajectory=moved_path(self.trajectory, motion))
+        return replace(self, trajectory=moved_onto(self.trajectory, placed))
 
 
 def fuse_weighed_paths(

@@ -42,7 +42,7 @@ from slamfusion.evidence.beams import CHUNKS
 from slamfusion.evidence.drawn_map import DrawnScan, draw_map, drawn_scans
 from slamfusion.evidence.parting import parted
 from slamfusion.evidence.patches import WallMap
-from slamfusion.evidence.path_frames import fit_onto
+from slamfusion.evidence.path_frames import moved_onto
 from slamfusion.evidence.predictive import SURE
 from slamfusion.evidence.recommendation import LEAST_DIFFERENCE
 from slamfusion.fusion.live import Evidence
@@ -196,7 +196,8 @@ class LiveDrive:
         self._lock = threading.Lock()
         self._generation = 0
         self._scans: list[_Kept] = []
-        self._poses: dict[str, list[tuple[float, Pose2]]] = {}
+        # By input: stamp, x, y and yaw of each pose.
+        self._poses: dict[str, list[list[float]]] = {}
         self._solved = 0
         self._path: Trajectory | None = None
         self._lattice: Lattice | None = None
@@ -238,7 +239,7 @@ class LiveDrive:
                 if stamp_s > own[-1][0] - BACK_S:
                     return
                 own.clear()
-            own.append((stamp_s, pose))
+            own.append([stamp_s, pose.x, pose.y, pose.yaw_rad])
 
     def set_path(self, name: str, path: Trajectory) -> None:
         """Take the path of an input as its map shows it now, in place of its poses of that time."""
@@ -246,8 +247,8 @@ class LiveDrive:
             return
         with self._lock:
             newer = [own for own in self._poses.get(name, ()) if own[0] > path.stamps_s[-1]]
-            rows = zip(path.stamps_s.tolist(), path.poses.tolist(), strict=True)
-            self._poses[name] = [*((stamp_s, Pose2(*pose)) for stamp_s, pose in rows), *newer]
+            rows = np.column_stack((path.stamps_s, path.poses)).tolist()
+            self._poses[name] = [*rows, *newer]
 
     def remove(self, name: str) -> None:
         """Forget an input."""
@@ -313,7 +314,7 @@ class LiveDrive:
         kept_s = np.array([kept.hits.stamp_s for kept in self._scans])
         for name, own in self._poses.items():
             if own:
-                nearest = nearest_stamps(np.array([stamp_s for stamp_s, _ in own]), kept_s)
+                nearest = nearest_stamps(np.array([row[0] for row in own]), kept_s)
                 last = range(int(nearest[-1]) + 1, len(own))
                 self._poses[name] = [own[at] for at in (*np.unique(nearest).tolist(), *last)]
 
@@ -341,7 +342,7 @@ class LiveDrive:
                 self._solved = generation
                 self._path, self._lattice, self._doubted_since_s = None, None, {}
             kept = list(self._scans)
-            poses = {name: list(own) for name, own in self._poses.items()}
+            poses = {name: np.array(own) for name, own in self._poses.items() if own}
         if len(kept) < CHUNKS:
             return None
         scans = judged_hits(
@@ -406,21 +407,18 @@ class LiveDrive:
             return None
         return _solved(judged_hits(hits, MOST_HITS), right or last, self._device)
 
-    def _at_scans(
-        self, judged: JudgedScans, poses: Mapping[str, Sequence[tuple[float, Pose2]]]
-    ) -> dict[str, Trajectory]:
+    def _at_scans(self, judged: JudgedScans, poses: Mapping[str, F64]) -> dict[str, Trajectory]:
         """Return the path of each input at the scans, if it maps them and is not silent."""
         paths = {}
         for name, own in poses.items():
-            if not own or judged.stamps_s[-1] - own[-1][0] > SILENT_S:
+            stamps_s = own[:, 0]
+            if judged.stamps_s[-1] - stamps_s[-1] > SILENT_S:
                 continue
-            rows = np.array([(pose.x, pose.y, pose.yaw_rad) for _, pose in own])
-            stamps_s = np.array([stamp_s for stamp_s, _ in own])
             during = stamps_s[stamps_s >= judged.stamps_s[0] - SAME_STAMP_S]
             near_s = judged.stamps_s[nearest_stamps(judged.stamps_s, during)]
             if np.mean(np.abs(near_s - during) <= SAME_STAMP_S) < OF_SCANS:
                 continue
-            own_path = Trajectory(stamps_s, rows, name)
+            own_path = Trajectory(stamps_s, own[:, 1:], name)
             covered = cover_stamps(own_path, judged)
             here = covered.is_covered
             if covered.is_own.all():
@@ -445,11 +443,9 @@ class LiveDrive:
             if voters:
                 self._lattice = lattice
                 if before is not None:
-                    motion = fit_onto(before, voters)
-                    before = before if motion is None else moved_path(before, motion)
+                    before = moved_onto(before, voters)
                 else:
-                    motion = fit_onto(found, voters)
-                    found = found if motion is None else moved_path(found, motion)
+                    found = moved_onto(found, voters)
         newest_s = float(found.stamps_s[-1])
         cut_s = -np.inf
         if before is not None:
@@ -458,8 +454,7 @@ class LiveDrive:
                 until_s = min(float(before.stamps_s[-1]), newest_s - 0.5 * WINDOW_S)
                 cut_s = max(self._whole_until_s, until_s)
                 still = _part(before, -np.inf, cut_s)
-            motion = fit_onto(found, [still])
-            found = found if motion is None else moved_path(found, motion)
+            found = moved_onto(found, [still])
             if not is_whole:
                 first, rest = _part(before, -np.inf, cut_s), _part(found, cut_s, np.inf)
                 stamps_s = np.concatenate((first.stamps_s, rest.stamps_s))

@@ -21,11 +21,10 @@ from slamfusion.errors import SlamFusionError
 from slamfusion.evaluation import MapError
 from slamfusion.evidence import judged_scans, score_paths
 from slamfusion.evidence.drawn_map import draw_map, drawn_scans
-from slamfusion.evidence.path_frames import fit_onto
+from slamfusion.evidence.path_frames import moved_onto
 from slamfusion.experiments.fusions import against_truth
 from slamfusion.experiments.tinyslam import ATE, RELATIONS, Drive, read_drive
 from slamfusion.fusion.live import LiveFusion
-from slamfusion.fusion.path_check import moved_path
 from slamfusion.geometry import Pose2, fit_motion, moved_poses, row_of, with_levers
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan
@@ -291,9 +290,7 @@ def as_run(
     paths = {name: told.paths[name] for name in names}
     evidence = score_paths(judged_scans(told.drive.scans), paths, device)
     path = fuse_weighed_paths(paths, evidence, device).trajectory
-    motion = fit_onto(path, [live.path])
-    assert motion is not None  # both have the stamps of the scans
-    path, lattice = moved_path(path, motion), live.lattice
+    path, lattice = moved_onto(path, [live.path]), live.lattice
     rays, size = drawn_scans(told.drive.scans), lattice.resolution
     return path, draw_map(rays, path, device, resolution=size, origin=lattice.origin)
 

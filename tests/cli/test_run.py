@@ -68,7 +68,7 @@ def test_the_folder_holds_every_map_path_and_record(made: tuple[Path, dict[str, 
     for name in NAMES:
         assert len(read_trajectory(out / f"{name}.tum")) == 64
         record = json.loads((out / f"{name}.json").read_text(encoding="utf-8"))
-        check_document(record, "RunRecordDocument")
+        check_document(record, "RunRecord")
 
 
 def test_the_document_has_the_keys_of_slam_and_of_fuse(made: tuple[Path, dict[str, Any]]) -> None:
