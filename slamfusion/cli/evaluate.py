@@ -148,7 +148,7 @@ def command(
     given = {"maps": maps, "truths": truths}
     found.write(report_dir, [] if image_path is None else _image_files(image_path, given))
     tell_unaligned(found.evaluations)
-    rows, document = found.rows(), found.to_json()
+    rows, document = found.rows(), found.document()
     save_results(
         results_path,
         document,
@@ -170,7 +170,8 @@ def command(
 
 def _compare(grids: Sequence[OccupancyGrid], config: RunConfig, as_json: bool) -> int:
     """Compare maps with each other."""
-    from slamfusion.jobs.evaluate import agreement_items, compare_maps, evaluate_document  # noqa: PLC0415
+    from slamfusion.jobs.evaluate import EvaluateDocument, agreement_items, compare_maps  # noqa: PLC0415
+    from slamfusion.jobs.records import Settings  # noqa: PLC0415
 
     device = device_for(config)
     with progress_bar() as progress:
@@ -178,8 +179,8 @@ def _compare(grids: Sequence[OccupancyGrid], config: RunConfig, as_json: bool) -
     tell_left_out(result)
     items = agreement_items(result)
     if as_json:
-        document = evaluate_document(
-            [], [], config, agreement=items, truth=None, device=device.name
+        document = EvaluateDocument(
+            agreement=items, device=device.name, seed=config.seed, settings=Settings(config)
         )
         print_json(document)
         return 0

@@ -190,7 +190,7 @@ def command(
         raise
     stem = stem_of(out, {".yaml", ".yml", STORE_END})
     document = (
-        fused.to_json()
+        fused.document()
         if store
         else save_fused_maps(fused, stem, report=report_dir, image_format=image_format)
     )

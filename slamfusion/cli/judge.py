@@ -110,6 +110,7 @@ def command(
     """
     from slamfusion.io.files import AtomicFiles  # noqa: PLC0415
     from slamfusion.jobs.judge import (  # noqa: PLC0415
+        JudgeDocument,
         judge_paths,
         judgements_document,
         write_fused_path,
@@ -159,7 +160,9 @@ def command(
                 write_judgement(own, report_dir / case if several else report_dir, written)
     rows = [row for case, own in found.items() for row in own.rows(case, placed)]
     first = found[cases[0]]
-    document = judgements_document(found, rows, config) if several else first.to_json()
+    document = (
+        judgements_document(found, rows) if several else JudgeDocument(first, first.circumstances)
+    )
     save_results(results_path, document, rows, lambda: known_inputs(placed, known))
     if as_json:
         print_json(document)
@@ -182,10 +185,12 @@ def command(
 
 def _print(found: JudgedPaths) -> None:
     """Print the paths, the rankings by what is known, and which one to use."""
+    from slamfusion.jobs.judge import errors_by_relations_m, errors_by_truth_m  # noqa: PLC0415
+
     answer = found.recommendation
     known = {
-        "ATE rmse [m]": found.errors_by_truth_m(),
-        "relations mean [m]": found.errors_by_relations_m(),
+        "ATE rmse [m]": errors_by_truth_m(found.measures),
+        "relations mean [m]": errors_by_relations_m(found.measures),
     }
     columns = path_columns(answer)
     rows = [path_row(answer, path) for path in answer.paths]
@@ -195,7 +200,7 @@ def _print(found: JudgedPaths) -> None:
             columns += [what, "rank"]
             for row, path in zip(rows, answer.paths, strict=True):
                 row += [number(errors.get(path.name), 4), ranks.get(path.name, NOTHING)]
-    print_table(columns, rows, title=f"Paths of {found.files.log}, the recommended one first")
-    if found.fused_file is not None:
-        print_facts(("fused path", found.fused_file))
+    print_table(columns, rows, title=f"Paths of {found.log}, the recommended one first")
+    if found.fused_path is not None:
+        print_facts(("fused path", found.fused_path.file))
     print_recommendation(answer)

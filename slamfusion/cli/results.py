@@ -12,7 +12,7 @@ import click
 
 from slamfusion.cli.options import output_option
 from slamfusion.cli.output import NOTHING, Settings, Table, notice, one_line, print_table
-from slamfusion.jobs.documents import number
+from slamfusion.jobs.documents import number, spread
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -155,12 +155,6 @@ def print_by_case(figures: pd.DataFrame, what: str, leading: Sequence[str]) -> N
             rows.append([method, *cells, *(number(value, figure.digits) for value in over_cases)])
         title = f"{figure.label}, case by case"
         print_table((f"{what} ", *cases, "mean", "std"), rows, title=title)
-
-
-def spread(mean: float, deviation: float, digits: int) -> str:
-    """Return a mean with its deviation; without, where there is none."""
-    text = number(deviation, digits)
-    return number(mean, digits) if text == "-" else f"{number(mean, digits)} ± {text}"
 
 
 # --- --table --------------------------------------------------------------------------------------

@@ -27,7 +27,7 @@ from slamfusion.jobs.cases import CaseFile, place_files, shared_case_names
 from slamfusion.jobs.inputs import load_maps
 
 if TYPE_CHECKING:
-    from slamfusion.jobs.trajectory import TrajectoriesDocument, TrajectoryDocument
+    from slamfusion.jobs.trajectory import TrajectoriesDocument
 
 
 def paths_in(item: CaseFile) -> list[CaseFile]:
@@ -101,7 +101,9 @@ def command(
     that. The same holds for the files of other options. One table and one report then
     show all paths.
     """
+    from slamfusion.jobs.records import Settings  # noqa: PLC0415
     from slamfusion.jobs.trajectory import (  # noqa: PLC0415
+        TrajectoryDocument,
         known_files,
         known_inputs,
         measure_trajectories,
@@ -129,9 +131,10 @@ def command(
         (grid,) = load_maps([map_path], config, warn=notice)
         found = [replace(own, grid=grid) for own in found]
     if report_dir is not None:
-        write_trajectories(found, report_dir)
+        write_trajectories(found, report_dir, config)
     rows = [row for own in found for row in own.rows()]
-    document: TrajectoryDocument | TrajectoriesDocument = found[0].to_json()
+    document: TrajectoryDocument | TrajectoriesDocument
+    document = TrajectoryDocument(found[0], Settings(config))
     if not is_one:
         document = trajectories_document(found, not_measured, config)
     inputs = [own.placed for own in found]
@@ -139,7 +142,7 @@ def command(
     if as_json:
         print_json(document)
     elif is_one:
-        print_measures(found[0].estimate, found[0].measures)
+        print_measures(found[0].trajectory, found[0].measures)
     else:
         print_items(rows, "path", ("ate_rmse_m", "relations_mean_m"))
     if not_measured:

@@ -7,7 +7,7 @@ plans through the gap. The share of doubled walls needs no truth.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 
 import cv2
 import numpy as np
@@ -19,7 +19,6 @@ from slamfusion.grid import CellBox, OccupancyGrid, trinary_cells
 # Rows and columns of a part of an array.
 Window = tuple[slice, slice]
 Bools = npt.NDArray[np.bool_]
-IsWall = Callable[[npt.NDArray[np.int8]], Bools]
 F32 = npt.NDArray[np.float32]
 
 _DEFAULT_NORMALIZE = NormalizeConfig()
@@ -69,15 +68,8 @@ def doubled_wall_share(
     return int(np.count_nonzero(doubled)) / considered if considered else 0.0
 
 
-def _is_occupied(cells: npt.NDArray[np.int8]) -> Bools:
-    return np.equal(cells, 1)
-
-
 def fused_doubled_shares(
-    fused: npt.NDArray[np.int8],
-    inputs: Iterable[tuple[npt.NDArray[np.int8], CellBox]],
-    *,
-    is_wall: IsWall = _is_occupied,
+    fused: npt.NDArray[np.int8], inputs: Iterable[tuple[Bools, CellBox]]
 ) -> tuple[float, float]:
     """Return the shares of fused wall cells that are doubled, and doubled in no input.
 
@@ -89,9 +81,8 @@ def fused_doubled_shares(
 
     Args:
         fused: (H, W) int8, above 0 at a wall.
-        inputs: the aligned inputs, (h, w) int8 in {-1, 0, 1}, each with the box of cells of the
+        inputs: the walls of the aligned inputs, (h, w) bool, each with the box of cells of the
             fused lattice that it covers.
-        is_wall: tells the walls among the cells of a part of an input, where these are others.
 
     Returns:
         0..1 each; 0 for a map without walls.
@@ -100,20 +91,13 @@ def fused_doubled_shares(
     if not considered:
         return 0.0, 0.0
     share = int(np.count_nonzero(doubled)) / considered
-    for cells, box in inputs:
-        _take_doubled(doubled, cells, box, is_wall)
+    for walls, box in inputs:
+        _take_doubled(doubled, walls, box)
     return share, int(np.count_nonzero(doubled)) / considered
 
 
-def _take_doubled(
-    doubled: Bools, cells: npt.NDArray[np.int8], box: CellBox, is_wall: IsWall
-) -> None:
-    """Clear the doubled cells near which an input has doubled walls, in place.
-
-    Args:
-        doubled: (H, W) bool.
-        cells: (h, w) int8, the input.
-    """
+def _take_doubled(doubled: Bools, known: Bools, box: CellBox) -> None:
+    """Clear the doubled cells near which the walls of an input are doubled, in place."""
     for tile, wide, inner in _tiles(doubled.shape):
         if not doubled[tile].any():
             continue
@@ -121,7 +105,7 @@ def _take_doubled(
         asked = np.zeros((height, width), dtype=np.bool_)
         asked[inner] = doubled[tile]
         row, col = wide[0].start - box.row0, wide[1].start - box.col0
-        part = is_wall(cells[max(row, 0) : max(row + height, 0), max(col, 0) : max(col + width, 0)])
+        part = known[max(row, 0) : max(row + height, 0), max(col, 0) : max(col + width, 0)]
         if not part.any():
             continue
         top, left = max(-row, 0), max(-col, 0)

@@ -16,9 +16,11 @@ import scipy
 
 from slamfusion.errors import TrajectoryError
 from slamfusion.evaluation.trajectory_error import associate
-from slamfusion.geometry import Pose2, compose_poses, fit_motion, invert_poses
+from slamfusion.geometry import F64, Pose2, compose_poses, fit_motion, invert_poses
 from slamfusion.grid import IDENTITY
 from slamfusion.trajectory import Trajectory
+
+I64 = npt.NDArray[np.int64]
 
 # Scans that are tried with every row of their time, and scans that judge each trial. A trial turns
 # the far end of a path by the rounding of one heading, so that judges look further.
@@ -35,26 +37,6 @@ _FIT_WITHIN = 4.0
 _TIE_S = 1e-9
 # An odometry row this near, metres and radians of heading, is a scan's own.
 _EQUAL_M = 0.005
-
-
-@dataclass(frozen=True, eq=False)
-class OdometryMatch:
-    """Which row of an odometry file each scan was taken at.
-
-    Attributes:
-        rows: (N,) int64, row for each scan; -1 where none equals the scan's own odometry.
-        pose_scan_file: what takes the file's frame to that of the scans' odometry, fitted.
-        tolerance_m: rows further off than this (metres, and radians of heading) are not equal.
-    """
-
-    rows: npt.NDArray[np.int64]
-    pose_scan_file: Pose2
-    tolerance_m: float
-
-    @property
-    def matched(self) -> int:
-        """Scans that have a row."""
-        return int(np.count_nonzero(self.rows >= 0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +58,7 @@ class DensePoses:
 
 def match_odometry(
     scan_odometry: Trajectory, odometry: Trajectory, tolerance_m: float = _EQUAL_M
-) -> OdometryMatch:
+) -> I64:
     """Find the row of an odometry file that each scan was taken at, by its pose and not its stamp.
 
     Copies of one odometry may lie in frames that differ by a fixed motion, and be rounded; the
@@ -87,6 +69,9 @@ def match_odometry(
         scan_odometry: raw odometry of the scans of a log; the stamps may be off by seconds.
         odometry: every row of the file, at least one.
         tolerance_m: a row is equal within this, metres and, of the heading, radians.
+
+    Returns:
+        (N,) row for each scan; -1 where none equals the scan's own odometry.
 
     Raises:
         TrajectoryError: no scan has a row.
@@ -112,14 +97,13 @@ def match_odometry(
         expected = np.interp(turns, np.flatnonzero(sure), known)
     else:
         expected = odometry.nearest(scan_odometry.stamps_s).astype(np.float64)
-    rows = np.array(
+    return np.array(
         [
             own[np.argmin(np.abs(own - turn))] if len(own) else -1
             for own, turn in zip(candidates, expected, strict=True)
         ],
         dtype=np.int64,
     )
-    return OdometryMatch(rows, frame, tolerance_m)
 
 
 def poses_by_odometry(
@@ -150,7 +134,7 @@ def poses_by_odometry(
     else:
         used, scans = associate(estimate, scan_odometry, tolerance_s)
         _refuse_none(used, estimate, scan_odometry, tolerance_s)
-        rows = match_odometry(scan_odometry, odometry, tolerance_m).rows[scans]
+        rows = match_odometry(scan_odometry, odometry, tolerance_m)[scans]
         used, rows = used[rows >= 0], rows[rows >= 0]
         _refuse_none(used, estimate, odometry, tolerance_s)
     by_row = np.argsort(rows, kind="stable")
@@ -172,7 +156,7 @@ def poses_by_odometry(
 
 def _rows_by_stamp(
     estimate: Trajectory, odometry: Trajectory, tolerance_s: float
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+) -> tuple[I64, I64]:
     """Return which poses of the estimate have a row of (nearly) their stamp, and which row.
 
     Odometry that was written with rounded stamps has several rows of one stamp, so the nearest row
@@ -202,12 +186,7 @@ def _rows_by_stamp(
     return used[takes].astype(np.int64), np.sort(chosen[takes]).astype(np.int64)
 
 
-def _refined_stamps(
-    stamps_s: npt.NDArray[np.float64],
-    rows: npt.NDArray[np.int64],
-    exact_s: npt.NDArray[np.float64],
-    tolerance_s: float,
-) -> npt.NDArray[np.float64]:
+def _refined_stamps(stamps_s: F64, rows: I64, exact_s: F64, tolerance_s: float) -> F64:
     """Return the rows' stamps with those of the scans put in where both agree.
 
     The scans' stamps are the finer ones, and the rows between keep their side of them.
@@ -223,9 +202,7 @@ def _refined_stamps(
     return np.asarray(refined)
 
 
-def _refuse_none(
-    used: npt.NDArray[np.int64], estimate: Trajectory, other: Trajectory, tolerance_s: float
-) -> None:
+def _refuse_none(used: I64, estimate: Trajectory, other: Trajectory, tolerance_s: float) -> None:
     """Say that no pose of the estimate belongs to the other file, with both ranges of time."""
     if len(used):
         return
@@ -261,7 +238,7 @@ def _fit_frame(scan_odometry: Trajectory, odometry: Trajectory, tolerance_m: flo
             if (float(cost), float(apart_s[row])) < best:
                 best = (float(cost), float(apart_s[row]))
                 frame = Pose2(*(float(value) for value in candidate))
-    last: npt.NDArray[np.int64] = np.full(len(scans), -1, dtype=np.int64)
+    last: I64 = np.full(len(scans), -1, dtype=np.int64)
     for _ in range(_FITS):
         found = tree.query(_features(compose_poses(_array(frame.inverse()), scans)))
         distance, nearest = np.asarray(found[0]), np.asarray(found[1], dtype=np.int64)
@@ -273,11 +250,11 @@ def _fit_frame(scan_odometry: Trajectory, odometry: Trajectory, tolerance_m: flo
     return frame
 
 
-def _features(poses: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def _features(poses: F64) -> F64:
     """Return poses as points whose distance adds metres and radians (small angles)."""
     yaw_rad = poses[..., 2:]
     return np.concatenate((poses[..., :2], np.cos(yaw_rad), np.sin(yaw_rad)), axis=-1)
 
 
-def _array(pose: Pose2) -> npt.NDArray[np.float64]:
+def _array(pose: Pose2) -> F64:
     return np.array((pose.x, pose.y, pose.yaw_rad))

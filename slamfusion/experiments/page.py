@@ -17,7 +17,7 @@ from slamfusion.evaluation import Row, correct_by_holm, figure_of
 from slamfusion.experiments.runs import Inputs
 from slamfusion.io import AtomicFiles
 from slamfusion.jobs.compare import SIGNIFICANT, ComparisonJson, compare_values
-from slamfusion.jobs.documents import circumstances, number, p_text
+from slamfusion.jobs.documents import circumstances, number, p_text, spread
 from slamfusion.jobs.records import CircumstancesJson
 from slamfusion.jobs.results import KEYS, markdown, results_table
 
@@ -71,6 +71,8 @@ class AgainstBest:
     """High end of it."""
     p_t: float | None
     """P-value of the paired t-test after Holm; null for a single run."""
+    best_error: float = field(repr=False)
+    """Mean error of the best input."""
 
 
 @dataclass(frozen=True)
@@ -188,32 +190,25 @@ class Experiment:
 
     # --- fusions --------------------------------------------------------------------------------
 
-    def best_input(self, case: str) -> tuple[str, float]:
-        """Return the input with the smallest mean error, and that error."""
-        means = self.summaries["mean"].xs((case, "error"), level=("case", "figure"))
-        inputs = means[[name for name in self.inputs if name in means]]
-        return str(inputs.idxmin()), float(inputs.min())
-
     @cached_property
     def against_best(self) -> list[AgainstBest]:
-        """Each fusion compared with the best input of each case.
-
-        The interval takes the best input's mean as known.
-        """
+        """Each fusion compared with the best input of each case, whose mean is taken as known."""
         if not self.fusions:
             return []
         tests = self.comparisons[self.comparisons["figure"] == "error"]
-        tests = tests.set_index(["case", "first", "second"])[["low", "high", "p_t"]]
+        tests = tests.set_index(["case", "first", "second"])[["high", "low", "p_t"]]
+        means = self.summaries["mean"].xs("error", level="figure")
         found: list[AgainstBest] = []
-        for case in self.table["case"].unique():
-            best, base = self.best_input(case)
+        for case in means.index.unique("case"):
+            inputs = means[case].reindex(self.inputs).dropna()
+            best, base = str(inputs.idxmin()), float(inputs.min())
             for fusion in self.fusions:
                 low = high = p_t = np.nan
                 if (case, best, fusion) in tests.index:
-                    high, low, p_t = tests.loc[case, best, fusion]
-                    low, high = 1.0 - low / base, 1.0 - high / base
-                ratio = self.summaries.loc[(case, "error", fusion), "mean"] / base
-                found.append(AgainstBest(case, fusion, best, float(ratio), low, high, p_t))
+                    gain_high, gain_low, p_t = tests.loc[case, best, fusion]
+                    low, high = 1.0 - gain_high / base, 1.0 - gain_low / base
+                ratio = float(means[case, fusion] / base)
+                found.append(AgainstBest(case, fusion, best, ratio, low, high, p_t, base))
         return found
 
     def overall(self) -> dict[str, Overall]:
@@ -221,10 +216,9 @@ class Experiment:
         found: dict[str, Overall] = {}
         for fusion in self.fusions:
             own = [item for item in self.against_best if item.fusion == fusion]
-            ratios = np.array([item.ratio for item in own])
-            base = np.array([self.best_input(item.case)[1] for item in own])
-            of_sums = float((ratios * base).sum() / base.sum())
-            found[fusion] = Overall(float(ratios.mean()), float(ratios.max()), of_sums)
+            ratios = [item.ratio for item in own]
+            of_sums = np.average(ratios, weights=[item.best_error for item in own])
+            found[fusion] = Overall(float(np.mean(ratios)), max(ratios), float(of_sums))
         return found
 
     # --- shown ----------------------------------------------------------------------------------
@@ -282,8 +276,8 @@ class Experiment:
         """Return mean ± deviation of a figure: a row a case, a column a method."""
         digits = figure_of(figure).digits
         own = self.summaries.xs(figure, level="figure")
-        spread = own["std"].map(lambda std: f" ± {std:.{digits}f}" if np.isfinite(std) else "")
-        wide = (own["mean"].map(lambda mean: number(mean, digits)) + spread).unstack("method")  # noqa: PD010
+        texts = [spread(*both, digits) for both in zip(own["mean"], own["std"], strict=True)]
+        wide = pd.Series(texts, own.index).unstack("method")  # noqa: PD010
         wide = wide.reindex(own.index.unique("case"))[own.index.unique("method")].fillna("-")
         counts = own.groupby("case")["count"].max()
         rows = [[case, str(counts[case]), *cells] for case, *cells in wide.itertuples(name=None)]

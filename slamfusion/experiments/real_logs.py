@@ -138,14 +138,15 @@ def log_inputs(
     folder: Path, names: Sequence[str], others: Mapping[str, SavedMaps]
 ) -> list[tuple[str, str, Path]]:
     """Return role, drive and path of the files of drives, and of other SLAMs' maps and paths."""
-    known = {name: others[name] for name in names if name in others}
-    saved = [item for name, own in known.items() for item in map_inputs("map", name, own.files)]
-    saved += [("path", name, path) for name, own in known.items() for path in own.paths.values()]
-    return saved + [
-        (role, name, folder / path)
-        for name in names
-        for role, path in (("log", REAL_LOGS[name].log), ("truth", REAL_LOGS[name].reference))
-    ]
+    found = []
+    for name in names:
+        if name in others:
+            found += map_inputs("map", name, others[name].files)
+            found += [("path", name, path) for path in others[name].paths.values()]
+    for name in names:
+        found.append(("log", name, folder / REAL_LOGS[name].log))
+        found.append(("truth", name, folder / REAL_LOGS[name].reference))
+    return found
 
 
 def other_slams(
@@ -155,8 +156,7 @@ def other_slams(
 
     Whose drive a file is of, and by which SLAM, its name tells; see ``slamfusion.jobs.cases``.
     """
-    own = place_files(names, maps)
-    files = {(item.case, item.method): item.path for item in own}
+    files = {(item.case, item.method): item.path for item in place_files(names, maps)}
     found = {}
     for item in place_files(names, paths):
         of_drive = [key for key in files if key[0] == item.case]
@@ -164,18 +164,15 @@ def other_slams(
         if key not in files or key in found:
             raise ConfigError(f"{item.path}: which map of {item.case} is it of? name it as that is")
         found[key] = item.path
-    return {
-        name: SavedMaps(
-            tuple(path for (case, _), path in files.items() if case == name),
-            tuple(free_name(method, ROWS) for case, method in files if case == name),
-            {
-                free_name(method, ROWS): path
-                for (case, method), path in found.items()
-                if case == name
-            },
+    others = {}
+    for name in names:
+        own = {key: free_name(key[1], ROWS) for key in files if key[0] == name}
+        others[name] = SavedMaps(
+            tuple(files[key] for key in own),
+            tuple(own.values()),
+            {shown: found[key] for key, shown in own.items() if key in found},
         )
-        for name in names
-    }
+    return others
 
 
 def _compare_on_log(
@@ -183,7 +180,6 @@ def _compare_on_log(
 ) -> RunResult:
     """Return the maps of one drive."""
     config, device, files = setup.config, setup.device, REAL_LOGS[name]
-    normalize = config.fusion.normalize
     scans = tuple(open_log(folder / files.log, config.log))
     trajectory = read_trajectory(folder / files.reference, config.log)
     reference, count = reference_map(scans, trajectory, config, device)
@@ -214,12 +210,11 @@ def _compare_on_log(
             figures = {
                 **map_figures(found),
                 "map_to_truth_p95_m": None if there is None else there.p95,
-                "doubled_wall_share": doubled_wall_share(grid, normalize=normalize),
                 "ate_rmse_m": errors.get(method),
             }
             rows += result_rows(name, "", method, figures)
             differences[method] = found.difference
-    doubled = doubled_wall_share(reference, normalize=normalize)
+    doubled = doubled_wall_share(reference, normalize=config.fusion.normalize)
     rows += result_rows(name, "", REFERENCE, {"doubled_wall_share": doubled})
     remark = f"the reference map is drawn by {count} of {len(scans)} scans at {files.source}"
     if made.choice:

@@ -45,17 +45,15 @@ class CaseFile:
 
 @dataclass(frozen=True)
 class Placed:
-    """A map or path in its case.
-
-    Attributes:
-        method: what made it: the words of its name besides the case and the seed.
-        seed: number of the repetition, as it is written; empty for a single one.
-    """
+    """A map or path in its case."""
 
     case: str
+    """What it was measured against: a place, a log or a truth, by name."""
     method: str
+    """What made it: what its file's name says besides case and seed."""
     path: Path = field(repr=False)
     seed: str = ""
+    """Number of the repetition of this method in this case; empty for a single one."""
 
     @property
     def name(self) -> str:

@@ -33,6 +33,12 @@ def number(value: float | None, digits: int = 3) -> str:
     return f"{value:.{digits}f}"
 
 
+def spread(mean: float, deviation: float, digits: int) -> str:
+    """Return a mean with its deviation; without, where there is none."""
+    text = number(deviation, digits)
+    return number(mean, digits) if text == "-" else f"{number(mean, digits)} ± {text}"
+
+
 def p_text(p_value: float | None) -> str:
     """Return a p-value for a table: three decimals, or ``<0.001``; a dash where there is none."""
     return "<0.001" if p_value is not None and p_value < 0.001 else number(p_value)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from slamfusion.align.records import FusionResult
@@ -25,7 +25,6 @@ from slamfusion.fusion import align_grids, fuse_grids
 from slamfusion.geometry import Pose2
 from slamfusion.io import AtomicFiles
 from slamfusion.jobs.cases import CaseFile, Placed, case_names, place_files
-from slamfusion.jobs.documents import circumstances, path_text, settings_used
 from slamfusion.jobs.fuse_documents import FusedInputJson, UnalignedInputJson, input_document
 from slamfusion.jobs.inputs import (
     MapInput,
@@ -37,50 +36,51 @@ from slamfusion.jobs.inputs import (
     load_truth,
 )
 from slamfusion.jobs.plan import align_plan_with_all
-from slamfusion.jobs.records import CircumstancesJson, Evaluation, SettingsJson, SummariesJson
-from slamfusion.json_values import record_keys
+from slamfusion.jobs.records import Circumstances, Evaluation, Settings, Summaries
+from slamfusion.json_values import FLAT
 
 _LOG = logging.getLogger(__name__)
 
 
-class EvaluateDocument(SettingsJson):
+@dataclass(frozen=True, eq=False, kw_only=True)
+class EvaluateDocument:
     """``slamfusion evaluate``."""
 
-    maps: Sequence[Evaluation]
+    maps: Sequence[Evaluation] = ()
     """The maps against the truth; empty without --truth."""
-    distances: Sequence[DistanceComparison]
+    distances: Sequence[DistanceComparison] = ()
     """The maps against measured distances; empty without --distances."""
-    agreement: Sequence[FusedInputJson | UnalignedInputJson]
+    agreement: Sequence[FusedInputJson | UnalignedInputJson] = ()
     """The maps against each other; empty with --truth or --distances."""
-    truth: str | None
+    truth: Path | None = None
     """The true map's file; null without --truth."""
     device: str | None
     """What computed the alignments, in words; null where none was."""
     seed: int
     """Seed of every random number."""
+    settings: Settings = field(metadata=FLAT)
+
+
+@dataclass(frozen=True, eq=False)
+class CaseEvaluation:
+    """One of several maps, against one of several truths."""
+
+    evaluation: Evaluation = field(metadata=FLAT)
+    placed: Placed = field(metadata=FLAT)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class CaseEvaluation(Evaluation):
-    """One of several maps, against one of several truths."""
-
-    case: str
-    """The truth that it was measured against, by name."""
-    method: str
-    """What made it: what its file's name says besides case and seed."""
-    seed: str
-    """Number of the repetition of this method in this case; empty for a single one."""
-
-
-class CasesEvaluationDocument(SummariesJson, CircumstancesJson):
+class CasesEvaluationDocument:
     """``slamfusion evaluate`` with several truths."""
 
     maps: Sequence[CaseEvaluation]
     """The maps in the order given, each against the truth of its case."""
+    summaries: Summaries = field(metadata=FLAT)
     distances: Sequence[DistanceComparison]
     """The maps against measured distances; empty without --distances."""
-    truths: Mapping[str, str]
+    truths: Mapping[str, Path]
     """The true maps' files, by case."""
+    circumstances: Circumstances = field(metadata=FLAT)
 
 
 def evaluate_maps(
@@ -234,23 +234,26 @@ class EvaluatedCases:
             )
         ]
 
-    def to_json(self) -> EvaluateDocument | CasesEvaluationDocument:
+    def document(self) -> EvaluateDocument | CasesEvaluationDocument:
         """Return what ``slamfusion evaluate`` prints as JSON."""
         if len(self.truths) < 2:
-            truth = next(iter(self.truths.values()), None)
-            return evaluate_document(
-                self.evaluations, self.distances, self.config, truth=truth, device=self.device
+            return EvaluateDocument(
+                maps=self.evaluations,
+                distances=self.distances,
+                truth=next(iter(self.truths.values()), None),
+                device=self.device,
+                seed=self.config.seed,
+                settings=Settings(self.config),
             )
         from slamfusion.jobs.results import summaries  # noqa: PLC0415  (pandas is an extra)
 
-        pairs = zip(self.placed, self.evaluations, strict=True)
-        return {
-            "maps": [CaseEvaluation(**vars(own), **record_keys(item)) for item, own in pairs],
-            **summaries(self.rows()),
-            "distances": self.distances,
-            "truths": {case: str(path) for case, path in self.truths.items()},
-            **circumstances(self.config, self.device or ""),
-        }
+        return CasesEvaluationDocument(
+            maps=[*map(CaseEvaluation, self.evaluations, self.placed)],
+            summaries=summaries(self.rows()),
+            distances=self.distances,
+            truths=self.truths,
+            circumstances=Circumstances(self.config, self.device or ""),
+        )
 
     def write(self, report: Path | None, images: Sequence[Path]) -> None:
         """Write reports and pictures; of several cases a report each. See ``write_evaluation``."""
@@ -319,27 +322,6 @@ def evaluate_cases(
         config,
         None if device is None else device.name,
     )
-
-
-def evaluate_document(
-    evaluations: Sequence[Evaluation],
-    distances: Sequence[DistanceComparison],
-    config: RunConfig,
-    *,
-    agreement: Sequence[FusedInputJson | UnalignedInputJson] = (),
-    truth: Path | None,
-    device: str | None,
-) -> EvaluateDocument:
-    """Return what ``slamfusion evaluate`` prints as JSON."""
-    return {
-        "maps": evaluations,
-        "distances": distances,
-        "agreement": agreement,
-        "truth": path_text(truth),
-        "device": device,
-        "seed": config.seed,
-        **settings_used(config),
-    }
 
 
 def write_evaluation(

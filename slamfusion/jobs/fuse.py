@@ -28,14 +28,14 @@ from slamfusion.fusion.pipeline import align_inputs
 from slamfusion.grid import OCCUPIED, OccupancyGrid
 from slamfusion.io import AtomicFiles, save_map, write_atomic
 from slamfusion.io.map_store import MapStore, check_store, read_stored_map
-from slamfusion.jobs.documents import circumstances, record_bytes
+from slamfusion.jobs.documents import record_bytes
 from slamfusion.jobs.evaluate import evaluate_maps
 from slamfusion.jobs.fuse_documents import (
     DoubledWalls,
+    FusedGroup,
     FuseDocument,
     agreement_stem,
     fusion_document,
-    group_document,
 )
 from slamfusion.jobs.inputs import (
     NO_FILES,
@@ -57,7 +57,7 @@ from slamfusion.jobs.outputs import (
     remove_empty,
     report_files,
 )
-from slamfusion.jobs.records import Evaluation
+from slamfusion.jobs.records import Circumstances, Evaluation
 from slamfusion.vote.tiles import TILE
 
 _LOG = logging.getLogger(__name__)
@@ -129,25 +129,26 @@ class FusedMaps:
         """Share of the voters that agree, cells 0..100 or -1, on the same lattice."""
         return self.in_memory.agreement
 
-    def to_json(self, stems: Sequence[Path | None] = ()) -> FuseDocument:
-        """Return what ``slamfusion fuse`` prints as JSON."""
+    def document(self, stems: Sequence[Path | None] = ()) -> FuseDocument:
+        """Return what ``slamfusion fuse`` prints as JSON.
+
+        Args:
+            stems: the files of maps that are in memory, paths without suffix.
+        """
         result, stems = self.result, self.stems or stems
         stores = self.stores or [None] * len(stems)
-        groups = [
-            group_document(item, stem, store)
-            for item, stem, store in zip((result, *result.others), stems, stores, strict=True)
-        ]
-        return {
-            **fusion_document(result, self.doubled),
-            "fused": groups[0]["fused"],
-            "agreement": groups[0]["agreement"],
-            "store": groups[0]["store"],
-            "groups": groups,
-            "evaluations": self.evaluations,
-            **self.given.to_json(),
-            **circumstances(self.config, result.device),
-            "time_s": result.time_s,
-        }
+        groups = [*map(FusedGroup.of, (result, *result.others), stems, stores)]
+        return FuseDocument(
+            fusion=fusion_document(result, self.doubled),
+            fused=groups[0].fused,
+            agreement=groups[0].agreement,
+            store=groups[0].store,
+            groups=groups,
+            evaluations=self.evaluations,
+            given=self.given,
+            circumstances=Circumstances(self.config, result.device),
+            time_s=result.time_s,
+        )
 
 
 def check_count(maps: Sequence[object]) -> None:
@@ -276,7 +277,7 @@ def _fuse_into(
     whole = replace(results[0], pairs=aligned.pairs, others=tuple(results[1:]), time_s=time_s)
     fused = FusedMaps(config, whole, None, (), given, stores, tuple(stems))
     if stems[0] is not None:
-        write_atomic(record_file(stems[0]), record_bytes(fused.to_json()))
+        write_atomic(record_file(stems[0]), record_bytes(fused.document()))
     return fused
 
 
@@ -374,7 +375,7 @@ def save_fused_maps(
     stem, folder = Path(stem), None if report is None else Path(report)
     groups = (fused.in_memory, *fused.in_memory.others)
     stems = group_stems(stem, len(groups))
-    document = fused.to_json(stems)
+    document = fused.document(stems)
     with AtomicFiles() if files is None else nullcontext(files) as together:
         for result, path in zip(groups, stems, strict=True):
             save_map(result.fused, path, image_format=image_format, files=together)

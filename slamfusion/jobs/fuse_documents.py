@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypedDict, cast
 
@@ -20,10 +20,10 @@ from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError
 from slamfusion.evaluation import doubled_wall_share, fused_doubled_shares
 from slamfusion.grid import OccupancyGrid
-from slamfusion.jobs.documents import circumstances, path_text
-from slamfusion.jobs.inputs import NO_FILES, GivenMaps, GivenMapsJson
+from slamfusion.jobs.inputs import NO_FILES, GivenMaps
 from slamfusion.jobs.outputs import AGREEMENT_END
-from slamfusion.jobs.records import CircumstancesJson, Evaluation
+from slamfusion.jobs.records import Circumstances, Evaluation
+from slamfusion.json_values import FLAT
 from slamfusion.vote.tiles import occupied_codes
 
 
@@ -93,10 +93,8 @@ class DoubledWalls:
             for record in result.inputs
         }
         layers = (record.layer for record in result.accepted if record.layer is not None)
-        aligned = ((layer.codes, layer.box) for layer in layers)
-        return cls(
-            shares, *fused_doubled_shares(result.fused.cells, aligned, is_wall=occupied_codes)
-        )
+        aligned = ((occupied_codes(layer.codes), layer.box) for layer in layers)
+        return cls(shares, *fused_doubled_shares(result.fused.cells, aligned))
 
 
 class FusionJson(TypedDict):
@@ -122,14 +120,15 @@ class FusionJson(TypedDict):
     """Inputs that are the same map as another, by name, and which of them votes for both."""
 
 
-class FusedGroupJson(TypedDict):
+@dataclass(frozen=True, eq=False)
+class FusedGroup:
     """Inputs that share ground, and the map that they became."""
 
     fused: str | None
     """YAML file of the fused map; null where it is in a store alone."""
     agreement: str | None
     """YAML file of the agreement map; null where it is in a store alone."""
-    store: str | None
+    store: Path | None
     """Zarr store of both, with -o OUT.zarr; else null."""
     reference: str
     """The input whose frame and lattice the fused map has."""
@@ -140,24 +139,42 @@ class FusedGroupJson(TypedDict):
     weights: Mapping[str, float]
     """Weight of each vote, by input."""
 
+    @classmethod
+    def of(cls, result: Fusion, stem: Path | None, store: Path | None) -> FusedGroup:
+        """Describe a group by its fusion and its files."""
+        return cls(
+            None if stem is None else f"{stem}.yaml",
+            None if stem is None else f"{agreement_stem(stem)}.yaml",
+            store,
+            result.reference,
+            [item.alignment for item in result.accepted if item.alignment is not None],
+            result.left_out_m2,
+            result.weights,
+        )
 
-class FuseDocument(FusionJson, GivenMapsJson, CircumstancesJson):
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FuseDocument:
     """``slamfusion fuse``."""
 
-    fused: str | None
+    fusion: FusionJson = field(metadata=FLAT)
+    fused: str | None = None
     """YAML file of the fused map; null where nothing was fused, or it is in a store alone."""
-    agreement: str | None
+    agreement: str | None = None
     """YAML file of the agreement map; null where nothing was fused, or it is in a store alone."""
-    store: str | None
+    store: Path | None = None
     """Zarr store of both, with -o OUT.zarr; else null."""
-    groups: Sequence[FusedGroupJson]
+    groups: Sequence[FusedGroup] = ()
     """Groups of inputs that share ground, the largest, which is listed above, first."""
-    evaluations: Sequence[Evaluation]
+    evaluations: Sequence[Evaluation] = ()
     """Errors of the inputs and of the fused map, with --truth."""
-    time_s: float | None
+    given: GivenMaps = field(default=NO_FILES, metadata=FLAT)
+    circumstances: Circumstances = field(metadata=FLAT)
+    time_s: float | None = None
     """Wall time of the fusion, seconds; null where nothing was fused."""
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
 class FailedFuseDocument(FuseDocument):
     """``slamfusion fuse`` of maps that do not fit, or with --require-all; exit code 1."""
 
@@ -182,18 +199,12 @@ def failed_fuse_document(
     given: GivenMaps = NO_FILES,
 ) -> FailedFuseDocument:
     """Return what ``slamfusion fuse`` prints as JSON where nothing was fused."""
-    return {
-        **failure_document(grids, error.pairs, str(error)),
-        "fused": None,
-        "agreement": None,
-        "store": None,
-        "groups": [],
-        "evaluations": [],
-        **given.to_json(),
-        "error": str(error),
-        **circumstances(config, device),
-        "time_s": None,
-    }
+    return FailedFuseDocument(
+        fusion=failure_document(grids, error.pairs, str(error)),
+        given=given,
+        circumstances=Circumstances(config, device),
+        error=str(error),
+    )
 
 
 def fusion_document(
@@ -277,19 +288,6 @@ def left_out_sentences(result: FusionResult | StoredFusion) -> list[str]:
     ]
     bent = [words for group in (result, *result.others) for words in group.bent_sentences]
     return rejected + copies + bent + cuts
-
-
-def group_document(result: Fusion, stem: Path | None, store: Path | None = None) -> FusedGroupJson:
-    """Return what is said of one group."""
-    return {
-        "fused": None if stem is None else f"{stem}.yaml",
-        "agreement": None if stem is None else f"{agreement_stem(stem)}.yaml",
-        "store": path_text(store),
-        "reference": result.reference,
-        "inputs": [item.alignment for item in result.accepted if item.alignment is not None],
-        "left_out_m2": result.left_out_m2,
-        "weights": result.weights,
-    }
 
 
 def input_document(record: InputRecord, result: Fusion) -> FusedInputJson | UnalignedInputJson:

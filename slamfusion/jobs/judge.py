@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from operator import itemgetter
 from pathlib import Path
-from typing import TypedDict
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
@@ -32,27 +31,34 @@ from slamfusion.fusion.groups import LEAST_FUSED
 from slamfusion.io import open_log, read_trajectory, write_tum
 from slamfusion.io.files import AtomicFiles
 from slamfusion.jobs.cases import Placed
-from slamfusion.jobs.documents import circumstances, path_text
 from slamfusion.jobs.fused_path import DrivePath, fuse_weighed_paths
 from slamfusion.jobs.inputs import Warn, as_path, device_for, distinct_names
 from slamfusion.jobs.outputs import FUSED
-from slamfusion.jobs.records import CircumstancesJson, SummariesJson
+from slamfusion.jobs.records import Circumstances, Summaries
 from slamfusion.jobs.saved_maps import SavedPath, path_at_scans
-from slamfusion.jobs.trajectory import JudgedPathJson, KnownFiles, Measures, Yardsticks
+from slamfusion.jobs.trajectory import KnownFiles, Measures, Yardsticks
+from slamfusion.json_values import FLAT
 from slamfusion.slam.common.odometry_check import contradictions, laser_fault
 from slamfusion.trajectory import Trajectory
 
 _LOG = logging.getLogger(__name__)
 
 
-class JudgeRecordJson(TypedDict):
-    """What the scans of one log say of its paths."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class JudgedPaths:
+    """The paths of a log, what its scans say of them, and their errors."""
 
+    trajectories: Mapping[str, Trajectory] = field(repr=False)
+    """The paths as they were given, by name."""
+    evidence: PathEvidence = field(repr=False)
+    measures: Mapping[str, Measures] = field(repr=False)
+    """Errors of each path by name, the fused one among them, where there was something to measure
+    by."""
     recommendation: Recommendation
     """Which path to use, and what to check first."""
     path_evidence: Sequence[RankedPath]
     """What the scans say of each path, the recommended one first."""
-    paths: Sequence[JudgedPathJson]
+    paths: Sequence[SavedPath]
     """The paths as they were given."""
     fused_path: DrivePath | None
     """The path fused of them, with ``--fused``."""
@@ -62,104 +68,17 @@ class JudgeRecordJson(TypedDict):
     """The paths by their mean error on the relations, the least first; empty without relations."""
     not_measured: Sequence[str]
     """What could not be measured, a sentence each."""
-    log: str
+    log: Path
     """The log that the paths are of."""
-    relations: str | None
+    relations: Path | None
     """The file of known relations."""
-    odometry_file: str | None
+    odometry_file: Path | None
     """The file of raw odometry."""
-    scan_odometry: str | None
+    scan_odometry: Path | None
     """The file that gave the scans their odometry."""
-    truth: str | None
+    truth: Path | None
     """The file of the true trajectory."""
-
-
-class JudgeDocument(JudgeRecordJson, CircumstancesJson):
-    """``slamfusion judge`` of one log; exit code 1 where something is ``not_measured``."""
-
-
-class CaseJudgementJson(JudgeRecordJson):
-    """One of several logs."""
-
-    case: str
-    """Its name."""
-
-
-class JudgementsDocument(SummariesJson, CircumstancesJson):
-    """``slamfusion judge`` of several logs; exit code 1 where something is ``not_measured``."""
-
-    logs: Sequence[CaseJudgementJson]
-    """The logs in the order given; paths are named by what made them."""
-
-
-@dataclass(frozen=True, eq=False)
-class JudgedPaths:
-    """Paths of a drive in the order that the scans put them in.
-
-    Attributes:
-        files: the log, and what the paths are measured with.
-        given: the paths' files, by name.
-        fused: the path that was made of them; None where none was asked for.
-        fused_file: where it goes.
-        recommendation: which of them to use, the fused path among them.
-        measures: errors of each path by name, where there was something to measure by.
-        not_measured: what could not be measured, a sentence each.
-    """
-
-    files: KnownFiles
-    given: Mapping[str, Path]
-    config: RunConfig
-    paths: Mapping[str, Trajectory]
-    fused: DrivePath | None
-    fused_file: Path | None
-    recommendation: Recommendation
-    evidence: PathEvidence
-    measures: Mapping[str, Measures]
-    not_measured: tuple[str, ...]
-    device: str
-
-    def errors_by_truth_m(self) -> dict[str, float]:
-        """Return the ATE of the paths that met the truth, metres, by name; the least first."""
-        found = self.measures.items()
-        errors = {name: own.truth.ate.rmse for name, own in found if own.truth is not None}
-        return dict(sorted(errors.items(), key=itemgetter(1)))
-
-    def errors_by_relations_m(self) -> dict[str, float]:
-        """Return the mean error of the paths on the relations, metres, by name; the least first."""
-        found = self.measures.items()
-        errors = {
-            name: own.relations.translation.mean for name, own in found if own.relations is not None
-        }
-        return dict(sorted(errors.items(), key=itemgetter(1)))
-
-    def to_json(self) -> JudgeDocument:
-        """Return what ``slamfusion judge`` prints as JSON."""
-        return {**self.record_to_json(), **circumstances(self.config, self.device)}
-
-    def record_to_json(self) -> JudgeRecordJson:
-        """Return what is said of the paths and the files that it rests on, for a JSON document."""
-        files = self.files
-        return {
-            "recommendation": self.recommendation,
-            "path_evidence": self.recommendation.paths,
-            "paths": [
-                SavedPath(
-                    self.given[name], replace(path, name=name), self.measures.get(name, Measures())
-                ).to_json()
-                for name, path in self.paths.items()
-            ],
-            "fused_path": None
-            if self.fused is None or self.fused_file is None
-            else replace(self.fused, file=self.fused_file),
-            "ranking_by_truth": tuple(self.errors_by_truth_m()),
-            "ranking_by_relations": tuple(self.errors_by_relations_m()),
-            "not_measured": self.not_measured,
-            "log": str(files.log),
-            "relations": path_text(files.relations),
-            "odometry_file": path_text(files.odometry),
-            "scan_odometry": path_text(files.scan_odometry),
-            "truth": path_text(files.truth),
-        }
+    circumstances: Circumstances = field(repr=False)
 
     def rows(self, case: str, placed: Sequence[Placed]) -> list[Row]:
         """Return figures and single scores of each path as rows of a table of results.
@@ -182,6 +101,49 @@ class JudgedPaths:
             series = {"consistency": likelihoods, **path_series(*held)}
             rows += result_rows(*keys, {**figures, **path_figures(*held)}, series)
         return rows
+
+
+@dataclass(frozen=True, eq=False)
+class JudgeDocument:
+    """``slamfusion judge`` of one log; exit code 1 where something is ``not_measured``."""
+
+    judged: JudgedPaths = field(metadata=FLAT)
+    circumstances: Circumstances = field(metadata=FLAT)
+
+
+@dataclass(frozen=True, eq=False)
+class CaseJudgement:
+    """One of several logs."""
+
+    judged: JudgedPaths = field(metadata=FLAT)
+    case: str
+    """Its name."""
+
+
+@dataclass(frozen=True, eq=False)
+class JudgementsDocument:
+    """``slamfusion judge`` of several logs; exit code 1 where something is ``not_measured``."""
+
+    logs: Sequence[CaseJudgement]
+    """The logs in the order given; paths are named by what made them."""
+    summaries: Summaries = field(metadata=FLAT)
+    circumstances: Circumstances = field(metadata=FLAT)
+
+
+def errors_by_truth_m(measures: Mapping[str, Measures]) -> dict[str, float]:
+    """Return the ATE of the paths that met the truth, metres, by name; the least first."""
+    errors = {name: own.truth.ate.rmse for name, own in measures.items() if own.truth is not None}
+    return dict(sorted(errors.items(), key=itemgetter(1)))
+
+
+def errors_by_relations_m(measures: Mapping[str, Measures]) -> dict[str, float]:
+    """Return the mean error of the paths on the relations, metres, by name; the least first."""
+    errors = {
+        name: own.relations.translation.mean
+        for name, own in measures.items()
+        if own.relations is not None
+    }
+    return dict(sorted(errors.items(), key=itemgetter(1)))
 
 
 def judge_paths(
@@ -255,24 +217,39 @@ def judge_paths(
         except SlamFusionError as error:
             not_measured.append(f"{name}: {error}")
     if made is not None:
-        made = replace(made, measures=measures.get(FUSED, Measures()))
+        made = replace(made, measures=measures.get(FUSED, Measures()), file=fused_file)
     return JudgedPaths(
-        files, given, config, read, made, fused_file,
-        found, evidence, measures, tuple(not_measured), device.name,
-    )  # fmt: skip
+        trajectories=read,
+        evidence=evidence,
+        measures=measures,
+        recommendation=found,
+        path_evidence=found.paths,
+        paths=[
+            SavedPath(given[name], replace(path, name=name), measures.get(name, Measures()))
+            for name, path in read.items()
+        ],
+        fused_path=made,
+        ranking_by_truth=tuple(errors_by_truth_m(measures)),
+        ranking_by_relations=tuple(errors_by_relations_m(measures)),
+        not_measured=not_measured,
+        log=Path(log),
+        relations=files.relations,
+        odometry_file=files.odometry,
+        scan_odometry=files.scan_odometry,
+        truth=files.truth,
+        circumstances=Circumstances(config, device.name),
+    )
 
 
-def judgements_document(
-    logs: Mapping[str, JudgedPaths], rows: Sequence[Row], config: RunConfig
-) -> JudgementsDocument:
+def judgements_document(logs: Mapping[str, JudgedPaths], rows: Sequence[Row]) -> JudgementsDocument:
     """Return what ``slamfusion judge`` prints of several logs as JSON."""
     from slamfusion.jobs.results import summaries  # noqa: PLC0415  (pandas is an extra)
 
-    return {
-        "logs": [{**found.record_to_json(), "case": case} for case, found in logs.items()],
-        **summaries(rows),
-        **circumstances(config, next(iter(logs.values())).device),
-    }
+    return JudgementsDocument(
+        [CaseJudgement(found, case) for case, found in logs.items()],
+        summaries(rows),
+        next(iter(logs.values())).circumstances,
+    )
 
 
 def write_fused_path(found: JudgedPaths, files: AtomicFiles | None = None) -> None:
@@ -281,8 +258,9 @@ def write_fused_path(found: JudgedPaths, files: AtomicFiles | None = None) -> No
     Raises:
         MapFileError: the file cannot be written.
     """
-    if found.fused is not None and found.fused_file is not None:
-        write_tum(found.fused_file, found.fused.trajectory, files=files)
+    fused = found.fused_path
+    if fused is not None and fused.file is not None:
+        write_tum(fused.file, fused.trajectory, files=files)
 
 
 def write_judgement(
@@ -302,11 +280,14 @@ def write_judgement(
         found.recommendation,
         found.evidence,
         directory,
-        log=str(found.files.log),
-        config=found.config,
-        errors_m={"ATE": found.errors_by_truth_m(), "relations": found.errors_by_relations_m()},
+        log=str(found.log),
+        config=found.circumstances.config,
+        errors_m={
+            "ATE": errors_by_truth_m(found.measures),
+            "relations": errors_by_relations_m(found.measures),
+        },
         not_measured=found.not_measured,
-        device=found.device,
+        device=found.circumstances.device,
         files=files,
     )
 

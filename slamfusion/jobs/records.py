@@ -83,17 +83,6 @@ class Evaluation(MapError):  # noqa: N818  (a measure, no exception)
     """The alignment with the truth; null: the map was taken as it lies."""
 
 
-class PlacedJson(TypedDict):
-    """The names of one of several maps or paths."""
-
-    case: str
-    """What it was measured against: a place, a log or a truth, by name."""
-    method: str
-    """What made it: what its file's name says besides case and seed."""
-    seed: str
-    """Number of the repetition of this method in this case; empty for a single one."""
-
-
 class MethodMeanJson(TypedDict):
     """The means of a method's figures over its cases; of seeds, those of each case come first."""
 
@@ -120,7 +109,8 @@ class RepetitionsJson(TypedDict):
     """Their sample standard deviations (divided by N - 1)."""
 
 
-class SummariesJson(TypedDict):
+@dataclass(frozen=True)
+class Summaries:
     """Figures of several maps or paths as means."""
 
     means: Sequence[MethodMeanJson]

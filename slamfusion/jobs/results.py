@@ -28,7 +28,8 @@ from slamfusion.io.files import open_regular
 from slamfusion.io.map_server import existing, read_map_yaml
 from slamfusion.jobs.documents import record_bytes
 from slamfusion.jobs.inputs import map_file
-from slamfusion.jobs.records import SummariesJson
+from slamfusion.jobs.records import Summaries
+from slamfusion.json_values import plain
 from slamfusion.version import __version__, versions
 
 try:
@@ -90,19 +91,19 @@ def means_of(figures: pd.DataFrame, keys: Sequence[str], how: str = "mean") -> p
     return groups.agg(how).where(groups.count().eq(groups.size(), axis=0))
 
 
-def summaries(rows: Iterable[Row]) -> SummariesJson:
+def summaries(rows: Iterable[Row]) -> Summaries:
     """Return the means of methods over cases, and over the seeds of each case, for a document."""
     figures = figures_of(results_table(rows))
     keys = ["case", "method"]
     by_case, std = means_of(figures, keys), means_of(figures, keys, "std")
     seeds = figures.groupby(level=keys, sort=False).size()
     cases = by_case.groupby(level="method", sort=False).size()
-    return {
-        "means": [
+    return Summaries(
+        means=[
             {"method": method, "cases": int(cases[method]), "figures": own.dropna().to_dict()}
             for method, own in means_of(by_case, ["method"]).iterrows()
         ],
-        "repetitions": [
+        repetitions=[
             {
                 "case": case,
                 "method": method,
@@ -113,7 +114,7 @@ def summaries(rows: Iterable[Row]) -> SummariesJson:
             for (case, method), own in by_case.iterrows()
             if seeds[case, method] > 1
         ],
-    }
+    )
 
 
 def markdown(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -166,7 +167,7 @@ def write_results_file(
     *,
     command: str,
     arguments: Sequence[str],
-    document: Mapping[str, Any],
+    document: Any,
     rows: Iterable[Row],
     inputs: Sequence[tuple[str, str, Path]] = (),
 ) -> None:
@@ -174,6 +175,7 @@ def write_results_file(
 
     Args:
         command: its words, e.g. ``trajectory``.
+        document: a record, or a mapping, as the command prints it as JSON.
         inputs: the files that were measured and compared with: the role (map, truth, path, log,
             ...), the case (empty: all), and the path.
 
@@ -187,7 +189,7 @@ def write_results_file(
         "version": __version__,
         "command": command,
         "arguments": list(arguments),
-        "settings": document.get("config", {}),
+        "settings": plain(document).get("config", {}),
         "versions": versions(),
         "inputs": [record for file in inputs for record in input_records(*file)],
     }

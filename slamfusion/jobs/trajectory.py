@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, TypedDict, cast
 
@@ -29,10 +29,9 @@ from slamfusion.evaluation.relations import RelationErrorsAtScans
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import AtomicFiles, read_trajectory
 from slamfusion.jobs.cases import CaseFile, Placed, files_by_case
-from slamfusion.jobs.documents import path_text, settings_used
 from slamfusion.jobs.inputs import Warn, as_path
-from slamfusion.jobs.records import PlacedJson, SettingsJson, SummariesJson
-from slamfusion.json_values import record_keys
+from slamfusion.jobs.records import Settings, Summaries
+from slamfusion.json_values import FLAT, record_keys
 from slamfusion.trajectory import Trajectory
 
 _LOG = logging.getLogger(__name__)
@@ -53,46 +52,6 @@ class MeasuresJson(PathErrorsJson, total=False):
 
     as_first_reported: PathErrorsJson
     """The same of the path as it was first reported, of a producer that corrects it later."""
-
-
-class TrajectoryRecordJson(MeasuresJson):
-    """A trajectory with its errors, and the files that they rest on."""
-
-    name: str
-    """The trajectory."""
-    path_length_m: float
-    """Its length, metres."""
-    duration_s: float
-    """From its first pose to its last, seconds."""
-    poses: int
-    """Its poses."""
-    estimate: str
-    """Its file."""
-    relations: str | None
-    """The file of known relations."""
-    odometry_file: str | None
-    """The file of raw odometry."""
-    log: str | None
-    """The log that the trajectory was made from."""
-    truth: str | None
-    """The file of the true trajectory."""
-
-
-class TrajectoryDocument(TrajectoryRecordJson, SettingsJson):
-    """``slamfusion trajectory`` of one trajectory."""
-
-
-class CaseTrajectoryJson(PlacedJson, TrajectoryRecordJson):
-    """One of several trajectories."""
-
-
-class TrajectoriesDocument(SummariesJson, SettingsJson):
-    """``slamfusion trajectory`` of several; exit code 1 where something is ``not_measured``."""
-
-    trajectories: Sequence[CaseTrajectoryJson]
-    """The trajectories in the order given."""
-    not_measured: Sequence[str]
-    """What could not be measured, a sentence each."""
 
 
 class JudgedPathJson(MeasuresJson):
@@ -279,48 +238,68 @@ def known_inputs(
     ]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class MeasuredTrajectory:
-    """A trajectory with its errors.
+    """A trajectory with its errors, and the files that they rest on."""
 
-    Attributes:
-        placed: its file and its case.
-        held: what it was measured by.
-        grid: a map in the frame of the estimate, to be drawn under it; None: none.
-    """
-
-    placed: Placed
-    files: KnownFiles
-    config: RunConfig
-    estimate: Trajectory
-    measures: Measures
-    held: Yardsticks
-    grid: OccupancyGrid | None = None
-
-    def to_json(self) -> TrajectoryDocument:
-        """Return what ``slamfusion trajectory`` prints as JSON."""
-        return {**self.record_to_json(), **settings_used(self.config)}
-
-    def record_to_json(self) -> TrajectoryRecordJson:
-        """Return the errors and the files that they rest on, for a JSON document."""
-        poses, files = self.estimate, self.files
-        return {
-            "name": poses.name,
-            "path_length_m": poses.path_length_m(),
-            "duration_s": float(poses.stamps_s[-1] - poses.stamps_s[0]),
-            **self.measures.to_json(),
-            "poses": len(poses),
-            "estimate": str(self.placed.path),
-            "relations": path_text(files.relations),
-            "odometry_file": path_text(files.odometry),
-            "log": path_text(files.log),
-            "truth": path_text(files.truth),
-        }
+    placed: Placed = field(repr=False)
+    trajectory: Trajectory = field(repr=False)
+    held: Yardsticks = field(repr=False)
+    """What it was measured by."""
+    grid: OccupancyGrid | None = field(default=None, repr=False)
+    """A map in its frame, to be drawn under it."""
+    name: str
+    """The trajectory."""
+    path_length_m: float
+    """Its length, metres."""
+    duration_s: float
+    """From its first pose to its last, seconds."""
+    measures: Measures = field(metadata=FLAT)
+    poses: int
+    """Its poses."""
+    estimate: Path
+    """Its file."""
+    relations: Path | None
+    """The file of known relations."""
+    odometry_file: Path | None
+    """The file of raw odometry."""
+    log: Path | None
+    """The log that the trajectory was made from."""
+    truth: Path | None
+    """The file of the true trajectory."""
 
     def rows(self) -> list[Row]:
         """Return figures and single errors as rows of a table of results."""
         held = (self.measures.truth, self.measures.relations)
         return result_rows(*self.placed.keys, path_figures(*held), path_series(*held))
+
+
+@dataclass(frozen=True, eq=False)
+class TrajectoryDocument:
+    """``slamfusion trajectory`` of one trajectory."""
+
+    measured: MeasuredTrajectory = field(metadata=FLAT)
+    settings: Settings = field(metadata=FLAT)
+
+
+@dataclass(frozen=True, eq=False)
+class CaseTrajectory:
+    """One of several trajectories."""
+
+    measured: MeasuredTrajectory = field(metadata=FLAT)
+    placed: Placed = field(metadata=FLAT)
+
+
+@dataclass(frozen=True, eq=False)
+class TrajectoriesDocument:
+    """``slamfusion trajectory`` of several; exit code 1 where something is ``not_measured``."""
+
+    trajectories: Sequence[CaseTrajectory]
+    """The trajectories in the order given."""
+    summaries: Summaries = field(metadata=FLAT)
+    not_measured: Sequence[str]
+    """What could not be measured, a sentence each."""
+    settings: Settings = field(metadata=FLAT)
 
 
 def measure_trajectories(
@@ -361,7 +340,24 @@ def measure_trajectories(
             why = (error.strerror if isinstance(error, OSError) else None) or str(error)
             not_measured.append(f"{item.path}: {why.removeprefix(f'{item.path}: ')}")
             continue
-        found.append(MeasuredTrajectory(item, known[item.case], config, estimate, measures, held))
+        files = known[item.case]
+        found.append(
+            MeasuredTrajectory(
+                placed=item,
+                trajectory=estimate,
+                held=held,
+                name=estimate.name,
+                path_length_m=estimate.path_length_m(),
+                duration_s=float(estimate.stamps_s[-1] - estimate.stamps_s[0]),
+                measures=measures,
+                poses=len(estimate),
+                estimate=item.path,
+                relations=files.relations,
+                odometry_file=files.odometry,
+                log=files.log,
+                truth=files.truth,
+            )
+        )
     if not found:
         raise SlamFusionError("; ".join(not_measured) or "no path to measure; give at least one")
     return found, not_measured
@@ -373,19 +369,19 @@ def trajectories_document(
     """Return what ``slamfusion trajectory`` prints of several paths as JSON."""
     from slamfusion.jobs.results import summaries  # noqa: PLC0415  (pandas is an extra)
 
-    paths: list[CaseTrajectoryJson] = [
-        {**own.record_to_json(), **cast("PlacedJson", record_keys(own.placed))} for own in found
-    ]
-    return {
-        "trajectories": paths,
-        **summaries(row for own in found for row in own.rows()),
-        "not_measured": not_measured,
-        **settings_used(config),
-    }
+    return TrajectoriesDocument(
+        [CaseTrajectory(own, own.placed) for own in found],
+        summaries(row for own in found for row in own.rows()),
+        not_measured,
+        Settings(config),
+    )
 
 
 def write_trajectories(
-    found: Sequence[MeasuredTrajectory], directory: str | Path, files: AtomicFiles | None = None
+    found: Sequence[MeasuredTrajectory],
+    directory: str | Path,
+    config: RunConfig | None = None,
+    files: AtomicFiles | None = None,
 ) -> Path:
     """Write one report of the errors of paths; see ``slamfusion.report.page.write_page``.
 
@@ -398,14 +394,14 @@ def write_trajectories(
     for own in found:
         errors = own.measures
         path = MeasuredPath(
-            own.placed.name, own.estimate, errors.truth, errors.relations, errors.at_scans
+            own.placed.name, own.trajectory, errors.truth, errors.relations, errors.at_scans
         )
         cases.setdefault(own.placed.case, []).append(path)
     first = found[0]
     return write_trajectory_report(
         directory,
         cases,
-        config=first.config,
+        config=config or RunConfig(),
         truths={own.placed.case: own.held.truth for own in found if own.held.truth is not None},
         odometry=first.held.scans if len(found) == 1 else None,
         grid=first.grid,

@@ -19,7 +19,7 @@ from slamfusion.experiments.tinyslam import RELATIONS, Drive, read_drive
 from slamfusion.sim import Course, Recording, named_course, simulate
 from slamfusion.slam.common.runner import ProducerRun
 from slamfusion.slam.registry import BUILT_IN
-from tests.benchmarks.bench_slam import MEASURED, error, floor
+from tests.benchmarks.bench_slam import MEASURED, error, floor, scan_odometry
 from tests.benchmarks.producer_bench import (
     OVER_SEEDS,
     PRODUCER,
@@ -64,7 +64,7 @@ def _rows(bench: Bench, table: Table, cases: Sequence[tuple[str, Run]]) -> None:
     for name in NAMES:
         drive = recorded(bench, name)
         best = floor(drive, bench.config)
-        raw = error(drive, drive.scan_odometry(), bench.config)
+        raw = error(drive, scan_odometry(drive), bench.config)
         for case, run in cases:
             runs = [run(drive, seed) for seed in bench.seeds]
             bench.keep_map(runs[0].grid, bench.seeds[0], drive.name, case)

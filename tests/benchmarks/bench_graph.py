@@ -42,7 +42,7 @@ from slamfusion.slam.graph import GraphSlam
 from slamfusion.slam.registry import settings_of, with_settings
 from slamfusion.trajectory import Trajectory
 from tests.benchmarks.bench_gmapping import PATHS, drive_course, judge, path_figures, recorded
-from tests.benchmarks.bench_slam import error, floor, within_floor
+from tests.benchmarks.bench_slam import error, floor, scan_odometry, within_floor
 from tests.benchmarks.producer_bench import (
     OVER_SEEDS,
     WALLS,
@@ -200,7 +200,7 @@ def recordings(bench: Bench, only: Sequence[str] = ()) -> None:
         table.add_row(
             drive.name,
             str(len(drive.scans)),
-            shown(error(drive, drive.scan_odometry(), bench.config)),
+            shown(error(drive, scan_odometry(drive), bench.config)),
             shown(least, 4),
             *over_seeds(errors, 4),
             shown(same, 4),

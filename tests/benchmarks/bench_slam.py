@@ -93,6 +93,13 @@ def within_floor(drive: Drive, config: RunConfig) -> Drive | None:
     return replace(drive, held=replace(drive.held, relations=part))
 
 
+def scan_odometry(drive: Drive) -> Trajectory:
+    """Return the raw odometry of the scans of a drive."""
+    known = [(item.scan.stamp_s, pose) for item in drive.scans if (pose := item.odometry)]
+    rows = np.array([(pose.x, pose.y, pose.yaw_rad) for _, pose in known])
+    return Trajectory(np.array([stamp_s for stamp_s, _ in known]), rows, drive.name)
+
+
 def floor(drive: Drive, config: RunConfig) -> float | None:
     """Return the error of the best trajectory in the folder at the drive's scans."""
     part = within_floor(drive, config)
@@ -100,11 +107,11 @@ def floor(drive: Drive, config: RunConfig) -> float | None:
         return None
     best = read_trajectory(BEST[drive.name], config.log)
     if drive.held.odometry is not None:
-        own, scans = config.trajectory, drive.scan_odometry()
-        match = match_odometry(scans, drive.held.odometry)
-        stamps_s = drive.held.odometry.stamps_s[match.rows]
+        own, scans = config.trajectory, scan_odometry(drive)
+        matched = match_odometry(scans, drive.held.odometry)
+        stamps_s = drive.held.odometry.stamps_s[matched]
         nearest, is_matched = best.matches(stamps_s, own.tolerance_s)
-        known = (match.rows >= 0) & is_matched
+        known = (matched >= 0) & is_matched
         best = Trajectory(scans.stamps_s[known], best.poses[nearest[known]], best.name)
     return error(part, best, config)
 
@@ -146,7 +153,7 @@ def main() -> None:
             drive.name,
             str(len(drive.scans)),
             str(len(drive.scans[0].scan)),
-            shown(error(drive, drive.scan_odometry(), config)),
+            shown(error(drive, scan_odometry(drive), config)),
             shown(floor(drive, config)),
             *(figures[index] for index in (0, 1, 3)),
             f"{np.median([time['mean'] for time in times]):.2f}",

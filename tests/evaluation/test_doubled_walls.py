@@ -91,16 +91,18 @@ def test_a_slip_is_added_by_the_fusion_and_a_narrow_passage_is_not():
     passage[10, 5:55] = passage[16, 5:55] = 1
     whole = CellBox(0, 0, 40, 60)
     wanted = doubled_wall_share(passage == 1)
-    assert fused_doubled_shares(passage, [(passage, whole)] * 2) == (wanted, 0.0)
+    assert fused_doubled_shares(passage, [(passage == 1, whole)] * 2) == (wanted, 0.0)
     # A map of a part of the place.
     part = CellBox(4, 3, 30, 57)
-    assert fused_doubled_shares(passage, [(passage[4:30, 3:57], part)])[1] == 0.0
-    assert fused_doubled_shares(passage, [(passage[4:30, 3:30], CellBox(4, 3, 30, 30))])[1] > 0.3
+    assert fused_doubled_shares(passage, [(passage[4:30, 3:57] == 1, part)])[1] == 0.0
+    assert (
+        fused_doubled_shares(passage, [(passage[4:30, 3:30] == 1, CellBox(4, 3, 30, 30))])[1] > 0.3
+    )
     single, slipped = np.zeros_like(passage), np.zeros_like(passage)
     single[10, 5:55] = slipped[15, 5:55] = 1
-    both = [(single, whole), (slipped, whole)]
+    both = [(single == 1, whole), (slipped == 1, whole)]
     assert fused_doubled_shares(np.maximum(single, slipped), both)[1] > 0.8
-    assert fused_doubled_shares(np.zeros_like(passage), [(passage, whole)])[1] == 0.0
+    assert fused_doubled_shares(np.zeros_like(passage), [(passage == 1, whole)])[1] == 0.0
 
 
 def test_tiles_tell_the_same_of_inputs(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -109,14 +111,11 @@ def test_tiles_tell_the_same_of_inputs(monkeypatch: pytest.MonkeyPatch) -> None:
     fused[5:145:23, 4:180] = fused[10:150:23, 4:90] = 1
     first, second = CellBox(0, 30, 150, 190), CellBox(60, 0, 121, 80)
     inputs = [
-        (fused[box.row0 : box.row1, box.col0 : box.col1].copy(), box) for box in (first, second)
+        (fused[box.row0 : box.row1, box.col0 : box.col1] == 1, box) for box in (first, second)
     ]
-    inputs[0][0][:, 50:] = 0
-    # As where an input's codes say more than its cells.
-    codes = [(np.where(cells == 1, 5, cells).astype(np.int8), box) for cells, box in inputs]
+    inputs[0][0][:, 50:] = False
     wanted = fused_doubled_shares(fused, inputs)
     assert wanted[0] > 2 * wanted[1] > 0.1
     for side in (40, 77):
         monkeypatch.setattr(doubled_walls, "TILE_CELLS", side)
         assert fused_doubled_shares(fused, inputs) == wanted
-        assert fused_doubled_shares(fused, codes, is_wall=lambda cells: cells == 5) == wanted

@@ -106,12 +106,10 @@ def test_rows_are_found_in_another_frame_and_with_wrong_stamps(
     late = np.random.default_rng(seed).uniform(-3.0, 3.0, 150)
     exact = part(odometry, rows, late)
     poses = compose_poses((x, y, yaw_rad), exact.poses)
-    match = match_odometry(Trajectory(exact.stamps_s, poses), odometry, TOLERANCE_M)
-    assert match.matched == 150
-    found = odometry.poses[match.rows]
+    matched = match_odometry(Trajectory(exact.stamps_s, poses), odometry, TOLERANCE_M)
+    assert np.count_nonzero(matched >= 0) == 150
+    found = odometry.poses[matched]
     np.testing.assert_allclose(found, odometry.poses[rows], atol=1e-9)
-    moved = match.pose_scan_file
-    assert (moved.x, moved.y) == pytest.approx((x, y), abs=1e-6)
 
 
 def test_stamps_that_are_off_do_no_harm_where_the_log_is_known() -> None:
@@ -141,8 +139,8 @@ def test_a_place_that_is_met_again_minutes_later_is_another_row() -> None:
     poses = np.column_stack((radius * np.cos(turn), radius * np.sin(turn), turn))
     odometry = Trajectory(0.2 * np.arange(1000), poses, "laps")
     rows = np.arange(0, 1000, 7)
-    match = match_odometry(part(odometry, rows, 0.3), odometry, TOLERANCE_M)
-    assert match.rows.tolist() == rows.tolist()
+    matched = match_odometry(part(odometry, rows, 0.3), odometry, TOLERANCE_M)
+    assert matched.tolist() == rows.tolist()
 
 
 def test_scans_without_a_row_are_counted_and_left_out() -> None:
@@ -152,7 +150,7 @@ def test_scans_without_a_row_are_counted_and_left_out() -> None:
     wrong = scans.poses.copy()
     wrong[7] += (0.02, 0.0, 0.0)
     scans = Trajectory(scans.stamps_s, wrong, "scans")
-    assert match_odometry(scans, odometry, TOLERANCE_M).rows[7] == -1
+    assert match_odometry(scans, odometry, TOLERANCE_M)[7] == -1
     dense = poses_by_odometry(
         part(truth, rows), scans, odometry, tolerance_s=TOLERANCE_S, tolerance_m=TOLERANCE_M
     )
@@ -235,10 +233,8 @@ def test_every_scan_of_intel_has_its_row_and_paths_their_known_errors(
     log: str, scans_in_it: int
 ) -> None:
     scans, odometry, relations = intel(log)
-    match = match_odometry(scans, odometry, TOLERANCE_M)
-    assert match.matched == scans_in_it
-    # The logs were turned by one fixed angle, as their description says.
-    assert match.pose_scan_file.yaw_rad == pytest.approx(-0.00245, abs=1e-4)
+    matched = match_odometry(scans, odometry, TOLERANCE_M)
+    assert np.count_nonzero(matched >= 0) == scans_in_it
     assert len(relations) == 2984
     assert score(scans, scans, odometry, relations)[0] == pytest.approx(7.39, abs=0.02)
     if log == "910":

@@ -14,15 +14,16 @@ from slamfusion.grid import OCCUPIED, OccupancyGrid
 from slamfusion.io import save_map
 from slamfusion.jobs.cases import CaseFile
 from slamfusion.jobs.evaluate import (
+    EvaluateDocument,
     agreement_items,
     compare_maps,
     difference_images,
     evaluate_cases,
-    evaluate_document,
     evaluate_maps,
     measure_distances,
     write_evaluation,
 )
+from slamfusion.jobs.records import Settings
 from slamfusion.json_values import plain
 from tests.fusion.drawings import fusion_config
 from tests.jobs.maps import CONFIG, device, files, moved
@@ -46,9 +47,10 @@ def test_maps_are_measured_where_they_lie_or_aligned(tmp_path: Path) -> None:
     images = difference_images(tmp_path / "image.png", [aligned.name, itself.name])
     write_evaluation([aligned, itself], CONFIG, report=tmp_path / "report", images=images)
     assert {"report/report.html", "image_moving.png", "image_building 3.png"} <= files(tmp_path)
-    document = evaluate_document([aligned], [], CONFIG, truth=Path("t.yaml"), device=device().name)
+    document = EvaluateDocument(
+        maps=[aligned], truth=Path("t.yaml"), device="numpy", seed=0, settings=Settings(CONFIG)
+    )
     check_document(plain(document), "evaluate")
-    assert document["maps"][0] is aligned
 
 
 def test_the_fixed_step_search_never_lays_a_map_onto_the_truth() -> None:
@@ -106,7 +108,7 @@ def test_without_a_truth_maps_are_compared_with_each_other() -> None:
     for name in ("a", grid.name):
         assert found[name]["bent"] is None
         assert found[name]["weight"] > 0.8
-    document = evaluate_document(
-        [], [], CONFIG, agreement=list(found.values()), truth=None, device=device().name
+    document = EvaluateDocument(
+        agreement=list(found.values()), device="numpy", seed=0, settings=Settings(CONFIG)
     )
     check_document(plain(document), "evaluate")

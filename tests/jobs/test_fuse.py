@@ -46,9 +46,12 @@ def test_maps_are_fused_measured_and_written(
     (tmp_path / "report" / "failed" / "report.html").write_text("old", encoding="utf-8")
     document = save_fused_maps(fused, tmp_path / "all", report=tmp_path / "report")
     check_document(plain(document), "fuse")
-    assert document["fused"] == str(tmp_path / "all.yaml")
-    assert load_map(document["fused"]).cells.tolist() == fused.grid.cells.tolist()
-    assert load_map(document["agreement"]).cells.tolist() == fused.agreement.cells.tolist()
+    assert (document.fused, document.agreement) == (
+        str(tmp_path / "all.yaml"),
+        str(tmp_path / "all_agreement.yaml"),
+    )
+    assert load_map(document.fused).cells.tolist() == fused.grid.cells.tolist()
+    assert load_map(document.agreement).cells.tolist() == fused.agreement.cells.tolist()
     # The report of a fusion that failed before goes with its folder.
     assert not (tmp_path / "report" / "failed").exists()
     assert (tmp_path / "report" / "report.html").exists()
@@ -61,7 +64,7 @@ def test_maps_that_do_not_fit_are_refused_with_what_was_tried(tmp_path: Path) ->
     assert len(caught.value.pairs) == 1
     document = failed_fuse_document(caught.value, grids, CONFIG, device().name)
     check_document(plain(document), "fuse", failed=True)
-    assert document["fused"] is None
+    assert document.fused is None
     first = write_failed_fusion(caught.value, grids, CONFIG, tmp_path, device=device().name)
     assert first == tmp_path / "report.html"
     # An earlier report is not replaced.
@@ -93,12 +96,12 @@ def test_maps_of_two_buildings_become_two_maps(tmp_path: Path) -> None:
         assert record.reason.endswith(f"; fused in group 2: {other.name}, again")
     document = save_fused_maps(fused, tmp_path / "out", report=tmp_path / "report")
     check_document(plain(document), "fuse")
-    first, last = document["groups"]
-    assert first["fused"] == document["fused"] == str(tmp_path / "out.yaml")
-    assert [item.moving for item in first["inputs"]] == [truth.name, "moving", "third"]
-    assert last["agreement"] == str(tmp_path / "out-2_agreement.yaml")
-    assert load_map(last["fused"]).cells.tolist() == second.fused.cells.tolist()
-    assert last["reference"] == second.reference
+    first, last = document.groups
+    assert first.fused == document.fused == str(tmp_path / "out.yaml")
+    assert [item.moving for item in first.inputs] == [truth.name, "moving", "third"]
+    assert last.agreement == str(tmp_path / "out-2_agreement.yaml")
+    assert load_map(str(last.fused)).cells.tolist() == second.fused.cells.tolist()
+    assert last.reference == second.reference
     page = (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
     assert "Further groups" in page
 

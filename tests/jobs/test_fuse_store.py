@@ -77,7 +77,7 @@ def test_the_store_holds_what_fuse_makes(
     for result, stem in zip((whole, *whole.others), stored.stems, strict=True):
         assert stem is not None
         assert np.array_equal(load_map(f"{stem}.yaml").cells, result.fused.cells)
-    document = stored.to_json()
+    document = plain(stored.document())
     check_document(plain(document), "fuse")
     assert (tmp_path / "out.json").read_bytes() == record_bytes(document)
     assert document["store"] == str(tmp_path / "out.zarr")
@@ -92,7 +92,7 @@ def test_a_map_too_large_for_a_map_server_is_in_the_store_alone(
     stored = fuse_maps(TWINS, CONFIG, device, store=tmp_path / "out.zarr")
     assert stored.stems == (None,)
     assert [item.name for item in tmp_path.iterdir()] == ["out.zarr"]
-    assert stored.to_json()["fused"] is None
+    assert stored.document().fused is None
     with pytest.raises(MapFileError, match=r"out\.zarr exists"):
         fuse_maps(TWINS, CONFIG, device, store=tmp_path / "out.zarr")
 

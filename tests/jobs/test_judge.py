@@ -13,7 +13,13 @@ from slamfusion.config import RunConfig, TrajectoryConfig
 from slamfusion.errors import TrajectoryError
 from slamfusion.io import read_trajectory, write_tum
 from slamfusion.io.carmen import write_carmen
-from slamfusion.jobs.judge import judge_paths, write_fused_path, write_judgement
+from slamfusion.jobs.judge import (
+    JudgeDocument,
+    errors_by_truth_m,
+    judge_paths,
+    write_fused_path,
+    write_judgement,
+)
 from slamfusion.json_values import plain
 from slamfusion.trajectory import Trajectory
 from tests.evidence.rooms import bent, circuit, moved, recorded
@@ -41,29 +47,28 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_paths_are_ranked_without_a_truth(drive: Path) -> None:
     files = [drive / "bent.tum", drive / "elsewhere.tum", drive / "sparse.tum"]
     found = judge_paths(drive / "drive.log", files)
-    assert list(found.paths) == ["bent", "elsewhere", "sparse"]
+    assert list(found.trajectories) == ["bent", "elsewhere", "sparse"]
     answer = found.recommendation
     assert answer.path in {"elsewhere", "sparse"}
     assert answer.best_single == answer.path
     assert answer.use is None
     assert [path.name for path in answer.paths][-1] == "bent"
-    document = found.to_json()
-    check_document(plain(document), "judge")
-    assert (document["ranking_by_truth"], document["ranking_by_relations"]) == ((), ())
-    by_name = {item.name: item for item in document["path_evidence"]}
+    document = plain(JudgeDocument(found, found.circumstances))
+    check_document(document, "judge")
+    assert (found.ranking_by_truth, found.ranking_by_relations) == ((), ())
+    by_name = {item.name: item for item in found.path_evidence}
     assert by_name["sparse"].own_poses_share == pytest.approx(1.0 / 6.0)
     assert by_name["sparse"].covered_share > 0.9
     assert not by_name["bent"].tied
     assert not all(span.agrees for span in by_name["bent"].spans)
-    assert document["recommendation"] is answer
 
 
 def test_with_a_truth_there_are_both_rankings(drive: Path) -> None:
     files = [drive / "bent.tum", drive / "elsewhere.tum"]
     found = judge_paths(drive / "drive.log", files, RunConfig(), truth=drive / "truth.tum")
-    assert list(found.errors_by_truth_m()) == ["elsewhere", "bent"]
-    assert found.errors_by_relations_m() == {}
-    document = plain(found.to_json())
+    assert list(errors_by_truth_m(found.measures)) == ["elsewhere", "bent"]
+    assert found.ranking_by_relations == ()
+    document = plain(JudgeDocument(found, found.circumstances))
     check_document(document, "judge")
     bent_path, elsewhere = document["paths"]
     assert elsewhere["ate"]["rmse"] == pytest.approx(0.0, abs=1e-6)
@@ -74,15 +79,15 @@ def test_one_path_is_made_of_all_and_judged_beside_them(drive: Path, tmp_path: P
     files = [drive / "bent.tum", drive / "elsewhere.tum", drive / "sparse.tum"]
     out = tmp_path / "one.tum"
     found = judge_paths(drive / "drive.log", files, truth=drive / "truth.tum", fused=out)
-    assert found.fused is not None
-    assert list(found.paths) == ["bent", "elsewhere", "sparse"]
+    assert found.fused_path is not None
+    assert list(found.trajectories) == ["bent", "elsewhere", "sparse"]
     answer = found.recommendation
     assert {path.name for path in answer.paths} == {"bent", "elsewhere", "sparse", "fused"}
     assert answer.path == "fused"
     assert answer.best_single in {"elsewhere", "sparse"}
-    assert found.errors_by_truth_m()["fused"] < 0.02
-    document = found.to_json()
-    check_document(plain(document), "judge")
+    assert errors_by_truth_m(found.measures)["fused"] < 0.02
+    document = plain(JudgeDocument(found, found.circumstances))
+    check_document(document, "judge")
     fused = document["fused_path"]
     assert fused is not None
     assert (fused.file, fused.poses) == (out, len(TRUTH))
@@ -91,7 +96,7 @@ def test_one_path_is_made_of_all_and_judged_beside_them(drive: Path, tmp_path: P
     assert not out.exists()
     write_fused_path(found)
     assert len(read_trajectory(out)) == len(TRUTH)
-    assert judge_paths(drive / "drive.log", files).to_json()["fused_path"] is None
+    assert judge_paths(drive / "drive.log", files).fused_path is None
 
 
 def test_paths_that_cannot_be_fused_are_one_line(drive: Path, tmp_path: Path) -> None:
@@ -105,7 +110,7 @@ def test_paths_that_cannot_be_fused_are_one_line(drive: Path, tmp_path: Path) ->
         judge_paths(log, [good, tmp_path / "short.tum"], fused=out)
     # A fused path of another day is a path like any other where none is made.
     found = judge_paths(log, {"truth": good, "fused": drive / "bent.tum"})
-    assert (found.fused, found.recommendation.path) == (None, "truth")
+    assert (found.fused_path, found.recommendation.path) == (None, "truth")
 
 
 def test_what_cannot_be_measured_does_not_take_the_answer_along(
@@ -116,7 +121,7 @@ def test_what_cannot_be_measured_does_not_take_the_answer_along(
     found = judge_paths(drive / "drive.log", files, truth=tmp_path / "other.tum")
     assert found.recommendation.path == "elsewhere"
     assert [words.split(":")[0] for words in found.not_measured] == ["bent", "elsewhere"]
-    check_document(plain(found.to_json()), "judge")
+    check_document(plain(JudgeDocument(found, found.circumstances)), "judge")
 
 
 @pytest.mark.once
@@ -130,7 +135,7 @@ def test_the_report_shows_the_drive_and_the_errors(drive: Path, tmp_path: Path) 
     assert f"<h1>{found.recommendation.headline}</h1>" in text
     assert "<strong>Single SLAM:</strong> elsewhere" in text
     assert "<details><summary>The scores</summary>" in text
-    assert f"{found.errors_by_truth_m()['bent']:.4f}" in text
+    assert f"{errors_by_truth_m(found.measures)['bent']:.4f}" in text
     assert "relations, m" not in text, "there were none"
     # A path alone.
     alone = judge_paths(drive / "drive.log", files[:1])
@@ -142,9 +147,9 @@ def test_the_report_shows_the_drive_and_the_errors(drive: Path, tmp_path: Path) 
 def test_two_files_of_one_name_are_told_apart(drive: Path, tmp_path: Path) -> None:
     write_tum(tmp_path / "bent.tum", TRUTH)
     found = judge_paths(drive / "drive.log", [drive / "bent.tum", tmp_path / "bent.tum"])
-    assert len(set(found.paths)) == 2
+    assert len(set(found.trajectories)) == 2
     assert found.recommendation.path == f"{tmp_path.name}/bent"
-    assert np.array_equal(found.paths[found.recommendation.path].stamps_s, TRUTH.stamps_s)
+    assert np.array_equal(found.trajectories[found.recommendation.path].stamps_s, TRUTH.stamps_s)
 
 
 def test_a_path_on_another_clock_is_named_and_put_on_the_logs(drive: Path, tmp_path: Path) -> None:

@@ -168,7 +168,7 @@ def test_a_fusion_is_shown_with_its_inputs_where_they_were_laid(tmp_path: Path) 
     assert cells(found, "room 1") == room("room 1", 1).cells.tolist()
     assert [name for name in maps if not maps[name]["is_shown"]] == ["agreement", "far"]
     (status,) = texts(found.scene.since(0)[0], "status")
-    for item, laid in zip(status["inputs"][1:], record["inputs"][1:], strict=True):
+    for item, laid in zip(status["inputs"][1:], record.fusion["inputs"][1:], strict=True):
         assert item["name"] == laid["name"]
         assert item["votes"] == laid["accepted"]
         assert item["transform"] == [laid["dx_m"], laid["dy_m"], laid["yaw_rad"]]
