@@ -154,8 +154,8 @@ class FusedGroup:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class FuseDocument:
-    """``slamfusion fuse``."""
+class _Fused:
+    """What is printed of a fusion, and of one that failed."""
 
     fusion: FusionJson = field(metadata=FLAT)
     fused: str | None = None
@@ -169,17 +169,26 @@ class FuseDocument:
     evaluations: Sequence[Evaluation] = ()
     """Errors of the inputs and of the fused map, with --truth."""
     given: GivenMaps = field(default=NO_FILES, metadata=FLAT)
-    circumstances: Circumstances = field(metadata=FLAT)
-    time_s: float | None = None
-    """Wall time of the fusion, seconds; null where nothing was fused."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class FailedFuseDocument(FuseDocument):
+class FuseDocument(_Fused):
+    """``slamfusion fuse``."""
+
+    circumstances: Circumstances = field(metadata=FLAT)
+    time_s: float
+    """Wall time of the fusion, seconds."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FailedFuseDocument(_Fused):
     """``slamfusion fuse`` of maps that do not fit, or with --require-all; exit code 1."""
 
     error: str
     """Why nothing was fused."""
+    circumstances: Circumstances = field(metadata=FLAT)
+    time_s: None = None
+    """Null."""
 
 
 NO_ALIGNMENT = cast("NoAlignmentJson", dict.fromkeys(NoAlignmentJson.__annotations__))

@@ -86,10 +86,8 @@ def test_one_path_is_made_of_all_and_judged_beside_them(drive: Path, tmp_path: P
     assert answer.path == "fused"
     assert answer.best_single in {"elsewhere", "sparse"}
     assert errors_by_truth_m(found.measures)["fused"] < 0.02
-    document = plain(JudgeDocument(found, found.circumstances))
-    check_document(document, "judge")
-    fused = document["fused_path"]
-    assert fused is not None
+    check_document(plain(JudgeDocument(found, found.circumstances)), "judge")
+    fused = found.fused_path
     assert (fused.file, fused.poses) == (out, len(TRUTH))
     assert fused.trust["bent"] < 0.9 < fused.trust["sparse"]
     # Nothing is written before it is asked for.
