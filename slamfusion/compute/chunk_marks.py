@@ -15,16 +15,8 @@ from __future__ import annotations
 import numpy as np
 
 from slamfusion.compute.arrays import I32, I64, U32, ArrayDevice, DeviceArray, host
-from slamfusion.compute.layout import (
-    BEAM_HALF,
-    BEAM_ONE,
-    BEAM_SHIFT,
-    FACINGS,
-    FACINGS_ALIKE,
-    MARK_REACH_MAX,
-)
+from slamfusion.compute.layout import BEAM_HALF, BEAM_ONE, BEAM_SHIFT, FACINGS, FACINGS_ALIKE
 from slamfusion.compute.tiles import tile_places, walk_cells
-from slamfusion.errors import DeviceError
 
 # Beams that are walked at once: each step of each is a row of some arrays.
 BATCH = 4096
@@ -105,13 +97,7 @@ class ChunkMarkDevice(ArrayDevice):
             (B, 2) int32, on the host: the squared distance from the end to the centre of the
             nearest cell that was hit, in (1/1024 cell)^2, -1 where there is none within reach; and
             1 where the cell of the end was seen, else 0.
-
-        Raises:
-            DeviceError: the reach is too far.
         """
-        if not 0 <= reach <= MARK_REACH_MAX:
-            message = f"marks are looked for within 0 to {MARK_REACH_MAX} cells, asked for {reach}"
-            raise DeviceError(message)
         if self.opencl:
             count, (height, width) = beams.shape[0], pages.shape
             out = self.opencl.empty((count, 2), np.int32)

@@ -13,7 +13,6 @@ import scipy
 from slamfusion.compute.arrays import I8, I64, U8, U16, ArrayDevice, DeviceArray, host
 from slamfusion.compute.lattice import fixed_cells
 from slamfusion.compute.layout import (
-    DISTANCE2_MAX,
     DISTANCE_LANES,
     DISTANCE_MAX,
     FIELD_ONE,
@@ -23,7 +22,6 @@ from slamfusion.compute.layout import (
     SPECK_FREE_CELLS,
     WINDOW_LANES,
 )
-from slamfusion.errors import DeviceError
 
 Cell = TypeVar("Cell", np.int8, np.uint8)
 
@@ -158,9 +156,6 @@ class FieldDevice(ArrayDevice):
             base: worth of a cell that says nothing.
         """
         if self.opencl:
-            if hit.shape != (DISTANCE2_MAX + 1,) or miss.shape != hit.shape:
-                message = f"score tables must have {DISTANCE2_MAX + 1} entries, found {hit.shape}"
-                raise DeviceError(message)
             out = self.opencl.empty(distance2.shape, np.uint8)
             cells = distance2.size
             worths = self.opencl.table(hit.astype(np.uint32) | miss.astype(np.uint32) << 16)

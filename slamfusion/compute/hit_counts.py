@@ -30,7 +30,6 @@ from slamfusion.compute.layout import (
     FULL_VISITS,
     HITS_SHIFT,
     MOST_BEAMS,
-    MOST_REACH,
     OFFSET_HALF,
     OFFSET_ONE,
     OFFSET_SHIFT,
@@ -160,18 +159,6 @@ def check_beams(scan: BeamScan) -> None:
         raise DeviceError(message)
 
 
-def check_rule(rule: FieldRule) -> None:
-    """Refuse a rule that no kernel can follow.
-
-    Raises:
-        DeviceError: the reach is too far, or the table is no table of distances.
-    """
-    if not 0 <= rule.reach <= MOST_REACH:
-        raise DeviceError(f"the field reaches 0 to {MOST_REACH} cells, asked for {rule.reach}")
-    if rule.table.shape != (TABLE_LAST + 1,) or (rule.table[1:] > rule.table[:-1]).any():
-        raise DeviceError(f"the field's table must have {TABLE_LAST + 1} entries that never rise")
-
-
 class _Walks(NamedTuple):
     """Every step of every beam in every map, flat: the map and the cell."""
 
@@ -245,7 +232,6 @@ def full_field(counts: U32, sums: U32, rule: FieldRule) -> U8:
         (H, W) uint8.
     """
     height, width = counts.shape
-    check_rule(rule)
     padded = [np.pad(values, rule.reach) for values in (counts, sums)]
     best = np.zeros(counts.shape, dtype=np.int64)
     for dx, dy in _square(rule.reach):
@@ -401,7 +387,6 @@ class HitCountDevice(ArrayDevice):
         Returns:
             As ``count_beams``.
         """
-        check_rule(rule)
         check_beams(scan)
         if self.opencl:
             marks = self.opencl.cleared((counts.shape[0], TILE), np.uint32)

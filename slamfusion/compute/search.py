@@ -23,7 +23,6 @@ from slamfusion.compute.layout import (
     SHIFT_TILE,
     UNKNOWN,
 )
-from slamfusion.errors import DeviceError
 
 if TYPE_CHECKING:
     from slamfusion.compute.opencl import OpenCLDevice
@@ -215,7 +214,7 @@ class SearchDevice(ArrayDevice):
         Args:
             fields: (K or 1, FH, FW) uint8, values 0..15.
             offsets: (K or 1, N) int32, ``row * FW + col`` of each point; every shift stays inside.
-            shift_shape: (SH, SW).
+            shift_shape: (SH, SW), SW a multiple of ``SHIFT_LANES``.
             spans: (K, G, 4) int32 for each ``SHIFT_POINTS`` points the first and last row and the
                 first and last column of the shifts at which any of them reads something else than
                 ``base``;
@@ -229,11 +228,6 @@ class SearchDevice(ArrayDevice):
             planes, field_height, field_width = fields.shape
             count = max(planes, len(offsets))
             height, width = shift_shape
-            if width % SHIFT_LANES:
-                message = (
-                    f"shifts along a row must come in multiples of {SHIFT_LANES}, found {width}"
-                )
-                raise DeviceError(message)
             sums = self.opencl.empty((count, height, width), np.int32)
             points = offsets.shape[1]
             field_stride = field_height * field_width if planes > 1 else 0

@@ -92,21 +92,15 @@ class Uncertainty:
         self._place, self._poses = equations.place, poses
         self._factor = factorise(equations.matrix())
 
-    def relative(self, pairs: npt.ArrayLike) -> F64:
-        """Return the covariance of the second pose of each pair in the frame of the first.
+    def in_world_axes(self, pairs: Indices) -> F64:
+        """Return covariances of the second pose of each pair relative to the first, (K, 3, 3).
 
         Args:
             pairs: (K, 2) poses.
 
         Returns:
-            (K, 3, 3) of x, y in metres and yaw in radians, in the axes of the second pose: the
-            inverse is what an edge's information would have to be.
+            Of x, y in metres and yaw in radians, in the world's axes.
         """
-        indices = np.asarray(pairs, np.int64).reshape(-1, 2)
-        return turned(self.in_world_axes(indices), -self._poses[indices[:, 1], 2])
-
-    def in_world_axes(self, pairs: Indices) -> F64:
-        """Return the same covariances in the world's axes, (K, 3, 3)."""
         parts = [
             self._solve(pairs[start : start + PAIRS_AT_ONCE])
             for start in range(0, len(pairs), PAIRS_AT_ONCE)

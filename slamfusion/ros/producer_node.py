@@ -324,7 +324,7 @@ class ProducerNode(NodeBase):
             "odometry with a stray stamp": None if odometry is None else odometry.strays,
             "last odometry [s ago]": None if heard_s is None else now_s - heard_s,
             **{f"left out: {key}": count for key, count in left_out.items()},
-            **{f"not used: {key}": count for key, count in health.skips.items()},
+            **{f"not used: {key}": count for key, count in health.skips.counts.items()},
             "scans received": self._received,
             "scans dropped": self._dropped,
             "scans waiting": self._worker.waiting,

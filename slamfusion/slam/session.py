@@ -6,6 +6,7 @@ a frozen snapshot, replaced as a whole, so that others read it without a lock.
 
 from __future__ import annotations
 
+import copy
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -78,30 +79,6 @@ class Answer:
     unused: str = ""
 
 
-@dataclass(frozen=True)
-class HealthFigures:
-    """The figures of ``Health``, as they were after a scan."""
-
-    scans_used: int = 0
-    match_score: float | None = None
-    mean_match_score: float | None = None
-    low_scores: int = 0
-    n_eff: float | None = None
-    skips: Mapping[str, int] = field(default_factory=dict)
-
-    @classmethod
-    def of(cls, health: Health) -> HealthFigures:
-        """Return the figures of a record that goes on."""
-        return cls(
-            health.scans_used,
-            health.match_score,
-            health.mean_match_score,
-            health.low_scores,
-            health.n_eff,
-            dict(health.skips.counts),
-        )
-
-
 @dataclass(frozen=True, eq=False)
 class Snapshot:
     """What the worker of scans made so far.
@@ -128,7 +105,7 @@ class Snapshot:
     fed_s: float | None = None
     pose: Pose2 = IDENTITY
     unmapped: int = 0
-    health: HealthFigures = field(default_factory=HealthFigures)
+    health: Health = field(default_factory=Health)
     problem: str = ""
     busy_since_s: float | None = None
     map_at_s: float = NEVER_S
@@ -258,7 +235,7 @@ class ProducerSession:
             self._producer = self._make()
             self._producer_generation, self._job = item.generation, None
             self._moved.clear()
-            self._change(fed_s=None, unmapped=0, is_settled=True, health=HealthFigures())
+            self._change(fed_s=None, unmapped=0, is_settled=True, health=Health())
         fed_s = self.snapshot.fed_s
         if fed_s is not None and item.stamp_s <= fed_s:
             if item.stamp_s < fed_s:
@@ -284,7 +261,7 @@ class ProducerSession:
             fed_s=item.stamp_s,
             pose=step.pose_map_base,
             unmapped=before.unmapped + 1,
-            health=HealthFigures.of(self._producer.health),
+            health=copy.deepcopy(self._producer.health),
             deskewing=replace(self._deskewer.done),
             latencies_s=(*before.latencies_s[1 - LATENCIES :], latency_s),
         )

@@ -120,10 +120,6 @@ class SideBySide:
             _stop(job)
         self._jobs.clear()
 
-    def process_id(self, name: str) -> int | None:
-        """Return the number of a producer's process; None where it is not at work."""
-        return next((job.process.pid for job in self._jobs if job.name == name), None)
-
     def wait(self, progress: Progress | None = None) -> tuple[Outcome, ...]:
         """Return what became of each producer, in the order given, when the last one has ended."""
         while self._jobs:

@@ -9,8 +9,7 @@ import numpy.typing as npt
 import pytest
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.compute.layout import BEAM_HALF, BEAM_ONE, FACINGS, MARK_REACH_MAX, TILE
-from slamfusion.errors import DeviceError
+from slamfusion.compute.layout import BEAM_HALF, BEAM_ONE, FACINGS, TILE
 
 PAGES = np.array([[0, 0, 0], [0, 1, 0], [0, 0, 0]], dtype=np.int32)
 # A beam from cell (50, 40) to the centre of cell (40, 40), which is hit on a face to the east.
@@ -63,9 +62,3 @@ def test_the_other_face_of_a_wall_is_not_found(pocl: ComputeDevice, facing: int)
 def test_beyond_the_window_there_is_nothing(pocl: ComputeDevice):
     for cell in ((-5, 40), (40, -5), (500, 40), (40, 500), (10, 10)):
         assert look_up(pocl, cell) == [-1, 0]
-
-
-def test_a_reach_too_far_is_refused(pocl: ComputeDevice):
-    for reach in (-1, MARK_REACH_MAX + 1):
-        with pytest.raises(DeviceError, match=rf"within 0 to {MARK_REACH_MAX} cells"):
-            look_up(pocl, reach=reach)

@@ -95,14 +95,3 @@ def test_tolerance_of_float_kernels_is_not_slack(monkeypatch: pytest.MonkeyPatch
     exact = loose.refine_terms
     monkeypatch.setattr(loose, "refine_terms", lambda *a, **k: 1.001 * exact(*a, **k))
     assert "values differ" in differences("refine_terms", loose, Sample((40, 60)))
-
-
-def test_tables_and_shifts_of_the_wrong_size_are_refused(pocl: ComputeDevice):
-    d2 = pocl.upload(np.zeros((4, 4), dtype=np.uint16))
-    share = pocl.upload(np.zeros((4, 4), dtype=np.uint8))
-    short = np.zeros(9, dtype=np.uint16)
-    with pytest.raises(DeviceError, match="4097 entries"):
-        pocl.score_field(d2, share, short, short, 0)
-    fields = pocl.upload(np.zeros((1, 40, 90), dtype=np.uint8))
-    with pytest.raises(DeviceError, match="must come in multiples"):
-        pocl.correlate(fields, np.zeros((1, 1), dtype=np.int32), (9, 65))

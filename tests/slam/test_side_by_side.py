@@ -58,9 +58,15 @@ def run(
     return {outcome.name: outcome for outcome in outcomes}
 
 
+def process_of(name: str) -> int | None:
+    """Return the number of a producer's process; None where it is not at work."""
+    found = multiprocessing.active_children()
+    return next((one.pid for one in found if one.name == f"slamfusion-{name}"), None)
+
+
 def signal_to(name: str, number: signal.Signals) -> Callable[[SideBySide], None]:
-    def send(side_by_side: SideBySide) -> None:
-        process = side_by_side.process_id(name)
+    def send(_: SideBySide) -> None:
+        process = process_of(name)
         assert process is not None
         os.kill(process, number)
 
@@ -109,8 +115,8 @@ def test_a_frozen_producer_is_stopped_at_its_time_limit(log: Path) -> None:
 
 def test_the_longest_job_starts_first_and_no_more_run_than_may(log: Path) -> None:
     names = ("tinyslam", "graph", "gmapping")
-    with SideBySide(names, log, with_settings(processes=1)) as side_by_side:
-        assert [side_by_side.process_id(name) is None for name in names] == [True, True, False]
+    with SideBySide(names, log, with_settings(processes=1)):
+        assert [process_of(name) is None for name in names] == [True, True, False]
     assert not multiprocessing.active_children()
 
 
@@ -145,8 +151,8 @@ def test_the_processes_share_the_cores_and_ours_keeps_its_environment(
     monkeypatch.delenv("POCL_MAX_PTHREAD_COUNT", raising=False)
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
     before = dict(os.environ)
-    with SideBySide(("tinyslam", "graph"), log, CONFIG) as side_by_side:
-        process = side_by_side.process_id("graph")
+    with SideBySide(("tinyslam", "graph"), log, CONFIG):
+        process = process_of("graph")
         theirs = environment_of(process)
     assert theirs["POCL_MAX_PTHREAD_COUNT"] == str(max(1, usable_cores() // 2))
     assert theirs["OMP_NUM_THREADS"] == "7"

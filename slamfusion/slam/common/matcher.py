@@ -39,36 +39,25 @@ _ROW_STRIDE = 1 << 32
 FIRST_NARROWING, NARROWING = 0.4, 0.5
 
 
-@dataclass(frozen=True)
-class Spread:
-    """Standard deviations of the first look."""
-
-    xy_m: float
-    yaw_rad: float
-
-    def sigmas(self) -> F64:
-        """Return (3,) x, y, yaw."""
-        return np.array([self.xy_m, self.xy_m, self.yaw_rad])
-
-    def wider(self, factor: float) -> Spread:
-        """Return the spread times a factor."""
-        return Spread(self.xy_m * factor, self.yaw_rad * factor)
+def spread_of(xy_m: float, yaw_rad: float) -> F64:
+    """Return (3,) standard deviations of x, y and yaw."""
+    return np.array([xy_m, xy_m, yaw_rad])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PoseHypothesis:
     """Where the robot may have gone.
 
     Attributes:
         pose: (3,) x, y in metres and yaw in radians, map frame.
-        spread: how far to look around it.
+        spread: (3,) standard deviations of x, y and yaw, how far to look around it.
         loss: what believing it costs, in units of the score.
         by_odometry: whether it is where odometry says.
         trust: times what leaving its place costs, see ``search_pose``.
     """
 
     pose: F64
-    spread: Spread
+    spread: F64
     loss: float = 0.0
     by_odometry: bool = False
     trust: float = 1.0
@@ -81,7 +70,6 @@ class Match:
     Attributes:
         pose: (3,) x, y in metres and yaw in radians, map frame.
         score: mean wall value under the hits there, 0 to 1.
-        objective: the score less the loss for leaving the nearest hypothesis.
         moved: how far the pose lies from the first hypothesis, in spreads, along the worst axis.
         hessian: (3, 3) negative Hessian of the response there, see ``response_hessian``; None: not
             measured.
@@ -89,7 +77,6 @@ class Match:
 
     pose: F64
     score: float
-    objective: float
     moved: float
     hessian: F64 | None = None
 
@@ -183,7 +170,7 @@ class ScanOnTiles:
             return np.column_stack((poses[:, :2] / cell - self._corner, yaw))
 
         centres = rows(np.array([one.pose for one in hypotheses]))
-        sigmas = np.array([one.spread.sigmas() for one in hypotheses]) / (cell, cell, 1.0)
+        sigmas = np.array([one.spread for one in hypotheses]) / (cell, cell, 1.0)
         own = [one.loss for one in hypotheses]
         losses = np.column_stack((centres, weights / sigmas**2, own)).astype(np.float32)
         first = np.column_stack((rows(starts), np.cos(starts[:, 2]), np.sin(starts[:, 2])))
@@ -240,7 +227,7 @@ def search_pose(
         hypotheses: at least one; the first look draws as many poses around each.
     """
     centres = np.array([one.pose for one in hypotheses])
-    sigmas = np.array([one.spread.sigmas() for one in hypotheses])
+    sigmas = np.array([one.spread for one in hypotheses])
     weights = np.array([config.prior_weight_xy, config.prior_weight_xy, config.prior_weight_yaw])
     # The score is a mean: of few cells it is worth less against the hypotheses.
     weights *= max(1.0, TELLING_CELLS / scan.cells)
@@ -271,7 +258,6 @@ def search_pose(
     return Match(
         pose=pose,
         score=objective + float(loss(pose[None])[0]),
-        objective=objective,
         moved=float(np.abs(away / sigmas[0]).max()),
     )
 

@@ -22,10 +22,10 @@ from slamfusion.slam.common.matcher import (
     Match,
     PoseHypothesis,
     ScanOnTiles,
-    Spread,
     keep_degenerate_prior,
     response_hessian,
     search_pose,
+    spread_of,
 )
 from slamfusion.slam.common.state import Stateful
 
@@ -135,7 +135,7 @@ class Tracker(Stateful):
         is_low = mean is not None and match.score < LOW_SHARE * mean
         if is_low and self.searches_again:
             more = replace(config, first_poses=SECOND_SEARCH_POSES * config.first_poses)
-            around = [replace(g, spread=g.spread.wider(SECOND_SEARCH_SPREAD)) for g in hypotheses]
+            around = [replace(g, spread=SECOND_SEARCH_SPREAD * g.spread) for g in hypotheses]
             again = search_pose(scan, around, more, self.rng, trust)
             if again.score > match.score + SECOND_SEARCH_GAIN:
                 match = again
@@ -188,7 +188,7 @@ class Tracker(Stateful):
         """Return how many times more leaving the odometry costs than on a map of many scans."""
         if not self.doubts_young_map:
             return 1.0
-        spreads = math.hypot(step.x, step.y) / self._spread(step, 1.0).xy_m
+        spreads = math.hypot(step.x, step.y) / float(self._spread(step, 1.0)[0])
         standing = self.config.prior_weight_xy * spreads**2
         if standing * YOUNG_SCANS < STANDING_LOSS:
             return 1.0
@@ -198,13 +198,12 @@ class Tracker(Stateful):
         start = self.pose or IDENTITY
         return PoseHypothesis(row_of(start.compose(step)), self._spread(step, wider), loss)
 
-    def _spread(self, step: Pose2, wider: float) -> Spread:
+    def _spread(self, step: Pose2, wider: float) -> F64:
         config = self.config
-        spread = Spread(
+        return wider * spread_of(
             config.sigma_m + config.sigma_m_per_m * math.hypot(step.x, step.y),
             config.sigma_rad + config.sigma_rad_per_rad * abs(step.yaw_rad),
         )
-        return spread.wider(wider)
 
     def _remember(self, score: float) -> None:
         """Keep the record of match scores."""

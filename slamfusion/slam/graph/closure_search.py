@@ -27,9 +27,9 @@ from slamfusion.geometry import F64, wrap_angle, wrap_angles
 from slamfusion.slam.common.matcher import (
     PoseHypothesis,
     ScanOnTiles,
-    Spread,
     response_information,
     search_pose,
+    spread_of,
 )
 from slamfusion.slam.graph.submap import UNSEEN_WALL, Pyramid, Submap, seen_score
 
@@ -244,7 +244,7 @@ class ClosureSearch:
         least = max(config.loop_match_minimum_response, MEAN_SHARE * mean_score)
         turn = min(config.coarse_search_angle_offset, TURN_RAD + TURN_RAD_PER_M * drift_m)
         if drift_m <= LOCAL_DRIFT_M:
-            spread = Spread(max(drift_m / 2.0, LEAST_SPREAD_M), turn / 2.0)
+            spread = spread_of(max(drift_m / 2.0, LEAST_SPREAD_M), turn / 2.0)
             hypothesis = PoseHypothesis(expected, spread)
             found = self._fine(submap, points, hypothesis, least, MOST_UNSEEN)
             if isinstance(found, Found) and _is_news(expected, found.pose):
@@ -368,4 +368,4 @@ def _is_news(expected: F64, found: F64) -> bool:
 
 def _around(coarse: F64) -> PoseHypothesis:
     """Return where the fine search looks around what a window has found."""
-    return PoseHypothesis(coarse, Spread(AFTER_WINDOW_M, AFTER_WINDOW_RAD))
+    return PoseHypothesis(coarse, spread_of(AFTER_WINDOW_M, AFTER_WINDOW_RAD))

@@ -19,10 +19,10 @@ from slamfusion.slam.common.matcher import (
     MOST_SIGMA,
     PoseHypothesis,
     ScanOnTiles,
-    Spread,
     keep_degenerate_prior,
     response_hessian,
     search_pose,
+    spread_of,
 )
 from slamfusion.slam.graph.map_graph import turned
 from slamfusion.slam.graph.submap import Submap
@@ -94,7 +94,9 @@ def spread_of_matches(place: Place, index: int) -> tuple[F64, F64]:
     for seed in range(100):
         points = place.points(pose, 1000 + seed, 0.015)
         scan = ScanOnTiles(place.device, place.submap.walls(), points, config.beams)
-        hypothesis = PoseHypothesis(truth + rng.normal(0.0, (0.05, 0.05, 0.02)), Spread(0.1, 0.05))
+        hypothesis = PoseHypothesis(
+            truth + rng.normal(0.0, (0.05, 0.05, 0.02)), spread_of(0.1, 0.05)
+        )
         pose_found = search_pose(scan, [hypothesis], config, rng).pose
         found.append(pose_found)
         information = place.information(Pose2(*(float(v) for v in pose_found)), points)
