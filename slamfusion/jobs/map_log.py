@@ -115,8 +115,8 @@ class MappedLog:
             all the same.
     """
 
-    producers: tuple[SlamProducer]
-    """The one producer."""
+    producers: Sequence[SlamProducer]
+    """The one producer; of several seeds one for each."""
     files: LogFiles = field(metadata=FLAT)
     made_with: Circumstances = field(metadata=FLAT)
     mapper: Mapper = field(repr=False)

@@ -115,7 +115,7 @@ class RunFiles(LogFiles):
 class RunRecord:
     """The record NAME.json that ``slamfusion run`` writes next to a producer's map."""
 
-    producers: tuple[RunProducer]
+    producers: Sequence[RunProducer]
     """The one producer."""
     files: RunFiles = field(metadata=FLAT)
     made_with: Circumstances = field(metadata=FLAT)

@@ -217,8 +217,8 @@ def test_paths_of_several_logs(ask: Ask, tmp_path: Path) -> None:
 def test_maps_and_paths_may_follow_each_other() -> None:
     words = "drive.txt -o out --inputs a.yaml b.yaml --paths a.tum b=c.csv --seed 3"
     given = run.command.make_context("run", words.split()).params
-    assert given["maps"] == (Path("a.yaml"), Path("b.yaml"))
-    assert given["paths"] == (CaseFile(Path("a.tum")), CaseFile(Path("c.csv"), "b"))
+    assert given["saved_maps"] == (Path("a.yaml"), Path("b.yaml"))
+    assert given["saved_paths"] == (CaseFile(Path("a.tum")), CaseFile(Path("c.csv"), "b"))
     assert given["logs"] == (Path("drive.txt"),)
     behind = "--paths a.tum drive.log --inputs a.yaml -o out"
     assert run.command.make_context("run", behind.split()).params["logs"] == (Path("drive.log"),)
