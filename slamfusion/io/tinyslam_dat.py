@@ -56,25 +56,22 @@ class TinySlamDat(ScanLog):
         super().__init__(path, config)
         self.notes.append(f"{_HIDDEN} beams at each side are left out: the robot's body hides them")
         self._range_max_m = config.no_return_m or _RANGE_MAX_M
-        clock_us = _Unwrapped(_CLOCK_TURNS)
-        left, right = _Unwrapped(_TICK_TURNS), _Unwrapped(_TICK_TURNS)
-        pose: Pose2 | None = None
-        ticks = (0.0, 0.0)
-        for number, _, values in parsed_lines(self.path, _parsed):
+        lines = parsed_lines(self.path, _parsed)
+        rows = [values for _, _, values in lines if not isinstance(values, str)]
+        table = np.array([values[[0, 2, 3]] for values in rows]).reshape(-1, 3)
+        stamps_s = _unwrapped(table[:, 0], _CLOCK_TURNS) * 1e-6
+        ticks = np.stack([_unwrapped(table[:, k], _TICK_TURNS) for k in (1, 2)], axis=1)
+        ways_m = np.diff(ticks, axis=0, prepend=ticks[:1]) * _METRES_PER_TICK
+        pose, index = Pose2(), 0
+        for number, _, values in lines:
             if isinstance(values, str):
                 self.records.append((number, values))
                 continue
-            stamp_s = clock_us.follow(float(values[0])) * 1e-6
-            now = (left.follow(float(values[2])), right.follow(float(values[3])))
-            ways_m = (
-                (after - before) * _METRES_PER_TICK
-                for after, before in zip(now, ticks, strict=True)
-            )
-            pose = Pose2() if pose is None else drive_arc(pose, *ways_m)
-            ticks = now
-            scan = self._scan(values[_BEAMS] * 1e-3, stamp_s)
+            pose = drive_arc(pose, *ways_m[index].tolist())
+            scan = self._scan(values[_BEAMS] * 1e-3, float(stamps_s[index]))
             self.records.append((number, LogScan(scan, pose, number)))
-        if pose is None:
+            index += 1
+        if not rows:
             for number, fault in self.records:
                 self.skips.add(str(fault), number)
             reasons = "; ".join(self.skips.sentences()) or "the file is empty"
@@ -139,26 +136,13 @@ _CLOCK_TURNS = (2.0**32,)
 _TICK_TURNS = (2.0**16, 2.0**32)
 
 
-class _Unwrapped:
-    """Follows a counter across its wraps."""
-
-    def __init__(self, turns: tuple[float, ...]) -> None:
-        self._turns = turns
-        self._raw: float | None = None
-        self._total = 0.0
-
-    def follow(self, raw: float) -> float:
-        """Return the count as if it had never wrapped."""
-        if self._raw is None:
-            self._raw = self._total = raw
-            return raw
-        step = raw - self._raw
-        for turn in self._turns:
-            # Half a turn within one scan is no motion (2^15 ticks would be 8 m), but only a
-            # counter that never left its turn can have wrapped there.
-            if 0.5 * turn < abs(step) < turn and max(abs(raw), abs(self._raw)) < turn:
-                step -= math.copysign(turn, step)
-                break
-        self._raw = raw
-        self._total += step
-        return self._total
+def _unwrapped(counts: F64, turns: tuple[float, ...]) -> F64:
+    """Return the counts (N,) of a counter as if it had never wrapped."""
+    raw, largest = np.diff(counts), np.maximum(np.abs(counts[1:]), np.abs(counts[:-1]))
+    steps = raw.copy()
+    for turn in reversed(turns):  # the shortest one that fits decides
+        # Half a turn within one scan is no motion (2^15 ticks would be 8 m), but only a counter
+        # that never left its turn can have wrapped there.
+        has_wrapped = (np.abs(raw) > 0.5 * turn) & (np.abs(raw) < turn) & (largest < turn)
+        steps = np.where(has_wrapped, raw - np.copysign(turn, raw), steps)
+    return np.asarray(counts[:1] + np.concatenate((np.zeros(len(counts[:1])), np.cumsum(steps))))

@@ -14,7 +14,6 @@ from bisect import bisect_left
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -30,6 +29,9 @@ Row = tuple[float, float, float, float, float, float, float]
 # The transforms before and after some times, (N, 7) each, and the shares (N,) of the way between;
 # of one time a row each and a number.
 Around = tuple[npt.ArrayLike, npt.ArrayLike, npt.ArrayLike]
+
+# An edge between two frames, and whether it is walked from the parent to the child.
+Step = tuple["Edge", bool]
 
 # A time this little outside of what is known takes the nearest transform, seconds.
 HOLD_S = 0.05
@@ -166,17 +168,6 @@ class Edge:
         return self.rows[after - 1], self.rows[after], since_s / (since_s + until_s)
 
 
-class Step(NamedTuple):
-    """An edge on the way from one frame to another.
-
-    Attributes:
-        is_forward: it is walked from the parent to the child.
-    """
-
-    edge: Edge
-    is_forward: bool
-
-
 def _is_same(one: Row, other: Row) -> bool:
     return all(abs(a - b) <= SAME for a, b in zip(one, other, strict=True))
 
@@ -229,7 +220,7 @@ class TransformTree:
     row that are more than ``BACK_S`` older than the newest begin their frame again (time jumped
     back); a single one, or one far ahead, is left out (see ``StampGate``), and so is one that is a
     little older and comes too late. A frame has the parent that was sent last. Ask it with
-    ``lookup`` and ``mount``, which refuse a time that is not known.
+    ``mount``, which refuses a time that is not known.
 
     In both a static transform holds at every time, and the one that was sent last is used; one that
     is static from now on, or no more, begins again. Frames are related by the shortest way over
@@ -374,21 +365,11 @@ class TransformTree:
         times = np.atleast_1d(np.asarray(stamps_s, dtype=np.float64))
         return _chained(way, [edge.around(times) for edge, _ in way], len(times))
 
-    def lookup(self, target: str, source: str, time_s: float) -> Pose2:
-        """Return the pose of a frame in another at a time, in plan; see ``mount``.
-
-        Args:
-            target: the frame the pose is in.
-            source: the frame whose pose it is.
-        """
-        return self.mount(target, source, time_s).pose
-
     def mount(self, target: str, source: str, time_s: float, hold_s: float = HOLD_S) -> Mount:
         """Return where a frame sits in another at a time, interpolated as in ``sample``.
 
-        Args:
-            target: the frame the pose is in.
-            source: the frame whose pose it is.
+        Raises:
+            TransformError: nothing connects the frames, the time is not known, or it is tilted.
         """
         way = self._known_way(target, source)
         found = [edge.near(time_s, hold_s) for edge, _ in reversed(way)]
@@ -442,8 +423,8 @@ def _shortest_way(
     """Search breadth first: the shortest way, and by the first sent of equals."""
     neighbours: dict[str, list[tuple[str, Step]]] = {}
     for (parent, child), edge in edges.items():
-        neighbours.setdefault(parent, []).append((child, Step(edge, is_forward=True)))
-        neighbours.setdefault(child, []).append((parent, Step(edge, is_forward=False)))
+        neighbours.setdefault(parent, []).append((child, (edge, True)))
+        neighbours.setdefault(child, []).append((parent, (edge, False)))
     ways: dict[str, list[Step]] = {target: []}
     queue = deque([target])
     while queue:
@@ -480,7 +461,8 @@ def _chained(way: Sequence[Step], found: Sequence[Around], count: int) -> F64:
     poses[..., :3, 3] = moves.reshape(len(way), count, 3)
     poses[..., 3, 3] = 1.0
     walked = [
-        pose if step.is_forward else _inverse(pose) for step, pose in zip(way, poses, strict=True)
+        pose if is_forward else _inverse(pose)
+        for (_, is_forward), pose in zip(way, poses, strict=True)
     ]
     return functools.reduce(operator.matmul, walked)
 
