@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from slamfusion.config import LogConfig
 from slamfusion.errors import LogError, ScanError
-from slamfusion.io.bags.odometry import OdometrySurvey
+from slamfusion.io.bags.odometry import BagFrames
 from slamfusion.io.bags.reader import SCAN_TYPES, OpenBag, open_bag, stamp_s
 from slamfusion.io.log import LogScan, ScanLog
 from slamfusion.io.transforms import TILT_MAX_RAD, Mount
@@ -96,15 +96,13 @@ class BagLog(ScanLog):
         with open_bag(self.path, self.notes) as bag:
             self._scan_topic = bag.choose_topic(SCAN_TYPES, config.scan_topic, "scan_topic")
             first = self._first_messages(bag)
-            survey = OdometrySurvey(
-                self.path, config, self._scan_topic, first[0].header.frame_id.lstrip("/"),
-                notes=self.notes,
-            )  # fmt: skip
-            survey.read(bag)
+            laser_frame = first[0].header.frame_id.lstrip("/")
+            frames = BagFrames(bag, config, self._scan_topic, laser_frame)
+            frames.find_odometry()
         # One or a few of many scans may lack a stamp.
         self._uses_record_time = not any(stamp_s(message) for message in first)
-        self._tree, self._odometry = survey.tree, survey.odometry
-        self._base_frame = survey.base_frame
+        self._tree, self._odometry = frames.tree, frames.odometry
+        self._base_frame = frames.base_frame
         if self._odometry is None and config.odom_topic != "none":
             self.notes.append(
                 "no odometry: neither nav_msgs/Odometry nor transforms from "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -65,50 +65,50 @@ class BagOdometry:
         return np.array(rows) if len(rows) == len(poses) else None
 
 
-@dataclass
-class OdometrySurvey:
+class BagFrames:
     """What a first pass over a bag finds: where frames lie to each other, and the odometry.
 
     Attributes:
-        path: of the bag, for errors.
-        config: topics and frames.
-        scan_topic: of several robots the one in this topic's namespace is read.
-        laser_frame: of the scans.
         odometry: by messages, else by transforms; None where neither is there.
         base_frame: the frame whose pose the odometry is; empty where nothing says it.
-        notes: what a user should know of what was left out.
     """
 
-    path: Path
-    config: LogConfig
-    scan_topic: str
-    laser_frame: str
-    tree: TransformTree = field(default_factory=TransformTree)
-    odometry: BagOdometry | None = None
-    base_frame: str = ""
-    notes: list[str] = field(default_factory=list)
+    def __init__(
+        self, bag: OpenBag, config: LogConfig, scan_topic: str = "", laser_frame: str = ""
+    ) -> None:
+        """Read the transforms.
 
-    def read(self, bag: OpenBag) -> None:
-        """Take in the bag; refuse a base frame that was asked for and is nowhere."""
-        self._read_transforms(bag)
-        self.odometry = self._find_odometry(bag)
-        self.base_frame = self._find_base_frame()
-        wanted = self.config.base_frame
+        Args:
+            scan_topic: of several robots the one in this topic's namespace is read.
+            laser_frame: of the scans.
+        """
+        self.tree = TransformTree()
+        self.odometry: BagOdometry | None = None
+        self.base_frame = ""
+        self._bag, self._config = bag, config
+        self._scan_topic, self._laser_frame = scan_topic, laser_frame
+        self._read_transforms()
+
+    def find_odometry(self) -> None:
+        """Find the odometry; refuse a base frame that was asked for and is nowhere."""
+        self.odometry = self._found_odometry()
+        self.base_frame = self._found_base_frame()
+        wanted = self._config.base_frame
         known = self.tree.frames | ({self.odometry.base_frame} if self.odometry else set())
         if wanted is not None and wanted.lstrip("/") not in known:
-            raise LogError(self._no_way(self.config.odom_frame, wanted))
+            raise LogError(self._no_way(self._config.odom_frame, wanted))
 
-    def _read_transforms(self, bag: OpenBag) -> None:
+    def _read_transforms(self) -> None:
         unusable = 0
         senders: dict[str, str] = {}
-        for topic, _, message in bag.messages(*self._transform_topics(bag)):
+        for topic, _, message in self._bag.messages(*self._transform_topics()):
             is_static = topic.endswith("tf_static")
             for item in () if message is None else message.transforms:
                 namespace = topic.rpartition("/")[0]
                 other = senders.setdefault(item.child_frame_id, namespace)
                 if other != namespace:
                     raise LogError(
-                        f"{self.path}: frame {item.child_frame_id!r} is sent on {other}/tf and on "
+                        f"{self._bag.path}: frame {item.child_frame_id!r} is sent on {other}/tf and on "
                         f"{namespace}/tf: two robots? choose one with tf_topic"
                     )
                 move, turn = item.transform.translation, item.transform.rotation
@@ -122,51 +122,51 @@ class OdometrySurvey:
                 )
             unusable += message is None
         if unusable:
-            self.notes.append(
+            self._bag.notes.append(
                 f"{unusable} transforms are not finite, no rotation, or not of two frames; left out"
             )
 
-    def _transform_topics(self, bag: OpenBag) -> list[str]:
-        wanted = self.config.tf_topic
-        found = bag.topics(TRANSFORM_TYPES, self.scan_topic if wanted is None else "")
+    def _transform_topics(self) -> list[str]:
+        wanted = self._config.tf_topic
+        found = self._bag.topics(TRANSFORM_TYPES, self._scan_topic if wanted is None else "")
         if wanted is None:
             return found
         names = {wanted.strip("/"), f"{wanted.strip('/')}_static"}
         own = [topic for topic in found if topic.strip("/") in names]
         if not own:
             raise LogError(
-                f"{self.path}: no transforms on {wanted!r}; found {', '.join(found) or 'none'}; "
-                "change tf_topic or leave it out"
+                f"{self._bag.path}: no transforms on {wanted!r}; found "
+                f"{', '.join(found) or 'none'}; change tf_topic or leave it out"
             )
         return own
 
-    def _find_odometry(self, bag: OpenBag) -> BagOdometry | None:
-        config = self.config
+    def _found_odometry(self) -> BagOdometry | None:
+        config, bag = self._config, self._bag
         if config.odom_topic == "none":
             return None
         if config.odom_topic != "tf" and (config.odom_topic or bag.topics(_ODOMETRY_TYPES)):
             topic = bag.choose_topic(
-                _ODOMETRY_TYPES, config.odom_topic, "odom_topic", self.scan_topic
+                _ODOMETRY_TYPES, config.odom_topic, "odom_topic", self._scan_topic
             )
-            odometry = self._odometry_by_messages(bag, topic)
+            odometry = self._odometry_by_messages(topic)
             if odometry is not None:
                 return odometry
-            self.notes.append(f"no usable odometry on {topic}; the transforms are used")
+            self._bag.notes.append(f"no usable odometry on {topic}; the transforms are used")
         for base_frame in (config.base_frame,) if config.base_frame else _BASE_FRAMES:
             odometry = self._odometry_by_transforms(base_frame)
             if odometry is not None:
                 return odometry
         return None
 
-    def _odometry_by_messages(self, bag: OpenBag, topic: str) -> BagOdometry | None:
-        table, first = _topic_poses(bag, topic, self.notes)
+    def _odometry_by_messages(self, topic: str) -> BagOdometry | None:
+        table, first = _topic_poses(self._bag, topic)
         if first is None:
             return None
         base_frame = self._moving_frame(topic, first)
         times = table[:, 0]
         yaws = [quaternion_yaw_rad(*turn) for turn in table[:, 4:].tolist()]
         rows = np.column_stack((table[:, 1:3], yaws))
-        wanted = self.config.base_frame
+        wanted = self._config.base_frame
         if wanted is None or wanted.lstrip("/") == base_frame:
             return BagOdometry(times, rows, base_frame)
         if not self.tree.is_connected(base_frame, wanted):
@@ -182,19 +182,19 @@ class OdometrySurvey:
         """
         named, own = message.child_frame_id.lstrip("/"), message.header.frame_id.lstrip("/")
         frames = self.tree.frames
-        odd = {own, "", "map", self.config.odom_frame, self.laser_frame}
-        if self.laser_frame not in frames or (named in frames and named not in odd):
+        odd = {own, "", "map", self._config.odom_frame, self._laser_frame}
+        if self._laser_frame not in frames or (named in frames and named not in odd):
             return str(named)
         rigid = {
             frame
             for frame in frames - odd
-            if self.tree.is_connected(frame, self.laser_frame)
-            and self.tree.is_constant(frame, self.laser_frame)
+            if self.tree.is_connected(frame, self._laser_frame)
+            and self.tree.is_constant(frame, self._laser_frame)
         }
         bases = [frame for frame in (*_BASE_FRAMES, *sorted(rigid)) if frame in rigid]
         if not bases:
             return str(named)
-        self.notes.append(
+        self._bag.notes.append(
             f"odometry on {topic} says that it is of {named!r}, which is no frame of the robot; "
             f"taken: {bases[0]!r}, which moves with the laser"
         )
@@ -203,22 +203,22 @@ class OdometrySurvey:
     def _no_way(self, base_frame: str, wanted: str) -> str:
         known = ", ".join(sorted(self.tree.frames)) or "none"
         return (
-            f"{self.path}: no transforms from {base_frame!r} to base_frame {wanted!r}; frames in "
-            f"it: {known}; change base_frame or leave it out"
+            f"{self._bag.path}: no transforms from {base_frame!r} to base_frame {wanted!r}; frames "
+            f"in it: {known}; change base_frame or leave it out"
         )
 
     def _odometry_by_transforms(self, base_frame: str) -> BagOdometry | None:
         """Return the poses of a frame in the odometry frame, at the times they were sent."""
         frame = base_frame.lstrip("/")
-        if not self.tree.is_connected(self.config.odom_frame, frame):
+        if not self.tree.is_connected(self._config.odom_frame, frame):
             return None
-        stamps_s = self.tree.change_stamps_s(self.config.odom_frame, frame)
+        stamps_s = self.tree.change_stamps_s(self._config.odom_frame, frame)
         if not stamps_s.size:
             return None
-        poses = plan_poses(self.tree.sample(self.config.odom_frame, frame, stamps_s))
+        poses = plan_poses(self.tree.sample(self._config.odom_frame, frame, stamps_s))
         return BagOdometry(stamps_s, poses, frame)
 
-    def base_poses(self, bag: OpenBag) -> F64:
+    def base_poses(self) -> F64:
         """Return the poses of the robot's base in the outermost frame of the transforms.
 
         Returns:
@@ -226,27 +226,26 @@ class OdometrySurvey:
         """
         from scipy.spatial.transform import Rotation  # noqa: PLC0415  (who reads maps needs none)
 
-        self._read_transforms(bag)
-        base = self._find_base_frame()
+        base = self._found_base_frame()
         world = self.tree.root(base)
         stamps_s = self.tree.change_stamps_s(world, base)
         if not stamps_s.size:
             known = ", ".join(sorted(self.tree.frames)) or "none"
             raise LogError(
-                f"{self.path}: no transforms move the robot's frame {base!r}; frames in it: "
+                f"{self._bag.path}: no transforms move the robot's frame {base!r}; frames in it: "
                 f"{known}; name the robot's with base_frame, or a topic with pose_topic"
             )
         matrices = self.tree.sample(world, base, stamps_s)
         turns = Rotation.from_matrix(matrices[:, :3, :3]).as_quat()
-        self.notes.append(f"taken as its path: {base!r} in {world!r}, by transforms")
+        self._bag.notes.append(f"taken as its path: {base!r} in {world!r}, by transforms")
         return np.column_stack((stamps_s, matrices[:, :3, 3], turns))
 
-    def _find_base_frame(self) -> str:
+    def _found_base_frame(self) -> str:
         """Return the frame whose pose the odometry is; empty where nothing says it."""
         if self.odometry is not None and self.odometry.base_frame:
             return self.odometry.base_frame
-        if self.config.base_frame is not None:
-            return self.config.base_frame.lstrip("/")
+        if self._config.base_frame is not None:
+            return self._config.base_frame.lstrip("/")
         known = self.tree.frames
         return next((frame for frame in _BASE_FRAMES if frame in known), "")
 
@@ -273,17 +272,16 @@ def read_poses(path: Path, config: LogConfig, wanted: str | None, notes: list[st
                     f"--pose-topic: {', '.join(poses)}"
                 )
             return None
-        survey = OdometrySurvey(path, config, "", "", notes=notes)
         if wanted == "tf" or (wanted is None and not others):
-            return survey.base_poses(bag)
+            return BagFrames(bag, config).base_poses()
         topic = bag.choose_topic(_POSE_TYPES, wanted, "pose_topic")
-        table, first = _topic_poses(bag, topic, notes)
+        table, first = _topic_poses(bag, topic)
     if first is None:
         raise LogError(f"{path}: no usable pose on {topic}; choose another topic with pose_topic")
     return table
 
 
-def _topic_poses(bag: OpenBag, topic: str, notes: list[str]) -> tuple[F64, Any]:
+def _topic_poses(bag: OpenBag, topic: str) -> tuple[F64, Any]:
     """Return the poses of a topic, and its first usable message; None where there is none."""
     rows, first, unusable = [], None, 0
     for _, _, message in bag.messages(topic):
@@ -301,6 +299,6 @@ def _topic_poses(bag: OpenBag, topic: str, notes: list[str]) -> tuple[F64, Any]:
         first = message if first is None else first
         rows.append([stamp_s(message), *row])
     if unusable:
-        notes.append(f"{unusable} messages on {topic} are no finite pose; left out")
+        bag.notes.append(f"{unusable} messages on {topic} are no finite pose; left out")
     table = np.array(rows).reshape(-1, 8)
     return table[np.unique(table[:, 0], return_index=True)[1]], first

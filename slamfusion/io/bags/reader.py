@@ -54,7 +54,11 @@ class BagMessage(NamedTuple):
 
 
 class OpenBag:
-    """A bag that is open; ``open_bag`` makes it."""
+    """A bag that is open; ``open_bag`` makes it.
+
+    Attributes:
+        notes: what a user should know of what was left out.
+    """
 
     def __init__(
         self,
@@ -63,10 +67,10 @@ class OpenBag:
         decode: Callable[[str, str, bytes], Any],
         notes: list[str],
     ) -> None:
-        self._path = path
+        self.path = path
         self._storages = storages
         self._decode = decode
-        self._notes = notes
+        self.notes = notes
         for storage in storages:
             if storage.is_cut_off:
                 self._note(storage, "it has no end or no index (cut off, or still recorded)")
@@ -92,7 +96,7 @@ class OpenBag:
                     return topic
             found = ", ".join(topics) or "none"
             raise LogError(
-                f"{self._path}: no {kind} topic {wanted!r} in it; found {found}; change {key} or "
+                f"{self.path}: no {kind} topic {wanted!r} in it; found {found}; change {key} or "
                 "leave it out"
             )
         if not filled:
@@ -108,12 +112,12 @@ class OpenBag:
             found = f"{', '.join(topics)} without a message" if topics else others or "nothing"
             what = "laser" if key == "scan_topic" else "pose"
             message = (
-                f"{self._path}: no {what} in it: wanted a {kind} topic, found {found}; {advice}"
+                f"{self.path}: no {what} in it: wanted a {kind} topic, found {found}; {advice}"
             )
             raise LogError(message)
         if len(filled) > 1:
             message = (
-                f"{self._path}: several {kind} topics: {', '.join(filled)}; choose one with {key}"
+                f"{self.path}: several {kind} topics: {', '.join(filled)}; choose one with {key}"
             )
             raise LogError(message)
         return filled[0]
@@ -176,7 +180,7 @@ class OpenBag:
             self._note(storage, f"it is damaged ({_reason(error)})")
 
     def _note(self, storage: Storage, why: str) -> None:
-        _add_note(self._notes, f"{Path(str(storage.path)).name} is read as far as it goes: {why}")
+        _add_note(self.notes, f"{Path(str(storage.path)).name} is read as far as it goes: {why}")
 
 
 @contextmanager
