@@ -4,13 +4,12 @@
  */
 #include "common.h"
 
-/* Whether two bytes say that walls were seen from different sides, the own one's turned by so many
- * parts: one faces somewhere and the other does not, or they face opposite ways. 0 says nothing. */
+/* Whether two bytes say that walls were seen from opposite sides, the own one's turned by so many
+ * parts. 0 says nothing. */
 inline bool is_another(const int own, const int other, const int turn) {
   if (!own || !other) return false;
-  if ((own ^ other) & FACES) return true;
   const int apart = (own + turn - other) & (FACING_PARTS - 1);
-  return (own & FACES) && apart >= OPPOSED_PARTS && apart <= FACING_PARTS - OPPOSED_PARTS;
+  return apart >= OPPOSED_PARTS && apart <= FACING_PARTS - OPPOSED_PARTS;
 }
 
 /* What the points of each piece meet under each pose: sums[p, piece] = (the field less `base`, the

@@ -30,7 +30,6 @@ from slamfusion.compute.layout import (
     DISTANCE_TABLE,
     DISTANCE_UNSEEN,
     FACES,
-    FACES_NOWHERE,
     FACING_PARTS,
     FIELD_ONE,
 )
@@ -59,12 +58,8 @@ FINE_TABLE = score_table(3.0, base=64, span=191)
 # than half of a door. It is looked for on squares of cells, of which that are this many.
 FACING_REACH_M, REACH_SQUARES = 0.4, 4
 # One half of the ground around a cell has at least so much more free space than the other, as a
-# share of the half: a straight wall has all of it on one side. With less than ``EVEN`` it faces
-# nowhere; what is between says nothing, as maps draw one wall by a cell thicker or thinner.
-CLEARER, EVEN = 0.3, 0.15
-# Known cells so near a wall, as a share of the reach, may face nowhere; farther ones say nothing
-# then: walls of bent maps come to lie there.
-FACING_NEAR = 0.5
+# share of the half: a straight wall that was seen from one side has all of it there.
+CLEARER = 0.3
 # What the fields of a cell take, in bytes, and the share of the free memory that all may take; and
 # how much at most where little memory is wanted, bytes.
 FIELD_BYTES, FREE_SHARE = 40, 0.5
@@ -294,8 +289,7 @@ class GridFeatures:
     @_kept
     def facing(self) -> DeviceArray[Any]:
         """Return (H, W) uint8 on the device, where free space lies, see ``facings``."""
-        distance2 = self.device.download(self.level(1).distance2)
-        return self.device.upload(facings(self.grid.cells, distance2, self.grid.grid.resolution))
+        return self.device.upload(facings(self.grid.cells, self.grid.grid.resolution))
 
     @_kept
     def seen(self, near2: int) -> DeviceArray[Any]:
@@ -389,35 +383,25 @@ def _without_rims(grid: NormalizedGrid) -> NormalizedGrid:
     return replace(grid, cells=np.where(rims, np.int8(0), grid.cells))
 
 
-def facings(
-    cells: npt.NDArray[np.int8], distance2: npt.NDArray[np.uint16], resolution: float
-) -> npt.NDArray[np.uint8]:
-    """Return where free space lies from each cell beside a wall.
+def facings(cells: npt.NDArray[np.int8], resolution: float) -> npt.NDArray[np.uint8]:
+    """Return where free space lies from each cell.
 
     Args:
         cells: (H, W) int8 in {-1, 0, 1}.
-        distance2: (H, W) uint16, to the nearest wall, squared, cells.
         resolution: metres per cell.
 
     Returns:
         (H, W) uint8: ``FACES`` and the direction, 0 along +x, counter-clockwise, in parts of a
-        whole turn, of which there are ``FACING_PARTS``; ``FACES_NOWHERE`` beside a wall where free
-        space lies on several sides, or on none; 0 where nothing is said.
+        whole turn, of which there are ``FACING_PARTS``; 0 where free space lies on several sides,
+        or on none: a map that saw a wall from both sides contradicts none of those that saw one.
     """
     side = max(1, round(FACING_REACH_M / resolution / REACH_SQUARES))
     x, y = _clearer(_free_shares(cells, side))
     much, angle = (np.asarray(part, dtype=np.float32) for part in cv2.cartToPolar(x, y))
     faces = np.where(much >= CLEARER, facing_parts(angle) | np.uint8(FACES), np.uint8(0))
-    faces[much < EVEN] = FACES_NOWHERE
     height, width = cells.shape
-    out = cv2.resize(
-        faces, None, fx=side, fy=side, interpolation=cv2.INTER_NEAREST
-    )[:height, :width]  # fmt: skip
-    # A whole number: against another kind all distances would be turned into that.
-    near2 = int((FACING_NEAR * REACH_SQUARES * side) ** 2)
-    says_nothing = (distance2 > near2) | (cells < 0)
-    says_nothing &= out == FACES_NOWHERE
-    return np.multiply(out, ~says_nothing, order="C")
+    out = cv2.resize(faces, None, fx=side, fy=side, interpolation=cv2.INTER_NEAREST)
+    return np.ascontiguousarray(out[:height, :width])
 
 
 def _free_shares(cells: npt.NDArray[np.int8], side: int) -> npt.NDArray[np.float32]:

@@ -212,10 +212,9 @@ MARK_REACH_MAX: Final = 16
 
 # -- pieces of wall --------------------------------------------------------------------------------
 
-# A byte says where free space lies from a cell beside a wall: whether on one side, and then in
-# which direction, in parts of a turn; or on none, or several. 0 says nothing.
+# The byte of a cell from which free space lies on one side: this, and in which direction, in parts
+# of a turn. 0: on none, or on several.
 FACES: Final = 128
-FACES_NOWHERE: Final = 1
 FACING_PARTS: Final = 128
 # Walls whose free sides lie so many parts apart, or more, were seen from opposite sides: 112.5
 # degrees. At a corner, and where a wall is ragged, faces of one wall differ by up to a right angle.

@@ -10,11 +10,11 @@ import numpy.typing as npt
 
 from slamfusion.compute.arrays import I32, I64, U8, ArrayDevice, DeviceArray, host
 from slamfusion.compute.lattice import fixed_cells
-from slamfusion.compute.layout import FACES, FACING_PARTS, OPPOSED_PARTS
+from slamfusion.compute.layout import FACING_PARTS, OPPOSED_PARTS
 
 
 def is_another(own: U8, other: U8, turn: int) -> npt.NDArray[np.bool_]:
-    """Return (N,) whether two walls were seen from different sides, so that they are not one.
+    """Return (N,) whether two walls were seen from opposite sides, so that they are not one.
 
     Args:
         own, other: (N,) uint8 what they face; 0 says nothing.
@@ -22,9 +22,7 @@ def is_another(own: U8, other: U8, turn: int) -> npt.NDArray[np.bool_]:
     """
     apart = (own.astype(np.int64) + turn - other) & (FACING_PARTS - 1)
     is_far = (apart >= OPPOSED_PARTS) & (apart <= FACING_PARTS - OPPOSED_PARTS)
-    is_turned_away = ((own & FACES) != 0) & is_far
-    is_said = (own != 0) & (other != 0)
-    return np.asarray(is_said & ((((own ^ other) & FACES) != 0) | is_turned_away))
+    return np.asarray((own != 0) & (other != 0) & is_far)
 
 
 class WallPieceDevice(ArrayDevice):

@@ -12,7 +12,7 @@ from statistics import median
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.align.align import align_pair, track_pair
+from slamfusion.align.align import align_pair
 from slamfusion.align.answer import rejected_alignment
 from slamfusion.align.features import GridFeatures
 from slamfusion.align.pair import Pair
@@ -21,15 +21,7 @@ from slamfusion.align.starts import StartPose, Starts, named_input, start_distan
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import SMALLEST, FusionConfig
 from slamfusion.errors import AlignmentError, ConfigError
-from slamfusion.fusion.consistency import (
-    ImpliedPairs,
-    MapGroup,
-    largest_group,
-    path_transform,
-    rank_of,
-    words_over,
-)
-from slamfusion.fusion.many import Candidate, align_many, placed, rank_pairs
+from slamfusion.fusion.grouping import Candidate, GroupSearch, MapGroup, placed, rank_pairs
 from slamfusion.fusion.pair_tasks import AlignmentTasks, PairSettings
 from slamfusion.geometry import Pose2, wrap_angles
 from slamfusion.io.files import return_freed_memory
@@ -118,42 +110,33 @@ def align_group(
         AlignmentError: fewer than two of several inputs agree; ``pairs`` holds the alignments.
         ConfigError: the reference named in the config is no member.
     """
-    count = math.comb(len(features), 2)
-    implied = ImpliedPairs(features, count)
     aligner = _Aligner(
-        features, config, device, count, progress, second_look, starts or Starts(), executor
+        features, config, device, progress, second_look, starts or Starts(), executor
     )
-    if count <= THOROUGH_PAIRS:
-        pairs = aligner.align_all()
-        found = _all_groups(names, features, pairs, implied)
-    else:
-        solved, pairs = align_many(
-            features, aligner.candidates(), aligner.align, implied, aligner.ahead
-        )
-        found = [_scored(group, pairs) for group in solved]
-        found.sort(key=lambda group: rank_of(group, names), reverse=True)
+    search = GroupSearch(
+        features, aligner.candidates(), aligner.align, aligner.count, aligner.ahead
+    )
+    if aligner.is_thorough:
+        search.align_all()
+    found, pairs = search.run()
     aligner.tell("vote", aligner.done)
-    if len(names) == 1 and features:
-        found = [MapGroup((names[0],), 0.0)]
-    elif not found or len(found[0].members) < LEAST_FUSED:
+    least = 1 if len(names) == 1 else LEAST_FUSED
+    found = [group for group in found if len(group.members) >= least]
+    if not found:
         raise _nothing_fused(names, pairs, reasons)
-    group = found[0]
+    group, *rest = found
     reference = choose_reference(group.members, features, config.reference, names)
-    anchor = _most_agreeing(group.members, pairs)
-    alignments = _to_reference(reference, anchor, group, features, pairs)
+    alignments = _to_reference(reference, group, features, pairs)
     left_out = {
-        name: _left_out(name, reference, group, pairs, implied)
+        name: _left_out(name, reference, group, pairs)
         for name in features
         if name not in group.members
     }
+    wanted = None if named_input(config.reference, names) in names else config.reference
     others = []
-    for other in found[1:]:
-        if len(other.members) >= LEAST_FUSED:
-            wanted = None if named_input(config.reference, names) in names else config.reference
-            own = choose_reference(other.members, features, wanted, names)
-            anchor = _most_agreeing(other.members, pairs)
-            placed_ones = _to_reference(own, anchor, other, features, pairs)
-            others.append(Members(own, placed_ones))
+    for other in rest:
+        own = choose_reference(other.members, features, wanted, names)
+        others.append(Members(own, _to_reference(own, other, features, pairs)))
     return AlignedGroup(reference, alignments, left_out, tuple(pairs), tuple(others))
 
 
@@ -162,18 +145,18 @@ class _Aligner:
 
     def __init__(
         self,
-        features: Mapping[str, GridFeatures],
+        features: dict[str, GridFeatures],
         config: FusionConfig,
         device: ComputeDevice,
-        count: int,
         progress: Progress | None,
         second_look: SecondLook | None,
         starts: Starts,
         executor: Executor | None,
     ) -> None:
-        self.features, self.device, self.count = features, device, count
+        self.features, self.device = features, device
+        self.count = count = math.comb(len(features), 2)
         self.progress, self.second_look, self.starts = progress, second_look, starts
-        self.is_thorough = count <= THOROUGH_PAIRS
+        self.is_thorough, self.last = count <= THOROUGH_PAIRS, next(reversed(features), "")
         self.config = config.align
         self.done, self.steps = 0, count if self.is_thorough else len(features) - 1
         self.tasks: AlignmentTasks | None = None
@@ -196,6 +179,10 @@ class _Aligner:
             found = align_pair(pair, self.config, start, self.count, thorough=self.is_thorough)
         self.done += 1
         self.tell("aligning pairs", self.done)
+        large = self.features[a]
+        if self.is_thorough and b == self.last and math.prod(large.shape) > KEPT_CELLS:
+            large.release()
+            return_freed_memory()
         return found if self.second_look is None else self.second_look(found, pair)
 
     def ahead(self, coming: Iterable[tuple[str, str]]) -> None:
@@ -208,24 +195,6 @@ class _Aligner:
             for a, b in itertools.islice(coming, self.tasks.ahead):
                 self.tasks.begin(*self._pair(a, b))
 
-    def align_all(self) -> list[Alignment]:
-        """Align every pair."""
-        pairs = []
-        wanted = list(itertools.combinations(self.features, 2))
-        for index, (a, b) in enumerate(wanted):
-            self.ahead(wanted[index:])
-            pairs.append(self.align(a, b))
-            if b == wanted[-1][1]:
-                self._looked_at(a)
-        return pairs
-
-    def _looked_at(self, name: str) -> None:
-        """Let go of what an input that is in no more pairs was looked at with, if it is much."""
-        features = self.features[name]
-        if math.prod(features.shape) > KEPT_CELLS:
-            features.release()
-            return_freed_memory()
-
     def _pair(self, a: str, b: str) -> tuple[Pair, StartPose | None]:
         """Return two inputs, the smaller one held still, and where the other may lie."""
         pair = Pair(self.features[a], self.features[b])
@@ -234,11 +203,13 @@ class _Aligner:
         return pair, self.starts.between(pair.reference.grid.name, pair.moving.grid.name)
 
     def candidates(self) -> list[Candidate]:
-        """Return the pairs that may be aligned, the most promising first.
+        """Return the pairs that may be aligned, the most promising first; of few inputs all.
 
-        Where starts say that two maps cannot meet they are none; where they say that two may, the
+        Of many inputs those are none that cannot meet where starts put them; of those that may, the
         nearest come first.
         """
+        if self.is_thorough:
+            return [Candidate(a, b, math.inf) for a, b in itertools.combinations(self.features, 2)]
         self.tell("rank pairs", 0)
         near, others = [], []
         for item in rank_pairs(self.features, self.device):
@@ -253,37 +224,6 @@ class _Aligner:
                 near.append((apart, replace(item, ratio=math.inf)))
         near.sort(key=lambda item: item[0])
         return [*(candidate for _, candidate in near), *others]
-
-
-def _all_groups(
-    names: Sequence[str],
-    features: Mapping[str, GridFeatures],
-    pairs: Sequence[Alignment],
-    implied: ImpliedPairs,
-) -> list[MapGroup]:
-    """Return the largest group of inputs that fit together, then that of the rest, and so on."""
-    if len(names) == 1:
-        return []
-    centres, resolution = {}, 1.0
-    for name, feature in features.items():
-        resolution = feature.grid.grid.resolution
-        centres[name] = feature.middle
-    rest = [name for name in names if name in features]
-    groups: list[MapGroup] = []
-    while len(rest) >= LEAST_FUSED:
-        inside = [pair for pair in pairs if {pair.reference, pair.moving} <= set(rest)]
-        group = largest_group(rest, inside, centres, resolution, implied)
-        if len(group.members) < LEAST_FUSED:
-            break
-        groups.append(group)
-        rest = [name for name in rest if name not in group.members]
-    return groups
-
-
-def _scored(group: MapGroup, pairs: Sequence[Alignment]) -> MapGroup:
-    """Return a group with the sum of the scores of its accepted pairs."""
-    inside = [pair for pair in pairs if pair.accepted and pair.moving in group.members]
-    return replace(group, score=math.fsum(pair.score for pair in inside))
 
 
 def _nothing_fused(
@@ -329,24 +269,6 @@ def choose_reference(
     return members[0]
 
 
-def _most_agreeing(members: Sequence[str], pairs: Sequence[Alignment]) -> str:
-    """Return the member whose walls agree most with those of the others.
-
-    That is the greatest sum of squares of the shares of common walls that agree: a bent map must
-    not be what all others are aligned to.
-    """
-    agreement = dict.fromkeys(members, 0.0)
-    for pair in pairs:
-        if (
-            pair.accepted
-            and pair.evidence is not None
-            and {pair.reference, pair.moving} <= set(members)
-        ):
-            for name in (pair.reference, pair.moving):
-                agreement[name] += pair.evidence.share**2
-    return max(agreement, key=lambda name: agreement[name])
-
-
 def _smallest(members: Sequence[str], features: Mapping[str, GridFeatures]) -> str:
     """Return the member of the smallest known box.
 
@@ -361,63 +283,38 @@ def _smallest(members: Sequence[str], features: Mapping[str, GridFeatures]) -> s
 
 def _to_reference(
     reference: str,
-    anchor: str,
     group: MapGroup,
     features: Mapping[str, GridFeatures],
     pairs: Sequence[Alignment],
 ) -> dict[str, Alignment]:
-    """Return each member's alignment to the reference, the reference's own the identity.
-
-    Args:
-        reference: the member in whose frame the fused map is.
-        anchor: the member that the others are aligned to, where the group has no poses. A pair
-            aligned directly is then taken as it is; one aligned the other way round, or connected
-            over others only, is refined from the transform that is known and keeps what the search
-            said of it.
-        group: the members.
-        features, pairs: see ``align_group``.
-    """
-    poses = group.poses
-    if poses is None and anchor != reference:
-        anchored = _to_reference(anchor, anchor, group, features, pairs)
-        poses = {name: pair.transform for name, pair in anchored.items()}
-    direct = {(pair.reference, pair.moving): pair for pair in pairs if pair.accepted}
-    tried = {frozenset((pair.reference, pair.moving)) for pair in pairs}
+    """Return each member's alignment to the reference, the reference's own the identity."""
+    direct = {frozenset((pair.reference, pair.moving)): pair for pair in pairs if pair.accepted}
+    back = group.poses[reference].inverse()
     out = {}
     for name in group.members:
-        pair = direct.get((reference, name))
-        other = direct.get((name, reference))
         if name == reference:
             out[name] = _own(features[name])
-        elif poses is not None:
-            transform = poses[reference].inverse().compose(poses[name])
-            own = _borne_out(name, pair or other, group, pairs)
-            if own is not None:
-                if own.reference != reference:
-                    motion = poses[reference].inverse().compose(poses[own.reference])
-                    own = _in_frame_of(reference, motion, own)
-                out[name] = replace(own, transform=transform)
-                continue
-            found = placed(Pair(features[reference], features[name]), transform)
-            was_rejected = frozenset((reference, name)) in tried
-            out[name] = replace(found, reason=words_over(name, found)) if was_rejected else found
-        elif pair is not None:
-            out[name] = pair
+            continue
+        transform = back.compose(group.poses[name])
+        pair = direct.get(frozenset((reference, name)))
+        if pair is not None:
+            own = _most_supported(name, pair, group, pairs)
+            if own.reference != reference:
+                own = _in_frame_of(reference, back.compose(group.poses[own.reference]), own)
+            out[name] = replace(own, transform=transform)
         else:
-            out[name] = _over_others(name, reference, group, features, pairs, other)
+            out[name] = placed(Pair(features[reference], features[name]), transform)
     return out
 
 
-def _borne_out(
-    name: str, own: Alignment | None, group: MapGroup, pairs: Sequence[Alignment]
-) -> Alignment | None:
-    """Return the alignment that says how well a member fits; None without one to the reference.
+def _most_supported(
+    name: str, own: Alignment, group: MapGroup, pairs: Sequence[Alignment]
+) -> Alignment:
+    """Return the alignment that says how well a member fits.
 
-    That is its own to the reference, unless another member bears it out more strongly: the
-    reference may be bent.
+    That is its own to the reference, unless walls of another member support it more: the reference
+    may be bent.
     """
-    if own is None:
-        return None
     members = set(group.members)
     partners = [
         pair for pair in pairs if pair.accepted and name in {pair.reference, pair.moving} <= members
@@ -455,35 +352,6 @@ def _rank(pair: Alignment) -> int:
     return (None, "weak", "fair", "strong").index(pair.strength)
 
 
-def _over_others(
-    name: str,
-    reference: str,
-    group: MapGroup,
-    features: Mapping[str, GridFeatures],
-    pairs: Sequence[Alignment],
-    turned: Alignment | None,
-) -> Alignment:
-    """Return the alignment of a member that was aligned the other way round, or over others."""
-    start = path_transform(name, reference, group.members, pairs)
-    if start is None:  # pragma: no cover - a group is connected by construction
-        raise AlignmentError(f"{name} has no path of accepted pairs to {reference}", tuple(pairs))
-    tracked = track_pair(Pair(features[reference], features[name]), start)
-    if turned is None:
-        return replace(tracked, accepted=True, reason=words_over(name, tracked))
-    turned = _from_the_side_of(name, turned)
-    return replace(
-        tracked,
-        accepted=True,
-        reason=turned.reason,
-        runner_up=turned.runner_up,
-        time_s=turned.time_s + tracked.time_s,
-        yaw_profile=turned.yaw_profile,
-        statistics=turned.statistics | tracked.statistics,
-        evidence=turned.evidence,
-        decision=turned.decision,
-    )
-
-
 def _turned(profile: npt.NDArray[np.float64] | None) -> npt.NDArray[np.float64] | None:
     """Return a yaw profile as the inverse transform sees it."""
     if profile is None:
@@ -499,7 +367,7 @@ def _own(features: GridFeatures) -> Alignment:
 
 
 def _left_out(
-    name: str, reference: str, group: MapGroup, pairs: Sequence[Alignment], implied: ImpliedPairs
+    name: str, reference: str, group: MapGroup, pairs: Sequence[Alignment]
 ) -> tuple[str, Alignment | None]:
     """Return why an input is not in the group, in one line, and the alignment that shows it.
 
@@ -511,16 +379,11 @@ def _left_out(
         if name in {pair.reference, pair.moving}
         and {pair.reference, pair.moving} & set(group.members)
     ]
-    mine.sort(key=lambda pair: (reference not in {pair.reference, pair.moving}, -pair.score))
-    failed = [pair for pair in mine if not pair.accepted]
-    if failed:
-        shown = _from_the_side_of(name, failed[0])
-        return f"to {shown.reference}: {shown.reason}{implied.words_against(failed[0])}", shown
     if not mine:
         return f"no pair of it with the maps around {reference} was promising", None
-    return "its transforms to the others do not close (a to b to c to a)", _from_the_side_of(
-        name, mine[0]
-    )
+    best = max(mine, key=lambda pair: (reference in {pair.reference, pair.moving}, pair.score))
+    shown = _from_the_side_of(name, best)
+    return f"to {shown.reference}: {shown.reason}", shown
 
 
 def _from_the_side_of(name: str, pair: Alignment) -> Alignment:

@@ -28,7 +28,7 @@ from slamfusion.align.starts import Starts
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig
 from slamfusion.errors import AlignmentError
-from slamfusion.fusion.consistency import PATH_GAP
+from slamfusion.fusion.grouping import PATH_GAP
 from slamfusion.fusion.groups import LEAST_FUSED
 from slamfusion.fusion.pipeline import fuse_grids
 from slamfusion.geometry import (

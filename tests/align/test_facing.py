@@ -5,18 +5,16 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 import pytest
-import scipy.ndimage
 
 from slamfusion.align.features import facings
-from slamfusion.compute.layout import FACES, FACES_NOWHERE, FACING_PARTS
+from slamfusion.compute.layout import FACES, FACING_PARTS
 
 RESOLUTION = 0.1
 QUARTER = FACING_PARTS // 4
 
 
 def facings_of(cells: npt.NDArray[np.int8]) -> npt.NDArray[np.uint8]:
-    away = scipy.ndimage.distance_transform_edt(cells != 1)
-    return facings(cells, np.rint(away**2).astype(np.uint16), RESOLUTION)
+    return facings(cells, RESOLUTION)
 
 
 def hall(thick: int, left: int, right: int) -> npt.NDArray[np.int8]:
@@ -38,14 +36,14 @@ def test_a_wall_faces_the_room_that_it_was_seen_from() -> None:
 @pytest.mark.parametrize(
     ("thick", "left", "right", "wanted"),
     [
-        (1, 10, 10, FACES_NOWHERE),  # a board
+        (1, 10, 10, 0),  # a board
         (2, 10, 10, 0),  # between: another map may draw it by a cell thicker
         (5, 10, 10, FACES + 2 * QUARTER),
-        (1, 4, 4, FACES_NOWHERE),  # a rim of free cells behind a drawn wall, and a narrow room
+        (1, 4, 4, 0),  # a rim of free cells behind a drawn wall, and a narrow room
         (1, 1, 10, FACES),
     ],
 )
-def test_a_wall_with_free_space_on_both_sides_faces_nowhere(
+def test_a_wall_with_free_space_on_both_sides_says_nothing(
     thick: int, left: int, right: int, wanted: int
 ) -> None:
     """By the left surface of the wall."""
@@ -55,8 +53,7 @@ def test_a_wall_with_free_space_on_both_sides_faces_nowhere(
 def test_far_from_walls_and_in_the_unknown_nothing_is_said() -> None:
     cells = hall(1, 20, 20)
     faces = facings_of(cells)[10]
-    assert faces[9 + 20] == FACES_NOWHERE
-    assert faces[9 + 20 - 3] == faces[9 + 10] == 0
+    assert faces[9 + 20] == faces[9 + 10] == 0
     assert facings_of(np.full((7, 5), -1, dtype=np.int8)).max() == 0
 
 
@@ -64,7 +61,7 @@ def test_far_from_walls_and_in_the_unknown_nothing_is_said() -> None:
 @pytest.mark.parametrize("resolution", [0.02, 0.05, 0.3])
 def test_maps_of_any_size_and_resolution(shape: tuple[int, int], resolution: float) -> None:
     cells = np.random.default_rng(1).integers(-1, 2, shape).astype(np.int8)
-    found = facings(cells, np.zeros(shape, dtype=np.uint16), resolution)
+    found = facings(cells, resolution)
     assert found.shape == shape
     assert found.dtype == np.uint8
-    assert not np.any((found < FACES) & (found != 0) & (found != FACES_NOWHERE))
+    assert not np.any((found < FACES) & (found != 0))

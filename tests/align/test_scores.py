@@ -14,7 +14,7 @@ from slamfusion.align.pair import Pair
 from slamfusion.align.scores import PIECE_M, PIECE_POINTS, WallPieces, pieces_for, wall_pieces
 from slamfusion.align.search import score_motions
 from slamfusion.compute import ComputeDevice
-from slamfusion.compute.layout import FACES, FACES_NOWHERE, FACING_PARTS, OPPOSED_PARTS
+from slamfusion.compute.layout import FACES, FACING_PARTS, OPPOSED_PARTS
 from slamfusion.compute.wall_pieces import is_another
 from slamfusion.grid import OccupancyGrid
 from tests.align.definitions import Side, landings, landings_back, look_up, side_of
@@ -186,8 +186,6 @@ def test_what_was_not_seen_contradicts_nothing(device: ComputeDevice) -> None:
         (FACES, FACES + FACING_PARTS - OPPOSED_PARTS + 1, 0, False),
         (FACES, FACES, FACING_PARTS // 2, True),
         (FACES, FACES + FACING_PARTS // 2, -FACING_PARTS // 2, False),
-        (FACES, FACES_NOWHERE, 0, True),
-        (FACES_NOWHERE, FACES_NOWHERE, FACING_PARTS // 2, False),
         (0, FACES, 0, False),
         (FACES, 0, FACING_PARTS // 2, False),
     ],

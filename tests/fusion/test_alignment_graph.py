@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from slamfusion.align.records import Alignment, MatchEvidence
-from slamfusion.fusion.many import AlignmentGraph
+from slamfusion.fusion.grouping import AlignmentGraph
 from slamfusion.geometry import Pose2
 
 PLACES = {name: Pose2(3.0 * index, 0.5 * index, 0.3 * index) for index, name in enumerate("abcdef")}

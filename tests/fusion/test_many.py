@@ -15,9 +15,9 @@ from slamfusion.align.records import Alignment
 from slamfusion.align.starts import StartPose, Starts
 from slamfusion.compute import ComputeDevice
 from slamfusion.errors import AlignmentError
-from slamfusion.fusion import groups, many
+from slamfusion.fusion import grouping, groups
+from slamfusion.fusion.grouping import rank_pairs
 from slamfusion.fusion.groups import AlignedGroup, Members, align_group
-from slamfusion.fusion.many import rank_pairs
 from slamfusion.geometry import Pose2
 from tests.fusion.drawings import features_of, fusion_config
 from tests.support.sites import ManyMaps, many_maps
@@ -138,7 +138,7 @@ def test_maps_of_which_no_two_fit_are_refused(
 def test_the_best_pair_of_each_map_is_searched_where_nothing_is_promising(
     features: dict[str, GridFeatures], device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(many, "RATIO_MIN", math.inf)
+    monkeypatch.setattr(grouping, "RATIO_MIN", math.inf)
     searched: list[str] = []
 
     def refuse(pair: Pair, *_: Any, **__: Any) -> Alignment:

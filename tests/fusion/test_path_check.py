@@ -11,7 +11,7 @@ import pytest
 from slamfusion.compute import ComputeDevice
 from slamfusion.errors import AlignmentError
 from slamfusion.fusion import fuse_grids
-from slamfusion.fusion.consistency import PATH_GAP
+from slamfusion.fusion.grouping import PATH_GAP
 from slamfusion.fusion.path_check import (
     PathsApartError,
     agreeing,

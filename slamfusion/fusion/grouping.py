@@ -1,15 +1,17 @@
-"""Many maps: cheap evidence first, alignments where it is promising, loops that must close.
+"""Groups of maps that fit together, of two maps or of a thousand, and where their maps lie.
 
-Every pair is ranked by how much its best shift at the yaws at which walls are parallel gives more
-than the best shift elsewhere (``shifts``). The most promising pair between two groups is aligned in
-full, and where it is believed the groups are one: a spanning tree by promise. A group that shares
-nothing with the others is given up after a few refusals. Then loops are closed: pairs that lie on
-common ground where the tree puts them must have walls that support it there (``ImpliedPairs``); one
-that has not is aligned in full, and what it says, or that nothing is found, contradicts the
-links of its path (``AlignmentGraph``). What is contradicted most is taken back, and the groups are
-grown again without it.
+Alignments join maps to groups: a spanning tree, the strongest first where all pairs were aligned,
+else the most promising. Then loops are closed. An alignment between two maps of a group must put
+them where the tree does. A pair without one, on ground that both maps know, must have walls that
+agree there (``ImpliedPairs``); where they contradict, it is aligned in full, and what that says, or
+that nothing is found, contradicts the links of its path (``AlignmentGraph``). What is contradicted
+most is taken back, and the groups are grown again without it. The poses are those that fit all
+links of a group best.
 
-Cost: N^2 products of spectra, about N alignments and 2 N looks at a known transform.
+Of many maps every pair is ranked by how much its best shift at the yaws at which walls are parallel
+gives more than the best shift elsewhere (``shifts``), and a map that shares nothing with the others
+is given up after a few refusals: N^2 products of spectra, about N alignments and 2 N looks at a
+known transform.
 """
 
 from __future__ import annotations
@@ -23,8 +25,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from slamfusion.align.align import track_pair
 from slamfusion.align.answer import conclude
 from slamfusion.align.features import GridFeatures
+from slamfusion.align.hypotheses import is_distinct
 from slamfusion.align.pair import Pair, displacement
 from slamfusion.align.records import Alignment
 from slamfusion.align.search import SearchResult
@@ -37,13 +41,6 @@ from slamfusion.align.shifts import (
 )
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import AlignConfig
-from slamfusion.fusion.consistency import (
-    CLOSURE_CELLS,
-    CLOSURE_YAW_RAD,
-    ImpliedPairs,
-    MapGroup,
-    motion_from,
-)
 from slamfusion.geometry import Pose2
 from slamfusion.pose_graph import PoseGraph, optimize
 from slamfusion.pose_graph.uncertainty import inverted, moved
@@ -53,6 +50,12 @@ AlignPair = Callable[[str, str], Alignment]
 # Told the pairs that are likely to be asked for next; takes as many as it wants.
 Ahead = Callable[[Iterable[tuple[str, str]]], None]
 
+CLOSURE_CELLS = 12.0
+CLOSURE_YAW_RAD = math.radians(3.0)
+# Statistic of a pair whose paths were compared and agree: their median gap, metres.
+PATH_GAP = "path_gap_m"
+# Ground that both maps know, as a share of the smaller one's: on less their walls need not meet.
+MUCH_GROUND = 0.3
 # A group of maps is given up after so many of its pairs with larger ones were refused in a row.
 TRIES = 3
 # Below this ratio of the best place to the best one elsewhere a pair is not promising.
@@ -97,55 +100,75 @@ class Candidate:
         return frozenset((self.a, self.b))
 
 
-def align_many(
-    features: Mapping[str, GridFeatures],
-    candidates: Sequence[Candidate],
-    align: AlignPair,
-    implied: ImpliedPairs,
-    ahead: Ahead | None = None,
-) -> tuple[list[MapGroup], list[Alignment]]:
-    """Find the groups of maps that fit together, and where their maps lie.
+@dataclass(frozen=True, eq=False)
+class MapGroup:
+    """Maps that fit together.
 
-    Args:
-        features: of the maps, by name, in input order.
-        candidates: every pair that may be aligned, the most promising first.
-        align: aligns a pair in full.
-        implied: looks at pairs under transforms that others imply.
-        ahead: told, before a pair is aligned, what will be after it; None: nobody wants to know.
-
-    Returns:
-        Every group, single maps too, the largest first; and every pair that was looked at, in
-        that order: those that are believed, and why the others are not.
+    Attributes:
+        members: their names, in input order.
+        score: sum of the scores of the alignments that join them.
+        poses: of each map's frame in that of the first member, metres.
     """
-    search = _Search(features, candidates, align, implied, ahead)
-    search.grow()
-    search.close_loops()
-    while search.graph.drop_false():
-        # What was said of contradictions is of other trees.
-        search.words.clear()
-        search.grow()
-        search.close_loops()
-    groups = [search.solved(group) for group in search.graph.groups()]
-    return groups, search.told()
+
+    members: tuple[str, ...]
+    score: float
+    poses: Mapping[str, Pose2]
 
 
-class _Search:
-    """The state of one search."""
+class GroupSearch:
+    """Finds the groups of maps that fit together."""
 
     def __init__(
         self,
         features: Mapping[str, GridFeatures],
         candidates: Sequence[Candidate],
         align: AlignPair,
-        implied: ImpliedPairs,
-        ahead: Ahead | None,
+        pairs: int,
+        ahead: Ahead,
     ) -> None:
+        """Begin with every map alone.
+
+        Args:
+            features: of the maps, by name, in input order.
+            candidates: every pair that may be aligned, the most promising first.
+            align: aligns a pair in full.
+            pairs: of maps in the job.
+            ahead: receives, before a pair is aligned, what will be after it.
+        """
         self.features, self.candidates = features, candidates
-        self.align, self.implied, self.ahead = align, implied, ahead
+        self.align, self.ahead = align, ahead
+        self.implied = ImpliedPairs(features, pairs)
         self.graph = AlignmentGraph(tuple(features))
         self.found: dict[Key, Alignment] = {}
         self.words: dict[Key, str] = {}
         self.ground = {name: _Ground(item) for name, item in features.items()}
+
+    def run(self) -> tuple[list[MapGroup], list[Alignment]]:
+        """Return every group, single maps too, the largest first, and every pair looked at.
+
+        Pairs are in the order in which they were; those that are accepted in the end, and why the
+        others are not. Of equally large groups that with the greater sum of scores is first.
+        """
+        self.grow()
+        self.close_loops()
+        while self.graph.drop_false():
+            self.grow()
+            self.close_loops()
+        accepted = [pair for pair in self.found.values() if pair.accepted]
+        if accepted and not self.graph.links:
+            # Of alignments that all contradict each other the strongest stays.
+            strongest = max(accepted, key=_strength)
+            del self.graph.false[key_of(strongest)]
+            self.graph.believe(strongest)
+        groups = [self.solved(group) for group in self.graph.groups()]
+        groups.sort(key=lambda group: (len(group.members), group.score), reverse=True)
+        return groups, self.told()
+
+    def align_all(self) -> None:
+        """Align every candidate; from then on the strongest are the most promising."""
+        for item in self.candidates:
+            self._aligned(item)
+        self.candidates = sorted(self.candidates, key=lambda item: -_strength(self.found[item.key]))
 
     def grow(self) -> None:
         """Join groups by the most promising pairs between them, until nothing promising is left."""
@@ -181,15 +204,15 @@ class _Search:
             for pair in self.graph.links_inside(group):
                 links.update((pair.reference, pair.moving))
             for (a, b), share in sorted(shares.items(), key=lambda item: -item[1]):
-                if share < LOOP_GROUND:
-                    break
                 key = frozenset((a, b))
                 if key in self.graph.links or key in self.graph.false:
                     continue
                 path = self.graph.path(a, b)
-                is_wanted = any(loops[part] < LOOPS for part in path)
-                if not is_wanted and min(links[a], links[b]) >= LINKS:
-                    continue
+                if not self._is_accepted(key):
+                    is_wanted = any(loops[part] < LOOPS for part in path)
+                    is_wanted |= min(links[a], links[b]) < LINKS
+                    if share < LOOP_GROUND or not is_wanted:
+                        continue
                 if self._closes(a, b, poses[a].inverse().compose(poses[b])):
                     loops.update(path)
                     links.update((a, b))
@@ -199,31 +222,28 @@ class _Search:
         links = self.graph.links_inside(group)
         poses, out = solve_poses(group, self.graph.poses(group), links, self.features)
         for pair in out:
-            self.words[key_of(pair)] = "taken back: the other alignments together contradict it"
-        return MapGroup(group, 0.0, poses)
+            why = "taken back: the other alignments together contradict it"
+            self.graph.false[key_of(pair)] = why
+        return MapGroup(group, math.fsum(pair.score for pair in links), poses)
 
     def told(self) -> list[Alignment]:
-        """Return every pair that was looked at, as it is believed in the end."""
-        pairs = {**self.found, **self.graph.links}
-        unused = [
-            key for key, pair in pairs.items() if pair.accepted and key not in self.graph.links
-        ]
-        words = dict.fromkeys(unused, "taken back: loops over other maps put it elsewhere")
-        words |= self.words | self.graph.false
+        """Return every pair that was looked at, as it is accepted or rejected in the end."""
         told = []
-        for key, pair in pairs.items():
-            why = words.get(key)
+        for key, pair in {**self.found, **self.graph.links}.items():
+            why = self.graph.false.get(key)
+            if why is None and pair.accepted and key not in self.graph.links:
+                why = "taken back: loops over other maps put it elsewhere"
             if why is not None:
-                kind = "different place" if why.startswith("taken back") else pair.decision
-                told.append(replace(pair, accepted=False, reason=why, decision=kind))
-            else:
+                told.append(replace(pair, accepted=False, reason=why, decision="different place"))
+            elif pair.accepted:
                 told.append(pair)
+            else:
+                told.append(replace(pair, reason=self.words.get(key, pair.reason)))
         return told
 
     def _aligned(self, item: Candidate) -> Alignment:
         if item.key not in self.found:
-            if self.ahead is not None:
-                self.ahead(self._coming(item))
+            self.ahead(self._coming(item))
             self.found[item.key] = self.align(item.a, item.b)
         return self.found[item.key]
 
@@ -264,33 +284,51 @@ class _Search:
             a, b, transform = b, a, transform.inverse()
         return self.ground[a].share_of(self.ground[b], transform)
 
+    def _is_accepted(self, key: Key) -> bool:
+        """Whether two maps were aligned in full, and it was accepted."""
+        return key in self.found and self.found[key].accepted
+
     def _closes(self, a: str, b: str, transform: Pose2) -> bool:
-        """Whether the walls of a pair fit where the tree puts it; note what contradicts it."""
-        look = self.implied.look(a, b, transform)
+        """Whether a pair fits where the tree puts it; note what contradicts it."""
         key = frozenset((a, b))
-        if look.is_borne_out:
-            self.graph.believe(look.alignment)
-            return True
-        if look.stands:
-            return False
-        pair = self._aligned(Candidate(a, b, math.inf))
-        if not pair.accepted:
-            self.words[key] = f"{pair.reason}; where the others put it, it gives {look.words}"
-            self.graph.contradict(key, None)
-            return False
+        if not self._is_accepted(key):
+            look = self.implied.look(a, b, transform)
+            if look.is_supported:
+                link = look.alignment
+                if key in self.found:
+                    said = f"accepted over others: as a pair with {a}, {b} was rejected; here they"
+                    link = replace(link, reason=f"{said} give {look.words}")
+                self.graph.believe(link)
+                return True
+            if look.stands:
+                return False
+            pair = self._aligned(Candidate(a, b, math.inf))
+            if not pair.accepted:
+                self.words[key] = f"{pair.reason}; where the others put it, it gives {look.words}"
+                self.graph.contradict(key, None)
+                return False
+        pair = self.found[key]
         if pair.moving != b:
             transform = transform.inverse()
-        if self._agrees(pair, transform, len(self.graph.path(a, b))):
+        if self._agrees(pair, transform, self.graph.path(a, b)):
             self.graph.believe(pair)
             return True
         self.graph.contradict(key, pair)
         return False
 
-    def _agrees(self, pair: Alignment, transform: Pose2, steps: int) -> bool:
-        """Whether an alignment is where a path of so many others puts it."""
+    def _agrees(self, pair: Alignment, transform: Pose2, path: Sequence[Key]) -> bool:
+        """Whether an alignment is where a path of others puts it.
+
+        Bent maps of one drive fit each other here in one pair and there in the next: a loop of
+        pairs whose paths agree is closed by these.
+        """
+        if all(
+            PATH_GAP in one.statistics for one in (pair, *(self.graph.links[key] for key in path))
+        ):
+            return True
         maps = Pair(self.features[pair.reference], self.features[pair.moving])
         shift, turn = displacement(maps.motion_of(pair.transform), maps.motion_of(transform))
-        parts = (1 + steps) / TRIANGLE
+        parts = (1 + len(path)) / TRIANGLE
         return shift <= CLOSURE_CELLS * parts and turn <= CLOSURE_YAW_RAD * parts
 
 
@@ -324,6 +362,58 @@ class _Ground:
         return float(np.count_nonzero(known)) / len(moving.points)
 
 
+@dataclass(frozen=True)
+class Implied:
+    """The outcome for a rejected pair under the transform that others imply.
+
+    Attributes:
+        alignment: refined from there.
+        stands: whether the pair contradicts no group.
+        words: why, in a few words.
+        is_supported: whether walls on common ground, be it much or little, say that it lies there.
+    """
+
+    alignment: Alignment
+    stands: bool
+    words: str
+    is_supported: bool = False
+
+
+class ImpliedPairs:
+    """Looks at rejected pairs under implied transforms, at each only once."""
+
+    def __init__(self, features: Mapping[str, GridFeatures], pairs: int) -> None:
+        """Keep the maps by name, and how many pairs the job has."""
+        self.features, self.pairs = features, pairs
+        self.seen: dict[tuple[str, str, Pose2], Implied] = {}
+
+    def look(self, reference: str, moving: str, transform: Pose2) -> Implied:
+        """Return what the walls of two maps say of a transform that others imply.
+
+        Args:
+            reference, moving: names of the maps.
+            transform: moving map frame to the reference's, metres.
+        """
+        key = reference, moving, transform
+        if key not in self.seen:
+            self.seen[key] = self._look(reference, moving, transform)
+        return self.seen[key]
+
+    def _look(self, still: str, moved: str, transform: Pose2) -> Implied:
+        pair = Pair(self.features[still], self.features[moved])
+        found = track_pair(pair, transform, self.pairs)
+        little = ""
+        if found.overlap < MUCH_GROUND:
+            little = f"{found.overlap:.0%} of the ground in common"
+        evidence = found.evidence
+        if evidence is None:
+            return Implied(found, bool(little), little or "no walls")
+        went = is_distinct(pair.motion_of(found.transform), pair.motion_of(transform))
+        words = f"{evidence.share:.0%} of what {evidence.common_m:.0f} m of common walls could give"
+        is_supported = found.accepted and not went
+        return Implied(found, is_supported or bool(little), little or words, is_supported)
+
+
 # The names of two maps.
 Key = frozenset[str]
 
@@ -331,6 +421,11 @@ Key = frozenset[str]
 def key_of(pair: Alignment) -> Key:
     """Return the names of the two maps of a pair."""
     return frozenset((pair.reference, pair.moving))
+
+
+def motion_from(pair: Alignment, source: str) -> Pose2:
+    """Return the transform from ``source``'s frame into the other's."""
+    return pair.transform if pair.moving == source else pair.transform.inverse()
 
 
 class AlignmentGraph:
