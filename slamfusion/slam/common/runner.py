@@ -7,7 +7,7 @@ import math
 import resource
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol, runtime_checkable
@@ -18,7 +18,7 @@ from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import F64
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.log import LogRecord, LogScan, ScanLog
-from slamfusion.slam.common.mapper import ClosesLoops, Closure, Health, Mapper, Series, Step
+from slamfusion.slam.common.mapper import ClosesLoops, Closure, Health, Mapper, Series
 from slamfusion.slam.common.odometry_check import contradictions
 from slamfusion.slam.records import ProducerRunJson, TimePerScanJson
 from slamfusion.trajectory import Trajectory
@@ -193,29 +193,42 @@ def run_producer(
             is not fed again.
         limit: scans after which it stops, at least 1; default: none.
     """
-    source = _Source(scans, mapper.last_stamp_s if isinstance(mapper, Resumable) else None)
+    last_s = mapper.last_stamp_s if isinstance(mapper, Resumable) else None
+    known_until_s = -math.inf if last_s is None else last_s
     feed_s: list[float] = []
     scores: list[float] = []
-    memory = row = longest_row = 0
+    odometry: list[tuple[float, float, float, float]] = []
+    known_scans = memory = row = longest_row = 0
     is_complete = True
     begun_s = time.perf_counter()
-    for item in source:
-        if limit is not None and len(feed_s) >= limit:
+    for item in scans:
+        stamp_s, wheels = item.scan.stamp_s, item.odometry
+        if stamp_s <= known_until_s:
+            known_scans += 1
+        elif limit is not None and len(feed_s) >= limit:
             is_complete = False
             break
-        before_s = time.perf_counter()
-        step = mapper.feed(item.scan, item.odometry)
-        feed_s.append(time.perf_counter() - before_s)
-        scores.append(math.nan if step.match_score is None else step.match_score)
-        row = row + 1 if _is_low(step, mapper.health) else 0
-        longest_row = max(longest_row, row)
-        memory = max(memory, mapper.memory_bytes())
-        source.keep_odometry(item)
-        if progress is not None:
+        else:
+            before_s = time.perf_counter()
+            step = mapper.feed(item.scan, wheels)
+            feed_s.append(time.perf_counter() - before_s)
+            score, mean = step.match_score, mapper.health.mean_match_score
+            scores.append(math.nan if score is None else score)
+            is_low = score is not None and mean is not None and score < LOW_SHARE * mean
+            row = row + 1 if is_low else 0
+            longest_row = max(longest_row, row)
+            memory = max(memory, mapper.memory_bytes())
+        if wheels is not None:
+            odometry.append((stamp_s, wheels.x, wheels.y, wheels.yaw_rad))
+        if progress is not None and stamp_s > known_until_s:
             progress(len(feed_s))
     record = None if log is None else LogRecord.of(log)
-    if source.known_scans and not feed_s:
-        raise SlamFusionError(source.all_known(mapper.name, record))
+    if known_scans and not feed_s:
+        where = "" if record is None else f"{record.path}: "
+        raise SlamFusionError(
+            f"{where}{mapper.name} knows every one of the {known_scans} scans: its state goes up "
+            f"to {known_until_s:.3f} s; give a log that goes on from there"
+        )
     if not feed_s or not mapper.health.scans_used:
         raise SlamFusionError(_nothing_used(mapper, record, len(feed_s)))
     grid, trajectory = mapper.grid(), mapper.trajectory()
@@ -223,7 +236,7 @@ def run_producer(
     return ProducerRun(
         name=mapper.name,
         trajectory=trajectory,
-        odometry=source.odometry(),
+        odometry=_trajectory(odometry),
         grid=grid,
         health=copy.deepcopy(mapper.health),  # the producer may go on
         log=record,
@@ -233,7 +246,7 @@ def run_producer(
         peak_memory_bytes=max(memory, mapper.memory_bytes()),
         process_peak_memory_bytes=_process_peak_bytes(),
         is_complete=is_complete,
-        known_scans=source.known_scans,
+        known_scans=known_scans,
         series=mapper.series(),
         other_paths=mapper.other_paths(),
         closures=tuple(mapper.closures()) if isinstance(mapper, ClosesLoops) else (),
@@ -241,53 +254,12 @@ def run_producer(
     )
 
 
-class _Source:
-    """Scans without those that a producer knows; keeps the raw odometry of all that it was fed.
-
-    Attributes:
-        known_scans: passed over so far.
-    """
-
-    def __init__(self, scans: Iterable[LogScan], known_until_s: float | None) -> None:
-        self.known_scans = 0
-        self._scans = scans
-        self._known_until_s = -math.inf if known_until_s is None else known_until_s
-        self._rows: list[tuple[float, float, float, float]] = []
-
-    def __iter__(self) -> Iterator[LogScan]:
-        for item in self._scans:
-            if item.scan.stamp_s > self._known_until_s:
-                yield item
-            else:
-                self.known_scans += 1
-                self.keep_odometry(item)
-
-    def keep_odometry(self, item: LogScan) -> None:
-        """Add a scan's raw odometry, if it has some."""
-        pose = item.odometry
-        if pose is not None:
-            self._rows.append((item.scan.stamp_s, pose.x, pose.y, pose.yaw_rad))
-
-    def odometry(self) -> Trajectory | None:
-        """Return raw odometry as a trajectory; None for none."""
-        if not self._rows:
-            return None
-        table = np.array(self._rows)
-        return Trajectory(table[:, 0], table[:, 1:], "odometry")
-
-    def all_known(self, name: str, record: LogRecord | None) -> str:
-        """Say that there is nothing to do."""
-        where = "" if record is None else f"{record.path}: "
-        return (
-            f"{where}{name} knows every one of the {self.known_scans} scans: its state goes up to "
-            f"{self._known_until_s:.3f} s; give a log that goes on from there"
-        )
-
-
-def _is_low(step: Step, health: Health) -> bool:
-    """Return whether a scan was matched badly, by the record up to it."""
-    score, mean = step.match_score, health.mean_match_score
-    return score is not None and mean is not None and score < LOW_SHARE * mean
+def _trajectory(rows: list[tuple[float, float, float, float]]) -> Trajectory | None:
+    """Return raw odometry as a trajectory; None for none."""
+    if not rows:
+        return None
+    table = np.array(rows)
+    return Trajectory(table[:, 0], table[:, 1:], "odometry")
 
 
 def _nothing_used(mapper: Mapper, record: LogRecord | None, fed: int) -> str:

@@ -3,9 +3,8 @@
 ``slam`` is the method; every other module is one noun of it. Who owns what, and who asks whom::
 
     GraphSlam
-      Localizer             where a scan lies on the local map
+      Localizer             where a scan lies on the local map; is the robot tracked?
         Tracker             the robot's pose from scan to scan, running mean score
-        TrackingQuality     is it tracked, has tracking failed, was it kidnapped?
       LocalMap              the submaps, which one is active, the map components they are in
         Submap              a likelihood field in the frame of its anchor node
       MapGraph              nodes (scans), their poses, constraints and weights; when it is solved
@@ -17,7 +16,7 @@
 
 ``Localizer`` reads ``LocalMap``; ``LoopClosure`` reads ``LocalMap`` and ``MapGraph``, adds closures
 to the graph and, when a robot is relocalized, joins components and moves their poses. Both share
-one ``ClosureSearch``. ``state`` has a typed record for what each of them owns.
+one ``ClosureSearch``.
 """
 
 from __future__ import annotations

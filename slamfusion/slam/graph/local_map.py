@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -52,8 +52,9 @@ class LocalMap(Stateful):
         self._config = config
         self._device = device
         self._health = health
-        # Of the finished submaps, which change no more.
-        self._boxes = _Boxes.of([])
+        # Of the finished submaps: anchors (S,), and corners of the boxes around
+        # the robot's places in them, metres (S, 2).
+        self._boxes = (np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)))
         # Where a submap was begun in the frame of the one before it, by their anchors.
         self._begun: dict[tuple[int, int], Pose2] = {}
 
@@ -94,10 +95,15 @@ class LocalMap(Stateful):
         Returns:
             Metres; 0 within a box around the robot's places there.
         """
-        if len(self._boxes.anchors) != self.active:
-            self._boxes = _Boxes.of(self.submaps[: self.active])
-        low, high = self._boxes.low, self._boxes.high
-        anchors = poses[self._boxes.anchors]
+        if len(self._boxes[0]) != self.active:
+            finished = self.submaps[: self.active]
+            self._boxes = (
+                np.array([submap.anchor for submap in finished], dtype=np.int64),
+                np.array([submap.low for submap in finished]).reshape(-1, 2),
+                np.array([submap.high for submap in finished]).reshape(-1, 2),
+            )
+        numbers, low, high = self._boxes
+        anchors = poses[numbers]
         x, y = pose.x - anchors[:, 0], pose.y - anchors[:, 1]
         cos, sin = np.cos(anchors[:, 2]), np.sin(anchors[:, 2])
         places = np.column_stack((cos * x + sin * y, cos * y - sin * x))
@@ -222,24 +228,3 @@ class LocalMap(Stateful):
         """Return a node's walls and laser as a submap takes them."""
         laser = node.laser.astype(np.float64)
         return fill_walls(node.points(), laser, WALL_CELLS * self._config.resolution), laser
-
-
-class _Boxes(NamedTuple):
-    """Where the robot was in some finished submaps.
-
-    Attributes:
-        anchors: (S,) int64, numbers of their anchors.
-        low: (S, 2) metres, lower-left corners of the robot's places in them.
-        high: (S, 2) the other corners.
-    """
-
-    anchors: npt.NDArray[np.int64]
-    low: F64
-    high: F64
-
-    @classmethod
-    def of(cls, submaps: Sequence[Submap]) -> _Boxes:
-        """Return those of some submaps; none is fine."""
-        anchors = np.array([submap.anchor for submap in submaps], dtype=np.int64)
-        low = np.array([submap.low for submap in submaps]).reshape(-1, 2)
-        return cls(anchors, low, np.array([submap.high for submap in submaps]).reshape(-1, 2))

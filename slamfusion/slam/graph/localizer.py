@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -27,41 +27,6 @@ TrackingStatus = Literal["tracked", "unsure", "failed", "kidnapped"]
 LOST_SCANS = 4
 # Tracking has failed after this number of bad scans among this number of the last ones.
 FAILED_BAD, FAILED_SCANS = 3, 10
-
-
-@dataclass
-class TrackingQuality:
-    """How the last scans fitted; it is its own state.
-
-    Attributes:
-        unsure_row: scans in a row whose place was not sure.
-        bad: numbers of the bad scans among the last ``FAILED_SCANS``.
-    """
-
-    unsure_row: int = 0
-    bad: list[int] = field(default_factory=list)
-
-    def judge(self, number: int, fit: float, *, is_sure: bool, has_jumped: bool) -> TrackingStatus:
-        """Take how a scan fitted, and return what that says of the robot.
-
-        Returns:
-            ``kidnapped`` where it is no longer where the local map is; ``failed`` where it may be,
-            but its place to what was before is not known; ``unsure`` for a scan that only dead
-            reckoning places.
-        """
-        self.unsure_row = 0 if is_sure else self.unsure_row + 1
-        if self.unsure_row >= LOST_SCANS or (has_jumped and fit < RESET_SHARE):
-            return "kidnapped"
-        self.bad = [bad for bad in self.bad if number - bad < FAILED_SCANS]
-        if fit < BAD_SHARE:
-            self.bad.append(number)
-        if not is_sure:
-            return "unsure"
-        return "failed" if len(self.bad) >= FAILED_BAD else "tracked"
-
-    def reset(self) -> None:
-        """Forget what was: a new local map begins."""
-        self.unsure_row, self.bad = 0, []
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +68,7 @@ class Estimate:
 class Localizer(Stateful):
     """Follows the robot on the local map; it owns the tracker and the quality of its matches."""
 
-    STATE = ("_tracker", "_quality")
+    STATE = ("_tracker", "_unsure_row", "_bad")
 
     def __init__(
         self,
@@ -121,7 +86,9 @@ class Localizer(Stateful):
         self._tracker = Tracker(
             config.matcher, device, rng, health, searches_again=False, resolves_degeneracy=True
         )
-        self._quality = TrackingQuality()
+        # Scans in a row whose place was not sure, and the bad ones among the last ``FAILED_SCANS``.
+        self._unsure_row = 0
+        self._bad: list[int] = []
 
     @property
     def has_pose(self) -> bool:
@@ -160,10 +127,27 @@ class Localizer(Stateful):
             )
         local = pose_of(at)
         self._tracker.advance(local, seen.odometry, seen.scan.stamp_s)
-        status = self._quality.judge(
-            self._health.scans, fit, is_sure=is_sure, has_jumped=self._tracker.has_jumped
-        )
+        status = self._judge(fit, is_sure=is_sure)
         return Estimate(local, match.score, hessian, status)
+
+    def _judge(self, fit: float, *, is_sure: bool) -> TrackingStatus:
+        """Take how a scan fitted, and return what that says of the robot.
+
+        Returns:
+            ``kidnapped`` where it is no longer where the local map is; ``failed`` where it may be,
+            but its place to what was before is not known; ``unsure`` for a scan that only dead
+            reckoning places.
+        """
+        number = self._health.scans
+        self._unsure_row = 0 if is_sure else self._unsure_row + 1
+        if self._unsure_row >= LOST_SCANS or (self._tracker.has_jumped and fit < RESET_SHARE):
+            return "kidnapped"
+        self._bad = [bad for bad in self._bad if number - bad < FAILED_SCANS]
+        if fit < BAD_SHARE:
+            self._bad.append(number)
+        if not is_sure:
+            return "unsure"
+        return "failed" if len(self._bad) >= FAILED_BAD else "tracked"
 
     def dead_reckon(self, seen: Observation, hypothesis: PoseHypothesis) -> Pose2:
         """Take a hypothesis as where the robot is at a scan that tells nothing; return it."""
@@ -179,7 +163,7 @@ class Localizer(Stateful):
     def restart(self) -> None:
         """Follow the robot in the frame of a submap that has just begun where it is."""
         self._tracker.pose = IDENTITY
-        self._quality.reset()
+        self._unsure_row, self._bad = 0, []
 
     def change_frame(self, local: Pose2) -> None:
         """Follow the robot in the frame of the active submap, where its pose is ``local``."""

@@ -28,7 +28,7 @@ from slamfusion.slam.common.runner import FIRST_REPORTED
 from slamfusion.slam.common.state import SavedMapper
 from slamfusion.slam.graph.closure_search import ClosureSearch
 from slamfusion.slam.graph.local_map import LocalMap
-from slamfusion.slam.graph.localizer import Localizer, Observation, TrackingQuality
+from slamfusion.slam.graph.localizer import Localizer, Observation
 from slamfusion.slam.graph.loop_closure import LoopClosure, PendingClosure, RelocalizationHypothesis
 from slamfusion.slam.graph.map_graph import (
     NO_NODE,
@@ -60,7 +60,6 @@ class GraphSlam(SavedMapper):
         PendingClosure,
         RelocalizationHypothesis,
         Solution,
-        TrackingQuality,
     )
     STATE = ("health", "last_stamp_s", "_localizer", "_graph", "_local_map", "_loops", "_path")
 
