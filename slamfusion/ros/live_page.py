@@ -66,7 +66,7 @@ class LivePage:
     def put_input(self, name: str, grid: OccupancyGrid) -> None:
         """Show the newest map of an input."""
         self._inputs.add(name)
-        self._server.feed.put(layer_name(name), grid, "input")
+        self._scene.put_map(layer_name(name), grid, "input")
 
     def put_problem(self, name: str, problem: str) -> None:
         """Say that a map of an input cannot be read."""
@@ -74,8 +74,8 @@ class LivePage:
 
     def put_fused(self, fused: FusedMap) -> None:
         """Show a fused map that was published, and where its voters agree."""
-        self._server.feed.put(FUSED, fused.grid, "fused")
-        self._server.feed.put(AGREEMENT, fused.agreement, "agreement")
+        self._scene.put_map(FUSED, fused.grid, "fused")
+        self._scene.put_map(AGREEMENT, fused.agreement, "agreement")
 
     # -- in the node's thread ---------------------------------------------------------------------
 
@@ -91,7 +91,7 @@ class LivePage:
         names = [line.name.removeprefix(PREFIX) for line in others]
         for name in self._inputs.difference(names):
             self._inputs.discard(name)
-            self._server.feed.remove(layer_name(name))
+            self._scene.remove(layer_name(name))
             self._scene.put_event("warn", f"{name} is removed from the inputs")
         poses = []
         for source in sources:

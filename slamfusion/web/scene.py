@@ -137,11 +137,11 @@ class _Layer:
 
 
 class Scene:
-    """What pages are told. Any thread may put and ask; maps come and go in one thread at a time.
+    """What pages are told. Any thread may put and ask.
 
     Everything that is put gets a number, ``seq``, that only grows. A page that has everything up to
     a number is told what is newer, each thing once and in its newest state, however much came in
-    between.
+    between. A map waits until a page asks, and is cut into tiles then.
 
     Args:
         title: of the page.
@@ -173,6 +173,9 @@ class Scene:
         self._level = level
         self._colours = colours_of(names)
         self._lock = threading.Lock()
+        # Held while maps are cut, before the other.
+        self._cutting = threading.Lock()
+        self._waiting: dict[str, tuple[OccupancyGrid, Kind, bool]] = {}
         self._seq = 0
         self._layers: dict[str, _Layer] = {}
         self._status: tuple[int, Mapping[str, Any]] | None = None
@@ -182,8 +185,8 @@ class Scene:
 
     # -- what comes -------------------------------------------------------------------------------
 
-    def put_map(self, name: str, grid: OccupancyGrid, kind: Kind, *, is_shown: bool = True) -> int:
-        """Take the newest state of a map, and return how many tiles of it have changed.
+    def put_map(self, name: str, grid: OccupancyGrid, kind: Kind, *, is_shown: bool = True) -> None:
+        """Take the newest state of a map.
 
         Args:
             name: of the map.
@@ -191,51 +194,21 @@ class Scene:
             kind: what it is.
             is_shown: whether one sees it at first; the agreement never is.
         """
-        layer = self._layers.get(name)
-        if layer is None:
-            layer = _Layer(kind, is_shown and kind != "agreement")
-        offset = None if layer.lattice is None else layer.lattice.cell_of(grid)
-        is_new = offset is None
-        before = {} if is_new else layer.tiles
-        tiles = _cut(grid.cells, offset or (0, 0))
-        changed = [
-            place
-            for place, cells in tiles.items()
-            if (old := before.get(place)) is None or not np.array_equal(old, cells)
-        ]
-        changed += [place for place in before if place not in tiles]
-        stamp_s, empty = self._clock(), np.full((TILE, TILE), UNKNOWN, dtype=np.int8)
-        sent = {
-            place: encode_tile(name, place, stamp_s, tiles.get(place, empty), self._level)
-            for place in changed
-        }
         with self._lock:
+            self._waiting[name] = grid, kind, is_shown
             if kind != "agreement":
                 self._name([name])
-            if is_new:
-                layer.lattice = Lattice(grid.resolution, grid.origin)
-                layer.epoch += 1
-                layer.sent.clear()
-            if is_new or layer.size != grid.cells.shape:
-                layer.seq = self._next()
-            layer.tiles, layer.size = tiles, (grid.height, grid.width)
-            layer.sent |= {place: (self._next(), data) for place, data in sent.items()}
-            self._layers[name] = layer
-        if is_new or changed:
-            self.on_change()
-        return len(changed)
+        self.on_change()
 
     def remove(self, name: str) -> None:
         """Take a map away, and the path of that name."""
         with self._lock:
             self._votes.pop(name, None)
             self._trails.pop(name, None)
-            layer = self._layers.get(name)
-            if layer is None:
-                return
-            layer.lattice, layer.tiles = None, {}
-            layer.sent.clear()
-            layer.seq = self._next()
+            self._waiting.pop(name, None)
+            if (old := self._layers.get(name)) is not None:
+                gone = _Layer(old.kind, old.is_shown, epoch=old.epoch, seq=self._next())
+                self._layers[name] = gone
         self.on_change()
 
     def put_status(self, inputs: Sequence[Mapping[str, Any]], **figures: Any) -> None:
@@ -303,6 +276,14 @@ class Scene:
 
     def since(self, seq: int) -> tuple[list[Message], int]:
         """Return everything newer than a number, maps last, and the number of the newest."""
+        with self._cutting:
+            with self._lock:
+                waiting = list(self._waiting)
+            for name in waiting:
+                try:
+                    self._cut(name)
+                except Exception:  # noqa: BLE001 - the page goes on
+                    _LOG.exception("the map %r cannot be shown", name)
         with self._lock:
             texts: list[Message] = []
             if self._status is not None and self._status[0] > seq:
@@ -323,6 +304,41 @@ class Scene:
                 if number > seq
             )
             return [*texts, *(data for _, data in tiles)], self._seq
+
+    def _cut(self, name: str) -> None:
+        """Cut a map that waits into tiles, and keep those that have changed."""
+        with self._lock:
+            if name not in self._waiting:  # it was taken away
+                return
+            grid, kind, is_shown = self._waiting.pop(name)
+            layer = self._layers.setdefault(name, _Layer(kind, is_shown and kind != "agreement"))
+            lattice, before = layer.lattice, layer.tiles
+        offset = None if lattice is None else lattice.cell_of(grid)
+        if offset is None:
+            lattice, before = None, {}
+        tiles = _cut(grid.cells, offset or (0, 0))
+        changed = [
+            place
+            for place, cells in tiles.items()
+            if (old := before.get(place)) is None or not np.array_equal(old, cells)
+        ]
+        changed += [place for place in before if place not in tiles]
+        stamp_s, empty = self._clock(), np.full((TILE, TILE), UNKNOWN, dtype=np.int8)
+        sent = {
+            place: encode_tile(name, place, stamp_s, tiles.get(place, empty), self._level)
+            for place in changed
+        }
+        with self._lock:
+            if self._layers[name] is not layer:  # it was taken away in the meantime
+                return
+            if lattice is None:
+                layer.lattice = Lattice(grid.resolution, grid.origin)
+                layer.epoch += 1
+                layer.sent.clear()
+            if lattice is None or layer.size != grid.cells.shape:
+                layer.seq = self._next()
+            layer.tiles, layer.size = tiles, (grid.height, grid.width)
+            layer.sent |= {place: (self._next(), data) for place, data in sent.items()}
 
     def _described(self, name: str, layer: _Layer) -> dict[str, Any]:
         """Return what a page needs to place and colour a map's tiles, or that it is gone."""
@@ -346,62 +362,3 @@ def _newer(trail: deque[_Point], seq: int) -> list[tuple[float, float, float]]:
     """Return x, y and time of the points of a path after a number, in order."""
     after = itertools.takewhile(lambda point: point[0] > seq, reversed(trail))
     return [(round(x_m, 3), round(y_m, 3), round(at_s, 1)) for _, x_m, y_m, at_s in after][::-1]
-
-
-class Feed:
-    """Hands maps to a scene in a thread of its own, of each map only the newest.
-
-    ``put`` returns at once, and the map is cut later. Without a viewer it is not cut.
-    """
-
-    def __init__(self, scene: Scene) -> None:
-        self._scene = scene
-        self._changed = threading.Condition()
-        # None: the map is to be taken away.
-        self._waiting: dict[str, tuple[OccupancyGrid, Kind] | None] = {}
-        self._viewers = 0
-        self._is_closed = False
-        self._thread = threading.Thread(target=self._run, name="page feed", daemon=True)
-        self._thread.start()
-
-    def put(self, name: str, grid: OccupancyGrid, kind: Kind) -> None:
-        """Let a map wait, in the place of an older one of that name; its cells must stay."""
-        with self._changed:
-            self._waiting[name] = grid, kind
-            self._changed.notify_all()
-
-    def remove(self, name: str) -> None:
-        """Let a map be taken away, also one that waits."""
-        with self._changed:
-            self._waiting[name] = None
-            self._changed.notify_all()
-
-    def count_viewers(self, number: int) -> None:
-        """Take how many look."""
-        with self._changed:
-            self._viewers = number
-            self._changed.notify_all()
-
-    def close(self, timeout_s: float = 5.0) -> None:
-        """End the thread; what waits is dropped."""
-        with self._changed:
-            self._is_closed = True
-            self._changed.notify_all()
-        self._thread.join(timeout_s)
-
-    def _run(self) -> None:
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._is_closed or (self._waiting and self._viewers))
-                if self._is_closed:
-                    return
-                # Those that have not changed for longest first.
-                name = next(iter(self._waiting))
-                waiting = self._waiting.pop(name)
-            try:
-                if waiting is None:
-                    self._scene.remove(name)
-                else:
-                    self._scene.put_map(name, *waiting)
-            except Exception:  # noqa: BLE001 - the page goes on; a map that cannot be shown is named
-                _LOG.exception("the map %r cannot be shown", name)

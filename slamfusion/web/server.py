@@ -45,7 +45,7 @@ except ImportError as missing:  # starlette, uvicorn
 from slamfusion.config import Checked, from_mapping, option
 from slamfusion.errors import ConfigError, SlamFusionError
 from slamfusion.web.front import front_end
-from slamfusion.web.scene import Feed, Scene, to_text
+from slamfusion.web.scene import Scene, to_text
 
 # Whether a command was carried out, and what to say.
 Answer = tuple[bool, str]
@@ -196,7 +196,6 @@ class PageServer:
     Attributes:
         url: with the token, where there are commands, in its fragment, which no browser sends
             anywhere.
-        feed: takes maps for the scene.
 
     Raises:
         ConfigError: it cannot listen there.
@@ -224,7 +223,6 @@ class PageServer:
         shown = f"[{host}]" if ":" in host else host
         fragment = "" if command is None else f"#token={self._token}"
         self.url = f"http://{shown}:{self.port}/{fragment}"
-        self.feed = Feed(scene)
         self._loop: asyncio.AbstractEventLoop | None = None
         app = Starlette(
             routes=[
@@ -254,7 +252,6 @@ class PageServer:
         self._scene.on_change = lambda: None
         self._server.should_exit = True
         self._thread.join(END_S)
-        self.feed.close()
         self._socket.close()
 
     def _run(self) -> None:
@@ -311,14 +308,12 @@ class PageServer:
             return
         viewer = _Viewer()
         self._viewers.add(viewer)
-        self.feed.count_viewers(len(self._viewers))
         try:
             await self._serve(ws, viewer)
         except (WebSocketDisconnect, asyncio.TimeoutError, PageMessageError, KeyError):
             pass  # it went, fell silent, or is no page of ours
         finally:
             self._viewers.discard(viewer)
-            self.feed.count_viewers(len(self._viewers))
             if ws.application_state is not WebSocketState.DISCONNECTED:
                 with contextlib.suppress(RuntimeError, WebSocketDisconnect):
                     await ws.close(REFUSED)
@@ -353,7 +348,7 @@ class PageServer:
         while True:
             viewer.has_news.clear()
             viewer.has_seen.clear()
-            messages, seq = self._scene.since(viewer.seen)
+            messages, seq = await asyncio.to_thread(self._scene.since, viewer.seen)
             for message in messages:
                 await (
                     ws.send_text(message) if isinstance(message, str) else ws.send_bytes(message)

@@ -35,22 +35,22 @@ def status(scene: Scene, **inputs: tuple[bool, list[float] | None]) -> None:
     scene.put_status(told, poses=[], headline="as told", level="good", figures={})
 
 
-def leaves_and_comes_again(page: Any, server: PageServer, scene: Scene) -> None:
+def leaves_and_comes_again(page: Any, scene: Scene) -> None:
     """An input that is removed leaves no row, no layer and no choice; it may come again."""
-    server.feed.remove("a")
+    scene.remove("a")
     status(scene)
     page.wait_for_selector('#layers li[data-name="a"]', state="detached")
     page.wait_for_selector('#inputs li[data-name="a"]', state="detached")
     assert page.locator('#second option[value="a"]').count() == 0
-    server.feed.put("a", room(20, name="a", x=7.0), "input")
+    scene.put_map("a", room(20, name="a", x=7.0), "input")
     status(scene, a=(True, [-7.0, 0.0, 0.0]))
     page.wait_for_selector('#layers li[data-name="a"]')
     page.wait_for_selector('#inputs li[data-name="a"][data-votes="true"]')
 
 
-def disagreement_is_of_no_input(page: Any, server: PageServer) -> None:
+def disagreement_is_of_no_input(page: Any, scene: Scene) -> None:
     """Where nobody agreed is drawn in a colour of its own, which also stands in the list."""
-    server.feed.put("agreement", room(10), "agreement")
+    scene.put_map("agreement", room(10), "agreement")
     agreement = page.locator('#layers li[data-name="agreement"]')
     agreement.locator("input[type=checkbox]").check()
     agreement.locator("input[type=range]").fill("1")
@@ -69,7 +69,7 @@ def test_the_page_follows_looks_back_compares_and_comes_back() -> None:
     server = PageServer(scene, token=TOKEN, command=lambda name: (True, f"{name}: done"))
     with browser_page() as page:
         page.goto(server.url)
-        server.feed.put("fused", room(10), "fused")
+        scene.put_map("fused", room(10), "fused")
         page.wait_for_selector('#layers li[data-name="fused"]')
         page.click("#pixels")
         becomes(page, WALL, "fused", 12, 5)
@@ -77,7 +77,7 @@ def test_the_page_follows_looks_back_compares_and_comes_back() -> None:
 
         # What moves is drawn; the slider goes back to what was, and to now again.
         page.wait_for_timeout(300)
-        server.feed.put("fused", room(38), "fused")
+        scene.put_map("fused", room(38), "fused")
         becomes(page, WALL, "fused", 40, 5)
         page.evaluate(
             """() => {
@@ -92,7 +92,7 @@ def test_the_page_follows_looks_back_compares_and_comes_back() -> None:
         becomes(page, WALL, "fused", 40, 5)
 
         # An input lies where its transform says, in its colour; a cell names who says what.
-        server.feed.put("a", room(20, name="a", x=7.0), "input")
+        scene.put_map("a", room(20, name="a", x=7.0), "input")
         status(scene, a=(True, [-7.0, 0.0, 0.0]))
         page.wait_for_selector('#inputs li[data-name="a"][data-votes="true"]')
         page.fill('#layers li[data-name="a"] input[type=range]', "1")
@@ -108,20 +108,20 @@ def test_the_page_follows_looks_back_compares_and_comes_back() -> None:
         assert background == f"rgb{OTHERS[0]}"
         page.uncheck("#difference")
 
-        disagreement_is_of_no_input(page, server)
+        disagreement_is_of_no_input(page, scene)
 
         page.click("#save")
         page.wait_for_selector("#answer.good")
         assert page.text_content("#answer") == "✓ save: done"
 
-        leaves_and_comes_again(page, server, scene)
+        leaves_and_comes_again(page, scene)
 
         # The server dies and begins again: another scene, the same page and token.
         server.close()
         page.wait_for_selector("body[data-connected=false]")
         again = Scene("second", is_live=True)
         other = PageServer(again, port=server.port, token=TOKEN, command=lambda _: (True, "again"))
-        other.feed.put("fused", room(5), "fused")
+        again.put_map("fused", room(5), "fused")
         page.wait_for_selector("body[data-connected=true]", timeout=15_000)
         becomes(page, WALL, "fused", 6, 5)
         becomes(page, FREE, "fused", 40, 5)

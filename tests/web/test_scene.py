@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import pytest
 
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
-from slamfusion.web.scene import TILE, Feed, Scene, encode_tile
+from slamfusion.web.scene import TILE, Scene, encode_tile
 from tests.web.maps import noise, painted, texts, tiles
 
 pytestmark = pytest.mark.once
@@ -33,10 +31,11 @@ def test_a_tile_is_what_it_was_and_one_of_equal_cells_is_small() -> None:
 
 def test_only_changed_tiles_are_told(scene: Scene) -> None:
     grid = noise(300, 300)
-    assert scene.put_map("a", grid, "input") == 9
+    scene.put_map("a", grid, "input")
     first, seq = scene.since(0)
+    assert len(tiles(first, "a")) == 9
     assert np.array_equal(painted(tiles(first, "a"), 300, 300, (0, 0)), grid.cells)
-    assert scene.put_map("a", grid, "input") == 0
+    scene.put_map("a", grid, "input")
     assert scene.since(seq) == ([], seq)
     cells = grid.cells.copy()
     cells[130, 5] = 100 if cells[130, 5] != 100 else 0
@@ -66,7 +65,7 @@ def test_another_lattice_begins_again(scene: Scene) -> None:
     _, seq = scene.since(0)
     for origin in (Pose2(0.02, 0.0, 0.0), Pose2(0.0, 0.0, 0.1)):
         scene.put_map("a", OccupancyGrid(noise(50, 50).cells, 0.05, origin, "a"), "input")
-    later, _ = scene.since(seq)
+        later, _ = scene.since(seq)
     (layer,) = texts(later, "layer")
     assert layer["epoch"] == 3
     assert layer["anchor"] == [0.0, 0.0, 0.1]
@@ -121,22 +120,31 @@ def test_a_map_that_is_taken_away_is_told_and_may_come_again(scene: Scene) -> No
     # Who looks only now is not shown it, and who comes again is drawn whole.
     assert not tiles(scene.since(0)[0], "a")
     assert not texts(scene.since(0)[0], "trail")
-    assert scene.put_map("a", grid, "input") == 1
+    scene.put_map("a", grid, "input")
     later, _ = scene.since(seq)
+    assert len(tiles(later, "a")) == 1
     (layer,) = texts(later, "layer")
     assert layer["epoch"] == 2
     assert np.array_equal(painted(tiles(later, "a"), 50, 50, (0, 0)), grid.cells)
 
 
-def test_a_feed_lets_the_newest_word_of_a_map_count(scene: Scene) -> None:
-    feed = Feed(scene)
-    feed.put("a", noise(50, 50), "input")
-    feed.put("b", noise(50, 50), "input")
-    feed.remove("a")
-    feed.count_viewers(1)
-    until_s = time.monotonic() + 10.0
-    while not tiles(scene.since(0)[0], "b") and time.monotonic() < until_s:
-        time.sleep(0.01)
-    feed.close()
-    assert tiles(scene.since(0)[0], "b")
-    assert not tiles(scene.since(0)[0], "a")
+def test_a_map_that_waits_and_is_taken_away_is_never_told(scene: Scene) -> None:
+    scene.put_map("a", noise(50, 50), "input")
+    scene.put_map("b", noise(50, 50), "input")
+    scene.remove("a")
+    messages, _ = scene.since(0)
+    assert [layer["name"] for layer in texts(messages, "layer")] == ["b"]
+    assert tiles(messages, "b")
+    assert not tiles(messages, "a")
+
+
+def test_a_map_taken_away_while_it_is_cut_stays_away() -> None:
+    def clock() -> float:
+        scene.remove("a")
+        return 0.0
+
+    scene = Scene("test", is_live=True, clock=clock)
+    scene.put_map("a", noise(50, 50), "input")
+    messages, _ = scene.since(0)
+    assert texts(messages, "layer") == [{"type": "layer", "name": "a", "gone": True}]
+    assert not tiles(messages, "a")

@@ -75,7 +75,7 @@ def status_of(server: PageServer, path: str, **headers: str) -> int:
 
 def test_a_page_is_told_what_there_is_and_what_comes(scene: Scene, server: PageServer) -> None:
     grid = noise(200, 150)
-    server.feed.put("fused", grid, "fused")
+    scene.put_map("fused", grid, "fused")
     with socket(server) as page:
         say(page, type="hello", token="", scene="", seq=0)
         messages = batch(page)
@@ -154,8 +154,8 @@ def test_who_says_something_else_is_cut_off(server: PageServer, said: str) -> No
             page.recv(10.0)
 
 
-def test_a_page_that_takes_nothing_keeps_nobody_waiting(server: PageServer) -> None:
-    """Its batch is the last that it gets; another page gets the newest, and the feed goes on."""
+def test_a_page_that_takes_nothing_keeps_nobody_waiting(scene: Scene, server: PageServer) -> None:
+    """Its batch is the last that it gets; another page gets the newest."""
     with socket(server) as slow, socket(server) as quick:
         for page in (slow, quick):
             say(page, type="hello")
@@ -164,7 +164,7 @@ def test_a_page_that_takes_nothing_keeps_nobody_waiting(server: PageServer) -> N
         batch(quick)
         began_s = time.monotonic()
         for seed in range(30):
-            server.feed.put("a", noise(600, 600, seed=seed), "input")
+            scene.put_map("a", noise(600, 600, seed=seed), "input")
         assert time.monotonic() - began_s < 5.0
         wanted = noise(600, 600, seed=29).cells
         messages: list[Any] = []
