@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from operator import itemgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -328,7 +327,7 @@ def _add_state(files: AtomicFiles, target: Path, mapper: Mapper) -> None:
 
 def _add_report(files: AtomicFiles, mapped: MappedLog, directory: Path) -> None:
     """Stage the report: map, path, errors, health."""
-    from slamfusion.report import Fact, Table, write_slam_report  # noqa: PLC0415  (an extra)
+    from slamfusion.report import Fact, write_slam_report  # noqa: PLC0415  (an extra)
 
     result, run = mapped.result, mapped.result.run
     time_ms = run.time_per_scan_ms()
@@ -339,11 +338,6 @@ def _add_report(files: AtomicFiles, mapped: MappedLog, directory: Path) -> None:
     ]
     if run.health.mean_match_score is not None:
         facts.append(Fact(f"{run.health.mean_match_score:.3f}", "mean match score"))
-    first, second = itemgetter(0), itemgetter(1)
-    tables = [Table.of("The run", result.figures(), {"what": first, "value": second})]
-    if remarks := run_remarks(run):
-        title = "Said of the log and its scans"
-        tables.append(Table.of(title, remarks, {"where": first, "what": second}))
     # A resumed run's log may only go on: then its odometry cannot be laid on the start of the path.
     is_later = (
         result.resumed_from is not None
@@ -355,7 +349,8 @@ def _add_report(files: AtomicFiles, mapped: MappedLog, directory: Path) -> None:
         replace(run, odometry=None) if is_later else run,
         config=mapped.made_with.config,
         facts=facts,
-        tables=tables,
+        figures=result.figures(),
+        remarks=run_remarks(run),
         truth=mapped.true_path,
         relations=result.measures.relations,
         device=result.device,

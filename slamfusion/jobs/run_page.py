@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from slamfusion.fusion.path_check import PathGap, moved_path
+from slamfusion.fusion.path_check import moved_path
 from slamfusion.geometry import Pose2
 from slamfusion.io.files import AtomicFiles
 from slamfusion.jobs.run_files import LogRun
@@ -35,10 +34,19 @@ from slamfusion.report.maps import (
     error_section,
     input_colours,
     input_picture,
+    map_statistics,
     pairs_section,
-    statistics_table,
 )
-from slamfusion.report.page import Banner, Fact, Page, Picture, Section, Table, number, write_page
+from slamfusion.report.page import (
+    NO_TABLES,
+    Banner,
+    Fact,
+    Page,
+    Picture,
+    Section,
+    tables,
+    write_page,
+)
 from slamfusion.slam.common.mapper import Series
 from slamfusion.slam.common.runner import ProducerRun
 
@@ -85,8 +93,8 @@ def run_page(run: LogRun) -> Page:
         doubled = None if walls is None else walls.inputs | {FUSED_MAP: walls.fused}
         sections.append(statistics_section(result, config, doubled))
     elif run.grids:
-        tables = [statistics_table(run.grids, normalize)]
-        sections.append(Section("The maps in numbers", tables=tables))
+        table = map_statistics(run.grids, normalize)
+        sections.append(Section("The maps in numbers", tables=table))
     facts = _facts(run, measured)
     return Page("SLAMfusion run", _banner(run), facts, sections, config, run.made_with.device)
 
@@ -197,28 +205,12 @@ def _over_time(run: ProducerRun) -> list[Series]:
 
 def _timings_section(run: LogRun) -> Section:
     """Return the numbers of each SLAM, and the time of the stages."""
-    tables = []
-    if run.results:
-        shown = {name: dict(item.figures()) for name, item in run.results.items()}
-        rows = list(dict.fromkeys(row for own in shown.values() for row in own))
-        slams = {name: [own.get(row, "-") for row in rows] for name, own in shown.items()}
-        tables.append(
-            Table.of(
-                "The SLAMs",
-                range(len(rows)),
-                {"": rows.__getitem__} | {name: own.__getitem__ for name, own in slams.items()},
-                "They run side by side, so their times overlap. Process: imports, the device and "
-                "the kernels included.",
-            )
-        )
-    stages = Table.of(
-        "Stages",
-        run.stages_s.items(),
-        {"stage": lambda own: own[0], "s": lambda own: number(own[1], 2)},
-        "The drawing of this page comes on top.",
-    )
+    shown = {name: dict(item.figures()) for name, item in run.results.items()}
+    rows = list(dict.fromkeys(row for own in shown.values() for row in own))
+    slams = [(row, [own.get(row, "-") for own in shown.values()]) for row in rows]
+    found = tables().timings(list(shown), slams, run.stages_s)
     text = "; ".join((f"The log: {run.files.log}", *run.log_notes()))
-    return Section("Timings and memory", text, tables=[*tables, stages])
+    return Section("Timings and memory", text, tables=found)
 
 
 # --- paths -------------------------------------------------------------------------------------
@@ -226,7 +218,7 @@ def _timings_section(run: LogRun) -> Section:
 
 def _paths_section(run: LogRun, colours: Mapping[str, Rgb]) -> Section:
     """Return all paths in the fused map, or each over its own map, and how far they are apart."""
-    config, pictures, tables = run.made_with.config, [], []
+    config, pictures, table = run.made_with.config, [], NO_TABLES
     accepted = [] if run.fusion.result is None else run.fusion.result.accepted
     placed = {
         record.name: Pose2() if record.alignment is None else record.alignment.transform
@@ -258,27 +250,8 @@ def _paths_section(run: LogRun, colours: Mapping[str, Rgb]) -> Section:
             "their maps is wrong."
         )
         pictures.append(Picture("path-gaps", figure, title, caption))
-        tables.append(_gaps_table(gaps, limit_m))
-    return Section("Paths", "", pictures, tables)
-
-
-def _gaps_table(gaps: Sequence[PathGap], limit_m: float) -> Table:
-    """Return how far every two paths are apart over the drive."""
-    return Table.of(
-        "The paths against each other",
-        gaps,
-        {
-            "paths": lambda gap: f"{gap.a} to {gap.b}",
-            "at the start [m]": lambda gap: number(gap.start_m),
-            "median [m]": lambda gap: number(
-                gap.median_m, tone="bad" if gap.median_m > limit_m else "plain"
-            ),
-            "at most [m]": lambda gap: number(gap.max_m),
-            "median yaw °": lambda gap: number(math.degrees(gap.median_yaw_rad), 2),
-        },
-        f"In the fused map. A SLAM whose path is more than {limit_m:g} m (median) from those of "
-        "the others has no vote.",
-    )
+        table = tables().path_gaps(gaps, limit_m)
+    return Section("Paths", "", pictures, table)
 
 
 def _together(run: LogRun, placed: Mapping[str, Pose2], colours: Mapping[str, Rgb]) -> Picture:

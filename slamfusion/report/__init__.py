@@ -16,7 +16,7 @@ except ImportError as _error:
 
 from slamfusion.report.errors import MeasuredPath
 from slamfusion.report.fusion_report import write_failure_report, write_fusion_report
-from slamfusion.report.page import Fact, Table
+from slamfusion.report.page import Fact
 from slamfusion.report.reports import (
     write_difference_image,
     write_evaluation_report,
@@ -28,7 +28,6 @@ from slamfusion.report.reports import (
 __all__ = [
     "Fact",
     "MeasuredPath",
-    "Table",
     "write_difference_image",
     "write_evaluation_report",
     "write_failure_report",

@@ -20,7 +20,7 @@ from slamfusion.evaluation.relations import RelationErrorsAtScans
 from slamfusion.geometry import F64
 from slamfusion.palette import INK_RGB, Rgb
 from slamfusion.report.canvas import INK, label_axes, plain_text, stacked_axes, unit_rgb, write_note
-from slamfusion.report.page import Cell, Fact, Picture, Section, Table, number
+from slamfusion.report.page import Fact, Picture, Section, tables
 from slamfusion.slam.common.mapper import Series
 from slamfusion.trajectory import Trajectory
 
@@ -68,8 +68,7 @@ def errors_section(
             kinds.append(("revisits, translation m", own, 4))
         for kind, statistics, digits in kinds:
             values = [getattr(statistics, name, None) for name in FIGURES]
-            cells = [number(value, digits) for value in values]
-            rows.append([Cell(item.name), Cell(kind), *cells])
+            rows.append((item.name, kind, values, digits))
     if not rows:
         return []
     of, stem = (f"{case}: ", f"{case}-") if case else ("", "")
@@ -87,9 +86,9 @@ def errors_section(
         "error of the motion between two poses. Relations [K09]: error of the motion between two "
         "times against the known one; no common frame is needed."
     )
-    table = Table("Errors of the paths", ("path", "error", *FIGURES), rows)
+    table = tables().path_errors([f"#{name}" for name in FIGURES], rows)
     title = f"{of}errors of the paths" if of else "Errors of the paths"
-    return [Section(title, text, pictures, [table])]
+    return [Section(title, text, pictures, table)]
 
 
 def _error_pictures(

@@ -20,7 +20,7 @@ from slamfusion.report.canvas import (
     unit_rgb,
     write_note,
 )
-from slamfusion.report.page import Cell, Picture, Section, Table, number
+from slamfusion.report.page import Picture, Section, tables
 
 # Gaps below this are drawn here: a logarithmic axis has no zero.
 _LEAST_GAP_M = 0.01
@@ -44,32 +44,7 @@ def evidence_section(
         "aligned with it where they agree most. Tinted: a path has left the recommended one.",
         legend=colours,
     )
-    note = (
-        "Each hit is looked up in the map that all other parts of the drive draw by the path that "
-        "is scored; what they have not seen has a fixed price. All paths are scored on the same "
-        "hits, and compared by resampling parts of the drive. No truth is used: a fault that all "
-        "paths share, or a bend that is never seen twice, does not show."
-    )
-    table = Table.of(
-        "The scores",
-        answer.paths,
-        {
-            "path": lambda own: Cell(own.name, "best" if own.behind_95 is None else "plain"),
-            "log-likelihood of a hit": lambda own: number(own.consistency, 4),
-            "behind the recommended path": lambda own: number(own.behind_95 and own.behind, 4),
-            "95 %": lambda own: Cell(
-                "{:.4f} to {:.4f}".format(*own.behind_95) if own.behind_95 else "-", is_number=True
-            ),
-            "p": lambda own: number(own.p_value),
-            "hits judged": lambda own: own.beams_judged,
-            "seen again %": lambda own: number(100.0 * own.seen_share, 0),
-            "own poses %": lambda own: number(100.0 * own.own_poses_share, 0),
-            "from the fused path [m]": lambda own: number(own.from_fused_m, 3),
-        },
-        note,
-        folded=True,
-    )
-    return Section("Why this path", answer.headline + ".", [picture], [table])
+    return Section("Why this path", answer.headline + ".", [picture], tables().scores(answer.paths))
 
 
 def place_lines(answer: Recommendation) -> list[tuple[str, str]]:

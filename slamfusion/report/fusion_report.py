@@ -20,26 +20,24 @@ from slamfusion.report.maps import (
     YAW_TEXT,
     agreement_colour,
     agreement_picture,
-    alignment_table,
     error_section,
     input_colours,
     input_picture,
     map_picture,
+    map_statistics,
     overlay_picture,
     pair_overlay,
     pairs_section,
-    statistics_table,
     yaw_pictures,
 )
 from slamfusion.report.page import (
+    NO_TABLES,
     Banner,
-    Cell,
     Fact,
     Page,
     Picture,
     Section,
-    Table,
-    number,
+    tables,
     write_page,
 )
 from slamfusion.trajectory import Trajectory
@@ -94,7 +92,7 @@ def write_failure_report(
             "Inputs",
             "The maps as they were given.",
             [input_picture(grid, normalize) for grid in grids],
-            [statistics_table(grids, normalize)] if grids else [],
+            map_statistics(grids, normalize) if grids else NO_TABLES,
         )
     ]
     if pairs:
@@ -307,12 +305,11 @@ def alignment_section(result: FusionResult) -> Section:
     ]
     shown = {(item.moving, item.reference) for item in to_reference}
     others = [pair for pair in result.pairs if (pair.moving, pair.reference) not in shown]
-    tables = [
-        *alignment_table(f"Alignment to {result.reference}", to_reference),
-        *alignment_table("All other pairs", others, folded=True),
-    ]
+    table = tables().alignments
+    found = table(f"Alignment to {result.reference}", to_reference)
+    found += table("All other pairs", others, True)
     curves = yaw_pictures([item for item in (*to_reference, *others) if not item.accepted])
-    return Section("Alignment", YAW_TEXT if curves else "", curves, tables)
+    return Section("Alignment", YAW_TEXT if curves else "", curves, found)
 
 
 def statistics_section(
@@ -324,23 +321,10 @@ def statistics_section(
         doubled: shares of doubled walls by name, that of the fused map as ``fused map``, where
             they are known already.
     """
-    roles = {True: Cell("fused", "good"), False: Cell("rejected", "bad")}
-    votes = Table.of(
-        "Votes",
-        result.inputs,
-        {
-            "map": lambda own: own.name,
-            "": lambda own: roles[own.accepted] if own.copy_of is None else "copy",
-            "weight": lambda own: number(result.weights.get(own.name)),
-            "walls that agree": lambda own: number(result.wall_agreement.get(own.name)),
-            "outvoted in": lambda own: _outvoted(own) if own.accepted else "-",
-            "reason": lambda own: own.reason,
-        },
-    )
-    grids = [record.grid for record in result.inputs]
-    shown = [*grids, result.fused.with_name("fused map")]
-    table = statistics_table(shown, config.fusion.normalize, doubled)
-    return Section("Votes and maps in numbers", tables=[votes, table])
+    grids = [*(record.grid for record in result.inputs), result.fused.with_name("fused map")]
+    found = tables().votes(result, _outvoted)
+    found += map_statistics(grids, config.fusion.normalize, doubled or {})
+    return Section("Votes and maps in numbers", tables=found)
 
 
 def _classes(grid: OccupancyGrid) -> Classes:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from markupsafe import Markup
 from matplotlib import colormaps  # noqa: TID251
 from matplotlib.figure import Figure  # noqa: TID251
 
@@ -56,7 +58,7 @@ from slamfusion.report.canvas import (
     stacked_axes,
     unit_rgb,
 )
-from slamfusion.report.page import Cell, Picture, Section, Table, number
+from slamfusion.report.page import Picture, Section, tables
 from slamfusion.web.scene import layer_name
 
 # In the order of visibility when cells are pooled: the last wins.
@@ -302,7 +304,7 @@ def pairs_section(
         "Pairs",
         "Each pair under the best alignment found. Walls of both maps are black.",
         [overlay for overlay in overlays if overlay is not None],
-        alignment_table("All pairs", pairs),
+        tables().alignments("All pairs", pairs),
     )
 
 
@@ -324,88 +326,26 @@ def yaw_pictures(alignments: Sequence[Alignment]) -> list[Picture]:
 # --- tables ---------------------------------------------------------------------------------------
 
 
-def alignment_table(
-    title: str, alignments: Sequence[Alignment], *, folded: bool = False
-) -> list[Table]:
-    """Return a table of the transforms with their measures; none without alignments."""
-    if not alignments:
-        return []
-    note = (
-        "A transform maps a point of the moving map's frame into the reference's. Runner-up: score "
-        "of the best distinct rival over the answer's; near 1, the place looks alike under both."
-    )
-    return [
-        Table.of(
-            title,
-            alignments,
-            {
-                "moving": lambda own: own.moving,
-                "reference": lambda own: own.reference,
-                "": accepted_cell,
-                "dx [m]": lambda own: number(own.transform.x),
-                "dy [m]": lambda own: number(own.transform.y),
-                "yaw [°]": lambda own: number(
-                    math.degrees(math.remainder(own.transform.yaw_rad, 2 * math.pi)), 2
-                ),
-                "score": lambda own: number(own.score),
-                "overlap": lambda own: number(own.overlap),
-                "error [F16]": lambda own: number(own.error, 1),
-                "runner-up ratio": lambda own: number(
-                    own.runner_up.ratio if own.runner_up else None, 2
-                ),
-                "time [s]": lambda own: number(own.time_s, 2),
-                "reason": lambda own: own.reason,
-            },
-            note,
-            folded=folded,
-        )
-    ]
-
-
-def accepted_cell(alignment: Alignment) -> Cell:
-    """Return whether an alignment is accepted, and how good it is; a weak one is not green."""
-    if not alignment.accepted:
-        return Cell("rejected", "bad")
-    strength = alignment.strength
-    words = "accepted" if strength is None else f"accepted: {strength}"
-    return Cell(words, "plain" if strength == "weak" else "good")
-
-
-def statistics_table(
+def map_statistics(
     grids: Sequence[OccupancyGrid],
     normalize: NormalizeConfig,
-    doubled: Mapping[str, float] | None = None,
-) -> Table:
+    doubled: Mapping[str, float] = MappingProxyType({}),
+) -> Markup:
     """Return size, known area and walls of maps, with their share of doubled walls.
 
     Args:
         doubled: the shares by name, where they are known already; others are found.
     """
-    shares = doubled or {}
-
-    def area_m2(grid: OccupancyGrid) -> float:
-        known = np.count_nonzero(trinary_cells(grid.cells, normalize) != -1)
-        return int(known) * grid.resolution**2
-
-    def doubled_percent(grid: OccupancyGrid) -> float:
-        known = shares.get(grid.name)
-        found = doubled_wall_share(grid, normalize=normalize) if known is None else known
-        return 100.0 * found
-
-    return Table.of(
-        "The maps in numbers",
-        grids,
-        {
-            "map": lambda grid: grid.name,
-            "cells": lambda grid: Cell(f"{grid.width} x {grid.height}", is_number=True),
-            "cell [m]": lambda grid: number(grid.resolution),
-            "known [m²]": lambda grid: number(area_m2(grid), 1),
-            "wall cells": lambda grid: int((trinary_cells(grid.cells, normalize) == 1).sum()),
-            "doubled walls [%]": lambda grid: number(doubled_percent(grid), 1),
-        },
-        "Doubled walls: wall cells with a parallel wall 2 to 8 cells away, the trace of a slip; "
-        "thin furniture and double partitions count too, so compare maps of one place.",
-    )
+    rows: list[Mapping[str, Any]] = []
+    for grid in grids:
+        cells = trinary_cells(grid.cells, normalize)
+        share = doubled.get(grid.name)
+        share = doubled_wall_share(grid, normalize=normalize) if share is None else share
+        known_m2 = int(np.count_nonzero(cells != -1)) * grid.resolution**2
+        walls = int(np.count_nonzero(cells == 1))
+        row = {"grid": grid, "known_m2": known_m2, "wall_cells": walls}
+        rows.append({**row, "doubled_percent": 100.0 * share})
+    return Markup(tables().statistics(rows))  # noqa: S704 - made by the template
 
 
 def error_section(
@@ -419,32 +359,35 @@ def error_section(
             a map that was not moved. May be empty.
     """
     placed = list(alignments) or [None] * len(evaluations)
-    pictures = [difference_picture(*pair) for pair in zip(evaluations, placed, strict=True)]
+    lost = [own is not None and not own.accepted for own in placed]
+    measured = [_best_marked(evaluations, lost, own) for own in (shown_figures, face_figures)]
     return Section(
         "Error against the truth",
         "Each map on the lattice of the truth, over the truth's known box. The error is that of "
         "Fernandes and Alexandre 2016: the root of the summed squared differences with unknown -1, "
         "free 0 and wall 1.",
-        pictures=pictures,
-        tables=[
-            _error_table(
-                "Errors",
-                evaluations,
-                shown_figures,
-                f"Walls count as right or found within {evaluations[0].tolerance_m:g} m. Distances "
-                "are means from each wall cell to the nearest one of the other map.",
-                placed,
-            ),
-            _error_table(
-                "Faces of walls",
-                evaluations,
-                face_figures,
-                "Faces are wall cells that share a side with a free cell. Outside is the area that "
-                "the map knows beyond the truth's outline.",
-                placed,
-            ),
-        ],
+        [difference_picture(*pair) for pair in zip(evaluations, placed, strict=True)],
+        tables().map_errors(*measured, evaluations[0].tolerance_m),
     )
+
+
+def _best_marked(
+    evaluations: Sequence[MapError],
+    lost: Sequence[bool],
+    figures_of: Callable[[MapError], Sequence[tuple[Measure, float | None]]],
+) -> tuple[list[str], list[Mapping[str, Any]]]:
+    """Return the names of measures, and a row for each map; of each measure the best is marked."""
+    heads, columns = [], []
+    for column in zip(*map(figures_of, evaluations), strict=True):
+        figure, values = column[0][0], [value for _, value in column]
+        defined = [value for value in values if value is not None]
+        best = None
+        if len(defined) > 1 and figure.larger_is_better is not None:
+            best = (max if figure.larger_is_better else min)(defined)
+        heads.append(f"#{figure.label}")
+        columns.append([(value, figure.digits, value == best is not None) for value in values])
+    rows = zip(evaluations, lost, zip(*columns, strict=True), strict=True)
+    return heads, [{"name": own.name, "is_lost": bad, "values": row} for own, bad, row in rows]
 
 
 def difference_picture(evaluation: MapError, alignment: Alignment | None) -> Picture:
@@ -468,28 +411,3 @@ def difference_picture(evaluation: MapError, alignment: Alignment | None) -> Pic
     legend = dict(own for code, own in DIFFERENCES.items() if (difference == code).any())
     stem = f"difference-{evaluation.name}"
     return Picture(stem, figure, title, caption, tone, badge, legend)
-
-
-def _error_table(
-    title: str,
-    evaluations: Sequence[MapError],
-    figures_of: Callable[[MapError], Sequence[tuple[Measure, float | None]]],
-    note: str,
-    alignments: Sequence[Alignment | None],
-) -> Table:
-    """Return measures, a row for each map; the best of each column is marked."""
-    heads, rows = ["map"], [[Cell(item.name)] for item in evaluations]
-    for row, alignment in zip(rows, alignments, strict=True):
-        if alignment is not None and not alignment.accepted:
-            row[0] = Cell(f"{row[0].text} (not aligned)", "bad")
-    for column in zip(*map(figures_of, evaluations), strict=True):
-        figure, values = column[0][0], [value for _, value in column]
-        defined = [value for value in values if value is not None]
-        best = None
-        if len(defined) > 1 and figure.larger_is_better is not None:
-            best = (max if figure.larger_is_better else min)(defined)
-        heads.append(figure.label)
-        for row, value in zip(rows, values, strict=True):
-            tone = "best" if value == best is not None else "plain"
-            row.append(number(value, figure.digits, tone))
-    return Table(title, heads, rows, f"{note} The best of each column is green.")

@@ -7,14 +7,14 @@ import contextlib
 import datetime as dt
 import hashlib
 import importlib.resources
+import math
 import platform
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
-from operator import itemgetter
+from functools import cache, cached_property
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import jinja2
 import yaml
@@ -29,8 +29,7 @@ from slamfusion.slam.registry import with_producers
 from slamfusion.version import __version__, version_of, versions
 from slamfusion.web.front import bundled, front_end
 
-T = TypeVar("T")
-
+NO_TABLES = Markup("")
 _STEM = re.compile(r"[^A-Za-z0-9_-]+")
 _STEM_LENGTH = 40
 # Facts that are cards at the top.
@@ -76,50 +75,6 @@ class Picture:
 
 
 @dataclass(frozen=True)
-class Cell:
-    """One cell of a table; ``tone`` is ``plain``, ``good``, ``bad`` or ``best``."""
-
-    text: str
-    tone: str = "plain"
-    is_number: bool = False
-
-
-@dataclass(frozen=True)
-class Table:
-    """A table with its heading; with ``folded`` it stays closed until it is asked for."""
-
-    title: str
-    columns: Sequence[str]
-    rows: Sequence[Sequence[Cell]]
-    note: str = ""
-    folded: bool = False
-
-    @classmethod
-    def of(
-        cls,
-        title: str,
-        items: Iterable[T],
-        columns: Mapping[str, Callable[[T], Cell | str | int]],
-        note: str = "",
-        *,
-        folded: bool = False,
-    ) -> Table:
-        """Return a table with a row for each item.
-
-        Args:
-            columns: by heading, what returns the cell of an item: a text, a count, or a ``Cell``.
-        """
-        rows = [
-            [
-                own if isinstance(own, Cell) else Cell(str(own), is_number=isinstance(own, int))
-                for own in (value(item) for value in columns.values())
-            ]
-            for item in items
-        ]
-        return cls(title, tuple(columns), rows, note, folded)
-
-
-@dataclass(frozen=True)
 class Fact:
     """One number of the headline."""
 
@@ -130,7 +85,7 @@ class Fact:
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the page: text, layers, pictures, tables and a folded text, in this order.
+    """A part of the page: text, layers, pictures and tables, in this order.
 
     One section of a page has layers, no more.
     """
@@ -138,8 +93,7 @@ class Section:
     title: str
     text: str = ""
     pictures: Sequence[Picture] = ()
-    tables: Sequence[Table] = ()
-    code: str = ""
+    tables: Markup = NO_TABLES
     layers: Layers | None = None
 
 
@@ -167,57 +121,26 @@ class Page:
     device: str
 
 
-def number(value: float | None, digits: int = 3, tone: str = "plain") -> Cell:
-    """Return a number as a cell, a dash where it is undefined."""
-    if value is None:
-        return Cell("-", tone, is_number=True)
-    return Cell(f"{value:.{digits}f}", tone, is_number=True)
+def tables() -> Any:
+    """Return the macros of ``tables.html.j2``, each of which gives the HTML of a table or more."""
+    return _templates().get_template("tables.html.j2").module
 
 
-def _circumstances(page: Page) -> Section:
-    """Return further facts, the versions, and the settings: those changed, and folded all."""
-    found = {
-        **versions(),
-        "matplotlib": version_of("matplotlib"),
-        "platform": f"{platform.system()} {platform.machine()}",
-        "device": page.device or "not named",
-    }
-    settings = to_mapping(page.config)
-    defaults = _flat(to_mapping(with_producers(RunConfig(), page.config.producers)))
-    changed = [(key, value) for key, value in _flat(settings).items() if value != defaults.get(key)]
-    facts = Table.of(
-        "Further figures",
-        page.facts[CARDS:],
-        {"what": lambda own: own.label, "value": lambda own: Cell(own.value, own.tone)},
-    )
-    tables = [
-        Table.of(
-            "Settings that differ from the defaults",
-            changed or [("none", "all settings have their defaults")],
-            {"setting": itemgetter(0), "value": lambda item: str(item[1])},
-        ),
-        Table.of(
-            "Versions",
-            found.items(),
-            {"what": itemgetter(0), "version": lambda item: item[1] or "not installed"},
-            folded=True,
-        ),
-    ]
-    return Section(
-        "How it was made",
-        "The same settings and inputs give the same result.",
-        tables=[facts, *tables] if facts.rows else tables,
-        code=yaml.safe_dump(settings, sort_keys=False, allow_unicode=True),
-    )
+def _settings(config: RunConfig) -> tuple[list[tuple[str, str]], str]:
+    """Return the settings that differ from the defaults, and all as YAML."""
 
+    def flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+        found: dict[str, Any] = {}
+        for key, value in settings.items():
+            is_group = isinstance(value, Mapping) and value
+            found |= flat(value, f"{prefix}{key}.") if is_group else {f"{prefix}{key}": value}
+        return found
 
-def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Return nested settings by dotted names."""
-    found: dict[str, Any] = {}
-    for key, value in settings.items():
-        is_group = isinstance(value, Mapping) and value
-        found |= _flat(value, f"{prefix}{key}.") if is_group else {f"{prefix}{key}": value}
-    return found
+    settings = to_mapping(config)
+    defaults = flat(to_mapping(with_producers(RunConfig(), config.producers)))
+    own = flat(settings).items()
+    changed = [(key, str(value)) for key, value in own if value != defaults.get(key)]
+    return changed, yaml.safe_dump(settings, sort_keys=False, allow_unicode=True)
 
 
 def write_page(page: Page, directory: str | Path, files: AtomicFiles | None = None) -> Path:
@@ -237,15 +160,14 @@ def write_page(page: Page, directory: str | Path, files: AtomicFiles | None = No
         SlamFusionError: the directory cannot be written; one line with the reason.
     """
     directory = Path(directory)
-    sections = [*page.sections, _circumstances(page)]
-    pictures = [picture for section in sections for picture in section.pictures]
+    pictures = [picture for section in page.sections for picture in section.pictures]
     # Each is a file name everywhere and no path anywhere.
     stems = [_STEM.sub("-", picture.stem).strip("-")[:_STEM_LENGTH] for picture in pictures]
     names = {
         picture: f"{number:02d}-{stem or 'picture'}.png"
         for number, (picture, stem) in enumerate(zip(pictures, stems, strict=True), start=1)
     }
-    has_layers = any(section.layers and section.layers.recorded for section in sections)
+    has_layers = any(section.layers and section.layers.recorded for section in page.sections)
     path = directory / "report.html"
     earlier = set(directory.glob("[0-9][0-9]-*.*")) if path.exists() else set()
     written = {
@@ -256,7 +178,7 @@ def write_page(page: Page, directory: str | Path, files: AtomicFiles | None = No
             *((form, to_form(picture.figure, form)) for form in page.config.report.pictures),
         )
     }
-    html = _html(page=page, sections=sections, names=names, script=_script(is_used=has_layers))
+    html = _html(page, names, _script(is_used=has_layers))
     with contextlib.nullcontext(files) if files is not None else AtomicFiles() as whole:
         for picture_path, data in written.items():
             whole.add(picture_path, data)
@@ -276,23 +198,55 @@ def _script(*, is_used: bool) -> dict[str, str]:
     return {"text": Markup(text), "sha256": base64.b64encode(digest).decode("ascii")}  # noqa: S704
 
 
-def _html(**values: Any) -> str:
-    """Fill the one template; every value in it is escaped."""
-    environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
+def _html(page: Page, names: Mapping[Picture, str], script: Mapping[str, str]) -> str:
+    """Return the page, with the names of its pictures' files."""
     shared = front_end()
-    ours = {
-        "css": shared["viewer.css"] + _own_file("report.css"),
-        "stage": shared["stage.html"],
-        "switches": shared["layers.html"],
-    }
     # Our own files, no values of the user's: the only texts that are not escaped, but for the
     # recorded layers, which contain no tag.
-    own = {name: Markup(text) for name, text in ours.items()}  # noqa: S704
-    now = dt.datetime.now(dt.timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
-    template = environment.from_string(_own_file("report.html.j2"))
-    return template.render(**values, **own, cards=CARDS, made_at=now, version=__version__)
+    ours = {
+        "css": Markup(shared["viewer.css"] + _own_file("report.css")),  # noqa: S704
+        "stage": Markup(shared["stage.html"]),  # noqa: S704
+        "switches": Markup(shared["layers.html"]),  # noqa: S704
+    }
+    changed, settings = _settings(page.config)
+    found = {
+        **versions(),
+        "matplotlib": version_of("matplotlib"),
+        "platform": f"{platform.system()} {platform.machine()}",
+        "device": page.device or "not named",
+    }
+    return (
+        _templates()
+        .get_template("report.html.j2")
+        .render(
+            **ours,
+            page=page,
+            names=names,
+            script=script,
+            tables=tables(),
+            cards=page.facts[:CARDS],
+            facts=[(fact.label, fact.value, fact.tone) for fact in page.facts[CARDS:]],
+            changed=changed or [("none", "all settings have their defaults")],
+            versions=[(name, own or "not installed") for name, own in found.items()],
+            settings=settings,
+            made_at=dt.datetime.now(dt.timezone.utc).strftime("%Y-%m-%d %H:%M UTC"),
+            version=__version__,
+        )
+    )
+
+
+@cache
+def _templates() -> jinja2.Environment:
+    """Return the templates; every value in them is escaped."""
+    found = jinja2.Environment(
+        loader=jinja2.FunctionLoader(_own_file),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    found.globals["degrees"] = lambda yaw: math.degrees(math.remainder(yaw, 2 * math.pi))
+    return found
 
 
 def _own_file(name: str) -> str:

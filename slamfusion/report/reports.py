@@ -28,22 +28,20 @@ from slamfusion.report.errors import (
 from slamfusion.report.evidence import evidence_section, path_colours, place_lines, strip_picture
 from slamfusion.report.layers import error_layers, map_layers
 from slamfusion.report.maps import (
-    alignment_table,
     difference_picture,
     error_section,
     input_picture,
-    statistics_table,
+    map_statistics,
     yaw_pictures,
 )
 from slamfusion.report.page import (
+    NO_TABLES,
     Banner,
-    Cell,
     Fact,
     Page,
     Picture,
     Section,
-    Table,
-    number,
+    tables,
     write_page,
 )
 from slamfusion.report.paths import (
@@ -66,7 +64,8 @@ def write_slam_report(
     *,
     config: RunConfig,
     facts: Sequence[Fact] = (),
-    tables: Sequence[Table] = (),
+    figures: Sequence[tuple[str, str]] = (),
+    remarks: Sequence[tuple[str, str]] = (),
     truth: Trajectory | None = None,
     relations: RelationErrors | None = None,
     device: str = "",
@@ -79,6 +78,8 @@ def write_slam_report(
         run: what was made; its path has at least one pose. The first of the other paths of a
             producer with closures is the path as it was first reported.
         facts: health and timing, for the headline, in this order.
+        figures: of the run, by what they are.
+        remarks: of the log and its scans, by where they are from.
         truth: the true path; its errors are computed as ``config.trajectory`` says.
         relations: the trajectory's errors on known relations.
 
@@ -103,15 +104,18 @@ def write_slam_report(
     ]
     if run.closures:
         pictures.append(closures_picture(trajectory, run.closures, grid=grid, normalize=normalize))
-    tables_of_map = [statistics_table([grid], normalize)]
-    layers = map_layers(grid, trajectory)
-    sections = [Section("Map and path", "", pictures, tables_of_map, layers=layers)]
+    statistics, layers = map_statistics([grid], normalize), map_layers(grid, trajectory)
+    sections = [Section("Map and path", "", pictures, statistics, layers=layers)]
     measured = MeasuredPath(run.name, trajectory, errors, relations)
     sections += errors_section([measured], colours_of([run.name]))
     over_time = _series_pictures(run)
-    if tables or over_time:
-        health = Section("Health and time", pictures=over_time, tables=tables)
-        sections.append(health)
+    health = NO_TABLES
+    if figures:
+        health += tables().texts("The run", ["what", "value"], figures)
+    if remarks:
+        health += tables().texts("Said of the log and its scans", ["where", "what"], remarks)
+    if health or over_time:
+        sections.append(Section("Health and time", "", over_time, health))
     judged = "its map may be wrong" if warnings else "no warning from its run"
     size = f"{len(trajectory)} poses, {trajectory.path_length_m():.1f} m"
     lines = [(f"{run.name}:", sentence) for sentence in warnings]
@@ -283,8 +287,8 @@ def write_evaluation_report(
     sections = [replace(section, layers=error_layers(evaluations))]
     searched = [alignment for alignment in alignments if alignment is not None]
     if searched:
-        tables = alignment_table("Alignment to the truth", searched)
-        sections.append(Section("Alignment", "", yaw_pictures(searched), tables))
+        table = tables().alignments("Alignment to the truth", searched)
+        sections.append(Section("Alignment", "", yaw_pictures(searched), table))
     lost = [
         (f"{alignment.moving} could not be aligned:", alignment.reason)
         for alignment in searched
@@ -371,15 +375,16 @@ def write_judge_report(
 def _errors_section(answer: Recommendation, errors_m: Mapping[str, Mapping[str, float]]) -> Section:
     """Return the errors of the paths, in the order that the scans put them in."""
     ranks = {name: sorted(errors, key=errors.__getitem__) for name, errors in errors_m.items()}
-    columns = ["path", *(word for name in errors_m for word in (f"{name} [m]", "rank"))]
-    rows = []
-    for path in answer.paths:
-        row = [Cell(path.name)]
-        for name, errors in errors_m.items():
-            row.append(number(errors.get(path.name), 4))
-            rank = ranks[name].index(path.name) + 1 if path.name in errors else None
-            row.append(number(rank, 0))
-        rows.append(row)
-    table = Table("Errors of the paths", columns, rows, "The recommended path first.")
+    rows = [
+        (
+            path.name,
+            [
+                (own.get(path.name), ranks[name].index(path.name) + 1 if path.name in own else None)
+                for name, own in errors_m.items()
+            ],
+        )
+        for path in answer.paths
+    ]
+    heads = [word for name in errors_m for word in (f"#{name} [m]", "#rank")]
     what = "The order by the scans next to the errors against the truth or known relations."
-    return Section("Compared with what is known", what, tables=[table])
+    return Section("Compared with what is known", what, tables=tables().ranks(heads, rows))

@@ -18,7 +18,6 @@ from slamfusion.grid import OccupancyGrid
 from slamfusion.palette import END_RGB, NAMED, OTHERS, START_RGB, Rgb
 from slamfusion.report import Fact, MeasuredPath, paths, write_slam_report, write_trajectory_report
 from slamfusion.report.errors import distribution_figure
-from slamfusion.report.page import Cell, Table
 from slamfusion.slam.common.mapper import Series
 from slamfusion.trajectory import Trajectory
 from tests.report.drawn import NASTY, pixels, room, run_of
@@ -142,7 +141,7 @@ def test_the_report_of_a_run_has_all_parts(tmp_path: Path) -> None:
         run_of(NASTY, own_map(), in_room(wrong=0.1), odometry=in_room(wrong=0.3), low_in_a_row=8),
         config=CONFIG,
         facts=[Fact("1.25 ms", "mean time a scan")],
-        tables=[Table("Health", ("what", "value"), [[Cell("low scores"), Cell("3")]])],
+        figures=[("low scores", "3")],
         truth=truth,
         relations=relations_of_round(),
         device="a device",
