@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -66,7 +66,6 @@ from slamfusion.jobs.outputs import (
 )
 
 if TYPE_CHECKING:
-    from slamfusion.grid import OccupancyGrid
     from slamfusion.jobs.fuse import FusedMaps
 
 
@@ -157,7 +156,14 @@ def command(
     named and left out; at least two must fit. The fused map covers all maps that fit, in the frame
     of the first of them.
     """
-    from slamfusion.jobs.fuse import check_count, check_stores, fuse_maps, save_fused_maps  # noqa: PLC0415
+    from slamfusion.jobs.fuse import (  # noqa: PLC0415
+        check_count,
+        check_stores,
+        fuse_maps,
+        save_fused_maps,
+        write_failed_fusion,
+    )
+    from slamfusion.jobs.fuse_documents import failed_fuse_document  # noqa: PLC0415
 
     config, store = with_starts(config, starts), out if out.suffix == STORE_END else None
     check_count(maps)
@@ -170,9 +176,11 @@ def command(
             raise click.UsageError(message)
         check_stores(store, len(maps))
     grids = load_maps(maps, config, resolution=resolution, warn=notice)
-    truth = None
-    if truth_path is not None:
-        truth = load_truth(truth_path, config, resolution=resolution, scale=scale, warn=notice)
+    truth = (
+        None
+        if truth_path is None
+        else load_truth(truth_path, config, resolution=resolution, scale=scale, warn=notice)
+    )
     given, device = GivenMaps.of(maps, resolution), device_for(config)
     try:
         with (
@@ -186,7 +194,13 @@ def command(
                 progress=progress,
             )  # fmt: skip
     except AlignmentError as error:
-        _report_failure(error, grids, config, device.name, report_dir, given, as_json)
+        # The report of an earlier fusion stays, as its map does.
+        if report_dir is not None:
+            write_failed_fusion(error, grids, config, report_dir, device=device.name)
+        if as_json:
+            print_json(failed_fuse_document(error, grids, config, device.name, given))
+        else:
+            print_pairs(error.pairs, device.name)
         raise
     stem = stem_of(out, {".yaml", ".yml", STORE_END})
     document = (
@@ -233,27 +247,3 @@ def _print_result(fused: FusedMaps, stem: Path, report_dir: Path | None) -> None
         ("next", f"slamfusion show {quoted}"),
         *[("", f"slamfusion evaluate {quoted} --truth TRUE_MAP.yaml")] * (not fused.evaluations),
     )
-
-
-def _report_failure(
-    error: AlignmentError,
-    grids: Sequence[OccupancyGrid],
-    config: RunConfig,
-    device: str,
-    report_dir: Path | None,
-    given: GivenMaps,
-    as_json: bool,
-) -> None:
-    """Show what was tried: the report, and the JSON document or the table of pairs.
-
-    The report of an earlier fusion stays, as its map does.
-    """
-    from slamfusion.jobs.fuse import write_failed_fusion  # noqa: PLC0415
-    from slamfusion.jobs.fuse_documents import failed_fuse_document  # noqa: PLC0415
-
-    if report_dir is not None:
-        write_failed_fusion(error, grids, config, report_dir, device=device)
-    if as_json:
-        print_json(failed_fuse_document(error, grids, config, device, given))
-    else:
-        print_pairs(error.pairs, device)

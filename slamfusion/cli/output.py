@@ -49,20 +49,23 @@ class Settings:
     arguments: tuple[str, ...] = ()
 
 
+def _settings() -> Settings:
+    """Return those of the running command; without one, nobody's."""
+    context = click.get_current_context(silent=True)
+    return Settings() if context is None else context.ensure_object(Settings)
+
+
 def print_json(document: Any) -> None:
     """Print the run's one JSON document to stdout; NaN and infinity become null."""
     from slamfusion.json_values import plain  # noqa: PLC0415  (NumPy loads slowly; --help needs none)
 
     print(json.dumps(plain(document), indent=2, allow_nan=False))
-    context = click.get_current_context(silent=True)
-    if context is not None:
-        context.ensure_object(Settings).printed = True
+    _settings().printed = True
 
 
 def is_verbose() -> bool:
     """Whether the running command has ``--verbose``."""
-    context = click.get_current_context(silent=True)
-    return context is not None and context.ensure_object(Settings).verbose
+    return _settings().verbose
 
 
 def notice(text: str) -> None:
@@ -121,8 +124,7 @@ def print_table(
 ) -> None:
     """Print a table to stdout, fitted to a terminal or tab-separated; see ``Table``."""
     table = Table(columns, rows, notes, title, has_head=header, names=names)
-    context = click.get_current_context(silent=True)
-    kept = None if context is None else context.ensure_object(Settings).tables
+    kept = _settings().tables
     if kept is not None and header:
         kept.append(table)
     if sys.stdout.isatty():
@@ -140,7 +142,7 @@ def progress_bar() -> Iterator[Progress]:
     not known yet moves.
     """
     if not sys.stderr.isatty():
-        yield _Lines()
+        yield _lines()
         return
     from rich import progress as bars  # noqa: PLC0415
     from rich.console import Console  # noqa: PLC0415
@@ -170,23 +172,22 @@ def progress_bar() -> Iterator[Progress]:
         yield report
 
 
-class _Lines:
-    """Prints progress as lines on stderr; short stages print nothing."""
+def _lines() -> Progress:
+    """Return a callback that prints progress as lines on stderr, of a long stage alone."""
+    told_s, begun_s = time.monotonic(), dict[str, float]()
 
-    def __init__(self) -> None:
-        self._told_s = time.monotonic()
-        self._begun_s: dict[str, float] = {}
-
-    def __call__(self, stage: str, done: float, total: int) -> None:
+    def report(stage: str, done: float, total: int) -> None:
+        nonlocal told_s
         now_s = time.monotonic()
-        taken_s = now_s - self._begun_s.setdefault(stage, now_s)
-        if now_s - self._told_s >= TOLD_EVERY_S:
-            self._told_s = now_s
-            share = f"{100 * done // max(total, 1):.0f} %, " if done else ""
-            left = (
-                f", about {taken_s * (total - done) / done:.0f} s left" if 0 < done < total else ""
-            )
-            notice(f"{stage}: {share}{taken_s:.0f} s{left}")
+        taken_s = now_s - begun_s.setdefault(stage, now_s)
+        if now_s - told_s < TOLD_EVERY_S:
+            return
+        told_s = now_s
+        share = f"{100 * done // max(total, 1):.0f} %, " if done else ""
+        left = f", about {taken_s * (total - done) / done:.0f} s left" if 0 < done < total else ""
+        notice(f"{stage}: {share}{taken_s:.0f} s{left}")
+
+    return report
 
 
 # --- tables ---------------------------------------------------------------------------------------

@@ -104,19 +104,14 @@ def _open_streams() -> None:
             os.fstat(number)
         except OSError:
             os.open(os.devnull, os.O_RDWR)
-    if sys.stderr is None:
-        sys.stderr = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 - to the end
-    own: Any = getattr(sys, "stdout", None)
-    if own is None:
-        sys.stdout = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 - to the end
-    elif own is vars(sys)["__stdout__"] and not own.isatty():
-        sys.stdout = _named(own)
-
-
-def _named(stream: Any) -> io.TextIOWrapper:
-    """Return standard output as a stream whose errors say its name."""
-    raw = io.BufferedWriter(_Output(stream.fileno(), "w", closefd=False))
-    return io.TextIOWrapper(raw, stream.encoding, stream.errors)
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name, None) is None:
+            nowhere = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 - to the end
+            setattr(sys, name, nowhere)
+    own = cast("Any", sys.stdout)
+    if own is vars(sys)["__stdout__"] and not own.isatty():
+        raw = io.BufferedWriter(_Output(own.fileno(), "w", closefd=False))
+        sys.stdout = io.TextIOWrapper(raw, own.encoding, own.errors)
 
 
 # What the program, the command line and the system fail with on purpose.
