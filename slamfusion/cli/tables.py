@@ -16,7 +16,7 @@ from slamfusion.jobs.documents import number
 if TYPE_CHECKING:
     from slamfusion.align.records import Alignment, Fusion, FusionResult, InputRecord, StoredFusion
     from slamfusion.evaluation import DensePoses, Figure
-    from slamfusion.evidence import RankedPath, Recommendation
+    from slamfusion.evidence.recommendation import RankedPath, Recommendation
     from slamfusion.jobs.fuse_documents import DoubledWalls
     from slamfusion.jobs.records import Evaluation
     from slamfusion.jobs.trajectory import Measures

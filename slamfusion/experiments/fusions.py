@@ -20,8 +20,10 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, RunConfig, TrajectoryConfig, VoteMode
 from slamfusion.errors import GridError, SlamFusionError
 from slamfusion.evaluation import MapError, compare_to_truth, trajectory_errors
-from slamfusion.evidence import PathEvidence, choose_path, judged_scans
+from slamfusion.evidence.beams import judged_scans
 from slamfusion.evidence.drawn_map import draw_map, drawn_scans
+from slamfusion.evidence.predictive import PathEvidence
+from slamfusion.evidence.recommendation import choose_path
 from slamfusion.experiments.runs import Tell
 from slamfusion.fusion.groups import LEAST_FUSED
 from slamfusion.fusion.pipeline import vote_again

@@ -19,14 +19,9 @@ from slamfusion.evaluation import (
     path_series,
     result_rows,
 )
-from slamfusion.evidence import (
-    PathEvidence,
-    RankedPath,
-    Recommendation,
-    judged_scans,
-    recommend,
-    score_paths,
-)
+from slamfusion.evidence.beams import judged_scans
+from slamfusion.evidence.predictive import PathEvidence, score_paths
+from slamfusion.evidence.recommendation import RankedPath, Recommendation, recommend
 from slamfusion.fusion.groups import LEAST_FUSED
 from slamfusion.io import open_log, read_trajectory, write_tum
 from slamfusion.io.files import AtomicFiles

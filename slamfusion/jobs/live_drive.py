@@ -26,24 +26,21 @@ import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.errors import SlamFusionError
-from slamfusion.evidence import (
-    Condition,
+from slamfusion.evidence import beams
+from slamfusion.evidence.beams import (
+    CHUNKS,
     JudgedScans,
-    PathEvidence,
     ScanHits,
-    beams,
     cover_stamps,
-    drive_conditions,
     judged_hits,
     scan_hits,
-    score_paths,
 )
-from slamfusion.evidence.beams import CHUNKS
+from slamfusion.evidence.conditions import Condition, drive_conditions
 from slamfusion.evidence.drawn_map import DrawnScan, draw_map, drawn_scans
 from slamfusion.evidence.parting import parted
 from slamfusion.evidence.patches import WallMap
 from slamfusion.evidence.path_frames import moved_onto
-from slamfusion.evidence.predictive import SURE
+from slamfusion.evidence.predictive import SURE, PathEvidence, score_paths
 from slamfusion.evidence.recommendation import LEAST_DIFFERENCE
 from slamfusion.fusion.live import Evidence
 from slamfusion.fusion.path_check import moved_path

@@ -19,16 +19,10 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError, SlamFusionError, TrajectoryError
 from slamfusion.evaluation import on_clock
-from slamfusion.evidence import (
-    JudgedScans,
-    PathEvidence,
-    Recommendation,
-    judged_scans,
-    recommend,
-    score_paths,
-    with_path,
-)
+from slamfusion.evidence.beams import JudgedScans, judged_scans
 from slamfusion.evidence.drawn_map import DrawnScan, draw_map, drawn_scans, fuse_with_drawn
+from slamfusion.evidence.predictive import PathEvidence, score_paths, with_path
+from slamfusion.evidence.recommendation import Recommendation, recommend
 from slamfusion.fusion.groups import LEAST_FUSED
 from slamfusion.fusion.path_check import PathsApartError, fallback_map, fuse_with_paths
 from slamfusion.grid import OccupancyGrid

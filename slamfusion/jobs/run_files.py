@@ -12,7 +12,8 @@ from slamfusion.align.records import Alignment, FusionResult
 from slamfusion.config import FusionMode, RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.evaluation import WallThickness, doubled_wall_share, wall_thickness
-from slamfusion.evidence import PathEvidence, RankedPath, Recommendation
+from slamfusion.evidence.predictive import PathEvidence
+from slamfusion.evidence.recommendation import RankedPath, Recommendation
 from slamfusion.fusion.path_check import PathGap
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import AtomicFiles, save_map, write_tum

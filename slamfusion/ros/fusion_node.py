@@ -21,7 +21,7 @@ from slamfusion.config import (
     config_fields,
 )
 from slamfusion.errors import GridError
-from slamfusion.evidence import CONDITIONS, Condition
+from slamfusion.evidence.conditions import CONDITIONS, Condition
 from slamfusion.fusion.live import LiveFusion, LiveInput, State
 from slamfusion.fusion.live.session import FusedMap, FusionSession, warm_up
 from slamfusion.geometry import Pose2

@@ -28,9 +28,11 @@ from rich.table import Table
 
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.evaluation import trajectory_errors
-from slamfusion.evidence import choose_path, find_displacements, judged_scans, score_paths
+from slamfusion.evidence.beams import judged_scans
+from slamfusion.evidence.displacement import find_displacements
 from slamfusion.evidence.parting import PART_M
-from slamfusion.evidence.predictive import HitModel
+from slamfusion.evidence.predictive import HitModel, score_paths
+from slamfusion.evidence.recommendation import choose_path
 from slamfusion.geometry import compose_poses, invert_poses
 from slamfusion.io import LogScan
 from slamfusion.jobs.fused_path import fuse_weighed_paths

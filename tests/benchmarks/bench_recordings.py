@@ -24,9 +24,10 @@ from rich.table import Table
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import RunConfig
 from slamfusion.evaluation import doubled_wall_share
-from slamfusion.evidence import judged_scans, score_paths
+from slamfusion.evidence.beams import judged_scans
 from slamfusion.evidence.drawn_map import draw_map, drawn_scans
 from slamfusion.evidence.path_frames import consensus_poses, lay_paths
+from slamfusion.evidence.predictive import score_paths
 from slamfusion.io import LogScan, open_log, read_trajectory
 from slamfusion.jobs.fused_path import fuse_weighed_paths
 from slamfusion.jobs.run import run_log

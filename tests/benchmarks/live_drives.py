@@ -19,9 +19,10 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.evaluation import MapError
-from slamfusion.evidence import judged_scans, score_paths
+from slamfusion.evidence.beams import judged_scans
 from slamfusion.evidence.drawn_map import draw_map, drawn_scans
 from slamfusion.evidence.path_frames import moved_onto
+from slamfusion.evidence.predictive import score_paths
 from slamfusion.experiments.fusions import against_truth
 from slamfusion.experiments.tinyslam import ATE, RELATIONS, Drive, read_drive
 from slamfusion.fusion.live import LiveFusion

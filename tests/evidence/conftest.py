@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from slamfusion.evidence import JudgedScans, judged_scans
+from slamfusion.evidence.beams import JudgedScans, judged_scans
 from tests.evidence.rooms import circuit, recorded
 
 

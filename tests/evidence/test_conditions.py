@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.evidence import Condition, drive_conditions, judged_scans, score_paths
+from slamfusion.evidence.beams import judged_scans
+from slamfusion.evidence.conditions import Condition, drive_conditions
+from slamfusion.evidence.predictive import score_paths
 from slamfusion.geometry import Pose2, compose_poses, invert_poses
 from slamfusion.io import LogScan
 from slamfusion.trajectory import Trajectory

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from slamfusion.errors import TrajectoryError
-from slamfusion.evidence import fuse_paths
+from slamfusion.evidence.fused_path import fuse_paths
 from slamfusion.evidence.path_frames import consensus_poses, fit_frame, lay_paths
 from slamfusion.geometry import Pose2, compose_poses, fit_motion, invert_poses, wrap_angles
 from slamfusion.trajectory import Trajectory

@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slamfusion.evidence import judged_scans, refine_path
-from slamfusion.evidence.beams import JudgedScans
+from slamfusion.evidence.beams import JudgedScans, judged_scans
 from slamfusion.evidence.known_motions import KnownMotions, turned
 from slamfusion.evidence.path_frames import fit_frame
+from slamfusion.evidence.refined_path import refine_path
 from slamfusion.geometry import compose_poses, invert_poses
 from slamfusion.trajectory import Trajectory
 from tests.evidence.rooms import box, circuit, recorded

@@ -9,8 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.evidence import JudgedScans, score_paths
+from slamfusion.evidence.beams import JudgedScans
 from slamfusion.evidence.parting import PART_M, path_gap_m, path_spans
+from slamfusion.evidence.predictive import score_paths
 from slamfusion.trajectory import Trajectory
 from tests.evidence.rooms import circuit, moved
 from tests.support.examples import examples

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slamfusion.evidence import judged_scans, scan_hits
+from slamfusion.evidence.beams import judged_scans, scan_hits
 from slamfusion.evidence.patches import ScanMatch, WallMap
 from slamfusion.geometry import F64
 from slamfusion.trajectory import Trajectory

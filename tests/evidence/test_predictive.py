@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from slamfusion.compute import ComputeDevice, NumpyDevice
 from slamfusion.errors import LogError, TrajectoryError
-from slamfusion.evidence import JudgedScans, judged_scans, score_paths, with_path
-from slamfusion.evidence.beams import CHUNKS
+from slamfusion.evidence.beams import CHUNKS, JudgedScans, judged_scans
+from slamfusion.evidence.predictive import score_paths, with_path
 from slamfusion.trajectory import Trajectory
 from tests.evidence.rooms import bent, circuit, moved, recorded
 from tests.support.examples import examples

@@ -9,17 +9,10 @@ import numpy as np
 import pytest
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.evidence import (
-    JudgedScans,
-    PathEvidence,
-    Recommendation,
-    find_displacements,
-    judged_scans,
-    recommend,
-    score_paths,
-)
-from slamfusion.evidence.beams import CHUNKS
-from slamfusion.evidence.recommendation import MOST_CHECKS
+from slamfusion.evidence.beams import CHUNKS, JudgedScans, judged_scans
+from slamfusion.evidence.displacement import find_displacements
+from slamfusion.evidence.predictive import PathEvidence, score_paths
+from slamfusion.evidence.recommendation import MOST_CHECKS, Recommendation, recommend
 from slamfusion.json_values import plain
 from slamfusion.trajectory import Trajectory
 from tests.evidence.rooms import ROOM, bent, box, circuit, moved, recorded

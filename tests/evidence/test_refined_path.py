@@ -7,8 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slamfusion.evidence import judged_scans, patches, refine_path
+from slamfusion.evidence import patches
+from slamfusion.evidence.beams import judged_scans
 from slamfusion.evidence.path_frames import fit_frame
+from slamfusion.evidence.refined_path import refine_path
 from slamfusion.geometry import compose_poses, wrap_angles
 from slamfusion.trajectory import Trajectory
 from tests.evidence.rooms import circuit, recorded

@@ -8,7 +8,10 @@ import numpy as np
 import pytest
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.evidence import JudgedScans, refine_borne_out, refinement, score_paths, with_path
+from slamfusion.evidence import refinement
+from slamfusion.evidence.beams import JudgedScans
+from slamfusion.evidence.predictive import score_paths, with_path
+from slamfusion.evidence.refinement import refine_borne_out
 from slamfusion.geometry import compose_poses, invert_poses
 from slamfusion.json_values import plain
 from slamfusion.trajectory import Trajectory

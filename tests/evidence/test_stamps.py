@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.evidence import JudgedScans, cover_stamps, judged_scans, score_paths
+from slamfusion.evidence.beams import JudgedScans, cover_stamps, judged_scans
+from slamfusion.evidence.predictive import score_paths
 from slamfusion.geometry import wrap_angles
 from slamfusion.trajectory import Trajectory
 from tests.evidence.rooms import circuit, moved, recorded

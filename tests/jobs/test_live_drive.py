@@ -11,7 +11,8 @@ import pytest
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import LiveConfig, RunConfig
-from slamfusion.evidence import judged_scans, score_paths
+from slamfusion.evidence.beams import judged_scans
+from slamfusion.evidence.predictive import score_paths
 from slamfusion.fusion.live import LiveFusion
 from slamfusion.geometry import Pose2, fit_motion, moved_poses, with_levers
 from slamfusion.jobs import live_drive

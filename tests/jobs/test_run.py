@@ -12,8 +12,9 @@ from scipy.spatial import KDTree
 from slamfusion.compute import NumpyDevice
 from slamfusion.errors import AlignmentError, ConfigError, SlamFusionError, StartError
 from slamfusion.evaluation.distances import wall_centres
-from slamfusion.evidence import judged_scans, score_paths
+from slamfusion.evidence.beams import judged_scans
 from slamfusion.evidence.drawn_map import drawn_scans
+from slamfusion.evidence.predictive import score_paths
 from slamfusion.fusion.path_check import moved_path
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid, trinary_cells

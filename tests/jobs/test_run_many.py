@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from slamfusion.cli.program import run_program
-from slamfusion.evidence import Recommendation
+from slamfusion.evidence.recommendation import Recommendation
 from slamfusion.io import write_carmen
 from slamfusion.jobs import run_many
 from slamfusion.jobs.inputs import RUN_DEFAULTS

@@ -7,7 +7,9 @@ import re
 import numpy as np
 
 from slamfusion.compute import open_device
-from slamfusion.evidence import judged_scans, recommend, score_paths
+from slamfusion.evidence.beams import judged_scans
+from slamfusion.evidence.predictive import score_paths
+from slamfusion.evidence.recommendation import recommend
 from slamfusion.palette import NAMED
 from slamfusion.report.evidence import evidence_section
 from slamfusion.trajectory import Trajectory
