@@ -213,7 +213,6 @@ class FusedFrames:
         located = self._node.drive.locate(source.name, heard) if is_leader else None
         if located is not None:
             pose, covariance = located.pose, located.covariance
-            self._name_unmatched(stamp_s, is_matched=located.is_matched)
         elif transform is None:
             return
         else:
@@ -223,8 +222,11 @@ class FusedFrames:
                 self._spread.hear(self.leader, source.name, stamp_ns, pose)
             alone = live.pose_apart_m, live.pose_apart_rad
             covariance = self._spread.covariance(stamp_s, *alone)
-        if not is_leader or (located is None and transform is None):
+        if not is_leader:
             return
+        if located is None or located.is_matched or self._unmatched_s is None:
+            self._unmatched_s = stamp_s
+        self._name_unmatched(stamp_s - self._unmatched_s)
         stamp = self._fresh(POSE_TOPIC, heard.stamp, pose, is_revised=is_revised)
         if stamp is not None:
             self._pose_topic.publish(
@@ -304,18 +306,15 @@ class FusedFrames:
         is_long = away_m > LONG_S * speed or turn_rad > LONG_S * turn
         diagnostics.say("correction", text if is_long else None)
 
-    def _name_unmatched(self, stamp_s: float, *, is_matched: bool) -> None:
+    # --- what is wrong with frames -----------------------------------------------------------
+
+    def _name_unmatched(self, for_s: float) -> None:
         """Name that no scan has matched the walls along the fused path for long."""
-        if is_matched or self._unmatched_s is None:
-            self._unmatched_s = stamp_s
-        since_s = self._unmatched_s
         text = (
-            f"no scan since stamp {since_s:.1f} s matches the walls along the fused path: the pose "
+            f"no scan of the last {for_s:.0f} s matches the walls along the fused path: the pose "
             f"goes by {self.leader} alone"
         )
-        self._node.diagnostics.say("match", text if stamp_s - since_s > LONG_S else None)
-
-    # --- what is wrong with frames -----------------------------------------------------------
+        self._node.diagnostics.say("match", text if for_s > LONG_S else None)
 
     def _name_shared(self) -> None:
         """Name frames that two inputs share, or that are the fused one."""

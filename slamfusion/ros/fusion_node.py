@@ -387,7 +387,6 @@ class FusionNode(NodeBase):
             "updates": snapshot.updates,
             "full searches": snapshot.searches,
             "resets": snapshot.resets,
-            "phantom cells": None if update is None else update.phantom_cells,
             "scans": None if solution is None else len(solution.path),
             FINAL: None if self._final_s is None else f"{self._final_s:.3f}",
             "map [cells]": None if grid is None else f"{grid.width} x {grid.height}",

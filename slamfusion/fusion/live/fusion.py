@@ -100,7 +100,6 @@ class LiveUpdate:
         fused: cells -1, 0, 100 in the fused frame; None when there is nothing new to publish.
         agreement: share of votes for the winner, 0..100, -1 without; None with ``fused``.
         inputs: every input that ever came, in the order in which they came.
-        phantom_cells: occupied in the fused map, in no input.
         time_s: seconds by step: ``prepare``, ``align``, ``vote``.
         is_full_search: whether an input was searched everywhere.
         reference: name of the input that others are aligned to; empty without.
@@ -112,7 +111,6 @@ class LiveUpdate:
     fused: OccupancyGrid | None
     agreement: OccupancyGrid | None
     inputs: tuple[LiveInput, ...]
-    phantom_cells: int
     time_s: dict[str, float]
     is_full_search: bool
     reference: str
@@ -270,7 +268,6 @@ class LiveFusion(Mailbox):
             fused,
             agreement,
             self.inputs(now_s),
-            self._layers.phantom_cells,
             {step: end - begin for step, begin, end in steps},
             self._aligner.has_searched,
             self._supervisor.reference,

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from typing import Any
 
 import cv2
@@ -71,7 +72,6 @@ class FusedLayers:
         live: its ``extent`` counts; may be replaced.
         lattice: of the fused frame; None before the first fusion.
         box: cells of the lattice that are kept; None before the first ``grow``.
-        phantom_cells: occupied in the fused cells, occupied in no layer that voted.
         names: who voted last.
         wall_agreement, bent: of these, see ``Fusion``.
         has_young: whether a map that restarted was among them.
@@ -84,7 +84,6 @@ class FusedLayers:
         self.live = live
         self.lattice: Lattice | None = None
         self.box: CellBox | None = None
-        self.phantom_cells = 0
         self.names: tuple[str, ...] = ()
         self.wall_agreement: dict[str, float] = {}
         self.bent: dict[str, Bent] = {}
@@ -144,18 +143,15 @@ class FusedLayers:
             self.names = names
             return None
         has_shrunk = self._give_back(voters, reference)
-        parts = [self._lay(track) for track in voters]
-        boxes = [part for part in parts if part is not None]
+        boxes = [part for track in voters if (part := self._lay(track)) is not None]
         before, now = (self.names, self.has_young), (names, any(t.is_young for t in voters))
         if has_shrunk or any(grown) or now != before:
             boxes = [self.box]
         self.names, self.has_young = now
         if not boxes:
             return None
-        box, *others = (self.vote(names, part, has_young=self.has_young) for part in joined(boxes))
-        for other in others:
-            box = hull(box, other)
-        return moved(box, -self.box.row0, -self.box.col0)
+        parts = [self.vote(names, part, has_young=self.has_young) for part in joined(boxes)]
+        return moved(reduce(hull, parts), -self.box.row0, -self.box.col0)
 
     def _keep_agreed(self, names: Sequence[str]) -> None:
         """Keep what a majority decided while fewer voters are left than make one."""
@@ -176,15 +172,16 @@ class FusedLayers:
             return False
 
     def _give_back(self, voters: Sequence[Input], reference: str) -> bool:
-        """Give back what the layers hold for no voter; return whether there was any."""
+        """Give back the memory of cells that no voter needs; return whether there was any."""
         found = [self._needed(track, reference) for track in voters]
         boxes = [box for box in found if box is not None]
-        if not boxes:
+        if self.box is None or self.box.area < SHRUNK_CELLS or not boxes:
             return False
-        needed = boxes[0]
-        for box in boxes[1:]:
-            needed = hull(needed, box)
-        return self.shrink(needed) is not None
+        needed = reduce(hull, boxes)
+        if needed.area > SHRUNK_SHARE * self.box.area or hull(self.box, needed) != self.box:
+            return False
+        self._resize(needed)
+        return True
 
     def _needed(self, track: Input, reference: str) -> CellBox | None:
         """Return the cells of the lattice that an input needs; None where it gives no extent."""
@@ -229,19 +226,6 @@ class FusedLayers:
         check_memory(room, f"a fused map of {grown.height} x {grown.width} cells", name)
         self._resize(grown)
         return grown
-
-    def shrink(self, box: CellBox) -> CellBox | None:
-        """Give back the memory of cells that nobody needs; return what is left where they shrank.
-
-        Args:
-            box: cells of the lattice that the voters need.
-        """
-        if self.box is None or self.box.area < SHRUNK_CELLS:
-            return None
-        if box.area > SHRUNK_SHARE * self.box.area or hull(self.box, box) != self.box:
-            return None
-        self._resize(box)
-        return box
 
     def _resize(self, box: CellBox) -> None:
         """Keep the cells of another box; what is new of it is unknown."""
@@ -364,10 +348,6 @@ class FusedLayers:
         window = slices(box, whole.row0, whole.col0)
         self._fused[window] = decided.fused
         self._agreement[window] = decided.agreement
-        if box == whole:
-            self.phantom_cells = decided.phantom_cells
-        elif decided.phantom_cells or self.phantom_cells:
-            self.phantom_cells = self._count_phantoms(names)
         return box
 
     def _count(self, voter: TileVoter, changed: CellBox) -> WallCounts:
@@ -399,13 +379,6 @@ class FusedLayers:
 
     def _classes(self, cells: I8) -> I8:
         return np.asarray(cv2.LUT(cells.view(np.uint8), self._trinary)).view(np.int8)
-
-    def _count_phantoms(self, names: Sequence[str]) -> int:
-        """Count the fused walls of all cells that were voted for and that no voter has."""
-        alone = (self._fused == 1) & (self._agreement >= 0)
-        for name in names:
-            alone &= self._laid[name].cells != 1
-        return int(np.count_nonzero(alone))
 
     def last_fused(self) -> OccupancyGrid | None:
         """Return the last fused map; None before the first."""
