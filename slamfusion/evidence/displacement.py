@@ -17,7 +17,7 @@ Royal Statistical Society B 36(2), 1974 (choose on one part, test on the other).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -29,9 +29,10 @@ from slamfusion.evidence.parting import PART_M
 from slamfusion.evidence.predictive import (
     NEIGHBOURS,
     OTHERS,
+    REACH_CELLS,
     SURE,
+    UNKNOWN,
     DrawnChunks,
-    HitModel,
     PathEvidence,
 )
 from slamfusion.geometry import F64
@@ -53,7 +54,7 @@ REACH_M, STEP_M = 0.8, 0.1
 # Paths that are at most this far apart have met again; walls that are, metres, are one.
 LEAST_M = 0.5 * PART_M
 # A wall farther from a hit than this, cells, explains nothing: twice the deviation again.
-REACH_CELLS = 2
+WALL_CELLS = 2
 # Blocks of neighbouring scans of a chunk; places are chosen on every second one.
 BLOCKS = 8
 # Hits that are moved at most: 200 a chunk.
@@ -108,8 +109,8 @@ def find_displacements(
     evidence: PathEvidence, name: str, device: ComputeDevice
 ) -> tuple[Displacement, ...]:
     """Return the chunks of a drive that are surely displaced, in the order of time."""
-    scans, model = evidence.scans, evidence.scores[name].model
-    drawn, price = _drawn(evidence, name, device, replace(model, reach_cells=REACH_CELLS))
+    scans = evidence.scans
+    drawn, price = _drawn(evidence, name, device, WALL_CELLS)
     some, moves = _some_hits(drawn), _moves()
     p_values, away_m = np.ones(CHUNKS), np.zeros(CHUNKS)
     for split in SPLITS:
@@ -152,7 +153,7 @@ def contradicted_share(evidence: PathEvidence, name: str, device: ComputeDevice)
     Returns:
         Share of hits, 0 to 1; 0 if nothing was seen at another time.
     """
-    drawn, price = _drawn(evidence, name, device, evidence.scores[name].model)
+    drawn, price = _drawn(evidence, name, device)
     (now, _), (then, is_seen) = (drawn.look_up(among=bits) for bits in (NEIGHBOURS, OTHERS))
     is_asked = is_seen & (now > price)
     return float(np.mean(then[is_asked] < price)) if is_asked.any() else 0.0
@@ -163,7 +164,7 @@ def find_contradiction(
 ) -> Contradiction | None:
     """Return since when most of what a robot sees was free space before; None: there is no time."""
     scans = evidence.scans
-    drawn, price = _drawn(evidence, name, device, evidence.scores[name].model)
+    drawn, price = _drawn(evidence, name, device)
     some = _some_hits(drawn)
     # What the laser and the place allow is what the scans of just before and after explain.
     some = some[drawn.look_up(some, among=NEIGHBOURS)[0] > price]
@@ -191,12 +192,12 @@ def find_contradiction(
 
 
 def _drawn(
-    evidence: PathEvidence, name: str, device: ComputeDevice, model: HitModel
+    evidence: PathEvidence, name: str, device: ComputeDevice, reach_cells: int = REACH_CELLS
 ) -> tuple[DrawnChunks, float]:
     """Return the chunks along a path, and the log-likelihood of a hit where nothing was seen."""
     path, is_judged = evidence.scores[name].path, evidence.is_judged
-    drawn = DrawnChunks.of(name, path, evidence.scans, is_judged, device, model)
-    return drawn, float(np.log(model.unknown))
+    drawn = DrawnChunks.of(name, path, evidence.scans, is_judged, device, reach_cells)
+    return drawn, float(np.log(UNKNOWN))
 
 
 def _some_hits(drawn: DrawnChunks) -> I64:

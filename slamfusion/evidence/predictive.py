@@ -120,28 +120,13 @@ NEIGHBOURS, OTHERS = (
 MOST_PAGES = 1 << 24
 
 
-@dataclass(frozen=True)
-class HitModel:
-    """How likely a hit is under a map.
-
-    Attributes:
-        cell_m: side of a cell, metres.
-        spread_cells: standard deviation of a hit about a wall, cells.
-        stray: likelihood of a hit that no wall explains, where the others have seen something.
-        unknown: likelihood where they have seen nothing.
-        reach_cells: how far walls are looked for, cells: farther ones explain nothing.
-        known_cells: a hit this near to a wall is in a place that they have seen, cells.
-    """
-
-    cell_m: float = 0.05
-    spread_cells: float = 1.0
-    stray: float = 0.03
-    unknown: float = 0.35
-    reach_cells: int = 4
-    known_cells: float = 2.0
-
-
-DEFAULT_MODEL = HitModel()
+# How likely a hit is under a map: side of a cell, metres; standard deviation of a hit about a wall,
+# cells; likelihood of a hit that no wall explains where the others have seen something, and where
+# they have seen nothing.
+CELL_M, SPREAD_CELLS, STRAY, UNKNOWN = 0.05, 1.0, 0.03, 0.35
+# How far walls are looked for, cells: farther ones explain nothing; and how near a hit is to a wall
+# in a place that the others have seen, cells.
+REACH_CELLS, KNOWN_CELLS = 4, 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +145,6 @@ class PathScore:
     sums: F64
     beams: I64
     seen: I64
-    model: HitModel = DEFAULT_MODEL
 
     @property
     def consistency(self) -> float:
@@ -184,7 +168,7 @@ class PathScore:
         Unlike ``consistency`` it does not fall with what is seen once, so that drives compare.
         """
         seen = int(self.seen.sum())
-        price = (self.beams_judged - seen) * np.log(self.model.unknown)
+        price = (self.beams_judged - seen) * np.log(UNKNOWN)
         return float((self.sums.sum() - price) / seen) if seen else float("nan")
 
 
@@ -239,10 +223,7 @@ class PathEvidence:
 
 
 def score_paths(
-    scans: JudgedScans,
-    paths: Mapping[str, Trajectory],
-    device: ComputeDevice,
-    model: HitModel = DEFAULT_MODEL,
+    scans: JudgedScans, paths: Mapping[str, Trajectory], device: ComputeDevice
 ) -> PathEvidence:
     """Score paths of one drive by predictive consistency.
 
@@ -260,7 +241,7 @@ def score_paths(
     if not paths:
         raise TrajectoryError("there is no path to score; give at least one")
     covered = {name: _covered(name, path, scans) for name, path in paths.items()}
-    return _score_covered(covered, scans, device, model)
+    return _score_covered(covered, scans, device)
 
 
 def with_path(
@@ -281,13 +262,12 @@ def with_path(
         TrajectoryError: see ``score_paths``.
     """
     scans, is_judged = evidence.scans, evidence.is_judged
-    model = next(iter(evidence.scores.values())).model
     own = _covered(name, path, scans)
     if own.is_covered[is_judged].all():
-        score = _score(name, own, scans, is_judged, device, model)
+        score = _score(name, own, scans, is_judged, device)
         return PathEvidence(scans, is_judged, {**evidence.scores, name: score})
     covered = {known: score.path for known, score in evidence.scores.items()}
-    return _score_covered({**covered, name: own}, scans, device, model)
+    return _score_covered({**covered, name: own}, scans, device)
 
 
 def _covered(name: str, path: Trajectory, scans: JudgedScans) -> CoveredPath:
@@ -301,7 +281,7 @@ def _covered(name: str, path: Trajectory, scans: JudgedScans) -> CoveredPath:
 
 
 def _score_covered(
-    covered: Mapping[str, CoveredPath], scans: JudgedScans, device: ComputeDevice, model: HitModel
+    covered: Mapping[str, CoveredPath], scans: JudgedScans, device: ComputeDevice
 ) -> PathEvidence:
     """Score paths on the hits of the scans that each has a pose for."""
     is_judged = np.logical_and.reduce([path.is_covered for path in covered.values()])
@@ -309,22 +289,15 @@ def _score_covered(
         shares = ", ".join(f"{name} {path.covered_share:.0%}" for name, path in covered.items())
         message = f"no scan has a pose in every path (each alone: {shares}); leave one out"
         raise TrajectoryError(message)
-    scores = {
-        name: _score(name, path, scans, is_judged, device, model) for name, path in covered.items()
-    }
+    scores = {name: _score(name, path, scans, is_judged, device) for name, path in covered.items()}
     return PathEvidence(scans, is_judged, scores)
 
 
 def _score(
-    name: str,
-    path: CoveredPath,
-    scans: JudgedScans,
-    is_judged: B8,
-    device: ComputeDevice,
-    model: HitModel,
+    name: str, path: CoveredPath, scans: JudgedScans, is_judged: B8, device: ComputeDevice
 ) -> PathScore:
     """Draw the map of a path and look up every judged hit in what the other chunks drew."""
-    drawn = DrawnChunks.of(name, path, scans, is_judged, device, model)
+    drawn = DrawnChunks.of(name, path, scans, is_judged, device)
     likelihoods, is_seen = drawn.look_up()
     count = len(scans)
     return PathScore(
@@ -333,7 +306,6 @@ def _score(
         sums=np.bincount(drawn.hit_scans, likelihoods, count).astype(np.float64),
         beams=np.bincount(drawn.hit_scans, minlength=count).astype(np.int64),
         seen=np.bincount(drawn.hit_scans[is_seen], minlength=count).astype(np.int64),
-        model=model,
     )
 
 
@@ -342,6 +314,7 @@ class DrawnChunks:
     """The map that a path draws, of which each chunk of the drive can be left out.
 
     Attributes:
+        reach_cells: how far walls are looked for.
         hit_scans: (B,) int64, the scan of each judged hit.
         chunks: (B,) int64, the chunk of each.
         beams, facings: of the judged hits, see ``chunk_marks``.
@@ -349,7 +322,7 @@ class DrawnChunks:
     """
 
     device: ComputeDevice
-    model: HitModel
+    reach_cells: int
     hit_scans: I64
     chunks: I64
     beams: npt.NDArray[np.int32]
@@ -366,12 +339,12 @@ class DrawnChunks:
         scans: JudgedScans,
         is_judged: B8,
         device: ComputeDevice,
-        model: HitModel,
+        reach_cells: int = REACH_CELLS,
     ) -> DrawnChunks:
         """Draw the judged hits of a drive at the poses of a path."""
         kept = is_judged[scans.hit_scans]
         hit_scans = scans.hit_scans[kept]
-        beams, facings, pages = _placed_beams(name, path.poses, scans, is_judged, kept, model)
+        beams, facings, pages = _placed_beams(name, path.poses, scans, is_judged, kept, reach_cells)
         chunks = scans.chunks[hit_scans]
         table = device.upload(pages)
         tiles = int(pages.max()) + 1
@@ -381,7 +354,7 @@ class DrawnChunks:
         )
         ends, faces = device.upload(beams), device.upload(facings)
         device.mark_chunks(hits, seen, table, ends, faces, device.upload(_CHUNK_BITS[chunks]))
-        return cls(device, model, hit_scans, chunks, beams, facings, table, hits, seen)
+        return cls(device, reach_cells, hit_scans, chunks, beams, facings, table, hits, seen)
 
     def look_up(
         self,
@@ -401,9 +374,7 @@ class DrawnChunks:
         beams = self.beams[picked]
         if any(moved_m):
             beams = beams.copy()
-            beams[:, :2] += np.rint(np.array(moved_m) * BEAM_ONE / self.model.cell_m).astype(
-                np.int32
-            )
+            beams[:, :2] += np.rint(np.array(moved_m) * BEAM_ONE / CELL_M).astype(np.int32)
         left_out = ~among[self.chunks[picked]]
         upload = self.device.upload
         return log_likelihoods(
@@ -414,13 +385,12 @@ class DrawnChunks:
                 upload(beams),
                 upload(self.facings[picked]),
                 upload(left_out),
-                self.model.reach_cells,
-            ),
-            self.model,
+                self.reach_cells,
+            )
         )
 
 
-def log_likelihoods(found: npt.NDArray[np.int32], model: HitModel) -> tuple[F64, B8]:
+def log_likelihoods(found: npt.NDArray[np.int32]) -> tuple[F64, B8]:
     """Return each hit's log-likelihood, (B,), and whether it lies where something was seen.
 
     Args:
@@ -429,14 +399,14 @@ def log_likelihoods(found: npt.NDArray[np.int32], model: HitModel) -> tuple[F64,
     has_wall = found[:, 0] >= 0
     squared = np.where(has_wall, found[:, 0], 0) / float(BEAM_ONE) ** 2
     # A wall out of reach explains nothing.
-    near = np.where(has_wall, np.exp(-0.5 * squared / model.spread_cells**2), 0.0)
-    is_seen = (found[:, 1] != 0) | (has_wall & (squared <= model.known_cells**2))
-    explained = np.log((1.0 - model.stray) * near + model.stray)
-    return np.where(is_seen, explained, np.log(model.unknown)), is_seen
+    near = np.where(has_wall, np.exp(-0.5 * squared / SPREAD_CELLS**2), 0.0)
+    is_seen = (found[:, 1] != 0) | (has_wall & (squared <= KNOWN_CELLS**2))
+    explained = np.log((1.0 - STRAY) * near + STRAY)
+    return np.where(is_seen, explained, np.log(UNKNOWN)), is_seen
 
 
 def _placed_beams(
-    name: str, poses: F64, scans: JudgedScans, is_judged: B8, kept: B8, model: HitModel
+    name: str, poses: F64, scans: JudgedScans, is_judged: B8, kept: B8, reach_cells: int
 ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32], npt.NDArray[np.int32]]:
     """Lay the judged beams on a lattice of pages, with tiles wherever a hit is looked up.
 
@@ -450,12 +420,12 @@ def _placed_beams(
     hit_scans = scans.hit_scans[kept]
     ends = transform_points(laid, scans.hits[kept], hit_scans)
     lasers = transform_points(laid, scans.lasers)[hit_scans]
-    cells = np.concatenate((ends, lasers), axis=1) / model.cell_m
+    cells = np.concatenate((ends, lasers), axis=1) / CELL_M
     page = np.floor(cells / TILE)
     low = page.reshape(-1, 2).min(axis=0) - 1
     width, height = (page.reshape(-1, 2).max(axis=0) + 2 - low).astype(np.int64)
     if width * height > MOST_PAGES:
-        side_m = TILE * model.cell_m
+        side_m = TILE * CELL_M
         raise TrajectoryError(
             f"{name}: what it sees spreads over {width * side_m:.0f} x {height * side_m:.0f} m, "
             "more than can be scored; check the unit and the frame of its poses"
@@ -464,8 +434,8 @@ def _placed_beams(
     beams = np.asarray(np.floor(cells * BEAM_ONE), dtype=np.int32)
     col, row = (beams[:, :2] // BEAM_ONE).T
     used = np.zeros((height, width), dtype=np.bool_)
-    for dx in (-model.reach_cells, model.reach_cells):
-        for dy in (-model.reach_cells, model.reach_cells):
+    for dx in (-reach_cells, reach_cells):
+        for dy in (-reach_cells, reach_cells):
             used[(row + dy) // TILE, (col + dx) // TILE] = True
     pages = np.where(used, np.cumsum(used).reshape(used.shape), 0)
     turned = (laid[hit_scans, 2] + scans.facings_rad[kept]) * FACINGS / (2.0 * np.pi)

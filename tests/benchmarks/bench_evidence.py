@@ -31,7 +31,7 @@ from slamfusion.evaluation import trajectory_errors
 from slamfusion.evidence.beams import judged_scans
 from slamfusion.evidence.displacement import find_displacements
 from slamfusion.evidence.parting import PART_M
-from slamfusion.evidence.predictive import HitModel, score_paths
+from slamfusion.evidence.predictive import score_paths
 from slamfusion.evidence.recommendation import choose_path
 from slamfusion.geometry import compose_poses, invert_poses
 from slamfusion.io import LogScan
@@ -140,7 +140,7 @@ def between(path: Trajectory, first_s: float, last_s: float) -> Trajectory:
     return Trajectory(path.stamps_s[kept], path.poses[kept], path.name)
 
 
-def judge_drive(folder: Path, device: ComputeDevice, model: HitModel) -> Iterator[Found]:
+def judge_drive(folder: Path, device: ComputeDevice) -> Iterator[Found]:
     """Yield what is found on a drive, or on each segment of it."""
     drive = read_drive(folder)
     condition = drive.trial["condition"]
@@ -151,10 +151,10 @@ def judge_drive(folder: Path, device: ComputeDevice, model: HitModel) -> Iterato
         wrong = {name: change(truth) for name, change in WRONG.items()}
         began_s = time.perf_counter()
         judged = judged_scans(scans)
-        alone = score_paths(judged, parts, device, model)
+        alone = score_paths(judged, parts, device)
         time_s = time.perf_counter() - began_s
         fused = {FUSED: fuse_weighed_paths(parts, alone, device).trajectory}
-        evidence = score_paths(judged, {TRUTH: truth, **parts, **fused, **wrong}, device, model)
+        evidence = score_paths(judged, {TRUTH: truth, **parts, **fused, **wrong}, device)
         contest = evidence.of_paths((TRUTH, *parts))
         _, taken, _ = choose_path(evidence.of_paths((*parts, FUSED)), parts, FUSED)
         ate_m = {
@@ -280,7 +280,7 @@ def main() -> None:
     parser.add_argument("--device", default="auto")
     add_record_option(parser)
     arguments = parser.parse_args()
-    device, model = open_device(arguments.device), HitModel()
+    device = open_device(arguments.device)
     worlds = [int(word) for word in arguments.worlds.split(",")]
     found: list[Found] = []
     for trial in drive_trials(worlds, lidars=arguments.lidars.split(",")):
@@ -288,7 +288,7 @@ def main() -> None:
         if arguments.make:
             make_drive(trial, arguments.drives, device)
         if (folder / "drive.json").exists():
-            found += judge_drive(folder, device, model)
+            found += judge_drive(folder, device)
     record = arguments.record
     print_validity(found, record)
     whole = [item for item in found if item.condition != KIDNAPPING]
