@@ -84,7 +84,7 @@ def _experiment(*sections: str) -> Callable[[Callable[..., Experiment]], Callabl
                 print(found.title)
                 for title, heads, rows in found.text_tables(details=False):
                     print_table([f"{heads[0]} ", *heads[1:]], rows, title=title)
-                print(*document["sentences"], *files, sep="\n")
+                print(*document.sentences, *files, sep="\n")
             if found.failure:
                 raise SlamFusionError(found.failure)
             return 0

@@ -17,9 +17,10 @@ from slamfusion.evaluation import Row, correct_by_holm, figure_of
 from slamfusion.experiments.runs import Inputs
 from slamfusion.io import AtomicFiles
 from slamfusion.jobs.compare import SIGNIFICANT, ComparisonJson, compare_values
-from slamfusion.jobs.documents import circumstances, number, p_text, spread
-from slamfusion.jobs.records import CircumstancesJson
+from slamfusion.jobs.documents import number, p_text, spread
+from slamfusion.jobs.records import Circumstances
 from slamfusion.jobs.results import KEYS, markdown, results_table
+from slamfusion.json_values import FLAT
 
 Pairs = Mapping[str, Sequence[tuple[str, str]]]
 # A title, heads and rows of texts.
@@ -101,7 +102,8 @@ class Note:
     """The reason in the first of them."""
 
 
-class ExperimentDocument(CircumstancesJson):
+@dataclass(frozen=True, eq=False)
+class ExperimentDocument:
     """``slamfusion experiment NAME``."""
 
     title: str
@@ -118,8 +120,9 @@ class ExperimentDocument(CircumstancesJson):
     """What went wrong."""
     sentences: Sequence[str]
     """The results in words."""
-    files: Sequence[str]
+    files: Sequence[Path]
     """The files that were written."""
+    circumstances: Circumstances = field(metadata=FLAT)
 
 
 @dataclass(frozen=True, eq=False)
@@ -305,17 +308,17 @@ class Experiment:
 
     def document(self, files: Sequence[Path], config: RunConfig, device: str) -> ExperimentDocument:
         """Return what ``slamfusion experiment NAME`` prints as JSON."""
-        return {
-            "title": self.title,
-            "summaries": self.summaries.reset_index().to_dict("records"),
-            "comparisons": self.comparisons.to_dict("records"),
-            "against_best_input": self.against_best,
-            "overall": self.overall(),
-            "notes": self.noted(),
-            "sentences": self.sentences(),
-            "files": [str(path) for path in files],
-            **circumstances(config, device),
-        }
+        return ExperimentDocument(
+            self.title,
+            self.summaries.reset_index().to_dict("records"),
+            self.comparisons.to_dict("records"),
+            self.against_best,
+            self.overall(),
+            self.noted(),
+            self.sentences(),
+            files,
+            Circumstances(config, device),
+        )
 
     def write(self, folder: Path, forms: Sequence[str] = ()) -> list[Path]:
         """Write ``NAME.csv`` (all rows), ``NAME.md`` (tables and sentences) and the plot.

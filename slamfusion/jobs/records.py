@@ -17,10 +17,10 @@ from importlib import resources
 from typing import Any, TypedDict
 
 from slamfusion.align.records import Alignment
-from slamfusion.config import RunConfig
+from slamfusion.config import RunConfig, to_mapping
 from slamfusion.evaluation import MapError
-from slamfusion.jobs.documents import circumstances, settings_used
 from slamfusion.json_values import FLAT
+from slamfusion.version import versions
 
 # --- what many documents share ----------------------------------------------------------------
 
@@ -58,7 +58,7 @@ class Settings:
 
     def to_json(self) -> SettingsJson:
         """Return them for a JSON document."""
-        return settings_used(self.config)
+        return {"config": to_mapping(self.config), "versions": versions()}
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class Circumstances:
 
     def to_json(self) -> CircumstancesJson:
         """Return them for a JSON document."""
-        return circumstances(self.config, self.device)
+        return {"device": self.device, "seed": self.config.seed, **Settings(self.config).to_json()}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
