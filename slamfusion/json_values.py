@@ -25,9 +25,8 @@ def record_keys(record: Any) -> dict[str, Any]:
     if isinstance(record, Mapping):
         return dict(record)
     if hasattr(record, "to_json"):
-        keys: dict[str, Any] = record.to_json()
-        return keys
-    keys = {}
+        return record_keys(record.to_json())
+    keys: dict[str, Any] = {}
     for item in fields(record):
         if item.metadata == FLAT:
             keys |= record_keys(getattr(record, item.name))

@@ -21,7 +21,7 @@ from slamfusion.cli.options import (
     truth_scale_option,
     with_config,
 )
-from slamfusion.cli.output import is_verbose, notice, print_json, print_table, progress_bar
+from slamfusion.cli.output import NOTHING, is_verbose, notice, print_json, print_table, progress_bar
 from slamfusion.cli.paths import CASE_MAP
 from slamfusion.cli.results import (
     print_items,
@@ -184,20 +184,23 @@ def _compare(grids: Sequence[OccupancyGrid], config: RunConfig, as_json: bool) -
         )
         print_json(document)
         return 0
-    rows = [
-        [
-            item["name"],
-            number(None if item["agreement"] is None else 100.0 * item["agreement"], 1),
-            "-" if item["agreement"] is None else "no" if item["bent"] is None else "BENT",
-            number(None if item["bent"] is None else item["bent"].x, 1),
-            number(None if item["bent"] is None else item["bent"].y, 1),
-        ]
-        for item in items
-    ]
+    rows, notes = [], []
+    for record, item in zip(result.inputs, items, strict=True):
+        share, bent = item.vote.agreement, item.vote.bent
+        rows.append(
+            [
+                record.name,
+                number(None if share is None else 100.0 * share, 1),
+                NOTHING if share is None else "no" if bent is None else "BENT",
+                number(None if bent is None else bent.x, 1),
+                number(None if bent is None else bent.y, 1),
+            ]
+        )
+        notes.append("" if record.accepted and not is_verbose() else record.reason)
     print_table(
         ("map ", "walls that agree [%]", "bent ", "worst at x [m]", "y [m]"),
         rows,
-        notes=["" if item["accepted"] and not is_verbose() else item["reason"] for item in items],
+        notes=notes,
         title=f"Agreement of the maps with each other, in the frame of {result.reference}",
     )
     return 0

@@ -25,7 +25,7 @@ from slamfusion.fusion import align_grids, fuse_grids
 from slamfusion.geometry import Pose2
 from slamfusion.io import AtomicFiles
 from slamfusion.jobs.cases import CaseFile, Placed, case_names, place_files
-from slamfusion.jobs.fuse_documents import FusedInputJson, UnalignedInputJson, input_document
+from slamfusion.jobs.fuse_documents import FusedInput, UnalignedInput, input_document
 from slamfusion.jobs.inputs import (
     MapInput,
     PixelSizes,
@@ -50,7 +50,7 @@ class EvaluateDocument:
     """The maps against the truth; empty without --truth."""
     distances: Sequence[DistanceComparison] = ()
     """The maps against measured distances; empty without --distances."""
-    agreement: Sequence[FusedInputJson | UnalignedInputJson] = ()
+    agreement: Sequence[FusedInput | UnalignedInput] = ()
     """The maps against each other; empty with --truth or --distances."""
     truth: Path | None = None
     """The true map's file; null without --truth."""
@@ -166,7 +166,7 @@ def compare_maps(
     return fuse_grids(grids, fusion, device_for(config, device), progress)
 
 
-def agreement_items(result: FusionResult) -> list[FusedInputJson | UnalignedInputJson]:
+def agreement_items(result: FusionResult) -> list[FusedInput | UnalignedInput]:
     """Return how each map agrees with the others of its group, in the order given."""
     groups = {name: group for group in (*result.others, result) for name in group.weights}
     return [input_document(item, groups.get(item.name, result)) for item in result.inputs]

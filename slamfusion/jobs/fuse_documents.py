@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TypedDict, cast
 
 from slamfusion.align.records import (
     Alignment,
-    AlignmentJson,
     Bent,
     Fusion,
     FusionResult,
@@ -27,43 +25,54 @@ from slamfusion.json_values import FLAT
 from slamfusion.vote.tiles import occupied_codes
 
 
-class NoAlignmentJson(TypedDict):
-    """The numbers of an alignment that was not made."""
-
-    dx_m: None
-    dy_m: None
-    yaw_rad: None
-    score: None
-    overlap: None
-    error: None
-    runner_up: None
-    time_s: None
-    strength: None
-
-
-class InputVoteJson(TypedDict):
+@dataclass(frozen=True)
+class InputVote:
     """How an input votes, and how well its walls agree with those of the others."""
 
-    agreement: float | None
+    agreement: float | None = None
     """Share of its walls that agree with the other maps, 0 to 1; null: nothing to compare."""
-    weight: float
+    weight: float = 0.0
     """Of its vote in all, 0 to 1; less or more where its walls agree less or more."""
-    bent: Bent | None
+    bent: Bent | None = None
     """Where it agrees least, if it is bent; null: it agrees with the others."""
 
 
-class FusedInputJson(AlignmentJson, InputVoteJson):
+@dataclass(frozen=True)
+class FusedInput:
     """An input of a fusion that was aligned with the reference."""
 
+    alignment: Alignment = field(metadata=FLAT)
+    vote: InputVote = field(metadata=FLAT)
 
-class UnalignedInputJson(NoAlignmentJson, InputVoteJson):
+
+@dataclass(frozen=True, kw_only=True)
+class UnalignedInput:
     """An input of a fusion that was not aligned with the reference."""
 
+    dx_m: None = None
+    """Null, as the other numbers of an alignment."""
+    dy_m: None = None
+    """Null."""
+    yaw_rad: None = None
+    """Null."""
+    score: None = None
+    """Null."""
+    overlap: None = None
+    """Null."""
+    error: None = None
+    """Null."""
+    runner_up: None = None
+    """Null."""
+    time_s: None = None
+    """Null."""
+    strength: None = None
+    """Null."""
+    vote: InputVote = field(default=InputVote(), metadata=FLAT)
     name: str
     """The input."""
-    reference: str | None
+    reference: str | None = None
     """The input whose frame the fused map has; null where nothing was fused."""
-    accepted: bool
+    accepted: bool = False
     """Whether it voted."""
     reason: str
     """Why not."""
@@ -97,26 +106,27 @@ class DoubledWalls:
         return cls(shares, *fused_doubled_shares(result.fused.cells, aligned))
 
 
-class FusionJson(TypedDict):
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FusionRecord:
     """The result of a fusion; null and empty values where nothing was fused."""
 
-    inputs: Sequence[FusedInputJson | UnalignedInputJson]
+    inputs: Sequence[FusedInput | UnalignedInput]
     """The inputs, in the order given."""
-    reference: str | None
+    reference: str | None = None
     """The input whose frame and lattice the fused map has."""
-    fused_count: int
+    fused_count: int = 0
     """Inputs that voted."""
-    phantom_cells: int | None
+    phantom_cells: int | None = None
     """Cells occupied in the fused map by vote, and in no input."""
-    left_out_m2: Mapping[str, float]
+    left_out_m2: Mapping[str, float] = field(default_factory=dict)
     """Area that inputs know outside of the box of --extent reference, square metres, by input."""
-    doubled_wall_share: DoubledWalls | None
+    doubled_wall_share: DoubledWalls | None = None
     """Shares of the wall cells that have a parallel wall close by."""
-    weights: Mapping[str, float]
+    weights: Mapping[str, float] = field(default_factory=dict)
     """Weight of each voter, 0 to 1, by name; a drawn map votes and is no input."""
     pairs: Sequence[Alignment]
     """Every pair that was aligned, also between rejected inputs."""
-    copies: Mapping[str, str]
+    copies: Mapping[str, str] = field(default_factory=dict)
     """Inputs that are the same map as another, by name, and which of them votes for both."""
 
 
@@ -157,7 +167,7 @@ class FusedGroup:
 class _Fused:
     """What is printed of a fusion, and of one that failed."""
 
-    fusion: FusionJson = field(metadata=FLAT)
+    fusion: FusionRecord = field(metadata=FLAT)
     fused: str | None = None
     """YAML file of the fused map; null where nothing was fused, or it is in a store alone."""
     agreement: str | None = None
@@ -191,10 +201,6 @@ class FailedFuseDocument(_Fused):
     """Null."""
 
 
-NO_ALIGNMENT = cast("NoAlignmentJson", dict.fromkeys(NoAlignmentJson.__annotations__))
-NO_VOTE: InputVoteJson = {"agreement": None, "weight": 0.0, "bent": None}
-
-
 def agreement_stem(stem: Path) -> Path:
     """Return the path, without suffix, of the agreement map beside a fused map."""
     return stem.with_name(stem.name + AGREEMENT_END)
@@ -218,48 +224,31 @@ def failed_fuse_document(
 
 def fusion_document(
     result: FusionResult | StoredFusion, doubled: DoubledWalls | None
-) -> FusionJson:
-    """Return what a JSON document says of a fusion; doubled walls where they were measured."""
-    return {
-        "inputs": [input_document(record, result) for record in result.inputs],
-        "reference": result.reference,
-        "fused_count": len(result.accepted),
-        "phantom_cells": result.phantom_cells,
-        "left_out_m2": result.left_out_m2,
-        "doubled_wall_share": doubled,
-        "weights": result.weights,
-        "pairs": result.pairs,
-        "copies": {
+) -> FusionRecord:
+    """Return the record of a fusion; with doubled walls where they were measured."""
+    return FusionRecord(
+        inputs=[input_document(record, result) for record in result.inputs],
+        reference=result.reference,
+        fused_count=len(result.accepted),
+        phantom_cells=result.phantom_cells,
+        left_out_m2=result.left_out_m2,
+        doubled_wall_share=doubled,
+        weights=result.weights,
+        pairs=result.pairs,
+        copies={
             record.name: record.copy_of for record in result.copies if record.copy_of is not None
         },
-    }
+    )
 
 
 def failure_document(
     grids: Sequence[OccupancyGrid], pairs: Sequence[Alignment], reason: str
-) -> FusionJson:
-    """Return the same keys where nothing was fused."""
-    return {
-        "inputs": [
-            {
-                **NO_ALIGNMENT,
-                **NO_VOTE,
-                "name": grid.name,
-                "reference": None,
-                "accepted": False,
-                "reason": _reason(grid.name, pairs, reason),
-            }
-            for grid in grids
-        ],
-        "reference": None,
-        "fused_count": 0,
-        "phantom_cells": None,
-        "left_out_m2": {},
-        "doubled_wall_share": None,
-        "weights": {},
-        "pairs": pairs,
-        "copies": {},
-    }
+) -> FusionRecord:
+    """Return the record where nothing was fused."""
+    inputs = [
+        UnalignedInput(name=grid.name, reason=_reason(grid.name, pairs, reason)) for grid in grids
+    ]
+    return FusionRecord(inputs=inputs, pairs=pairs)
 
 
 def fusion_sentences(
@@ -299,30 +288,21 @@ def left_out_sentences(result: FusionResult | StoredFusion) -> list[str]:
     return rejected + copies + bent + cuts
 
 
-def input_document(record: InputRecord, result: Fusion) -> FusedInputJson | UnalignedInputJson:
-    """Return one input's record: its alignment, its vote, and what became of it."""
-    vote: InputVoteJson = {
-        "agreement": result.wall_agreement.get(record.name),
-        "weight": result.weights.get(record.name, 0.0),
-        "bent": result.bent.get(record.name),
-    }
-    if record.alignment is None:
-        return {
-            **NO_ALIGNMENT,
-            **vote,
-            "name": record.name,
-            "reference": result.reference,
-            "accepted": record.accepted,
-            "reason": record.reason,
-        }
-    return {
-        **record.alignment.to_json(),
-        **vote,
-        "name": record.name,
-        "accepted": record.accepted,
-        "strength": record.alignment.strength if record.accepted else None,
-        "reason": record.reason,
-    }
+def input_document(record: InputRecord, result: Fusion) -> FusedInput | UnalignedInput:
+    """Return one input's record: its alignment, its vote, and the outcome."""
+    vote = InputVote(
+        result.wall_agreement.get(record.name),
+        result.weights.get(record.name, 0.0),
+        result.bent.get(record.name),
+    )
+    found, reason = record.alignment, record.reason
+    if found is None:
+        return UnalignedInput(
+            vote=vote, name=record.name, reference=result.reference,
+            accepted=record.accepted, reason=reason,
+        )  # fmt: skip
+    found = replace(found, moving=record.name, accepted=record.accepted, reason=reason)
+    return FusedInput(found, vote)
 
 
 def _reason(name: str, pairs: Sequence[Alignment], otherwise: str) -> str:

@@ -20,7 +20,7 @@ from slamfusion.io import AtomicFiles, save_map, write_tum
 from slamfusion.jobs.documents import number, record_bytes
 from slamfusion.jobs.fuse_documents import (
     DoubledWalls,
-    FusionJson,
+    FusionRecord,
     failure_document,
     fusion_document,
     left_out_sentences,
@@ -150,7 +150,7 @@ class DriveFusion:
         """The fusion where it may be used."""
         return None if self.failure is not None else self.result
 
-    def to_json(self) -> FusionJson:
+    def to_json(self) -> FusionRecord:
         """Return the fusion for a JSON document."""
         if self.usable is None:
             return failure_document(self.grids, self.pairs, str(self.failure))

@@ -101,14 +101,13 @@ def test_without_a_truth_maps_are_compared_with_each_other() -> None:
     crooked = np.where(bent(cells, 0.15) == 1, OCCUPIED, bent(cells, 0.15)).astype(np.int8)
     maps = [replace(truth, cells=crooked, name="crooked"), truth.with_name("a"), grid]
     result = compare_maps(maps, CONFIG, device())
-    found = {item["name"]: item for item in agreement_items(result)}
+    items = agreement_items(result)
+    found = {item.name: own.vote for item, own in zip(result.inputs, items, strict=True)}
     assert list(found) == ["crooked", "a", grid.name]
-    assert found["crooked"]["agreement"] < 0.85
-    assert found["crooked"]["weight"] < 0.3
+    assert (found["crooked"].agreement or 0.0) < 0.85
+    assert found["crooked"].weight < 0.3
     for name in ("a", grid.name):
-        assert found[name]["bent"] is None
-        assert found[name]["weight"] > 0.8
-    document = EvaluateDocument(
-        agreement=list(found.values()), device="numpy", seed=0, settings=Settings(CONFIG)
-    )
+        assert found[name].bent is None
+        assert found[name].weight > 0.8
+    document = EvaluateDocument(agreement=items, device="numpy", seed=0, settings=Settings(CONFIG))
     check_document(plain(document), "evaluate")

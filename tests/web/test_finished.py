@@ -20,6 +20,7 @@ from slamfusion.io import save_map, write_tum
 from slamfusion.jobs.fuse import FusedMaps, save_fused_maps
 from slamfusion.jobs.fuse_documents import DoubledWalls, FuseDocument
 from slamfusion.jobs.inputs import GivenMaps
+from slamfusion.json_values import plain
 from slamfusion.trajectory import Trajectory
 from tests.report.drawn import fusion, room
 from tests.web.maps import painted, texts, tiles
@@ -168,7 +169,7 @@ def test_a_fusion_is_shown_with_its_inputs_where_they_were_laid(tmp_path: Path) 
     assert cells(found, "room 1") == room("room 1", 1).cells.tolist()
     assert [name for name in maps if not maps[name]["is_shown"]] == ["agreement", "far"]
     (status,) = texts(found.scene.since(0)[0], "status")
-    for item, laid in zip(status["inputs"][1:], record.fusion["inputs"][1:], strict=True):
+    for item, laid in zip(status["inputs"][1:], plain(record.fusion)["inputs"][1:], strict=True):
         assert item["name"] == laid["name"]
         assert item["votes"] == laid["accepted"]
         assert item["transform"] == [laid["dx_m"], laid["dy_m"], laid["yaw_rad"]]
