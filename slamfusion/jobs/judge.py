@@ -220,7 +220,7 @@ def judge_paths(
         recommendation=found,
         path_evidence=found.paths,
         paths=[
-            SavedPath(given[name], replace(path, name=name), measures.get(name, Measures()))
+            SavedPath.of(given[name], replace(path, name=name), measures.get(name, Measures()))
             for name, path in read.items()
         ],
         fused_path=made,

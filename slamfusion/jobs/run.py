@@ -230,7 +230,7 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
             for name, run in runs.items()
         }
         found_paths = [
-            SavedPath(
+            SavedPath.of(
                 saved.paths[name], path, stages.measured(name, held.measure, path, config, wheels)
             )
             for name, path in their_paths.items()

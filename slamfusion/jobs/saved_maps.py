@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from slamfusion.config import RunConfig
@@ -14,7 +14,8 @@ from slamfusion.io import read_trajectory
 from slamfusion.jobs.cases import CaseFile, files_by_case
 from slamfusion.jobs.inputs import Warn, distinct_names, load_maps
 from slamfusion.jobs.outputs import DRAWN, FUSED
-from slamfusion.jobs.trajectory import JudgedPathJson, Measures
+from slamfusion.jobs.trajectory import Measures
+from slamfusion.json_values import FLAT
 from slamfusion.slam.registry import producer_names
 from slamfusion.trajectory import Trajectory
 
@@ -23,23 +24,28 @@ from slamfusion.trajectory import Trajectory
 LEAST_COVERED = 0.5
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class SavedPath:
-    """The path that another SLAM found with its saved map."""
+    """A path that was given, with the errors that could be measured."""
 
+    path: Trajectory = field(repr=False)
+    measures: Measures = field(metadata=FLAT)
+    name: str
+    """The path: its file's name without the ending."""
     file: Path
-    path: Trajectory
-    measures: Measures
+    """Its file."""
+    poses: int
+    """Its poses."""
+    path_length_m: float
+    """Its length, metres."""
 
-    def to_json(self) -> JudgedPathJson:
-        """Return the path and its errors for a JSON document."""
-        return {
-            **self.measures.to_json(),
-            "name": self.path.name,
-            "file": str(self.file),
-            "poses": len(self.path),
-            "path_length_m": self.path.path_length_m(),
-        }
+    @classmethod
+    def of(cls, file: Path, path: Trajectory, measures: Measures) -> SavedPath:
+        """Describe a path."""
+        return cls(
+            path=path, measures=measures, name=path.name, file=file,
+            poses=len(path), path_length_m=path.path_length_m(),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -54,19 +54,6 @@ class MeasuresJson(PathErrorsJson, total=False):
     """The same of the path as it was first reported, of a producer that corrects it later."""
 
 
-class JudgedPathJson(MeasuresJson):
-    """A path that was judged, with the errors that could be measured."""
-
-    name: str
-    """The path: its file's name without the ending."""
-    file: str
-    """Its file."""
-    poses: int
-    """Its poses."""
-    path_length_m: float
-    """Its length, metres."""
-
-
 @dataclass(frozen=True)
 class Measures:
     """Everything that was measured of one trajectory; what was not asked for is None.
