@@ -2,7 +2,7 @@
  * fields, grids resampled under rigid motions.
  *
  * Twin: slamfusion/compute/fields.py, by the same names; distance_columns and distance_rows
- * are distance_squared, max_pair is a step of max_window. All integer, so kernel and twin agree
+ * are distance_squared, max_pair is an axis of max_ahead. All integer, so kernel and twin agree
  * exactly.
  * Work sizes: any local size; every kernel guards its global size.
  */
@@ -203,13 +203,11 @@ __kernel void score_field(__global const ushort *distance2, __global const uchar
 }
 
 /* One doubling of a window maximum: the larger of each cell and the cell `shift` farther along the
- * row or the column; cells outside count as fill. A window of w starting at each cell takes about
- * log2(w) calls an axis.
+ * row or the column; cells outside count as 0.
  * field, out (height, width) uchar, not the same buffer.
  * Global: (ceil(width / WINDOW_LANES), height). */
 __kernel void max_pair(__global const uchar *field, const int height, const int width,
-                       const int shift, const int along_rows, const uchar fill,
-                       __global uchar *out) {
+                       const int shift, const int along_rows, __global uchar *out) {
   const int col = get_global_id(0) * WINDOW_LANES, row = get_global_id(1);
   if (col >= width || row >= height) return;
   const size_t index = (size_t)row * width + col;
@@ -225,7 +223,7 @@ __kernel void max_pair(__global const uchar *field, const int height, const int 
   }
   for (int i = 0; i < WINDOW_LANES && col + i < width; i++) {
     const bool inside = along_rows ? col + i + shift < width : row + shift < height;
-    const uchar other = inside ? field[index + i + step] : fill;
+    const uchar other = inside ? field[index + i + step] : 0;
     const uchar own = field[index + i];
     out[index + i] = own > other ? own : other;
   }

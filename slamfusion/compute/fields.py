@@ -205,35 +205,26 @@ class FieldDevice(ArrayDevice):
         values, mask = host(values), host(mask)
         return np.where(mask != 0, table[values], otherwise[values]).astype(np.uint16)
 
-    def max_window(
-        self, field: DeviceArray[np.uint8], window: int, *, along_rows: bool, fill: int
-    ) -> DeviceArray[np.uint8]:
-        """Return the largest of the ``window`` cells that start at each cell.
+    def max_ahead(self, field: DeviceArray[np.uint8], shift: int) -> DeviceArray[np.uint8]:
+        """Return the largest of each cell, those ``shift`` farther along row and column, and both.
+
+        Of the greatest of squares of ``shift`` cells it makes that of squares of twice the side.
 
         Args:
-            field: (H, W) uint8.
-            window: cells, at least 1.
-            along_rows: over columns of one row; otherwise over rows of one column.
-            fill: value outside the field, 0..255.
+            field: (H, W) uint8; outside counts as 0.
+            shift: cells, at least 1.
         """
         if self.opencl:
             height, width = field.shape
-            size, reached = (-(-width // WINDOW_LANES), height), 1
-            while reached < window:
-                shift = min(reached, window - reached)
+            size = (-(-width // WINDOW_LANES), height)
+            for along_rows in (True, False):
                 out = self.opencl.empty(field.shape, np.uint8)
-                sizes = (height, width, shift, along_rows)
-                self.opencl.launch("max_pair", size, field, *sizes, np.uint8(fill), out)
+                self.opencl.launch("max_pair", size, field, height, width, shift, along_rows, out)
                 field = out
-                reached += shift
             return field
-        field = host(field)
-        axis = 1 if along_rows else 0
-        pad = [(0, 0), (0, 0)]
-        pad[axis] = (0, window - 1)
-        padded = np.pad(field, pad, constant_values=fill)
-        views = np.lib.stride_tricks.sliding_window_view(padded, window, axis=axis)
-        best: U8 = views.max(axis=-1)
+        best = host(field).copy()
+        best[:, :-shift] = np.maximum(best[:, :-shift], best[:, shift:])
+        best[:-shift] = np.maximum(best[:-shift], best[shift:])
         return best
 
     def warp(

@@ -206,8 +206,8 @@ class SearchDevice(ArrayDevice):
         fields: DeviceArray[np.uint8],
         offsets: I32,
         shift_shape: tuple[int, int],
-        spans: I32 | None = None,
-        base: int = 0,
+        spans: I32,
+        base: int,
     ) -> DeviceArray[np.int32]:
         """Return the sum over points of the field at point plus shift, for every whole-cell shift.
 
@@ -217,8 +217,7 @@ class SearchDevice(ArrayDevice):
             shift_shape: (SH, SW), SW a multiple of ``SHIFT_LANES``.
             spans: (K, G, 4) int32 for each ``SHIFT_POINTS`` points the first and last row and the
                 first and last column of the shifts at which any of them reads something else than
-                ``base``;
-                None: at all of them. See ``shift_spans``.
+                ``base``; see ``shift_spans``.
             base: what is read elsewhere.
 
         Returns:
@@ -232,9 +231,6 @@ class SearchDevice(ArrayDevice):
             points = offsets.shape[1]
             field_stride = field_height * field_width if planes > 1 else 0
             offset_stride = points if len(offsets) > 1 else 0
-            if spans is None:
-                everywhere = (0, height - 1, 0, width - 1)
-                spans = np.full((count, -(-points // SHIFT_POINTS), 4), everywhere, dtype=np.int32)
             self.opencl.launch(
                 "correlate", (width // SHIFT_LANES, -(-height // SHIFT_ROWS), count), fields,
                 field_stride, field_width, self.upload(offsets), offset_stride, points,
@@ -252,7 +248,7 @@ class SearchDevice(ArrayDevice):
             scores[k] = base * len(own)
             for n, offset in enumerate(own):
                 row, col = divmod(int(offset), field_width)
-                r0, r1, c0, c1 = (0, height, 0, width) if spans is None else _half_open(spans[k], n)
+                r0, r1, c0, c1 = _half_open(spans[k], n)
                 part = field[row : row + height, col : col + width][r0:r1, c0:c1]
                 scores[k, r0:r1, c0:c1] += part.astype(np.int32) - base
         return scores

@@ -19,7 +19,8 @@ def test_scores_with_spans_are_those_without():
     rows, cols = rng.integers(0, 50, (2, 3, 37)).astype(np.int32)
     offsets = rows * field.shape[2] + cols
     spans = shift_spans(rows, cols, np.array([box]))
-    plain = NumpyDevice().correlate(field, offsets, (20, 64))
+    everywhere = np.full_like(spans, (0, 19, 0, 63))
+    plain = NumpyDevice().correlate(field, offsets, (20, 64), everywhere, BASE)
     assert np.array_equal(NumpyDevice().correlate(field, offsets, (20, 64), spans, BASE), plain)
     assert len(np.unique(plain)) > 10
 

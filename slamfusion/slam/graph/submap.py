@@ -96,7 +96,7 @@ class Pyramid:
         corner: (2,) x and y of the first cell's lower-left corner in the submap's frame, cells.
     """
 
-    windows = (16, 8, 4, 2, 1)
+    windows = (16, 8, 4, 2, 1)  # each half of the one before
 
     def __init__(self, device: ComputeDevice, values: npt.NDArray[np.uint8], corner: F64) -> None:
         """Pool the field of a submap; what lies beyond it is no wall.
@@ -107,13 +107,9 @@ class Pyramid:
         pad = self.windows[0] - 1
         padded = np.pad(values, ((pad, 0), (pad, 0)))
         self.corner = corner - pad
-        field = device.upload(padded)
-        self.fields: list[DeviceArray[Any]] = []
-        for window in self.windows:
-            pooled = field
-            for along_rows in (True, False):
-                pooled = device.max_window(pooled, window, along_rows=along_rows, fill=0)
-            self.fields.append(pooled)
+        self.fields: list[DeviceArray[Any]] = [device.upload(padded)]
+        for window in self.windows[:0:-1]:
+            self.fields.insert(0, device.max_ahead(self.fields[0], window))
 
 
 class Submap:

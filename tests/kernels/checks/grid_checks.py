@@ -17,6 +17,7 @@ from slamfusion.compute.layout import (
     DISTANCE_UNSEEN,
     FACING_PARTS,
     RUN,
+    SHIFT_POINTS,
     WALL_FREE,
     WALL_NEAR,
     WALL_OCCUPIED,
@@ -73,16 +74,9 @@ def _look_up(device: ComputeDevice, sample: Sample) -> Arrays:
     return [device.download(device.look_up(distance2, DISTANCE_TABLE))]
 
 
-def _max_window(device: ComputeDevice, sample: Sample) -> Arrays:
+def _max_ahead(device: ComputeDevice, sample: Sample) -> Arrays:
     field = device.upload(sample.field)
-    return fetch(
-        device,
-        [
-            device.max_window(field, window, along_rows=along_rows, fill=BASE)
-            for window in (1, 2, 5, 40)
-            for along_rows in (True, False)
-        ],
-    )
+    return fetch(device, [device.max_ahead(field, shift) for shift in (1, 2, 5, 40)])
 
 
 def _warp(device: ComputeDevice, sample: Sample) -> Arrays:
@@ -110,7 +104,8 @@ def _correlate(device: ComputeDevice, sample: Sample) -> Arrays:
     offsets = (rows * fields.shape[2] + cols).astype(np.int32)
     shifts = (height, width)
     pairs = ((fields, offsets), (fields[:1], offsets), (fields, offsets[:1]))
-    everywhere = [device.correlate(device.upload(f), o, shifts) for f, o in pairs]
+    all_shifts = np.full((3, -(-37 // SHIFT_POINTS), 4), (0, height - 1, 0, width - 1), np.int32)
+    everywhere = [device.correlate(device.upload(f), o, shifts, all_shifts, 0) for f, o in pairs]
     # A field that says something in a small box only: most shifts of most points need no look.
     box = (height, height + 5, width // 2, width)
     island = np.full_like(fields[:1], FLAT_FILL)
@@ -255,7 +250,7 @@ GRID_CHECKS: dict[str, Check] = {
     "look_up": _look_up,
     "look_up_where": _look_up_where,
     "score_field": _score_field,
-    "max_window": _max_window,
+    "max_ahead": _max_ahead,
     "warp": _warp,
     "confusion": _confusion,
     "squared_error": _squared_error,
