@@ -61,7 +61,6 @@ def conclude(
     """Measure the answer and its rivals, decide, and write the record.
 
     Args:
-        pair: the two maps.
         config: settings of the search, for the mirror image.
         found: at least one motion.
         start: where the answer is expected, without a window; None: nowhere.

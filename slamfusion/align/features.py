@@ -48,7 +48,7 @@ SOFT_GAIN = 1.25
 # The last fit is narrow: it needs no distances beyond this, in cells.
 SOLID_REACH = 24
 # What takes little memory is kept when a map lets go of the rest.
-SMALL = ("near_wall_share", "_known_at_distance")
+SMALL = ("near_wall_share", "_known_at_distance", "directions")
 # Cells that are counted at once.
 COUNTED_CELLS = 1 << 20
 # The score that is told: a byte serves single lookups.
@@ -64,6 +64,14 @@ CLEARER = 0.3
 # how much at most where little memory is wanted, bytes.
 FIELD_BYTES, FREE_SHARE = 40, 0.5
 SPARING_BYTES = 2**28
+
+
+# Directions of walls, degrees; a wall has none beyond 180. Histogram of one degree.
+DIRECTIONS = 180
+# Cells on the longest side of the picture whose gradients are the directions, its blur, and the
+# reach over which gradients of a wall are one direction, both cells.
+DIRECTION_CELLS, DIRECTION_BLUR, DIRECTION_REACH = 768, 2.0, 3.0
+SMOOTHING = np.array([1.0, 2.0, 3.0, 4.0, 3.0, 2.0, 1.0])
 
 
 def spread_sample(points: npt.NDArray[np.int32], most: int) -> npt.NDArray[np.int32]:
@@ -292,6 +300,11 @@ class GridFeatures:
         return self.device.upload(facings(self.grid.cells, self.grid.grid.resolution))
 
     @_kept
+    def directions(self) -> npt.NDArray[np.float64]:
+        """Return how many walls run which way, see ``wall_directions``."""
+        return wall_directions(self.grid.solid)
+
+    @_kept
     def seen(self, near2: int) -> DeviceArray[Any]:
         """Return (H, W) uint8, 1 where known or within this squared distance of a wall."""
         is_near = self.device.download(self.level(1).distance2) <= near2
@@ -402,6 +415,41 @@ def facings(cells: npt.NDArray[np.int8], resolution: float) -> npt.NDArray[np.ui
     height, width = cells.shape
     out = cv2.resize(faces, None, fx=side, fy=side, interpolation=cv2.INTER_NEAREST)
     return np.ascontiguousarray(out[:height, :width])
+
+
+def wall_directions(solid: npt.NDArray[np.uint8]) -> npt.NDArray[np.float64]:
+    """Return the histogram (180,) of directions across walls, mean 0 and length 1.
+
+    Args:
+        solid: (H, W) uint8, 1 at wall cells.
+    """
+    shrink = min(1.0, DIRECTION_CELLS / max(solid.shape))
+    size = (max(1, round(solid.shape[1] * shrink)), max(1, round(solid.shape[0] * shrink)))
+    # Shrunken in whole numbers: of a large map a picture of floats is much memory.
+    small = cv2.resize(solid * np.uint8(255), size, interpolation=cv2.INTER_AREA)
+    picture = cv2.GaussianBlur(small.astype(np.float32), (0, 0), DIRECTION_BLUR)
+    along_x = cv2.Scharr(picture, cv2.CV_32F, 1, 0)
+    along_y = cv2.Scharr(picture, cv2.CV_32F, 0, 1)
+    xx, yy, xy = (
+        cv2.GaussianBlur(product, (0, 0), DIRECTION_REACH)
+        for product in (along_x * along_x, along_y * along_y, along_x * along_y)
+    )
+    # The structure tensor's main axis, and how much longer it is than the other.
+    weight = np.hypot(xx - yy, 2.0 * xy)
+    strong = weight > 0.01 * weight.max()
+    degrees = np.degrees(np.arctan2(2.0 * xy[strong], (xx - yy)[strong]) / 2.0) % DIRECTIONS
+    # Shared by the two whole degrees beside it.
+    below = np.floor(degrees)
+    above = (degrees - below) * weight[strong]
+    counts: npt.NDArray[np.float64] = np.zeros(DIRECTIONS)
+    for more, part in enumerate((weight[strong] - above, above)):
+        counts += np.bincount((below.astype(np.int64) + more) % DIRECTIONS, part, DIRECTIONS)
+    reach = len(SMOOTHING) // 2
+    wrapped = np.concatenate((counts[-reach:], counts, counts[:reach]))
+    smooth = np.convolve(wrapped, SMOOTHING, "valid")
+    smooth -= smooth.mean()
+    length = float(np.linalg.norm(smooth))
+    return np.asarray(smooth / length if length > 0.0 else smooth)
 
 
 def _free_shares(cells: npt.NDArray[np.int8], side: int) -> npt.NDArray[np.float32]:

@@ -203,7 +203,6 @@ def best_answer(pair: Pair, found: SearchResult, chances: Chances) -> Answer:
     """Return the answer in the reading that speaks most for it.
 
     Args:
-        pair: the two maps.
         found: at least one motion.
         chances: of wrong answers.
     """
@@ -345,7 +344,6 @@ def hit_share(pair: Pair, motion: F64) -> float:
     one must make the distances likeliest; 0 where a narrower one does.
 
     Args:
-        pair: the two maps.
         motion: (3,).
     """
     lattice = to_lattice(motion[None], pair.moving.centre)
@@ -384,7 +382,6 @@ def mirror_gain(
     """Return the evidence for the best fit of the moving map's image over that for a motion.
 
     Args:
-        pair: the two maps.
         motion: (3,) of the map as it is: where its centre lands, cells, and yaw.
         config: settings of the search; everywhere, since no start holds for an image.
         reading: of the maps.
@@ -411,7 +408,6 @@ def estimate_scale(pair: Pair, motion: F64, reading: Reading, others: F64) -> fl
     So the pose of most evidence gets a scale of its own, too.
 
     Args:
-        pair: the two maps.
         motion: (3,) the answer: where the moving centre lands, cells, and yaw.
         reading: of the maps.
         others: (K, 3) other poses; those of an answer that is beyond doubt need no look.

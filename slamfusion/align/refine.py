@@ -69,7 +69,6 @@ def refine(
     """Move motions to the nearest best fit of walls on walls.
 
     Args:
-        pair: the two maps.
         motions: (P, 3) where the moving centre lands, fine cells, and yaw.
         step: level to work on, fine cells a cell.
         scales: robust scale of each round, in cells of the level, wide to narrow; (P,) where each
@@ -156,7 +155,6 @@ def polish(pair: Pair, motions: F64) -> F64:
     ``settle``.
 
     Args:
-        pair: the two maps.
         motions: (P, 3) right to a few cells.
 
     Returns:
@@ -201,7 +199,6 @@ def narrow_fits(pair: Pair, motions: F64) -> F64:
     """Return motions fitted narrowly, each on its own, by the evidence of thin walls.
 
     Args:
-        pair: the two maps.
         motions: (P, 3) where the moving centre lands, cells, and yaw: right to a few cells and
             degrees.
 
@@ -238,7 +235,6 @@ def climbed(pair: Pair, motion: F64) -> F64:
     side of a room, and the fit stays.
 
     Args:
-        pair: the two maps.
         motion: (3,) see ``narrow_fits``.
     """
     if not are_as_thick(pair):

@@ -22,13 +22,7 @@ from slamfusion.align.normalize import check_resampling, normalize_grid
 from slamfusion.align.pair import Pair
 from slamfusion.align.records import Alignment
 from slamfusion.align.scores import walls_found
-from slamfusion.align.shifts import (
-    KeptSpectra,
-    TurnedMap,
-    level_for,
-    parallel_shifts,
-    wall_directions,
-)
+from slamfusion.align.shifts import parallel_shifts
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig
 from slamfusion.errors import ConfigError, MemoryBudgetError
@@ -40,9 +34,6 @@ FACTOR = 2.0
 # From one scale to the next: between two of them the ends of a building of 40 m move by 0.3 m, less
 # than a coarse cell.
 SCALE_STEP = 1.03
-# Scales that are read from one drawing of the plan on coarse cells, which is enlarged or reduced by
-# one step: resampled by more, thin walls blur, and the right scale stands out less.
-SCALES_A_DRAWING = 3
 # Cells on which scales are compared, and on which the best few are aligned, metres.
 RANKED_CELL_M, TRIED_CELL_M = 0.2, 0.1
 # The most scales that are tried, and the least evidence of one as a share of the best one's.
@@ -80,7 +71,6 @@ def align_at_any_scale(
         reference: held still; its resolution is right.
         moving: the plan.
         config: normalisation and search.
-        device: computes.
         scales: the least and the greatest factor on the resolution of ``moving``.
 
     Returns:
@@ -123,7 +113,6 @@ def wrong_resolution(
         reference: held still; its resolution is right.
         moving: does not fit as it is.
         config: normalisation and search.
-        device: computes.
 
     Returns:
         None if the map does not fit at another scale either.
@@ -152,14 +141,7 @@ class _ScaleSearch:
         self.plan, self.config, self.device = plan, config, device
         count = math.ceil(math.log(scales[1] / scales[0]) / math.log(SCALE_STEP)) + 1
         self.scales = np.geomspace(*scales, count)
-        # Scales of each part are read from one drawing on coarse cells.
-        self._parts = [
-            (float(scales[len(scales) // 2]), scales)
-            for scales in np.array_split(self.scales, math.ceil(count / SCALES_A_DRAWING))
-        ]
         self._drawn: dict[float, GridFeatures] = {}
-        self._turned: dict[tuple[float, tuple[int, int]], TurnedMap] = {}
-        self._spectra = KeptSpectra()
 
     def best(self, reference: OccupancyGrid, gains: F64) -> ScaledAlignment:
         """Align at the scales that stand out; settle the best of them on the reference's cells.
@@ -191,22 +173,12 @@ class _ScaleSearch:
     def gains(self, reference: OccupancyGrid) -> F64:
         """Return the most evidence of any place on the reference at each scale, nats and metres."""
         still, found = self._ready(reference, RANKED_CELL_M), []
-        turned: dict[tuple[int, int], TurnedMap] = {}
-        for drawn_at, scales in self._parts:
-            if drawn_at not in self._drawn:
-                self._drawn[drawn_at] = self._ready(scaled(self.plan, drawn_at), RANKED_CELL_M)
-            drawn = self._drawn[drawn_at]
-            longest = max(*still.shape, *(side * scales[-1] / drawn_at for side in drawn.shape))
-            level = level_for(longest, RANKED_CELL_M)
-            if level not in turned:
-                turned[level] = self._turn(still, level)
-            if (drawn_at, level) not in self._turned:
-                self._turned[drawn_at, level] = self._turn(drawn, level)
-            for scale in scales:
-                shifts = parallel_shifts(
-                    turned[level], self._turned[drawn_at, level], float(scale / drawn_at)
-                )
-                found.append(shifts.peak()[0] * level[0] * RANKED_CELL_M)
+        for scale in self.scales.tolist():
+            if scale not in self._drawn:
+                self._drawn[scale] = self._ready(scaled(self.plan, scale), RANKED_CELL_M)
+            pair = Pair(still, self._drawn[scale])
+            shifts = parallel_shifts(pair)
+            found.append(shifts.best_two()[0] * shifts.step * RANKED_CELL_M)
         return np.array(found)
 
     def _aligned(self, reference: GridFeatures, scale: float) -> tuple[Pair, ScaledAlignment]:
@@ -221,11 +193,6 @@ class _ScaleSearch:
     def _ready(self, grid: OccupancyGrid, cell: float) -> GridFeatures:
         normalized = normalize_grid(grid, cell, self.config.normalize, self.device)
         return GridFeatures(normalized, self.device)
-
-    def _turn(self, features: GridFeatures, level: tuple[int, int]) -> TurnedMap:
-        """Return a map on a level, to be turned."""
-        walls = wall_directions(features.grid.solid)
-        return TurnedMap(features, *level, walls, self.device, self._spectra)
 
 
 def scaled(grid: OccupancyGrid, scale: float) -> OccupancyGrid:
@@ -259,7 +226,6 @@ def best_scale(pair: Pair, motion: F64) -> float:
     pull the plan's walls inwards.
 
     Args:
-        pair: the two maps.
         motion: (3,) see ``pair``.
     """
     sigma = pair.widths[0]

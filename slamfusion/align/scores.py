@@ -118,7 +118,6 @@ def wall_pieces(
     """Return what each piece of wall says of each motion.
 
     Args:
-        pair: the two maps.
         motions: (P, 3) where the moving centre lands, cells, and yaw.
         sigma: width of a wall in cells.
         scales: (P,) how much longer the moving map's metre is taken, about its centre; None: 1.
@@ -201,7 +200,6 @@ def score_motions(
     """Return the evidence (P,) for motions at a level, nats summed over cells of wall of both maps.
 
     Args:
-        pair: the two maps.
         motions: (P, 3) where the moving centre lands, fine cells, and yaw.
         step: level to work on, fine cells a cell.
         sigma: width of a wall, cells of the level.

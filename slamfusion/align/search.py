@@ -26,7 +26,7 @@ from slamfusion.align.scores import score_motions
 from slamfusion.align.shifts import (
     COARSE_SIGMA,
     SearchWindow,
-    parallel_motions,
+    parallel_shifts,
     score_shifts,
     shift_work,
 )
@@ -56,10 +56,8 @@ DOUBTED_OF, DOUBTED_SHARE, DOUBTED_CANDIDATES = 3, 3, 2
 DESCENT_CELL_M = 0.2
 # Motions that are settled: by the narrow width, by the broad one, and by the narrow one with doubt.
 SETTLED = (8, 4, 10)
-# Shifts at each yaw at which walls are parallel.
-PARALLEL = 24
-# One of so many values is looked at first where the greatest of many are sought.
-SAMPLED = 16
+# Shifts that go down at the yaws at which walls are parallel.
+PARALLEL = 144
 # A start is not known better than to this turn.
 YAW_RAD_MIN = math.radians(0.5)
 WINDOW_SLACK_CELLS = 2.0
@@ -146,11 +144,11 @@ def coarse_search(
     start = _Leads(scores.motions(order), flat[order], step, scores.yaw_step)
     leads, doubted = _descend(pair, start)
     if is_cut:
-        motions, finer, turn = parallel_motions(pair, PARALLEL)
-        motions = inside(window, motions)
+        parallel = parallel_shifts(pair)
+        best_shifts = greatest_rows(parallel.evidence.ravel(), PARALLEL)
+        motions = inside(window, parallel.motions(best_shifts))
         if len(motions):
-            more = _leads(pair, motions, finer, turn)
-            more, _ = _descend(pair, more)
+            more, _ = _descend(pair, _leads(pair, motions, parallel.step, parallel.yaw_step))
             leads, doubted = _joined(pair, (leads, more))
     motions, found = leads.motions, leads.found
     shift, turn = 2.5 * step, 2.5 * scores.yaw_step
@@ -230,21 +228,11 @@ def _joined(pair: Pair, leads: tuple[_Leads, _Leads]) -> tuple[_Leads, F64]:
 
 def greatest_rows(values: F64, most: int) -> npt.NDArray[np.intp]:
     """Return the indices of the greatest values, greatest first, the earlier of equals first."""
-    if len(values) > most:
-        # Above what a sample has twice as many above, few are left to be parted.
-        some = values[::SAMPLED]
-        likely = values[values >= _greatest(some, min(len(some), 2 * most // SAMPLED + 1))]
-        least = _greatest(likely if len(likely) >= most else values, most)
-        chosen = np.nonzero(values >= least)[0]
-    else:
-        chosen = np.arange(len(values))
+    chosen = np.arange(len(values))
+    if len(values) > most > 0:
+        place = len(values) - most
+        chosen = np.nonzero(values >= np.partition(values, place)[place])[0]
     return chosen[np.argsort(-values[chosen], kind="stable")][:most]
-
-
-def _greatest(values: F64, rank: int) -> float:
-    """Return the greatest value, the second greatest or another; the greatest has rank 1."""
-    place = len(values) - rank
-    return float(np.partition(values, place)[place])
 
 
 def _doubted(pair: Pair, motions: F64, step: int, points: int) -> F64:
@@ -290,8 +278,6 @@ def search(
     Evidence is by the narrow width of a wall.
 
     Args:
-        pair: the two maps.
-        config: settings of the search.
         window: where to search.
         chance: what a wall of any other place may find on the coarsest level, 0..1.
     """

@@ -10,7 +10,7 @@ links of a group best.
 
 Of many maps every pair is ranked by how much its best shift at the yaws at which walls are parallel
 gives more than the best shift elsewhere (``shifts``), and a map that shares nothing with the others
-is given up after a few refusals: N^2 products of spectra, about N alignments and 2 N looks at a
+is given up after a few refusals: N^2 coarse comparisons, about N alignments and 2 N looks at a
 known transform.
 """
 
@@ -32,14 +32,7 @@ from slamfusion.align.hypotheses import is_distinct
 from slamfusion.align.pair import Pair, displacement
 from slamfusion.align.records import Alignment
 from slamfusion.align.search import SearchResult
-from slamfusion.align.shifts import (
-    KeptSpectra,
-    TurnedMap,
-    level_for,
-    parallel_shifts,
-    wall_directions,
-)
-from slamfusion.compute import ComputeDevice
+from slamfusion.align.shifts import parallel_shifts
 from slamfusion.config import AlignConfig
 from slamfusion.geometry import Pose2
 from slamfusion.pose_graph import PoseGraph, optimize
@@ -567,36 +560,21 @@ def _strength(pair: Alignment) -> float:
     return 0.0 if pair.evidence is None else pair.evidence.better
 
 
-def rank_pairs(maps: Mapping[str, GridFeatures], device: ComputeDevice) -> list[Candidate]:
+def rank_pairs(maps: Mapping[str, GridFeatures]) -> list[Candidate]:
     """Return every pair of maps that have walls, the most promising first.
 
-    This ranks pairs and decides nothing: what is promising is searched and judged in full.
+    This ranks pairs and decides nothing: what is promising is searched and decided in full.
 
     Args:
         maps: at one resolution, by name.
-        device: computed the maps.
     """
-    able = [name for name, item in maps.items() if len(item.wall_points)]
-    walls = {name: wall_directions(maps[name].grid.solid) for name in able}
-    coarse: dict[tuple[str, tuple[int, int]], TurnedMap] = {}
-    kept = KeptSpectra()
     pairs = []
+    able = [name for name, item in maps.items() if len(item.wall_points)]
     for a, b in itertools.combinations(able, 2):
-        level = level_for(max(*maps[a].shape, *maps[b].shape), maps[a].grid.grid.resolution)
-        for name in (a, b):
-            if (name, level) not in coarse:
-                coarse[name, level] = TurnedMap(maps[name], *level, walls[name], device, kept)
-        pairs.append(_ranked(a, coarse[a, level], b, coarse[b, level]))
+        pair = Pair(maps[a], maps[b])
+        top, second = (max(evidence, 1.0) for evidence in parallel_shifts(pair).best_two())
+        pairs.append(Candidate(a, b, top / second, (top - second) / math.sqrt(second)))
     return sorted(pairs, key=lambda pair: -pair.lead)
-
-
-def _ranked(a: str, reference: TurnedMap, b: str, moving: TurnedMap) -> Candidate:
-    """Return how much the best place of one map over another has above the best one elsewhere."""
-    shifts = parallel_shifts(reference, moving)
-    top, place = shifts.peak()
-    shifts.forget(place)
-    second = max(shifts.peak()[0], 1.0)
-    return Candidate(a, b, top / second, (top - second) / math.sqrt(second))
 
 
 def solve_poses(
@@ -611,7 +589,6 @@ def solve_poses(
         group: names of the maps; the frame of the first is that of all poses.
         start: poses to begin with.
         links: alignments that join the group, those that are believed most first.
-        features: of the maps.
 
     Source: ``pose_graph.robust``, graduated non-convexity.
     """

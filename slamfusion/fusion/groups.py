@@ -102,7 +102,6 @@ def align_group(
         features: the inputs that can be aligned, by name, all at one resolution.
         reasons: why the other inputs cannot.
         config: settings of the search; ``reference`` may name the reference.
-        device: computes.
         names: all inputs, in order.
         progress, second_look, starts, executor: see ``fuse_grids``.
 
@@ -212,7 +211,7 @@ class _Aligner:
             return [Candidate(a, b, math.inf) for a, b in itertools.combinations(self.features, 2)]
         self.tell("rank pairs", 0)
         near, others = [], []
-        for item in rank_pairs(self.features, self.device):
+        for item in rank_pairs(self.features):
             start = self.starts.between(item.a, item.b)
             if start is None:
                 others.append(item)
@@ -247,7 +246,6 @@ def choose_reference(
 
     Args:
         members: of the group, in the order of the inputs.
-        features: of the members.
         wanted: the setting: a name or an index of the inputs, or ``SMALLEST``; None: the first
             member.
         names: all inputs, in order.

@@ -51,7 +51,6 @@ class PreparedInputs:
         Args:
             grids: one or more.
             config: ``normalize`` is used.
-            device: computes.
             is_stored: the inputs will vote tile by tile.
 
         Raises:

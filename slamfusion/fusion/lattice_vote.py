@@ -282,8 +282,6 @@ def vote_in_memory(
         groups: those that vote; the results of all but the first are its ``others``.
         lattices: gives each of these at the common resolution.
         others: records of the inputs that are not in the first group, by name.
-        config: settings of the vote.
-        device: computes.
 
     Raises:
         GridError: more inputs than a vote takes know one place.
@@ -310,8 +308,6 @@ def prepare_votes(
     Args:
         groups: those that vote.
         lattices: gives each input at the common resolution.
-        config: settings of the vote.
-        device: lays the inputs.
         executor, progress: see ``LatticeVote.each``.
         is_stored: no fused map will be in memory, nor more than one input at a time.
 
@@ -459,7 +455,6 @@ def warp_onto(
         transform: maps the grid's map frame into the lattice's, metres.
         lattice: the target, of the same resolution.
         box: cells of it; may be empty.
-        device: computes.
     """
     shape = (box.height, box.width)
     if box.area == 0:

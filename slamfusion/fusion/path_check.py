@@ -271,7 +271,6 @@ def fuse_with_paths(
             each in its map's frame.
         config: see ``fuse_grids``.
         limit_m: two paths agree when their median gap is at most this, metres.
-        device: computes.
         progress, starts: see ``fuse_grids``.
 
     Returns:

@@ -93,7 +93,6 @@ class Trust:
     """How far each map may be trusted, in the order of ``names``.
 
     Attributes:
-        names: of the maps.
         agreement: (N,) float64, the share of its walls that agree with the others', 0 to 1.
         weights: (N,) uint8, 0 (no vote) to ``VOTE_ONE``.
         precision: (N,) float64, the share of its wall cells that are wall cells of the others: of
@@ -171,7 +170,6 @@ def trust_of(names: Sequence[str], counts: WallCounts) -> Trust:
     """Say how far maps may be trusted.
 
     Args:
-        names: of the maps.
         counts: (N, N), of all their walls.
     """
     moved = (counts.moved + 0.5) / (counts.seen + 2.0)

@@ -149,7 +149,6 @@ class TileVoter:
 
     Attributes:
         whole: the fused cells.
-        config: settings of the vote.
         resolution: metres a cell.
         names: of the voters.
         first: row and column of the lattice of cell [0, 0], so that blocks stay where they are
@@ -278,7 +277,6 @@ class TileVoter:
         Args:
             tile: cells.
             shown: by name, prepared on ``around(tile)``, of those that know a cell there.
-            device: computes.
             counts: how their walls agree in each block of ``around(tile)``; None: they are counted.
 
         Raises:
@@ -384,7 +382,6 @@ def vote_grids(grids: list[I8], device: ComputeDevice, *, unknown_votes: bool) -
 
     Args:
         grids: 1 to 32 of (H, W) int8 in {-1, 0, 1}.
-        device: computes.
         unknown_votes: unknown is a value like the others; else it abstains.
 
     Raises:

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from slamfusion.align.align import align_pair
-from slamfusion.align.features import GridFeatures
+from slamfusion.align.features import GridFeatures, wall_directions
 from slamfusion.align.pair import Pair, displacement
-from slamfusion.align.shifts import parallel_motions, parallel_yaws, wall_directions
+from slamfusion.align.search import greatest_rows
+from slamfusion.align.shifts import parallel_shifts, parallel_yaws
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import AlignConfig
 from slamfusion.geometry import Pose2
@@ -54,10 +55,11 @@ def test_the_right_motion_is_among_the_best(site: ManyMaps, features: list[GridF
         if share < 0.3:
             continue
         reference, moving = features[a], features[b]
-        motions, step, yaw_step = parallel_motions(Pair(reference, moving), 8)
+        shifts = parallel_shifts(Pair(reference, moving))
+        motions = shifts.motions(greatest_rows(shifts.evidence.ravel(), 48))
         wanted = Pair(reference, moving).motion_of(transform(site, a, b))
         near = [displacement(motion, wanted) for motion in motions]
-        assert any(shift <= 2.0 * step and turn <= yaw_step for shift, turn in near)
+        assert any(shift <= 2.0 * shifts.step and turn <= shifts.yaw_step for shift, turn in near)
 
 
 @pytest.mark.once

@@ -48,9 +48,9 @@ def aligned(features: dict[str, GridFeatures], device: ComputeDevice, **more: An
 
 
 def test_pairs_that_share_ground_are_more_promising_than_all_others(
-    site: ManyMaps, features: dict[str, GridFeatures], device: ComputeDevice
+    site: ManyMaps, features: dict[str, GridFeatures]
 ) -> None:
-    ranked = rank_pairs(features, device)
+    ranked = rank_pairs(features)
     number = {name: index for index, name in enumerate(features)}
     assert len(ranked) == math.comb(len(features), 2)
     leads = {(number[pair.a], number[pair.b]): pair.lead for pair in ranked}
