@@ -277,12 +277,7 @@ def write_evaluation_report(
         directory, files: see ``write_page``, also for what is returned and raised.
         alignments: the alignment with the truth that each evaluation rests on, in the same order,
             None if the map was not moved; a rejected one is named at the top.
-
-    Raises:
-        ValueError: there is no evaluation.
     """
-    if not evaluations:
-        raise ValueError("an evaluation report needs at least one evaluated map")
     section = error_section(evaluations, alignments)
     sections = [replace(section, layers=error_layers(evaluations))]
     searched = [alignment for alignment in alignments if alignment is not None]

@@ -27,7 +27,7 @@ import secrets
 import socket
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import MISSING, dataclass
+from dataclasses import MISSING, dataclass, field
 from pathlib import Path, PurePath
 from typing import Literal
 
@@ -167,19 +167,13 @@ def _address(name: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
 # --- the server -----------------------------------------------------------------------------------
 
 
+@dataclass(eq=False)
 class _Viewer:
-    """One page that looks.
+    """One page that looks: whether something was put, and the number that it has taken."""
 
-    Attributes:
-        has_news: set when something was put.
-        seen: the number up to which it has taken everything.
-        has_seen: set when that has grown.
-    """
-
-    def __init__(self) -> None:
-        self.has_news = asyncio.Event()
-        self.seen = 0
-        self.has_seen = asyncio.Event()
+    has_news: asyncio.Event = field(default_factory=asyncio.Event)
+    seen: int = 0
+    has_seen: asyncio.Event = field(default_factory=asyncio.Event)
 
 
 class PageServer:
@@ -216,7 +210,12 @@ class PageServer:
         self._host = host
         self._command = command
         self._token = token or secrets.token_urlsafe(24)
-        self._files = _front_end()
+        # Nothing else is served, but for the report.
+        self._files = {
+            name: (text.encode(), TYPES[PurePath(name).suffix])
+            for name, text in front_end().items()
+            if PurePath(name).suffix in TYPES
+        }
         self._viewers: set[_Viewer] = set()
         self._socket = _listen(host, port)
         self.port = int(self._socket.getsockname()[1])
@@ -383,15 +382,6 @@ class PageServer:
             return await asyncio.wait_for(asyncio.to_thread(self._command, said.name), COMMAND_S)
         except asyncio.TimeoutError:
             return False, f"no answer in {COMMAND_S:g} s"
-
-
-def _front_end() -> Mapping[str, tuple[bytes, str]]:
-    """Return the files of the front end by name, with their types; nothing else is served."""
-    return {
-        name: (text.encode(), TYPES[PurePath(name).suffix])
-        for name, text in front_end().items()
-        if PurePath(name).suffix in TYPES
-    }
 
 
 def _listen(host: str, port: int) -> socket.socket:
