@@ -104,12 +104,8 @@ _INFOS: dict[type[Any], tuple[FieldInfo, ...]] = {}
 
 def field_infos(config_class: type[Any]) -> tuple[FieldInfo, ...]:
     """Return the leaf fields of a configuration class, in order; sections are left out."""
-    if config_class not in _INFOS:
-        _INFOS[config_class] = _field_infos(config_class)
-    return _INFOS[config_class]
-
-
-def _field_infos(config_class: type[Any]) -> tuple[FieldInfo, ...]:
+    if config_class in _INFOS:
+        return _INFOS[config_class]
     hints = typing.get_type_hints(config_class)
     infos = []
     for item in dataclasses.fields(config_class):
@@ -126,7 +122,7 @@ def _field_infos(config_class: type[Any]) -> tuple[FieldInfo, ...]:
         }
         form = _form(hints[item.name])
         infos.append(FieldInfo(name=item.name, default=item.default, **form, **(known | said)))
-    return tuple(infos)
+    return _INFOS.setdefault(config_class, tuple(infos))
 
 
 def _form(hint: Any) -> dict[str, Any]:
@@ -158,22 +154,17 @@ def checked_value(info: FieldInfo, value: Any, where: str) -> Any:
 
 def _check_value(where: str, info: FieldInfo, value: Any) -> None:
     """Raise ConfigError when ``value`` is outside the field's declared choices or range."""
-    if value is None:
-        return
-    if info.is_list:
-        single = dataclasses.replace(info, is_list=False)
-        for item in value:
-            _check_value(where, single, item)
-        return
-    if info.choices and value not in info.choices:
-        raise ConfigError(f"{where} must be one of {', '.join(info.choices)}, found {shown(value)}")
-    if info.low is None and info.high is None:
-        return
     low = -math.inf if info.low is None else info.low
     high = math.inf if info.high is None else info.high
-    if not low <= value <= high:
-        unit = f" {info.unit}" if info.unit else ""
-        raise ConfigError(f"{where} must lie in [{low:g}, {high:g}]{unit}, found {shown(value)}")
+    for item in value if info.is_list and value is not None else (value,):
+        if item is None:
+            continue
+        if info.choices and item not in info.choices:
+            words = ", ".join(info.choices)
+            raise ConfigError(f"{where} must be one of {words}, found {shown(item)}")
+        if (info.low, info.high) != (None, None) and not low <= item <= high:
+            unit = f" {info.unit}" if info.unit else ""
+            raise ConfigError(f"{where} must lie in [{low:g}, {high:g}]{unit}, found {shown(item)}")
 
 
 class Checked:

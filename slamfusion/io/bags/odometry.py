@@ -108,8 +108,8 @@ class BagFrames:
                 other = senders.setdefault(item.child_frame_id, namespace)
                 if other != namespace:
                     raise LogError(
-                        f"{self._bag.path}: frame {item.child_frame_id!r} is sent on {other}/tf and on "
-                        f"{namespace}/tf: two robots? choose one with tf_topic"
+                        f"{self._bag.path}: frame {item.child_frame_id!r} is sent on {other}/tf "
+                        f"and on {namespace}/tf: two robots? choose one with tf_topic"
                     )
                 move, turn = item.transform.translation, item.transform.rotation
                 row = (move.x, move.y, move.z, turn.x, turn.y, turn.z, turn.w)
