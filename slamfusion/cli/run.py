@@ -374,7 +374,7 @@ OF_ONE_LOG = {
 
 
 def _refuse_files_of_one_log(config: RunConfig, asked: Mapping[str, Any]) -> None:
-    """Refuse what says something of one log alone."""
+    """Refuse options that belong to one log."""
     for name, option in OF_ONE_LOG.items():
         if asked[name]:
             message = f"{option} belongs to one log; run each log that has such a file alone"

@@ -204,9 +204,9 @@ class AtomicFiles:
         except (OSError, ValueError) as error:
             raise _cannot_write(path, error) from None
 
-    def remove(self, path: str | Path) -> None:
-        """Remove a file, which need not be there, at the end of the block."""
-        self._removed.append(Path(path))
+    def remove(self, *paths: Path) -> None:
+        """Remove files, which need not be there, at the end of the block; added ones stay."""
+        self._removed += paths
 
     def __enter__(self) -> AtomicFiles:  # noqa: PYI034  typing.Self needs Python 3.11
         return self
@@ -218,8 +218,10 @@ class AtomicFiles:
                 with _locked({path.parent for path in self._targets.values()}):
                     for temporary, path in self._targets.items():
                         temporary.replace(path)
+                    added = set(self._targets.values())
                     for path in self._removed:
-                        path.unlink(missing_ok=True)
+                        if Path(os.path.realpath(path)) not in added:
+                            path.unlink(missing_ok=True)
         except OSError as error:
             raise _cannot_write(path, error) from None
         finally:

@@ -26,7 +26,7 @@ MapInput: TypeAlias = "OccupancyGrid | str | Path"
 PixelSizes: TypeAlias = tuple[float, float] | Literal["free"]
 # Called with a stage, the number of its steps that are done, parts included, and of all of them.
 Progress = Callable[[str, float, int], None]
-# Told in a sentence what is doubtful about an input.
+# Called with a sentence on what is doubtful about an input.
 Warn = Callable[[str], None]
 
 # What a pixel of a plan is taken for before its scale is searched, metres.
@@ -47,7 +47,7 @@ class GivenMapsJson(TypedDict):
 
 @dataclass(frozen=True)
 class GivenMaps:
-    """The files of maps, so that whoever reads the record of their fusion finds them again.
+    """The files of maps, so that the record of their fusion names them.
 
     Attributes:
         files: of the inputs, in their order; empty where one of them came from memory.

@@ -214,7 +214,7 @@ def map_log(
         measures = measure_run(run, config, held)
         if true_map is not None:
             (map_error,) = evaluate_maps([run.grid], true_map, config, device)
-    except SlamFusionError as error:  # the map is made; it is kept, and the failure is told
+    except SlamFusionError as error:  # the map is made; it is kept, with the failure
         failure = error
     result = SlamProducer(
         run=run, measures=measures, map_error=map_error, device=device.name, resumed_from=state
@@ -338,7 +338,7 @@ def _add_report(files: AtomicFiles, mapped: MappedLog, directory: Path) -> None:
     ]
     if run.health.mean_match_score is not None:
         facts.append(Fact(f"{run.health.mean_match_score:.3f}", "mean match score"))
-    # A resumed run's log may only go on: then its odometry cannot be laid on the start of the path.
+    # A resumed run's log may only go on: then its odometry cannot start where the path does.
     is_later = (
         result.resumed_from is not None
         and run.odometry is not None

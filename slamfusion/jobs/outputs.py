@@ -7,7 +7,7 @@ once, ``failed`` too.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 
@@ -97,12 +97,3 @@ def plan_files(folder: Path) -> list[Path]:
     """Return the files that the alignment of a floor plan writes."""
     maps = [folder / f"{stem}{suffix}" for stem in (PLAN, PLACED) for suffix in (".yaml", ".png")]
     return [*maps, folder / WORLD_FILE, folder / OVERLAY]
-
-
-def earlier_results(folders: Sequence[Path]) -> list[Path]:
-    """Return what earlier runs may have left in folders; nothing where there is no report."""
-    found = []
-    for folder in folders:
-        if report := report_files(folder / REPORT):
-            found += [*possible_outputs(folder), *report]
-    return found

@@ -102,7 +102,7 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
 
     Returns:
         Everything that was made. A producer that made no map, a fusion that failed, and what could
-        not be measured are told in it and raise nothing.
+        not be measured are in it and raise nothing.
 
     Raises:
         ConfigError: no producer, an unknown one, or one given twice; or a path of no saved map, or
@@ -289,7 +289,7 @@ class _Stages:
 
     @contextmanager
     def timed(self, name: str) -> Iterator[None]:
-        """Add the time of a block to that of a stage, and report that it begins and ends."""
+        """Add the time of a block to that of a stage, and report its start and its end."""
         began_s = time.perf_counter()
         is_late = self.ended > 0  # before, each SLAM reports for itself
         if is_late:
@@ -466,11 +466,11 @@ def draw_run(
     config: RunConfig,
     device: ComputeDevice,
 ) -> tuple[DriveFusion, DrawnMap | None, str | None]:
-    """Draw the map of a log at the fused path, as the fused map or beside it, as was asked for.
+    """Draw the map of a log at the fused path, as the fused map or next to it, as asked for.
 
     Returns:
         The fusion, with the drawn map in place of the vote where that was asked for; the drawn map
-        beside it, where that was; and why the maps voted although they were not to.
+        next to it, where that was; and why the maps voted although they were not to.
     """
     is_mode = config.fusion.vote.mode == DRAWN
     result, why = fusion.result, NO_PATH

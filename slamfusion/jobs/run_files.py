@@ -35,9 +35,7 @@ from slamfusion.jobs.outputs import (
     FUSED_PATH,
     REPORT,
     RUN_RECORD,
-    earlier_results,
     failure_folder,
-    map_files,
     output_files,
     possible_outputs,
     remove_empty,
@@ -321,35 +319,25 @@ def save_run(run: LogRun, folder: str | Path, *, probabilities: bool = False) ->
     wanted = target = Path(folder)
     if run.usable is None:
         target = failure_folder(wanted, [*possible_outputs(wanted), *report_files(wanted / REPORT)])
-    written: list[Path] = []
     with AtomicFiles() as files:
-
-        def add_map(grid: OccupancyGrid, name: str, **options: str) -> Path:
-            save_map(grid, target / name, files=files, **options)  # type: ignore[arg-type]
-            written.extend(map_files(target / name))
-            return target / f"{name}.yaml"
-
         producers = [
             item
             if isinstance(item, FailedProducer)
             else _add_producer(files, run, item, target, probabilities=probabilities)
             for item in run.producers
         ]
-        written += [path for item in producers for path in item.files]
         run = replace(run, producers=tuple(producers), folder=target)
         if run.usable is not None:
-            run = replace(
-                run,
-                fused=add_map(run.usable.fused, FUSED),
-                agreement=add_map(run.usable.agreement, AGREEMENT, mode="raw"),
-            )
+            fused, _ = save_map(run.usable.fused, target / FUSED, files=files)
+            agreed = run.usable.agreement
+            agreement, _ = save_map(agreed, target / AGREEMENT, mode="raw", files=files)
+            run = replace(run, fused=fused, agreement=agreement)
         if run.fused_path is not None:
             path = target / FUSED_PATH
             write_tum(path, run.fused_path.trajectory, files=files)
-            written.append(path)
             run = replace(run, fused_path=replace(run.fused_path, file=path))
         if run.drawn_map is not None:
-            drawn = add_map(run.drawn_map.grid, DRAWN)
+            drawn, _ = save_map(run.drawn_map.grid, target / DRAWN, files=files)
             run = replace(run, drawn_map=replace(run.drawn_map, file=drawn))
         began_s = time.perf_counter()
         page = write_run_page(run, target / REPORT, files)
@@ -362,11 +350,9 @@ def save_run(run: LogRun, folder: str | Path, *, probabilities: bool = False) ->
         )
         if run.usable is not None:
             files.add(target / RUN_RECORD, record_bytes(run))
-            written.append(target / RUN_RECORD)
-        kept = {*written, *report_files(target / REPORT), page}
-        for path in earlier_results([target] if run.usable is None else [wanted, wanted / FAILED]):
-            if path not in kept:
-                files.remove(path)
+        for place in [target] if run.usable is None else [wanted, wanted / FAILED]:
+            if report := report_files(place / REPORT):
+                files.remove(*possible_outputs(place), *report)
     if run.usable is not None:
         remove_empty(wanted / FAILED / REPORT, wanted / FAILED)
     return run
