@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, TypeAlias, TypedDict
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from slamfusion.config import SMALLEST, FusionConfig, RunConfig, VoteConfig, VoteMode
 from slamfusion.errors import MapFileError
@@ -36,36 +36,20 @@ MOST_NAMED = 5
 SUFFIXES = (".gz", ".yaml", ".yml", ".pgm", ".png", ".bmp", ".pnm", ".dxf", ".tum", ".txt", ".csv")
 
 
-class GivenMapsJson(TypedDict):
-    """The files of the inputs of a fusion."""
-
-    saved_maps: Sequence[str]
-    """In the order of the inputs; empty for maps from memory."""
-    resolution: float | None
-    """Metres per cell of bare images, as it was given; null: not given."""
-
-
 @dataclass(frozen=True)
 class GivenMaps:
-    """The files of maps, so that the record of their fusion names them.
+    """The files of the inputs of a fusion."""
 
-    Attributes:
-        files: of the inputs, in their order; empty where one of them came from memory.
-        resolution: metres per cell of bare images; None: not given.
-    """
-
-    files: tuple[Path, ...] = ()
+    saved_maps: tuple[Path, ...] = ()
+    """In the order of the inputs; empty for maps from memory."""
     resolution: float | None = None
+    """Metres per cell of bare images, as it was given; null: not given."""
 
     @classmethod
     def of(cls, maps: Sequence[MapInput], resolution: float | None) -> GivenMaps:
-        """Take the inputs of a fusion."""
+        """Return the files of inputs; none where one of them came from memory."""
         files = tuple(Path(item) for item in maps if isinstance(item, (str, Path)))
         return cls(files if len(files) == len(maps) else (), resolution)
-
-    def to_json(self) -> GivenMapsJson:
-        """Return the files for a JSON document."""
-        return {"saved_maps": [str(path) for path in self.files], "resolution": self.resolution}
 
 
 NO_FILES = GivenMaps()
