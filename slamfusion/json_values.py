@@ -18,14 +18,13 @@ def record_keys(record: Any) -> dict[str, Any]:
     """Return the keys of a record with their values.
 
     A record is a dataclass. Its fields are the keys, except those with ``repr=False``: arrays that
-    pictures are drawn from, and other values that are not printed. The keys of a record or
-    mapping in a field with the metadata ``FLAT`` take the place of that field. A record with other
-    keys has a method ``to_json`` that returns them.
+    pictures are drawn from, and other values that are not printed. The keys of a record
+    in a field with the metadata ``FLAT`` take the place of that field. A record that is printed
+    otherwise has a method ``to_json`` that returns what is printed.
     """
-    if isinstance(record, Mapping):
-        return dict(record)
     if hasattr(record, "to_json"):
-        return record_keys(record.to_json())
+        found: Any = record.to_json()
+        return record_keys(found) if is_dataclass(found) else found
     keys: dict[str, Any] = {}
     for item in fields(record):
         if item.metadata == FLAT:

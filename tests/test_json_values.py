@@ -62,3 +62,27 @@ class Nameless:
 def test_a_field_without_a_text_makes_no_schema() -> None:
     with pytest.raises(ValueError, match=r"Nameless\.size has no text below it"):
         make_schema._described(Nameless)
+
+
+@dataclass(frozen=True)
+class Counts:
+    values: tuple[int, ...]
+
+    def to_json(self) -> list[int]:
+        return list(self.values)
+
+
+@dataclass(frozen=True)
+class Wrapped:
+    def to_json(self) -> Holder:
+        return Holder(Counts((1, 2)))
+
+
+@dataclass(frozen=True)
+class Holder:
+    counts: Counts
+
+
+def test_a_record_prints_what_its_method_returns_a_list_or_another_record() -> None:
+    assert plain(Holder(Counts((1, 2)))) == {"counts": [1, 2]}
+    assert plain(Wrapped()) == {"counts": [1, 2]}
