@@ -60,7 +60,9 @@ def _ways() -> I64:
 class ScanMatchDevice(ArrayDevice):
     """A device that matches scans.
 
-    Field, pages and points stay on the device; poses, hypotheses and steps come from the host.
+    On the device stay the ``field``, (T, TILE, TILE) uint8 wall values of all maps; the ``pages``
+    of the window, (PH, PW) int32, of N maps (N, PH, PW), whose border is empty; and the ``points``
+    of a scan, (P, 2) float32, cells, in the robot's frame. All else comes from the host.
     """
 
     def score_poses(
@@ -75,9 +77,7 @@ class ScanMatchDevice(ArrayDevice):
         """Sum the score field under a scan's points at each candidate pose.
 
         Args:
-            field: (T, TILE, TILE) uint8 wall values.
-            pages: (PH, PW) int32, tile of each page of the window; the border is empty.
-            points: (P, 2) float32, cells, in the robot's frame.
+            field, pages, points: see ``ScanMatchDevice``.
             poses: (N, 4) float32: x, y in cells of the window, cos, sin.
             reach: 0 interpolates between cell centres, in sixteenths; otherwise the greatest of
                 five cells counts: the one under the point and four, ``reach`` cells away
@@ -124,9 +124,7 @@ class ScanMatchDevice(ArrayDevice):
         weighted squares of the distances from it plus its own loss.
 
         Args:
-            field: (T, TILE, TILE) uint8 wall values.
-            pages: (PH, PW) int32.
-            points: (P, 2) float32, cells, in the robot's frame.
+            field, pages, points: see ``ScanMatchDevice``.
             hypotheses: (K, 7) float32: x, y, yaw, the weights of their squares, its own loss.
             starts: (G, 5) float32: x, y in cells of the window, yaw, cos, sin.
             steps: (R, G, 5) float32: dx, dy, dyaw, cos and sin of dyaw. R at least 1.
@@ -183,9 +181,7 @@ class ScanMatchDevice(ArrayDevice):
         a map.
 
         Args:
-            field: (T, TILE, TILE) uint8 wall values of all maps.
-            pages: (N, PH, PW) int32.
-            points: (P, 2) float32, cells, in the robot's frame.
+            field, pages, points: see ``ScanMatchDevice``.
             hypotheses: (N, 7) float32, as for ``climb``.
             starts: (N, 5) float32: x, y in cells of the window, yaw, cos, sin.
             sizes: (S, 4) float32: cells, radians, their cos and sin; largest first.
@@ -237,9 +233,7 @@ class ScanMatchDevice(ArrayDevice):
         """Sum what a table makes of the smooth score field under the points, on each of many maps.
 
         Args:
-            field: (T, TILE, TILE) uint8 wall values of all maps.
-            pages: (N, PH, PW) int32.
-            points: (P, 2) float32, cells, in the robot's frame.
+            field, pages, points: see ``ScanMatchDevice``.
             poses: (N, K, 4) float32: x, y in cells of the window, cos, sin.
             table: (256,) int32.
 
