@@ -8,7 +8,6 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from nav_msgs.msg import Path
-from sensor_msgs.msg import LaserScan
 
 from slamfusion.config import LogConfig
 from slamfusion.deskew import Deskewer
@@ -18,7 +17,7 @@ from slamfusion.jobs.live_drive import DriveSolution, LiveDrive, LocatedPose, Pa
 from slamfusion.ros import messages, qos
 from slamfusion.ros.base import Worker
 from slamfusion.ros.input_health import HeardPose, MapSource
-from slamfusion.ros.scan_input import SCAN_TOPIC, ArrivedScan, ScanInput
+from slamfusion.ros.scan_input import ArrivedScan, ScanInput
 from slamfusion.slam.session import LeftOutError
 
 if TYPE_CHECKING:
@@ -49,7 +48,6 @@ class DriveInput:
         self, node: FusionNode, device: str, on_solution: Callable[[DriveSolution], None]
     ) -> None:
         settings = node.settings
-        self.scans = ScanInput(node, settings)
         self.solution: DriveSolution | None = None
         self._node, self._on_solution = node, on_solution
         self._deskewer = Deskewer(LogConfig(deskew=settings.deskew, sweep_s=settings.sweep_s))
@@ -58,7 +56,7 @@ class DriveInput:
         self._path_topic = node.node.create_publisher(Path, PATH_TOPIC, qos.MAP)
         self._reader: Worker[ArrivedScan] = Worker(self._read, SCAN_QUEUE, node.failed, "scans")
         self._solver: Worker[None] = Worker(self._solve, 1, node.failed, "drive")
-        node.subscribe(LaserScan, SCAN_TOPIC, self._on_scan, qos.SENSOR)
+        self.scans = ScanInput(node, settings, self._reader.put, self.forget)
 
     # --- in the executor's thread --------------------------------------------------------------
 
@@ -85,13 +83,6 @@ class DriveInput:
         self._solver.put(None)
         for name, source in sources.items() if self._count else ():
             source.hear_path(partial(self._on_path, name))
-
-    def _on_scan(self, message: Any) -> None:
-        passed = self.scans.offer(message)
-        if passed.jump is not None and passed.jump.is_back:
-            self.forget()
-        for scan in passed.items:
-            self._reader.put(scan)
 
     def _on_path(self, name: str, message: Any) -> None:
         try:

@@ -299,27 +299,18 @@ class PlayerNode(NodeBase):
         stamp_s, timeout_s = item.scan.stamp_s, self.settings.lockstep_timeout_s
         until_s = time.monotonic() + timeout_s
         is_jump = before_s is not None and not 0.0 < stamp_s - before_s <= AHEAD_S
-        pauses_s = [AGAIN_AT_JUMP_S] * (CONFIRMING - 1) if is_jump else []
-        again_s = time.monotonic() + (pauses_s.pop() if pauses_s else AGAIN_S)
-        while not self._is_ending:
-            duration_s = min(again_s, until_s) - time.monotonic()
-            if self._wait_until(lambda: not self._silent(stamp_s), duration_s):
+        at_jump_s = [AGAIN_AT_JUMP_S] * (CONFIRMING - 1) if is_jump else []
+        for pause_s in itertools.chain(at_jump_s, itertools.repeat(AGAIN_S)):
+            left_s = until_s - time.monotonic()
+            if self._wait_until(lambda: not self._silent(stamp_s), min(pause_s, left_s)):
                 return
-            now_s = time.monotonic()
-            if now_s >= until_s:
-                with self._changed:
-                    silent = self._silent(stamp_s)
-                if not silent:  # the last answer came with the end of the wait
-                    return
+            if pause_s >= left_s and (silent := self._silent(stamp_s)):
                 raise SlamFusionError(
-                    f"no pose at {stamp_s:.3f} s from {', '.join(silent)} within "
-                    f"{timeout_s:g} s; the producer may have ended, or "
-                    "leaves the scan out: see its diagnostics"
+                    f"no pose at {stamp_s:.3f} s from {', '.join(silent)} within {timeout_s:g} s; "
+                    "the producer may have ended, or leaves the scan out: see its diagnostics"
                 )
-            if now_s >= again_s:
-                self._send(item)
-                self._sent_again += 1
-                again_s = now_s + (pauses_s.pop() if pauses_s else AGAIN_S)
+            self._send(item)
+            self._sent_again += 1
 
     def _silent(self, stamp_s: float) -> list[str]:
         """Return the producers whose newest pose has another stamp."""

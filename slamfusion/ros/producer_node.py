@@ -15,7 +15,6 @@ from typing import Any
 
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import MapMetaData, OccupancyGrid, Path
-from sensor_msgs.msg import LaserScan
 
 from slamfusion.compute import open_device
 from slamfusion.config import DeviceConfig, LogConfig, ProducerNodeConfig, RunConfig
@@ -100,8 +99,7 @@ class ProducerNode(NodeBase):
         )
 
         # Of the executor's thread alone.
-        self._received = self._dropped = 0
-        self._last_scan_s = time.monotonic()
+        self._dropped = 0
 
         name = self.name
         self._map_topic = node.create_publisher(OccupancyGrid, f"{name}/map", qos.MAP)
@@ -114,12 +112,11 @@ class ProducerNode(NodeBase):
         self._worker: Worker[_Queued | None] = Worker(
             self._work, self.settings.scan_queue, self.failed, f"{name} scans"
         )
-        self._inputs = ScanInput(self, self.settings)
+        self._inputs = ScanInput(self, self.settings, self._queue, self._begin_new_map)
         self._transforms: TransformOutput | None = None
         # Whether the transform was sent since the last look.
         self._has_sent_transform = False
         self._on_settings(self.settings)
-        self.subscribe(LaserScan, SCAN_TOPIC, self._on_scan, qos.SENSOR)
         self.timer(LOOK_S, self._look)
         self.log.info(
             f"{kind} on {self._device.name}, seed {self._config.seed}; map on "
@@ -127,16 +124,6 @@ class ProducerNode(NodeBase):
         )
 
     # --- callbacks, in the executor's thread -------------------------------------------------
-
-    def _on_scan(self, message: Any) -> None:
-        """Queue a scan, and those that were held back and that it confirms."""
-        self._received += 1
-        self._last_scan_s = time.monotonic()
-        passed = self._inputs.offer(message)
-        if passed.jump is not None and passed.jump.is_back:
-            self._begin_new_map()
-        for scan in passed.items:
-            self._queue(scan)
 
     def _queue(self, scan: ArrivedScan) -> None:
         """Let a scan wait for the worker, to be converted then; of too many the oldest goes."""
@@ -191,7 +178,7 @@ class ProducerNode(NodeBase):
     @property
     def _is_paused(self) -> bool:
         """Whether no scan has come for a while."""
-        return time.monotonic() - self._last_scan_s > PAUSE_S
+        return time.monotonic() - self._inputs.last_s > PAUSE_S
 
     def _is_path_heard(self) -> bool:
         return bool(self._path_topic.get_subscription_count() > 0)
@@ -325,20 +312,20 @@ class ProducerNode(NodeBase):
             "last odometry [s ago]": None if heard_s is None else now_s - heard_s,
             **{f"left out: {key}": count for key, count in left_out.items()},
             **{f"not used: {key}": count for key, count in health.skips.counts.items()},
-            "scans received": self._received,
+            "scans received": scans.received,
             "scans dropped": self._dropped,
             "scans waiting": self._worker.waiting,
-            "last scan [s ago]": now_s - self._last_scan_s if self._received else None,
+            "last scan [s ago]": now_s - scans.last_s if scans.received else None,
             "device": self._device.name,
         }
 
     def _name_silence(self) -> None:
         """Name scans that do not come, a scan that takes too long, and what is wrong with /tf."""
         now_s = time.monotonic()
-        silent_s = now_s - self._last_scan_s
+        silent_s = now_s - self._inputs.last_s
         topic, writers = self.resolved(SCAN_TOPIC), self.node.count_publishers(SCAN_TOPIC)
         who = f"{writers} node(s) could send them" if writers else "no node sends them"
-        since = "yet" if not self._received else "any more"
+        since = "yet" if not self._inputs.received else "any more"
         # Without the time, which would be news each second.
         text = f"no scans on {topic!r} {since}; {who}"
         is_silent = silent_s > self.settings.scans_stale_s

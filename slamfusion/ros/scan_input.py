@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from nav_msgs.msg import Odometry
+from sensor_msgs.msg import LaserScan
 
 from slamfusion.config import ScanNodeConfig
 from slamfusion.errors import ScanError, TrajectoryError
@@ -18,7 +20,7 @@ from slamfusion.io.transforms import Mount, TransformError
 from slamfusion.ros import messages, qos
 from slamfusion.ros.base import Level, NodeBase
 from slamfusion.ros.frames import TransformInput, TransformStore
-from slamfusion.scan import LaserScan
+from slamfusion.scan import LaserScan as Scan
 from slamfusion.slam.session import LeftOutError
 
 # Odometry that has not been heard for longer has no say, seconds.
@@ -47,14 +49,20 @@ def _is_same(one: ArrivedScan, other: ArrivedScan) -> bool:
 
 
 class ScanInput:
-    """Which scans go on by their stamps, and the laser's place and the odometry at each.
+    """The scans that go on by their stamps, and the laser's place and the odometry at each.
 
-    Subscribes to what the settings ask for. Time that jumps back by more than ``reset_back_s``
-    starts a new map, when several scans in a row agree and the odometry does not contradict; far
-    forward it is named. A single scan whose stamp is far from the others is left out; see
-    ``StampGate``.
+    Subscribes to ``scan`` and to what the settings ask for. Time that jumps back by more than
+    ``reset_back_s`` starts a new map, when several scans in a row agree and the odometry does not
+    contradict; far forward it is named. A single scan whose stamp is far from the others is left
+    out; see ``StampGate``.
+
+    Args:
+        on_scan: called with each scan that goes on.
+        on_restart: called before the first scan after time has jumped back.
 
     Attributes:
+        received: scans that have come so far.
+        last_s: when the last one came, or else this was made, ``time.monotonic``.
         transforms: from ``/tf``; None where nothing is taken from there.
         odometry: where odometry is kept; None: there is none.
         held: scans that are held back for their stamps now.
@@ -62,12 +70,20 @@ class ScanInput:
         jumps_back: how often time has gone back so far.
     """
 
-    def __init__(self, base: NodeBase, settings: ScanNodeConfig) -> None:
+    def __init__(
+        self,
+        base: NodeBase,
+        settings: ScanNodeConfig,
+        on_scan: Callable[[ArrivedScan], object],
+        on_restart: Callable[[], None],
+    ) -> None:
         self.transforms: TransformStore | None = None
         self.odometry: TransformStore | None = None
-        self.held = self.strays = self.jumps_back = 0
+        self.received = self.held = self.strays = self.jumps_back = 0
+        self.last_s = time.monotonic()
         self._base = base
         self._settings = settings
+        self._on_scan, self._on_restart = on_scan, on_restart
         self._gate: StampGate[ArrivedScan] = StampGate(settings.reset_back_s, _is_same)
         self._strays_named = 0
         if "tf" in {settings.odometry_source, settings.laser_source}:
@@ -77,6 +93,7 @@ class ScanInput:
         elif settings.odometry_source == "topic":
             self.odometry = TransformStore()
             base.subscribe(Odometry, ODOM_TOPIC, self._on_odometry, qos.SENSOR)
+        base.subscribe(LaserScan, SCAN_TOPIC, self._take_scan, qos.SENSOR)
 
     def configure(self, settings: ScanNodeConfig) -> None:
         """Take changed settings."""
@@ -113,7 +130,7 @@ class ScanInput:
         assert self.odometry is not None  # noqa: S101  (made before the subscription)
         self.odometry.add([messages.transform_to_message(pose, odom, base, message.header.stamp)])
 
-    def read(self, scan: ArrivedScan) -> LaserScan:
+    def read(self, scan: ArrivedScan) -> Scan:
         """Convert a scan.
 
         Raises:
@@ -200,24 +217,28 @@ class ScanInput:
 
     # -- by their stamps --------------------------------------------------------------------------
 
-    def offer(self, message: Any) -> Passed[ArrivedScan]:
-        """Take a scan that has come; return what goes on and whether time has jumped before it.
+    def _take_scan(self, message: Any) -> None:
+        """Hand on a scan that has come, and those that were held back and that it confirms.
 
         The odometry has a say in jumps, and all is named.
         """
-        scan = ArrivedScan(message, messages.stamp_s(message), time.monotonic())
+        self.received += 1
+        self.last_s = time.monotonic()
+        scan = ArrivedScan(message, messages.stamp_s(message), self.last_s)
         before_s = self._gate.newest_s
         passed = self._gate.offer(scan.stamp_s, scan, scan.arrived_s, self._odometry_agrees)
         self.held = self._gate.held
-        if before_s is None:
-            return passed
-        self._name_strays(passed.strays, before_s)
-        if passed.items:
-            self._name_jump(passed, before_s)
+        if before_s is not None:
+            self._name_strays(passed.strays, before_s)
+            if passed.items:
+                self._name_jump(passed, before_s)
         if passed.jump is not None:
             for store in self._stores:
                 store.settle(passed.items[-1].stamp_s)
-        return passed
+            if passed.jump.is_back:
+                self._on_restart()
+        for item in passed.items:
+            self._on_scan(item)
 
     def name_odometry(self) -> None:
         """Name odometry that was left out for its stamps since the last call."""
