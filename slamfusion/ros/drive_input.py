@@ -13,10 +13,10 @@ from slamfusion.config import LogConfig
 from slamfusion.deskew import Deskewer
 from slamfusion.errors import TrajectoryError
 from slamfusion.io import LogScan
-from slamfusion.jobs.live_drive import DriveSolution, LiveDrive, LocatedPose, Pace
+from slamfusion.jobs.live_drive import DriveSolution, LiveDrive, Pace
 from slamfusion.ros import messages, qos
 from slamfusion.ros.base import Worker
-from slamfusion.ros.input_health import HeardPose, MapSource
+from slamfusion.ros.input_health import MapSource
 from slamfusion.ros.scan_input import ArrivedScan, ScanInput
 from slamfusion.slam.session import LeftOutError
 
@@ -40,6 +40,7 @@ class DriveInput:
         on_solution: called with each solution, in the thread that solves.
 
     Attributes:
+        live: the drive so far; takes the poses of the inputs.
         scans: gives the odometry, too.
         solution: the last one; None before the first. Any thread may read it.
     """
@@ -51,7 +52,7 @@ class DriveInput:
         self.solution: DriveSolution | None = None
         self._node, self._on_solution = node, on_solution
         self._deskewer = Deskewer(LogConfig(deskew=settings.deskew, sweep_s=settings.sweep_s))
-        self._drive = LiveDrive(node.open_device(device))
+        self.live = LiveDrive(node.open_device(device))
         self._count, self._pace = 0, Pace()
         self._path_topic = node.node.create_publisher(Path, PATH_TOPIC, qos.MAP)
         self._reader: Worker[ArrivedScan] = Worker(self._read, SCAN_QUEUE, node.failed, "scans")
@@ -60,21 +61,9 @@ class DriveInput:
 
     # --- in the executor's thread --------------------------------------------------------------
 
-    def put_pose(self, name: str, heard: HeardPose) -> None:
-        """Take a pose of an input."""
-        self._drive.add_pose(name, messages.stamp_s(heard.stamp), heard.pose)
-
-    def locate(self, name: str, heard: HeardPose) -> LocatedPose | None:
-        """Return where a new pose of an input has the robot; see ``LiveDrive.locate``."""
-        return self._drive.locate(name, messages.stamp_s(heard.stamp), heard.pose)
-
-    def remove(self, name: str) -> None:
-        """Forget an input."""
-        self._drive.remove(name)
-
     def forget(self) -> None:
         """Let a new drive start."""
-        self._drive.forget()
+        self.live.forget()
         self.solution = None
 
     def look(self, sources: Mapping[str, MapSource]) -> None:
@@ -91,7 +80,7 @@ class DriveInput:
             text = f"the path of {name!r} is left out: {error}"
             self._node.diagnostics.note(f"path {name}", text)
             return
-        self._drive.set_path(name, path)
+        self.live.set_path(name, path)
 
     # --- in threads of their own ---------------------------------------------------------------
 
@@ -104,7 +93,7 @@ class DriveInput:
         within, odometry = self._deskewer.follow(
             scan, lambda times_s: self.scans.odometry_at(arrived, times_s, is_first=False)
         )
-        self._drive.add_scan(LogScan(self._deskewer.moved(scan, within), odometry, 1))
+        self.live.add_scan(LogScan(self._deskewer.moved(scan, within), odometry, 1))
         self._count += 1
         self._solver.put(None)
 
@@ -116,7 +105,7 @@ class DriveInput:
             return
         state, settings = self._node.session.snapshot, self._node.settings
         transforms = {name: state.transform(name) for name in state.inputs}
-        solution = self._drive.solve(
+        solution = self.live.solve(
             depth,
             lattice=state.lattice,
             transforms={name: place for name, place in transforms.items() if place is not None},
@@ -126,7 +115,7 @@ class DriveInput:
         if solution is None:
             return
         self.solution = solution
-        self._drive.take(solution)
+        self.live.take(solution)
         self._on_solution(solution)
         if self._path_topic.get_subscription_count():
             stamp = messages.to_stamp(float(solution.path.stamps_s[-1]))

@@ -204,13 +204,13 @@ class FusedFrames:
         transform = self._state.transform(source.name)
         if transform is None and source.name not in self._supported:
             return
-        stamp_s = messages.stamp_s(heard.stamp)
-        self._note(stamp_s)
+        self._note(heard.stamp_s)
         if transform is not None:
             self._send_frame(source, transform, heard.stamp)
         self.leader = self._choose()
         is_leader = source.name == self.leader
-        located = self._node.drive.locate(source.name, heard) if is_leader else None
+        own = source.name, heard.stamp_s, heard.pose
+        located = self._node.drive.live.locate(*own) if is_leader else None
         if located is not None:
             pose, covariance = located.pose, located.covariance
         elif transform is None:
@@ -221,19 +221,19 @@ class FusedFrames:
                 stamp_ns = messages.stamp_ns(heard.stamp)
                 self._spread.hear(self.leader, source.name, stamp_ns, pose)
             alone = live.pose_apart_m, live.pose_apart_rad
-            covariance = self._spread.covariance(stamp_s, *alone)
+            covariance = self._spread.covariance(heard.stamp_s, *alone)
         if not is_leader:
             return
         if located is None or located.is_matched or self._unmatched_s is None:
-            self._unmatched_s = stamp_s
-        self._name_unmatched(stamp_s - self._unmatched_s)
+            self._unmatched_s = heard.stamp_s
+        self._name_unmatched(heard.stamp_s - self._unmatched_s)
         stamp = self._fresh(POSE_TOPIC, heard.stamp, pose, is_revised=is_revised)
         if stamp is not None:
             self._pose_topic.publish(
                 messages.sure_pose_to_message(pose, covariance, settings.fused_frame, stamp)
             )
         if settings.publish_tf:
-            self._correct(pose, stamp_s)
+            self._correct(pose, heard.stamp_s)
 
     def _fresh(self, key: str, stamp: Any, value: Pose2, *, is_revised: bool) -> Any:
         """Return the stamp that a value is to be sent with; None where it is not to be sent.

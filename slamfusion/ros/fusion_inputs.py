@@ -172,7 +172,7 @@ class FusionInputs:
             MapFileError: a saved map cannot be read.
         """
         entries, self.entries = [*self.entries.values()], {}
-        self._replace(self._checked(entries))
+        self._take(self._checked(entries))
 
     def discover(self, settings: FusionNodeConfig) -> None:
         """Let topics that fit ``discover`` be inputs, as many as can be; not those removed.
@@ -253,8 +253,8 @@ class FusionInputs:
             raise ConfigError(f"inputs names one map twice: {', '.join(entries)} ({twice.pop()})")
         self._loaded = {
             entry: self._load(name, path)
-            for name, entry in _others(names, self.entries).items()
-            if (path := saved_path(entry)) is not None
+            for name, entry in names.items()
+            if self.entries.get(name) != entry and (path := saved_path(entry)) is not None
         }
         return names
 
@@ -277,10 +277,7 @@ class FusionInputs:
 
     def _change(self, entries: Sequence[str]) -> None:
         """Take other inputs, which were checked, and log what came and left."""
-        names, before = input_names(entries, self.entries), self.entries
-        removed, added = _others(before, names), _others(names, before)
-        self._replace(names)
-        self._unwanted |= {*self._topics(removed)}
+        removed, added = self._take(input_names(entries, self.entries))
         for name, entry in removed.items():
             text = f"{name} is removed from the inputs ({entry}), and its vote with it"
             self._base.diagnostics.note(f"removed {name}", text)
@@ -288,9 +285,11 @@ class FusionInputs:
             self._base.log.info(f"{name} is an input now ({entry})")
         self._on_change([*removed], [grid for name, grid in self.saved.items() if name in added])
 
-    def _replace(self, names: dict[str, str]) -> None:
-        """Let these be the inputs, checked."""
-        added, removed = _others(names, self.entries), _others(self.entries, names)
+    def _take(self, names: dict[str, str]) -> tuple[dict[str, str], dict[str, str]]:
+        """Let these be the inputs; return the entries by name that were removed, and added."""
+        before = self.entries
+        added = {name: entry for name, entry in names.items() if before.get(name) != entry}
+        removed = {name: entry for name, entry in before.items() if names.get(name) != entry}
         for name in removed:
             if name in self.sources:
                 self.sources[name].close()
@@ -303,9 +302,5 @@ class FusionInputs:
                 known = self._loaded.get(entry) if name in added else self.saved[name]
                 saved[name] = known or self._load(name, path)
         self.sources, self.saved, self.entries, self._loaded = sources, saved, names, {}
-        self._unwanted -= {*self._topics(names)}
-
-
-def _others(names: Mapping[str, str], before: Mapping[str, str]) -> dict[str, str]:
-    """Return the entries by name that were different, or absent, before."""
-    return {name: entry for name, entry in names.items() if before.get(name) != entry}
+        self._unwanted = {*self._unwanted, *self._topics(removed)} - {*self._topics(names)}
+        return removed, added

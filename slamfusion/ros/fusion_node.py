@@ -176,7 +176,7 @@ class FusionNode(NodeBase):
         for name in removed:
             self.session.remove(name)
             self._clocks.remove(name)
-            self.drive.remove(name)
+            self.drive.live.remove(name)
             self.diagnostics.clear(f"writers {name}")
         for grid in saved:
             read = partial(self._on_page, grid.name, grid)
@@ -197,8 +197,8 @@ class FusionNode(NodeBase):
 
     def _on_pose(self, source: MapSource, heard: HeardPose) -> None:
         """Let a pose be compared with the others', and send what follows from it."""
-        self.session.hear(source.name, messages.stamp_s(heard.stamp), heard.pose)
-        self.drive.put_pose(source.name, heard)
+        self.session.hear(source.name, heard.stamp_s, heard.pose)
+        self.drive.live.add_pose(source.name, heard.stamp_s, heard.pose)
         self._frames.on_pose(source, heard)
         if self._page is not None:
             self._page.put_pose(source.name, heard.pose)

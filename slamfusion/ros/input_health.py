@@ -236,6 +236,7 @@ class HeardPose:
 
     pose: Pose2
     stamp: Any  # builtin_interfaces/Time
+    stamp_s: float
     heard_s: float
 
 
@@ -432,7 +433,7 @@ class MapSource:
         stamp_s = messages.stamp_s(message)
         self._clocks.hear(self.name, "pose", stamp_s)
         if not self._is_ahead("pose", stamp_s, "it is left out"):
-            self.pose = HeardPose(pose, message.header.stamp, time.monotonic())
+            self.pose = HeardPose(pose, message.header.stamp, stamp_s, time.monotonic())
             self._on_pose(self, self.pose)
 
     def read(self, message: Any) -> Grid:

@@ -125,7 +125,10 @@ class ScanInput:
             return
         child = message.child_frame_id.lstrip("/")
         if child and child != base:
-            text = f"odometry is that of {child!r}, not of base_frame {base!r}; it is taken for it"
+            text = (
+                f"odometry is that of {child!r}, not of base_frame {base!r}; it is taken for the "
+                "same"
+            )
             self._base.diagnostics.note("odometry frame", text)
         assert self.odometry is not None  # noqa: S101  (made before the subscription)
         self.odometry.add([messages.transform_to_message(pose, odom, base, message.header.stamp)])

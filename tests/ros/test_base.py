@@ -45,6 +45,7 @@ def test_troubles_are_said_once_and_the_worst_comes_first(caplog: pytest.LogCapt
     assert diagnostics.worst() == (Level.ERROR, "b is gone; a is low")
     diagnostics.clear("b")
     diagnostics.clear("b")
+    diagnostics.say("c", "c is late", after_s=600.0)
     assert diagnostics.worst() == (Level.WARN, "a is low")
     assert [record.message for record in caplog.records] == [
         "a is low",

@@ -69,7 +69,7 @@ def test_an_input_called_fused_comes_and_goes_beside_the_fused_map() -> None:
     base = SimpleNamespace(name="fusion", log=SimpleNamespace(info=urls.append))
     live = LivePage(base, FusionNodeConfig(page_port=0), lambda name: (True, name))
     grids = {name: noise(40, 50, seed=seed) for seed, name in enumerate(("fused", "input"))}
-    source = SimpleNamespace(name="fused", pose=HeardPose(Pose2(1.0, 2.0, 0.0), None, 0.0))
+    source = SimpleNamespace(name="fused", pose=HeardPose(Pose2(1.0, 2.0, 0.0), None, 0.0, 0.0))
     place = Pose2(3.0, 0.0, 0.0)
     record = LiveInput("fused", 0.0, 1.0, State.TRACKED, "fits", place, 0.7, 0.8, 1, 0, True, None)
     lines = [Status("fusion", Level.OK, "all"), Status("input fused", Level.OK, "fits")]
