@@ -379,8 +379,9 @@ class MapSource:
         leases_s = [1e-9 * one.qos_profile.liveliness_lease_duration.nanoseconds for one in infos]
         if not any(0.0 < lease_s <= asked_s for lease_s in leases_s):
             return
+        profile = qos.profile(1, reliable=False, latched=False, lease_s=asked_s)
         # It is the lease that counts, not the poses.
-        wanted = PoseStamped, topic, lambda _: None, qos.heartbeat(asked_s)
+        wanted = PoseStamped, topic, lambda _: None, profile
         # Without the default ones: that others offer no lease is nothing to warn of.
         events = SubscriptionEventCallbacks(
             use_default_callbacks=False, liveliness=self._on_liveliness

@@ -276,7 +276,7 @@ class ProducerNode(NodeBase):
         self._inputs.name_odometry()
         snapshot = self._session.snapshot
         text = "; ".join(snapshot.contradictions)
-        self.diagnostics.say("odometry against path", text or None, Level.WARN)
+        self.diagnostics.say("odometry against path", text or None)
         level, message = self.diagnostics.worst("mapping" if snapshot.fed else "waiting for scans")
         return [Status("slam", level, message, self._figures(snapshot))]
 

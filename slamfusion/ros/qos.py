@@ -16,45 +16,39 @@ from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, Reliabilit
 LEASE_S = 0.5
 
 
-def _profile(
+def profile(
     depth: int, *, reliable: bool, latched: bool, lease_s: float | None = None
 ) -> QoSProfile:
-    profile = QoSProfile(
+    """Return a quality of service.
+
+    Args:
+        lease_s: writers offer to renew their liveliness within this time, seconds; a reader that
+            asks for it hears nothing from those that offer none, or a longer one.
+    """
+    found = QoSProfile(
         depth=depth,
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
     )
     if lease_s is not None:
-        profile.liveliness = LivelinessPolicy.AUTOMATIC
-        profile.liveliness_lease_duration = Duration(seconds=lease_s)
-    return profile
+        found.liveliness = LivelinessPolicy.AUTOMATIC
+        found.liveliness_lease_duration = Duration(seconds=lease_s)
+    return found
 
 
 # Scans and odometry, read: hears every writer.
-SENSOR = _profile(50, reliable=False, latched=False)
+SENSOR = profile(50, reliable=False, latched=False)
 # Scans, odometry and poses, written: every reader can hear them.
-STREAM = _profile(50, reliable=True, latched=False)
+STREAM = profile(50, reliable=True, latched=False)
 # Poses, written: the same, and a reader that asks for it hears within its lease that the writer has
 # gone.
-POSE = _profile(50, reliable=True, latched=False, lease_s=LEASE_S)
+POSE = profile(50, reliable=True, latched=False, lease_s=LEASE_S)
 # Maps: a late reader gets the last one at once.
-MAP = _profile(1, reliable=True, latched=True)
+MAP = profile(1, reliable=True, latched=True)
 # As tf2 has them; and static transforms of several writers, read.
-TF = _profile(100, reliable=True, latched=False)
-TF_STATIC = _profile(1, reliable=True, latched=True)
-TF_STATIC_READ = _profile(100, reliable=True, latched=True)
-
-
-def heartbeat(lease_s: float) -> QoSProfile:
-    """Return how to watch whether the writers of a topic live.
-
-    Writers that offer no lease, or a longer one, are not heard at all: read them with another
-    subscription.
-
-    Args:
-        lease_s: a writer without a sign of life for so long is gone, seconds.
-    """
-    return _profile(1, reliable=False, latched=False, lease_s=lease_s)
+TF = profile(100, reliable=True, latched=False)
+TF_STATIC = profile(1, reliable=True, latched=True)
+TF_STATIC_READ = profile(100, reliable=True, latched=True)
 
 
 def map_qos(node: Any, topic: str) -> QoSProfile | None:
@@ -67,7 +61,7 @@ def map_qos(node: Any, topic: str) -> QoSProfile | None:
     if not infos:
         return None
     profiles = [info.qos_profile for info in infos]
-    return _profile(
+    return profile(
         1,
         reliable=all(one.reliability == ReliabilityPolicy.RELIABLE for one in profiles),
         latched=all(one.durability == DurabilityPolicy.TRANSIENT_LOCAL for one in profiles),
