@@ -58,20 +58,3 @@ def test_a_plan_serves_as_truth_before_its_scale_is_known(tmp_path: Path) -> Non
     assert "of the walls of truth, at 0.0" in fused.stdout
     # All maps are compared with a plan of one size.
     assert len(set(re.findall(r"at (\S+) m per pixel", fused.stdout))) == 1
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (("--scale", "2:1"), "wanted free, or metres per pixel as LOW:HIGH"),
-        (("--scale", "free", "--start", "1,2,0"), "--scale searches everywhere; leave --start out"),
-        (("-o", "placed"), "-o and --scale belong together; give both or neither"),
-    ],
-)
-def test_options_that_do_not_go_together_are_refused(
-    tmp_path: Path, words: tuple[str, ...], said: str
-) -> None:
-    done = run("align", MAPS[0], MAPS[1], *words, cwd=tmp_path)
-    assert done.returncode == 2
-    assert said in done.stderr
-    assert not tree(tmp_path)

@@ -156,26 +156,6 @@ def test_real_logs_without_any_is_one_line(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "word"),
-    [
-        (("occupancy-estimator", "--relations", "x"), "give --log"),
-        (("cell-models-trajectories", "--floors", "0"), "nothing to run on"),
-        (("cell-models-trajectories", "--log", "only.log"), "wanted LOG:RELATIONS"),
-        (("occupancy-estimator", "--resolutions", "0.6..0.1"), "must be like 0.1..0.6"),
-        (("failures", "--courses", "glas"), "wanted some of corridor loop, glass"),
-        (("ground-obstacle", "--repetitions", "0"), "must lie in [1, 10000]"),
-        (("no-such",), "is not one of cell-models"),
-    ],
-)
-def test_wrong_usage(tmp_path: Path, arguments: tuple[str, ...], word: str) -> None:
-    out = () if arguments == ("no-such",) else ("-o", str(tmp_path / "out"))
-    done = run("experiment", *arguments, *out)
-    assert done.returncode == 2
-    assert word in " ".join(done.stderr.split())
-    assert not (tmp_path / "out").exists()
-
-
 def test_a_log_that_is_not_there_is_one_line(tmp_path: Path) -> None:
     done = run(
         "experiment", "cell-models-trajectories", "-o", tmp_path / "out",

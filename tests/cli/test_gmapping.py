@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from slamfusion.io import write_carmen
-from tests.cli.command import json_of, run, tree
+from tests.cli.command import json_of, run
 from tests.support.producers import room_drive
 
 pytestmark = pytest.mark.once
@@ -95,27 +95,6 @@ def test_parts_give_the_bytes_of_one_run(parts: Path, state: Path, log: str, kno
     # Raw odometry is drawn where its start is known.
     page = (state / "rep" / "report.html").read_text(encoding="utf-8")
     assert ("Raw odometry is aligned" in page) == bool(known)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("--resume", "half.state", "--save-state", "half.state"), "would replace the input"),
-        (("--save-state", "room.log"), "--save-state room.log would replace the input room.log"),
-        (("--save-state", "on.tum"), "would replace a file of -o on with on.tum"),
-        (("--report", "rep", "--save-state", "rep/report.html"), "a file of --report rep"),
-        (("--save-state", "folder"), "is a folder"),
-    ],
-)
-def test_what_cannot_end_well_is_refused(
-    state: Path, arguments: tuple[str, ...], words: str
-) -> None:
-    (state / "folder").mkdir()
-    before = tree(state)
-    done = gmapping(state, "-o", "on", *arguments)
-    assert done.returncode == 2
-    assert words in " ".join(done.stderr.split())
-    assert tree(state) == before
 
 
 def test_settings_reach_the_filter_and_the_record(tmp_path: Path) -> None:

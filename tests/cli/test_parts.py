@@ -84,15 +84,52 @@ def test_the_list_of_commands_says_what_their_help_says() -> None:
         ("fuse a b -o x --window-m foo", "'--window-m': wanted a number, found 'foo'"),
         ("fuse a b -o x --seed 1.5", "'--seed': wanted a whole number, found '1.5'"),
         ("fuse a b -o x --processes 65", "'--processes': must lie in [1, 64], found 65"),
+        ("fuse a b -o x --occupied-percent 120", "must lie in [0, 100] %, found 120.0"),
+        ("fuse a b -o x --window-m nan", "'--window-m': must lie in [0, inf] m, found nan"),
+        ("fuse a b -o x --free-percent 80", "free_percent (80) must be below occupied_percent"),
+        ("fuse a b -o .", "name the map too"),
+        ("fuse a b -o x --scheduler localhost:8786", "as a scheduler, found 'localhost:8786'"),
+        (f"fuse {MAPS[0]} {MAPS[1]} -o x --scheduler local --processes 2", "give one of them"),
+        ("evaluate a.yaml", "give --truth MAP, --distances FILE, or more maps"),
+        ("slam graph d.log -o map --resolution 0", "must lie in"),
+        ("slam graph d.log -o map --odometry d.log", "needs --relations FILE"),
+        ("run d.log -o out --odometry d.log", "needs --relations FILE"),
+        ("run d.log -o out --producers ,", "found none"),
+        ("run a.log -o out --seeds 3:5", "wanted seeds like 0-9 or 1,2,5"),
+        ("judge d.log", "PATH"),
+        ("judge d.log a.tum --odometry a.tum", "needs --relations FILE"),
+        ("judge d.log a.tum --fused f.tum --log e.log", "with several (--log) call judge for each"),
+        ("trajectory a.tum", "--relations FILE, --truth FILE, or both"),
+        ("trajectory a.tum --odometry x --truth x", "needs --relations FILE"),
+        ("trajectory a.tum --map x --truth x", "needs --report DIR"),
+        ("align a b --scale 2:1", "wanted free, or metres per pixel as LOW:HIGH"),
+        ("align a b --scale free --start 1,2,0", "--scale searches everywhere; leave --start out"),
+        ("align a b -o placed", "-o and --scale belong together; give both or neither"),
+        ("simulate f16 -o out --lidar sonar", "'--lidar': 'sonar' is not one of "),
+        ("experiment occupancy-estimator -o out --relations x", "give --log"),
+        ("experiment cell-models-trajectories -o out --floors 0", "nothing to run on"),
+        ("experiment cell-models-trajectories -o out --log a.log", "wanted LOG:RELATIONS"),
+        ("experiment occupancy-estimator -o out --resolutions 1..0.1", "must be like 0.1..0.6"),
+        ("experiment failures -o out --courses glas", "wanted some of corridor loop, glass"),
+        ("experiment ground-obstacle -o out --repetitions 0", "must lie in [1, 10000]"),
+        ("experiment no-such", "is not one of cell-models"),
     ],
 )
-def test_wrong_usage_is_one_line_with_the_nearest_name(
-    words: str, said: str, capsys: pytest.CaptureFixture[str]
+def test_wrong_usage_is_one_line_with_the_nearest_name_and_writes_nothing(
+    words: str,
+    said: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
+    monkeypatch.chdir(tmp_path)
     assert run_program(words.split()) == 2
-    (line,) = capsys.readouterr().err.splitlines()
+    printed = capsys.readouterr()
+    (line,) = printed.err.splitlines()
     assert line.startswith("slamfusion: error: ")
     assert said in line
+    assert printed.out == ""
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("group", ["", "slam", "experiment", "node"])

@@ -60,12 +60,6 @@ def test_a_run_has_a_folder_for_each_log_and_seed() -> None:
     assert [task.seed for task in tasks] == [0, 1, 0, 1]
 
 
-@pytest.mark.parametrize("seeds", ["a", "1-", "3:5", ""])
-def test_what_are_no_seeds_is_refused(seeds: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run_program(["run", "a.log", "-o", "out", "--seeds", seeds]) == 2
-    assert "wanted seeds like 0-9 or 1,2,5" in capsys.readouterr().err
-
-
 @pytest.mark.full
 def test_a_run_of_two_seeds_prints_one_table(
     place: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch

@@ -106,7 +106,3 @@ def test_failures_are_one_line_and_leave_nothing(
     done = run("simulate", *arguments, "-o", "out", cwd=tmp_path)
     assert_one_line_failure(done, *words)
     assert tree(tmp_path) == before
-
-
-def test_wrong_usage_is_2(tmp_path: Path) -> None:
-    assert run("simulate", "f16", "-o", "out", "--lidar", "sonar", cwd=tmp_path).returncode == 2

@@ -155,36 +155,3 @@ def test_scans_that_see_nothing_make_no_map_and_no_file(tmp_path: Path) -> None:
     done = run("slam", "tinyslam", log, "-o", tmp_path / "map")
     assert_one_line_failure(done, "blind.log", "none of 3 scans", "3 x no reading")
     assert set(tree(tmp_path)) == {"blind.log"}
-
-
-def test_files_that_cannot_all_be_written_are_not_written(tmp_path: Path) -> None:
-    log = write_log(tmp_path / "room.log", room_drive(3))
-    (tmp_path / "map.tum").mkdir()
-    done = run("slam", "tinyslam", log, "-o", tmp_path / "map")
-    assert done.returncode == 2
-    (line,) = done.stderr.splitlines()
-    assert "map.tum is a folder; name a file" in line
-    assert set(tree(tmp_path)) == {"room.log", "map.tum"}
-
-
-@pytest.mark.parametrize(
-    ("arguments", "word"),
-    [
-        (("-o", "room.log"), "would replace the input"),
-        (("-o", "."), "name the map too"),
-        (("-o", "map", "--odometry", "room.log"), "needs --relations FILE"),
-        (("-o", "map", "--cell-model", "sum"), "is not one of"),
-        (("-o", "map", "--resolution", "0"), "must lie in"),
-    ],
-)
-def test_wrong_usage(tmp_path: Path, arguments: tuple[str, ...], word: str) -> None:
-    write_log(tmp_path / "room.log", room_drive(2))
-    # The path that a run writes is also a log's name: OUT.tum may not be the input either.
-    name = "room.log"
-    if arguments == ("-o", "room.log"):
-        name, arguments = "room.tum", ("-o", "room.tum")
-        (tmp_path / "room.log").rename(tmp_path / name)
-    done = run("slam", "tinyslam", name, *arguments, cwd=tmp_path)
-    assert done.returncode == 2
-    assert word in " ".join(done.stderr.split())
-    assert set(tree(tmp_path)) == {name}

@@ -107,22 +107,6 @@ def test_options_decide_how_errors_are_counted(files: dict[str, Path]) -> None:
     assert document["config"]["trajectory"]["rpe_unit"] == "m"
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ((), "--relations FILE, --truth FILE, or both"),
-        (("--odometry", "x", "--truth", "x"), "needs --relations FILE"),
-        (("--map", "x", "--truth", "x"), "needs --report DIR"),
-    ],
-)
-def test_wrong_usage_is_said(
-    files: dict[str, Path], arguments: tuple[str, ...], words: str
-) -> None:
-    done = run("trajectory", files["estimate"], *arguments)
-    assert done.returncode == 2
-    assert words in " ".join(done.stderr.split())
-
-
 def spoil(path: Path, text: str) -> None:
     path.write_text(text, encoding="ascii")
 

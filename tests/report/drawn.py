@@ -13,6 +13,7 @@ import numpy.typing as npt
 from slamfusion.align.records import Alignment, FusionResult, InputRecord, MatchEvidence, RunnerUp
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
+from slamfusion.palette import Rgb
 from slamfusion.report.canvas import to_form
 from slamfusion.slam.common.runner import ProducerRun, run_producer
 from slamfusion.trajectory import Trajectory
@@ -29,6 +30,18 @@ def pixels(figure: Any) -> npt.NDArray[np.uint8]:
     image = cv2.imdecode(png, cv2.IMREAD_COLOR)
     assert image is not None
     return np.asarray(image[..., ::-1], dtype=np.uint8)
+
+
+def near(image: npt.NDArray[np.uint8], rgb: Rgb, slack: int = 12) -> npt.NDArray[np.bool_]:
+    """Pixels of about a colour, (H, W)."""
+    return np.asarray((np.abs(image.astype(int) - rgb) <= slack).all(axis=2))
+
+
+def centre(image: npt.NDArray[np.uint8], rgb: Rgb, slack: int = 12) -> tuple[float, float]:
+    """Mean column and row of a colour, as shares of the picture."""
+    rows, cols = np.nonzero(near(image, rgb, slack))
+    assert rows.size, f"no pixel of colour {rgb}"
+    return float(cols.mean()) / image.shape[1], float(rows.mean()) / image.shape[0]
 
 
 def room(name: str, seed: int, *, height: int = 40, width: int = 60) -> OccupancyGrid:

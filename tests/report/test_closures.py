@@ -14,7 +14,7 @@ from slamfusion.palette import DISAGREEMENT_RGB, NAMED, OTHERS, Rgb
 from slamfusion.report.paths import closures_picture
 from slamfusion.slam.common.mapper import Closure
 from slamfusion.trajectory import Trajectory
-from tests.report.drawn import pixels
+from tests.report.drawn import near, pixels
 
 NORMALIZE = NormalizeConfig()
 COLOURS = (NAMED["graph"], OTHERS[0], DISAGREEMENT_RGB)
@@ -32,8 +32,7 @@ def straight(end_m: float) -> Trajectory:
 def painted(figure: Any, colour: Rgb) -> npt.NDArray[np.intp]:
     """Return columns of the pixels of about a colour, without the legend below."""
     image = pixels(figure)
-    near = (np.abs(image[: round(0.85 * len(image))].astype(int) - colour) < 40).all(axis=2)
-    return np.nonzero(near)[1]
+    return np.nonzero(near(image[: round(0.85 * len(image))], colour, 39))[1]
 
 
 def picture(path: Trajectory, weight: float) -> Any:

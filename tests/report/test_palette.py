@@ -96,12 +96,6 @@ def test_classes_of_cells_are_told_apart(sight: str) -> None:
     assert min(distance(*pair, sight) for pair in classes) >= LEAST_OF_AREAS
 
 
-def test_red_and_green_of_one_lightness_would_be_found() -> None:
-    red, green = (200, 70, 60), (110, 130, 50)
-    assert distance(red, green, "all") > 2 * LEAST
-    assert min(distance(red, green, sight) for sight in SEEN) < LEAST
-
-
 def test_a_name_keeps_its_colour_whoever_else_is_shown() -> None:
     assert colours_of(["graph", "tinyslam"]) == {
         "graph": NAMED["graph"], "tinyslam": NAMED["tinyslam"],

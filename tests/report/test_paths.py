@@ -8,36 +8,24 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from slamfusion.config import ReportConfig, RunConfig, TrajectoryConfig
 from slamfusion.evaluation import RelationErrors, trajectory_errors
 from slamfusion.geometry import compose_poses
 from slamfusion.grid import OccupancyGrid
-from slamfusion.palette import END_RGB, NAMED, OTHERS, START_RGB, Rgb
+from slamfusion.palette import END_RGB, NAMED, OTHERS, START_RGB
 from slamfusion.report import Fact, MeasuredPath, paths, write_slam_report, write_trajectory_report
 from slamfusion.report.errors import distribution_figure
 from slamfusion.slam.common.mapper import Series
 from slamfusion.trajectory import Trajectory
-from tests.report.drawn import NASTY, pixels, room, run_of
+from tests.report.drawn import NASTY, centre, near, pixels, room, run_of
 
 pytestmark = pytest.mark.once
 
 CONFIG = RunConfig()
 # The colour of a path that nobody knows by its name, and of what else it may have been.
 ESTIMATE, OTHER = OTHERS[:2]
-
-
-def near(image: npt.NDArray[np.uint8], rgb: Rgb, slack: int = 12) -> npt.NDArray[np.bool_]:
-    return np.asarray((np.abs(image.astype(int) - rgb) <= slack).all(axis=2))
-
-
-def centre(image: npt.NDArray[np.uint8], rgb: Rgb) -> tuple[float, float]:
-    """Mean column and row of a colour, as shares of the picture."""
-    rows, cols = np.nonzero(near(image, rgb))
-    assert rows.size, f"no pixel of colour {rgb}"
-    return float(cols.mean()) / image.shape[1], float(rows.mean()) / image.shape[0]
 
 
 def path_of(places: list[tuple[float, float]], name: str = "path") -> Trajectory:
@@ -102,10 +90,6 @@ def test_every_path_has_its_colour() -> None:
     assert near(image, NAMED["truth"]).sum() < 0.75 * near(image, ESTIMATE).sum()
     legend = list(paths.paths_legend(lines))
     assert legend[:3] == ["truth, dashed", "estimate", "raw odometry"]
-
-
-def beside(path: Trajectory, up_m: float) -> Trajectory:
-    return Trajectory(path.stamps_s, compose_poses((0.0, up_m, 0.0), path.poses), "beside")
 
 
 @pytest.mark.parametrize(

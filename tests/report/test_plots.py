@@ -6,29 +6,21 @@ import math
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.palette import DISAGREEMENT_RGB, colours_of
 from slamfusion.report import maps as plots
-from tests.report.drawn import pixels
+from tests.report.drawn import centre, pixels
 
 WALL = (18, 22, 28)
-
-
-def centre_of(image: npt.NDArray[np.uint8], rgb: tuple[int, int, int]) -> tuple[float, float]:
-    """Mean column and row of a colour, as shares of the picture."""
-    rows, cols = np.nonzero((image == rgb).all(axis=2))
-    assert rows.size, f"no pixel of colour {rgb}"
-    return float(cols.mean()) / image.shape[1], float(rows.mean()) / image.shape[0]
 
 
 def test_rows_grow_upward() -> None:
     cells = np.zeros((40, 40), dtype=np.int8)
     cells[30:38, 2:8] = 1  # upper left
-    x, y = centre_of(pixels(plots.map_picture(cells, 0.1, Pose2())), WALL)
+    x, y = centre(pixels(plots.map_picture(cells, 0.1, Pose2())), WALL, 0)
     assert x < 0.4
     assert y < 0.4
 
@@ -36,7 +28,7 @@ def test_rows_grow_upward() -> None:
 def test_the_yaw_of_the_origin_turns_the_picture() -> None:
     cells = np.zeros((40, 40), dtype=np.int8)
     cells[2:8, 30:38] = 1  # to the lower right; a quarter turn brings it to the upper right
-    x, y = centre_of(pixels(plots.map_picture(cells, 0.1, Pose2(7, 8, math.pi / 2))), WALL)
+    x, y = centre(pixels(plots.map_picture(cells, 0.1, Pose2(7, 8, math.pi / 2))), WALL, 0)
     assert x > 0.6
     assert y < 0.4
 
@@ -50,11 +42,11 @@ def test_agreeing_layers_are_walls_and_single_ones_keep_their_colour(count: int)
     colours = list(colours_of("abcdefg"[:count]).values())
     image = pixels(plots.overlay_picture(layers, colours, 0.1, Pose2()))
     if count > 1:
-        assert centre_of(image, WALL)[0] < 0.5
+        assert centre(image, WALL, 0)[0] < 0.5
         for colour in colours:
             assert (np.abs(image.astype(int) - colour).max(axis=2) <= 1).any()
     else:
-        assert centre_of(image, colours[0])[0] < 0.6
+        assert centre(image, colours[0], 0)[0] < 0.6
 
 
 def test_full_agreement_is_white_and_the_worst_cell_of_a_block_shows() -> None:
@@ -70,7 +62,7 @@ def test_outvoted_cells_are_drawn_over_the_map() -> None:
     dissent = np.zeros((30, 30), dtype=np.bool_)
     dissent[20:25, 20:25] = True
     image = pixels(plots.map_picture(fused, 0.1, Pose2(), outvoted=dissent))
-    x, y = centre_of(image, DISAGREEMENT_RGB)
+    x, y = centre(image, DISAGREEMENT_RGB, 0)
     assert x > 0.5
     assert y < 0.5
 

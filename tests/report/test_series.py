@@ -11,7 +11,7 @@ import pytest
 from slamfusion.palette import Rgb
 from slamfusion.report.errors import broken, drawable, series_picture
 from slamfusion.slam.common.mapper import Series
-from tests.report.drawn import pixels
+from tests.report.drawn import near, pixels
 
 pytestmark = pytest.mark.once
 
@@ -25,9 +25,9 @@ def series(values: list[float] | npt.NDArray[np.float64], **more: Any) -> Series
     return Series("particles", "", stamps, numbers, **more)
 
 
-def line(figure: Any, slack: int = 40) -> npt.NDArray[np.bool_]:
+def line(figure: Any) -> npt.NDArray[np.bool_]:
     """Where the line is."""
-    return np.asarray((np.abs(pixels(figure).astype(int) - COLOUR) <= slack).all(axis=2))
+    return near(pixels(figure), COLOUR, 40)
 
 
 def test_a_rising_quantity_rises_to_the_right() -> None:
