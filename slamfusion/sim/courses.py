@@ -167,10 +167,7 @@ def course_to_mapping(course: Course) -> dict[str, Any]:
 
 def _course(values: dict[str, Any], where: str, folder: Path) -> Course:
     values = dict(values)
-    if "world" not in values:
-        message = f"{where}: 'world' is missing; give one of {', '.join(WORLD_NAMES)} or a map file"
-        raise ConfigError(message)
-    world = values["world"]
+    world = values.get("world")
     if isinstance(world, str):
         values["world"] = {"name": world} if world in WORLD_NAMES else {"name": "map", "map": world}
     bases = {}
@@ -182,6 +179,9 @@ def _course(values: dict[str, Any], where: str, folder: Path) -> Course:
         known = cast("Mapping[Any, Any]", models)
         bases[key] = known.get(model if isinstance(model, str) else None, known[default])
     course = from_mapping(Course("course", 0, WorldConfig(), **bases), values, where)
+    if world is None:
+        message = f"{where}: 'world' is missing; give one of {', '.join(WORLD_NAMES)} or a map file"
+        raise ConfigError(message)
     if course.world.map is None:
         return course
     return replace(course, world=replace(course.world, map=str(folder / course.world.map)))

@@ -20,14 +20,14 @@ from slamfusion.evaluation import result_rows
 from slamfusion.experiments.fusions import FUSIONS
 from slamfusion.experiments.runs import RunResult
 from slamfusion.experiments.trials import fusion_experiment
-from slamfusion.jobs.documents import circumstances
+from slamfusion.jobs.records import Circumstances
 from slamfusion.json_values import plain
 from slamfusion.slam.registry import BUILT_IN
 from tests.docs.test_pages import parse
 
 pytestmark = pytest.mark.once
 
-HERE = circumstances(RunConfig(), "a device")
+HERE = plain(Circumstances(RunConfig(), "a device"))
 MADE = ("--commit", "0123abc", "--date", "2026-02-28")
 
 
