@@ -36,7 +36,7 @@ from slamfusion.cli.results import (
     save_results,
     table_option,
 )
-from slamfusion.cli.tables import path_columns, path_row, print_recommendation
+from slamfusion.cli.tables import path_table, print_recommendation
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.jobs.cases import CaseFile, case_names, place_files
@@ -192,8 +192,7 @@ def _print(found: JudgedPaths) -> None:
         "ATE rmse [m]": errors_by_truth_m(found.measures),
         "relations mean [m]": errors_by_relations_m(found.measures),
     }
-    columns = path_columns(answer)
-    rows = [path_row(answer, path) for path in answer.paths]
+    columns, rows = path_table(answer)
     for what, errors in known.items():
         if errors:
             ranks = {name: str(rank) for rank, name in enumerate(errors, start=1)}

@@ -43,10 +43,10 @@ from slamfusion.cli.output import (
 from slamfusion.cli.paths import CASE_FILE, FILE, MAP
 from slamfusion.cli.results import print_items, results_option, save_results, table_option
 from slamfusion.cli.tables import (
+    path_table,
     print_evaluations,
     print_fusion,
     print_pairs,
-    print_reasons,
     print_recommendation,
     tell_unaligned,
 )
@@ -348,8 +348,9 @@ def _print_details(run: LogRun) -> None:
     if run.evaluations:
         tell_unaligned(run.evaluations)
         print_evaluations(run.evaluations)
-    if run.recommendation is not None:
-        print_reasons(run.recommendation)
+    if run.recommendation is not None and run.recommendation.paths:
+        columns, rows = path_table(run.recommendation)
+        print_table(columns, rows, title="How well the scans support each path")
     if run.fused_path is not None:
         trust = ", ".join(f"{name} {share:.2f}" for name, share in run.fused_path.trust.items())
         say(f"weights in the fused path: {trust}")

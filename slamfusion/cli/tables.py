@@ -15,15 +15,13 @@ from slamfusion.jobs.documents import number
 
 if TYPE_CHECKING:
     from slamfusion.align.records import Alignment, Fusion, FusionResult, InputRecord, StoredFusion
-    from slamfusion.evaluation import DensePoses, Figure
-    from slamfusion.evidence.recommendation import RankedPath, Recommendation
+    from slamfusion.evaluation import Figure
+    from slamfusion.evidence.recommendation import Recommendation
     from slamfusion.jobs.fuse_documents import DoubledWalls
     from slamfusion.jobs.records import Evaluation
     from slamfusion.jobs.trajectory import Measures
     from slamfusion.trajectory import Trajectory
 
-# The statistics of an error that are shown.
-FIGURES = ("mean", "std", "rmse", "median", "min", "max")
 PAIR_COLUMNS = (
     "reference ",
     "input ",
@@ -199,7 +197,7 @@ def _print_figures(
 
 def print_measures(estimate: Trajectory, measures: Measures) -> None:
     """Print one row for each kind of error, then how it was counted."""
-    from slamfusion.evaluation import error_kinds, mean_interval  # noqa: PLC0415
+    from slamfusion.evaluation import FIGURES, error_kinds, how_counted  # noqa: PLC0415
 
     rows = [
         [f"{kind}{which}", *(number(getattr(errors, name, None), digits) for name in FIGURES)]
@@ -207,56 +205,14 @@ def print_measures(estimate: Trajectory, measures: Measures) -> None:
         if own is not None
         for kind, errors, digits in error_kinds(own.truth, own.relations, own.at_scans)
     ]
-    notes = []
-    if measures.relations is not None:
-        errors = measures.relations
-        notes.append(
-            f"{errors.relations_used} of {errors.relations_total} relations used, "
-            f"{_how(measures.dense, errors.tolerance_s)}"
-        )
-    if measures.at_scans is not None:
-        own = measures.at_scans
-        low, high = mean_interval(own.translation_m)
-        notes.append(
-            f"both ends are poses of the trajectory in {own.relations_used} of "
-            f"{own.relations_total} relations; the mean of their translation errors is "
-            f"{number(low, 4)} to {number(high, 4)} m with 95 %"
-        )
-    if measures.truth is not None:
-        found = measures.truth
-        aligned = "aligned" if found.alignment.kind == "se2" else "not aligned"
-        notes.append(
-            f"{found.poses_matched} of {found.poses} poses met one of {found.truth} within "
-            f"{found.tolerance_s:g} s, {aligned}; "
-            f"{len(found.relative_translation_m)} pairs"
-        )
-        if found.time_offset_s:
-            notes.append(f"{found.time_offset_s:.4f} s added to the times of {found.truth}")
     title = f"{estimate.name}: {len(estimate)} poses, {estimate.path_length_m():.1f} m"
     print_table(("error ", *FIGURES), rows, title=title)
-    for note in notes:
+    own = measures
+    for note in how_counted(own.truth, own.relations, own.at_scans, own.dense):
         say(note)
 
 
-def _how(dense: DensePoses | None, tolerance_s: float) -> str:
-    """Say how a pose was found for a relation's time."""
-    if dense is None:
-        return f"poses within {tolerance_s:g} s of both times"
-    total = dense.poses_used + dense.poses_without_row
-    return (
-        f"poses carried on by {dense.rows} rows of odometry; rows of the poses found "
-        f"by {dense.rows_found_by}, {dense.poses_without_row} of {total} poses without one"
-    )
-
-
 # --- recommendations ------------------------------------------------------------------------------
-
-
-def print_reasons(answer: Recommendation) -> None:
-    """Print how well the scans support each path, if they could be asked."""
-    if answer.paths:
-        rows = [path_row(answer, path) for path in answer.paths]
-        print_table(path_columns(answer), rows, title="How well the scans support each path")
 
 
 def print_recommendation(answer: Recommendation) -> None:
@@ -267,28 +223,24 @@ def print_recommendation(answer: Recommendation) -> None:
         say(f"{subject:<13}{text}", indent=13)
 
 
-def path_columns(answer: Recommendation) -> list[str]:
-    """Return the names of the figures of a path."""
+def path_table(answer: Recommendation) -> tuple[list[str], list[list[str]]]:
+    """Return columns and rows of how well the scans support each path."""
     columns = ["path ", "log-likelihood per hit, mean", "behind the best", "95 % interval"]
     columns += ["apart from it [s]", "at most [m]"]
-    return [*columns, "from fused, rms [m]"] if _has_fused(answer) else columns
-
-
-def _has_fused(answer: Recommendation) -> bool:
-    """Return whether paths are compared with a fused one."""
-    return any(path.from_fused_m is not None for path in answer.paths)
-
-
-def path_row(answer: Recommendation, path: RankedPath) -> list[str]:
-    """Return the figures of a path."""
-    interval = path.behind_95
-    apart = [span for span in path.spans if not span.agrees]
-    row = [
-        path.name,
-        number(path.consistency, 4),
-        number(None if interval is None else path.behind, 4),
-        "-" if interval is None else f"{interval[0]:.4f} to {interval[1]:.4f}",
-        number(sum(span.to_s - span.from_s for span in apart), 0),
-        number(max((span.gap_m for span in apart), default=None), 2),
-    ]
-    return [*row, number(path.from_fused_m, 3)] if _has_fused(answer) else row
+    rows = []
+    for path in answer.paths:
+        interval = path.behind_95
+        apart = [span for span in path.spans if not span.agrees]
+        rows.append([
+            path.name,
+            number(path.consistency, 4),
+            number(None if interval is None else path.behind, 4),
+            "-" if interval is None else f"{interval[0]:.4f} to {interval[1]:.4f}",
+            number(sum(span.to_s - span.from_s for span in apart), 0),
+            number(max((span.gap_m for span in apart), default=None), 2),
+        ])  # fmt: skip
+    if any(path.from_fused_m is not None for path in answer.paths):
+        columns.append("from fused, rms [m]")
+        for row, path in zip(rows, answer.paths, strict=True):
+            row.append(number(path.from_fused_m, 3))
+    return columns, rows

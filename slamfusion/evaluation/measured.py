@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from slamfusion.evaluation.map_error import MapError
+from slamfusion.evaluation.odometry import DensePoses
 from slamfusion.evaluation.relations import RelationErrors, RelationErrorsAtScans
-from slamfusion.evaluation.statistics import ErrorStatistics
+from slamfusion.evaluation.statistics import ErrorStatistics, mean_interval
 from slamfusion.evaluation.trajectory_error import TrajectoryErrors
 from slamfusion.geometry import F64
 
@@ -154,6 +155,50 @@ def face_figures(error: MapError) -> list[tuple[Figure, float | None]]:
         found.append((figure_of(name), None if distance is None else distance.mean))
     names = ("wall_thickness_mean_m", "doubled_wall_share", "outside_m2")
     return found + [(figure_of(name), known[name]) for name in names]
+
+
+# The statistics of an error that tables show.
+FIGURES = ("mean", "std", "rmse", "median", "min", "max")
+
+
+def how_counted(
+    truth: TrajectoryErrors | None,
+    relations: RelationErrors | None,
+    at_scans: RelationErrorsAtScans | None = None,
+    dense: DensePoses | None = None,
+) -> list[str]:
+    """Return in sentences what the errors of a path rest on; see ``error_kinds``.
+
+    Args:
+        dense: how odometry carried the path to the times of the relations; None: it did not.
+    """
+    notes = []
+    if relations is not None:
+        how = f"poses within {relations.tolerance_s:g} s of both times"
+        if dense is not None:
+            total = dense.poses_used + dense.poses_without_row
+            how = (
+                f"poses carried on by {dense.rows} rows of odometry; rows of the poses found "
+                f"by {dense.rows_found_by}, {dense.poses_without_row} of {total} poses without one"
+            )
+        count = f"{relations.relations_used} of {relations.relations_total}"
+        notes.append(f"{count} relations used, {how}")
+    if at_scans is not None:
+        low, high = mean_interval(at_scans.translation_m)
+        notes.append(
+            f"both ends are poses of the trajectory in {at_scans.relations_used} of "
+            f"{at_scans.relations_total} relations; the mean of their translation errors is "
+            f"{low:.4f} to {high:.4f} m with 95 %"
+        )
+    if truth is not None:
+        aligned = "aligned" if truth.alignment.kind == "se2" else "not aligned"
+        notes.append(
+            f"{truth.poses_matched} of {truth.poses} poses met one of {truth.truth} within "
+            f"{truth.tolerance_s:g} s, {aligned}; {len(truth.relative_translation_m)} pairs"
+        )
+        if truth.time_offset_s:
+            notes.append(f"{truth.time_offset_s:.4f} s added to the times of {truth.truth}")
+    return notes
 
 
 def error_kinds(

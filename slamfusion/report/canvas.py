@@ -11,7 +11,6 @@ import math
 import textwrap
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: TID251
 from matplotlib.figure import Figure  # noqa: TID251
 from matplotlib.patches import Patch  # noqa: TID251
 from matplotlib.ticker import MaxNLocator  # noqa: TID251
-from matplotlib.transforms import Affine2D  # noqa: TID251
+from matplotlib.transforms import Affine2D, Bbox  # noqa: TID251
 
 from slamfusion.config import NormalizeConfig
 from slamfusion.geometry import F64, Pose2
@@ -192,43 +191,29 @@ def plain_text(text: str) -> str:
 # --- maps with axes in metres ---------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Extent:
-    """A box in the map frame: its corners, metres."""
-
-    low: F64
-    high: F64
-
-    @classmethod
-    def of(cls, points: F64) -> Extent:
-        """Return the box of points, (N, 2) or more columns, x and y first."""
-        return cls(points[:, :2].min(axis=0), points[:, :2].max(axis=0))
-
-    @property
-    def longest(self) -> float:
-        """The longer side, metres."""
-        return float((self.high - self.low).max())
-
-    def grown(self, other: Extent, most: float | None = None) -> Extent:
-        """Return the box with another taken in, by at most ``most`` of its size a side."""
-        low, high = np.minimum(self.low, other.low), np.maximum(self.high, other.high)
-        if most is not None:
-            limit = max(most * self.longest, _LEAST_GROWTH_M)
-            low, high = np.maximum(low, self.low - limit), np.minimum(high, self.high + limit)
-        return Extent(low, high)
+def box_of(points: F64) -> Bbox:
+    """Return the box of points in the map frame, (N, 2) or more columns, x and y first, metres."""
+    return Bbox([points[:, :2].min(axis=0), points[:, :2].max(axis=0)])
 
 
-def map_axes(
-    extent: Extent, *, bar: bool = False, margin_m: float | None = None
-) -> tuple[Figure, Axes]:
+def grown(box: Bbox, other: Bbox, most: float | None = None) -> Bbox:
+    """Return a box with another taken in, by at most ``most`` of its size a side."""
+    whole = Bbox.union([box, other])
+    if most is None:
+        return whole
+    room = box.padded(max(most * max(box.width, box.height), _LEAST_GROWTH_M))
+    return Bbox([np.maximum(whole.min, room.min), np.minimum(whole.max, room.max)])
+
+
+def map_axes(box: Bbox, *, bar: bool = False, margin_m: float | None = None) -> tuple[Figure, Axes]:
     """Return axes of the shape of a place, in metres.
 
     Args:
         bar: leave room for a colour bar next to them.
         margin_m: around the place; default: a little.
     """
-    margin = 0.03 * extent.longest + 0.2 if margin_m is None else margin_m
-    low, high = extent.low - margin, extent.high + margin
+    margin = 0.03 * max(box.width, box.height) + 0.2 if margin_m is None else margin_m
+    low, high = np.subtract(box.min, margin), np.add(box.max, margin)
     wide, tall = (float(side) for side in high - low)
     left, right, bottom, top = 0.5, (0.72 if bar else 0.08), 0.4, 0.03
     width = WIDTH_IN - left - right
@@ -338,20 +323,19 @@ def draw_cells(axes: Axes, colours: npt.NDArray[np.uint8], side_m: float, corner
     axes.set_ylim(limits[1])
 
 
-def cells_extent(shape: tuple[int, ...], side_m: float, corner: Pose2) -> Extent:
+def cells_extent(shape: tuple[int, ...], side_m: float, corner: Pose2) -> Bbox:
     """Return the box of an image of cells; see ``draw_cells``."""
     tall, wide = side_m * shape[0], side_m * shape[1]
-    return Extent.of(corner.transform([(0, 0), (wide, 0), (0, tall), (wide, tall)]))
+    return box_of(corner.transform([(0, 0), (wide, 0), (0, tall), (wide, tall)]))
 
 
-def place_extent(poses: F64, grid: OccupancyGrid | None, normalize: NormalizeConfig) -> Extent:
+def place_extent(poses: F64, grid: OccupancyGrid | None, normalize: NormalizeConfig) -> Bbox:
     """Return the box of poses, (N, 3) x, y, yaw, and of what the map knows, where there is one."""
-    extent = Extent.of(poses)
     if grid is None:
-        return extent
+        return box_of(poses)
     box = crop_box(trinary_cells(grid.cells, normalize) != -1)
     corner = box_origin(grid.origin, grid.resolution, box)
-    return extent.grown(cells_extent((box.height, box.width), grid.resolution, corner))
+    return grown(box_of(poses), cells_extent((box.height, box.width), grid.resolution, corner))
 
 
 def draw_grid(axes: Axes, grid: OccupancyGrid | None, normalize: NormalizeConfig) -> None:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes  # noqa: TID251
 from matplotlib.figure import Figure  # noqa: TID251
 
 from slamfusion.evaluation import (
+    FIGURES,
     REVISIT_S,
     ErrorStatistics,
     RelationErrors,
@@ -24,13 +26,10 @@ from slamfusion.report.page import Fact, Picture, Section, tables
 from slamfusion.slam.common.mapper import Series
 from slamfusion.trajectory import Trajectory
 
-FIGURES = ("mean", "std", "rmse", "median", "min", "max")
 # Distributions are drawn up to this share of the errors: the few beyond would hide the others.
 _BULK = 0.99
 # Errors below this are drawn here: a logarithmic axis has no zero.
 _LEAST = 1e-4
-# Half the columns of a picture: each shows the least and the greatest of what falls on it.
-_COLUMNS = 400
 _FEW = 50
 # No line is drawn over a time so much longer than that between most values, and than this, seconds.
 _PAUSE, _PAUSE_S = 5.0, 2.0
@@ -107,7 +106,7 @@ def _error_pictures(
         ),
         Picture(
             f"{stem}-distribution",
-            distribution_figure(values, colours, "error [m]"),
+            distribution_figure(values, colours),
             f"{title}, distribution",
             "Box: quartiles and median; whiskers: 5 % and 95 %.",
             legend=legend,
@@ -145,7 +144,7 @@ def _over_time(
             axes, (own.translation_m, np.rad2deg(own.rotation_rad)), strict=True
         ):
             if isinstance(own, TrajectoryErrors):
-                place.plot(*thinned(since_s, values), color=colour, lw=0.9)
+                place.plot(since_s, values, color=colour, lw=0.9)
                 rmse = float(np.sqrt(np.mean(values**2)))
                 place.axhline(rmse, color=colour, lw=0.7, ls=":")
                 continue
@@ -165,46 +164,16 @@ def _over_time(
     return figure
 
 
-def distribution_figure(
-    values: Mapping[str, F64], colours: Mapping[str, Rgb], label: str
-) -> Figure:
-    """Draw the share of errors below each value, and a box for each path on the same axis.
+def distribution_figure(values: Mapping[str, F64], colours: Mapping[str, Rgb]) -> Figure:
+    """Draw the share of errors in metres below each value, and on the same axis a box a path.
 
     Args:
         values: (N,) float64 errors by path, at least one each.
     """
     figure, (above, below) = stacked_axes(2, (1.5, 0.2 + 0.2 * len(values)))
     draw_shares(above, list(values.items()), colours)
-    draw_boxes(below, list(values.items()), colours)
-    label_axes(above, y="share of errors below")
-    label_axes(below, x=label)
-    return figure
-
-
-def draw_shares(
-    axes: Axes, values: Sequence[tuple[str, F64]], colours: Mapping[str, Rgb], style: str = "-"
-) -> None:
-    """Draw the share of errors below each value, up to the bulk of them; the names may repeat."""
-    for name, own in values:
-        share = np.arange(1, len(own) + 1) / len(own)
-        axes.step(
-            *thinned(np.sort(own), share),
-            where="post",
-            color=unit_rgb(colours[name]),
-            lw=1.0,
-            ls=style,
-        )
-    most = max(float(np.quantile(own, _BULK)) for _, own in values)
-    least = min(0.0, *(float(own.min()) for _, own in values))
-    axes.set_xlim(least, most + 0.05 * (most - least) or 1.0)
-    axes.set_ylim(0.0, 1.02)
-    write_note(axes, f"shown up to the {_BULK:.0%} quantile")
-
-
-def draw_boxes(axes: Axes, values: Sequence[tuple[str, F64]], colours: Mapping[str, Rgb]) -> None:
-    """Draw a box for each path, the first at the top."""
-    drawn = axes.boxplot(
-        [own for _, own in values],
+    drawn = below.boxplot(
+        list(values.values()),
         orientation="horizontal",
         whis=(5.0, 95.0),
         showfliers=False,
@@ -214,10 +183,25 @@ def draw_boxes(axes: Axes, values: Sequence[tuple[str, F64]], colours: Mapping[s
         whiskerprops={"color": INK, "lw": 0.8},
         capprops={"color": INK, "lw": 0.8},
     )
-    for box, (name, _) in zip(drawn["boxes"], values, strict=True):
+    for box, name in zip(drawn["boxes"], values, strict=True):
         box.set(facecolor=unit_rgb(colours[name]), edgecolor=INK, linewidth=0.6)
-    axes.set_yticks(range(1, len(values) + 1), [plain_text(name)[:14] for name, _ in values])
-    axes.invert_yaxis()
+    below.set_yticks(range(1, len(values) + 1), [plain_text(name)[:14] for name in values])
+    below.invert_yaxis()
+    label_axes(above, y="share of errors below")
+    label_axes(below, x="error [m]")
+    return figure
+
+
+def draw_shares(axes: Axes, values: Sequence[tuple[str, F64]], colours: Mapping[str, Rgb]) -> None:
+    """Draw the share of errors below each value, up to the bulk of them; the names may repeat."""
+    for name, own in values:
+        share = np.arange(1, len(own) + 1) / len(own)
+        axes.step(np.sort(own), share, where="post", color=unit_rgb(colours[name]), lw=1.0)
+    most = max(float(np.quantile(own, _BULK)) for _, own in values)
+    least = min(0.0, *(float(own.min()) for _, own in values))
+    axes.set_xlim(least, most + 0.05 * (most - least) or 1.0)
+    axes.set_ylim(0.0, 1.02)
+    write_note(axes, f"shown up to the {_BULK:.0%} quantile")
 
 
 # --- quantities over time -------------------------------------------------------------------------
@@ -259,9 +243,11 @@ def series_picture(
     figure, axes = stacked_axes(len(names), 1.05)
     for item, colour in zip(series, colours or [INK_RGB] * len(series), strict=True):
         place, drawn = axes[names.index(item.name)], unit_rgb(colour)
-        since, values = thinned(item.stamps_s - begin, item.values)
-        marker = "o" if len(values) <= _FEW else ""  # one value alone makes no line
-        place.plot(since, values, color=drawn, lw=0.9, marker=marker, ms=2.0)
+        marker = "o" if len(item.values) <= _FEW else ""  # one value alone makes no line
+        look: dict[str, Any] = {"color": drawn, "lw": 0.9, "marker": marker, "ms": 2.0}
+        place.plot(
+            item.stamps_s - begin, np.where(np.isfinite(item.values), item.values, np.nan), **look
+        )
         if item.limit is not None:
             place.axhline(item.limit, color=drawn, lw=0.8, ls=":")
             write_note(place, f"limit {item.limit:.4g}" if len(series) == len(names) else "")
@@ -282,22 +268,3 @@ def _span(series: Sequence[Series]) -> tuple[float, float]:
     low, high = min([0.0, *limits, float(values.min())]), max([*limits, float(values.max())])
     room = 0.06 * (high - low) or 1.0
     return low - (room if low < 0.0 else 0.0), high + room
-
-
-def thinned(x: F64, y: F64) -> tuple[F64, F64]:
-    """Return few enough points for the picture; of each run of them the least and the greatest.
-
-    Where a value of a run is not finite, the first such one is kept, too.
-    """
-    step = -(-len(x) // _COLUMNS)
-    if step <= 2:
-        return x, y
-    count = len(x) // step * step
-    rows = y[:count].reshape(-1, step)
-    known = np.isfinite(rows)
-    low = np.argmin(np.where(known, rows, np.inf), axis=1)
-    high = np.argmax(np.where(known, rows, -np.inf), axis=1)
-    gap = np.where(known.all(axis=1), low, np.argmin(known, axis=1))
-    kept = np.stack((low, high, gap), axis=1) + step * np.arange(len(rows))[:, None]
-    kept = np.append(np.unique(kept), np.arange(count, len(x)))
-    return x[kept], y[kept]

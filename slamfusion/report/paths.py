@@ -23,10 +23,11 @@ from slamfusion.report.canvas import (
     INK,
     MARKS,
     SMALL_PT,
-    Extent,
     Legend,
+    box_of,
     draw_grid,
     draw_marks,
+    grown,
     map_axes,
     place_extent,
     unit_rgb,
@@ -147,9 +148,9 @@ def paths_picture(
     shown = [other for other in others if len(other)]
     extent = place_extent(marked.poses, grid, normalize)
     for line in sorted(lines, key=lambda line: line.is_cut):
-        extent = extent.grown(Extent.of(line.path.poses), _DRIFT_SHARE if line.is_cut else None)
+        extent = grown(extent, box_of(line.path.poses), _DRIFT_SHARE if line.is_cut else None)
     for other in shown:
-        extent = extent.grown(Extent.of(other.poses), _DRIFT_SHARE)
+        extent = grown(extent, box_of(other.poses), _DRIFT_SHARE)
     figure, axes = map_axes(extent)
     draw_grid(axes, grid, normalize)
     _draw_others(axes, shown, _others_rgb(marked.name))

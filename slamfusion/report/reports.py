@@ -10,7 +10,7 @@ from pathlib import Path
 from slamfusion.align.records import Alignment
 from slamfusion.config import PICTURE_FORMS, RunConfig
 from slamfusion.errors import MapFileError
-from slamfusion.evaluation import MapError, RelationErrors, trajectory_errors
+from slamfusion.evaluation import MapError, RelationErrors, how_counted, trajectory_errors
 from slamfusion.evidence.predictive import PathEvidence
 from slamfusion.evidence.recommendation import Recommendation
 from slamfusion.fusion.path_check import moved_path
@@ -180,7 +180,8 @@ def write_trajectory_report(
         by_path += [error_facts(item) for item in measured]
         words: dict[str, list[str]] = {}
         for item in measured:
-            words.setdefault(_how_counted(item), []).append(item.name)
+            counted = how_counted(item.truth, item.relations, item.at_scans)
+            words.setdefault("; ".join(counted) + ".", []).append(item.name)
         lines += [(f"{case}, {', '.join(names)}:", text) for text, names in words.items()]
     # The leading error of each path comes first.
     facts = [fact for row in zip_longest(*by_path) for fact in row if fact is not None]
@@ -237,25 +238,6 @@ def _headline(cases: Mapping[str, Sequence[MeasuredPath]]) -> str:
     kind = "from the truth (ATE rmse)" if truth else "off the relations (mean)"
     place = f", the nearest of {len(errors_m)}" if len(errors_m) > 1 else ""
     return f"{best}: {errors_m[best]:.4f} m {kind}{place}"
-
-
-def _how_counted(item: MeasuredPath) -> str:
-    """Return which poses and relations the numbers rest on."""
-    words = []
-    if item.relations is not None:
-        own = item.relations
-        words.append(
-            f"{own.relations_used} of {own.relations_total} of {own.relations}, poses within "
-            f"{own.tolerance_s:g} s of both times."
-        )
-    if item.truth is not None:
-        errors = item.truth
-        aligned = "aligned" if errors.alignment.kind == "se2" else "not aligned"
-        words.append(
-            f"{errors.poses_matched} of {errors.poses} poses have one of {errors.truth} within "
-            f"{errors.tolerance_s:g} s; {aligned}."
-        )
-    return " ".join(words)
 
 
 # --- maps -----------------------------------------------------------------------------------------

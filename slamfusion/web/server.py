@@ -26,7 +26,7 @@ import json
 import secrets
 import socket
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import MISSING, dataclass, field
 from pathlib import Path, PurePath
 from typing import Literal
@@ -90,47 +90,30 @@ class PageMessageError(SlamFusionError):
 
 
 @dataclass(frozen=True)
-class Hello(Checked):
-    """The first message of a page: its token, and what it has from a connection before."""
+class PageMessage(Checked):
+    """A message of a page; see the module."""
 
+    type: Literal["hello", "seen", "command"] = option(MISSING, "what is said")
     token: str = ""
     scene: str = ""
     seq: int = option(0, "newest number that the page has", low=0)
-
-
-@dataclass(frozen=True)
-class Seen(Checked):
-    """The page has taken everything up to ``seq``."""
-
-    seq: int = option(0, "newest number that the page has", low=0)
-
-
-@dataclass(frozen=True)
-class Command(Checked):
-    """The page asks for something; ``id`` comes back with the answer."""
-
-    name: Literal["save", "reset"] = option(MISSING, "what to do")
+    name: Literal["", "save", "reset"] = option("", "what to do")
     id: int = option(0, "of the question", low=0)
 
 
-KINDS: Mapping[str, type[Hello | Seen | Command]] = {
-    "hello": Hello,
-    "seen": Seen,
-    "command": Command,
-}
-
-
-def parse_message(text: str) -> Hello | Seen | Command:
+def parse_message(text: str) -> PageMessage:
     """Return what a page says.
 
     Raises:
         PageMessageError: it is nothing of the protocol.
     """
     try:
-        found = json.loads(text)
-        return from_mapping(KINDS[found.pop("type")], found)
+        said = from_mapping(PageMessage, json.loads(text))
     except (ValueError, TypeError, AttributeError, LookupError, RecursionError, ConfigError):
         raise PageMessageError("no message of our page") from None
+    if said.type == "command" and not said.name:
+        raise PageMessageError("a command without a name")
+    return said
 
 
 # --- who may ask ----------------------------------------------------------------------------------
@@ -319,7 +302,7 @@ class PageServer:
 
     async def _serve(self, ws: WebSocket, viewer: _Viewer) -> None:
         hello = parse_message(await asyncio.wait_for(ws.receive_text(), HELLO_S))
-        if not isinstance(hello, Hello):
+        if hello.type != "hello":
             return
         may = self._command is not None and hmac.compare_digest(
             hello.token.encode("utf-8", "replace"), self._token.encode()
@@ -366,15 +349,15 @@ class PageServer:
         """Take what the page says."""
         while True:
             said = parse_message(await ws.receive_text())
-            if isinstance(said, Seen):
+            if said.type == "seen":
                 viewer.seen = max(viewer.seen, said.seq)
                 viewer.has_seen.set()
-            elif isinstance(said, Command):
+            elif said.type == "command":
                 success, text = await self._obey(said, may_command=may_command)
                 answer = {"id": said.id, "success": success, "message": text}
                 await ws.send_text(to_text("answer", answer))
 
-    async def _obey(self, said: Command, *, may_command: bool) -> Answer:
+    async def _obey(self, said: PageMessage, *, may_command: bool) -> Answer:
         """Carry out a command, where the page may command."""
         if not may_command or self._command is None:
             return False, "this page may only look: open the address with its token"

@@ -198,8 +198,8 @@ def test_the_report_of_a_trajectory_says_what_its_numbers_rest_on(tmp_path: Path
     cases = {"round": [measured("graph", 0.1)]}
     truths = {"round": in_room()}
     page = write_trajectory_report(tmp_path, cases, config=CONFIG, truths=truths).read_text("utf-8")
-    assert "60 of 60 poses have one of round within 0.01 s; not aligned." in page
-    assert "2 of 99 of b, poses within 0.01 s of both times." in page
+    assert "60 of 60 poses met one of round within 0.01 s, not aligned; 59 pairs." in page
+    assert "2 of 99 relations used, poses within 0.01 s of both times; " in page
     assert "revisits, translation m" in page
 
 
@@ -221,7 +221,7 @@ def test_several_paths_share_their_figures_and_the_nearest_leads(tmp_path: Path)
 def test_a_distribution_shows_the_bulk_and_a_box_for_each_path() -> None:
     errors = {"a": np.append(np.linspace(0.0, 1.0, 999), 50.0), "b": np.linspace(1.0, 2.0, 100)}
     colours = {"a": NAMED["graph"], "b": NAMED["gmapping"]}
-    above, below = distribution_figure(errors, colours, "error [m]").axes
+    above, below = distribution_figure(errors, colours).axes
     assert above.get_xlim()[1] == pytest.approx(1.05 * 1.99)  # not the one error of 50 m
     assert [label.get_text() for label in below.get_yticklabels()] == ["a", "b"]
     assert below.get_xlim() == above.get_xlim()
