@@ -12,7 +12,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import numpy.typing as npt
-from slamfusion.report.plots import overlay_rgb
 
 from slamfusion.compute import open_device
 from slamfusion.config import FusionConfig, NormalizeConfig
@@ -21,6 +20,7 @@ from slamfusion.grid import trinary_cells
 from slamfusion.io import load_map, write_atomic
 from slamfusion.palette import NAMED, Rgb, colours_of
 from slamfusion.report.canvas import Classes
+from slamfusion.report.maps import overlay_rgb
 
 DATA = Path(__file__).resolve().parent
 NAMES = ("map_a", "map_b", "map_c")

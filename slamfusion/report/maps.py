@@ -128,7 +128,12 @@ def overlay_picture(
     """
     box = box or crop_box(np.any([layer != -1 for layer in layers], axis=0))
     shown = [shown_cells(layer, resolution, origin, box) for layer in layers]
-    pooled = np.array([cells for cells, _, _ in shown])
+    return _cells_figure(overlay_rgb([cells for cells, _, _ in shown], colours), *shown[0][1:])
+
+
+def overlay_rgb(layers: Sequence[Classes], colours: Sequence[Rgb]) -> npt.NDArray[np.uint8]:
+    """Return the colours of ``overlay_picture``, (H, W, 3)."""
+    pooled = np.array(layers)
     walls = (pooled == 1)[..., None]
     count = walls.sum(axis=0)
     own = (walls * np.array(colours, dtype=np.float64)[:, None, None]).sum(axis=0)
@@ -136,8 +141,7 @@ def overlay_picture(
     wall = own / np.maximum(count, 1) * (1.0 - dark) + np.array(WALL_RGB) * dark
     known = np.mean(pooled != -1, axis=0)[..., None]
     ground = np.array(UNKNOWN_RGB) * (1.0 - known) + np.array(FREE_RGB) * known
-    rgb = np.asarray(np.rint(np.where(count > 0, wall, ground)), dtype=np.uint8)
-    return _cells_figure(rgb, *shown[0][1:])
+    return np.asarray(np.rint(np.where(count > 0, wall, ground)), dtype=np.uint8)
 
 
 def agreement_picture(agreement: OccupancyGrid, box: CellBox | None = None) -> Figure:
