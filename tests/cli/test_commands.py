@@ -154,21 +154,6 @@ def test_like_paper_names_what_the_box_of_the_smallest_map_leaves_out(tmp_path: 
     assert document["left_out_m2"] == {}
 
 
-def test_two_strangers_fuse_nothing_and_report_why(tmp_path: Path, stranger: Path) -> None:
-    report = tmp_path / "report"
-    done = run_here("fuse", MAPS[0], stranger, "-o", tmp_path / "out", "--report", report, "--json")
-    assert done.returncode == 1
-    assert "map_a" in done.stderr
-    assert "stranger" in done.stderr
-    document = json_of(done)
-    assert document["fused"] is None
-    assert document["fused_count"] == 0
-    assert len(document["pairs"]) == 1
-    assert all(not item["accepted"] and item["reason"] for item in document["inputs"])
-    assert list(report.glob("*.html"))
-    assert not list(tmp_path.glob("*.yaml"))
-
-
 def test_a_fusion_that_fails_leaves_the_earlier_map_and_report(
     tmp_path: Path, stranger: Path
 ) -> None:
@@ -190,24 +175,6 @@ def test_same_stems_get_distinct_names(tmp_path: Path) -> None:
     done = run("fuse", "a/map.yaml", "b/map.yaml", "-o", "out", "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert [item["name"] for item in json_of(done)["inputs"]] == ["a/map", "b/map"]
-
-
-def test_a_map_given_twice_has_one_vote_and_is_named(tmp_path: Path) -> None:
-    done = run_here("fuse", *MAPS[:2], MAPS[0], "-o", tmp_path / "out", "--json")
-    assert done.returncode == 0, done.stderr
-    (line,) = done.stderr.splitlines()
-    assert line.startswith("slamfusion: map_a#2: the same map as map_a")
-    document = json_of(done)
-    assert document["copies"] == {"map_a#2": "map_a"}
-    assert document["fused_count"] == 2
-    assert document["inputs"][2]["reason"] in line
-
-
-def test_bare_images_take_the_resolution_option(tmp_path: Path) -> None:
-    images = [SAMPLE / "map_a.pgm", SAMPLE / "map_b.pgm"]
-    done = run_here("fuse", *images, "-o", tmp_path / "out", "--resolution", "0.05", "--json")
-    assert done.returncode == 0, done.stderr
-    assert json_of(done)["fused_count"] == 2
 
 
 def test_options_override_the_config_file(tmp_path: Path) -> None:

@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
-import signal
-import subprocess
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from slamfusion.grid import OccupancyGrid
-from slamfusion.io import load_map, read_trajectory, save_map, write_carmen, write_tum
+from slamfusion.io import load_map, read_trajectory, write_carmen, write_tum
 from slamfusion.trajectory import Trajectory
-from tests.cli.command import INSTALLED, assert_one_line_failure, json_of, run, tree
-from tests.cli.run_folder import MAPS_OF_FUSION, a_producer_of, files_of, outputs
+from tests.cli.command import assert_one_line_failure, json_of, run, tree
+from tests.cli.run_folder import MAPS_OF_FUSION, files_of, outputs
 from tests.slam.drives import drive
 from tests.support.datasets import ABSENT, DATASETS
 from tests.support.documents import check_document
@@ -161,34 +157,6 @@ def test_the_tables_name_the_same_and_the_vote_is_that_of_fuse(
     assert np.array_equal(again.cells, fused.cells)
 
 
-@pytest.mark.full  # tests of side_by_side, run_log and its page kill one, too
-def test_a_killed_producer_is_named_and_the_others_are_fused(place: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    started = subprocess.Popen(
-        [INSTALLED, "run", place / "flat.log", "-o", out, "--json", "--processes", "3"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    os.kill(a_producer_of(started.pid), signal.SIGKILL)
-    stdout, stderr = started.communicate(timeout=180)
-    assert started.returncode == 0, stderr
-    document = json_of(subprocess.CompletedProcess(started.args, 0, stdout, stderr))
-    failed = [record for record in document["producers"] if record["failed"]]
-    (record,) = failed
-    assert "killed by SIGKILL" in record["failed"]
-    assert record["scans"] is None
-    assert record["files"] == []
-    assert f"no map: {record['name']}: its process was killed by SIGKILL" in stderr
-    others = [name for name in NAMES if name != record["name"]]
-    assert document["fused_count"] == 2
-    assert [item["name"] for item in document["inputs"]] == others
-    assert outputs(out) == files_of(*others) | MAPS_OF_FUSION
-    html = (out / "report" / "report.html").read_text(encoding="utf-8")
-    assert "Only 2 of 3 maps were fused" in html
-    assert f"{record['name']} made no map:" in html
-
-
 def test_a_run_that_fuses_nothing_leaves_the_earlier_results(
     made: tuple[Path, dict[str, Any]], place: Path, tmp_path: Path
 ) -> None:
@@ -207,25 +175,6 @@ def test_a_run_that_fuses_nothing_leaves_the_earlier_results(
     assert "Nothing was fused" in html
     shown = {path.name for path in (out / "failed" / "report").glob("*.png")}
     assert len(shown) == html.count("<img ")
-
-
-@pytest.mark.full  # a run that fuses nothing: above; --require-all: tests of jobs and of fuse
-def test_require_all_fuses_nothing_without_everyone(
-    made: tuple[Path, dict[str, Any]], place: Path, tmp_path: Path
-) -> None:
-    out = tmp_path / "out"
-    shutil.copytree(made[0], out)
-    empty = np.full((20, 20), -1, dtype=np.int8)
-    save_map(OccupancyGrid(empty, 0.05), tmp_path / "blank")
-    arguments = ("run", place / "flat.log", *TWO, "--inputs", tmp_path / "blank.yaml", "-o", out)
-    before = tree(out)
-    done = run(*arguments, "--require-all")
-    assert done.returncode == 1
-    assert "--require-all, but rejected: blank" in done.stderr
-    assert tree(out).items() >= before.items()
-    assert outputs(out / "failed") == files_of("tinyslam", "graph")
-    html = (out / "failed" / "report" / "report.html").read_text(encoding="utf-8")
-    assert "Do not use this map" in html
 
 
 @pytest.mark.parametrize(

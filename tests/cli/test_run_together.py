@@ -5,10 +5,8 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import shutil
 import signal
 import subprocess
-import time
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +16,7 @@ import pytest
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import load_map, read_trajectory, save_map, write_carmen
 from tests.cli.command import INSTALLED, json_of, server, tree, without_progress
-from tests.cli.run_folder import MAPS_OF_FUSION, a_producer_of, files_of, outputs, producers_of
+from tests.cli.run_folder import MAPS_OF_FUSION, a_producer_of, files_of, outputs
 from tests.slam.drives import CELL_M, draw_flat, drive
 
 pytestmark = pytest.mark.once
@@ -105,53 +103,9 @@ def test_two_runs_at_once_leave_the_files_of_one(
     assert Path(record["log"]).name in (out / "report" / "report.html").read_text(encoding="utf-8")
 
 
-@pytest.fixture
-def a_vote(place: Path) -> tuple[str | Path, ...]:
-    """The cheapest run that fuses: one producer and a saved map."""
-    return ("run", place / "flat.log", "--inputs", place / "saved.yaml", "--producers", "graph")
-
-
-def is_at(stage: str, process: int, folder: Path) -> bool:
-    """Whether a run, whose producers were seen, is in a later stage."""
-    if stage == "report":
-        return any(folder.glob(".slamfusion-*.tmp"))
-    return not producers_of(process)
-
-
 def own_words(stderr: str) -> str:
     """Return what a command itself said; a compiler of kernels that is interrupted says so, too."""
     return without_progress(stderr).removeprefix("1 error generated.\n")
-
-
-@pytest.mark.full  # files that are half written: tests/io/test_killed.py; an interrupt: below
-@pytest.mark.parametrize("stage", ["report"])
-def test_an_interrupt_is_one_line_and_leaves_the_earlier_results(
-    at_once: tuple[Path, dict[str, dict[str, Any]]],
-    a_vote: tuple[str | Path, ...],
-    tmp_path: Path,
-    stage: str,
-) -> None:
-    """As a terminal sends it: to the command and to all that it has started."""
-    out = tmp_path / "out"
-    shutil.copytree(at_once[0], out)
-    before = tree(tmp_path)
-    started = subprocess.Popen(
-        [*HEARING, INSTALLED, *a_vote, "-o", out],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
-    producer = a_producer_of(started.pid)
-    end_s = time.monotonic() + 60.0
-    while not is_at(stage, started.pid, out) and time.monotonic() < end_s:
-        time.sleep(0.01)
-    os.killpg(started.pid, signal.SIGINT)
-    stdout, stderr = started.communicate(timeout=60)
-    assert (started.returncode, stdout) == (130, "")
-    assert own_words(stderr) == "slamfusion: interrupted\n"
-    assert not Path(f"/proc/{producer}").exists()
-    assert tree(tmp_path) == before
 
 
 def test_a_run_interrupted_in_its_producers_leaves_no_folder(place: Path, tmp_path: Path) -> None:

@@ -9,7 +9,6 @@ import pytest
 
 from slamfusion.cli import results
 from slamfusion.cli.output import Table
-from tests.cli.command import MAPS, TRUTH, run
 
 pytestmark = pytest.mark.once
 
@@ -53,16 +52,3 @@ def test_latex_escapes_what_would_be_a_command(tmp_path: Path) -> None:
     lines = written(tmp_path / "out.tex", TABLE, TABLE)
     assert lines.count(r"\begin{tabular}{lrrl}") == 2
     assert r"c\_d \& 50\% \textbackslash input\{x\} \#\$ & +2 & @x & =no \\" in lines
-
-
-def test_a_command_writes_what_it_prints(tmp_path: Path) -> None:
-    words = ("evaluate", MAPS[0], MAPS[1], "--truth", TRUTH, "--device", "numpy", "--no-align")
-    done = run(*words, "--table", tmp_path / "out.csv")
-    assert done.returncode == 0, done.stderr
-    (tmp_path / "out-2.csv").unlink()
-    with (tmp_path / "out.csv").open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    assert [row["map"] for row in rows] == ["map_a", "map_b"]
-    assert all(float(row["error"]) > 0.0 for row in rows)
-    for more in (("--table", "x.xlsx"), ("--table", "x.csv", "--json")):
-        assert run(*words, *more, cwd=tmp_path).returncode == 2

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.cli.command import assert_one_line_failure, json_of, run
+from tests.cli.command import json_of, run
 
 pytestmark = pytest.mark.once
 
@@ -105,26 +105,3 @@ def test_options_decide_how_errors_are_counted(files: dict[str, Path]) -> None:
     assert document["ate"]["rmse"] < 0.1
     assert document["alignment"]["kind"] == "se2"
     assert document["config"]["trajectory"]["rpe_unit"] == "m"
-
-
-def spoil(path: Path, text: str) -> None:
-    path.write_text(text, encoding="ascii")
-
-
-@pytest.mark.parametrize(
-    ("name", "text", "words"),
-    [
-        ("relations", "1 2 3\n", ("run.relations", "line 1", "3 columns")),
-        ("relations", "70 80 0 0 0 0 0 0\n", ("none of the 1 relations", "0.000", "80.000")),
-        ("odometry", "900 0 0 0\n", ("slam", "900.000", "one run")),
-        ("truth", "50 0 0 0 0 0 0 1\n51 0 0 0 0 0 0 1\n", ("at least two", "50.000", "0.000")),
-    ],
-)
-def test_bad_input_is_one_line(
-    files: dict[str, Path], tmp_path: Path, name: str, text: str, words: tuple[str, ...]
-) -> None:
-    spoil(files[name], text)
-    asked = options(files, "relations", "odometry", "truth")
-    done = run("trajectory", files["estimate"], *asked, "--report", tmp_path / "report")
-    assert_one_line_failure(done, *words)
-    assert not (tmp_path / "report").exists()

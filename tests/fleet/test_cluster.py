@@ -108,24 +108,13 @@ def test_a_killed_worker_costs_a_retry_and_not_a_byte(
 
 
 @pytest.mark.full
-def test_maps_fused_by_workers_are_the_same_bytes_also_when_one_is_killed(
+def test_maps_fused_by_processes_and_workers_are_the_same_bytes(
     cluster: Executor, device: ComputeDevice
 ) -> None:
     wanted = outcome(fuse_maps(SITE, CONFIG, device).result)
-    victims: list[int] = []
-
-    def kill_one(_: str, done: int, __: int) -> None:
-        """Kill a worker when the second pair is asked for, which both are busy with."""
-        if done == 2 and not victims:
-            victims.append(cluster.submit(os.getpid).result())
-            os.kill(victims[0], signal.SIGKILL)
-
     with executor_for(processes=2) as processes:
         for executor in (processes, cluster):
             assert outcome(fuse_maps(SITE, CONFIG, device, executor=executor).result) == wanted
-    fused = fuse_maps(SITE, CONFIG, device, executor=cluster, progress=kill_one)
-    assert victims
-    assert outcome(fused.result) == wanted
 
 
 def _work_until(where: str, something_happens: Callable[[], object]) -> None:
