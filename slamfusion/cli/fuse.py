@@ -9,17 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slamfusion.cli.help import Choice, Command
+from slamfusion.cli.help import Choice, Command, Number
 from slamfusion.cli.options import (
     GivenStarts,
-    asked_executor,
     check_report,
     common_options,
     file_option,
     map_resolution_option,
     open_option,
     output_option,
-    processes_option,
     report_option,
     scheduler_option,
     start_errors,
@@ -79,6 +77,12 @@ def _files(out: Path, given: Mapping[str, Any]) -> list[Path]:
     ]
 
 
+def _check_workers(scheduler: str | None, processes: int | None) -> None:
+    if scheduler is not None and processes is not None:
+        message = "--scheduler and --processes: give one of them; --scheduler local:N has processes"
+        raise click.UsageError(message)
+
+
 def _report_folders(folder: Path, _: Mapping[str, Any]) -> list[Path]:
     return [folder, folder / FAILED]
 
@@ -120,7 +124,12 @@ def _report_folders(folder: Path, _: Mapping[str, Any]) -> list[Path]:
 )
 @map_resolution_option
 @scheduler_option("the alignments")
-@processes_option("the alignments")
+@click.option(
+    "--processes",
+    type=Number(int, 1, 64),
+    metavar="N",
+    help="Run the alignments in this number of processes.",
+)
 @with_config(
     "fusion",
     "fusion.normalize",
@@ -156,6 +165,7 @@ def command(
     named and left out; at least two must fit. The fused map covers all maps that fit, in the frame
     of the first of them.
     """
+    from slamfusion.fleet import executor_for  # noqa: PLC0415
     from slamfusion.jobs.fuse import (  # noqa: PLC0415
         check_count,
         check_stores,
@@ -165,6 +175,7 @@ def command(
     )
     from slamfusion.jobs.fuse_documents import failed_fuse_document  # noqa: PLC0415
 
+    _check_workers(scheduler, processes)
     config, store = with_starts(config, starts), out if out.suffix == STORE_END else None
     check_count(maps)
     check_report(report_dir)
@@ -185,7 +196,7 @@ def command(
     try:
         with (
             start_errors(starts),
-            asked_executor(scheduler, config, processes) as executor,
+            executor_for(scheduler, processes, config.device.device) as executor,
             progress_bar() as progress,
         ):
             fused = fuse_maps(

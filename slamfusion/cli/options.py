@@ -7,10 +7,9 @@ import functools
 import math
 import typing
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import click
 
@@ -41,9 +40,6 @@ from slamfusion.config import (
 from slamfusion.errors import ConfigError, StartError
 from slamfusion.jobs.inputs import PixelSizes
 from slamfusion.jobs.outputs import possible_report
-
-if TYPE_CHECKING:
-    from concurrent.futures import Executor
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -351,7 +347,7 @@ def _override(config: RunConfig, given: Sequence[tuple[ConfigOption, Any]]) -> R
         raise click.BadParameter(text) from None
 
 
-# --- --scheduler and --processes ------------------------------------------------------------------
+# --- --scheduler ----------------------------------------------------------------------------------
 
 
 def scheduler_option(tasks: str) -> Callable[[F], F]:
@@ -376,29 +372,6 @@ def scheduler_option(tasks: str) -> Callable[[F], F]:
         help=f"Run {tasks} on a Dask cluster: local or local:N (N processes on this machine), or "
         "tcp://HOST:PORT or tls://HOST:PORT, a running scheduler.",
     )
-
-
-def processes_option(tasks: str) -> Callable[[F], F]:
-    """Return the option ``--processes`` of a command whose settings have none."""
-    return click.option(
-        "--processes",
-        "processes",
-        type=Number(int, 1, 64),
-        metavar="N",
-        help=f"Run {tasks} in this number of processes.",
-    )
-
-
-def asked_executor(
-    where: str | None, config: RunConfig, processes: int | None
-) -> AbstractContextManager[Executor | None]:
-    """Open what the options ask for; see ``executor_for``."""
-    if where is not None and processes is not None:
-        message = "--scheduler and --processes: give one of them; --scheduler local:N has processes"
-        raise click.UsageError(message)
-    from slamfusion.fleet import executor_for  # noqa: PLC0415
-
-    return executor_for(where, processes, config.device.device)
 
 
 # --- --seeds --------------------------------------------------------------------------------------

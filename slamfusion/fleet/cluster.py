@@ -40,12 +40,7 @@ ANSWER_S, WORKERS_S = 5.0, 5.0
 
 @contextlib.contextmanager
 def dask_executor(where: str, processes: int | None, device: str) -> Iterator[Executor]:
-    """Connect to a cluster, or start one of this machine; see ``executor_for``.
-
-    Args:
-        where: the scheduler's address, or what it is called.
-        processes: of a cluster of this machine; None: connect to ``where``.
-    """
+    """Connect to a cluster, or start one of this machine with processes; see ``executor_for``."""
     for name in ("distributed", "distributed.client", "tornado.application"):
         logging.getLogger(name).setLevel(logging.CRITICAL)  # what is wrong is told in a sentence
     with contextlib.ExitStack() as ends:
@@ -72,11 +67,7 @@ def _gone(where: str) -> str:
 
 
 class _Workers(ClientExecutor):  # type: ignore[misc]  # Dask has no types
-    """Executor of a Dask client.
-
-    Attributes:
-        slots: the workers that there are: each does one task at a time.
-    """
+    """Executor of a Dask client; its ``slots`` are workers, which do one task at a time."""
 
     def __init__(self, client: Any, where: str) -> None:
         super().__init__(client)

@@ -127,11 +127,7 @@ def add_legend(figure: Figure, handles: Sequence[Any], texts: Sequence[str], col
 
 
 def to_form(figure: Figure, form: str) -> bytes:
-    """Return the figure as the bytes of a file; the same figure always gives the same bytes.
-
-    Args:
-        form: ``png``, ``svg`` or ``pdf``; the text of the last two stays text.
-    """
+    """Return the bytes of a PNG, SVG or PDF file; the same figure always gives the same bytes."""
     buffer = io.BytesIO()
     FigureCanvasAgg(figure)
     # Maps are large flat areas: a higher level takes four times as long for a few percent.
@@ -206,12 +202,7 @@ def grown(box: Bbox, other: Bbox, most: float | None = None) -> Bbox:
 
 
 def map_axes(box: Bbox, *, bar: bool = False, margin_m: float | None = None) -> tuple[Figure, Axes]:
-    """Return axes of the shape of a place, in metres.
-
-    Args:
-        bar: leave room for a colour bar next to them.
-        margin_m: around the place; default: a little.
-    """
+    """Return axes of the shape of a place, in metres; ``bar`` leaves room for a colour bar."""
     margin = 0.03 * max(box.width, box.height) + 0.2 if margin_m is None else margin_m
     low, high = np.subtract(box.min, margin), np.add(box.max, margin)
     wide, tall = (float(side) for side in high - low)
@@ -299,13 +290,9 @@ def shown_cells(
 
 
 def draw_cells(axes: Axes, colours: npt.NDArray[np.uint8], side_m: float, corner: Pose2) -> None:
-    """Draw an image of cells in the map frame, row 0 at the bottom; beyond it nothing is known.
+    """Draw an image of cells, (h, w, 3 or 4) uint8, with the lower-left corner of [0, 0] at a pose.
 
-    Args:
-        axes: keep their limits.
-        colours: (h, w, 3) or (h, w, 4) uint8.
-        side_m: of a pixel, metres.
-        corner: pose of the lower-left corner of pixel [0, 0] in the map frame.
+    The axes keep their limits; beyond the image nothing is known.
     """
     height, width = colours.shape[:2]
     turned = Affine2D().rotate(corner.yaw_rad).translate(corner.x, corner.y)

@@ -37,12 +37,7 @@ _PAUSE, _PAUSE_S = 5.0, 2.0
 
 @dataclass(frozen=True, eq=False)
 class MeasuredPath:
-    """A path and its errors; None where they were not measured.
-
-    Attributes:
-        path: at least one pose.
-        at_scans: those between poses of the path itself.
-    """
+    """A path of at least one pose, and its errors; None where they were not measured."""
 
     name: str
     path: Trajectory
@@ -54,11 +49,7 @@ class MeasuredPath:
 def errors_section(
     measured: Sequence[MeasuredPath], colours: Mapping[str, Rgb], case: str = ""
 ) -> list[Section]:
-    """Return the errors of paths of one drive as figures and a table; empty if none was measured.
-
-    Args:
-        case: the drive, where a page has several; empty: it has one.
-    """
+    """Return the errors of paths of one drive; its name is empty where a page has no other."""
     rows, pictures = [], []
     for item in measured:
         kinds = error_kinds(item.truth, item.relations, item.at_scans)

@@ -29,11 +29,7 @@ _LEAST_GAP_M = 0.01
 def evidence_section(
     answer: Recommendation, evidence: PathEvidence, page: Mapping[str, Rgb] | None = None
 ) -> Section:
-    """Return the reasons of a recommendation: each path's score over the drive, and its figures.
-
-    Args:
-        page: the colours of the paths elsewhere on the page, by name; default: there are none.
-    """
+    """Return the reasons of a recommendation, in the colours that the page gives the paths."""
     colours = path_colours(answer, evidence, page or {})
     picture = Picture(
         "evidence",

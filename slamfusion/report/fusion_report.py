@@ -150,10 +150,7 @@ def _weak(result: FusionResult) -> list[tuple[str, str]]:
 
 
 def fusion_facts(result: FusionResult, failed: int = 0) -> list[Fact]:
-    """Return how many maps were fused, of those that failed to be made too, and what they agree on.
-
-    A copy of another map does not count.
-    """
+    """Return how many maps, without copies, were fused of all and of the failed ones."""
     total, fused = len(result.inputs) - len(result.copies) + failed, len(result.accepted)
     area = float(np.count_nonzero(result.fused.cells != -1)) * result.fused.resolution**2
     agreement = result.agreement.cells[result.agreement.cells >= 0]
@@ -190,9 +187,7 @@ def fused_section(
 ) -> Section:
     """Return the fused map, the inputs over each other, and where they agree.
 
-    Args:
-        box: cells of the fused lattice to draw.
-        paths, places: see ``fusion_layers``; the places are numbered on the fused map.
+    For ``paths`` and ``places`` see ``fusion_layers``; the places are numbered on the fused map.
     """
     fused = result.fused
     drawn = map_picture(_classes(fused), fused.resolution, fused.origin, box)

@@ -91,11 +91,7 @@ def map_layers(grid: OccupancyGrid, path: Trajectory) -> Layers:
 
 
 def error_layers(evaluations: Sequence[MapError]) -> Layers:
-    """Return the truth and maps as far as their differences give them; the first map is shown.
-
-    Args:
-        evaluations: at least one, all against one truth.
-    """
+    """Return the one truth of maps, and the maps as far as their differences give them."""
     first = evaluations[0]
     differences = {item.name: item.difference for item in evaluations}
     truth, grids = maps_of_differences(differences, first.resolution, first.origin)

@@ -96,14 +96,11 @@ def map_picture(
     box: CellBox | None = None,
     outvoted: npt.NDArray[np.bool_] | None = None,
 ) -> Figure:
-    """Draw one map: walls dark, free white, unknown grey; cropped to what is known.
+    """Draw a map of cells in {-1, 0, 1}, (H, W) int8; its origin's yaw turns the picture.
 
     Args:
-        cells: (H, W) int8 in {-1, 0, 1}.
-        resolution: metres per cell.
-        origin: pose of the lower-left corner of cell [0, 0]; its yaw turns the picture.
         box: cells to show; default: what is known, with a small margin.
-        outvoted: (H, W) bool, cells that are marked; default: none.
+        outvoted: (H, W) bool, cells that are marked.
     """
     codes = cells if outvoted is None else np.where(outvoted, np.int8(2), cells)
     colours = (UNKNOWN_RGB, FREE_RGB, WALL_RGB, DISAGREEMENT_RGB)
@@ -122,9 +119,7 @@ def overlay_picture(
     A wall of one map has its colour, darker where more have one, of all that of a wall. Other cells
     are the whiter, the more of the maps know them.
 
-    Args:
-        layers: (H, W) int8 each, in {-1, 0, 1}, one lattice.
-        resolution, origin, box: see ``map_picture``.
+    All are on one lattice; see ``map_picture``.
     """
     box = box or crop_box(np.any([layer != -1 for layer in layers], axis=0))
     shown = [shown_cells(layer, resolution, origin, box) for layer in layers]
@@ -145,12 +140,7 @@ def overlay_rgb(layers: Sequence[Classes], colours: Sequence[Rgb]) -> npt.NDArra
 
 
 def agreement_picture(agreement: OccupancyGrid, box: CellBox | None = None) -> Figure:
-    """Draw the share of votes for the winner of each cell, light where all agree.
-
-    Args:
-        agreement: 0 to 100 percent, -1 without votes.
-        box: see ``map_picture``.
-    """
+    """Draw the share of votes for the winner of each cell, in percent, light where all agree."""
     # The worst cell of a block counts: disagreement must not vanish in a small picture.
     cells = agreement.cells
     disagreement = np.where(cells < 0, -1, 100 - cells.astype(np.int16)).astype(np.int8)
@@ -219,9 +209,8 @@ def judged_picture(
     stem: str, figure: Figure, title: str, alignment: Alignment, legend: Legend, lead: str = ""
 ) -> Picture:
     """Return the picture of an alignment, framed and marked if it was rejected."""
-    is_bad = not alignment.accepted
-    tone, badge = ("bad", "rejected") if is_bad else ("plain", "")
-    return Picture(stem, figure, title, f"{lead}{alignment.reason}", tone, badge, legend)
+    badge = "" if alignment.accepted else "rejected"
+    return Picture(stem, figure, title, f"{lead}{alignment.reason}", badge=badge, legend=legend)
 
 
 def input_picture(
@@ -231,17 +220,15 @@ def input_picture(
     classes = trinary_cells(grid.cells, normalize)
     size = f"{grid.width} x {grid.height} cells of {grid.resolution:g} m"
     figure = map_picture(classes, grid.resolution, grid.origin)
-    caption = size if rejected is None else f"{size}. Rejected: {rejected}"
-    tone, badge = ("plain", "") if rejected is None else ("bad", "rejected")
-    return Picture(f"input-{grid.name}", figure, grid.name, caption, tone, badge, MAP_LEGEND)
+    caption, badge = (
+        (size, "") if rejected is None else (f"{size}. Rejected: {rejected}", "rejected")
+    )
+    stem = f"input-{grid.name}"
+    return Picture(stem, figure, grid.name, caption, badge=badge, legend=MAP_LEGEND)
 
 
 def input_colours(names: Sequence[str]) -> dict[str, Rgb]:
-    """Return the colour of each input, as its layer has it: that of the fused map is not given.
-
-    Args:
-        names: of all inputs of the page, in their order.
-    """
+    """Return the colours of all inputs of a page, as their layers have them."""
     layers = colours_of(layer_name(name) for name in names)
     return {name: layers[layer_name(name)] for name in names}
 
@@ -335,11 +322,7 @@ def map_statistics(
     normalize: NormalizeConfig,
     doubled: Mapping[str, float] = MappingProxyType({}),
 ) -> Markup:
-    """Return size, known area and walls of maps, with their share of doubled walls.
-
-    Args:
-        doubled: the shares by name, where they are known already; others are found.
-    """
+    """Return maps in numbers; ``doubled``: shares of doubled walls that are known already."""
     rows: list[Mapping[str, Any]] = []
     for grid in grids:
         cells = trinary_cells(grid.cells, normalize)
@@ -355,12 +338,10 @@ def map_statistics(
 def error_section(
     evaluations: Sequence[MapError], alignments: Sequence[Alignment | None] = ()
 ) -> Section:
-    """Return the errors against the truth, as a table and as pictures of the difference.
+    """Return the errors against one truth, as a table and as pictures of the difference.
 
     Args:
-        evaluations: one per map, all against one truth.
-        alignments: the alignment with the truth that each rests on, in the same order; None for
-            a map that was not moved. May be empty.
+        alignments: of each map with the truth, None if it was not moved; may be empty.
     """
     placed = list(alignments) or [None] * len(evaluations)
     lost = [own is not None and not own.accepted for own in placed]
@@ -396,10 +377,9 @@ def _best_marked(
 
 def difference_picture(evaluation: MapError, alignment: Alignment | None) -> Picture:
     """Return where a map differs from the truth; an alignment that was rejected is marked."""
-    difference, caption, tone, badge = evaluation.difference, ".", "plain", ""
+    difference, caption, badge = evaluation.difference, ".", ""
     if alignment is not None and not alignment.accepted:
-        caption = f" at best: not aligned. {alignment.reason}"
-        tone, badge = "bad", "not aligned"
+        caption, badge = f" at best: not aligned. {alignment.reason}", "not aligned"
     order = list(DIFFERENCES)
     rank = np.zeros(len(order), dtype=np.int8)
     rank[order] = np.arange(len(order), dtype=np.int8)
@@ -414,4 +394,4 @@ def difference_picture(evaluation: MapError, alignment: Alignment | None) -> Pic
     caption = f"Error {evaluation.error:.2f}{caption}"
     legend = dict(own for code, own in DIFFERENCES.items() if (difference == code).any())
     stem = f"difference-{evaluation.name}"
-    return Picture(stem, figure, title, caption, tone, badge, legend)
+    return Picture(stem, figure, title, caption, badge=badge, legend=legend)

@@ -44,7 +44,7 @@ class Picture:
         stem: start of the file name; anything that is not a plain character is replaced.
         title: also the text for who cannot see the picture.
         tone: ``plain``, or framed as ``good`` or ``bad``.
-        badge: a word next to the caption, e.g. ``rejected``.
+        badge: a word next to the caption, e.g. ``rejected``; the picture is framed as ``bad``.
     """
 
     stem: str

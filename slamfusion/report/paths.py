@@ -65,12 +65,7 @@ def path_picture(
     normalize: NormalizeConfig = _NORMALIZE,
     values: F64 | None = None,
 ) -> Figure:
-    """Draw a path over the map that it belongs to, coloured by time or by an error.
-
-    Args:
-        trajectory: the path, in the frame of the map; at least one pose.
-        values: (N,) float64, an error for each pose, metres; default: the time since the first.
-    """
+    """Draw a path over its map, coloured by time or by an error of each pose, (N,) float64, m."""
     poses, span = trajectory.poses, _ERROR_SPAN
     label, shown, scale = "error [m]", values, "YlOrRd"
     if shown is None:
@@ -206,8 +201,7 @@ def path_pictures(
     Args:
         trajectory: the estimate, in the frame of ``grid``.
         errors: align the truth with the estimate; without them the truth is left out.
-        truth: the true path, in its own frame.
-        odometry: raw odometry, in its own frame; it is aligned with the estimate's start.
+        truth, odometry: each in its own frame.
         others: alternatives that the SLAM still considered.
     """
     normalize = config.fusion.normalize
@@ -262,9 +256,7 @@ def closures_picture(
 ) -> Picture:
     """Draw a path, a dot where a closure was found, a line to where the closure has the robot.
 
-    Args:
-        path: in the frame of the map; at least one pose.
-        closures: of the graph, at least one; times beyond the path's count as its ends.
+    There is at least one closure; times beyond the path's count as its ends.
     """
     figure, axes = map_axes(place_extent(path.poses, grid, normalize))
     draw_grid(axes, grid, normalize)

@@ -186,14 +186,7 @@ class Scene:
     # -- what comes -------------------------------------------------------------------------------
 
     def put_map(self, name: str, grid: OccupancyGrid, kind: Kind, *, is_shown: bool = True) -> None:
-        """Take the newest state of a map.
-
-        Args:
-            name: of the map.
-            grid: its cells; they must stay.
-            kind: what it is.
-            is_shown: whether one sees it at first; the agreement never is.
-        """
+        """Take the newest state of a map; its cells must stay. The agreement is hidden at first."""
         with self._lock:
             self._waiting[name] = grid, kind, is_shown
             if kind != "agreement":
