@@ -153,7 +153,6 @@ class Scene:
     Attributes:
         id: of this scene's life; the numbers of another one mean nothing here.
         title, is_live: as given.
-        on_change: called, in whatever thread, after something was put.
     """
 
     def __init__(
@@ -168,7 +167,6 @@ class Scene:
         self.id = secrets.token_hex(8)
         self.title = title
         self.is_live = is_live
-        self.on_change: Callable[[], None] = lambda: None
         self._clock = clock
         self._level = level
         self._colours = colours_of(names)
@@ -191,7 +189,6 @@ class Scene:
             self._waiting[name] = grid, kind, is_shown
             if kind != "agreement":
                 self._name([name])
-        self.on_change()
 
     def remove(self, name: str) -> None:
         """Take a map away, and the path of that name."""
@@ -202,7 +199,6 @@ class Scene:
             if (old := self._layers.get(name)) is not None:
                 gone = _Layer(old.kind, old.is_shown, epoch=old.epoch, seq=self._next())
                 self._layers[name] = gone
-        self.on_change()
 
     def put_status(self, inputs: Sequence[Mapping[str, Any]], **figures: Any) -> None:
         """Take how the inputs are; live, an input that got or lost its vote becomes an event.
@@ -226,7 +222,6 @@ class Scene:
             status = {"inputs": list(inputs), **figures, "colours": self._colours}
             status["place_rgb"] = DISAGREEMENT_RGB
             self._status = self._next(), {**status, "stamp_s": self._clock()}
-        self.on_change()
 
     def put_event(
         self, level: Literal["ok", "warn", "error"], text: str, stamp_s: float | None = None
@@ -236,7 +231,6 @@ class Scene:
             stamp_s = self._clock() if stamp_s is None else stamp_s
             event = {"stamp_s": stamp_s, "level": level, "text": text}
             self._events.append((self._next(), event))
-        self.on_change()
 
     def put_point(self, name: str, x_m: float, y_m: float, stamp_s: float | None = None) -> None:
         """Take the next point of a path, in the frame of the map of that name; default time: now.
@@ -249,7 +243,6 @@ class Scene:
                 return
             stamp_s = self._clock() if stamp_s is None else stamp_s
             trail.append((self._next(), x_m, y_m, stamp_s))
-        self.on_change()
 
     def put_paths(self, paths: Mapping[str, Trajectory]) -> None:
         """Take whole paths by name; their times count from the first pose of all of them."""
@@ -266,6 +259,10 @@ class Scene:
         return self._seq
 
     # -- messages ---------------------------------------------------------------------------------
+
+    def has_news(self, seq: int) -> bool:
+        """Whether there may be something newer than a number."""
+        return bool(self._waiting) or self._seq > seq
 
     def since(self, seq: int) -> tuple[list[Message], int]:
         """Return everything newer than a number, maps last, and the number of the newest."""

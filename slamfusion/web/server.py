@@ -27,7 +27,7 @@ import secrets
 import socket
 import threading
 from collections.abc import Callable
-from dataclasses import MISSING, dataclass, field
+from dataclasses import MISSING, dataclass
 from pathlib import Path, PurePath
 from typing import Literal
 
@@ -56,6 +56,8 @@ HELLO_S, SEEN_S = 10.0, 60.0
 # Between two batches to one page; and when nothing is new, a sign of life, seconds.
 PAUSE_S, ALIVE_S = 0.1, 2.0
 COMMAND_S = 20.0
+# Answers of a page that wait; ours answers once a batch.
+MOST_TAKEN = 16
 END_S = 5.0
 
 # Codes of closed sockets (RFC 6455): refused by policy; come again later.
@@ -150,15 +152,6 @@ def _address(name: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
 # --- the server -----------------------------------------------------------------------------------
 
 
-@dataclass(eq=False)
-class _Viewer:
-    """One page that looks: whether something was put, and the number that it has taken."""
-
-    has_news: asyncio.Event = field(default_factory=asyncio.Event)
-    seen: int = 0
-    has_seen: asyncio.Event = field(default_factory=asyncio.Event)
-
-
 class PageServer:
     """Serves a scene until it is closed.
 
@@ -199,13 +192,12 @@ class PageServer:
             for name, text in front_end().items()
             if PurePath(name).suffix in TYPES
         }
-        self._viewers: set[_Viewer] = set()
+        self._viewers = 0
         self._socket = _listen(host, port)
         self.port = int(self._socket.getsockname()[1])
         shown = f"[{host}]" if ":" in host else host
         fragment = "" if command is None else f"#token={self._token}"
         self.url = f"http://{shown}:{self.port}/{fragment}"
-        self._loop: asyncio.AbstractEventLoop | None = None
         app = Starlette(
             routes=[
                 Route("/{name:path}", self._file, methods=["GET", "HEAD"]),
@@ -225,34 +217,16 @@ class PageServer:
                 timeout_graceful_shutdown=1,
             )
         )
-        self._thread = threading.Thread(target=self._run, name="page server", daemon=True)
+        self._thread = threading.Thread(
+            target=self._server.run, args=([self._socket],), name="page server", daemon=True
+        )
         self._thread.start()
-        scene.on_change = self._tell_viewers
 
     def close(self) -> None:
         """Cut everybody off and end the threads."""
-        self._scene.on_change = lambda: None
         self._server.should_exit = True
         self._thread.join(END_S)
         self._socket.close()
-
-    def _run(self) -> None:
-        async def serve() -> None:
-            self._loop = asyncio.get_running_loop()
-            await self._server.serve(sockets=[self._socket])
-
-        asyncio.run(serve())
-
-    def _tell_viewers(self) -> None:
-        """Wake those who look, from any thread."""
-        loop = self._loop
-        if loop is not None and self._viewers:
-            with contextlib.suppress(RuntimeError):  # it is closed
-                loop.call_soon_threadsafe(self._wake)
-
-    def _wake(self) -> None:
-        for viewer in self._viewers:
-            viewer.has_news.set()
 
     # -- in the server's thread -------------------------------------------------------------------
 
@@ -285,22 +259,21 @@ class PageServer:
             await ws.close(REFUSED)  # before it is accepted: HTTP 403
             return
         await ws.accept()
-        if len(self._viewers) >= MOST_VIEWERS:
+        if self._viewers >= MOST_VIEWERS:
             await ws.close(BUSY, f"{MOST_VIEWERS} pages look already")
             return
-        viewer = _Viewer()
-        self._viewers.add(viewer)
+        self._viewers += 1
         try:
-            await self._serve(ws, viewer)
+            await self._serve(ws)
         except (WebSocketDisconnect, asyncio.TimeoutError, PageMessageError, KeyError):
             pass  # it went, fell silent, or is no page of ours
         finally:
-            self._viewers.discard(viewer)
+            self._viewers -= 1
             if ws.application_state is not WebSocketState.DISCONNECTED:
                 with contextlib.suppress(RuntimeError, WebSocketDisconnect):
                     await ws.close(REFUSED)
 
-    async def _serve(self, ws: WebSocket, viewer: _Viewer) -> None:
+    async def _serve(self, ws: WebSocket) -> None:
         hello = parse_message(await asyncio.wait_for(ws.receive_text(), HELLO_S))
         if hello.type != "hello":
             return
@@ -308,13 +281,13 @@ class PageServer:
             hello.token.encode("utf-8", "replace"), self._token.encode()
         )
         scene = self._scene
-        viewer.seen = hello.seq if hello.scene == scene.id else 0
+        taken: asyncio.Queue[int] = asyncio.Queue(MOST_TAKEN)
         greeting = {"scene": scene.id, "title": scene.title, "is_live": scene.is_live}
         greeting |= {"may_command": may, "has_report": self._report is not None}
         await ws.send_text(to_text("hello", greeting))
         tasks = [
-            asyncio.create_task(self._send(ws, viewer)),
-            asyncio.create_task(self._hear(ws, viewer, may_command=may)),
+            asyncio.create_task(self._send(ws, hello.seq if hello.scene == scene.id else 0, taken)),
+            asyncio.create_task(self._hear(ws, taken, may_command=may)),
         ]
         try:
             done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
@@ -325,33 +298,28 @@ class PageServer:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
 
-    async def _send(self, ws: WebSocket, viewer: _Viewer) -> None:
-        """Send what is new, and wait until the page has taken it."""
+    async def _send(self, ws: WebSocket, seen: int, taken: asyncio.Queue[int]) -> None:
+        """Send what is newer than a number, wait until the page has taken it, and go on."""
         while True:
-            viewer.has_news.clear()
-            viewer.has_seen.clear()
-            messages, seq = await asyncio.to_thread(self._scene.since, viewer.seen)
+            messages, seq = await asyncio.to_thread(self._scene.since, seen)
             for message in messages:
                 await (
                     ws.send_text(message) if isinstance(message, str) else ws.send_bytes(message)
                 )
             await ws.send_text(to_text("end", {"seq": seq}))
-            is_taken = False
-            while not is_taken:
-                await asyncio.wait_for(viewer.has_seen.wait(), SEEN_S)
-                viewer.has_seen.clear()
-                is_taken = viewer.seen >= seq
-            await asyncio.sleep(PAUSE_S)
-            with contextlib.suppress(asyncio.TimeoutError):
-                await asyncio.wait_for(viewer.has_news.wait(), ALIVE_S)
+            while (seen := await asyncio.wait_for(taken.get(), SEEN_S)) < seq:
+                pass
+            for _ in range(round(ALIVE_S / PAUSE_S)):
+                await asyncio.sleep(PAUSE_S)
+                if self._scene.has_news(seen):
+                    break
 
-    async def _hear(self, ws: WebSocket, viewer: _Viewer, *, may_command: bool) -> None:
+    async def _hear(self, ws: WebSocket, taken: asyncio.Queue[int], *, may_command: bool) -> None:
         """Take what the page says."""
         while True:
             said = parse_message(await ws.receive_text())
             if said.type == "seen":
-                viewer.seen = max(viewer.seen, said.seq)
-                viewer.has_seen.set()
+                await taken.put(said.seq)
             elif said.type == "command":
                 success, text = await self._obey(said, may_command=may_command)
                 answer = {"id": said.id, "success": success, "message": text}
