@@ -1,10 +1,6 @@
-"""Maps, logs and trajectories in and out of files, checked on the way in, whole on the way out.
+"""Read and write maps, logs and trajectories.
 
-``load_map`` and ``save_map`` speak the format of ROS map servers pixel for pixel. ``open_log``
-reads the scans of CARMEN and tinySLAM logs and of ROS bags; ``read_trajectory`` finds the poses in
-any file that holds some; ``write_carmen`` and ``write_tum`` write both back. Everything is
-written through ``atomic``: a file is there whole or not at all. What would not fit into memory is
-refused with numbers before it is allocated (``check_memory``).
+Input is checked when it is read; output files appear complete or not at all (``AtomicFiles``).
 """
 
 from __future__ import annotations

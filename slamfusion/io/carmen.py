@@ -1,9 +1,8 @@
 """CARMEN logs in and out.
 
-Besides CARMEN's own ``FLASER`` and ``ROBOTLASER1`` two relatives are read: gmapping's
-``LASER_READING`` and DP-SLAM's pairs of ``Odometry`` and ``Laser``. What no line says alone is
-found from all of them: whether the time stamps can be used, where the laser sits on the robot, and
-which readings mean "nothing seen".
+Reads CARMEN's ``FLASER`` and ``ROBOTLASER1``, gmapping's ``LASER_READING`` and DP-SLAM's pairs of
+``Odometry`` and ``Laser``. Whether the stamps are usable, the laser's mount and the no-return value
+are found from the whole log.
 
 Source: the message formats are those of CARMEN, the Carnegie Mellon robot navigation toolkit.
 """
@@ -40,15 +39,15 @@ from slamfusion.io.scan_odometry import PoseRow, ScanOdometry
 from slamfusion.io.stamps import StampGate
 from slamfusion.scan import LaserScan
 
-# FLASER does not say its angles: 180 degrees forward, by convention in these steps.
+# FLASER has no angles: 180 degrees forward, by convention in these steps.
 FORWARD_STEPS_RAD = {
     180: math.pi / 180.0,
     181: math.pi / 180.0,
     360: math.pi / 360.0,
     361: math.pi / 360.0,
 }
-# Our writer says in the log which readings saw nothing, and the time from beam to beam; other
-# programs ignore unknown settings.
+# Our writer's settings: the no-return reading and the time between beams. Other programs ignore
+# unknown settings.
 NO_RETURN_PARAM, TIME_INCREMENT_PARAM = "slamfusion_no_return_m", "slamfusion_time_increment_s"
 OFFSET_PARAM = "robot_frontlaser_offset"
 # Lines of further lasers: known, and left out.
@@ -82,17 +81,17 @@ _FALLBACK_RANGE_M = 100.0
 class CarmenLog(ScanLog):
     """A CARMEN log, plain or gzip.
 
-    Readings at or above the no-return value become +inf; 0 and negative readings become NaN. The
-    odometry is the robot's pose in the scan's own line. ``line`` is the line in the file, from 1.
+    Readings at or above the no-return value become +inf; 0 and negative readings become NaN.
+    ``line`` is the line in the file, from 1.
 
     Args:
-        config: ``no_return_m`` overrides what is found; ``index_period_s`` is the time from scan
-            to scan where stamps are broken or absent.
-        odometry: taken instead of the poses in the log, by the number of the laser line; for a
-            log whose own poses are the answer of a SLAM. Default: the log's own.
+        config: ``no_return_m`` overrides what is found; ``index_period_s`` is the scan period if
+            stamps are broken or absent.
+        odometry: replaces the poses in the log, by laser line, for a log with SLAM poses.
+            Default: the log's own.
 
     Raises:
-        LogError: there is no readable laser scan in the file, or the odometry is of another one.
+        LogError: the file has no readable laser scan, or the odometry is of another log.
     """
 
     def __init__(
@@ -162,7 +161,7 @@ class CarmenLog(ScanLog):
         return LogScan(scan, pose, line)
 
     def _find_mount(self, messages: Sequence[Message], offset_m: float) -> Pose2:
-        """Return where the laser sits, from the two poses of every line; note where they do not."""
+        """Return the laser's mount from the two poses of every line; note why if it is unusable."""
         setting = f"{OFFSET_PARAM} {offset_m:g} m"
         ahead = Pose2(offset_m, 0.0, 0.0)
         posed = [message for message in messages if message.laser is not None]
@@ -196,7 +195,7 @@ class CarmenLog(ScanLog):
         return Pose2(x, y, yaw_rad)
 
     def _find_no_return(self, messages: Sequence[Message]) -> NoReturn:
-        """Find which readings saw nothing; note it where neither user nor log says it."""
+        """Find the no-return value; note it if neither the user nor the log gives it."""
         found = find_no_return([message.ranges_m for message in messages])
         if self._config.no_return_m is not None or self._said_m > 0.0:
             return found
@@ -216,7 +215,7 @@ class CarmenLog(ScanLog):
         return found
 
     def _limit_m(self, message: Message) -> float:
-        """Return from where on readings saw nothing: asked for, said by the log, or found."""
+        """Return the range from which readings are no return: by setting, by the log, or found."""
         if self._config.no_return_m is not None:
             return self._config.no_return_m
         own_m = message.range_max_m if message.range_max_m > 0.0 else math.inf
@@ -234,7 +233,7 @@ class CarmenLog(ScanLog):
 
 
 class Message(NamedTuple):
-    """One scan as its line says it; lengths in metres, angles in radians."""
+    """One scan line; lengths in metres, angles in radians."""
 
     kind: bytes
     ranges_m: F64
@@ -247,12 +246,7 @@ class Message(NamedTuple):
 
 
 class _Parser:
-    """Reads line by line.
-
-    Attributes:
-        words: readable laser lines and all others by their first word.
-        settings: of the log, by name.
-    """
+    """Reads line by line; counts first words in ``words``, keeps settings in ``settings``."""
 
     def __init__(self) -> None:
         self.words: Counter[bytes] = Counter()
@@ -260,7 +254,7 @@ class _Parser:
         self._pose: PoseRow | None = None
 
     def parse(self, line: bytes) -> Message | None:
-        """Return the scan of a line; None where it is no laser line."""
+        """Return the scan of a laser line, else None."""
         word = (line.split(None, 1) or [b"#"])[0]
         message = None
         if word in LASERS:
@@ -285,7 +279,7 @@ class _Parser:
                     self.settings[key] = number
 
     def _laser(self, line: bytes) -> Message:
-        """Read a line that does not say its angles.
+        """Read a line without angles.
 
         ``FLASER n r.. x y theta odom_x odom_y odom_theta stamp host logger_stamp``,
         ``LASER_READING n r.. x y theta stamp``, or ``Laser n r..`` at the last ``Odometry``.
@@ -380,11 +374,11 @@ def forward_angles(count: int) -> tuple[float, float]:
     return -math.pi / 2.0, FORWARD_STEPS_RAD.get(count, math.pi / (count - 1))
 
 
-# --- what all lines say --------------------------------------------------------------------------
+# --- the whole log -------------------------------------------------------------------------------
 
 
 def _has_scans_twice(messages: Sequence[Message], words: Counter[bytes]) -> bool:
-    """Whether most scans stand in the log as FLASER and, as newer loggers do, as ROBOTLASER1."""
+    """Whether most scans are logged twice, as FLASER and as ROBOTLASER1."""
     fewer = min(words[b"FLASER"], words[b"ROBOTLASER1"])
     twice = sum(
         one.stamp_s == other.stamp_s and one.kind != other.kind for one, other in pairwise(messages)
@@ -392,7 +386,7 @@ def _has_scans_twice(messages: Sequence[Message], words: Counter[bytes]) -> bool
     return fewer > 0 and 2 * twice > fewer
 
 
-# Stamps are broken when this share of the scans, and this number at least, is lost to them ...
+# Stamps are broken if this share of the scans, and at least this number, would be lost ...
 _LOST_SHARE, _LOST_AT_LEAST = 0.05, 10
 # ... or, in a short log, most of them.
 _LOST_MOST, _LOST_FEW = 0.5, 3
@@ -422,7 +416,7 @@ def _stamp_trouble(stamps_s: Sequence[float | None]) -> str:
 
 
 def _notes(messages: Sequence[Message], words: Counter[bytes], *, is_twice: bool) -> list[str]:
-    """Say which angles were taken, and which lines are left out."""
+    """Return notes on assumed angles and lines left out."""
     counts = Counter(len(one.ranges_m) for one in messages if one.kind != b"ROBOTLASER1")
     notes = [
         f"{scans} scans of {beams} beams do not say their angles; taken: 180 degrees forward in "
@@ -439,14 +433,13 @@ def _notes(messages: Sequence[Message], words: Counter[bytes], *, is_twice: bool
     ]
 
 
-# A laser sits still on its robot; logs of 6 significant digits let it move by their rounding.
+# The laser is fixed to the robot; logs of 6 significant digits move it by their rounding.
 _MOUNT_SPREAD_M, _MOUNT_SPREAD_SHARE, _MOUNT_SPREAD_RAD = 2e-3, 4e-6, 2e-3
 # Below this a mount is the rounding of a laser that sits on the robot's origin.
 _MOUNT_ZERO = 1e-9
 
 
 def _relative(message: Message) -> Pose2:
-    """Return the laser's pose on the robot."""
     if message.laser is None or message.robot == message.laser:
         return IDENTITY
     return Pose2(*message.robot).inverse().compose(Pose2(*message.laser))
@@ -469,16 +462,16 @@ def _no_laser(path: Path, words: Counter[bytes], skips: Skips) -> str:
 # Readings are counted in millimetres up to a kilometre: constant memory, however long the log.
 _BINS_PER_M = 1000
 _LIMIT_M = 1000.0
-# No laser's longest range is shorter; a tidy room of equal readings must not look like one.
+# No laser's longest range is shorter; a room of equal readings must not look like one.
 _SHORTEST_MAX_M = 3.5
-# A value is repeated from this number of readings on that are at least this share of all ...
+# A value is repeated if at least this number of readings, and this share of all, have it ...
 _REPEATED = ((10, 0.001), (3, 0.01))
-# ... unless nearly every reading is that value: then there is nothing to tell it from.
+# ... unless nearly every reading has it.
 _MOST = 0.95
 # What SICK lasers write instead of a range: the last nine of 13 bits (in cm or mm), of 15 in mm.
 _SICK_CODES_M = ((81.83, 81.91), (8.183, 8.191), (32.759, 32.767))
 _SICK_REPEATED = 2
-# A code stands out from the readings below it, and may have lesser codes beside it.
+# A code is this much more frequent than the readings below it; lesser codes may be near it.
 _STANDS_OUT = 10.0
 _LESSER_SHARE = 0.01
 _BAND = 0.95
@@ -489,12 +482,12 @@ _TOP_BAND = 1.01
 
 
 class NoReturn(NamedTuple):
-    """What the readings of a log say about readings that saw nothing.
+    """The no-return value of a log, metres.
 
     Attributes:
-        from_m: readings at or above this are no return; None where no value is repeated.
-        code_m: the commonest value that stands for it; None likewise.
-        largest_m: the largest finite reading, metres; 0 without any.
+        from_m: readings at or above this are no return; None if no value is repeated.
+        code_m: the most frequent no-return value; None likewise.
+        largest_m: the largest finite reading; 0 without any.
     """
 
     from_m: float | None
@@ -503,13 +496,12 @@ class NoReturn(NamedTuple):
 
 
 def find_no_return(scans: Iterable[F64]) -> NoReturn:
-    """Find the value that a laser writes where nothing came back.
+    """Find the value that a laser writes for no return.
 
-    The rule: going down from the longest readings, the first value that is often repeated (10
-    readings and a thousandth of all, or 3 and a hundredth; two for the codes of SICK lasers), ten
-    times as often as the values 5 to 15 % below it. Repeated values up to 5 % below belong to it
-    when they have a hundredth of its readings. Everything from 0.1 % below the lowest of them on
-    saw nothing. A largest reading that occurs once is a reading like any other.
+    The longest value that is often repeated (10 readings and 0.1 %, or 3 and 1 %; two for the
+    codes of SICK lasers) and ten times as frequent as the values 5 to 15 % below it. Repeated
+    values up to 5 % below belong to it if they have 1 % of its readings. Everything from 0.1 %
+    below the lowest of them is no return. A largest reading that occurs once is a normal reading.
 
     Args:
         scans: (N,) metres each; NaN, infinity and 0 do not count.
@@ -539,7 +531,7 @@ def find_no_return(scans: Iterable[F64]) -> NoReturn:
     beyond = int(counts[band[-1] + 1 :].sum())
     if most < _STANDS_OUT * usual or most > _MOST * total or beyond > most / _STANDS_OUT:
         return nothing
-    # One code of a family may be rarer than what would do on its own.
+    # A lesser code may be rarer than the threshold.
     enough = max(_LESSER_SHARE * most, _STANDS_OUT * usual, _SICK_REPEATED)
     lowest = int(band[np.flatnonzero(counts[band] >= enough)[0]])
     return NoReturn(lowest * _SLACK / _BINS_PER_M, code / _BINS_PER_M, largest_m)
@@ -563,19 +555,19 @@ def write_carmen(
 ) -> int:
     """Write scans as a CARMEN log; the same scans give the same bytes.
 
-    A scan becomes a ``FLASER`` line when that says everything: 180, 181, 360 or 361 beams over
+    A scan becomes a ``FLASER`` line if that can hold it: 180, 181, 360 or 361 beams over
     180 degrees forward, a laser on the robot's origin, the range limit of the first scan. Any
-    other becomes ``ROBOTLASER1``. +inf and over-range readings are written as the range limit
-    (named in a ``PARAM`` line), NaN and -inf as 0. Another ``PARAM`` line has the time from beam to
-    beam, where there is one. ``range_min_m`` has no place in the format.
+    other becomes ``ROBOTLASER1``. +inf and over-range readings are written as the range limit,
+    NaN and -inf as 0. ``PARAM`` lines hold the limit and the time between beams. ``range_min_m``
+    is not saved.
 
     Args:
-        path: the file; packed when its name ends in ``.gz``.
+        path: compressed if the name ends in ``.gz``.
         scans: in the order of time, each with odometry.
-        files: stage the file here, to appear together with others; default: write it now.
+        files: write together with these files; default: write now.
 
     Returns:
-        How many scans were written.
+        The number of scans written.
 
     Raises:
         LogError: there is no scan, or one has no odometry.
@@ -616,7 +608,7 @@ def _lines_of(logged: LogScan, last: LogScan | None, first: LaserScan) -> str:
     speed_mps, turn_rps = _speeds(logged, last)
     odometry = f"ODOM {_pose_text(robot)} {speed_mps:.6f} {turn_rps:.6f} 0 {end}"
     if _is_forward(scan, first):
-        # The robot's own numbers twice: no rounding may pull laser and robot apart.
+        # The robot's own numbers twice: rounding must not separate laser and robot.
         return (
             f"{odometry}FLASER {len(scan)} {ranges} {_pose_text(robot)} {_pose_text(robot)} {end}"
         )
@@ -629,7 +621,7 @@ def _lines_of(logged: LogScan, last: LogScan | None, first: LaserScan) -> str:
 
 
 def _is_forward(scan: LaserScan, first: LaserScan) -> bool:
-    """Whether a ``FLASER`` line says everything about the scan."""
+    """Whether a ``FLASER`` line can hold the scan."""
     first_rad, step_rad = forward_angles(len(scan))
     return (
         len(scan) in FORWARD_STEPS_RAD
@@ -641,27 +633,26 @@ def _is_forward(scan: LaserScan, first: LaserScan) -> bool:
 
 
 def _range_texts(scan: LaserScan) -> str:
-    """Return the readings, each in the same number of decimals."""
     limit_m = scan.range_max_m
     ranges = scan.ranges.astype(np.float64)
     clear = scan.is_clear() | np.isposinf(ranges)
     hit = ranges > 0.0
     if math.isfinite(limit_m):
-        # Rounding, also to float32, must not turn a hit just below the limit into a reading that
-        # saw nothing, nor the other way round.
+        # Rounding, also to float32, must not turn a hit just below the limit into a no-return
+        # reading, or the reverse.
         below_m = (math.ceil(limit_m / _RANGE_STEP_M - 0.5) - 1) * _RANGE_STEP_M
         ranges = np.minimum(ranges, below_m)
         clear_text = f"{math.ceil(limit_m / _RANGE_STEP_M) * _RANGE_STEP_M:.{_RANGE_DIGITS}f}"
     else:
         clear_text = "inf"
     ranges = np.where(hit, np.maximum(ranges, _RANGE_STEP_M), 0.0)
-    # One formatting of all is five times as fast as one of each.
+    # Formatting all at once is five times as fast.
     texts = np.where(clear, clear_text, f"%.{_RANGE_DIGITS}f").tolist()
     return " ".join(texts) % tuple(ranges[~clear].tolist())
 
 
 def _speeds(logged: LogScan, last: LogScan | None) -> tuple[float, float]:
-    """Return the mean speed forward (m/s) and turning (rad/s) since the last scan; 0 at first."""
+    """Return the mean forward (m/s) and turning (rad/s) speed since the last scan; 0 at first."""
     if last is None or last.odometry is None or logged.odometry is None:
         return 0.0, 0.0
     time_s = logged.scan.stamp_s - last.scan.stamp_s

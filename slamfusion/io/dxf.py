@@ -13,14 +13,14 @@ import numpy.typing as npt
 from slamfusion.errors import MapFileError
 from slamfusion.io.files import check_memory
 
-# Cells of a drawing whose unit is known, metres; cells on the longest side of one whose unit is
-# not, which are given this size until the scale is found.
+# Cell size in metres if the drawing has a unit; else the number of cells on its longest side,
+# which are taken as that size until the scale is found.
 CELL_M, UNITLESS_CELLS = 0.05, 1000
-# What is written about a building rather than built.
+# Annotations, not building parts.
 WORDS = frozenset(
     ("ATTDEF", "ATTRIB", "DIMENSION", "LEADER", "MLEADER", "MTEXT", "MULTILEADER", "TEXT")
 )
-# Curves are drawn as chords this near to them, cells.
+# Largest distance between a curve and its chords, cells.
 CHORD_CELLS = 0.25
 MARGIN_CELLS = 4
 
@@ -28,12 +28,11 @@ MARGIN_CELLS = 4
 def read_dxf(
     path: Path, resolution: float | None
 ) -> tuple[npt.NDArray[np.int8], float, tuple[float, float]]:
-    """Draw the lines of a DXF file's model space; texts, dimensions and hidden layers are left out.
+    """Draw the lines of a DXF file's model space, without texts, dimensions and hidden layers.
 
     Args:
-        path: the drawing.
-        resolution: metres per cell; None: 0.05 where the drawing says its unit. Of one that does
-            not the longest side gets 1000 cells, taken for 0.05 m each.
+        resolution: metres per cell; None: 0.05 if the drawing has a unit, else the longest side
+            gets 1000 cells of 0.05 m.
 
     Returns:
         Occupancy in percent (H, W), 100 at lines and 0 elsewhere, row 0 at the bottom; metres per
@@ -84,7 +83,7 @@ def read_dxf(
 
 
 def _is_built(entity: Any) -> bool:
-    """Return whether an entity is neither a word nor on a layer that is not shown."""
+    """Return whether an entity is neither annotation nor on a hidden layer."""
     if entity.dxftype() in WORDS or entity.doc is None:
         return False
     layer = entity.doc.layers

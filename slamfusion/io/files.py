@@ -1,7 +1,7 @@
-"""Files and memory: regular files only, checked sizes, and writing that is whole or not at all.
+"""Files and memory: regular files only, checked sizes, and atomic writing.
 
-Data goes into a temporary file next to its target, is forced to disk, and is only then renamed over
-the target. The old file stays until that moment, and stays for good if anything fails.
+Data goes into a temporary file next to its target, is forced to disk, and is then renamed over the
+target. If anything fails, the old file stays.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import psutil
 
 from slamfusion.errors import MapFileError, MemoryBudgetError, SlamFusionError
 
-# What the interpreter and its buffers take beside the map itself.
+# Of the interpreter and its buffers.
 WORKING_BYTES = 64 * 2**20
 
 
@@ -39,12 +39,12 @@ def check_memory(
     """Refuse work that would not fit into memory.
 
     Args:
-        bytes_needed: the peak of the work, in bytes.
-        what: the work, as the subject of a sentence: ``a 30000 x 30000 map``.
+        bytes_needed: peak, bytes.
+        what: subject of the error sentence: ``a 30000 x 30000 map``.
         where: the file, topic or option that asked for it.
 
     Raises:
-        MemoryBudgetError: with the needed and the available amount; nothing was allocated.
+        MemoryBudgetError: with the needed and the available amount.
     """
     available = available_memory()
     if bytes_needed > available:
@@ -55,11 +55,7 @@ def check_memory(
 
 
 def return_freed_memory() -> None:
-    """Give memory that was freed back to the system, where the C library can (glibc).
-
-    Arrays of some megabytes come from a heap that otherwise keeps them: after fields of three maps
-    of 8000 x 8000 cells some 600 MB.
-    """
+    """Return freed memory to the system, if the C library can (glibc keeps arrays of some MB)."""
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
     if trim is not None:
         trim(0)
@@ -80,9 +76,9 @@ _KINDS = ((stat.S_ISDIR, "a folder"), (stat.S_ISFIFO, "a pipe"), (stat.S_ISSOCK,
 
 
 def open_regular(path: Path, error: type[SlamFusionError]) -> BufferedReader:
-    """Open a file for reading; what would make the reader wait or never end is refused."""
+    """Open a regular file for reading; a folder, pipe, socket or device is refused."""
     _check_regular(path, path.stat().st_mode, error)
-    # What was a file a moment ago may be a pipe by now: opening must not wait for its writer.
+    # The file may have been replaced by a pipe: opening must not wait for its writer.
     descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
     try:
         _check_regular(path, os.fstat(descriptor).st_mode, error)
@@ -93,7 +89,7 @@ def open_regular(path: Path, error: type[SlamFusionError]) -> BufferedReader:
 
 
 def read_small(path: Path, error: type[SlamFusionError], what: str) -> bytes:
-    """Return the bytes of a file that a person may have written, at most ``SMALL_BYTES``."""
+    """Return the bytes of a hand-written file, at most ``SMALL_BYTES``."""
     with open_regular(path, error) as file:
         data = file.read(SMALL_BYTES + 1)
     if len(data) > SMALL_BYTES:
@@ -114,14 +110,13 @@ def _check_regular(path: Path, mode: int, error: type[SlamFusionError]) -> None:
 def refuse_overwriting(
     reads: Iterable[tuple[Path, Path]], writes: Iterable[tuple[str, Path]]
 ) -> None:
-    """Refuse outputs that would replace an input or each other, and what no file can replace.
+    """Refuse outputs that would replace an input, each other, a folder or a device.
 
-    Two paths are of one file where they are the same without links, or lead to the same inode:
-    hard links, or names that differ in letters which the file system does not tell apart.
+    Two paths are one file if they are equal without links or have the same inode.
 
     Args:
-        writes: outputs as they were asked for, in words, each with a file that may be written or
-            removed for it.
+        reads: inputs as given, each with a file that is read for it.
+        writes: outputs as asked for, in words, each with a file that may be written or removed.
     """
     taken: dict[Hashable, str] = {}
     for given, file in reads:
@@ -141,8 +136,8 @@ def refuse_overwriting(
 
 
 def _marks(path: Path) -> Iterator[Hashable]:
-    """Yield what a path has in common with every other one of its file."""
-    with suppress(OSError, ValueError):  # a path that cannot be is named when it is opened
+    """Yield what all paths of one file share: the real path and the inode."""
+    with suppress(OSError, ValueError):  # an impossible path is reported when it is opened
         yield os.path.realpath(path)
         found = path.stat()
         yield found.st_dev, found.st_ino
@@ -160,20 +155,19 @@ _FIXES = {
 
 
 class AtomicFiles:
-    """Several files that are put in place together when the ``with`` block ends well.
+    """Several files that are put in place together when the ``with`` block ends without error.
 
-    Within the block ``add`` writes each file next to its target. At the end of the block they all
-    are renamed over their targets, in the order in which they were added, and then the files passed
-    to ``remove`` are removed; two processes that do so in one folder take turns. An exception in
-    the block, also a keyboard interrupt, removes what was written and leaves the old files as they
-    were. Missing parent folders are made. Links are followed, so a linked file stays a link.
+    ``add`` writes each file next to its target. At the end of the block they are renamed over
+    their targets in the order of adding, then the files passed to ``remove`` are removed; a lock
+    on the folder keeps two processes apart. An exception in the block removes what was written
+    and leaves the old files. Missing parent folders are made; links are followed.
 
     A process that is killed between two renames leaves new files next to old ones, each of them
-    whole. A file that depends on another one is therefore added after it, and holds its digest
+    complete. So a file that depends on another is added after it and holds its digest
     (``save_map``).
 
     Raises:
-        MapFileError: a target cannot be written; names it, the system's reason and what to do.
+        MapFileError: a target cannot be written.
     """
 
     def __init__(self) -> None:
@@ -185,8 +179,8 @@ class AtomicFiles:
         """Write one file next to its target.
 
         Args:
-            path: the target; absent or a regular file.
-            parts: its bytes, in order; several parts save a large array from being copied.
+            path: absent or a regular file.
+            parts: its bytes, in order.
         """
         try:
             target = Path(os.path.realpath(path))
@@ -205,7 +199,7 @@ class AtomicFiles:
             raise _cannot_write(path, error) from None
 
     def remove(self, *paths: Path) -> None:
-        """Remove files, which need not be there, at the end of the block; added ones stay."""
+        """Remove files, which may be missing, at the end of the block; added ones stay."""
         self._removed += paths
 
     def __enter__(self) -> AtomicFiles:  # noqa: PYI034  typing.Self needs Python 3.11
@@ -233,7 +227,6 @@ class AtomicFiles:
                     folder.rmdir()
 
     def _make_folder(self, folder: Path) -> None:
-        """Make the folder and its missing parents, and remember which were made."""
         missing = [part for part in (folder, *folder.parents) if not part.exists()]
         for part in reversed(missing):
             part.mkdir(exist_ok=True)
@@ -242,7 +235,7 @@ class AtomicFiles:
 
 @contextmanager
 def _locked(folders: set[Path]) -> Iterator[None]:
-    """Let one process at a time rename files in the folders: the files of two are not mixed."""
+    """Let one process at a time rename files in the folders."""
     with ExitStack() as held:
         for folder in sorted(folders):
             descriptor = os.open(folder, os.O_RDONLY)
@@ -255,11 +248,7 @@ def _locked(folders: set[Path]) -> Iterator[None]:
 def write_atomic(
     path: str | Path, data: bytes | bytearray | memoryview, *, files: AtomicFiles | None = None
 ) -> None:
-    """Write one file whole or not at all; see ``AtomicFiles`` for the rules and errors.
-
-    Args:
-        files: add the file to these, to appear together with them; default: write it now.
-    """
+    """Write one file atomically, alone or together with ``files``; see ``AtomicFiles``."""
     if files is not None:
         files.add(path, data)
         return
@@ -268,10 +257,7 @@ def write_atomic(
 
 
 def _mode_of_regular(target: Path) -> int | None:
-    """Return the permissions of the file to replace, or None when there is none.
-
-    A device, pipe or folder is refused: a rename would remove it.
-    """
+    """Return the permissions of the file to replace, or None; refuse a device, pipe or folder."""
     try:
         mode = target.stat().st_mode
     except FileNotFoundError:

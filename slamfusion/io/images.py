@@ -22,10 +22,10 @@ from slamfusion.io.files import WORKING_BYTES, check_memory, format_bytes, open_
 # (H, W) grey, (H, W, 3) colour or (H, W, 4) colour and alpha, uint8 or uint16; row 0 is the top.
 Pixels = npt.NDArray[Any]
 
-# A gzipped picture may unpack to this many bytes; larger ones are unpacked by their owner.
+# Limit of the bytes after unpacking.
 GZIP_LIMIT = 2**30
 FORMATS = ("PPM", "PNG", "BMP")
-# As what the modes of Pillow are read, and the bytes of a pixel while they are.
+# Pillow's modes: the mode to convert to, and the bytes per pixel while reading.
 _MODES = {"1": ("L", 3), "L": ("L", 3), "I;16": ("I;16", 6), "I": ("I", 12)}
 _MODES |= {"P": ("RGB", 12), "RGB": ("RGB", 12), "LA": ("RGBA", 16), "RGBA": ("RGBA", 16)}
 _MAGIC = (b"\x1f\x8b", b"\x89PNG", b"BM", b"P1", b"P2", b"P3", b"P4", b"P5", b"P6", b"\xff\xd8\xff")
@@ -35,7 +35,7 @@ PIL.Image.MAX_IMAGE_PIXELS = None
 
 
 def looks_like_image(path: Path) -> bool:
-    """Return whether the file's name or first bytes are those of a picture, known or not."""
+    """Return whether the file's name or first bytes are those of a picture, supported or not."""
     name = path.name.lower().removesuffix(".gz")
     if name.endswith((".pgm", ".png", ".bmp", ".jpg", ".jpeg", ".tif", ".tiff", ".gif")):
         return True
@@ -90,11 +90,7 @@ def pixel_digest(pixels: Pixels) -> str:
 
 
 def encode_image(pixels: npt.NDArray[np.uint8], image_format: str) -> memoryview:
-    """Return the bytes of a PGM, PNG or BMP file.
-
-    Args:
-        pixels: (H, W) grey, (H, W, 3) colour or (H, W, 4) with alpha; row 0 is the top.
-    """
+    """Return a PGM, PNG or BMP file of (H, W), (H, W, 3) or (H, W, 4) pixels, top row first."""
     data = io.BytesIO()
     kind = "PPM" if image_format == "pgm" else image_format
     PIL.Image.fromarray(pixels).save(data, kind)
@@ -111,7 +107,7 @@ def _opened(path: Path) -> Iterator[BufferedReader]:
 
 
 def cannot_read(path: Path, error: OSError) -> MapFileError:
-    """Say in one line why a file of a map cannot be read."""
+    """Return the error for a map file that cannot be read."""
     if isinstance(error, FileNotFoundError):
         return MapFileError(f"{path}: no such file; check the path")
     reason = error.strerror or error
@@ -119,7 +115,7 @@ def cannot_read(path: Path, error: OSError) -> MapFileError:
 
 
 def _unpacked(path: Path, file: BufferedReader) -> io.BytesIO:
-    """Return what a gzipped file holds; more than ``GZIP_LIMIT`` is refused."""
+    """Return the content of a gzip file of at most ``GZIP_LIMIT`` bytes."""
     try:
         data = gzip.GzipFile(fileobj=file).read(GZIP_LIMIT + 1)
     except (EOFError, gzip.BadGzipFile, zlib.error) as error:

@@ -13,28 +13,27 @@ from typing import Any
 from slamfusion.errors import LogError, SlamFusionError
 from slamfusion.io.files import check_memory, open_regular
 
-# Of a row of some ten numbers while it is a list of Python floats, with the table made of it.
+# A row of ten numbers as a list of Python floats, and in the table made of it.
 ROW_BYTES = 600
 GZIP_MAGIC = b"\x1f\x8b"
 _DAMAGE = (EOFError, gzip.BadGzipFile, zlib.error)
 _BUFFER_BYTES = 1 << 16
-# Of zlib, 0 to 9: a log of 14 MB takes 0.6 s and 5.10 MB, by 9 2.3 s and 5.00 MB.
+# zlib level: 9 takes four times as long and saves 2 %.
 PACKING = 5
-# A scan of 100 000 beams takes about 1 MB; what is longer than this is no text.
+# A scan of 100 000 beams takes about 1 MB; a longer line is not text.
 _LINE_BYTES = 1 << 24
-# How often memory is looked at where lines are kept.
+# Memory is checked after this number of kept lines.
 _CHECKED_LINES = 1 << 17
 
 
 def text_lines(
     path: Path, cut_off: type[SlamFusionError], *, kept_bytes: int = 0
 ) -> Iterator[tuple[int, bytes]]:
-    """Yield number, from 1, and line of a text file; packed ones are known by their first bytes.
+    """Yield number, from 1, and line of a text file, plain or gzip.
 
     Args:
-        cut_off: the error that ends packed data that end early or are damaged.
-        kept_bytes: what the caller keeps of each line: where that would not fit into memory, the
-            file is refused while it is read.
+        cut_off: raised if packed data end early or are damaged.
+        kept_bytes: memory per line that the caller keeps; checked while reading.
     """
     number = 0
     with open_regular(path, LogError) as file:
@@ -55,7 +54,7 @@ def text_lines(
 
 
 def read_head(path: Path) -> bytes:
-    """Return the first bytes of a file, unpacked where it is gzip; less where it is damaged."""
+    """Return the first bytes of a file, unpacked if gzip; fewer if it is damaged."""
     with open_regular(path, LogError) as file:
         stream = _unpacked(file.raw)
         head = bytearray()
@@ -68,15 +67,12 @@ def read_head(path: Path) -> bytes:
 
 
 def strip_gz(name: str) -> str:
-    """Return a file name in small letters without its ``.gz``."""
+    """Return a file name in lower case without its ``.gz``."""
     return name.lower().removesuffix(".gz")
 
 
 def packed_by_name(path: Path, data: bytes) -> bytes:
-    """Return what a file of this name is to hold: packed where the name ends in ``.gz``.
-
-    The same bytes always give the same file: no name, no time.
-    """
+    """Return the data, packed if the name ends in ``.gz``; the same data give the same bytes."""
     if not path.name.lower().endswith(".gz"):
         return data
     packed = io.BytesIO()
@@ -88,7 +84,6 @@ def packed_by_name(path: Path, data: bytes) -> bytes:
 
 
 def _unpacked(raw: Any) -> io.BufferedReader:
-    """Return the file's bytes from its start, unpacked if they are gzip."""
     raw.seek(0)
     magic = raw.read(len(GZIP_MAGIC))
     raw.seek(0)

@@ -1,4 +1,4 @@
-"""What every log reader gives: scans in the order of time, and a count of what it left out."""
+"""The common part of all log readers: scans in the order of time, and counts of skipped ones."""
 
 from __future__ import annotations
 
@@ -29,23 +29,23 @@ FARTHEST_M = 1e9
 
 _DEFAULT_CONFIG = LogConfig()
 
-# Between two known poses a time must be this near to one of them, seconds.
+# Largest distance in time to a known pose for interpolation, seconds.
 REACH_S = 0.5
 LINES_KEPT = 5
-# Between two neighbouring scans, more than this is worth a word to the user.
+# Larger gaps and jumps between two scans give a warning.
 GAP_S = 3600.0
 JUMP_M = 50.0
-# A scan further ahead, seconds, waits for two more to bear its time out. Lines of a log may be out
+# A scan further ahead, seconds, waits for two more to confirm its time. Lines of a log may be out
 # of order by less.
 AHEAD_S = 10.0
 
-# These are enough to tell whether a sweep takes long.
+# Enough to find the duration of a sweep.
 FIRST_SCANS = 500
 
-# Scans of two lasers that have one stamp are taken this far apart, seconds.
+# Stamp offset between scans of two lasers that have one stamp, seconds.
 LASERS_APART_S = 1e-6
 
-# Memory is looked at whenever the scans of a log take this much more.
+# Memory is checked each time the scans take this much more.
 _CHECKED_BYTES = 1 << 26
 
 BACK, EQUAL = "time goes back", "two scans of one stamp"
@@ -57,10 +57,8 @@ class LogScan:
     """One scan of a log.
 
     Attributes:
-        scan: the sweep, with its time.
-        odometry: pose of the robot's base in the odometry frame at that time; None where the log
-            has no odometry.
-        line: where it stands in the source: line or message number, from 1.
+        odometry: pose of the base in the odometry frame at the scan's time; None without odometry.
+        line: line or message number in the source, from 1.
     """
 
     scan: LaserScan
@@ -81,7 +79,7 @@ class SkipJson(TypedDict):
 
 @dataclass
 class Skips:
-    """What was left out (or warned of), by reason: how often, and the first lines of each."""
+    """What was left out (or warned of), by reason: the count and the first lines."""
 
     counts: dict[str, int] = field(default_factory=dict)
     lines: dict[str, list[int]] = field(default_factory=dict)
@@ -99,7 +97,7 @@ class Skips:
         return sum(self.counts.values())
 
     def sentences(self, what: str = "line") -> tuple[str, ...]:
-        """Return one sentence a reason, with the numbers of the first lines, or scans."""
+        """Return one sentence per reason, with the first line (or scan) numbers."""
         return tuple(
             f"{count} x {reason} ({what} {', '.join(map(str, self.lines[reason]))}"
             f"{', ...' if count > len(self.lines[reason]) else ''})"
@@ -115,18 +113,14 @@ class Skips:
 
 
 class Continuity:
-    """Lets scans through whose time is later than the last one's; counts the others.
+    """Passes scans whose time increases, deskewed and with the configured mount; counts the others.
 
-    A scan after a pause of 10 s waits until two more bear its time out (see ``StampGate``): one
-    stray stamp far ahead would keep all others out. Of scans of one stamp, those of another laser
-    are let through a microsecond later, so that stamps increase. After a gap of an hour, or an
-    odometry that has jumped by 50 m, scans are let through: the log may be right. It is counted as
-    a warning.
-
-    The laser is mounted as the settings say (``LaserScan.remounted``), and the scans are deskewed.
+    A scan after a pause of 10 s waits for two more to confirm its time (see ``StampGate``). Scans
+    of different lasers with one stamp are set a microsecond apart. A gap of an hour or an odometry
+    jump of 50 m is counted as a warning.
 
     Args:
-        track: gives the odometry within a sweep; default: it is that of two scans, and between.
+        track: gives the odometry within a sweep; default: interpolated between two scans.
     """
 
     def __init__(
@@ -138,23 +132,23 @@ class Continuity:
     ) -> None:
         self.deskewer = Deskewer(config)
         self._track = track
-        # The last two scans; ``_is_held``: the newest has yet to be deskewed.
+        # The last two scans; ``_is_held``: the newest is not deskewed yet.
         self._last: LogScan | None = None
         self._before: LogScan | None = None
         self._is_held = False
         self._mounting = config.laser
         self._skips = skips
         self._warnings = warnings
-        # Scans that are older never come to it.
+        # Older scans are refused before the gate.
         self._gate: StampGate[LogScan] = StampGate(math.inf, ahead_s=AHEAD_S)
         self._stamp_s: float | None = None
         self._odometry: Pose2 | None = None
-        # Of the last stamp that was given, the lasers that had it.
+        # The lasers that had the last stamp.
         self._given_s: float | None = None
         self._mounts: list[Pose2] = []
 
     def passed(self, item: LogScan) -> Iterator[LogScan]:
-        """Take the next scan, count what is wrong or odd about it, and yield those to be used."""
+        """Take the next scan, and yield those to be used."""
         item = self._later_by_laser(item)
         stamp_s, newest_s = item.scan.stamp_s, self._gate.newest_s
         if newest_s is not None and stamp_s <= newest_s:
@@ -166,12 +160,12 @@ class Continuity:
         yield from self._noted(passed.items)
 
     def rest(self) -> Iterator[LogScan]:
-        """Yield the scans that still wait at the end of the log, where nothing contradicts them."""
+        """Yield the scans that still wait at the end of the log."""
         yield from self._noted(self._gate.confirm().items)
         yield from self._deskewed(self._before, self._last)
 
     def _later_by_laser(self, item: LogScan) -> LogScan:
-        """Return a scan whose stamp no other laser has: a microsecond later for each before it."""
+        """Return the scan with a stamp that no other laser has."""
         stamp_s, mount = item.scan.stamp_s, item.scan.mount
         if stamp_s != self._given_s:
             self._given_s, self._mounts = stamp_s, []
@@ -210,7 +204,7 @@ class Continuity:
                 yield item
 
     def _deskewed(self, first: LogScan | None, second: LogScan | None) -> Iterator[LogScan]:
-        """Yield the scan that is held, deskewed by the motion between two scans."""
+        """Yield the held scan, deskewed by the motion between two scans."""
         if not self._is_held or self._last is None:
             return
         self._is_held = False
@@ -222,7 +216,7 @@ class Continuity:
         yield replace(self._last, scan=self.deskewer.moved(self._last.scan, poses))
 
     def _between(self, first: LogScan | None, second: LogScan | None, times: F64) -> F64 | None:
-        """Return poses (K, 3) at times by the odometry of two scans, or else by matching these."""
+        """Return poses (K, 3) at times from the odometry of two scans, or from matching them."""
         if first is None or second is None:
             return None
         span_s = second.scan.stamp_s - first.scan.stamp_s
@@ -237,7 +231,7 @@ class Continuity:
 
 
 def odometry_path(scans: Iterable[LogScan], name: str) -> Trajectory:
-    """Return the odometry of the scans that have some."""
+    """Return the odometry of the scans that have it."""
     rows = [
         (item.scan.stamp_s, pose.x, pose.y, pose.yaw_rad)
         for item in scans
@@ -248,7 +242,7 @@ def odometry_path(scans: Iterable[LogScan], name: str) -> Trajectory:
 
 
 def deskewed_scans(scans: Iterable[LogScan]) -> Iterator[LogScan]:
-    """Yield scans that are in memory as a log gives them: deskewed."""
+    """Yield deskewed scans, as a log does."""
     continuity = Continuity(Skips(), Skips())
     for item in scans:
         yield from continuity.passed(item)
@@ -270,13 +264,9 @@ CUT_OFF_FILE = "the packed file ends early or is damaged; nothing after this was
 def parsed_lines(
     path: Path, parse: Callable[[bytes], T | None]
 ) -> list[tuple[int, bytes, T | str]]:
-    """Return what a text log's lines hold, each with its number and first word.
+    """Return number, first word and content (or the reason for a fault) of a text log's lines.
 
-    Args:
-        parse: returns what a line holds, or None for one to pass over.
-
-    Returns:
-        What was parsed, or why a line could not be.
+    Lines for which ``parse`` returns None are left out.
     """
     found: list[tuple[int, bytes, T | str]] = []
     number = kept_bytes = 0
@@ -300,18 +290,17 @@ def parsed_lines(
 class ScanLog:
     """The scans of a log or bag; each iteration starts from the first one.
 
-    A text log is parsed once, when it is opened; its scans stay in memory, and go with it to other
-    processes. Bags are read as a stream (``BagLog``).
+    A text log is parsed once, when it is opened; its scans stay in memory. Bags are read as a
+    stream (``BagLog``).
 
     Attributes:
-        path: where it lies.
-        records: number of the line and scan of every laser line, or why that is none.
-        skips: what the last iteration left out so far.
-        warnings: what the last iteration let through although it is odd: gaps and jumps.
-        notes: sentences for the user: e.g. that stamps are broken and index time is used.
+        records: line number and scan of every laser line, or why it has none.
+        skips: what the last iteration has left out so far.
+        warnings: gaps and jumps that the last iteration has let through so far.
+        notes: sentences for the user.
         has_stamps: whether times are the log's own; else they are made from the scans' index.
-        fraction_read: how far the current iteration is, 0 to 1.
-        deskewing: how many scans the last iteration has deskewed so far.
+        fraction_read: progress of the current iteration, 0 to 1.
+        deskewing: the scans that the last iteration has deskewed so far.
     """
 
     def __init__(self, path: str | Path, config: LogConfig) -> None:
@@ -323,7 +312,7 @@ class ScanLog:
         self.fraction_read = 0.0
         self.deskewing = Deskewing()
         self._config = config
-        # Gives the odometry within a sweep, where that is known better than by two scans.
+        # The odometry within a sweep, if known better than from two scans.
         self._track: Track | None = None
 
     def __iter__(self) -> Iterator[LogScan]:
@@ -341,9 +330,9 @@ class ScanLog:
         self.fraction_read = 1.0
 
     def learn_sweep(self) -> None:
-        """Find from the first scans how long a sweep takes, against what they say."""
+        """Find the duration of a sweep from the first scans, if they contradict the log's value."""
         deskewer = Deskewer(self._config)
-        with suppress(LogError):  # which reading it raises again
+        with suppress(LogError):  # reading the log raises it again
             for item in islice(self, FIRST_SCANS):
                 deskewer.note(item.scan.stamp_s)
                 if item.odometry is None or deskewer.learn(item.scan, item.odometry):
@@ -358,7 +347,6 @@ class ScanLog:
             )
 
     def _scans(self) -> Iterator[LogScan]:
-        """Yield the readable scans as they were recorded, and count the others."""
         for index, (line, found) in enumerate(self.records, start=1):
             self.fraction_read = index / len(self.records)
             if isinstance(found, str):

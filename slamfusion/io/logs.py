@@ -1,4 +1,4 @@
-"""``open_log``: any log or bag as a stream of scans, whatever program wrote it."""
+"""``open_log``: any log or bag as a stream of scans."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ _DEFAULT_CONFIG = LogConfig()
 
 Reader = Callable[[Path, LogConfig], ScanLog]
 
-# Of a bag that was not closed, and of packed ones, too.
+# Also of unclosed and packed bags.
 BAG_SUFFIXES = (".bag", ".db3", ".mcap", ".active", ".zstd", ".zst")
-# By the end of the name, without .gz. The content decides where it speaks clearly.
+# By the end of the name, without .gz; clear content has precedence.
 _READERS: dict[str, Reader] = {
     ".clf": CarmenLog,
     ".log": CarmenLog,
@@ -39,10 +39,10 @@ _READERS: dict[str, Reader] = {
     **dict.fromkeys(BAG_SUFFIXES, BagLog),
 }
 _BAG_MAGICS = (ROS1_MAGIC, SQLITE_MAGIC, MCAP_MAGIC, ZSTD_MAGIC)
-# Logs of a folder that a message names.
+# Number of logs of a folder that a message names.
 _NAMED = 5
 _BAG_FILES = (METADATA, *STORAGE_FILES)
-# Text has none of the control characters, but for tab, line feed, form feed and carriage return.
+# Text has no control characters but tab, line feed, form feed and carriage return.
 _NO_TEXT = bytes(set(range(32)) - set(b"\t\n\f\r"))
 
 
@@ -56,15 +56,12 @@ def open_log(
             ROS 1 bag (.bag, .bag.active); a ROS 2 bag's folder, its metadata.yaml, .db3 or .mcap
             (also packed, .zstd); a folder with a single log in it.
         config: topics and frames of bags, the no-return value, the period for broken stamps.
-        scan_odometry: a CSV file with the odometry of each laser line of a CARMEN log, taken
-            instead of the poses in it (see ``read_scan_odometry``); default: the log's own.
-
-    Returns:
-        The reader; iterate over it for the scans, as often as wanted.
+        scan_odometry: a CSV file with odometry for each laser line of a CARMEN log (see
+            ``read_scan_odometry``); default: the log's own.
 
     Raises:
-        LogError: empty, no kind of log that is known, or no laser in it; or the odometry beside
-            it cannot be read or is not of this log.
+        LogError: empty, an unknown kind of log, or no laser in it; or ``scan_odometry`` cannot be
+            read or is of another log.
         OSError: the file cannot be opened.
     """
     where = _place(Path(path))
@@ -84,13 +81,13 @@ def open_log(
 
 
 def bag_at(path: Path) -> Path | None:
-    """Return the bag that ``open_log`` reads at a path; None where it is another log."""
+    """Return the bag that ``open_log`` reads at a path; None for another log."""
     where = _place(path)
     return where if _reader(where) is BagLog else None
 
 
 def log_sources(path: Path) -> list[Path]:
-    """Return the files that ``open_log`` reads: of a bag's folder, those that are the bag."""
+    """Return the files that ``open_log`` reads."""
     where = _place(path)
     files = [item for pattern in _BAG_FILES for item in where.glob(pattern)]
     return files if where.is_dir() else [where]

@@ -6,9 +6,9 @@ mode with alpha as a fourth; a cell is occupied *above* ``occupied_thresh`` and 
 ``free_thresh``; saving writes 254 free, 0 occupied and 205 unknown. Row 0 of a picture is the top,
 row 0 of a grid the bottom; the flip happens here and nowhere else.
 
-Where GraphicsMagick 1.3.40 itself departs from the picture formats, the format is followed: it
-drops the alpha of grey PNGs and the transparent colour of RGB ones, and scales a PGM whose maximum
-does not divide 65535 by a whole number, so that its white falls short of white.
+Departures from GraphicsMagick 1.3.40, to follow the picture formats: it drops the alpha of grey
+PNGs and the transparent colour of RGB ones, and a PGM whose maximum does not divide 65535 is scaled
+by a whole number, so that its white is too dark.
 """
 
 from __future__ import annotations
@@ -65,11 +65,11 @@ _QUANTUM_MAX = 65535.0
 OCCUPIED_THRESH, FREE_THRESH = 0.65, 0.196
 # The thresholds of the vote: what is saved is what votes.
 VOTE = NormalizeConfig()
-# A writer replaces the picture and then, within a millisecond, the YAML.
+# A writer replaces the picture and, within a millisecond, the YAML.
 READ_TIMES, WAIT_S = 20, 0.01
-# A path of more characters is none.
+# Longest path in a YAML, characters.
 NAME_MAX = 1000
-# Of the picture's pixels (``pixel_digest``): tells a picture of another map. Map servers ignore it.
+# Digest of the picture's pixels: detects a picture of another map. Map servers ignore it.
 DIGEST = "pixels_sha256"
 _KEYS = (
     "image",
@@ -82,7 +82,7 @@ _KEYS = (
     DIGEST,
 )
 _SAVER = "ros2 run nav2_map_server map_saver_cli -f map"
-# By the end of the name: what is no map of a map server, and how to get one of it.
+# Files by suffix that are not maps of a map server, and how to get a map from them.
 _NO_MAPS = {
     **dict.fromkeys(
         (".posegraph", ".data"),
@@ -125,7 +125,7 @@ class Rules:
     free_thresh: float = FREE_THRESH
 
     def check(self, where: str) -> None:
-        """Refuse a mode that is none, and thresholds that are no shares or cross."""
+        """Refuse an unknown mode, and thresholds outside [0, 1] or in the wrong order."""
         if self.mode not in _MODES:
             wanted = "be trinary, scale or raw"
             raise _wrong(where, "mode", wanted, self.mode, "write one of them or omit it")
@@ -157,12 +157,12 @@ def _scale_cells(shade: F64, rules: Rules) -> Cells:
     occupancy = shade if rules.negate else 1.0 - shade
     span = rules.occupied_thresh - rules.free_thresh
     between = np.rint((occupancy - rules.free_thresh) / span * 100.0)
-    # At a threshold itself the linear rule gives 0 or 100 as well, so clipping is the whole rule.
+    # At the thresholds the linear rule gives 0 and 100.
     return np.clip(between, FREE, OCCUPIED).astype(np.int8)
 
 
 def _raw_cells(shade: F64, rules: Rules) -> Cells:
-    """The 8-bit value itself up to 100, unknown above; ``negate`` has no say."""
+    """The 8-bit value itself up to 100, unknown above; ``negate`` is ignored."""
     del rules
     value = np.floor(shade * 255.0 + 0.5)
     return np.where(value <= OCCUPIED, value, UNKNOWN).astype(np.int8)
@@ -178,16 +178,16 @@ _MODES: dict[str, Callable[[F64, Rules], Cells]] = {
 def cells_from_image(
     pixels: Pixels, rules: Rules, *, legacy_unknown: bool = False
 ) -> tuple[Cells, int]:
-    """Return the cells of a picture, and how many of them are unknown but do not read so.
+    """Return the cells of a picture, and the number of unknown cells that do not read so.
 
-    Those have the grey that map savers write for unknown, under trinary thresholds that take it for
-    free or occupied, or with an alpha channel, which makes it brighter.
+    Those have the grey that map savers write for unknown, but trinary thresholds or an alpha
+    channel (which brightens) make them free or occupied. ``legacy_unknown`` reads them as unknown.
 
     Args:
         pixels: (H, W), (H, W, 3) or (H, W, 4), uint8 or uint16, top row first.
 
     Returns:
-        (H, W) int8, bottom row first, read-only; and the count, the same with and without
+        (H, W) int8, bottom row first, read-only; and the count, with and without
         ``legacy_unknown``.
     """
     maxval = int(np.iinfo(pixels.dtype).max)
@@ -219,9 +219,8 @@ def cells_from_image(
 
 
 def _colour_cells(band: npt.NDArray[Any], maxval: int, rules: Rules) -> Cells:
-    """Return the cells of colour pixels (H, W, 3), or (H, W, 4) with alpha."""
-    # nav2 keeps what its forerunner did: in trinary mode alpha is averaged in like a colour, so
-    # that a fully opaque pixel looks brighter than its colours.
+    """Return the cells of colour pixels (H, W, 3 or 4)."""
+    # As in nav2, trinary mode averages alpha in like a colour, so that an opaque pixel is brighter.
     averaged = band if rules.mode == "trinary" else band[..., :3]
     channels = averaged.shape[-1]
     quanta = _quanta(averaged, maxval).sum(axis=-1)
@@ -232,23 +231,22 @@ def _colour_cells(band: npt.NDArray[Any], maxval: int, rules: Rules) -> Cells:
 
 
 def _quanta(values: npt.NDArray[Any], maxval: int) -> F64:
-    """Return values 0..maxval as whole numbers 0..65535, as nav2's image library has them."""
+    """Return values 0..maxval as integers 0..65535, as nav2's image library does."""
     return np.floor(values.astype(np.float64) * (_QUANTUM_MAX / maxval) + 0.5)
 
 
 def _flipped(values: npt.NDArray[Any], table: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Return ``table[values]`` upside down."""
-    if values.dtype == np.uint8:  # OpenCV is some times as fast
+    if values.dtype == np.uint8:  # OpenCV is faster
         return np.ascontiguousarray(cv2.LUT(values, table)[::-1])
     return np.asarray(table[values[::-1]])
 
 
 def with_settled_edges(cells: Cells, pixels: Pixels, rules: Rules) -> Cells:
-    """Return cells in which the grey ones on the edge of a wall are a wall or free.
+    """Return cells in which grey cells on the edge of a wall are occupied or free.
 
-    In an anti-aliased drawing, and in a map of probabilities, one or two grey cells lie between a
-    wall and free ground. They are decided at half, so that the face of the wall is found. The grey
-    of unknown cells, and grey cells elsewhere, stay unknown.
+    Anti-aliased drawings and probability maps have one or two grey cells between a wall and free
+    ground. They are decided at 50 %. The grey of unknown cells, and grey cells elsewhere, stay.
 
     Args:
         cells: (H, W) int8, as ``cells_from_image`` returns them.
@@ -266,7 +264,7 @@ def with_settled_edges(cells: Cells, pixels: Pixels, rules: Rules) -> Cells:
     cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
 
     def reached(kind: int) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
-        """Return the grey cells one step from a class, and those at most two from it."""
+        """Return the grey cells one step, and at most two steps, from a class."""
         near = [np.asarray(classes == kind)]
         for _ in range(2):
             near.append(between & (cv2.dilate(near[-1].view(np.uint8), cross) > 0))
@@ -287,7 +285,7 @@ def pixels_from_cells(
     Args:
         cells: (H, W) int8, -1 unknown, 0..100 percent; bottom row first.
     """
-    # The table is indexed with the cell's byte, so unknown (-1) stands at 255.
+    # Indexed with the cell's byte: unknown (-1) is 255.
     table = np.full(256, UNKNOWN_GREY, dtype=np.uint8)
     value = np.arange(OCCUPIED + 1)
     if rules.mode == "trinary":
@@ -298,7 +296,7 @@ def pixels_from_cells(
         table[: OCCUPIED + 1] = value
         table[255] = 255
     else:
-        # nav2's image library cuts to 16 bits, and cuts those to 8.
+        # nav2's image library truncates to 16 bits, then to 8.
         table[: OCCUPIED + 1] = (((100 - value) / 100.0 * _QUANTUM_MAX).astype(np.int64)) // 257
         table[255] = 127
     grey: npt.NDArray[np.uint8] = _flipped(cells.view(np.uint8), table)
@@ -324,28 +322,25 @@ def load_map(
 ) -> OccupancyGrid:
     """Load an occupancy grid from a map server's YAML, a bare picture or a DXF drawing.
 
-    Where the YAML names ``x.pgm`` and only ``x.pgm.gz`` is there, that is read. A bare picture is
-    read with the default rules (trinary, thresholds 0.65 and 0.196), its lower-left corner at the
-    origin of the map frame.
+    If the YAML names ``x.pgm`` and only ``x.pgm.gz`` exists, that is read; if the picture's path
+    does not exist, a picture of that name next to the YAML is read, with a warning. A bare picture
+    is read with the default rules (trinary, thresholds 0.65 and 0.196), its lower-left corner at
+    the origin of the map frame.
 
-    The YAML that ``save_map`` writes holds a digest of the picture's pixels. If the picture is
-    another one, another process may be replacing both: they are read again before they are refused.
+    The YAML of ``save_map`` holds a digest of the pixels. If it does not match, both files are read
+    again, in case another process is replacing them, and then refused.
 
-    Map savers write the grey 205 for unknown; with a ``free_thresh`` above 0.196, 0.25 for example,
-    it reads as free, as in nav2; so it does with an alpha channel, which nav2 averages in. That is
-    warned of with the number of cells.
-
-    If nothing is at the picture's path, as in a YAML of another machine, a picture of this name
-    beside the YAML is read, with a warning.
+    Map savers write grey 205 for unknown; with ``free_thresh`` above 0.196 or an alpha channel it
+    reads as free, as in nav2, with a warning.
 
     Args:
         path: the YAML, or a PGM, PNG or BMP (each also gzipped), or a DXF drawing.
-        resolution: metres per cell of a bare picture, or of a drawing (see ``read_dxf``); must be
-            left out for a YAML.
-        name: the grid's name; default: the file's name without its endings.
-        legacy_unknown: read such cells as unknown.
-        settle_edges: read grey cells between a wall and free ground as one of both, so that walls
-            of drawings have their faces (``with_settled_edges``); nav2 reads them as unknown.
+        resolution: metres per cell of a bare picture or a drawing (see ``read_dxf``); not for a
+            YAML.
+        name: default: the file's name without its endings.
+        legacy_unknown: read grey 205 as unknown.
+        settle_edges: read grey cells between a wall and free ground as one of both
+            (``with_settled_edges``); nav2 reads them as unknown.
 
     Raises:
         MapFileError: a file is missing, damaged or breaks the format's rules.
@@ -399,7 +394,7 @@ def load_map(
 
 
 def _entry_with_picture(path: Path) -> tuple[MapFile, Pixels]:
-    """Read a YAML and its picture; both again where they do not belong together."""
+    """Read a YAML and its picture; again if they do not match."""
     for _ in range(READ_TIMES):
         entry = read_map_yaml(path)
         pixels = read_image(existing(entry.image))
@@ -414,14 +409,12 @@ def _entry_with_picture(path: Path) -> tuple[MapFile, Pixels]:
 
 @dataclass(frozen=True)
 class MapFile:
-    """What a map's YAML says, checked.
+    """The checked content of a map's YAML.
 
     Attributes:
-        image: the picture; may be there with ``.gz`` alone.
-        resolution, origin, rules: of its cells.
+        image: may exist with ``.gz`` only.
         digest: of the picture's pixels; None if the YAML has none.
-        named: the path that the YAML names, where nothing is there and ``image`` lies beside the
-            YAML; None elsewhere.
+        named: the path in the YAML, if ``image`` was found next to the YAML instead.
     """
 
     image: Path
@@ -466,7 +459,7 @@ def read_map_yaml(path: Path) -> MapFile:
     )
     rules.check(str(path))
     picture, named = path.parent / image, None
-    # A path of the machine on which the map was made, with / or with \.
+    # The path may be of another machine, with / or \.
     name = PureWindowsPath(image).name
     if name and not _is_there(picture) and _is_there(path.parent / name):
         picture, named = path.parent / name, image
@@ -481,7 +474,7 @@ def _is_there(path: Path) -> bool:
 
 
 def _yaml_values(path: Path) -> dict[Any, Any]:
-    """Return the top mapping of a map's YAML, all scalars as the text they are written in."""
+    """Return the top mapping of a map's YAML, all scalars as text."""
     try:
         values = read_yaml(path, MapFileError, "a map's YAML", as_text=True)
     except OSError as error:
@@ -492,7 +485,7 @@ def _yaml_values(path: Path) -> dict[Any, Any]:
             f"{path}: wanted a mapping with image, resolution and origin, found {found}; "
             "give the map's YAML"
         )
-    for key in values:  # a key that looks like an absent known one; others are left alone
+    for key in values:  # a key close to a missing known one; others are ignored
         near = difflib.get_close_matches(str(key), _KEYS, n=1, cutoff=0.8)
         if key not in _KEYS and near and near[0] not in values:
             message = f"{path}: unknown key {_shown(key)}; write {near[0]!r} if that is meant"
@@ -509,14 +502,14 @@ def _wrong(where: Path | str, key: str, wanted: str, value: Any, advice: str) ->
 
 
 def _number(value: Any) -> Any:
-    """Return the number that a scalar's text spells; anything else unchanged, to be refused."""
+    """Return the number that a text spells; anything else unchanged."""
     if isinstance(value, str) and _NUMBER.fullmatch(value):
         return float(value)
     return value
 
 
 def _shown(value: Any) -> str:
-    """Return a value from a file for a message: short, on one line, numbers without quotes."""
+    """Return a value from a file for a message: short, on one line."""
     if isinstance(value, float):
         return f"{value:.2f}" if value == round(value, 2) else f"{value:g}"
     if isinstance(value, list):
@@ -525,7 +518,6 @@ def _shown(value: Any) -> str:
 
 
 def _checked_resolution(where: Path, value: Any) -> float:
-    """Return metres per cell, or say what was found instead."""
     usable = isinstance(value, (int, float)) and not isinstance(value, bool)
     if not (usable and math.isfinite(value) and value > 0):
         wanted = "be a positive, finite number of metres per cell"
@@ -537,7 +529,7 @@ def _checked_resolution(where: Path, value: Any) -> float:
 
 
 def existing(path: Path, prefix: str = "") -> Path:
-    """Return the path, or the same with .gz where only that is there."""
+    """Return the path, or the same with .gz if only that exists."""
     packed = path.with_name(f"{path.name}.gz") if path.name else path
     try:
         if path.exists():
@@ -554,10 +546,7 @@ def existing(path: Path, prefix: str = "") -> Path:
 
 
 def map_sources(path: Path) -> list[Path]:
-    """Return the files that ``load_map`` reads, and the names that stand for packed ones.
-
-    Of a map that cannot be read as many as are known: it is refused when it is loaded.
-    """
+    """Return the files that ``load_map`` reads; of an unreadable map those that are known."""
     files = [path]
     with suppress(MapFileError):
         files.append(existing(path))
@@ -580,11 +569,9 @@ def save_map(
 ) -> tuple[Path, Path]:
     """Save a grid as its picture and ``stem.yaml``; see ``AtomicFiles``.
 
-    In ``trinary`` mode the classes that vote are saved: unknown 205, free 254, occupied 0. Loading
-    gives them back, here and in nav2, and with the thresholds written by default, 0.65 and 0.196,
-    no unknown cell reads as free. In ``raw`` mode loading gives every value; in ``scale`` mode too
-    when the thresholds are 0 and 1; with others loading stretches what lies between them to
-    0..100, as nav2 does.
+    ``trinary`` saves unknown 205, free 254, occupied 0; loading gives the same classes, here and
+    in nav2. ``raw`` keeps every value; ``scale`` too if the thresholds are 0 and 1, otherwise
+    loading stretches the values between them to 0..100, as nav2 does.
 
     Args:
         grid: cells -1 and 0..100.
@@ -593,15 +580,15 @@ def save_map(
         free_thresh: written to the YAML; 0..1.
         occupied_thresh: written to the YAML; 0..1, above ``free_thresh``.
         image_format: ``pgm``, ``png`` or ``bmp``; default: ``png`` for scale, else ``pgm``.
-        classes: in ``trinary`` mode, what is free and what is occupied; the thresholds of the vote.
-        files: the set of files to join; default: one of its own.
+        classes: thresholds of free and occupied in ``trinary`` mode.
+        files: write together with these files; default: write now.
 
     Returns:
         The paths of the YAML and of the picture.
 
     Raises:
-        MapFileError: a rule above is broken, the grid's resolution or origin would be refused when
-            loading (``implausible``), or a file cannot be written; nothing was changed.
+        MapFileError: a rule above is broken, the resolution or origin is ``implausible``, or a file
+            cannot be written; nothing was changed.
     """
     stem = Path(stem)
     yaml_path, image_path = saved_files(stem, mode, image_format)
@@ -629,11 +616,11 @@ def saved_files(
 
 
 def _check_saving(grid: OccupancyGrid, stem: Path, rules: Rules, image_format: str) -> None:
-    """Refuse what could not be loaded back as the same map."""
+    """Refuse what would not load as the same map."""
     where = str(stem)
     try:
         kind = stat.S_IFMT(stem.stat().st_mode)
-    except (OSError, ValueError):  # nothing there, or writing will say what is wrong
+    except (OSError, ValueError):  # absent; other errors are reported on writing
         kind = stat.S_IFREG
     if stem.name in {"", ".."} or kind not in {stat.S_IFREG, stat.S_IFDIR}:
         message = f"{where}: cannot write: a device or no file name; give a path such as out/map"
@@ -662,7 +649,6 @@ def _check_saving(grid: OccupancyGrid, stem: Path, rules: Rules, image_format: s
 
 
 def _yaml_text(grid: OccupancyGrid, image_name: str, rules: Rules, digest: str) -> str:
-    """Return the YAML of a saved map; numbers keep every digit they need and no more."""
     origin = (grid.origin.x, grid.origin.y, grid.origin.yaw_rad)
     image = yaml.safe_dump({"image": image_name}, allow_unicode=True, width=math.inf)
     return (
@@ -678,10 +664,7 @@ def _yaml_text(grid: OccupancyGrid, image_name: str, rules: Rules, digest: str) 
 
 
 def _yaml_number(value: float) -> str:
-    """Return the shortest decimal that reads back as the same number.
-
-    YAML 1.1 takes ``1e-05`` for text: a float needs its point.
-    """
+    """Return the shortest decimal that reads back as the same number (YAML 1.1 needs a point)."""
     text = repr(float(value))
     if "e" in text and "." not in text:
         text = text.replace("e", ".0e")

@@ -1,9 +1,9 @@
-"""Maps that do not fit into memory: Zarr stores of chunks, written one by one, in place at the end.
+"""Maps that do not fit into memory: Zarr stores, written chunk by chunk, renamed at the end.
 
-A store is a folder in Zarr's format 2, which any Zarr library reads: the group's attributes have
-the map's ``resolution`` (metres a cell) and ``origin`` (x, y in metres and yaw in radians of the
-lower-left corner of cell [0, 0]), each array is (H, W) int8 with rows growing along +y. Chunks that
-nobody wrote are -1, unknown, and take no room.
+A store is a folder in Zarr's format 2: the group's attributes have the map's ``resolution`` (metres
+per cell) and ``origin`` (x, y in metres and yaw in radians of the lower-left corner of cell
+[0, 0]); each array is (H, W) int8 with rows growing along +y. Chunks that were not written are -1,
+unknown, and take no space.
 """
 
 from __future__ import annotations
@@ -25,10 +25,9 @@ from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid
 
 
 class MapStore:
-    """A store that is being written; use it in a ``with`` block, which puts it in its place.
+    """A store that is being written; the ``with`` block renames it into place.
 
-    It is written beside its place under a name that begins with a dot. Where the block ends in an
-    error nothing is left of it.
+    Until then it has a hidden name next to its place. An error in the block removes it.
     """
 
     def __init__(
@@ -41,12 +40,7 @@ class MapStore:
         origin: Pose2,
         attributes: Mapping[str, Any] | None = None,
     ) -> None:
-        """Begin a store.
-
-        Args:
-            resolution: metres a cell.
-            origin: pose of the lower-left corner of cell [0, 0] in the map frame.
-        """
+        """Start a store; ``resolution`` in metres per cell, ``origin`` of cell [0, 0]'s corner."""
         self.path = Path(path)
         check_store(self.path)
         self._part = self.path.with_name(f".{self.path.name}.{secrets.token_hex(8)}")
@@ -78,8 +72,8 @@ class MapStore:
             self._arrays = {name: group[name] for name in names}
 
     def write(self, name: str, box: CellBox, cells: npt.NDArray[np.int8]) -> None:
-        """Write a box of cells of an array; whole chunks are written without being read."""
-        if cells.shape != (box.height, box.width):  # which Zarr would cut, and say nothing
+        """Write a box of cells of an array."""
+        if cells.shape != (box.height, box.width):  # Zarr would cut silently
             found = " x ".join(map(str, cells.shape))
             raise GridError(f"{self.path}: wanted {box.height} x {box.width} cells, found {found}")
         try:
@@ -100,7 +94,7 @@ class MapStore:
 
     @contextmanager
     def _whole_or_nothing(self) -> Iterator[None]:
-        """Leave nothing of the store where a ``with`` block ends in an error."""
+        """Remove the store if the ``with`` block raises."""
         try:
             yield
         except OSError as error:
@@ -120,7 +114,7 @@ class MapStore:
 
 
 def check_store(path: Path) -> None:
-    """Refuse to write a store where something is, or without Zarr, before any work."""
+    """Refuse to write over something, or without Zarr, before any work."""
     if os.path.lexists(path):
         message = f"{path} exists, and a store is not written over; remove it or name another"
         raise MapFileError(message)
@@ -128,7 +122,7 @@ def check_store(path: Path) -> None:
 
 
 def read_stored_map(path: str | Path, name: str) -> OccupancyGrid:
-    """Read a map from a store, whole."""
+    """Read a whole map from a store."""
     zarr, _ = _zarr()
     try:
         group = zarr.open_group(str(path), mode="r")

@@ -1,7 +1,6 @@
-"""Odometry that lies beside a log: a CSV file with one row for each laser line of the log.
+"""Odometry in a CSV file next to a log, one row for each laser line.
 
-A corrected log holds what a SLAM made of the drive. Its poses are an answer, and no odometry;
-where the odometry could be had back from elsewhere, it stands in such a file.
+For a corrected log, whose own poses are the result of a SLAM.
 """
 
 from __future__ import annotations
@@ -22,9 +21,9 @@ PoseRow = tuple[float, float, float]
 
 INDEX = "index"
 POSE = ("odom_x", "odom_y", "odom_theta")
-# Where the file has them too: the poses of the log that it belongs to.
+# Optional: the poses in the log that the file belongs to.
 LOGGED = ("corrected_x", "corrected_y", "corrected_theta")
-# A log of six digits is this exact (metres or radians, and share of a coordinate).
+# Rounding of a log of six digits (metres or radians, and share of a coordinate).
 ROUNDING, ROUNDING_SHARE = 2e-5, 1e-5
 
 
@@ -35,8 +34,8 @@ class ScanOdometry:
     Attributes:
         poses: (N, 3) float64, x and y in metres, yaw in radians, of the robot at laser line 0 to
             N - 1 of the log, in the odometry frame.
-        logged: (N, 3) float64, the poses that the log's own lines carry, to tell whether this is
-            the file of a log; None where the file does not say.
+        logged: (N, 3) float64, the poses in the log's own lines, to check that the file belongs to
+            the log; None if the file has none.
     """
 
     path: Path
@@ -47,10 +46,10 @@ class ScanOdometry:
         """Return the odometry of each laser line of a log.
 
         Args:
-            logged: the poses that the lines carry, metres and radians; None: it cannot be read.
+            logged: the poses in the lines, metres and radians; None if unreadable.
 
         Raises:
-            LogError: the file has not one row for each line, or a line has another pose.
+            LogError: the number of rows differs from the number of lines, or a pose differs.
         """
         if len(self.poses) != len(logged):
             raise LogError(
@@ -77,8 +76,8 @@ def read_scan_odometry(path: str | Path) -> ScanOdometry:
     Args:
         path: CSV, plain or gzip. The first line names the columns: ``index`` (of the laser line in
             the log, from 0, without a gap), ``odom_x``, ``odom_y`` (metres), ``odom_theta``
-            (radians), and where known ``corrected_x``, ``corrected_y``, ``corrected_theta``, the
-            pose in the log's line; others are passed over.
+            (radians), and optionally ``corrected_x``, ``corrected_y``, ``corrected_theta``, the
+            pose in the log's line; others are ignored.
     """
     where = Path(path)
     columns: list[str] = []
@@ -107,7 +106,7 @@ def read_scan_odometry(path: str | Path) -> ScanOdometry:
 
 
 def _row(fields: list[str], columns: list[str], index: int, where: str) -> list[float]:
-    """Return the numbers of one line; only those of the index and the pose need to be finite."""
+    """Return the numbers of one line; index and pose must be finite."""
     try:
         values = [float(field) for field in fields]
     except ValueError:

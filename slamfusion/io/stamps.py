@@ -1,7 +1,7 @@
-"""``StampGate``: a time stamp far from those before it counts when several in a row say the same.
+"""``StampGate``: accepts a jump of time only when several stamps in a row confirm it.
 
-One wrong stamp (a driver that is restarted, a clock that is set, a damaged message) must neither
-discard a map nor keep every later scan out of it.
+One wrong stamp (a restarted driver, a set clock, a damaged message) must neither discard a map nor
+block every later scan.
 """
 
 from __future__ import annotations
@@ -14,22 +14,17 @@ from typing import Generic, TypeVar
 
 T = TypeVar("T")
 
-# Items in a row that must say that time has jumped.
+# Items in a row that confirm a jump of time.
 CONFIRMING = 3
-# A stamp may run ahead of the last one by the real time that has passed and this much, seconds.
+# A stamp may run ahead of the last one by the elapsed real time plus this, seconds.
 AHEAD_S = 1.0
-# Items that are held back at most; while the odometry contradicts, the oldest go first.
+# Most items held back; while the odometry contradicts, the oldest are dropped.
 HELD_MOST = 20
 
 
 @dataclass(frozen=True)
 class Jump:
-    """A jump of time that several stamps in a row have confirmed.
-
-    Attributes:
-        before_s: the newest stamp before it, seconds.
-        after_s: the first stamp after it, seconds.
-    """
+    """A confirmed jump of time, between two stamps in seconds."""
 
     before_s: float
     after_s: float
@@ -46,7 +41,7 @@ class Passed(Generic[T]):
 
     Attributes:
         items: to be used, in their order; none while an item is held back.
-        strays: items that are left out for good.
+        strays: items that are dropped.
         jump: of time, before the first of ``items``.
     """
 
@@ -56,22 +51,22 @@ class Passed(Generic[T]):
 
 
 class StampGate(Generic[T]):
-    """Lets items through whose stamps go on from the last ones; holds the others back.
+    """Passes items whose stamps continue the last ones; holds the others back.
 
-    An item that is older than the newest one by more than ``back_s``, or further ahead than the
-    real time that has passed and ``ahead_s`` (or twice the usual step, where steps are longer),
-    is held back. When ``CONFIRMING`` of them follow in their own order, with nothing from the old
-    time between, time has jumped: all are let through. When the old time goes on, they were
-    strays. A held item that is sent again, unchanged, confirms itself: its sender waits for it.
+    An item is held back if it is older than the newest one by more than ``back_s``, or further
+    ahead than the elapsed real time plus ``ahead_s`` (or twice the usual step, if that is longer).
+    When ``CONFIRMING`` held items follow in order, with nothing from the old time between, time
+    has jumped: all pass. When the old time continues, they were strays. A held item that is sent
+    again unchanged confirms itself: its sender waits for it.
 
-    An item that is a little older than the newest one passes: whoever uses it leaves it out.
+    An item slightly older than the newest one passes; the user of the gate skips it.
 
     Args:
         is_same: whether two items of one stamp are the same one, sent again; default: never.
 
     Attributes:
         back_s: may be changed.
-        newest_s: newest stamp that was let through, seconds; None before the first.
+        newest_s: newest stamp that passed, seconds; None before the first.
     """
 
     def __init__(
@@ -82,7 +77,7 @@ class StampGate(Generic[T]):
         self._is_same = is_same
         self._ahead_s = ahead_s
         self._arrived_s = 0.0
-        # The last stamps that were let through and were newest then; and what is held back.
+        # The last stamps that passed as the newest, and the held items.
         self._last_s: deque[float] = deque(maxlen=CONFIRMING)
         self._held: list[tuple[float, float, T]] = []
         self._said = 0
@@ -107,11 +102,9 @@ class StampGate(Generic[T]):
         """Take one more item.
 
         Args:
-            arrived_s: real time of its arrival, seconds; the same each time where that says
-                nothing.
-            agrees: asked with the newest stamp before the jump and the newest after it, once
-                enough items say that time has jumped; while it says no, they are held back.
-                Default: yes.
+            arrived_s: real time of its arrival, seconds; constant if unknown.
+            agrees: called with the newest stamp before and after a confirmed jump; while it
+                returns False, the items are held back. Default: True.
         """
         newest_s = self.newest_s
         if newest_s is None or self._is_regular(newest_s, stamp_s, arrived_s):
@@ -125,7 +118,7 @@ class StampGate(Generic[T]):
         return Passed((), strays)
 
     def confirm(self) -> Passed[T]:
-        """Let through what is held back: something else has confirmed it, or nothing follows."""
+        """Pass the held items: something else has confirmed them, or nothing follows."""
         if not self._held or self.newest_s is None:
             return Passed()
         jump = Jump(self.newest_s, self._held[0][0])
@@ -140,7 +133,7 @@ class StampGate(Generic[T]):
         return Passed(tuple(items), (), jump)
 
     def restart(self, newest_s: float | None) -> None:
-        """Forget everything but a newest stamp, seconds; None: that too."""
+        """Forget everything but the given newest stamp, seconds."""
         self._held, self._said = [], 0
         self._last_s.clear()
         self.newest_s = newest_s
@@ -148,9 +141,9 @@ class StampGate(Generic[T]):
             self._last_s.append(newest_s)
 
     def _is_regular(self, newest_s: float, stamp_s: float, arrived_s: float) -> bool:
-        """Whether a stamp goes on from the last ones."""
+        """Whether a stamp continues the last ones."""
         if stamp_s <= newest_s:
-            # Behind no more than the last two: one of these ran ahead.
+            # Behind only the last two: one of these ran ahead.
             return stamp_s >= newest_s - self.back_s or stamp_s > self._last_s[0]
         steps_s = [after_s - before_s for before_s, after_s in pairwise(self._last_s)]
         usual_s = min(steps_s) if len(steps_s) == CONFIRMING - 1 else 0.0
@@ -163,7 +156,7 @@ class StampGate(Generic[T]):
             self._last_s.append(stamp_s)
 
     def _hold(self, newest_s: float, stamp_s: float, arrived_s: float, item: T) -> tuple[T, ...]:
-        """Hold an item back; return those that it shows to be strays."""
+        """Hold an item back; return the strays that it reveals."""
         strays: tuple[T, ...] = ()
         is_next = True
         if self._held:
@@ -173,7 +166,7 @@ class StampGate(Generic[T]):
                 return ()
             if stamp_s < first_s or (stamp_s > newest_s) != (first_s > newest_s):
                 strays = self._drop_held()
-            else:  # one that is late among them, or of another sensor, says nothing new
+            else:  # a late one, or one of another sensor, confirms nothing
                 is_next = stamp_s > max(held_s for held_s, *_ in self._held)
         self._held.append((stamp_s, arrived_s, item))
         self._said += is_next

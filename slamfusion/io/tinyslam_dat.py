@@ -1,4 +1,4 @@
-"""``TinySlamDat``: the recordings that tinySLAM came with, wheel ticks and a Hokuyo URG-04LX.
+"""``TinySlamDat``: tinySLAM's own recordings, wheel ticks and a Hokuyo URG-04LX.
 
 One scan a line, 707 numbers: time in microseconds, left and right wheel ticks (fields 2 and 3),
 682 ranges in millimetres (fields 24 to 705).
@@ -27,18 +27,18 @@ _BEAMS = slice(24, 706)
 _METRES_PER_TICK = 2.0 * math.pi * 0.077 / 2000.0
 _HALF_AXLE_M = 0.165
 _MOUNT = Pose2(0.145, 0.0, 0.0)
-# The data sheet: 1024 steps a turn; 682 of them, 44 to 725, are measured, and 384 looks ahead.
+# Data sheet: 1024 steps a turn; 44 to 725 are measured, 384 looks ahead.
 _STEP_RAD = 2.0 * math.pi / 1024.0
 _FIRST_RAD = (44 - 384) * _STEP_RAD
-# The robot's own body hides this number of beams at each side.
+# The robot's body hides this number of beams at each side.
 _HIDDEN = 70
 _RANGE_MAX_M = 4.0
-# The laser writes small numbers for what went wrong (0: nothing came back); a wall cannot be there.
+# Smaller readings are error codes (0: no return).
 _RANGE_MIN_M = 0.02
 
 WRONG_COUNT = f"not {FIELDS} fields (a cut-off line?)"
 NOT_FINITE = "ticks or time not finite"
-# Beyond, a float no longer counts one by one; NaN is no less than it either.
+# Largest exact integer of a float64.
 _COUNT_MAX = 2.0**53
 
 
@@ -49,7 +49,7 @@ class TinySlamDat(ScanLog):
     time that wrap at 16 or 32 bits are unwrapped. ``line`` is the line in the file, from 1.
 
     Raises:
-        LogError: no line of the file is such a scan.
+        LogError: no line of the file is a scan.
     """
 
     def __init__(self, path: str | Path, config: LogConfig = _DEFAULT_CONFIG) -> None:
@@ -81,7 +81,7 @@ class TinySlamDat(ScanLog):
             )
 
     def _scan(self, ranges_m: F64, stamp_s: float) -> LaserScan:
-        """Return the sweep: 0 saw nothing, error codes and hidden beams measured nothing."""
+        """Return the sweep: 0 is +inf; error codes and hidden beams are NaN."""
         ranges = np.where((ranges_m == 0.0) | (ranges_m > FARTHEST_M), np.inf, ranges_m)
         ranges[ranges < _RANGE_MIN_M] = np.nan
         ranges[:_HIDDEN] = np.nan
@@ -98,7 +98,7 @@ class TinySlamDat(ScanLog):
 
 
 def _parsed(line: bytes) -> F64 | None:
-    """Return the numbers of a line but the last, which need not even be one."""
+    """Return the numbers of a line without the last, which may be damaged."""
     fields = line.split()
     if not fields or fields[0].startswith(b"#"):
         return None
@@ -114,10 +114,7 @@ def _parsed(line: bytes) -> F64 | None:
 
 
 def drive_arc(start: Pose2, left_m: float, right_m: float) -> Pose2:
-    """Return the pose after the wheels rolled so far, at a constant ratio: a circular arc.
-
-    Source: Siegwart and Nourbakhsh, Introduction to Autonomous Mobile Robots, section 5.2.4.
-    """
+    """Return the pose after a circular arc (Siegwart and Nourbakhsh, section 5.2.4)."""
     turn_rad = (right_m - left_m) / (2.0 * _HALF_AXLE_M)
     way_m = 0.5 * (left_m + right_m)
     # The chord of the arc points along its middle heading; sin(x) / x is 1 on a straight line.
@@ -131,18 +128,18 @@ def drive_arc(start: Pose2, left_m: float, right_m: float) -> Pose2:
     )
 
 
-# After this number of counts a counter may start again at 0, or at its negative half.
+# A counter may wrap at these counts, to 0 or to its negative half.
 _CLOCK_TURNS = (2.0**32,)
 _TICK_TURNS = (2.0**16, 2.0**32)
 
 
 def _unwrapped(counts: F64, turns: tuple[float, ...]) -> F64:
-    """Return the counts (N,) of a counter as if it had never wrapped."""
+    """Return the counts (N,) without wraps."""
     raw, largest = np.diff(counts), np.maximum(np.abs(counts[1:]), np.abs(counts[:-1]))
     steps = raw.copy()
     for turn in reversed(turns):  # the shortest one that fits decides
-        # Half a turn within one scan is no motion (2^15 ticks would be 8 m), but only a counter
-        # that never left its turn can have wrapped there.
+        # Half a turn within one scan is no motion (2^15 ticks are 8 m), but only a counter that
+        # stays within its turn can have wrapped.
         has_wrapped = (np.abs(raw) > 0.5 * turn) & (np.abs(raw) < turn) & (largest < turn)
         steps = np.where(has_wrapped, raw - np.copysign(turn, raw), steps)
     return np.asarray(counts[:1] + np.concatenate((np.zeros(len(counts[:1])), np.cumsum(steps))))

@@ -1,4 +1,4 @@
-"""``read_trajectory``: stamped poses from any of the files that hold them."""
+"""``read_trajectory``: stamped poses from logs, bags, graphs and tables."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ _DEFAULT_CONFIG = LogConfig()
 
 _LOGGER = logging.getLogger(__name__)
 
-# Seconds since 1970 have 10 digits, nanoseconds 19: in between no file of poses has its times.
+# Seconds since 1970 have 10 digits, nanoseconds 19.
 _NANOSECONDS_FROM = 1e14
 # Quaternions of few digits are this far from length 1.
 _QUATERNION_SLACK = 0.05
 # Columns of ``t x y theta``, and of a TUM file.
 _PLANAR, _TUM = 4, 8
-# A robot on a floor tilts by less, and climbs less: metres, and as a share of where it went.
+# Limits of a robot on a floor: tilt; climb in metres and as a share of the travelled extent.
 _TILT_MAX_DEG, _CLIMB_MAX_M, _CLIMB_MAX = 30.0, 0.5, 0.5
 _WANTED = (
     "a TUM file (8 columns, time x y z qx qy qz qw), rows of 'time x y theta', a heading that "
@@ -51,30 +51,27 @@ def read_trajectory(
 ) -> Trajectory:
     """Read stamped poses.
 
-    The content decides what the file is:
+    The content decides the format:
 
     - 8 columns ``t x y z qx qy qz qw``: TUM, in the order of time; z, roll and pitch are dropped.
       A path that does not lie in the plane is refused, with the likely cause: quaternions written
-      w first, or the axes of a camera, which the config can say.
-    - 4 columns ``t x y theta``. Recorded odometry need not be in order: it is sorted by time (equal
-      times keep their order), and their number is logged.
-    - the same in other columns, between blanks or commas, under a heading that names them, as of
-      EuRoC. t is in nanoseconds where it is 1e14 or more, else in seconds.
+      w first, or camera axes, both of which ``config`` can state.
+    - 4 columns ``t x y theta``, sorted by time (equal times keep their order); rows out of order
+      are counted in the log.
+    - the same in other columns, separated by blanks or commas, under a heading that names them, as
+      in EuRoC. t is in nanoseconds if it is 1e14 or more, else in seconds.
     - a reference graph: each ``VERTEX2`` with the stamp of the ``ROBOTLASER1`` after it, sorted
-      by time; of equal stamps the first stays, and a warning is logged.
+      by time; of equal stamps the first stays, with a warning.
     - any log or bag that ``open_log`` reads: the odometry of its scans.
 
     Args:
         path: the file, plain or gzip, or a ROS 2 bag's folder.
-        pose_topic: of a bag, a topic of poses or ``tf``; default: the odometry of its scans, and of
+        pose_topic: of a bag, a topic of poses or ``tf``; default: the odometry of its scans; of
             a bag without scans its only topic of poses, else its transforms.
 
-    Returns:
-        The poses in the order of time, named after the file.
-
     Raises:
-        TrajectoryError: not such a file, a damaged line (its number is given), no pose in it, or
-            a path that does not lie in the plane.
+        TrajectoryError: another kind of file, a damaged line (with its number), no pose, or a path
+            that does not lie in the plane.
         LogError: it is a log that cannot be read.
         OSError: the file cannot be opened.
     """
@@ -102,9 +99,9 @@ def read_trajectory(
 
 
 def _first_fields(where: Path) -> tuple[list[bytes], list[int] | None]:
-    """Return the fields of the first line that says something, and the columns of a pose.
+    """Return the fields of the first data line, and the columns of a pose.
 
-    The columns are those that a heading names, which may be a comment; None without a heading.
+    The columns are those of a heading, which may be a comment; None without a heading.
     """
     columns = None
     for line in read_head(where).removeprefix(b"\xef\xbb\xbf").splitlines():
@@ -118,7 +115,7 @@ def _first_fields(where: Path) -> tuple[list[bytes], list[int] | None]:
 
 
 def _named_columns(names: list[bytes]) -> list[int] | None:
-    """Return where a heading says that a pose stands: t x y theta, or t x y z qx qy qz qw."""
+    """Return the columns of t x y theta, or t x y z qx qy qz qw, in a heading."""
     plain = (name.decode("ascii", "replace").lower() for name in names)
     words = [re.sub(r"\[.*?\]|[\"'\s]", "", name) for name in plain]
 
@@ -136,14 +133,14 @@ def _named_columns(names: list[bytes]) -> list[int] | None:
 
 
 def _split(line: bytes) -> list[bytes]:
-    """Return the fields of a line between commas, or else blanks."""
+    """Return the fields of a line, separated by commas, or else blanks."""
     if b"," in line:
         return [item.strip() for item in line.rstrip(b", \t\r\n").split(b",")]
     return line.split()
 
 
 def _fields(line: bytes) -> list[bytes]:
-    """Return the fields of a line between blanks or commas; none for a comment."""
+    """Return the fields of a line; none for a comment."""
     stripped = line.strip().removeprefix(b"\xef\xbb\xbf")
     return [] if stripped.startswith((b"#", b"%")) else _split(stripped)
 
@@ -152,7 +149,7 @@ def _fields(line: bytes) -> list[bytes]:
 
 
 def _rows(where: Path, first: list[bytes], columns: list[int] | None) -> Iterator[list[float]]:
-    """Yield time in seconds, x, y and yaw of every line, or what a TUM file has."""
+    """Yield t, x, y and yaw, or the 8 values of a TUM file, of every line; t in seconds."""
     if columns is None:
         if len(first) not in {_PLANAR, _TUM} or not _is_number(first[0]):
             count = f"{len(first)} column{'s' if len(first) > 1 else ''}"
@@ -229,7 +226,7 @@ def _in_plane(where: Path, rows: F64, config: LogConfig) -> F64:
     """Return time, x, y and yaw, (N, 4), of rows ``t x y z qx qy qz qw``, (N, 8)."""
     poses = _robot_poses(rows, config.quaternion, config.axes)
     problem = _out_of_plane(poses)
-    # Of several files the options are meant for those that need them.
+    # With several files, the options apply to those that need them.
     if problem is not None and _out_of_plane(rows[:, 1:]) is None:
         poses, problem = rows[:, 1:], None
     if problem is not None:
@@ -262,13 +259,13 @@ def _robot_poses(rows: F64, quaternion: str, axes: str) -> F64:
     upright = np.column_stack((places, ahead))
     if _out_of_plane(upright) is None:
         return np.asarray(upright, dtype=np.float64)
-    # ... or the world has them, too, as that of a camera's first pose.
+    # ... or also the world, as the frame of the camera's first pose.
     order, signs = [2, 0, 1, 5, 3, 4, 6], (1.0, -1.0, -1.0, 1.0, -1.0, -1.0, 1.0)
     return np.asarray(poses[:, order] * signs, dtype=np.float64)
 
 
 def _out_of_plane(poses: F64) -> str | None:
-    """Say how a path of (N, 7) places and quaternions leaves the plane; None where it does not."""
+    """Return how a path of (N, 7) places and quaternions leaves the plane; None if it does not."""
     turns = poses[:, 3:]
     upward = 1.0 - 2.0 * (turns[:, :2] ** 2).sum(axis=1) / (turns**2).sum(axis=1)
     tilt_deg = float(np.percentile(np.degrees(np.arccos(np.clip(upward, -1.0, 1.0))), 95.0))
@@ -284,7 +281,7 @@ def _out_of_plane(poses: F64) -> str | None:
 
 
 def _read_graph(where: Path, name: str) -> Trajectory | None:
-    """Return the vertices of a reference graph by time, or None when the file has none."""
+    """Return the vertices of a reference graph by time, or None without vertices."""
     rows: list[Row] = []
     pose: list[float] | None = None
     vertices = 0
@@ -320,7 +317,7 @@ def _read_graph(where: Path, name: str) -> Trajectory | None:
 
 
 def _vertex_row(vertex: list[float], tail: list[bytes]) -> Row:
-    """Return a vertex with the time of its scan; NaN where the scan's line does not end well."""
+    """Return a vertex with the time of its scan; NaN if the scan's line is damaged."""
     try:
         robot = [float(item) for item in tail[1:4]]
         stamp_s = float(tail[9])
@@ -376,12 +373,8 @@ def write_tum(
 ) -> None:
     """Write a trajectory as a TUM file; the same poses give the same bytes.
 
-    Times are seconds with nine decimals, lengths metres; z, roll and pitch are 0.
-
-    Args:
-        path: the file; packed when its name ends in ``.gz``.
-        trajectory: what to write; without a pose the file has only its heading.
-        files: stage the file here, to appear together with others; default: write it now.
+    Times are seconds with nine decimals, lengths metres; z, roll and pitch are 0. The file is
+    compressed if its name ends in ``.gz``, and written together with ``files``, if given.
 
     Raises:
         MapFileError: the file cannot be written.
@@ -391,7 +384,7 @@ def write_tum(
     for stamp_s, (x, y, yaw_rad) in zip(
         trajectory.stamps_s.tolist(), trajectory.poses.tolist(), strict=True
     ):
-        # Half of a wrapped angle keeps qw at or above 0, so each pose has one spelling.
+        # Half of a wrapped angle keeps qw >= 0: one spelling for each pose.
         half_rad = 0.5 * wrap_angle(yaw_rad)
         lines.append(
             f"{stamp_s:.9f} {x:.9f} {y:.9f} 0 0 0 "

@@ -1,8 +1,4 @@
-"""``TransformTree``: the transforms between frames, and where each frame is at a time.
-
-One tree for what a recording sends and for what a robot sends now; it needs no ROS. ``Edge`` has
-the transforms of one frame in another. Rotations are SciPy's.
-"""
+"""``TransformTree``: transforms between frames over time, recorded or live; needs no ROS."""
 
 from __future__ import annotations
 
@@ -26,30 +22,26 @@ from slamfusion.io.stamps import Passed, StampGate
 
 # x, y, z in metres, then the unit quaternion x, y, z, w.
 Row = tuple[float, float, float, float, float, float, float]
-# The transforms before and after some times, (N, 7) each, and the shares (N,) of the way between;
-# of one time a row each and a number.
+# The transforms before and after some times, (N, 7) each, and the share (N,) of the interval; for
+# one time a row each and a number.
 Around = tuple[npt.ArrayLike, npt.ArrayLike, npt.ArrayLike]
 
-# An edge between two frames, and whether it is walked from the parent to the child.
+# An edge, and whether it is walked from the parent to the child.
 Step = tuple["Edge", bool]
 
-# A time this little outside of what is known takes the nearest transform, seconds.
+# A time this far outside the known interval takes the nearest transform, seconds.
 HOLD_S = 0.05
-# Live transforms this much older than the newest, several in a row, begin their frame again: a bag
-# that loops. Seconds.
+# Several live transforms in a row that are older than the newest by this restart their frame (a
+# looping bag), seconds.
 BACK_S = 1.0
-# In a recording a transform that stays the same is kept this often, however often it was sent.
+# A constant transform of a recording is kept at this interval, seconds.
 REST_S = 0.1
 # Translations (m) and quaternion parts that differ by less are the same.
 SAME = 1e-7
 
 
 class TransformError(SlamFusionError):
-    """Two frames cannot be related at a time.
-
-    Attributes:
-        may_come: a transform that arrives later may still tell.
-    """
+    """Two frames cannot be related at a time; ``may_come``: a later transform may relate them."""
 
     def __init__(self, message: str, *, may_come: bool) -> None:
         super().__init__(message)
@@ -65,9 +57,9 @@ class Edge:
     """The transforms of one frame in its parent.
 
     Attributes:
-        stamps_s, rows: in the order of time, but for a recording that ``samples`` has yet to sort.
-        heard_s: stamp of the one that came last, whether it is used or not; seconds.
-        gate: holds those back that are far from the others; of what is sent live.
+        stamps_s, rows: in the order of time, except a recording not yet sorted by ``samples``.
+        heard_s: stamp of the last one received, used or not; seconds.
+        gate: holds live transforms back whose stamps are far from the others.
     """
 
     parent: str
@@ -80,12 +72,12 @@ class Edge:
     _sorted: tuple[F64, F64] | None = None
 
     def restart(self, *, is_static: bool) -> None:
-        """Forget every transform; those to come are static or not."""
+        """Forget every transform."""
         self.is_static, self.gate, self._sorted = is_static, _gate(), None
         self.stamps_s, self.rows = [], []
 
     def record(self, stamp_s: float, row: Row) -> None:
-        """Keep a transform of a recording; of long rests only some."""
+        """Keep a transform of a recording; while it is constant only some."""
         self._sorted = None
         rests = (
             len(self.rows) > 1
@@ -100,7 +92,7 @@ class Edge:
         self.rows.append(row)
 
     def take(self, passed: Passed[tuple[float, Row]], keep_s: float) -> bool:
-        """Take in what the gate has let through; return whether any of it is news."""
+        """Take what the gate has passed; return whether any of it is new."""
         if passed.jump is not None and passed.jump.is_back:
             self.stamps_s, self.rows = [], []
         is_news = False
@@ -111,21 +103,21 @@ class Edge:
             self.rows.append(row)
             is_news = True
         newest_s = self.stamps_s[-1]
-        if self.stamps_s[0] < newest_s - 2.0 * keep_s:  # now and then, not each time
+        if self.stamps_s[0] < newest_s - 2.0 * keep_s:  # not each time
             first = bisect_left(self.stamps_s, newest_s - keep_s)
             del self.stamps_s[:first], self.rows[:first]
         self._sorted = None
         return is_news
 
     def forget_after(self, time_s: float) -> None:
-        """Forget what is newer than a time, and what is held back."""
+        """Forget everything newer than a time, and what is held back."""
         kept = bisect_left(self.stamps_s, time_s)
         del self.stamps_s[kept:], self.rows[kept:]
         self.gate.restart(self.stamps_s[-1] if self.stamps_s else None)
         self._sorted = None
 
     def samples(self) -> tuple[F64, F64]:
-        """Return stamps (N,) that increase, and rows (N, 7)."""
+        """Return increasing stamps (N,) and rows (N, 7)."""
         if self._sorted is None:
             stamps, first = np.unique(np.array(self.stamps_s), return_index=True)
             self._sorted = stamps, np.array(self.rows)[first]
@@ -137,7 +129,7 @@ class Edge:
         return self.is_static or bool((np.abs(rows - rows[0]) <= SAME).all())
 
     def around(self, stamps_s: F64) -> Around:
-        """Return what lies around times (N,); beyond the ends it is the end."""
+        """Return the transforms around times (N,), clamped to the ends."""
         stamps, rows = self.samples()
         after = np.clip(np.searchsorted(stamps, stamps_s), 1, max(len(stamps) - 1, 1))
         before, after = after - 1, np.minimum(after, len(stamps) - 1)
@@ -146,7 +138,7 @@ class Edge:
         return rows[before], rows[after], shares
 
     def near(self, wanted_s: float, hold_s: float) -> Around:
-        """Return the same of one time, or raise ``TransformError`` where it is not known."""
+        """Return the same for one time, or raise ``TransformError`` if it is unknown."""
         if self.is_static:
             return self.rows[-1], self.rows[-1], 0.0
         stamps = self.stamps_s
@@ -172,7 +164,7 @@ def _is_same(one: Row, other: Row) -> bool:
     return all(abs(a - b) <= SAME for a, b in zip(one, other, strict=True))
 
 
-# Of what is sent live, so much is kept, seconds.
+# Live transforms are kept for this time, seconds.
 KEEP_S = 10.0
 # A laser tilted by more does not see the plane.
 TILT_MAX_RAD = math.radians(60.0)
@@ -182,13 +174,13 @@ SHORTEST = 1e-6
 
 @dataclass(frozen=True)
 class Mount:
-    """Where something sits on the robot.
+    """The pose of a sensor on the robot.
 
     Attributes:
-        pose: of its frame in the robot's base frame; where its x axis points in plan.
-        is_flipped: it hangs upside down.
+        pose: in the robot's base frame, in plan; yaw is the direction of the x axis.
+        is_flipped: upside down.
         is_static: it cannot move.
-        tilt_rad: between its z axis and the vertical, upside down or not; 0 to pi / 2.
+        tilt_rad: between its z axis and the vertical, 0 to pi / 2.
     """
 
     pose: Pose2 = IDENTITY
@@ -205,34 +197,32 @@ class Mount:
 
 
 def plan_poses(matrices: F64) -> F64:
-    """Return poses (N, 3) in plan, x, y and where the x axis points, of poses (N, 4, 4)."""
+    """Return plan poses (N, 3), yaw by the x axis, of poses (N, 4, 4)."""
     yaws = np.arctan2(matrices[:, 1, 0], matrices[:, 0, 0])
     return np.stack((matrices[:, 0, 3], matrices[:, 1, 3], yaws), axis=-1)
 
 
 class TransformTree:
-    """Frames and the transforms between them, of a recording or as they are sent.
+    """Frames and the transforms between them, recorded or live.
 
-    A recording (``keep_s`` None) is known as a whole: its transforms may come in any order, all are
-    kept, and a frame that is sent in two parents has both. Ask it with ``sample``.
+    A recording (``keep_s`` None) is known completely: its transforms may come in any order, and a
+    frame that is sent in two parents has both. Query it with ``sample``.
 
-    What is sent live is kept for ``keep_s`` behind the newest of its frame. Several transforms in a
-    row that are more than ``BACK_S`` older than the newest begin their frame again (time jumped
-    back); a single one, or one far ahead, is left out (see ``StampGate``), and so is one that is a
-    little older and comes too late. A frame has the parent that was sent last. Ask it with
-    ``mount``, which refuses a time that is not known.
+    Live transforms are kept for ``keep_s`` behind the newest of their frame. Several in a row that
+    are more than ``BACK_S`` older than the newest restart their frame (time jumped back); a single
+    one, one far ahead (see ``StampGate``) and a slightly older one are dropped. A frame has the
+    parent that was sent last. Query with ``mount``, which refuses unknown times.
 
-    In both a static transform holds at every time, and the one that was sent last is used; one that
-    is static from now on, or no more, begins again. Frames are related by the shortest way over
-    edges in either direction, by the edge that was named first where two are equally short; a ring
-    of frames is no harm. A leading ``/`` of a frame's name means nothing. Not safe between threads.
+    A static transform holds at every time, and the last one sent is used; a change between static
+    and moving restarts it. Frames are related by the shortest path over edges in either direction,
+    the first edge of equals; rings are allowed. A leading ``/`` is ignored. Not thread-safe.
 
     Attributes:
-        strays: live transforms left out for their stamps, far from those before and after them.
+        strays: live transforms dropped for their stamps.
     """
 
     def __init__(self, keep_s: float | None = None) -> None:
-        # It loads slowly: here, not at the first lookup.
+        # Slow to load: here, not at the first lookup.
         importlib.import_module("scipy.spatial.transform")
         self.strays = 0
         self._keep_s = keep_s
@@ -241,11 +231,11 @@ class TransformTree:
 
     @property
     def frames(self) -> set[str]:
-        """Every frame that has been named."""
+        """Every named frame."""
         return {frame for pair in self._edges for frame in pair}
 
     def root(self, frame: str) -> str:
-        """Return the outermost frame that holds a frame, which may be itself."""
+        """Return the outermost ancestor of a frame, or the frame itself."""
         parents = {child: parent for parent, child in self._edges}
         seen = {frame}
         while (parent := parents.get(frame)) is not None and parent not in seen:
@@ -263,18 +253,17 @@ class TransformTree:
         is_static: bool = False,
         arrived_s: float = 0.0,
     ) -> bool:
-        """Take in one transform.
+        """Add one transform.
 
         Args:
             parent: frame that the transform leads to.
             child: frame of the points.
             row: (7,) x, y, z in metres, then the quaternion x, y, z, w of any length but 0.
-            arrived_s: real time of its arrival, seconds; the same each time where that is not
-                known. Only what is sent live needs it.
+            arrived_s: real time of its arrival, seconds; constant if unknown. Live only.
 
         Returns:
-            Whether it is used, or held back until others bear it out: of two frames, finite, not
-            absurdly far, a rotation, and live in order.
+            Whether it is used or held back; False for equal frames, values not finite or absurdly
+            large, no rotation, and live ones out of order.
         """
         x, y, z, *turn = (float(value) for value in row)
         length = math.hypot(*turn)
@@ -298,15 +287,15 @@ class TransformTree:
         return edge.take(passed, self._keep_s) if passed.items else True
 
     def heard_s(self, target: str, source: str) -> float | None:
-        """Return the stamp that was heard last of what moves a frame in another, seconds.
+        """Return the last stamp received of what moves between two frames, seconds.
 
-        Of several moving frames between them the oldest; None where nothing moves or connects them.
+        Of several moving frames the oldest; None if nothing moves or connects them.
         """
         edges = [edge for edge, _ in self._way(target, source) or []]
         return min((edge.heard_s for edge in edges if not edge.is_static), default=None)
 
     def settle(self, time_s: float) -> None:
-        """Let in what is held back and nearer to a time than what is used: time is there now."""
+        """Confirm held transforms that are nearer to the given current time than the used ones."""
         for edge in self._edges.values():
             held_s, newest_s = edge.gate.held_for_s, edge.gate.newest_s
             if self._keep_s is None or held_s is None or newest_s is None:
@@ -315,7 +304,7 @@ class TransformTree:
                 edge.take(edge.gate.confirm(), self._keep_s)
 
     def forget_after(self, time_s: float) -> None:
-        """Forget moving transforms newer than a time: the clock has jumped back before them."""
+        """Forget moving transforms newer than a time: the clock has jumped back."""
         for key, edge in list(self._edges.items()):
             if edge.is_static:
                 continue
@@ -324,18 +313,18 @@ class TransformTree:
                 self._forget(key)
 
     def is_connected(self, target: str, source: str) -> bool:
-        """Whether transforms lead from one frame to the other."""
+        """Whether transforms connect the frames."""
         return self._way(target, source) is not None
 
     def is_constant(self, target: str, source: str) -> bool:
-        """Whether the frames never move against each other."""
+        """Whether the frames never move relative to each other."""
         return all(edge.is_constant() for edge, _ in self._way(target, source) or [])
 
     def change_stamps_s(self, target: str, source: str) -> F64:
-        """Return the times (N,) at which something between the frames was sent again.
+        """Return the times (N,) of new transforms between the frames.
 
-        Only what is not static counts, and within it what moves, if anything does; times at which
-        not everything is known yet, or no more, are left out.
+        Static edges, and constant ones if any edge moves, do not count; neither do times at which
+        not every edge is known.
         """
         edges = [edge for edge, _ in self._way(target, source) or [] if not edge.is_static]
         if not edges:
@@ -347,16 +336,10 @@ class TransformTree:
         return np.asarray(stamps[(stamps >= low) & (stamps <= high)])
 
     def sample(self, target: str, source: str, stamps_s: npt.ArrayLike) -> F64:
-        """Return the pose of the source frame in the target frame at given times.
+        """Return the pose of the source frame in the target frame at times (N,) in seconds.
 
         Translations are interpolated linearly, rotations at constant speed the short way, over
-        gaps of any length; before the first transform of a frame it is the first, after the last
-        the last.
-
-        Args:
-            target: a frame.
-            source: a frame connected with it.
-            stamps_s: (N,) seconds, or one number.
+        gaps of any length; beyond the ends the first or last transform holds.
 
         Returns:
             (N, 4, 4): a point p of the source frame is M p in the target frame, metres.
@@ -369,7 +352,7 @@ class TransformTree:
         """Return where a frame sits in another at a time, interpolated as in ``sample``.
 
         Raises:
-            TransformError: nothing connects the frames, the time is not known, or it is tilted.
+            TransformError: the frames are not connected, the time is unknown, or it is tilted.
         """
         way = self._known_way(target, source)
         found = [edge.near(time_s, hold_s) for edge, _ in reversed(way)]
@@ -384,7 +367,7 @@ class TransformTree:
         return mount
 
     def _edge(self, parent: str, child: str, *, is_static: bool) -> Edge:
-        """Return the edge between two frames, new or begun again where its kind has changed."""
+        """Return the edge between two frames, new or restarted if its kind has changed."""
         key = (parent, child)
         edge = self._edges.get(key)
         if edge is None:
@@ -410,7 +393,7 @@ class TransformTree:
         return way
 
     def _way(self, target: str, source: str) -> list[Step] | None:
-        """Return the steps from target to source; None where nothing connects them."""
+        """Return the steps from target to source; None if nothing connects them."""
         key = (target.lstrip("/"), source.lstrip("/"))
         if key not in self._ways:
             self._ways[key] = _shortest_way(self._edges, *key)
@@ -420,7 +403,7 @@ class TransformTree:
 def _shortest_way(
     edges: Mapping[tuple[str, str], Edge], target: str, source: str
 ) -> list[Step] | None:
-    """Search breadth first: the shortest way, and by the first sent of equals."""
+    """Search breadth first; of equally short paths the first one sent."""
     neighbours: dict[str, list[tuple[str, Step]]] = {}
     for (parent, child), edge in edges.items():
         neighbours.setdefault(parent, []).append((child, (edge, True)))
@@ -439,9 +422,9 @@ def _shortest_way(
 
 
 def _chained(way: Sequence[Step], found: Sequence[Around], count: int) -> F64:
-    """Return the poses (N, 4, 4) along a way.
+    """Return the poses (N, 4, 4) along a path.
 
-    All edges at once: what takes time is making SciPy's objects, not what they hold.
+    All edges at once: creating SciPy's objects takes the time, not their content.
     """
     from scipy.spatial.transform import Rotation  # noqa: PLC0415  (who reads maps needs none)
 
@@ -452,7 +435,7 @@ def _chained(way: Sequence[Step], found: Sequence[Around], count: int) -> F64:
     start, moves = Rotation.from_quat(before[:, 3:]), before[:, :3]
     turns = start.as_matrix()
     if shares.any():
-        # What SciPy's Slerp does; an object of that holds the rotations of one edge alone.
+        # As SciPy's Slerp, but for all edges at once.
         between = (start.inv() * Rotation.from_quat(after[:, 3:])).as_rotvec()
         turns = turns @ Rotation.from_rotvec(shares * between).as_matrix()
         moves = moves + shares * (after[:, :3] - moves)

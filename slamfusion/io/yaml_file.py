@@ -1,8 +1,7 @@
-"""The one reader of YAML: settings, courses, distances, maps' and bags' YAML.
+"""Read YAML files of at most 1 MiB.
 
-A file is a regular one of at most 1 MiB. What it holds is counted while it is read, each alias as
-often as it stands for something, so that a short file cannot become a large value; tags that YAML
-cannot make values of, numbers that are none, and whatever else PyYAML stumbles over are one error.
+Values are counted while reading, aliases as often as they are used, so that a short file cannot
+become a large value. Every failure of PyYAML is one error.
 """
 
 from __future__ import annotations
@@ -15,17 +14,17 @@ import yaml
 from slamfusion.errors import SlamFusionError, shown
 from slamfusion.io.files import read_small
 
-# 1 MiB of measured distances is 90 000 values; settings and courses are some hundred.
+# 1 MiB of measured distances is 90 000 values; settings and courses have some hundred.
 VALUES_MAX = 100_000
 DEPTH_MAX = 50
 
 
 class _LimitError(yaml.YAMLError):
-    """The text asks for more than a file of ours ever holds."""
+    """The text exceeds a limit."""
 
 
 class _Counted:
-    """Counts what a loader composes; put before a loader among the bases of a class."""
+    """Counts composed nodes; a base class in front of a loader."""
 
     def __init__(self, stream: str) -> None:
         super().__init__(stream)  # type: ignore[call-arg]
@@ -35,7 +34,7 @@ class _Counted:
         self._sizes: dict[str, int] = {}
 
     def compose_node(self, parent: Any, index: Any) -> Any:
-        """Compose one value and what is below it."""
+        """Compose one value and those below it."""
         loader: Any = self
         event = loader.peek_event()
         anchor = event.anchor
@@ -63,7 +62,7 @@ class _Counted:
 
 
 class _Values(_Counted, yaml.SafeLoader):
-    """Plain values: numbers, texts, truth, lists, mappings."""
+    """Plain values: numbers, texts, booleans, lists, mappings."""
 
 
 class _Texts(_Counted, yaml.BaseLoader):
@@ -73,7 +72,7 @@ class _Texts(_Counted, yaml.BaseLoader):
 def read_yaml(
     path: str | Path, error: type[SlamFusionError], what: str, *, as_text: bool = False
 ) -> Any:
-    """Return what a YAML file holds: nested plain values, None (texts: empty) where it is empty."""
+    """Return the values of a YAML file; None (as text: empty) if it is empty."""
     data = read_small(Path(path), error, what)
     try:
         loader: Any = _Texts if as_text else _Values
