@@ -1,7 +1,6 @@
-"""Places whose truth is known: drawn, and driven through with a robot.
+"""Simulated drives with ground truth.
 
-``simulate`` drives a ``Course`` and gives the scans, the odometry and the truth. Everything here is
-seeded: same seed, same bytes.
+``simulate`` drives a ``Course`` and returns scans, odometry and truth; same seed, same bytes.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""Courses: which robot drives where. Some have a name; others are written in a YAML file.
+"""Courses: which robot drives where, named or from a YAML file.
 
 A course file holds ``name``, ``seed``, ``world``, ``lidar``, ``drive``, ``start`` ([x, y, yaw] in
-m, m, rad), ``people`` (how many, or a list), ``obstacles`` (yes, no, or a list), and ``waypoints``
+m, m, rad), ``people`` (a number or a list), ``obstacles`` (yes, no, or a list), and ``waypoints``
 ([x, y] in m each) or a ``script``. ``world``, ``lidar`` and ``drive`` are a name, or a mapping of
-the fields of ``WorldConfig``, ``LidarConfig`` and ``DriveConfig``. All but ``world`` may be left
-out: waypoints, people and obstacles are then chosen by the seed.
+the fields of ``WorldConfig``, ``LidarConfig`` and ``DriveConfig``. Only ``world`` is required;
+omitted waypoints, people and obstacles are chosen by the seed.
 """
 
 from __future__ import annotations
@@ -89,11 +89,7 @@ class Course:
 
 
 def named_course(name: str, seed: int) -> Course:
-    """Return one of ``COURSES``.
-
-    Raises:
-        SimulationError: there is no such course; the nearest is named.
-    """
+    """Return one of ``COURSES``; an unknown name is a ``SimulationError``."""
     if name not in COURSES:
         near = difflib.get_close_matches(name, COURSES, n=1, cutoff=0.0)[0]
         raise SimulationError(
@@ -104,13 +100,10 @@ def named_course(name: str, seed: int) -> Course:
 
 
 def load_course(path: str | Path, seed: int = 0) -> Course:
-    """Read a course file.
-
-    Args:
-        seed: where the file has none.
+    """Read a course file; ``seed`` is the default of its seed.
 
     Raises:
-        ConfigError: what is no YAML, an unknown key (the nearest is named), a wrong type or range.
+        ConfigError: not YAML, an unknown key (with the nearest one), a wrong type or range.
         SimulationError: settings that contradict each other.
     """
     path = Path(path)
@@ -121,10 +114,7 @@ def load_course(path: str | Path, seed: int = 0) -> Course:
 
 
 def with_overrides(course: Course, changes: SimulateConfig) -> Course:
-    """Return a course with the settings of a run put in.
-
-    A course that is named after its world
-    is then named after the new one.
+    """Return a course with the settings of a run; a course named after its world is renamed.
 
     Raises:
         SimulationError: a cell size for a map file, which has its own.
@@ -160,7 +150,7 @@ def with_overrides(course: Course, changes: SimulateConfig) -> Course:
 
 
 def course_to_mapping(course: Course) -> dict[str, Any]:
-    """Return a course as its file holds it; ``load_course`` gives the same course back."""
+    """Return a course as its file holds it, for ``load_course``."""
     left_out = [key for key in ("start", "waypoints", "script") if not getattr(course, key)]
     return {key: value for key, value in asdict(course).items() if key not in left_out}
 

@@ -1,8 +1,8 @@
-"""Drive a robot through a world, and read the odometry that its wheels report.
+"""Drive a robot through a world, and simulate its wheel odometry.
 
-The truth follows from what the wheels do: skid steer loses a constant share on each track, a ground
-obstacle more of it. Odometry knows the wheels only. A driver who follows a way sees where the robot
-really is, as a person with a joystick does; a script only turns the wheels.
+The true motion follows from the wheels: skid steer loses a constant share on each track, more on a
+ground obstacle. Odometry knows only the wheels. A driver who follows a path sees the true pose, as
+a person with a joystick does; a script only turns the wheels.
 """
 
 from __future__ import annotations
@@ -23,39 +23,37 @@ from slamfusion.sim.world import World, zone_place
 DRIVES: dict[str, DriveConfig] = {
     "differential": DriveConfig(),
     "bicycle": DriveConfig(model="bicycle", turn_noise=0.03),
-    # Tracks that slip unequally: odometry reads long, and turns.
+    # Tracks that slip unequally: odometry is too long and turns.
     "tracks": DriveConfig(model="tracks", slip_left=0.045, slip_right=0.05, turn_noise=0.03),
 }
 
 # Longest step of the integration; the sweep's period is a whole number of steps.
 STEP_S = 0.02
-# The driver looks this far ahead on the way; with a steering wheel farther.
+# Look-ahead distance on the path; longer with a steering wheel.
 AHEAD_M = {"differential": 0.3, "tracks": 0.3, "bicycle": 0.45}
-# A way's end is reached within this.
+# A path's end is reached within this.
 REACHED_M = {"differential": 0.06, "tracks": 0.06, "bicycle": 0.25}
-# A robot that can, turns on the spot when the way lies this far to the side.
+# If the path is this far to the side, a robot that can turns on the spot.
 TURN_FIRST_RAD = 0.7
 TURN_GAIN = 2.5
 STEER_RATE_RAD_S = 2.0
-# A bicycle that cannot go on backs up by this before it tries again.
+# A blocked bicycle backs up by this before it tries again.
 BACK_UP_M = 0.4
-# A robot that met a corner stays on its way to the point for so long.
+# After meeting a corner, a robot follows the path without look-ahead for this time.
 CAREFUL_S = 2.0
-# Scripts last no longer: all their steps are kept in memory.
+# Longest script: all its steps are kept in memory.
 LONGEST_S = 6 * 3600.0
-# Give up after standing this long, or after this many times the time that the way needs.
+# Give up after standing this long, or after this multiple of the time that the path needs.
 STUCK_S = 60.0
 PATIENCE = 6.0
-# Within this of where a way begins, the trouble is that place and not the way's end.
+# Within this of a path's start, the start is the problem and not the end.
 TRAPPED_M = 1.5
 
 
 class StuckError(SimulationError):
-    """A robot cannot follow the way to a waypoint.
+    """A robot cannot reach waypoint number ``waypoint`` (from 1).
 
-    Attributes:
-        waypoint: its number, from 1.
-        is_trapped: it hardly left the waypoint before.
+    ``is_trapped``: it hardly left the waypoint before.
     """
 
     def __init__(self, message: str, waypoint: int, *, is_trapped: bool) -> None:
@@ -66,13 +64,13 @@ class StuckError(SimulationError):
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """What a robot did, in even steps of time.
+    """The motion of a robot in equal time steps.
 
     Attributes:
         step_s: seconds from one row to the next.
         poses: (N, 3) float64, true x, y, yaw in the map frame.
-        wheels: (N, 2) float64, way in metres and turn in radians that the wheels made since the
-            row before; the first row is 0.
+        wheels: (N, 2) float64, metres and radians that the wheels made since the row before; the
+            first row is 0.
     """
 
     step_s: float
@@ -81,27 +79,27 @@ class Motion:
 
 
 class _Command(NamedTuple):
-    """What the wheels are told: speed in m/s, and turning rate in rad/s."""
+    """Wheel command: speed in m/s, and turning rate in rad/s."""
 
     speed: float
     turn: float
 
 
 class _Robot:
-    """A robot under way; keeps every step."""
+    """A moving robot; keeps every step."""
 
     def __init__(self, world: World, drive: DriveConfig, start: Pose2, step_s: float) -> None:
         self.world, self.drive, self.step_s = world, drive, step_s
         self.x, self.y, self.yaw_rad = start.x, start.y, start.yaw_rad
         self.poses = [(start.x, start.y, start.yaw_rad)]
         self.wheels = [(0.0, 0.0)]
-        # Reach of each obstacle around its middle: most steps are far from all of them.
+        # Radius of each obstacle around its middle: most steps are far from all of them.
         self._zones = [
             (item, math.hypot(item.across_m, item.along_m) / 2.0) for item in world.obstacles
         ]
 
     def true_rates(self, command: _Command) -> tuple[float, float]:
-        """Return true speed and turning rate for what the wheels do here."""
+        """Return the true speed and turning rate for a command."""
         speed, turn = command
         drive = self.drive
         if drive.model == "tracks":
@@ -118,7 +116,7 @@ class _Robot:
         return speed, turn
 
     def after(self, command: _Command) -> tuple[float, float, float]:
-        """Return x, y, yaw after one step of a command: an arc, by its chord."""
+        """Return x, y, yaw after one step of a command: the chord of an arc."""
         speed, turn = self.true_rates(command)
         middle = self.yaw_rad + turn * self.step_s / 2.0
         way = speed * self.step_s
@@ -129,17 +127,17 @@ class _Robot:
         )
 
     def move(self, command: _Command) -> None:
-        """Do one step."""
+        """Do one step of a command."""
         self.x, self.y, self.yaw_rad = self.after(command)
         self.poses.append((self.x, self.y, wrap_angle(self.yaw_rad)))
         self.wheels.append((command.speed * self.step_s, command.turn * self.step_s))
 
     def motion(self) -> Motion:
-        """Return everything done so far."""
+        """Return the whole motion."""
         return Motion(self.step_s, np.array(self.poses), np.array(self.wheels))
 
     def where(self) -> str:
-        """Return time and place in words, for messages."""
+        """Return time and place for messages."""
         time_s = (len(self.poses) - 1) * self.step_s
         return f"after {time_s:.1f} s at ({self.x:.2f}, {self.y:.2f}) m"
 
@@ -157,11 +155,7 @@ def run_script(
     actions: Sequence[ActionConfig],
     period_s: float,
 ) -> Motion:
-    """Do what a script says with the wheels, whatever the ground makes of it.
-
-    Args:
-        start: map frame.
-    """
+    """Run a script on the wheels; ``start`` in the map frame."""
     lasts_s = sum(action.duration_s for action in actions)
     if lasts_s > LONGEST_S:
         raise SimulationError(
@@ -203,10 +197,10 @@ def follow_ways(
     ways: Sequence[F64],
     period_s: float,
 ) -> Motion:
-    """Drive along ways, one after the other, never nearer to a wall than the radius.
+    """Drive along paths in order, never nearer to a wall than the radius.
 
     Args:
-        start: map frame; the first way begins there.
+        start: map frame; the first path starts there.
         ways: (N, 2) points each, metres, close together.
 
     Source: Coulter, Implementation of the Pure Pursuit Path Tracking Algorithm, CMU 1992.
@@ -221,7 +215,7 @@ def follow_ways(
 
 
 class _Driver:
-    """Chooses speed and turn from where the robot is and where the way goes."""
+    """Chooses speed and turning rate from the pose and the path."""
 
     def __init__(self, robot: _Robot, space: FreeSpace) -> None:
         self.robot, self.space = robot, space
@@ -234,7 +228,7 @@ class _Driver:
         self.reached_m = REACHED_M[self.drive.model]
 
     def follow(self, way: F64, number: int) -> None:
-        """Follow one way to its end."""
+        """Follow one path to its end."""
         robot = self.robot
         lengths = np.hypot(*np.diff(way, axis=0).T)
         spacing = float(lengths.mean()) if lengths.size else 1.0
@@ -271,7 +265,7 @@ class _Driver:
         raise StuckError(message, number, is_trapped=is_trapped)
 
     def _again(self, points: list[list[float]]) -> list[list[float]]:
-        """Return a new way to the end of one that was left; the old one where there is none."""
+        """Return a new path to the end of one that was left; the old one if there is none."""
         try:
             way = self.space.way((self.robot.x, self.robot.y), (points[-1][0], points[-1][1]))
         except SimulationError:
@@ -279,19 +273,18 @@ class _Driver:
         return [[float(x), float(y)] for x, y in way]
 
     def _is_free(self, command: _Command) -> bool:
-        """Whether the robot keeps its radius in the next step."""
         x, y, _ = self.robot.after(command)
         room = self.space.clearance_at(x, y)
         return room >= self.drive.radius_m
 
     def _towards(self, wanted: float) -> float:
-        """Return the next speed on the way to the wanted one."""
+        """Return the next speed, limited by the acceleration."""
         change = self.drive.acceleration_mps2 * self.robot.step_s
         self.speed += min(max(wanted - self.speed, -change), change)
         return self.speed
 
     def _wheels(self, side: float) -> _Command:
-        """Turn on the spot, or go on while turning."""
+        """Turn on the spot, or drive and turn."""
         drive = self.drive
         most = drive.turn_rate_rad_s
         turn = min(max(TURN_GAIN * side, -most), most)
@@ -301,7 +294,7 @@ class _Driver:
         command = _Command(self._towards(drive.speed_mps * (1.0 - abs(side))), turn)
         if self._is_free(command):
             return command
-        # A corner is in the way: follow the way itself for a while, not a place ahead on it.
+        # A corner blocks: follow the path without look-ahead for a while.
         self.speed = 0.0
         if self.careful_s <= 0.0:
             self.careful_s = CAREFUL_S
@@ -309,14 +302,14 @@ class _Driver:
         return _Command(0.0, turn if abs(side) > 0.02 else 0.0)
 
     def _bicycle(self, side: float) -> _Command:
-        """Steer towards the target; where that is blocked, back up with the wheel turned over."""
+        """Steer towards the target; if blocked, back up with the wheel turned over."""
         drive, step_s = self.drive, self.robot.step_s
         lock = drive.steer_max_rad
         if abs(side) < math.pi / 2.0 or not self.over_rad:
             self.over_rad = math.copysign(lock, side)  # kept while turning around
         over = self.over_rad
         if self.backing_m > 0.0:
-            # Another way back at each try, so that the next start is another one too.
+            # Each try backs up another way, so that the next start differs.
             turn = self.tries % 3
             ways = (-over, over, 0.0)
             for steer_rad in (*ways[turn:], *ways[:turn], self.steer_rad):
@@ -344,21 +337,15 @@ class _Driver:
         return _Command(0.0, 0.0)
 
     def _steered(self, speed: float, steer_rad: float) -> _Command:
-        """Return the command of a bicycle: turning rate = V tan(gamma) / L.
-
-        Source: [B16], the bicycle model.
-        """
+        """Turning rate = V tan(gamma) / L ([B16], the bicycle model)."""
         return _Command(speed, speed * math.tan(steer_rad) / self.drive.wheelbase_m)
 
 
 def read_odometry(motion: Motion, drive: DriveConfig, rng: np.random.Generator) -> F64:
-    """Return what odometry makes of the wheels' motion.
+    """Return the odometry (N, 3) of a motion: x, y, yaw per step, from the first true pose.
 
-    Errors are normal with a variance that grows with the way and with the turn, so they do not
-    depend on the step; the biases are shares of both.
-
-    Returns:
-        (N, 3) float64 x, y, yaw, one row a step; the first is the first true pose.
+    Errors are normal with a variance that grows with distance and turn, so they do not depend on
+    the step; the biases are shares of both.
 
     Source: Thrun, Burgard and Fox, Probabilistic Robotics, 2005, section 5.4 (the four errors).
     """

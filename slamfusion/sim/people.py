@@ -1,4 +1,4 @@
-"""People who walk to and fro, as the laser meets them: discs at the height of its plane."""
+"""People who walk to and fro: discs in the laser's plane."""
 
 from __future__ import annotations
 
@@ -15,25 +15,24 @@ from slamfusion.sim.route import FreeSpace
 
 Point = tuple[float, float]
 
-# What a walker needs beside walls, and the discs that a laser meets at knee height or at the chest.
+# A walker's clearance from walls, and the discs at knee or chest height.
 PERSON_RADIUS_M = 0.25
 LEG_RADIUS_M = 0.07
 LEG_APART_M = 0.22
 BODY_RADIUS_M = 0.22
 STRIDE_M = 1.4
 SWING_M = 0.25
-# Two places of one person lie at least so far apart.
+# Least distance between the two places of one person.
 WALK_M = 3.0
 
 
 class Walks(NamedTuple):
-    """Where people are while a robot drives by.
+    """Where people are at each step of a drive; metres, map frame.
 
     Attributes:
-        places: (N, P, 2) float64, middle of each of P people at each of N steps, metres, map frame.
-        discs: (N, D, 2) float64, centres of the discs that the laser meets; both legs of everyone,
-            or one body.
-        radii_m: (D,) float64, of the discs.
+        places: (N, P, 2) float64, middle of each of P people at each of N steps.
+        discs: (N, D, 2) float64, centres of the discs (two legs, or one body).
+        radii_m: (D,) float64.
     """
 
     places: F64
@@ -42,7 +41,7 @@ class Walks(NamedTuple):
 
 
 def draw_people(space: FreeSpace, count: int, rng: np.random.Generator) -> tuple[PersonConfig, ...]:
-    """Draw people with two places each between which they walk."""
+    """Draw people who walk between two places each."""
     people = []
     for _ in range(count):
         pairs = [(space.any_place(rng), space.any_place(rng)) for _ in range(8)]
@@ -53,11 +52,10 @@ def draw_people(space: FreeSpace, count: int, rng: np.random.Generator) -> tuple
 
 
 def walk(people: Sequence[PersonConfig], space: FreeSpace, robot: F64, step_s: float) -> Walks:
-    """Walk people along their ways while a robot drives by.
+    """Walk people along their paths; one that would come too near to the robot waits.
 
     Args:
-        robot: (N, 2) where the robot is, metres, one row a step; nobody steps nearer to it than
-            their distance, so that who is in its way waits.
+        robot: (N, 2) positions of the robot, metres, one row a step.
     """
     places, discs, radii = [], [], []
     for number, person in enumerate(people, start=1):
@@ -92,7 +90,7 @@ def _there_and_back(person: PersonConfig, space: FreeSpace, what: str) -> F64:
 
 
 def _paced(way: F64, person: PersonConfig, robot: F64, step_s: float) -> F64:
-    """Return how far someone has walked at each step, (N,) metres."""
+    """Return the distance walked at each step, (N,) metres."""
     walked = np.zeros(len(robot))
     if len(way) < 2:
         return walked
@@ -108,7 +106,7 @@ def _paced(way: F64, person: PersonConfig, robot: F64, step_s: float) -> F64:
 
 
 def _on(way: F64, along: F64) -> tuple[F64, F64]:
-    """Return place (N, 2) and heading (N,) at walked lengths on a way that is gone round."""
+    """Return place (N, 2) and heading (N,) at distances along a closed path."""
     if len(way) < 2:
         return np.repeat(way, len(along), axis=0), np.zeros(len(along))
     lengths = travelled(way)

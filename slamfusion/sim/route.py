@@ -1,4 +1,4 @@
-"""Where a disc may stand in a place, the shortest ways between such places, and a tour of it."""
+"""Free space for a disc, shortest paths, and a tour of a place."""
 
 from __future__ import annotations
 
@@ -15,24 +15,21 @@ from slamfusion.grid import FREE, OccupancyGrid
 
 Point = tuple[float, float]
 
-# Ways are searched on a lattice of about this step.
+# Lattice step of the path search.
 STEP_M = 0.1
-# Ways keep this much more than the radius from walls, so that a driver may leave them a little;
-# one with a steering wheel leaves them more.
+# Paths keep this much more than the radius from walls, as the driver's tolerance; more with a
+# steering wheel.
 MARGIN_M = {"differential": 0.08, "tracks": 0.08, "bicycle": 0.16}
-# Nearer than the radius and this, a metre costs up to COST times as much.
+# Within the radius plus this, a metre costs up to COST times as much.
 COMFORT_M = 0.35
 COST = 4.0
-# Half the diagonal of a cell: what the place within a cell adds to a distance between centres.
+# Half the diagonal of a cell.
 DIAGONAL = 0.7072
 SMOOTHINGS = 60
 
 
 class FreeSpace:
-    """The free cells of a place, as a disc that keeps off everything else may use them.
-
-    Unknown cells and the outside of the grid are no place to be.
-    """
+    """The free cells of a place for a disc; unknown cells and the outside are not free."""
 
     def __init__(
         self, grid: OccupancyGrid, radius_m: float, margin_m: float = MARGIN_M["differential"]
@@ -41,13 +38,13 @@ class FreeSpace:
         self.radius_m, self.margin_m = radius_m, margin_m
         free = np.pad(grid.cells == FREE, 1)
         distance = scipy.ndimage.distance_transform_edt(free)[1:-1, 1:-1] * grid.resolution
-        # To the wall's nearest edge, from the worst place in the cell.
+        # To the wall's nearest edge, from the worst point in the cell.
         self._clearance_m: F64 = np.asarray(distance - 2.0 * DIAGONAL * grid.resolution)
         self._to_grid = grid.origin.inverse()
         self._make_graph()
 
     def clearance_at(self, x: float, y: float) -> float:
-        """Return ``clearance_m`` of one place, metres; a drive asks thousands of times."""
+        """Return ``clearance_m`` of one point, in a faster way."""
         frame, resolution = self._to_grid, self.grid.resolution
         cos, sin = math.cos(frame.yaw_rad), math.sin(frame.yaw_rad)
         row = math.floor((frame.y + sin * x + cos * y) / resolution)
@@ -58,10 +55,9 @@ class FreeSpace:
         return float(self._clearance_m[row, col])
 
     def clearance_m(self, points: npt.ArrayLike) -> F64:
-        """Return a distance to the nearest wall that is never too large; negative off the grid.
+        """Return a lower bound of the distance (m) of points (..., 2) to the nearest wall.
 
-        Args:
-            points: (..., 2) metres, map frame.
+        Negative off the grid.
         """
         rows, cols = self.grid.cell_indices(np.asarray(points, dtype=np.float64))
         height, width = self._clearance_m.shape
@@ -70,7 +66,7 @@ class FreeSpace:
         return np.asarray(np.where(inside, found, -1.0))
 
     def _make_graph(self) -> None:
-        """Join the usable places of a coarse lattice with their eight neighbours."""
+        """Connect the usable places of a coarse lattice with their eight neighbours."""
         stride = max(1, round(STEP_M / self.grid.resolution))
         half = stride // 2
         clearance = self._clearance_m[half::stride, half::stride]
@@ -96,11 +92,7 @@ class FreeSpace:
         self._graph = scipy.sparse.csr_array((np.concatenate(costs), edges), shape=(count, count))
 
     def place(self, point: Point, what: str) -> int:
-        """Return the lattice place nearest to a point.
-
-        Args:
-            point: metres, map frame.
-        """
+        """Return the lattice place nearest to a point (m, map frame), named in errors."""
         if len(self._places) and float(self.clearance_m(point)) >= self.radius_m:
             away = np.hypot(*(self._places - point).T)
             nearest = int(away.argmin())
@@ -125,15 +117,7 @@ class FreeSpace:
         return float(x), float(y)
 
     def way(self, start: Point, end: Point, what: str = "waypoint") -> F64:
-        """Return a smooth short way that keeps off walls.
-
-        Args:
-            start: metres, map frame.
-            end: metres, map frame.
-
-        Returns:
-            (N, 2) points about 0.05 m apart, from start to end.
-        """
+        """Return a smooth short path of (N, 2) points about 0.05 m apart; metres, map frame."""
         first, last = self.place(start, "the start"), self.place(end, what)
         costs, befores = scipy.sparse.csgraph.dijkstra(
             self._graph, directed=False, indices=[first], return_predecessors=True
@@ -152,7 +136,7 @@ class FreeSpace:
         return self._smooth(_respaced(points, STEP_M / 2.0))
 
     def _smooth(self, points: F64) -> F64:
-        """Straighten a way where that keeps the margin, its ends fixed."""
+        """Straighten a path as far as the margin allows, with fixed ends."""
         least = np.minimum(self.clearance_m(points), self.radius_m + self.margin_m)
         points = points.copy()
         for _ in range(SMOOTHINGS):
@@ -163,16 +147,10 @@ class FreeSpace:
         return _respaced(points, STEP_M / 2.0)
 
     def tour(self, start: Point, spacing_m: float, most: int) -> list[Point]:
-        """Return stops from which the whole reachable place is near, in a short order.
+        """Return stops near every reachable place, in a short order, the last of them the start.
 
         The stop farthest on foot from all others is added until none is farther than
-        ``spacing_m``; then the round trip is shortened by turning parts of it around (2-opt).
-
-        Args:
-            start: where the tour begins and ends; metres, map frame.
-
-        Returns:
-            The stops in order, the last of them the start.
+        ``spacing_m``; then the round trip is shortened by 2-opt. Metres, map frame.
         """
         chosen = [self.place(start, "the start")]
         costs = []
@@ -191,7 +169,7 @@ class FreeSpace:
         return [*stops, (float(start[0]), float(start[1]))]
 
     def _roomy(self, place: int, reachable: npt.NDArray[np.bool_]) -> Point:
-        """Return the roomiest place near one: a robot turns better away from a corner."""
+        """Return the roomiest place near one: robots turn better away from corners."""
         away = np.hypot(*(self._places - self._places[place]).T)
         near = np.flatnonzero((away <= 6.0 * STEP_M) & reachable)
         best = max(
@@ -202,7 +180,7 @@ class FreeSpace:
         return float(x), float(y)
 
     def _sees(self, a: int, b: int) -> bool:
-        """Whether the disc can go straight from one place to the other."""
+        """Whether the disc can move straight from one place to the other."""
         line = self._places[a] + np.linspace(0.0, 1.0, 9)[:, None] * (
             self._places[b] - self._places[a]
         )
@@ -210,7 +188,7 @@ class FreeSpace:
 
 
 def _respaced(points: F64, step_m: float) -> F64:
-    """Return points along a line of points at even distances, its ends kept."""
+    """Return evenly spaced points along a line, its ends kept."""
     along = travelled(points)
     count = max(1, round(float(along[-1]) / step_m))
     at = np.linspace(0.0, float(along[-1]), count + 1)

@@ -38,10 +38,10 @@ from slamfusion.trajectory import Trajectory
 Point = tuple[float, float]
 Progress = Callable[[str, int, int], None]
 
-# Each use of chance has its own stream, so that changing one thing leaves the others as they were.
+# Each use of random numbers has its own stream, so that one change leaves the others as they were.
 WORLD_STREAM, GLASS_STREAM, START_STREAM, PEOPLE_STREAM, ODOMETRY_STREAM, LASER_STREAM = range(6)
 # A planned tour has stops this share of the place's width apart, within limits; a short one is
-# driven back again, so that every course sees places a second time.
+# driven back again, so that places are seen twice.
 SPACING_SHARE, SPACING_LEAST_M, SPACING_MOST_M = 1.0 / 3.0, 1.5, 8.0
 MOST_STOPS = 30
 SHORT_TOUR_M = 60.0
@@ -49,16 +49,15 @@ SHORT_TOUR_M = 60.0
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """What a simulated drive gave; all poses in the map frame of the truth.
+    """A simulated drive; all poses in the map frame of the truth.
 
     Attributes:
-        course: with every choice made: running it gives the same recording.
-        world: the truth, and who walked in it.
-        scans: in the order of time, with the odometry of each, by which they are deskewed.
-        truth: the true pose of the robot's base at each scan; the first is the first odometry.
-        people: (N, P, 2) float64, where the middle of each of the world's P people was at each of
-            the N scans, metres; no file holds it, the course gives it again.
-        left_out: planned waypoints that this robot could not drive to.
+        course: with every random choice made: it gives the same recording again.
+        scans: in the order of time, with odometry, deskewed by it.
+        truth: true pose of the base at each scan; the first is the first odometry.
+        people: (N, P, 2) float64, position of each of P people at each of the N scans, metres; not
+            saved.
+        left_out: planned waypoints that this robot could not reach.
     """
 
     course: Course
@@ -73,19 +72,16 @@ class Recording:
         return float(self.truth.stamps_s[-1] - self.truth.stamps_s[0])
 
     def odometry(self) -> Trajectory:
-        """Return what the wheels say where the robot was at each scan."""
+        """Return the odometry at each scan."""
         return odometry_path(self.scans, "odometry")
 
 
 def simulate(course: Course, device: ComputeDevice, progress: Progress | None = None) -> Recording:
-    """Drive a course and record it. Same course, same recording, on every device.
-
-    Args:
-        course: what the seed may choose is chosen here.
+    """Drive a course and record it; the same course gives the same recording on every device.
 
     Raises:
-        SimulationError: the course cannot be driven: a wall, no way, a robot too large.
-        MapFileError: the map file of the world cannot be read.
+        SimulationError: the course cannot be driven: a wall, no path, a robot too large.
+        MapFileError: the world's map file cannot be read.
     """
     floor = draw_floor(course.world, _chance(course, WORLD_STREAM))
     glass_rng = _chance(course, GLASS_STREAM)
@@ -133,9 +129,7 @@ def simulate(course: Course, device: ComputeDevice, progress: Progress | None = 
 def write_recording(recording: Recording, folder: str | Path) -> list[Path]:
     """Write the log, the true maps, the true trajectory and the course; all of them or none.
 
-    Args:
-        recording: same recording, same bytes.
-        folder: made where it is missing; old files of the same names are replaced.
+    Old files of the same names are replaced.
 
     Returns:
         The files: ``<name>.log.gz`` (CARMEN), ``truth`` and ``truth_thin`` as ``.yaml`` and
@@ -164,14 +158,13 @@ def write_recording(recording: Recording, folder: str | Path) -> list[Path]:
 
 
 def recording_files(course: Course, folder: Path) -> list[Path]:
-    """Return the files of a recording of a course: see ``write_recording``."""
+    """Return the files of ``write_recording``."""
     maps = [f"{stem}{end}" for stem in ("truth", "truth_thin") for end in (".yaml", ".pgm")]
     names = (f"{course.name}.log.gz", *maps, "truth.tum", "course.yaml")
     return [folder / name for name in names]
 
 
 def _chance(course: Course, stream: int) -> np.random.Generator:
-    """Return the random numbers of one use."""
     seed = course.seed
     if stream in {WORLD_STREAM, GLASS_STREAM} and course.world.seed is not None:
         seed = course.world.seed
@@ -179,7 +172,7 @@ def _chance(course: Course, stream: int) -> np.random.Generator:
 
 
 def _stops(course: Course, floor: Floor, space: FreeSpace, start: Pose2) -> tuple[Point, ...]:
-    """Return where the robot drives: as asked, as the world proposes, or on a planned tour."""
+    """Return the robot's stops: given, proposed by the world, or of a planned tour."""
     if course.script:
         return ()
     if course.waypoints is not None:
@@ -207,7 +200,7 @@ def _ways(space: FreeSpace, start: Pose2, stops: tuple[Point, ...] | list[Point]
 
 
 def _obstacles(course: Course, start: Pose2, ways: list[F64]) -> tuple[ObstacleConfig, ...]:
-    """Return the ground obstacles asked for: a list, none, or one across the middle of the way."""
+    """Return the ground obstacles: a list, none, or one across the middle of the path."""
     if not isinstance(course.obstacles, bool):
         return course.obstacles
     if not course.obstacles:
@@ -228,7 +221,7 @@ def _obstacles(course: Course, start: Pose2, ways: list[F64]) -> tuple[ObstacleC
 
 
 def _script_way(course: Course, start: Pose2) -> F64:
-    """Return where a script would lead if no wheel slipped, (N, 2) points 0.05 m apart."""
+    """Return the path of a script without wheel slip, (N, 2) points 0.05 m apart."""
     pose, points = start, [(start.x, start.y)]
     for action in course.script:
         pose = pose.compose(Pose2(0.0, 0.0, math.radians(action.turn_deg)))

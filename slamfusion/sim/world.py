@@ -1,4 +1,4 @@
-"""``World``: what a robot and its lidar meet, and what the lidar reads on the true way."""
+"""``World``: the simulated place, and what a lidar measures in it."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """A place to drive in; immutable.
+    """A place to drive in.
 
     Attributes:
-        grid: the truth: free, occupied (glass too) or unknown; unknown lets beams pass.
-        glass: (H, W) bool, cells of glass among the occupied ones.
-        wall_height_m: a beam that is higher than this at a wall passes over it.
-        obstacles: cables and ramps on the floor; no laser sees them.
+        grid: the truth: free, occupied (glass too) or unknown, which beams pass.
+        glass: (H, W) bool, glass among the occupied cells.
+        wall_height_m: a beam higher than this passes over walls.
+        obstacles: cables and ramps on the floor, invisible to lasers.
 
     Raises:
-        SimulationError: glass where no wall is, or of another shape.
+        SimulationError: glass of another shape or outside walls.
     """
 
     grid: OccupancyGrid
@@ -48,22 +48,16 @@ class World:
         object.__setattr__(self, "glass", glass)
 
     def classes(self) -> npt.NDArray[np.uint8]:
-        """Return what beams meet, (H, W) uint8: 0 open, 1 wall, 2 glass."""
+        """Return beam targets, (H, W) uint8: 0 open, 1 wall, 2 glass."""
         solid = np.where(self.grid.cells == OCCUPIED, WALL, OPEN)
         return np.asarray(np.where(self.glass, GLASS, solid), dtype=np.uint8)
 
 
 def thin_walls(truth: OccupancyGrid) -> OccupancyGrid:
-    """Return a true map with only the surfaces of its walls: what a perfect lidar could map.
+    """Return a true map with only the surfaces of its walls, as a perfect lidar would map it.
 
-    An occupied cell that shares a side with a free cell stays occupied; other occupied cells, the
-    inside of walls and furniture, become unknown.
-
-    Args:
-        truth: cells -1, 0 or 100.
-
-    Returns:
-        The same lattice and name.
+    An occupied cell stays if it shares a side with a free cell; other occupied cells become
+    unknown.
     """
     free = np.pad(truth.cells == FREE, 1)
     next_to_free = free[:-2, 1:-1] | free[2:, 1:-1] | free[1:-1, :-2] | free[1:-1, 2:]
@@ -75,13 +69,9 @@ def thin_walls(truth: OccupancyGrid) -> OccupancyGrid:
 def zone_place(
     obstacle: ObstacleConfig, points: npt.ArrayLike
 ) -> tuple[F64, npt.NDArray[np.bool_]]:
-    """Return how far across a ground obstacle points are, and whether they are on it.
+    """Return where points (..., 2) are across an obstacle, and whether they are on it.
 
-    Args:
-        points: (..., 2) metres, map frame.
-
-    Returns:
-        (...) share of the way across, -0.5 to 0.5 on it; (...) bool.
+    Points in metres, map frame; the share across is -0.5 to 0.5 on the obstacle.
     """
     own = Pose2(obstacle.x_m, obstacle.y_m, obstacle.yaw_rad).inverse().transform(points)
     across = own[..., 0] / obstacle.across_m
@@ -90,13 +80,10 @@ def zone_place(
 
 
 def tilt_of(world: World, poses: F64) -> F64:
-    """Return how the ground obstacles tilt a robot.
+    """Return how the ground obstacles tilt a robot at poses (N, 3) in the map frame.
 
     The wheels climb one after the other: on the near half the leading side is up, on the far half
     it is down.
-
-    Args:
-        poses: (N, 3) x, y, yaw of the robot in the map frame.
 
     Returns:
         (N, 2) radians: pitch (nose up is positive) and roll (left side up is positive).
@@ -172,16 +159,16 @@ LIDARS: dict[str, LidarConfig] = {
     ),
 }
 
-# Rays of one launch, in whole sweeps: few, fat launches.
+# Rays of one launch, in whole sweeps.
 RAYS = 1 << 18
-# Neighbouring beams that differ by this see an edge in depth.
+# Neighbouring beams that differ by this are at a depth edge.
 EDGE_M = 0.3
-# Share of beams that glass sends back when met head-on; at this angle from its normal, none.
+# Share of beams that glass reflects at normal incidence; from this angle on, none.
 GLASS_RETURN_SHARE, GLASS_ANGLE_RAD = 0.9, 0.35
 
 
 def mount_of(lidar: LidarConfig) -> Pose2:
-    """Return the laser's pose in the robot's base frame."""
+    """Return the laser's pose in the base frame."""
     return Pose2(lidar.mount_x_m, lidar.mount_y_m, lidar.mount_yaw_rad)
 
 
@@ -206,16 +193,15 @@ def sweep_ranges(
     device: ComputeDevice,
     rng: np.random.Generator,
 ) -> Iterator[F32]:
-    """Read one sweep from each pose on.
+    """Yield one sweep from each pose.
 
     Args:
-        poses: (N, B, 3) true x, y, yaw of the robot's base in the map frame at each beam, or
-            (N, 1, 3) where all beams of a sweep are of one time.
+        poses: (N, B, 3) true x, y, yaw of the base in the map frame at each beam, or (N, 1, 3) if
+            all beams of a sweep have one time.
         people: (N, D, 2) centres and (D,) radii of discs, from ``people.walk``.
 
     Yields:
-        (B,) float32 metres for each pose, by REP-117: +inf nothing seen or reading failed, -inf
-        too close.
+        (B,) float32 metres, by REP-117: +inf no return or a failed reading, -inf too close.
     """
     sight = _Sight(world, lidar, device)
     at_once = max(1, RAYS // lidar.beams)
@@ -227,7 +213,7 @@ def sweep_ranges(
 
 
 class _Sight:
-    """What beams meet, without the errors of reading it."""
+    """True ranges, without measurement errors."""
 
     def __init__(self, world: World, lidar: LidarConfig, device: ComputeDevice) -> None:
         self.world, self.lidar, self.device = world, lidar, device
@@ -236,7 +222,7 @@ class _Sight:
         self.angles: F64 = np.asarray(first + step * np.arange(lidar.beams), dtype=np.float64)
 
     def see(self, poses: F64, centres: F64, radii: F64, rng: np.random.Generator) -> F64:
-        """Return the true ranges (N, B), metres; infinite where nothing is in reach."""
+        """Return the true ranges (N, B), metres; infinite if nothing is in reach."""
         mount = mount_of(self.lidar)
         laser = compose_poses(poses, (mount.x, mount.y, mount.yaw_rad))
         directions = laser[..., 2] + self.angles
@@ -247,7 +233,7 @@ class _Sight:
         return self._tilted(flat, tilt_of(self.world, poses[:, 0]))
 
     def _walls(self, laser: F64, cos: F64, sin: F64, rng: np.random.Generator) -> F64:
-        """Return distances in the plane to the first wall, or to glass that sends a beam back."""
+        """Return distances in the plane to the first wall or reflecting glass."""
         grid, lidar = self.world.grid, self.lidar
         origin = grid.origin
         own = origin.inverse().transform(laser[..., :2]) / grid.resolution
@@ -259,18 +245,17 @@ class _Sight:
         reach = (lidar.range_max_m + 1.0) / grid.resolution
         hits = self.device.cast_rays(self.cells, rays.reshape(-1, 4), reach)
         first, met, cosine, behind = hits.astype(np.float64).T
-        # Glass sends back what meets it nearly head-on; the rest goes through every pane.
+        # Glass reflects nearly normal beams; the rest passes every pane.
         slant = np.arccos(np.clip(cosine, 0.0, 1.0)) / GLASS_ANGLE_RAD
         chance = GLASS_RETURN_SHARE * np.clip(1.0 - slant, 0.0, 1.0)
         passes = (met == GLASS) & (rng.random(len(met)) >= chance)
         return np.asarray(np.where(passes, behind, first) * grid.resolution).reshape(cos.shape)
 
     def _tilted(self, flat: F64, tilt: F64) -> F64:
-        """Return ranges along a tilted laser plane: longer, over the walls, or on the floor.
+        """Return ranges along a tilted laser plane.
 
         A beam that rises by e meets a wall at distance d at d / cos e, or passes over it; one that
-        falls meets the floor at h / sin e. What lies beyond a wall is not seen, and beams keep
-        their bearing.
+        falls meets the floor at h / sin e. Beams keep their bearing.
         """
         some = np.flatnonzero(tilt.any(axis=1))
         if not some.size:
@@ -290,7 +275,7 @@ class _Sight:
 
 
 def _to_disc(laser: F64, centres: F64, radius_m: float, cos: F64, sin: F64) -> F64:
-    """Return the distance (N, B) to a disc, infinite beside and behind it, and from inside it."""
+    """Return the distance (N, B) to a disc; infinite if missed, behind the laser or from inside."""
     x, y = np.moveaxis(centres[:, None] - laser[..., :2], -1, 0)
     along = x * cos + y * sin
     inside = radius_m**2 - (x**2 + y**2) + along**2
@@ -299,11 +284,11 @@ def _to_disc(laser: F64, centres: F64, radius_m: float, cos: F64, sin: F64) -> F
 
 
 def _with_errors(true: F64, lidar: LidarConfig, rng: np.random.Generator) -> F32:
-    """Return what the laser reads of true ranges (N, B), by REP-117."""
+    """Return the measured ranges for true ranges (N, B), by REP-117."""
     shape = true.shape
     ranges = np.where(true > lidar.range_max_m, np.inf, true)
 
-    # A beam half on an edge reads something between near and far.
+    # A beam half on an edge reads a value between near and far.
     behind = np.roll(ranges, -1, axis=1)
     behind[:, -1] = ranges[:, -1]
     edge = np.isfinite(ranges) & np.isfinite(behind)
@@ -311,7 +296,7 @@ def _with_errors(true: F64, lidar: LidarConfig, rng: np.random.Generator) -> F32
     mixed = (np.abs(gap) > EDGE_M) & (rng.random(shape) < lidar.mixed_share)
     ranges = np.where(mixed, ranges + rng.random(shape) * gap, ranges)
 
-    # Dust, rain, stray light: the beam stops somewhere on its way.
+    # Dust, rain, stray light: the beam stops early.
     reach = np.minimum(ranges, lidar.range_max_m)
     short = lidar.range_min_m + rng.random(shape) * np.maximum(reach - lidar.range_min_m, 0.0)
     ranges = np.where(rng.random(shape) < lidar.outlier_share, np.minimum(short, ranges), ranges)

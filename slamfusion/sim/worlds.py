@@ -1,8 +1,7 @@
-"""Draw the places of the simulator, from an office to a yard; or take a map file.
+"""Draw the places of the simulator, from an office to a yard, or load a map file.
 
-A ring closes late, when the odometry has drifted. In wings, pillars and rooms parts are copies of
-one another, to the cell: a match on the wrong copy is as good as one on the right copy; only the
-way there tells them apart.
+In a ring, loops close late. In wings, pillars and rooms parts are exact copies of one another, so
+that only the path tells them apart.
 """
 
 from __future__ import annotations
@@ -27,19 +26,19 @@ Point = tuple[float, float]
 Rect = tuple[float, float, float, float]
 
 WALL_M = 0.1
-# Panes are about this long; thicker walls than this are masonry.
+# Length of a pane; walls thicker than this are masonry.
 PANE_M = 1.5
 PANE_THICK_M = 0.25
 
 
 @dataclass(frozen=True)
 class Floor:
-    """A drawn place and how to see it.
+    """A drawn place.
 
     Attributes:
         grid: the truth, trinary.
-        start: where a drive begins, map frame; None: anywhere free.
-        stops: waypoints that show the place, map frame; empty: planned.
+        start: of a drive, map frame; None: anywhere free.
+        stops: waypoints, map frame; empty: planned.
     """
 
     grid: OccupancyGrid
@@ -48,7 +47,7 @@ class Floor:
 
 
 def draw_floor(config: WorldConfig, rng: np.random.Generator) -> Floor:
-    """Draw a place, or load the map that is taken for one."""
+    """Draw a place, or load its map file."""
     if (config.name == "map") != (config.map is not None):
         message = f"world {config.name!r} and map file {config.map!r}: give both or neither"
         raise SimulationError(message)
@@ -62,13 +61,13 @@ def draw_floor(config: WorldConfig, rng: np.random.Generator) -> Floor:
 def pick_glass(
     grid: OccupancyGrid, share: float, rng: np.random.Generator
 ) -> npt.NDArray[np.bool_]:
-    """Turn parts of thin straight walls into glass; return them, (H, W) bool."""
+    """Turn parts of thin straight walls into glass, (H, W) bool."""
     walls = grid.cells == OCCUPIED
     glass = np.zeros(walls.shape, dtype=np.bool_)
     long_cells = max(2, round(PANE_M / grid.resolution))
     thick_cells = round(PANE_THICK_M / grid.resolution)
     wanted = share * np.count_nonzero(walls)
-    # Middles of straight runs: a pane fits along one axis, and across the wall soon ends.
+    # Middles of straight runs: a pane fits along one axis, and the wall is thin across.
     pane_x = scipy.ndimage.binary_opening(walls, np.ones((1, long_cells), dtype=bool))
     pane_y = scipy.ndimage.binary_opening(walls, np.ones((long_cells, 1), dtype=bool))
     thick = scipy.ndimage.binary_opening(walls, np.ones((thick_cells + 1,) * 2, dtype=bool))
@@ -85,12 +84,9 @@ def pick_glass(
 
 
 class Canvas:
-    """Cells to draw on in metres from the lower-left corner; all unknown at first.
+    """Cells to draw on, in metres from the lower-left corner; all unknown at first.
 
-    Attributes:
-        cells: (H, W) int8, in {-1, 0, 100}.
-        resolution: metres per cell.
-        wall_m: how thick walls are drawn: 0.1 m, at least one cell.
+    ``cells`` is (H, W) int8, in {-1, 0, 100}; walls are 0.1 m thick, at least one cell.
     """
 
     def __init__(self, width_m: float, height_m: float, resolution: float) -> None:
@@ -128,12 +124,9 @@ class Canvas:
     def turned_box(
         self, centre: tuple[float, float], size: tuple[float, float], yaw_rad: float, value: int
     ) -> None:
-        """Set the cells whose centre lies in a rectangle that may be turned.
+        """Set the cells whose centre lies in a turned rectangle; metres.
 
-        Args:
-            centre: metres.
-            size: length along its own x and y, metres; at least a cell and a half, so that a thin
-                turned wall has no holes.
+        A side is at least a cell and a half, so that a thin turned wall has no holes.
         """
         x, y = self._offsets(centre)
         along = np.abs(math.cos(yaw_rad) * x + math.sin(yaw_rad) * y)
@@ -154,7 +147,7 @@ class Canvas:
         return x[None, :], y[:, None]
 
     def floor(self, name: str, start: Point, stops: Iterable[Point] = ()) -> Floor:
-        """Return what is drawn; the zero of the map frame is the start."""
+        """Return the floor; the start is the origin of the map frame."""
         x0, y0 = start
         grid = OccupancyGrid(self.cells, self.resolution, Pose2(-x0, -y0), name)
         return Floor(grid, Pose2(), tuple((x - x0, y - y0) for x, y in stops))
@@ -167,10 +160,10 @@ DOOR_M = 0.9
 def draw_building(
     rng: np.random.Generator, width_m: float, height_m: float, resolution: float = 0.05
 ) -> OccupancyGrid:
-    """Draw a building as the map that a perfect SLAM would make of it.
+    """Draw a building as the map of a perfect SLAM.
 
-    Rooms of unequal width line a corridor, one outer corner is missing, one room has a slanted
-    wall: no turn of the building looks like another. Walls are 0.1 m thick (at least one cell).
+    Rooms of unequal width along a corridor, one outer corner missing, one slanted wall: no rotation
+    of the building looks like another. Walls are 0.1 m thick (at least one cell).
 
     Args:
         width_m: outer size along x, at least 6 m.
@@ -179,7 +172,7 @@ def draw_building(
 
     Returns:
         Cells free inside, occupied on walls and clutter, unknown outside and inside of furniture.
-        The map frame's zero lies in the corridor, where a robot would start.
+        The map frame's origin lies in the corridor.
 
     Raises:
         ValueError: a side below 6 m.
@@ -254,7 +247,7 @@ def _furnish(rng: np.random.Generator, canvas: Canvas, room: Rect) -> None:
 
 
 def _slanted_wall(canvas: Canvas, room: Rect) -> None:
-    """Close off the upper left corner of a room by a wall at 30 degrees or so."""
+    """Close off the upper left corner of a room by a wall at about 30 degrees."""
     x0, y0, x1, y1 = room
     reach_x, reach_y = 0.6 * (x1 - x0), 0.35 * (y1 - y0)
     rows, cols = np.indices(canvas.cells.shape)
@@ -282,7 +275,7 @@ def _office(rng: np.random.Generator, resolution: float) -> Floor:
 
 
 def _corridor(rng: np.random.Generator, resolution: float) -> Floor:
-    """A corridor of 2 m around a core, with a few niches and pillars to tell its parts apart."""
+    """A corridor of 2 m around a core, with niches and pillars as landmarks."""
     wide, high, way = 28.0, 18.0, 2.0
     canvas = Canvas(wide, high, resolution)
     wall = canvas.wall_m
@@ -300,7 +293,7 @@ def _corridor(rng: np.random.Generator, resolution: float) -> Floor:
     right, top = wide - middle, high - middle
     corners = [(middle, middle), (right, middle), (right, top), (middle, top)]
     start = (wide / 2.0, middle)
-    # Once around, and on to the second corner: the places seen first are seen again.
+    # Once around and on to the second corner, so that places are seen twice.
     stops = [*corners[1:], corners[0], start, corners[1], corners[2]]
     return canvas.floor("corridor", start, stops)
 
@@ -345,7 +338,7 @@ def _atrium(rng: np.random.Generator, resolution: float) -> Floor:
 def _yard(rng: np.random.Generator, resolution: float) -> Floor:
     """[B16]'s outdoor yard: barricades around an irregular place and some across it.
 
-    Between the barricades beams leave and nothing comes back; what lies outside is unknown.
+    Beams between the barricades have no return; the outside is unknown.
     """
     side = 18.0
     canvas = Canvas(side, side, resolution)
@@ -365,7 +358,7 @@ def _yard(rng: np.random.Generator, resolution: float) -> Floor:
 
 
 def _barricades(canvas: Canvas, start: F64, end: F64) -> None:
-    """Set barricades of about 1.5 m along a line, a hand's breadth apart."""
+    """Set barricades of about 1.5 m along a line with gaps of 0.15 m."""
     x, y = end - start
     length, yaw = math.hypot(x, y), math.atan2(y, x)
     count = max(1, round(length / 1.6))
@@ -375,7 +368,7 @@ def _barricades(canvas: Canvas, start: F64, end: F64) -> None:
 
 
 def _inside(ring: F64, canvas: Canvas) -> npt.NDArray[np.bool_]:
-    """Return which cell centres lie inside a closed ring of corners (N, 2), metres: even-odd."""
+    """Return which cell centres lie inside a closed ring of corners (N, 2), metres (even-odd)."""
     rows, cols = ((np.arange(size) + 0.5) * canvas.resolution for size in canvas.cells.shape)
     x, y = cols[None, :], rows[:, None]
     inside = np.zeros(canvas.cells.shape, dtype=np.bool_)
@@ -388,20 +381,20 @@ def _inside(ring: F64, canvas: Canvas) -> npt.NDArray[np.bool_]:
 WAY_M = 2.2
 RING_DOOR_M = 1.0
 RECESS_M = 0.3
-# Rooms lie outside of a ring, and this much of the canvas is theirs.
+# Rooms lie outside of a ring, in this margin of the canvas.
 ROOM_M, MARGIN_M = 3.0, 3.6
-# Pillars and doors that look like the next one are this far from it.
+# Period of pillars and doors that look alike.
 PERIOD_M = 2.5
-# A strip of this width is kept free of furniture where the robot is to drive.
+# Width kept free of furniture along the robot's path.
 STRIP_M = 1.1
 
 
 @dataclass(frozen=True)
 class _Side:
-    """The outer or the inner wall of one side of a ring.
+    """The outer or inner wall of one side of a ring; lengths in metres.
 
     Attributes:
-        start: corner of the middle line of the way, where the side begins, metres.
+        start: corner of the corridor's middle line.
         step: unit vector along it.
         out: unit vector from the middle line to the wall.
         length_m: to the next corner.
@@ -419,7 +412,7 @@ class _Side:
         return x, y
 
     def fill(self, along: Point, depth: Point, value: int) -> None:
-        """Set a rectangle, by metres along the side and metres from its middle line."""
+        """Set a rectangle, by metres along the side and from its middle line."""
         corners = [
             [self.start[axis] + at * self.step[axis] + far * self.out[axis] for axis in (0, 1)]
             for at, far in zip(along, depth, strict=True)
@@ -469,7 +462,7 @@ def _ring(length_m: float, resolution: float) -> tuple[tuple[_Side, _Side], ...]
 
 
 def _toured_ring(sides: tuple[tuple[_Side, _Side], ...], name: str) -> Floor:
-    """Return a ring with a drive once around and on to the middle of the next side."""
+    """Return a ring with a drive once around and to the middle of the next side."""
     first, second, *_ = (outer for outer, _ in sides)
     corners = [outer.start for outer, _ in sides]
     start = first.middle()
@@ -478,17 +471,13 @@ def _toured_ring(sides: tuple[tuple[_Side, _Side], ...], name: str) -> Floor:
 
 
 def _random_ring(rng: np.random.Generator, length_m: float, resolution: float) -> Floor:
-    """A ring with doors, rooms and pillars at random.
-
-    Args:
-        length_m: of the middle line once around, at least 60 m.
-    """
+    """A ring with random doors, rooms and pillars; ``length_m`` once around, at least 60 m."""
     sides = _ring(length_m, resolution)
     for side in itertools.chain(*sides):
         at = rng.uniform(2.2, 5.0)
         while at < side.length_m - 2.2:
             kind, size = rng.random(), rng.uniform(0.2, 0.4)
-            # In the corners the room of one side would meet that of the next.
+            # Near corners the rooms of two sides would overlap.
             is_free = MARGIN_M + WAY_M < at < side.length_m - MARGIN_M - WAY_M
             if kind < 0.3 and is_free:
                 side.room(at, rng)
@@ -514,7 +503,7 @@ def _pillars(rng: np.random.Generator, resolution: float) -> Floor:
 
 
 def _wings(rng: np.random.Generator, resolution: float) -> Floor:
-    """Two wings, each a copy of the other, on one side of a plain hallway.
+    """Two identical wings on one side of a plain hallway.
 
     The drive leads through the first wing, the second, and the first again.
     """
@@ -547,7 +536,7 @@ def _wings(rng: np.random.Generator, resolution: float) -> Floor:
 
 
 def _rooms(rng: np.random.Generator, resolution: float) -> Floor:
-    """Eight rooms in a row, each a copy of the others, along a plain corridor.
+    """Eight identical rooms in a row along a plain corridor.
 
     The drive leads into every room and back into some of them.
     """
@@ -574,7 +563,7 @@ def _rooms(rng: np.random.Generator, resolution: float) -> Floor:
 
 
 def _fill_room(canvas: Canvas, rng: np.random.Generator, count: int, way: list[Point]) -> None:
-    """Put cupboards and crates into a place, but not where the robot is to drive."""
+    """Put cupboards and crates into a place, except on the robot's path."""
     high, wide = (size * canvas.resolution for size in canvas.cells.shape)
     for _ in range(count):
         centre = (rng.uniform(0.0, wide), rng.uniform(0.0, high))
@@ -587,7 +576,7 @@ def _fill_room(canvas: Canvas, rng: np.random.Generator, count: int, way: list[P
 
 
 def _paste(canvas: Canvas, part: Canvas, corner: Point) -> None:
-    """Copy a part's cells, its lower-left corner at a place."""
+    """Copy a part's cells, with its lower-left corner at ``corner``."""
     col, row = (canvas.cell(length) for length in corner)
     height, width = part.cells.shape
     place = canvas.cells[row : row + height, col : col + width]
