@@ -1,4 +1,4 @@
-"""Do two occupancy grids show one place, and where do they lie on each other?
+"""Align two occupancy grids, and decide whether they show the same place.
 
 ``align_grids`` is one alignment; ``align.py`` lists its steps in order.
 """

@@ -1,4 +1,4 @@
-"""Align one grid to another: make both ready, search, list what else may explain it, decide."""
+"""Align one grid to another: prepare, search, compare with alternative hypotheses, decide."""
 
 from __future__ import annotations
 
@@ -38,16 +38,9 @@ def align_grids(
     """Align one occupancy grid to another.
 
     Args:
-        reference: held still.
-        moving: gets the transform.
-        config: normalisation and search; ``config.align.window_*`` limit the search around a
-            ``start`` that has no tolerances.
-        device: computes.
+        config: ``align.window_*`` limit the search around a ``start`` that has no tolerances.
         start: expected pose of the moving map frame in the reference's, metres; identity when
             None. With tolerances (``StartPose``) the search looks only within these.
-
-    Returns:
-        The alignment; also when it is rejected, with the reason.
 
     Raises:
         GridError: a grid has no known cells.
@@ -74,11 +67,9 @@ def align_pair(
     """Align two maps that are ready; see ``align_grids``.
 
     Args:
-        pair: the maps.
-        config, start: as there.
-        pairs: pairs of maps in the job: the more there are, the more an answer has to show.
-        thorough: search a pair that is refused once more on a finer level.
-        image_after: kinds of refusals after which the mirror image is searched too; None: all where
+        pairs: pairs of maps in the job; with more pairs an answer needs more evidence.
+        thorough: search a rejected pair again on a finer level.
+        image_after: kinds of rejection after which the mirror image is searched too; None: all if
             the search is thorough, else none.
     """
     began = time.perf_counter()
@@ -87,14 +78,12 @@ def align_pair(
             reason = f"{features.grid.name} has no occupied cell, so there is nothing to align"
             return rejected_alignment(pair, reason, time.perf_counter() - began)
 
-    # Where the moving map may lie.
     window = window_around(pair, config, start)
     near = f"within {start.reach} of the start" if isinstance(start, StartPose) else None
     if near is not None and not can_meet(pair, window):
         reason = f"the maps do not meet {near}"
         return rejected_alignment(pair, reason, time.perf_counter() - began)
 
-    # Search.
     found = search_window(pair, config, window)
     if not len(found.motions):
         reason = "no fit inside the window; widen it" if near is None else f"no fit {near}"
@@ -103,10 +92,9 @@ def align_pair(
     if image_after is None:
         image_after = DECISIONS if thorough else ()
 
-    # Weigh the answer against what else may explain the pair, and decide.
+    # Compare the answer with its alternatives, and decide.
     is_finer = thorough and found.search == "full" and has_finer(pair, config, window, found)
-    # Where a finer level may yet bear the pair out, the image waits for it; among walls everywhere
-    # an image fits as anything does.
+    # If a finer level may still support the pair, the mirror image is searched there.
     is_cut = found.coarse is not None and found.coarse.is_cut
     found = replace(found, image_after=() if is_finer or is_cut else image_after)
     answer = conclude(pair, config, found, expected, pairs, began)
@@ -114,7 +102,7 @@ def align_pair(
     if (answer.accepted and is_good) or not is_finer:
         return answer
 
-    # A pair that is refused, or is read as bent or changed, is searched on a finer level, too.
+    # A pair that is rejected, or is read as bent or changed, is searched on a finer level too.
     found = replace(search_finer(pair, config, window, found), image_after=image_after)
     return conclude(pair, config, found, expected, pairs, began)
 
@@ -123,10 +111,8 @@ def track_pair(pair: Pair, start: Pose2, pairs: int = 1) -> Alignment:
     """Refine a known transform without a search, and decide as with a start there.
 
     Args:
-        pair: the two maps.
         start: pose of the moving map frame in the reference's, within about half a metre and a few
             degrees.
-        pairs: see ``align_pair``.
     """
     began = time.perf_counter()
     motion = settle(pair, pair.motion_of(start)[None])

@@ -1,4 +1,4 @@
-"""Judge what a search found: hold it against its rivals, measure it, decide, write the record."""
+"""Compare the answer of a search with its rivals, measure it, decide, write the record."""
 
 from __future__ import annotations
 
@@ -40,10 +40,9 @@ from slamfusion.compute.lattice import fixed_poses
 from slamfusion.config import AlignConfig
 from slamfusion.geometry import F64, Pose2, wrap_angle
 
-# A bent map whose walls meet less than this share of the other's is fitted as a whole, by a wide
-# scale in cells.
+# A bent map with a smaller share of matching walls is fitted as a whole, at a wide scale in cells.
 BENT_MATCH, BENT_SCALES = 0.45, (24.0,)
-# Tolerances in metres, and the least they are in cells where cells are coarse.
+# Tolerances in metres, with a minimum in cells for coarse maps.
 NEAR_M, NEAR_CELLS_MIN = 0.15, 1.5
 CLASH_M, CLASH_CELLS_MIN = 0.4, 3.0
 FAR_CLASH_M, FAR_CLASH_CELLS_MIN = 1.0, 5.0
@@ -60,12 +59,8 @@ def conclude(
 ) -> Alignment:
     """Measure the answer and its rivals, decide, and write the record.
 
-    Args:
-        config: settings of the search, for the mirror image.
-        found: at least one motion.
-        start: where the answer is expected, without a window; None: nowhere.
-        pairs: pairs of maps in the job.
-        began: ``time.perf_counter()`` when the work on this pair began.
+    ``found`` has at least one motion; ``start`` is where the answer is expected, without a window;
+    ``began`` is ``time.perf_counter()`` at the start of the work on this pair.
     """
     chances = _chances(pair, found, start, pairs)
     answer = best_answer(pair, found, chances)
@@ -101,10 +96,7 @@ def conclude(
 
 
 def _chances(pair: Pair, found: SearchResult, start: Pose2 | None, pairs: int) -> Chances:
-    """Return how many wrong answers there are, before any wall has spoken.
-
-    More where the ground is large, fewer near a start.
-    """
+    """Return the prior of wrong answers: more on large ground, fewer near a start."""
     ground_m2 = meeting_cells(pair) * pair.resolution**2
     trials = pairs * max(1.0, ground_m2 / GROUND_ONE_M2)
     if found.search != "window" and start is not None:
@@ -124,8 +116,8 @@ def _decided(
     statistics: dict[str, float],
     runner_up: RunnerUp | None,
 ) -> tuple[MatchEvidence, Decision]:
-    """Return the evidence for an answer, and what to believe."""
-    # Where a start says what ground is common there are not as many places.
+    """Return the evidence for an answer, and the decision."""
+    # A start limits the possible common ground.
     is_anywhere = chances.prior >= 1.0
     patches = max(1.0, MOST / max(statistics["overlap"], 1e-3)) if is_anywhere else 1.0
     evidence = MatchEvidence(
@@ -153,8 +145,7 @@ def _decided(
     if found.coarse is None:
         return evidence, replace(decision, reason=f"{found.search}: {decision.reason}")
     if decision.accepted:
-        # Two good maps of a place that is nearly its own image fit both ways; a limit of its own
-        # would be the square of this one.
+        # Two good maps of a place that is nearly symmetric fit both ways.
         others = np.empty((0, 3))
         if answer.reading != "good" or evidence.expected_wrong >= EXPECTED_WRONG_MAX**2:
             is_near = "a pose away from the start" in answer.against
@@ -177,10 +168,7 @@ def _decided(
 
 
 def _image_gain(pair: Pair, config: AlignConfig, answer: Answer, trials: float) -> float | None:
-    """Return the evidence for the mirror image over that for a rejected answer.
-
-    None where the image would be rejected too, or has less evidence than the answer.
-    """
+    """Return the evidence for the mirror image over that for a rejected answer, if it is better."""
     image = pair.mirrored()
     coarse, motions, _ = search(image, config, SearchWindow())
     if not len(motions):
@@ -199,15 +187,15 @@ def _placed(pair: Pair, found: SearchResult, answer: Answer) -> tuple[F64, dict[
         best = climbed(pair, narrow_fits(pair, best[None])[0])
     statistics = measure(pair, best)
     if answer.reading == "bent" and _met(statistics) < BENT_MATCH:
-        # A narrow fit locks one part of a bent map and leaves the rest; a wide one spreads the
-        # misfit over the whole map.
+        # A narrow fit locks onto one part of a bent map; a wide one spreads the misfit over all of
+        # it.
         best = refine(pair, best[None], 1, BENT_SCALES, iterations=8, everywhere=True)[0]
         statistics = measure(pair, best)
     return best, statistics
 
 
 def _met(statistics: dict[str, float]) -> float:
-    """Return the share of one map's walls that meet the other's, of the map that has more."""
+    """Return the share of matching walls, of the map that has more."""
     return max(statistics["wall_match_moving"], statistics["wall_match_reference"])
 
 
@@ -236,14 +224,14 @@ def rejected_alignment(pair: Pair, reason: str, time_s: float) -> Alignment:
 
 
 def measure(pair: Pair, motion: F64) -> dict[str, float]:
-    """Return the numbers by which a motion is judged.
+    """Return the statistics of a motion.
 
-    ``wall_match`` is the smaller of the two shares of wall cells with a wall of the other map
-    within 0.15 m, ``wall_clash`` the larger of the two shares in the other's free space more than
-    1 m from any wall, ``wall_clash_near`` the same beyond 0.4 m; ``chance`` is the larger of the
-    two shares of known cells within 0.15 m of a wall, what a random place would match.
-    ``explained`` is the share of the map with fewer wall cells, and ``explained_by_chance`` what a
-    random place on the known cells of the other map would match of it.
+    ``wall_match``: the smaller of the two shares of wall cells within 0.15 m of a wall of the other
+    map. ``wall_clash`` and ``wall_clash_near``: the larger of the two shares in the other's
+    free space more than 1 m and 0.4 m from any wall. ``chance``: the larger of the two shares
+    of known cells within 0.15 m of a wall, the match of a random place. ``explained``: the
+    share of the map with fewer wall cells; ``explained_by_chance``: the share of it that a
+    random place on the other map's known cells would explain.
     """
     lattice = to_lattice(motion[None], pair.moving.centre)
     ref, mov = pair.reference.level(1), pair.moving.level(1)
@@ -293,7 +281,7 @@ def measure(pair: Pair, motion: F64) -> dict[str, float]:
 
 
 def _overlap_and_error(pair: Pair, lattice: F64) -> tuple[float, float]:
-    """Return the share of known cells in common, and the [F16] error over the reference's box."""
+    """Return the share of common known cells, and the [F16] error over the reference's box."""
     warped = pair.device.warp(
         pair.moving.cells, fixed_poses(invert(lattice)), pair.reference.shape, -1
     )

@@ -1,12 +1,13 @@
-"""Accept or reject an alignment: does it beat everything else that may explain the two maps?
+"""Accept or reject an alignment: is it better than everything else that may explain the two maps?
 
-The answer of a search is the best of millions of poses: it fits well even where the maps show two
-places. What a right answer has is that nothing else comes near it. So it is compared with
-hypotheses, each piece by piece of wall (``hypotheses``): **another pose**, **a shift of itself**
-(a corridor slides along itself), **no relation** between the maps, and, where it beats these, its
-**mirror image** and **another scale**. ``n`` pieces of equal weight say that it is better than one.
+The answer of a search is the best of millions of poses, so it fits well even if the maps show two
+places. A right answer has no close rival. So it is compared piece by piece of wall (``hypotheses``)
+with **another pose**, **a shift of itself** (a corridor slides along itself), **no relation**
+between the maps, and, if it is better than these, its **mirror image** and **another scale**. ``n``
+is the number of pieces of equal weight that prefer the answer.
 
-Two maps of a place are read in three ways; n counts by a weight that tells how well a reading fits:
+Two maps of a place are read in three ways; the weight of a piece depends on how well a reading
+fits:
 
     good      what stays unexplained contradicts         weight = odds(share) / ODDS_ONE
     changed   sharp maps of two times: things moved      weight = odds(share) / ODDS_ONE, at most 1
@@ -14,11 +15,11 @@ Two maps of a place are read in three ways; n counts by a weight that tells how 
     score = weight * least n
     expected wrong = pairs * prior * TRIALS * exp(-score)    (of one pose without TRIALS)
 
-with odds(share) = share / (1 - share) of the common walls that the answer explains. What falls off
-with the pieces is the tail of the best of many chance fits (Karlin and Altschul 1990, for
-sequences). The reading with the highest score answers; the wrong answers of the whole job that are
-to be expected to look as good must be fewer than ``EXPECTED_WRONG_MAX``. The prior is smaller near
-a start, and larger where there is more ground or little of it is common.
+with odds(share) = share / (1 - share) of the common walls that the answer explains. The exponential
+in the pieces is the tail of the best of many chance fits (Karlin and Altschul 1990, for sequences).
+The reading with the highest score gives the answer; the expected number of equally good wrong
+answers in the whole job must be below ``EXPECTED_WRONG_MAX``. The prior is smaller near a start,
+and larger on more ground or with little common ground.
 """
 
 from __future__ import annotations
@@ -44,52 +45,40 @@ DecisionKind: TypeAlias = Literal[
 DECISIONS: tuple[DecisionKind, ...] = get_args(DecisionKind)
 Strength: TypeAlias = Literal["strong", "fair", "weak"]
 
-# Fewer wall cells than this fit anywhere.
+# Maps with fewer wall cells than this fit anywhere.
 WALLS_MIN = 24
-# Of the wrong answers in a job fewer than this are to be expected.
+# Limit of the expected number of wrong answers in a job.
 EXPECTED_WRONG_MAX = 0.01
-# Wrong answers that no piece of wall contradicts: two widths of a wall, and an answer is the
-# best of some chances.
+# Wrong answers that no piece of wall contradicts: two widths of a wall, best of several chances.
 TRIALS = 4.0
-# Ground on which the middle of the moving map may lie, square metres, at which TRIALS is what it
-# is: two maps of 45 m. On more ground there are as many more places that look right by chance.
+# Ground on which the middle of the moving map may lie, square metres, for which TRIALS holds: two
+# maps of 45 m. More ground has proportionally more places that look right by chance.
 GROUND_ONE_M2 = 10_000.0
-# Starts that are wrong, of all that are given: a place away from the start that explains the walls
-# as well is so much less likely, and so are maps that have no relation.
+# Share of given starts that are wrong: the prior of a place away from the start.
 START_WRONG = 0.005
-# Share of the walls that chance leaves unexplained or not, of halves of one map 0 to 0.03.
+# Share of the walls that is left unexplained by chance.
 UNEXPLAINED_MIN = 0.03
-# Odds of what is explained at which a piece counts as one: 0.89 of the common walls.
+# Odds of the explained share at which a piece counts as one: 0.89 of the common walls.
 ODDS_ONE = 8.0
-# Share of the common walls that two maps of one place and time explain at least, of recorded pairs
-# of two SLAMs 0.86 (MIT CSAIL) to 0.99 (offices). Others are no two good maps.
+# Least share of the common walls that two good maps of one place and time explain.
 SAME_TIME_SHARE = 0.85
 # Metres of wall that are one observation, two widths of a wall: a score is never more than the
-# evidence itself in nats. A short wall that fits to the last cell is no more than that.
+# evidence in nats.
 OBSERVED_M = 0.3
-# Share that two storeys with the same outer walls explain at most: outer walls are half to six
-# tenths of all, and a quarter of the inner ones meets a wall by chance. Of 60 buildings that were
-# drawn with other rooms in the same outer walls the most is 0.63. At another scale maps of a wrong
-# resolution explain 0.86 and more, bent ones, of which the scale differs from place to place, 0.62.
+# Greatest share that two storeys with the same outer walls explain: outer walls are half to six
+# tenths of all, and a quarter of the inner ones meets a wall by chance.
 STOREYS_SHARE = 0.7
-# Most of something. Of the smaller map: what is common ground where TRIALS is what it is (of less
-# ground the map has as many more places that look right by chance), and where two places are said
-# to be alike. Of the common walls: what maps of two times explain at least. Of the evidence: what
-# another pose may have before the pieces against it count by what is left.
+# Half, as a limit of four shares: of the smaller map, the common ground for which TRIALS holds, and
+# above which two places are reported as alike; of the common walls, the least that maps of two
+# times explain; of the evidence, the most another pose may have without a discount.
 MOST = 0.5
-# Maps whose scales differ more are refused.
+# Maps whose scales differ more are rejected.
 SCALE_MAX = 0.03
 
 
 @dataclass(frozen=True)
 class Decision:
-    """What is decided.
-
-    Attributes:
-        accepted: whether the alignment is.
-        kind: in one of a few words.
-        reason: in one line.
-    """
+    """What is decided."""
 
     accepted: bool
     kind: DecisionKind
@@ -130,21 +119,12 @@ def odds(share: float) -> float:
 
 
 def expected_wrong(score: float, trials: float) -> float:
-    """Return how many wrong answers are to be expected to look as good, in the whole job.
-
-    Args:
-        score: see the module's text.
-        trials: wrong answers that no wall contradicts.
-    """
+    """Return the expected number of equally good wrong answers in the whole job."""
     return trials * math.exp(-min(max(score, -500.0), 500.0))
 
 
 def strength_of(share: float) -> Strength:
-    """Return how good an accepted alignment is.
-
-    Args:
-        share: of the common walls that it explains (``MatchEvidence.share``).
-    """
+    """Return how good an accepted alignment is, by ``MatchEvidence.share``."""
     if share >= SAME_TIME_SHARE:
         return "strong"
     return "fair" if share >= STOREYS_SHARE else "weak"
@@ -153,13 +133,10 @@ def strength_of(share: float) -> Strength:
 def decide(
     evidence: MatchEvidence, statistics: dict[str, float], rival: str | None, trials: float
 ) -> Decision:
-    """Return what to believe of the answer of a search, and why.
+    """Decide on the answer of a search.
 
-    Args:
-        evidence: for and against it.
-        statistics: see ``answer.measure``.
-        rival: where the best answer elsewhere lies, in words; None: there is none.
-        trials: see ``expected_wrong``.
+    ``statistics`` are those of ``answer.measure``; ``rival`` describes where the best answer
+    elsewhere lies, None if there is none.
     """
     mirrored = decide_mirrored(evidence.mirrored)
     if mirrored is not None:
@@ -183,11 +160,7 @@ def decide(
 
 
 def decide_mirrored(mirrored: float | None) -> Decision | None:
-    """Return why a pair is refused whose mirror image fits as well; None where it does not.
-
-    Args:
-        mirrored: see ``MatchEvidence``.
-    """
+    """Reject a pair whose mirror image fits as well; None if it does not."""
     if mirrored is None or mirrored < 1.0:
         return None
     return _refused(
@@ -206,7 +179,7 @@ def _share_of_walls(evidence: MatchEvidence) -> str:
 
 
 def _contradiction(evidence: MatchEvidence) -> str:
-    """Say what an answer leaves unexplained, and ask what may be the cause."""
+    """Describe what an answer leaves unexplained, with possible causes."""
     bent = ", or is a map bent" if evidence.reading == "bent" else ""
     return (
         f"{1.0 - evidence.share:.0%} of the common walls contradict: another storey or another "
@@ -217,7 +190,7 @@ def _contradiction(evidence: MatchEvidence) -> str:
 def _not_beaten(
     evidence: MatchEvidence, statistics: dict[str, float], rival: str | None, trials: float
 ) -> Decision:
-    """Refuse an answer by the hypothesis that it does not beat."""
+    """Reject an answer by the hypothesis that it does not beat."""
 
     def is_enough(pieces: float) -> bool:
         return expected_wrong(pieces, trials) < EXPECTED_WRONG_MAX

@@ -1,6 +1,6 @@
-"""What alignment looks at in one grid: wall points, distance and score fields, coarser levels.
+"""Features of one grid: wall points, distance and score fields, coarser levels.
 
-Computed once a grid and device, then shared by every pair the grid takes part in.
+They are computed once for a grid and device, and shared by all pairs of the grid.
 """
 
 from __future__ import annotations
@@ -38,30 +38,27 @@ from slamfusion.io.files import available_memory, return_freed_memory
 P = ParamSpec("P")
 R = TypeVar("R")
 
-# Farther than this from its walls the unknown says nothing, metres, and the least in cells.
+# Unknown cells farther than this from walls contribute nothing, metres, and the least in cells.
 SEEN_M, SEEN_CELLS_MIN = 0.4, 3.0
-# Some maps fade from walls to free space: Cartographer's, plans with smoothed lines, sensor maps.
-# If so many times as many walls are beside free space where a cell of unknown between the two is
-# taken for free, it is: 1.4 to 3.6 times as many in 26 such maps of 70 recorded ones, at most 1.13
-# times in all others.
+# Some maps fade from walls to free space (Cartographer, plans with smoothed lines). Their rims are
+# taken as free if that multiplies the walls next to free space by at least this.
 SOFT_GAIN = 1.25
-# The last fit is narrow: it needs no distances beyond this, in cells.
+# The last fit is narrow: it needs no greater distances, in cells.
 SOLID_REACH = 24
-# What takes little memory is kept when a map lets go of the rest.
+# Small results, which ``release`` keeps.
 SMALL = ("near_wall_share", "_known_at_distance", "directions")
 # Cells that are counted at once.
 COUNTED_CELLS = 1 << 20
-# The score that is told: a byte serves single lookups.
+# The reported score: a byte serves single lookups.
 FINE_TABLE = score_table(3.0, base=64, span=191)
-# How far free space is looked for, metres. Deeper than the rim of free cells that drawn maps have
-# behind their walls, and than what lies between both lines of a wall that was drawn twice; less
-# than half of a door. It is looked for on squares of cells, of which that are this many.
+# Range in which free space is searched, metres: more than the rim of free cells behind drawn walls
+# and the gap of a doubled wall, less than half a door; and the number of squares in it.
 FACING_REACH_M, REACH_SQUARES = 0.4, 4
-# One half of the ground around a cell has at least so much more free space than the other, as a
-# share of the half: a straight wall that was seen from one side has all of it there.
+# A wall seen from one side: one half of the ground has at least this much more free space, as a
+# share of the half.
 CLEARER = 0.3
-# What the fields of a cell take, in bytes, and the share of the free memory that all may take; and
-# how much at most where little memory is wanted, bytes.
+# Bytes of the fields of a cell, the share of the free memory that all may take, and the limit in
+# bytes if memory is to be spared.
 FIELD_BYTES, FREE_SHARE = 40, 0.5
 SPARING_BYTES = 2**28
 
@@ -69,7 +66,7 @@ SPARING_BYTES = 2**28
 # Directions of walls, degrees; a wall has none beyond 180. Histogram of one degree.
 DIRECTIONS = 180
 # Cells on the longest side of the picture whose gradients are the directions, its blur, and the
-# reach over which gradients of a wall are one direction, both cells.
+# range over which gradients of a wall are one direction, both cells.
 DIRECTION_CELLS, DIRECTION_BLUR, DIRECTION_REACH = 768, 2.0, 3.0
 SMOOTHING = np.array([1.0, 2.0, 3.0, 4.0, 3.0, 2.0, 1.0])
 
@@ -115,12 +112,7 @@ class Level:
 
 
 class PointPieces(NamedTuple):
-    """Points piece by piece.
-
-    Attributes:
-        points: (N, 2) int32 lattice positions in half cells.
-        starts: (B + 1,) int32 the first point of each piece, and N.
-    """
+    """Points grouped by piece: (N, 2) int32 half cells, and (B + 1,) int32 first point of each."""
 
     points: npt.NDArray[np.int32]
     starts: npt.NDArray[np.int32]
@@ -149,13 +141,7 @@ class GridFeatures:
     def __init__(
         self, grid: NormalizedGrid, device: ComputeDevice, memory: FieldMemory | None = None
     ) -> None:
-        """Take a map; everything is computed when it is asked for.
-
-        Args:
-            grid: the map; of one that fades to free space the rims of its walls are taken for free.
-            device: computes and holds the fields.
-            memory: releases them where many maps hold too many; None: they are kept.
-        """
+        """Prepare a map; fields are computed at first use; ``memory`` may release them."""
         self.given, self.grid = grid, _without_rims(grid)
         self.device, self._memory = device, memory
         self._levels: dict[int, Level] = {}
@@ -168,7 +154,7 @@ class GridFeatures:
         return self.grid.shape
 
     def release(self) -> None:
-        """Let go of what takes memory; it is computed once more when it is asked for."""
+        """Release what takes memory; it is computed again at next use."""
         self._levels.clear()
         self._fields.clear()
         self._made = {key: made for key, made in self._made.items() if key[0] in SMALL}
@@ -256,23 +242,16 @@ class GridFeatures:
     def _seen_distance(
         self, distance2: DeviceArray[Any], free: DeviceArray[Any], step: int
     ) -> DeviceArray[Any]:
-        """Return the distance in 1/256 cell, where the map knows enough to draw a wall towards it.
-
-        A wall of the other map that lies deep in the unknown of this one belongs to no wall here.
-        """
+        """Return the distance in 1/256 cell, ``DISTANCE_UNSEEN`` deep in unknown space."""
         reach = max(SEEN_CELLS_MIN, SEEN_M / (self.grid.grid.resolution * step))
         unseen = DISTANCE_TABLE.copy()
         unseen[unseen > reach * DISTANCE_ONE] = DISTANCE_UNSEEN
         return self.device.look_up_where(distance2, free, DISTANCE_TABLE, unseen)
 
     def chance(self, step: int, sigma: float) -> float:
-        """Return what a wall of another place finds on average in the known cells of a level.
+        """Return the mean of ``likelihood.likeness`` over the known cells of a level, 0..1.
 
-        Args:
-            step: of the level. sigma: width of a wall in its cells.
-
-        Returns:
-            The mean of ``likelihood.likeness`` over known cells, 0..1.
+        ``sigma`` is the width of a wall in cells of the level.
         """
         known = self._known_at_distance(step)
         total = float(known.sum())
@@ -285,11 +264,7 @@ class GridFeatures:
 
     @_kept
     def pieces(self, per_half_cell: float, most: int) -> PointPieces:
-        """Return sampled surface walls piece by piece; see ``scores``.
-
-        Args:
-            per_half_cell: half a cell, in sides of a piece. most: walls that are sampled.
-        """
+        """Return at most ``most`` sampled surface walls by piece; half a cell in piece sides."""
         points = spread_sample(self.level(1).points, most)
         col, row = np.floor(points * per_half_cell).astype(np.int64).T
         return _by_square(points, col * (row.max(initial=0) + 1) + row)
@@ -313,12 +288,7 @@ class GridFeatures:
     def evidence_table(
         self, step: int, sigma: float, top: int, doubt: float = 0.0
     ) -> EvidenceTable:
-        """Return what a wall of the other map tells in the cells of a level of this one.
-
-        Args:
-            step: of the level. sigma: width of a wall in its cells. top: greatest field value.
-            doubt: see ``likelihood.evidence_table``.
-        """
+        """Return the evidence of a wall of the other map in each cell of a level."""
         return evidence_table(self.chance(step, sigma), sigma, top, doubt)
 
     def field(self, step: int, table: ScoreTable) -> DeviceArray[Any]:
@@ -333,7 +303,7 @@ class GridFeatures:
 
 
 def _by_square(points: npt.NDArray[np.int32], squares: npt.NDArray[np.int64]) -> PointPieces:
-    """Return points (N, 2) square by square; (N,) numbers tell theirs."""
+    """Return points (N, 2) grouped by square; ``squares`` are (N,) numbers."""
     order = np.argsort(squares, kind="stable")
     first = np.unique(squares[order], return_index=True)[1]
     starts = np.append(first, len(points)).astype(np.int32)
@@ -359,13 +329,13 @@ def _sums_by_distance(
 ) -> npt.NDArray[np.float64]:
     """Return (N,) the sums of weights, or how many are set, by squared distance."""
     sums = np.zeros(int(distance2.max(initial=0)) + 1)
-    # Counting takes sixteen bytes of each cell, so a large level is counted in parts.
+    # Counting takes sixteen bytes per cell, so a large level is counted in parts.
     parts = 1 + weights.size // COUNTED_CELLS
     for squares, some in zip(
         np.array_split(distance2, parts), np.array_split(weights, parts), strict=True
     ):
         if some.dtype == np.bool_:
-            # Twice the distance, one more where set: quicker than weights, or a choice of cells.
+            # Twice the distance, plus one where set: faster than weights or a mask.
             each = np.bincount((2 * squares + some.view(np.uint8)).ravel(), minlength=2 * len(sums))
             sums += each[1::2]
         else:
@@ -399,9 +369,7 @@ def _without_rims(grid: NormalizedGrid) -> NormalizedGrid:
 def facings(cells: npt.NDArray[np.int8], resolution: float) -> npt.NDArray[np.uint8]:
     """Return where free space lies from each cell.
 
-    Args:
-        cells: (H, W) int8 in {-1, 0, 1}.
-        resolution: metres per cell.
+    ``cells`` are (H, W) int8 in {-1, 0, 1}; ``resolution`` is in metres per cell.
 
     Returns:
         (H, W) uint8: ``FACES`` and the direction, 0 along +x, counter-clockwise, in parts of a
@@ -418,14 +386,10 @@ def facings(cells: npt.NDArray[np.int8], resolution: float) -> npt.NDArray[np.ui
 
 
 def wall_directions(solid: npt.NDArray[np.uint8]) -> npt.NDArray[np.float64]:
-    """Return the histogram (180,) of directions across walls, mean 0 and length 1.
-
-    Args:
-        solid: (H, W) uint8, 1 at wall cells.
-    """
+    """Return the histogram (180,) of directions across walls, mean 0 and length 1."""
     shrink = min(1.0, DIRECTION_CELLS / max(solid.shape))
     size = (max(1, round(solid.shape[1] * shrink)), max(1, round(solid.shape[0] * shrink)))
-    # Shrunken in whole numbers: of a large map a picture of floats is much memory.
+    # Shrunk as integers, since floats of a large map take much memory.
     small = cv2.resize(solid * np.uint8(255), size, interpolation=cv2.INTER_AREA)
     picture = cv2.GaussianBlur(small.astype(np.float32), (0, 0), DIRECTION_BLUR)
     along_x = cv2.Scharr(picture, cv2.CV_32F, 1, 0)
@@ -434,11 +398,11 @@ def wall_directions(solid: npt.NDArray[np.uint8]) -> npt.NDArray[np.float64]:
         cv2.GaussianBlur(product, (0, 0), DIRECTION_REACH)
         for product in (along_x * along_x, along_y * along_y, along_x * along_y)
     )
-    # The structure tensor's main axis, and how much longer it is than the other.
+    # The structure tensor's main axis, and its anisotropy.
     weight = np.hypot(xx - yy, 2.0 * xy)
     strong = weight > 0.01 * weight.max()
     degrees = np.degrees(np.arctan2(2.0 * xy[strong], (xx - yy)[strong]) / 2.0) % DIRECTIONS
-    # Shared by the two whole degrees beside it.
+    # Shared by the two nearest whole degrees.
     below = np.floor(degrees)
     above = (degrees - below) * weight[strong]
     counts: npt.NDArray[np.float64] = np.zeros(DIRECTIONS)
@@ -467,10 +431,7 @@ def _free_shares(cells: npt.NDArray[np.int8], side: int) -> npt.NDArray[np.float
 def _clearer(
     free: npt.NDArray[np.float32],
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-    """Return how much more free space lies to the right of squares than to the left, and above.
-
-    As shares (h, w) of half of the ground around each; beyond the map's edge is nothing free.
-    """
+    """Return how much more free space lies to the right and above (a share of half of it)."""
     half = REACH_SQUARES * (2 * REACH_SQUARES + 1)
     sign = np.repeat(np.array([-1, 0, 1], dtype=np.float32), [REACH_SQUARES, 1, REACH_SQUARES])
     one = np.ones_like(sign) / half
@@ -488,15 +449,10 @@ def facing_parts(angles: npt.NDArray[np.floating]) -> npt.NDArray[np.uint8]:
 
 
 class FieldMemory:
-    """Releases the fields of those maps of a job that were not looked at for longest."""
+    """Releases the fields of the least recently used maps of a job."""
 
     def __init__(self, cells: int | None = None, *, is_sparing: bool = False) -> None:
-        """Begin with none.
-
-        Args:
-            cells: of maps that may hold fields; None: as many as the memory that is free now lets.
-            is_sparing: not more than some hundred megabytes, though more be free.
-        """
+        """Start empty, with a limit on cells of maps with fields; None: by the free memory."""
         if cells is None:
             room = int(FREE_SHARE * available_memory())
             cells = (min(room, SPARING_BYTES) if is_sparing else room) // FIELD_BYTES
@@ -504,14 +460,14 @@ class FieldMemory:
         self._used: dict[int, GridFeatures] = {}
 
     def use(self, fields: GridFeatures, *, is_more: bool) -> None:
-        """Note that a map is looked at, and make room if it will hold more."""
+        """Mark a map as used, and make room if it will hold more."""
         self._used.pop(id(fields), None)
         self._used[id(fields)] = fields
         if is_more:
             self._shrink()
 
     def forget(self, fields: GridFeatures) -> None:
-        """Note that a map holds nothing any more."""
+        """Note that a map holds nothing."""
         self._used.pop(id(fields), None)
 
     def _shrink(self) -> None:

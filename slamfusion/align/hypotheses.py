@@ -1,12 +1,10 @@
-"""Hold an answer against what else may explain two maps, in three readings of the maps.
+"""Compare an answer with what else may explain two maps, in three readings of the maps.
 
-See ``decide`` for what the readings and hypotheses are, and for what is made of the numbers.
-
-A search keeps peaks that lie apart; what slides along a wall, a corridor or a row of desks is one
-long ridge and leaves no second peak. So the shifts around an answer of two good maps are hypotheses
-of their own. Of maps of which one is bent any answer leaves much unexplained, and only what is
-explained counts. A mirrored map of a place with many right angles fits the right one at a third of
-its walls; its mirror image fits better still. A wrong resolution shows as a scale that fits better.
+``decide`` describes the readings and hypotheses. A search keeps separate peaks; a slide along a
+wall, a corridor or a row of desks is one long ridge without a second peak, so shifts of an answer
+of two good maps are hypotheses of their own. An answer of bent maps leaves much unexplained, so
+only what is explained counts. A mirrored map of a place with many right angles fits at a third of
+its walls, but its mirror image fits better. A wrong resolution shows as a better scale.
 """
 
 from __future__ import annotations
@@ -50,23 +48,21 @@ from slamfusion.compute.lattice import fixed_cells, fixed_poses
 from slamfusion.config import AlignConfig
 from slamfusion.geometry import F64
 
-# Points of walls by which shifts and scales are compared.
+# Wall points for the comparison of shifts and scales.
 POINTS = 1024
-# Poses differ from this many widths of a wall or this turn on. Shifts of an answer are looked at up
-# to the last number of widths.
+# From this shift in widths of a wall, or this turn, on two poses differ; and the farthest shift.
 APART_WIDTHS, APART_RAD, FARTHEST_WIDTHS = 4.0, math.radians(10.0), 12.0
-# Directions in which an answer is slid, and shifts of it that are weighed; what pieces say less of
-# than this, as a share of the square of a typical one, is rounding.
+# Directions in which an answer is shifted, and the rounding noise of pieces, as a share of the
+# square of a typical one.
 SLIDES, SLIDE_NOISE = 16, 0.1
-# What is another place for a robot on its way: cells.
+# Distance of another place for a moving robot, cells.
 DISTINCT_CELLS = 20.0
-# Where no answer is that of two good maps as it was found, those that are fitted narrowly: the best
-# by each of two readings.
+# If no answer is that of two good maps: the number that are fitted narrowly.
 NARROWED = 4
-# Shares of the walls of one map that the other shows again, which are tried.
+# Tried shares of the walls of one map that the other shows again.
 HIT_SHARES = np.linspace(0.01, 0.99, 50)
-# Scales that are tried, coarse and then around the best, with shifts in widths of a wall and turns:
-# a pose that fits a part of a map of another scale is not the one that fits all of it.
+# Tried scales, coarse and then around the best, with shifts in widths of a wall and turns: the pose
+# that fits a part of a map of another scale does not fit all of it.
 COARSE_SCALES, FINE_SCALES = np.linspace(-0.12, 0.12, 25), np.linspace(-0.0075, 0.0075, 7)
 SCALE_TURNS = np.radians(np.linspace(-3.0, 3.0, 13))
 
@@ -76,10 +72,8 @@ class How(NamedTuple):
 
     Attributes:
         widths: of a wall, in narrow ones (``Pair.widths``).
-        sided: see ``wall_pieces``.
-        doubt: see ``WallPieces``.
-        slide: how far the answer is slid, in widths of this wall: good maps hold it to another
-            pose by each wall that runs another way, of others the whole place has to.
+        slide: how far the answer is shifted, in widths of this wall: walls in another direction
+            hold good maps in place, other maps are held by the whole place.
     """
 
     widths: float
@@ -96,7 +90,7 @@ READINGS: dict[Reading, How] = {
 
 
 def weigh(pair: Pair, motions: F64, reading: Reading, scales: F64 | None = None) -> WallPieces:
-    """Return what the pieces of wall say of motions (P, 3) in a reading, at scales (P,)."""
+    """Return the pieces of wall for motions (P, 3) in a reading, at scales (P,)."""
     how = READINGS[reading]
     sigma = how.widths * pair.widths[0]
     return replace(
@@ -106,16 +100,14 @@ def weigh(pair: Pair, motions: F64, reading: Reading, scales: F64 | None = None)
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """The best pose in one reading of the maps, and how it stands against each hypothesis.
+    """The best pose in one reading of the maps, compared with each hypothesis.
 
     Attributes:
-        reading: of the maps.
         motion: (3,) the pose.
         others: (K, 3) other poses, best first.
-        against: pieces of wall that say that it is better than each hypothesis.
+        against: by hypothesis, pieces of wall that prefer the answer.
         total: evidence, less what contradicts.
         ratio: that of the best other pose over its own.
-        share, common_m: see ``MatchEvidence``.
         hit: share of walls that lie next to each other by the broad width; 0 where another width is
             likelier.
         trials: pairs in the job times the prior: of any pose, and of one away from the start.
@@ -145,15 +137,14 @@ class Answer:
 
     def score(self, hypothesis: Hypothesis) -> float:
         """Return by how much it beats a hypothesis, see ``decide``."""
-        # What stays unexplained says nothing of a slide: what matters is whether walls hold it. And
-        # what is better than the answer is so however the answer is weighed.
+        # What stays unexplained does not matter for a slide, and no reading changes what is better.
         pieces, weight = self.against[hypothesis], self.weight
         if hypothesis == "a shift of itself" or pieces < 0.0:
             weight = max(weight, 1.0)
         return min(pieces * weight, self.total / OBSERVED_M)
 
     def expected(self, hypothesis: Hypothesis) -> float:
-        """Return how often a hypothesis is to be expected to be right though this looks so good."""
+        """Return the expected number of equally good answers if a hypothesis is right."""
         near, away = self.trials
         trials = {
             "another pose": TRIALS * near,
@@ -170,7 +161,7 @@ class Answer:
 
     @property
     def wrong(self) -> float:
-        """Wrong answers to be expected to look as good, see ``expected_wrong``."""
+        """The expected number of equally good wrong answers, see ``expected_wrong``."""
         return self.expected(self.nearest)
 
     @property
@@ -186,12 +177,12 @@ class Answer:
 
 @dataclass(frozen=True, eq=False)
 class Chances:
-    """How many wrong answers there are before any wall has spoken, see ``decide``.
+    """The prior of wrong answers, see ``decide``.
 
     Attributes:
         trials: pairs in the job, more where there is more ground.
         start: (3,) where the answer is expected; None: nowhere, or within a window.
-        prior: how much fewer poses there are near the start, or in the window, than of all.
+        prior: share of the poses that lie near the start, or in the window.
     """
 
     trials: float
@@ -200,12 +191,7 @@ class Chances:
 
 
 def best_answer(pair: Pair, found: SearchResult, chances: Chances) -> Answer:
-    """Return the answer in the reading that speaks most for it.
-
-    Args:
-        found: at least one motion.
-        chances: of wrong answers.
-    """
+    """Return the answer in the reading with the most evidence; ``found`` has a motion."""
     motions, rest = found.motions, (pair.widths[0], chances)
     inside = None
     if found.candidates is not None:
@@ -246,15 +232,10 @@ def _answer(
     narrow: float,
     chances: Chances,
 ) -> Answer:
-    """Return the best of the motions in the window, against all others.
+    """Return the best of the motions (P, 3) in the window, compared with all others.
 
-    Args:
-        motions: (P, 3).
-        reading: of the maps.
-        pieces: of all motions.
-        inside: (P,) which of them lie in the window; None: there is none.
-        narrow: width of a wall, cells.
-        chances: see ``best_answer``.
+    ``inside`` (P,) marks motions in the window, None: no window; ``narrow`` is the width of a wall
+    in cells.
     """
     total = pieces.total
     best = int(np.argmax(total if inside is None else np.where(inside, total, -np.inf)))
@@ -295,12 +276,11 @@ def is_distinct(a: F64, b: F64, cells: float = DISTINCT_CELLS) -> bool:
 
 
 def _slid(pair: Pair, answer: Answer) -> Answer:
-    """Return the same; one that beats all other hypotheses is compared with shifts of itself.
+    """Compare an answer that beats all other hypotheses with shifts of itself.
 
-    An answer is slid every way. Walls that run one way hold it across them and leave it free along
-    them: there no piece of wall tells it from its slide but at the ends of the common ground, and
-    what a slide leaves unseen says nothing. Of two good maps farther shifts are looked at as they
-    are, by whole widths of a wall: rows of doors or desks.
+    Parallel walls hold an answer across them and leave it free along them, where only the ends of
+    the common ground contradict a slide. For two good maps farther shifts by whole widths of a wall
+    are tried too: rows of doors or desks.
     """
     if not answer.is_accepted:
         return answer
@@ -318,7 +298,7 @@ def _slid(pair: Pair, answer: Answer) -> Answer:
 
 
 def slides(pair: Pair, motion: F64, reading: Reading) -> F64:
-    """Return (K, 3) a motion, slid every way."""
+    """Return (K, 3) a motion, shifted in every direction."""
     how = READINGS[reading]
     angles = np.arange(SLIDES) * (2.0 * math.pi / SLIDES)
     way = np.stack((np.cos(angles), np.sin(angles), np.zeros(SLIDES)), axis=1)
@@ -338,13 +318,10 @@ def shifts(pair: Pair, motion: F64) -> F64:
 
 
 def hit_share(pair: Pair, motion: F64) -> float:
-    """Return the share of walls that lie next to walls of the other map by the broad width.
+    """Return the share of walls next to walls of the other map by the broad width of a wall.
 
-    The others lie anywhere on ground that the other map knows. Of three widths of a wall the broad
-    one must make the distances likeliest; 0 where a narrower one does.
-
-    Args:
-        motion: (3,).
+    The other walls lie anywhere on the other map's known ground. 0 if one of two narrower widths is
+    more likely.
     """
     lattice = to_lattice(motion[None], pair.moving.centre)
     sides = ((pair.moving, pair.reference, lattice), (pair.reference, pair.moving, invert(lattice)))
@@ -382,9 +359,8 @@ def mirror_gain(
     """Return the evidence for the best fit of the moving map's image over that for a motion.
 
     Args:
-        motion: (3,) of the map as it is: where its centre lands, cells, and yaw.
-        config: settings of the search; everywhere, since no start holds for an image.
-        reading: of the maps.
+        config: settings of the search, which covers all poses, since a start does not hold for an
+            image.
         is_near: the motion is near a start, which is evidence for it.
 
     Returns:
@@ -404,13 +380,8 @@ def mirror_gain(
 def estimate_scale(pair: Pair, motion: F64, reading: Reading, others: F64) -> float:
     """Return the scale at which two maps fit best; 1.0 unless another is better.
 
-    The answer may be the fit of a small part, where all of a map of another scale fits elsewhere.
-    So the pose of most evidence gets a scale of its own, too.
-
-    Args:
-        motion: (3,) the answer: where the moving centre lands, cells, and yaw.
-        reading: of the maps.
-        others: (K, 3) other poses; those of an answer that is beyond doubt need no look.
+    ``motion`` (3,) may fit a small part only, if a map of another scale fits elsewhere as a whole.
+    So the pose with most evidence among ``others`` (K, 3) is scaled too.
     """
     narrow = pair.widths[0]
     poses = np.concatenate((motion[None], others))
@@ -422,22 +393,22 @@ def estimate_scale(pair: Pair, motion: F64, reading: Reading, others: F64) -> fl
     both = wall_pieces(
         pair, np.stack((motions[best], motion)), narrow, scales=np.array([scale, 1.0])
     )
-    # By less one of a few scales is better by chance.
+    # A smaller gain of one of several scales is chance.
     is_better = expected_wrong(both.better(0, 1), TRIALS) < 1.0
     is_better = is_better and both.share()[0] >= STOREYS_SHARE
-    # A scale that moves common walls by less than half their width cannot be told from 1.
+    # A scale that moves common walls by less than half their width cannot be distinguished from 1.
     return scale if is_better and abs(scale - 1.0) * reaches[best] >= 0.5 * narrow else 1.0
 
 
 def _scaled(pair: Pair, motion: F64, reading: Reading) -> tuple[F64, float, float]:
-    """Return a motion (3,) at its best scale, the scale, and how far its common walls reach."""
+    """Return a motion (3,) at its best scale, the scale, and the extent of its common walls."""
     narrow = pair.widths[0]
     wide = READINGS[reading].widths * narrow
     walls = common_walls(pair, motion, wide)
     if not len(walls):
         return motion, 1.0, 0.0
     middle, reach = walls.mean(axis=0), math.sqrt(float(walls.var(axis=0).sum()))
-    # All of a good map fits at the right scale, where the answer is; of others only a part may.
+    # A good map fits as a whole at the right scale; others may fit in part.
     far = 1.0 if READINGS[reading].sided else APART_WIDTHS
     steps = np.arange(-far, far + 1.0)
     scale, at = 1.0, motion

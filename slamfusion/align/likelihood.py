@@ -1,19 +1,19 @@
-"""What a wall of one map tells about a motion when it lands in a cell of the other.
+"""Evidence of a wall of one map that falls on a cell of the other.
 
-The logarithm of how much more probable the landing is when both maps show one place than when
-they show two: positive beside a wall, negative in free space, and nothing where the other map
-knows nothing. With d the distance to the nearest wall in units of the width of a wall, and
-``c`` what a wall of any other place would find there on average,
+The logarithm of the ratio of two probabilities: that both maps show one place, and that they show
+two. It is positive next to a wall, negative in free space, and 0 where the other map is
+unknown. With d the distance to the nearest wall in widths of a wall, and ``c`` the mean
+likeness of the wall of any other place,
 
     like(d) = exp(-d^2 / 2)
     L(d) = log((HIT like(d) + STRAY) / (HIT c + STRAY))
 
-HIT is the share of walls that the other map shows again, STRAY what is left for walls that were
-moved, doubled, or never there. A sum of L over walls is evidence in nats: a long common wall
-outweighs a short one, and a large false overlap does not outweigh a small true one.
+HIT is the share of walls that the other map shows again; STRAY covers walls that were moved,
+doubled, or never there. The sum of L over walls is evidence in nats: a long common wall outweighs a
+short one, and a large false overlap does not outweigh a small true one.
 
 The fields are whole numbers from 0, so that kernels can add them: ``value = base + L / unit``.
-Partly free cells of a coarse level weigh what contradicts by their share of free space.
+On coarse levels contradicting evidence is weighed by the share of free space of a cell.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ import numpy.typing as npt
 
 from slamfusion.compute.layout import DISTANCE2_MAX
 
-# Share of a map's walls that another map of the place shows again; what is left for all others.
+# Share of a map's walls that another map of the place shows again, and the rest.
 HIT = 0.75
 STRAY = 0.04
-# A place with walls so rare that one alone would decide is not believed to be that rare.
+# Lower limit of the chance, so that one rare wall does not decide.
 CHANCE_MIN = 0.02
-# Tables that are kept, of 16 KiB each: a pair of maps asks for forty, some of them five times.
+# Cached tables, of 16 KiB each.
 TABLES_KEPT = 128
 
 
@@ -44,7 +44,6 @@ class ScoreTable:
         hit, miss: (4097,) uint16; ``base + hit - miss * free share`` is a field's cell.
         base: worth of a point in unknown space.
         span: largest gain over the base, so that (value - base) / span is 1 on a wall.
-        name: tells tables apart.
     """
 
     hit: npt.NDArray[np.uint16]
@@ -68,10 +67,8 @@ class EvidenceTable(ScoreTable):
 def score_table(sigma: float, base: int, span: int) -> ScoreTable:
     """Return the table of ``exp(-d^2 / 2)`` less ``min(1, d / 4)`` in free space beyond 1.5.
 
-    Args:
-        sigma: the width of a wall in cells; d above is in units of it.
-        base: lowest reward that is left for walls in free space.
-        span: reward of a point on a wall.
+    ``sigma`` is the width of a wall in cells, the unit of d; ``base`` the lowest value, left for
+    walls in free space; ``span`` the gain on a wall.
     """
     d = _distances(sigma)
     hit = np.rint(span * likeness(sigma)).astype(np.uint16)
@@ -81,14 +78,13 @@ def score_table(sigma: float, base: int, span: int) -> ScoreTable:
 
 @lru_cache(maxsize=TABLES_KEPT)
 def evidence_table(chance: float, sigma: float, top: int, doubt: float = 0.0) -> EvidenceTable:
-    """Return the table of L, less ``doubt`` times what L lacks of the most there is.
+    """Return the table of L, less ``doubt`` times the shortfall from its maximum.
 
     Args:
         chance: c of the module's text, 0..1.
         sigma: width of a wall in cells.
         top: the greatest value of the field: 15 where a kernel adds packed values, else 255.
-        doubt: see ``scores.WallPieces``; what a wall lacks in cells that the other map does not
-            know counts for nothing here, too.
+        doubt: see ``scores.WallPieces``; it does not apply in unknown cells of the other map.
     """
     expected = HIT * min(1.0, max(CHANCE_MIN, chance)) + STRAY
     most, least = math.log((HIT + STRAY) / expected), math.log(STRAY / expected)

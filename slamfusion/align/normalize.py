@@ -18,16 +18,16 @@ from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid, known_box, trinary_
 from slamfusion.io.files import check_memory
 from slamfusion.vote.lattice import SAME_RESOLUTION, Extent, Lattice
 
-# What each cell of an input takes that is aligned, and while it is looked at; and while it votes.
+# Bytes per cell of an input that is aligned, during its alignment, and during its vote.
 ALIGNED_BYTES_PER_CELL, BYTES_PER_CELL, VOTED_BYTES_PER_CELL = 4, 24, 7
-# Cells on the longest side of a map that is aligned as it is: of larger ones a coarser copy is.
+# Largest side of a map that is aligned at full resolution, cells.
 ALIGNED_CELLS = 3000
-# Where little memory is wanted copies are coarser still, as long as all of them together have more
-# cells than this, up to cells of this size, metres, on which walls of a building are still apart.
+# To spare memory copies are coarser, down to this number of cells together, up to this cell size in
+# metres, at which walls of a building are still separate.
 SPARING_CELLS, SPARING_CELL_M = 2**27, 0.15
-# Maps that keep their fields however little memory is left: those of a usual job.
+# Maps that keep their fields with any amount of memory: a usual job.
 LEAST_KEPT = 3
-# Rows of blocks that are pooled at once.
+# Rows of blocks pooled at once.
 POOLED_ROWS = 16
 
 INT16_MAX = 2**15 - 1
@@ -68,16 +68,15 @@ class VotingGrid:
 class NormalizedGrid(VotingGrid):
     """A grid ready to be aligned and to vote.
 
-    Attributes:
-        solid: (H, W) uint8, 1 at the wall cells that alignment looks at: no specks of noise, judged
-            at the input's own resolution; every wall cell where all are specks.
+    solid: (H, W) uint8, 1 at wall cells without specks of noise at the input's own resolution;
+        every wall cell if all are specks.
     """
 
     solid: npt.NDArray[np.uint8]
 
 
 def common_resolution(grids: list[OccupancyGrid], config: NormalizeConfig) -> float:
-    """Return the resolution to bring every grid to: the given one, else the finest."""
+    """Return the configured resolution, else the finest."""
     if config.resolution is not None:
         return config.resolution
     return min(grid.resolution for grid in grids)
@@ -89,10 +88,8 @@ def check_resampling(
     """Refuse grids that would not fit into memory at their common resolution.
 
     Args:
-        grids: one or more.
-        config: may give the resolution.
-        what: is done with them: ``fusing``, ``aligning``.
-        is_stored: they will vote tile by tile, which takes no memory to speak of.
+        what: the operation for the message: ``fusing``, ``aligning``.
+        is_stored: the grids vote tile by tile, with little memory.
 
     Raises:
         MemoryBudgetError: with the sizes, the resolutions and what to do; nothing was allocated.
@@ -115,7 +112,7 @@ def check_resampling(
     needed += looked_at * (BYTES_PER_CELL - ALIGNED_BYTES_PER_CELL)
     needed //= factor**2
     if factor > 1:
-        # Of one input at a time everything, or of all of them what votes.
+        # All data of one input at a time, or the voting data of all of them.
         needed += max(own_cells) * BYTES_PER_CELL if is_stored else 0
         needed += 0 if is_stored else sum(own_cells) * VOTED_BYTES_PER_CELL
     check_memory(needed, said, largest.name)
@@ -124,15 +121,11 @@ def check_resampling(
 def coarsening(
     grids: Sequence[OccupancyGrid], resolution: float, *, is_sparing: bool = False
 ) -> int:
-    """Return how many times coarser the cells are on which grids are aligned than those fused.
+    """Return the ratio of the cell sizes for alignment and for the fused map.
 
-    1 but for maps so large that their fields would not fit into memory. Alignments are told in
-    metres and are finer than a cell, so a coarser copy costs less than one fused cell.
-
-    Args:
-        grids: one or more.
-        resolution: of the fused cells, metres.
-        is_sparing: of many maps also for the copies to take little memory together.
+    1 except for maps whose fields would not fit into memory. Alignments are finer than a cell, so a
+    coarser copy costs less than one fused cell of accuracy. ``is_sparing`` limits the memory of all
+    copies together.
     """
     boxes = [(box, grid.resolution) for grid in grids if (box := grid.known_box()) is not None]
     sides = [max(box.height, box.width) * size for box, size in boxes]
@@ -155,12 +148,6 @@ def normalize_grid(
 ) -> NormalizedGrid:
     """Resample to ``resolution``, threshold, crop to the known cells, and find the solid walls.
 
-    Args:
-        grid: any occupancy grid.
-        resolution: metres per cell of the result.
-        config: thresholds.
-        device: does the resampling.
-
     Raises:
         GridError: no cell of the grid is known under these thresholds.
     """
@@ -182,19 +169,12 @@ def normalize_grid(
 def voting_grid(
     grid: OccupancyGrid, resolution: float, config: NormalizeConfig, device: ComputeDevice
 ) -> VotingGrid:
-    """Resample to ``resolution``, threshold, and crop to the known cells.
-
-    Args:
-        grid, resolution, config, device: as for ``normalize_grid``.
-
-    Raises:
-        GridError: no cell of the grid is known under these thresholds.
-    """
+    """Resample to ``resolution``, threshold, and crop; see ``normalize_grid``."""
     return _voting_part(grid, _without_margins(grid, config), resolution, config, device)[0]
 
 
 def _without_margins(grid: OccupancyGrid, config: NormalizeConfig) -> OccupancyGrid:
-    """Return a grid without unknown margins: a small place on a huge canvas costs no more."""
+    """Return a grid without unknown margins, so that a large canvas costs nothing."""
     box = grid.known_box()
     if box is None:
         raise _nothing_known(grid, config)
@@ -216,13 +196,7 @@ def _voting_part(
     config: NormalizeConfig,
     device: ComputeDevice,
 ) -> tuple[VotingGrid, CellBox]:
-    """Return a grid that votes, and which cells of the resampled grid it has.
-
-    Args:
-        given: the grid as it was given.
-        grid: the same without margins.
-        resolution, config, device: as for ``normalize_grid``.
-    """
+    """Return the voting grid of ``given``, and its box in the resampled ``grid``."""
     resampled = _resample(grid, resolution, config, device)
     cells = trinary_cells(resampled.cells, config)
     box = known_box(cells)
@@ -251,14 +225,7 @@ def _resample(
 def _blocks(
     cells: npt.NDArray[np.int8], ratio: float, fill: int, device: ComputeDevice
 ) -> npt.NDArray[np.int8]:
-    """Return the points (H, n, W, n) at which cells of another size read those of a grid.
-
-    Args:
-        cells: of the grid.
-        ratio: size of the others, in cells of the grid.
-        fill: where a point lies beyond the grid.
-        device: reads points that are not cells.
-    """
+    """Return the points (H, n, W, n) at which cells of ``ratio`` times the size read a grid."""
     if abs(ratio - 1.0) < SAME_RESOLUTION:
         return cells.reshape(cells.shape[0], 1, cells.shape[1], 1)
     height, width = (max(1, int(np.ceil(size / ratio - 1e-9))) for size in cells.shape)

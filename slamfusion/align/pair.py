@@ -43,10 +43,8 @@ def fixed_similarities(
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
     """Return (P, 4) fixed poses from the moving lattice to the reference's, and back.
 
-    Args:
-        motions: (P, 3) where the moving centre lands, cells, and yaw.
-        centre: the moving map's, cells.
-        scales: (P,) how much longer the moving map's metre is taken, about its centre; None: 1.
+    ``motions`` (P, 3) are landing points of the moving ``centre``, cells, and yaw; ``scales`` (P,)
+    enlarge the moving map about its centre, None: 1.
     """
     there, back = (_fixed(*columns) for columns in both_ways(motions, centre, scales))
     return there, back
@@ -55,15 +53,8 @@ def fixed_similarities(
 def both_ways(
     motions: F64, centre: tuple[float, float], scales: F64 | None = None
 ) -> tuple[Columns, Columns]:
-    """Return cos, sin, x and y from the moving lattice to the reference's, and back.
-
-    Args:
-        motions, centre, scales: see ``fixed_similarities``.
-
-    Returns:
-        Twice four columns (P,), x and y in cells.
-    """
-    # By columns: each is one stretch of memory, which is what makes many poses quick.
+    """Return cos, sin, x and y (P,), cells, to the reference's lattice, and back."""
+    # Contiguous columns are faster for many poses.
     x, y, yaw = np.ascontiguousarray(motions.T)
     cos, sin = np.cos(yaw), np.sin(yaw)
     if scales is not None:
@@ -85,13 +76,7 @@ def _fixed(cos: F64, sin: F64, x: F64, y: F64) -> npt.NDArray[np.int64]:
 
 
 def turned_about(motion: F64, middle: F64, turns: F64) -> F64:
-    """Return (P, 3) a motion, turned further about a place that stays.
-
-    Args:
-        motion: (3,).
-        middle: (2,) the place, x and y in cells of the reference.
-        turns: (P,) rad.
-    """
+    """Return (P, 3) a motion turned by ``turns`` (rad) about ``middle`` (x, y in cells)."""
     x, y = motion[:2] - middle
     cos, sin = np.cos(turns), np.sin(turns)
     return np.stack(
@@ -106,13 +91,9 @@ def displacement(a: F64, b: F64) -> tuple[float, float]:
 
 
 def distinct(motions: F64, shift: float, turn: float, most: int | None = None) -> F64:
-    """Return motions (best first) without those within ``shift`` cells and ``turn`` of a better.
+    """Return motions (P, 3), best first, except those within shift and turn of a better one.
 
-    Args:
-        motions: (P, 3).
-        shift: cells.
-        turn: rad.
-        most: at most this many; None: all.
+    ``shift`` is in cells, ``turn`` in rad; at most ``most`` motions are returned.
     """
     return np.asarray(motions[distinct_rows(motions, shift, turn, most)])
 
@@ -133,19 +114,14 @@ def distinct_rows(
     return np.array(kept, dtype=np.intp)
 
 
-# Widths of a wall on full-resolution cells, metres, and the least they are in cells. By the first
-# maps are compared that show the same walls in the same places, by the second bent ones.
+# Widths of a wall at full resolution, metres, and the minimum in cells: the narrow one for maps
+# with the same walls in the same places, the broad one for bent maps.
 WIDTHS_M, WALL_CELLS_MIN = (0.15, 0.45), 1.5
 
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """Two maps of one resolution that are aligned, on one device.
-
-    Attributes:
-        reference: held still.
-        moving: gets the transform.
-    """
+    """A reference map and a moving map at one resolution, on one device."""
 
     reference: GridFeatures
     moving: GridFeatures

@@ -93,7 +93,6 @@ class Alignment:
     """One moving grid against one reference grid.
 
     Attributes:
-        reference, moving: names of the grids.
         transform: maps a point of the moving grid's map frame into the reference's, metres.
         accepted: whether it may be believed; ``reason`` says why (not).
         score: symmetric wall score, 1 for identical maps; larger is better.
@@ -183,10 +182,8 @@ class InputRecord:
     """One input of a fusion: its grid, what became of it, and its cells on the fused lattice.
 
     Attributes:
-        grid: as given.
         alignment: against the reference; the reference's own is the identity. None when the
             grid could not be searched at all (e.g. all unknown); then ``reason`` says why.
-        accepted: whether it voted.
         reason: why (not); one line.
         layer: what it says on the fused lattice; None when it did not vote.
         copy_of: the input that this one is a copy of, which votes for both; None: it is none.
@@ -228,7 +225,6 @@ class Fusion:
         wall_agreement: share of its walls that agree with the other maps', by name, 0 to 1; of the
             accepted inputs, where the vote weighs them.
         bent: the accepted inputs whose walls do not agree, by name.
-        device: the device that computed it, in words.
         time_s: wall time of the whole fusion.
         left_out_m2: area that inputs know outside of the box that the fused map was cut to, square
             metres, by name; empty where nothing was cut.
@@ -304,7 +300,6 @@ class StoredFusion(Fusion):
         shape: rows and columns of the fused map.
         resolution: metres a cell.
         origin: pose of the lower-left corner of its first cell; the frame is the reference's.
-        others: see ``FusionResult``.
     """
 
     shape: tuple[int, int]

@@ -28,21 +28,20 @@ SETTLED_CELLS = 0.02
 SURFACE_RADII = (1, 2, 3, 4)
 # Robust scales of the last fit of two maps that show the same walls, cells.
 POLISH_SCALES = (4.0, 2.0, 1.0)
-# Where the six terms of a symmetric matrix of three rows stand, and its diagonal among the nine.
+# Indices of the six terms of a symmetric 3 x 3 matrix, and of its diagonal among the nine.
 SYMMETRIC, DIAGONAL = np.array([0, 1, 2, 1, 3, 4, 2, 4, 5]), slice(0, 9, 4)
-# So many times as many wall cells to a cell of their surface, and the walls of a map are thicker.
+# Ratio of wall cells per surface cell from which the walls of one map are thicker.
 THICKER = 1.15
-# Turns from which a fit begins, the motion's own first; the width of a wall, cells, by which the
-# best is chosen.
+# Turns from which a fit starts, the motion's own first; the wall width in cells to choose the best.
 TURNS = np.radians([0.0, -0.6, 0.6, -1.2, 1.2])
 THIN_CELLS = 1.0
-# Steps by which a fit is sought among its neighbours, cells, and as many of each; turns move walls
-# of the common ground as far as shifts, those of less ground as if it reached so far, cells.
+# Steps of the local search, cells, and their number; turns move walls of the common ground as far
+# as shifts, with at least this radius, cells.
 CLIMB_STEPS, CLIMBS_MOST, REACH_CELLS_MIN = (0.5, 0.25, 0.125), 6, 8.0
-# Walls there must give so many times as much as where the fit ended: between cells it knows more.
+# Least gain in evidence over the fit: between cells the fit is more accurate.
 CLIMBED_GAIN = 1.1
 NEIGHBOURS = np.array([(x, y, turn) for turn in (0, -1, 1) for y in (0, -1, 1) for x in (0, -1, 1)])
-# A fit that turned so far, rad, may have farther to turn: so many times at most.
+# A fit that turned farther, rad, is repeated, at most this number of times.
 TURNED_RAD, ROUNDS = math.radians(0.1), 4
 
 
@@ -73,10 +72,9 @@ def refine(
         step: level to work on, fine cells a cell.
         scales: robust scale of each round, in cells of the level, wide to narrow; (P,) where each
             motion has its own.
-        points: at most this many wall points of each grid.
         iterations: Gauss-Newton steps a scale; a pose that moves by less than 0.02 cells stops.
         solid: fit all wall cells, not only surfaces, at step 1.
-        everywhere: also where a map knows nothing, as walls may lie that bent maps draw.
+        everywhere: also in unknown cells, for bent maps.
 
     Returns:
         (P, 3) refined motions, the same form.
@@ -136,11 +134,10 @@ def _apply(motions: F64, change: F64, pivot: tuple[float, float]) -> F64:
 def settle(pair: Pair, motions: F64) -> F64:
     """Finish motions that are right to a few cells, as finely as the walls of the two maps allow.
 
-    Where one map's walls are thicker, their surfaces cannot meet: a fit narrower than the
-    difference locks onto one side of a room, a wider one stays between both. So the last scale is
-    four times the median distance of the surfaces that a wide fit leaves. And a surface says
-    nothing of the wall's other side: the last fit takes all cells of the walls, under which a thin
-    wall comes to lie in the middle of a thick one.
+    If one map's walls are thicker, their surfaces cannot meet: a narrow fit locks onto one side of
+    a room, a wider one stays between both. So the last scale is four times the median surface
+    distance after a wide fit. The last fit uses all wall cells, so that a thin wall ends in the
+    middle of a thick one.
     """
     motions = refine(pair, motions, 1, (12.0, 8.0), points=FINE_POINTS)
     spread = _surface_distance(pair, motions)
@@ -148,17 +145,10 @@ def settle(pair: Pair, motions: F64) -> F64:
 
 
 def polish(pair: Pair, motions: F64) -> F64:
-    """Fit two maps that show the same walls as narrowly as cells allow, each motion on its own.
+    """Fit motions (P, 3), right to a few cells, of two maps that show the same walls.
 
-    Where little is in common a wide fit is pulled by walls that the other map does not have. Walls
-    that are equally thick are fitted by their surfaces, others by all of their cells: see
-    ``settle``.
-
-    Args:
-        motions: (P, 3) right to a few cells.
-
-    Returns:
-        (P, 3) the motions there.
+    With little common ground a wide fit is pulled by walls that the other map does not have.
+    Equally thick walls are fitted by their surfaces, others by all of their cells: see ``settle``.
     """
     return refine(
         pair, motions, 1, POLISH_SCALES, points=FINAL_POINTS, solid=not are_as_thick(pair)
@@ -196,15 +186,7 @@ def _surface_distance(pair: Pair, motions: F64) -> F64:
 
 
 def narrow_fits(pair: Pair, motions: F64) -> F64:
-    """Return motions fitted narrowly, each on its own, by the evidence of thin walls.
-
-    Args:
-        motions: (P, 3) where the moving centre lands, cells, and yaw: right to a few cells and
-            degrees.
-
-    Returns:
-        (P, 3) the motions there.
-    """
+    """Return motions (P, 3), right to a few cells and degrees, each fitted by thin walls."""
     fitted = motions.copy()
     left = np.arange(len(fitted))
     sigma = pair.widths[0]
@@ -228,14 +210,10 @@ def narrow_fits(pair: Pair, motions: F64) -> F64:
 
 
 def climbed(pair: Pair, motion: F64) -> F64:
-    """Return a narrow fit, or what lies beside it where thin walls give a tenth more there.
+    """Return a narrow fit (3,), or a neighbour with a tenth more evidence of thin walls.
 
-    A fit of distances is pulled a little by what is no wall of both maps: on 5 to 15 m of common
-    wall by a degree, now and then. Where one map's walls are thicker thin walls give most on one
-    side of a room, and the fit stays.
-
-    Args:
-        motion: (3,) see ``narrow_fits``.
+    Walls that only one map has pull a fit of distances by up to a degree on 5 to 15 m of common
+    wall. If one map's walls are thicker, the fit stays.
     """
     if not are_as_thick(pair):
         return motion
@@ -265,7 +243,7 @@ def _by_thin_walls(pair: Pair, motions: F64) -> F64:
 
 
 def common_middle(pair: Pair, motion: F64, sigma: float) -> F64:
-    """Return (2,) the mean place of ``common_walls``; where the moving centre lands without any."""
+    """Return (2,) the mean place of ``common_walls``, else where the moving centre lands."""
     walls = common_walls(pair, motion, sigma)
     return walls.mean(axis=0) if len(walls) else motion[:2]
 

@@ -1,8 +1,8 @@
-"""The scale of a map that is not known, such as a floor plan's: search it, then align as always.
+"""Search the unknown scale of a map, such as a floor plan, then align as usual.
 
-At each scale the plan is a map like any other. On coarse cells it is compared with the reference
-at the yaws at which walls are parallel (see ``shifts``); at the scales that stand out both are
-aligned, and the decision counts every scale that was tried as one more pair of the job.
+The plan is compared with the reference on coarse cells at each scale, at the yaws at which walls
+are parallel (see ``shifts``). It is aligned at the best scales, and the decision counts every tried
+scale as one more pair of the job.
 """
 
 from __future__ import annotations
@@ -29,19 +29,18 @@ from slamfusion.errors import ConfigError, MemoryBudgetError
 from slamfusion.geometry import F64
 from slamfusion.grid import OccupancyGrid
 
-# A scale is searched from half to twice what a map says.
+# A scale is searched from half to twice the stated one.
 FACTOR = 2.0
-# From one scale to the next: between two of them the ends of a building of 40 m move by 0.3 m, less
-# than a coarse cell.
+# Ratio of successive scales: the ends of a building of 40 m move by 0.3 m, less than a coarse cell.
 SCALE_STEP = 1.03
-# Cells on which scales are compared, and on which the best few are aligned, metres.
+# Cells for comparing scales, and for aligning at the best few, metres.
 RANKED_CELL_M, TRIED_CELL_M = 0.2, 0.1
-# The most scales that are tried, and the least evidence of one as a share of the best one's.
+# The most tried scales, and the least evidence as a share of the best one's.
 TRIED, TRIED_SHARE = 4, 0.5
-# Walls of each map by which the best scale is looked for.
+# Wall points of each map in the search for the best scale.
 POINTS = 4096
-# A plan is aligned at better scales until the fit is within so much of the best one. The last step
-# by which a fit is improved is so small a part of the width of a wall.
+# Rounds of alignment at a better scale, the change at which they end, and the last step as a share
+# of the width of a wall.
 ROUNDS, SETTLED_WITHIN, LAST_STEP = 4, 0.002, 1.0 / 16.0
 
 
@@ -68,13 +67,7 @@ def align_at_any_scale(
     """Align a map whose scale is not known.
 
     Args:
-        reference: held still; its resolution is right.
-        moving: the plan.
-        config: normalisation and search.
         scales: the least and the greatest factor on the resolution of ``moving``.
-
-    Returns:
-        The scale and the alignment; also when it is rejected, with the reason.
 
     Raises:
         ConfigError: the factors are not positive or not in order.
@@ -107,15 +100,9 @@ def align_at_any_scale(
 def wrong_resolution(
     reference: OccupancyGrid, moving: OccupancyGrid, config: FusionConfig, device: ComputeDevice
 ) -> str | None:
-    """Return in words what the resolution of a map should be that fits only at another scale.
+    """Return the resolution a moving map should have if it fits only at another scale, in words.
 
-    Args:
-        reference: held still; its resolution is right.
-        moving: does not fit as it is.
-        config: normalisation and search.
-
-    Returns:
-        None if the map does not fit at another scale either.
+    None if it does not fit at another scale either.
     """
     search = _ScaleSearch(moving, (1.0 / FACTOR, FACTOR), config, device)
     with suppress(MemoryBudgetError):
@@ -144,18 +131,13 @@ class _ScaleSearch:
         self._drawn: dict[float, GridFeatures] = {}
 
     def best(self, reference: OccupancyGrid, gains: F64) -> ScaledAlignment:
-        """Align at the scales that stand out; settle the best of them on the reference's cells.
-
-        Args:
-            reference: held still.
-            gains: of all scales.
-        """
+        """Align at the scales with the highest gains, and settle the best on ``reference``."""
         cell = self.config.normalize.resolution or reference.resolution
         seen = self._ready(reference, max(cell, TRIED_CELL_M))
         tries = [self._aligned(seen, scale) for scale in self.scales[_peaks(gains)].tolist()]
         pair, best = min(tries, key=lambda one: _standing(one[1].alignment))
         if not _is_here(best.alignment) and _standing(best.alignment)[1] >= 1.0:
-            # Not fewer than one wrong answer is to be expected to look as good.
+            # At least one equally good wrong answer is expected.
             return best
         seen, settled = self._ready(reference, cell), []
         for _ in range(ROUNDS):
@@ -201,12 +183,12 @@ def scaled(grid: OccupancyGrid, scale: float) -> OccupancyGrid:
 
 
 def _is_here(alignment: Alignment) -> bool:
-    """Whether an alignment is accepted, or would be at a scale near by."""
+    """Whether an alignment is accepted, or would be at a nearby scale."""
     return alignment.decision in {"accepted", "other scale"}
 
 
 def _standing(alignment: Alignment) -> tuple[bool, float]:
-    """Sort alignments: those that are right, then by the wrong answers to be expected."""
+    """Sort key: right alignments first, then by expected wrong answers."""
     evidence = alignment.evidence
     return not _is_here(alignment), math.inf if evidence is None else evidence.expected_wrong
 
@@ -220,13 +202,10 @@ def _peaks(gains: F64) -> npt.NDArray[np.intp]:
 
 
 def best_scale(pair: Pair, motion: F64) -> float:
-    """Return the scale at which a fit is best, of those that its motion leads to step by step.
+    """Return the scale of the best fit, found step by step from a motion (3,).
 
-    The robot's walls decide alone: it sees outer walls from within, and their other sides would
-    pull the plan's walls inwards.
-
-    Args:
-        motion: (3,) see ``pair``.
+    Only the robot's walls decide: it sees outer walls from inside, and their outer sides would pull
+    the plan's walls inwards.
     """
     sigma = pair.widths[0]
     reach = math.hypot(*pair.moving.shape) / 4.0

@@ -1,9 +1,9 @@
-"""What each piece of wall says of each motion: evidence counted by what is independent.
+"""Evidence of each piece of wall for each motion.
 
-The cells of one wall come to lie on another wall all together, or not at all: a thousand of them
-are no thousand witnesses. So the evidence of the cells (see ``likelihood``) is summed over
-pieces, squares of ``PIECE_M`` of the map that the walls belong to, and pieces are what counts.
-A piece is the same piece under every motion, so two motions can be compared piece by piece.
+The cells of one wall fall on another wall all together, or not at all, so they are not independent.
+So the evidence of cells (see ``likelihood``) is summed over pieces, squares of ``PIECE_M`` of the
+map that the walls belong to. A piece is the same under every motion, so two motions can be compared
+piece by piece.
 """
 
 from __future__ import annotations
@@ -24,15 +24,13 @@ from slamfusion.compute.layout import FACING_PARTS
 from slamfusion.compute.search import ScoredSide
 from slamfusion.geometry import F64
 
-# Side of a piece, metres, where a wall is as wide as this; wider walls have larger pieces.
+# Side of a piece, metres, for walls of this width; wider walls have larger pieces.
 PIECE_M, PIECE_WIDTH_M = 1.0, 0.15
 PIECE_POINTS = 8192
-# Wall points of each map by which motions are compared, each stands for its share.
+# Sampled wall points of each map; each stands for its share.
 SCORED_POINTS = 4096
-# Where an answer leaves at most a quarter unexplained both maps may be good: then so many times
-# what an answer leaves unexplained contradicts it. With 1 a large common ground that fits badly
-# holds a small right one back (of 90 halves that share a fifth 60 are believed, with 2 and with 3
-# about 70); the highest counts of 156 wrong answers between recorded maps were 0.9, 1.8 and 3.5.
+# Factor on the unexplained evidence if at most a quarter is unexplained and both maps may be good.
+# With 1 a large common ground that fits badly outweighs a small right one.
 GOOD_DOUBT = 2.0
 FIELD_TOP = 255
 
@@ -43,15 +41,13 @@ class WallPieces:
 
     Attributes:
         evidence: (P, B) nats times metres of wall.
-        most: (P, B) what the pieces could have given at most where the other map has seen
-            something: it is known, or near a wall.
-        share_most: (P, B) the same of which the evidence is a share. Of good maps only where the
-            other map knows its ground; elsewhere what the pieces give, since what was not seen
-            contradicts nothing: a strip of common ground ends in cuts through walls.
-        seen_m: (P,) metres of wall that lie where the other map has seen something.
-        doubt: how much what a piece could have given and does not give contradicts a motion.
-            The table of evidence is kind to maps that are bent or old; of two good maps of one
-            place little stays unexplained, and 1 doubts each motion that leaves more.
+        most: (P, B) the greatest possible evidence of the pieces where the other map is known, or
+            near a wall.
+        share_most: (P, B) the reference value for ``share``. For good maps only where the other map
+            is known; elsewhere what the pieces give, since unseen ground contradicts nothing.
+        seen_m: (P,) metres of wall where the other map has seen something.
+        doubt: weight of the unexplained evidence against a motion. The table of evidence suits bent
+            and old maps; two good maps of one place leave little unexplained.
     """
 
     evidence: F64
@@ -62,14 +58,14 @@ class WallPieces:
 
     @cached_property
     def weighed(self) -> F64:
-        """(P, B) the evidence less ``doubt`` times what stays unexplained."""
+        """(P, B) the evidence less ``doubt`` times the unexplained part."""
         if self.doubt == 0.0:
             return self.evidence
         return np.asarray(self.evidence - self.doubt * (self.most - self.evidence))
 
     @cached_property
     def total(self) -> F64:
-        """(P,) what is weighed, of all pieces: nats times metres, the mean of both maps' walls."""
+        """(P,) the weighed evidence of all pieces, nats times metres, mean of both maps."""
         return np.asarray(self.weighed.sum(axis=1))
 
     def joined(self, other: WallPieces) -> WallPieces:
@@ -88,19 +84,15 @@ class WallPieces:
         return np.asarray(self.evidence.sum(axis=1) / most)
 
     def better(self, k: int, other: int) -> float:
-        """Return how many pieces of equal weight would say that k is better than the other."""
+        """Return the number of pieces of equal weight that prefer motion k to the other."""
         return float(pieces_for(self.weighed[k] - self.weighed[other]))
 
 
 def pieces_for(values: F64, noise: float = 0.0) -> F64:
-    """Return how many pieces of equal weight would say what pieces say, with the sign of their sum.
+    """Return (sum)^2 / sum of squares of ``values`` (..., B), with the sign of the sum.
 
-    Args:
-        values: (..., B) what each piece says.
-        noise: added to the sum of squares, so that little that many say is not much.
-
-    Returns:
-        (...,) (sum)^2 / sum of squares.
+    This is the equivalent number of pieces of equal weight. ``noise`` is added to the sum of
+    squares, so that small values of many pieces do not count.
     """
     squares, total = np.sum(values * values, axis=-1) + noise, values.sum(axis=-1)
     return np.asarray(total * np.abs(total) / np.where(squares > 0.0, squares, 1.0))
@@ -115,16 +107,15 @@ def wall_pieces(
     points: int = PIECE_POINTS,
     sided: bool = False,
 ) -> WallPieces:
-    """Return what each piece of wall says of each motion.
+    """Return the evidence of each piece of wall for each motion.
 
     Args:
         motions: (P, 3) where the moving centre lands, cells, and yaw.
         sigma: width of a wall in cells.
-        scales: (P,) how much longer the moving map's metre is taken, about its centre; None: 1.
-        points: at most this many wall points of each grid are looked at; each stands for its share.
-        sided: as of good maps: a wall that was seen from another side is another wall, and where
-            a map knows nothing no more could be given than is. Maps that are bent, or old, draw
-            walls too badly for that.
+        scales: (P,) enlarge the moving map about its centre; None: 1.
+        points: at most this number of wall points of each grid; each stands for its share.
+        sided: for good maps: a wall seen from another side is another wall, and unknown ground
+            lowers no share. Bent or old maps are too inaccurate for that.
     """
     there, back = fixed_similarities(motions, pair.moving.centre, scales)
     sides = ((pair.moving, there, pair.reference), (pair.reference, back, pair.moving))
@@ -155,7 +146,7 @@ def _side(
     level = own.level(1)
     side = PIECE_M * max(1.0, sigma * size / PIECE_WIDTH_M)
     points, starts = own.pieces(size / (2.0 * side), most_points)
-    # Half: both maps' walls are counted.
+    # Half, since both maps' walls are counted.
     metres = 0.5 * size * len(level.points) / max(1, len(points))
     table = other.evidence_table(1, sigma, FIELD_TOP)
     seen = other.seen(int((2.0 * sigma) ** 2))
@@ -203,9 +194,8 @@ def score_motions(
         motions: (P, 3) where the moving centre lands, fine cells, and yaw.
         step: level to work on, fine cells a cell.
         sigma: width of a wall, cells of the level.
-        points: at most this many wall points of each grid are looked at; each stands for its share.
-        scales: (P,) how much longer the moving map's metre is taken, about its centre; None: 1.
-        doubt: see ``likelihood.evidence_table``.
+        points: at most this number of wall points of each grid; each stands for its share.
+        scales: (P,) enlarge the moving map about its centre; None: 1.
     """
     ref, mov = pair.reference.level(step), pair.moving.level(step)
     local = motions / np.array([step, step, 1.0])
@@ -258,11 +248,7 @@ def rank(
 
 
 def walls_found(pair: Pair, motions: F64, sigma: float, scales: F64, points: int) -> F64:
-    """Return the evidence (P,) that the reference's walls are in the moving map, nats and metres.
-
-    Args:
-        pair, motions, sigma, scales, points: see ``wall_pieces``.
-    """
+    """Return the evidence (P,) for the reference's walls in the moving map; see ``wall_pieces``."""
     _, back = fixed_similarities(motions, pair.moving.centre, scales)
     found, *_ = _side(pair.reference, back, pair.moving, sigma, points, pair.device, sided=False)
     return np.asarray(found.sum(axis=1))

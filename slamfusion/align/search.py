@@ -1,13 +1,11 @@
 """Find the rigid motions under which the walls of two grids coincide, best first.
 
-Three stages. On a coarse level of both grids every shift with any overlap is scored at every yaw
-(see ``shifts``); where that level has to be too coarse, every shift on a finer one too at the few
-yaws at which walls are parallel (``parallel_motions``). The best few thousand go down level by
-level, each to the best of its neighbours on the level of half the cell size, and fewer stay on
-each. The last few are moved by robust Gauss-Newton steps on both distance fields, with ever
-narrower scales, and ranked by the evidence of all walls on full-resolution cells (``likelihood``).
-
-What a motion is: see ``pair``.
+On a coarse level of both grids every shift with any overlap is scored at every yaw (``shifts``); if
+that level is too coarse, every shift on a finer one too at the few yaws at which walls are parallel
+(``parallel_motions``). The best few thousand descend level by level, each to the best of its
+neighbours at half the cell size, and fewer remain on each. The last few are refined by robust
+Gauss-Newton steps on both distance fields, with ever narrower scales, and ranked by the evidence of
+all walls on full-resolution cells (``likelihood``). ``pair`` defines a motion.
 """
 
 from __future__ import annotations
@@ -36,29 +34,27 @@ from slamfusion.config import AlignConfig
 from slamfusion.errors import ConfigError
 from slamfusion.geometry import F64, Pose2
 
-# A level on which a wall of any other place finds this much tells little: a finer one is taken.
-# Where a search found nothing to believe, one that takes longer does so sooner.
+# Greatest chance of a wall of another place on the coarsest level, above which a finer one is
+# taken; and the limit of a second, longer search.
 COARSE_CHANCE_MAX, FINER_CHANCE_MAX = 0.8, 0.55
 FINEST_FACTOR = 4
-# ... nor one on which more field values would be added than this: 1.5 s of one core. Noisy copies
-# of a map of 145 m need 7e10.
+# The most field values that a level may add: 1.5 s of one core.
 LEVEL_WORK_MAX = 1e11
-# Motions that go down from one level to the next, and walls of each map that judge them there.
+# Motions that descend to the next level, and wall points of each map that score them there.
 DESCENT = ((2304, 256), (384, 768), (96, 1536))
-# Two good maps of one place leave little of what they have in common unexplained. A small common
-# ground is outweighed by a large one that fits badly, unless that counts (see ``likelihood``):
-# by this much when answers are compared, by less on coarse cells, which blur what fits.
+# Weight of the unexplained evidence, so that a large common ground that fits badly does not
+# outweigh a small good one; smaller on coarse cells, which blur a good fit.
 DOUBT, COARSE_DOUBT = 1.0, 0.5
-# Besides the best, a third as many of so many times as many go down by doubt; of those that are
-# refined half as many.
+# A third as many motions, chosen with doubt among three times the number, descend too; of those
+# that are refined half.
 DOUBTED_OF, DOUBTED_SHARE, DOUBTED_CANDIDATES = 3, 3, 2
 # Cells of the last level of the descent, metres.
 DESCENT_CELL_M = 0.2
-# Motions that are settled: by the narrow width, by the broad one, and by the narrow one with doubt.
+# Motions settled by the narrow width, by the broad one, and by the narrow one with doubt.
 SETTLED = (8, 4, 10)
-# Shifts that go down at the yaws at which walls are parallel.
+# Shifts that descend at the yaws at which walls are parallel.
 PARALLEL = 144
-# A start is not known better than to this turn.
+# Lower limit of the yaw uncertainty of a start.
 YAW_RAD_MIN = math.radians(0.5)
 WINDOW_SLACK_CELLS = 2.0
 WINDOW_SLACK_RAD = math.radians(1.0)
@@ -74,13 +70,12 @@ class CoarseSearch:
     Attributes:
         step: fine cells per cell of the coarsest level.
         yaws: (K,) yaw in rad of each rotation tried.
-        best: (K,) most evidence at each yaw, as a share of the most at any; 0 where none speaks for
-            a motion.
+        best: (K,) most evidence at each yaw, as a share of the most at any; 0 without evidence.
         motions: (P, 3) best distinct motions in fine cells, best first.
         evidence: (P,) what the last level gives for them, nats a cell of it.
         last_step: fine cells per cell of the last level.
-        is_cut: whether walls fill the coarsest level, so that any place fits there, and a finer one
-            would take too long: what is right may not be among the motions.
+        is_cut: walls fill the coarsest level and a finer one would take too long: the right motion
+            may be missing.
     """
 
     step: int
@@ -97,8 +92,7 @@ def coarse_step(
 ) -> int:
     """Return the fine cells per coarse cell that leave ``cells`` on the longest side.
 
-    Finer where walls would be so near each other that any wall finds one; but never more than four
-    times finer, nor where that would take too long.
+    Up to four times finer where walls are too close to each other, unless that takes too long.
     """
     step = _step(pair, cells)
     while (finer := finer_step(pair, cells, step, window, chance)) < step:
@@ -107,13 +101,7 @@ def coarse_step(
 
 
 def finer_step(pair: Pair, cells: int, step: int, window: SearchWindow, chance: float) -> int:
-    """Return the next finer step where walls are too near each other at one; else that step.
-
-    Args:
-        pair, cells, window: see ``coarse_step``.
-        step: fine cells per coarse cell.
-        chance: walls are too near where a wall of another place finds more than this, 0..1.
-    """
+    """Return the next finer step if walls exceed ``chance`` (0..1), else ``step``."""
     finest = _step(pair, FINEST_FACTOR * cells)
     if step <= finest or not _is_filled(pair, step, chance):
         return step
@@ -184,11 +172,7 @@ class _Leads:
 
 
 def _descend(pair: Pair, leads: _Leads) -> tuple[_Leads, F64]:
-    """Follow motions down to the last level, each to the best of its neighbours.
-
-    Returns:
-        Them there; and their evidence (P,), less what stays unexplained.
-    """
+    """Follow motions down to the last level; return them and their doubted evidence (P,)."""
     motions, found, last, yaw_step = leads.motions, leads.found, leads.step, leads.yaw_step
     target = max(1, round(DESCENT_CELL_M / pair.resolution))
     doubted = _doubted(pair, motions, last, DESCENT[0][1])
@@ -218,7 +202,7 @@ def _leads(pair: Pair, motions: F64, step: int, yaw_step: float) -> _Leads:
 
 
 def _joined(pair: Pair, leads: tuple[_Leads, _Leads]) -> tuple[_Leads, F64]:
-    """Return two lots of motions on the finer of their levels; see ``_descend``."""
+    """Return two sets of motions on the finer of their levels; see ``_descend``."""
     motions = np.concatenate([some.motions for some in leads])
     step, yaw_step = min(some.step for some in leads), min(some.yaw_step for some in leads)
     joined = _leads(pair, motions, step, yaw_step)
@@ -236,7 +220,7 @@ def greatest_rows(values: F64, most: int) -> npt.NDArray[np.intp]:
 
 
 def _doubted(pair: Pair, motions: F64, step: int, points: int) -> F64:
-    """Return the evidence (P,) on a coarse level, less what stays unexplained."""
+    """Return the evidence (P,) on a coarse level, less the unexplained part."""
     return score_motions(pair, motions, step, sigma=COARSE_SIGMA, points=points, doubt=COARSE_DOUBT)
 
 
@@ -252,7 +236,7 @@ def _neighbours(motions: F64, shift: float, turn: float) -> F64:
     """Return (P, 27, 3): each motion and its neighbours, shifted and turned by so much."""
     steps = np.stack(np.meshgrid([0, -1, 1], [0, -1, 1], [0, -1, 1], indexing="ij"), axis=-1)
     offsets = steps.reshape(-1, 3) * np.array([shift, shift, turn])
-    # Each column stays one stretch of memory.
+    # Columns stay contiguous.
     return np.asarray((motions.T[:, :, None] + offsets.T[:, None, :]).transpose(1, 2, 0))
 
 
@@ -262,7 +246,7 @@ def _apart(motions: F64, values: F64, shift: float, turn: float) -> tuple[F64, F
     yaw = np.mod(motions[order, 2], 2.0 * math.pi)
     sides = np.array([2.0 * shift, 2.0 * shift, 2.0 * turn])
     boxes = np.floor(np.column_stack((motions[order, :2], yaw)) / sides).astype(np.int64)
-    # One number for each box: rows of several are compared ten times as slowly.
+    # One number for each box: comparing rows takes ten times as long.
     boxes -= boxes.min(axis=0, initial=0)
     numbers = np.ravel_multi_index(tuple(boxes.T), tuple(boxes.max(axis=0, initial=0) + 1))
     _, first = np.unique(numbers, return_index=True)
@@ -275,11 +259,7 @@ def search(
 ) -> tuple[CoarseSearch, F64, F64]:
     """Run all stages; return the coarse outcome, motions (P, 3) and evidence (P,), best first.
 
-    Evidence is by the narrow width of a wall.
-
-    Args:
-        window: where to search.
-        chance: what a wall of any other place may find on the coarsest level, 0..1.
+    Evidence is by the narrow width of a wall; ``chance`` limits the chance on the coarsest level.
     """
     coarse = coarse_search(pair, config, window, chance)
     middle = max(1, round(coarse.last_step / 2))
@@ -301,7 +281,7 @@ def search(
 
 
 def inside(window: SearchWindow, motions: F64) -> F64:
-    """Return the motions that lie in the window; refinement may have carried some out of it."""
+    """Return the motions inside the window; refinement may have moved some out of it."""
     start = np.array(window.start)
     turn = np.abs(np.angle(np.exp(1j * (motions[:, 2] - start[2]))))
     kept = turn <= window.yaw_rad + WINDOW_SLACK_RAD
@@ -314,10 +294,8 @@ def inside(window: SearchWindow, motions: F64) -> F64:
 def fixed_step_search(pair: Pair, step: int, window: SearchWindow) -> F64:
     """Return the motion (3,) of least [F16] error: where the centre lands in cells, and yaw.
 
-    Args:
-        pair: the two maps. step: first step, cells and degrees. window: the start,
-        and how far to look; a quarter of the reference's longer side unless given. device:
-        computes the errors.
+    ``step`` is the first step, cells and degrees. The window limits the shifts, else a quarter of
+    the reference's longer side.
     """
     reach = window.shift_cells
     if reach is None:
@@ -362,9 +340,9 @@ class SearchResult:
         motions: (P, 3) what the search ends with.
         coarse: outcome of the coarse stages; None where there was no search.
         search: ``full``, ``window``, ``fixed step`` or ``tracked``.
-        prior: how much fewer poses there are in the window than of all.
-        candidates: how many of the motions, the first, may be the answer; None: all. The others are
-            rivals only.
+        prior: share of all poses that lie in the window.
+        candidates: number of motions, from the first, that may be the answer; None: all. The others
+            are rivals only.
         image_after: kinds of refusals after which the mirror image is searched.
     """
 
@@ -435,14 +413,14 @@ def search_window(pair: Pair, config: AlignConfig, window: SearchWindow) -> Sear
     if window.shift_cells is not None:
         shift = min(shift, window.shift_cells)
     prior = prior_within(pair, shift, window.yaw_rad)
-    # What stands out among few yaws and shifts stands out of nothing.
+    # Among few yaws and shifts every peak stands out, so the rivals come from a full search.
     _, others, _ = search(pair, config, SearchWindow())
     everything = np.concatenate((motions, others))
     return SearchResult(everything, coarse, "window", prior, candidates=len(motions))
 
 
 def prior_within(pair: Pair, cells: float, yaw_rad: float) -> float:
-    """Return how much fewer the poses within these distances are than all that could overlap."""
+    """Return the share of the poses within these distances among all that could overlap."""
     everywhere = meeting_cells(pair) * 2.0 * math.pi
     here = (2.0 * max(cells, 1.0)) ** 2 * 2.0 * max(min(yaw_rad, math.pi), YAW_RAD_MIN)
     return min(1.0, here / everywhere)

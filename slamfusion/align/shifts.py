@@ -1,7 +1,7 @@
 """Every whole-cell shift of one coarse grid over another, at every yaw: ranges, planes, scores.
 
-The walls of each map on the evidence field of the other, both ways (see ``likelihood``). The
-planes are padded, so that all shifts of a point lie side by side in memory.
+The walls of each map are scored on the evidence field of the other, both ways (see ``likelihood``).
+The planes are padded, so that all shifts of a point are contiguous in memory.
 """
 
 from __future__ import annotations
@@ -26,24 +26,21 @@ I32 = npt.NDArray[np.int32]
 COARSE_TOP = 15
 # Width of a wall on coarse levels, cells.
 COARSE_SIGMA = 0.75
-# Walls of each map that judge a shift; of half as many and of nearly three times as many the
-# right one ranks as high.
+# Sampled wall points of each map for a shift.
 COARSE_POINTS = 384
-# Cells that the walls at this percentile of their radii move from one yaw to the next.
+# Distance in cells that walls at this percentile of their radii move between two yaws.
 YAW_STEP_CELLS = 1.3
 RIM_PERCENTILE = 90.0
-# Memory that yaws take that are scored at once: of more, each batch would be given new pages, which
-# costs more than more launches do.
+# Memory of yaws scored at once; larger batches need new pages, which cost more than launches.
 BATCH_BYTES = 1 << 23
-# Cells on the longest side of the larger map of a pair where its shifts are compared at parallel
-# walls alone: more where cells would be wider than this, metres, a third of a narrow corridor with
-# its two walls, up to so many times as many.
+# Cells on the longest side of the larger map when only shifts at parallel walls are compared; if a
+# cell would exceed this size in metres (a third of a narrow corridor), up to this factor more.
 PARALLEL_CELLS, CELL_MAX_M, GROWTH_MAX = 64, 0.75, 8
-# Walls of each map that judge a shift there: such shifts are few.
+# Sampled wall points of each map there.
 PARALLEL_POINTS = 4096
 # Steps of coarse levels grow by this factor, so that pairs of like sizes share them.
 STEP_GROWTH = 1.25
-# Peaks of parallel walls: at least so far apart, so high, and not more.
+# Peaks of parallel walls: least distance in degrees, least height, largest number.
 PEAKS_APART, PEAK_SHARE, PEAKS_MAX = 12, 0.5, 3
 # Shifts this near to the best one, coarse cells, are the same place.
 SAME_PLACE_CELLS = 4
@@ -56,7 +53,6 @@ class SearchWindow:
     Attributes:
         start: (3,) x, y in cells, yaw in rad.
         shift_cells: largest distance of the centre from the start, None for any.
-        yaw_rad: largest turn from the start.
     """
 
     start: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -74,7 +70,6 @@ class ShiftScores:
         yaw_step: rad from one yaw to the next.
         evidence: (K, T) nats per cell of wall, summed over the sampled walls of both maps.
         rows, cols: (K, T) cell of the level where the moving centre lands.
-        work: field values that were added.
     """
 
     step: int
@@ -95,11 +90,7 @@ class ShiftScores:
         return float(self.evidence[index, tile]), float(rest.max())
 
     def motions(self, chosen: npt.NDArray[np.intp]) -> F64:
-        """Return (P, 3) where the moving centre lands, fine cells, and yaw.
-
-        Args:
-            chosen: (P,) of the tiles of all yaws, counted along ``evidence``.
-        """
+        """Return (P, 3) where the moving centre lands, fine cells, and yaw, of chosen tiles."""
         x, y = ((axis.ravel()[chosen] + 0.5) * self.step for axis in (self.cols, self.rows))
         return np.stack((x, y, self.yaws[chosen // self.evidence.shape[1]]), axis=1)
 
@@ -107,10 +98,7 @@ class ShiftScores:
 def shift_range(
     size: int, reach: int, start: float, window: SearchWindow, step: int
 ) -> tuple[int, int]:
-    """Return the half-open range of cells where the moving centre may land along one axis.
-
-    Wherever the circle around the moving walls overlaps the reference at all.
-    """
+    """Return the half-open range of cells along one axis where the moving walls may overlap."""
     if window.shift_cells is not None:
         half = window.shift_cells / step
         return math.floor(start - half), math.floor(start + half) + 1
@@ -118,11 +106,7 @@ def shift_range(
 
 
 def shift_work(pair: Pair, step: int, window: SearchWindow) -> float:
-    """Return how many field values ``score_shifts`` adds at most: it grows as ``step``^-3.
-
-    Args:
-        pair, step, window: as there.
-    """
+    """Return the most field values that ``score_shifts`` adds: it grows as ``step``^-3."""
     rim = math.hypot(*pair.moving.shape) / (2.0 * step)
     reach = math.ceil(rim) + 1
     sides = [
@@ -183,10 +167,7 @@ def score_shifts(
 
 
 def _yaw_lattice(step: float, window: SearchWindow) -> tuple[F64, float]:
-    """Return evenly spaced yaws, the start's among them, and their distance.
-
-    A full turn, or the window.
-    """
+    """Return evenly spaced yaws, with the start's, of a turn or the window, and their step."""
     if window.yaw_rad >= math.pi:
         count = max(4, math.ceil(2.0 * math.pi / step))
         own = 2.0 * math.pi / count
@@ -211,7 +192,7 @@ class _ShiftSurface:
         self.lanes = -(-self.width // SHIFT_LANES) * SHIFT_LANES
 
     def batches(self, yaws: int) -> int:
-        """Return in how many batches so many yaws are scored, for all to fit into memory."""
+        """Return the number of batches in which yaws fit into memory."""
         plane = (self.ref.shape[0] + self.height) * (self.ref.shape[1] + self.lanes)
         scores = 2 * np.dtype(np.int32).itemsize * self.height * self.lanes
         return min(yaws, -(-yaws * (plane + scores) // BATCH_BYTES))
@@ -259,7 +240,7 @@ class _ShiftSurface:
         return device.correlate(planes, offsets, (self.height, self.lanes), spans, base)
 
     def _boxes(self, yaws: F64, centre: F64, dx: float, dy: float) -> npt.NDArray[np.int32]:
-        """Return (K, 4) from and to which row and column ``backward``'s planes show the field."""
+        """Return (K, 4) the rows and columns, from and to, of the field in the planes."""
         height, width = self.mov.shape
         corners = np.array([(0, 0), (width, 0), (0, height), (width, height)])
         x, y = (corners - centre).T
@@ -273,13 +254,11 @@ class _ShiftSurface:
 def parallel_step(longest: float, resolution: float) -> int:
     """Return the fine cells per cell on which shifts at parallel walls are compared.
 
-    Args:
-        longest: the longest side of both maps, fine cells.
-        resolution: metres a fine cell.
+    ``longest`` is in fine cells, ``resolution`` in metres per fine cell.
     """
     widest = max(CELL_MAX_M / resolution, longest / (PARALLEL_CELLS * GROWTH_MAX))
     least = max(1.0, min(longest / PARALLEL_CELLS, widest))
-    # One that others share.
+    # One that other pairs share.
     power = math.ceil(math.log(least, STEP_GROWTH) - 1e-9)
     return math.ceil(STEP_GROWTH**power)
 
@@ -294,11 +273,7 @@ def parallel_shifts(pair: Pair) -> ShiftScores:
 
 
 def parallel_yaws(reference: F64, moving: F64) -> list[float]:
-    """Return the turns (degrees, 0 to 180) under which walls of two maps are parallel.
-
-    Args:
-        reference, moving: see ``GridFeatures.directions``.
-    """
+    """Return the turns (degrees, 0 to 180) under which walls of two maps are parallel."""
     spectrum = np.fft.rfft(reference) * np.conj(np.fft.rfft(moving))
     whole = np.fft.irfft(spectrum, DIRECTIONS)
     fit = whole.copy()

@@ -1,12 +1,12 @@
-"""Where maps are expected to lie: starts, and what they say of a pair of maps.
+"""Start poses: where maps are expected to lie.
 
 Starts are poses of map frames in one frame that all of them share (``known_init_poses`` of ROS's
 map_merge are the same). A pair of maps that both have one is searched only around the motion that
-follows from the two, within the sum of their tolerances. A pair of which one has none is searched
-everywhere.
+follows from the two, within the sum of their tolerances. A pair in which one map has none is
+searched everywhere.
 
-A single start would say nothing so. It is in the frame of the reference if one is named, else of
-the drive that the other maps were made on, else of the only other map.
+A single start is in the frame of the reference if one is named, else of the drive of the other
+maps, else of the only other map.
 """
 
 from __future__ import annotations
@@ -40,11 +40,7 @@ class StartPose:
     radians: float = START_RAD
 
     def __post_init__(self) -> None:
-        """Refuse tolerances that are none.
-
-        Raises:
-            StartError: one is negative or not finite.
-        """
+        """Raise ``StartError`` if a tolerance is negative or not finite."""
         if not (0.0 <= self.metres < math.inf and 0.0 <= self.radians < math.inf):
             message = f"tolerances of a start must be finite and at least 0, found {self.reach}"
             raise StartError(message)
@@ -72,7 +68,7 @@ class StartPose:
         )
 
 
-# Of a map whose frame is the one that starts are told in.
+# The start of a map at the origin of the shared frame.
 _ORIGIN = StartPose(Pose2(), 0.0, 0.0)
 
 
@@ -83,8 +79,8 @@ class Starts:
     Attributes:
         given: by name of the input.
         frame: inputs in whose frame these are told; they lie at its origin.
-        pairs: where a map frame is expected in another's, by the other's name and its own; for
-            pairs of which ``given`` says nothing.
+        pairs: where a map frame is expected in another's, by the other's name and its own, for
+            pairs without ``given`` starts.
     """
 
     given: Mapping[str, StartPose] = field(default_factory=dict)
@@ -92,11 +88,7 @@ class Starts:
     pairs: Mapping[tuple[str, str], StartPose] = field(default_factory=dict)
 
     def between(self, reference: str, moving: str) -> StartPose | None:
-        """Return where the map frame of ``moving`` is expected in that of ``reference``.
-
-        Returns:
-            None where nothing is known of the pair.
-        """
+        """Return where the frame of ``moving`` is expected in ``reference``'s; None: unknown."""
         if not {reference, moving} & set(self.given):
             return self.pairs.get((reference, moving))
         still, moved = (self._start(name) for name in (reference, moving))
@@ -121,12 +113,10 @@ def pose_of(start: Pose2 | StartPose | None) -> Pose2 | None:
 def start_distance(
     middles: tuple[tuple[float, float], tuple[float, float]], reach_m: float, start: StartPose
 ) -> float:
-    """Return how far apart a start puts two maps; from 1 on they cannot meet.
+    """Return how far apart a start puts two maps, from 1 on too far to meet.
 
-    Args:
-        middles: middle of the reference's and of the moving map's known box, each in its map frame.
-        reach_m: half the diagonal of both boxes together.
-        start: where the moving map's frame is expected in the reference's.
+    ``middles`` are those of the known boxes of the reference and the moving map, each in its map
+    frame; ``reach_m`` is half the diagonal of both boxes together.
     """
     x, y = (float(value) for value in start.pose.transform(middles[1]))
     apart = math.dist(middles[0], (x, y)) - math.sqrt(2.0) * start.metres
@@ -139,16 +129,16 @@ def place_starts(
     reference: str | None = None,
     drive: Collection[str] = (),
 ) -> Starts:
-    """Return what the starts in the settings say of the inputs.
+    """Check the configured starts against the inputs.
 
     Args:
         starts: 3 or 5 numbers by name, see ``StartPose.of``.
-        inputs: names of all inputs in order; None: not known yet, then no name is refused.
+        inputs: names of all inputs in order; None: not known yet, so every name is accepted.
         reference: name or index of the reference that the settings ask for.
-        drive: those of the inputs that were made on one drive, and so share a frame.
+        drive: inputs of one drive, which share a frame.
 
     Raises:
-        StartError: a start names no input, or there is one alone that says nothing of the others.
+        StartError: a start names no input, or a single start has no frame.
     """
     given = {name: StartPose.of(values) for name, values in starts.items()}
     if inputs is None:

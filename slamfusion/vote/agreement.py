@@ -1,15 +1,15 @@
-"""Weigh maps by how well their walls agree: in all, and in windows of a few metres.
+"""Weigh maps by how well their walls agree, overall and in windows of a few metres.
 
-Two maps agree in a wall cell where the other has a wall within the tolerance; it counts where the
-other knows the cell, or has the same wall elsewhere (``walls``). A wall that the other draws
-elsewhere is an error of the map that draws it here: where a map is bent both have such errors, and
-share them; of a thick wall and a thin one only the thick one has. A wall that the other does not
-have is an error of both, for two maps do not say whose.
+A wall cell of one map agrees if the other map has a wall within the tolerance. It counts if the
+other map knows the cell, or has the same wall elsewhere (``walls``). A wall that the other map
+draws elsewhere is an error of the map that draws it here, less what both have in common. A wall
+that the other map does not have counts as an error of both, because two maps do not show which is
+wrong.
 
-The best map is the one that agrees most with all others. A map is as right as its agreement with
-the best one, or the weakest link in a chain of maps from there. Independent voters that are right
-with probability p are best weighed by the log-odds of p (Nitzan and Paroush, International
-Economic Review 1982).
+The best map agrees most with all others. The reliability of another map is its agreement with the
+best one, or the weakest link of a chain of maps from there. Independent voters that are right with
+probability p are best weighed by the log-odds of p (Nitzan and Paroush, International Economic
+Review 1982).
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ U8 = npt.NDArray[np.uint8]
 U16 = npt.NDArray[np.uint16]
 I64 = npt.NDArray[np.int64]
 
-# Maps of one place that are not bent agree in this share of their walls, and more.
+# Maps of one place that are not bent agree in at least this share of their walls.
 AGREEING = 0.8
-# The most reliable that a map may be taken for, as a share of its walls.
+# The greatest reliability of a map, as a share of its walls.
 SUREST = 0.999
 # A map does not vote where the log-odds of its agreement are less than this share of the best's.
 LEAST_WEIGHT = 0.1
-# Weights have this many levels above 0, so that a few cells more or less change none.
+# Levels of a weight above 0: a few cells more or less change no weight.
 LEVELS = 15
 # Shares are rounded to 1/200, for the same reason.
 STEPS = 200
@@ -70,7 +70,7 @@ class WallCounts:
 
     @property
     def tables(self) -> tuple[I64, I64, I64, I64]:
-        """All four."""
+        """Return seen, met, same and moved."""
         return self.seen, self.met, self.same, self.moved
 
     @property
@@ -131,15 +131,10 @@ class Trust:
 
 
 def count_walls(codes: Sequence[U8], shift: int, phase: tuple[int, int] = (0, 0)) -> WallCounts:
-    """Count wall cells that agree, block by block.
+    """Count agreeing wall cells in blocks of ``2**shift`` cells a side; (N, N, block rows, cols).
 
-    Args:
-        codes: (H, W) uint8 of each map, see ``walls.wall_codes``.
-        shift: blocks are ``2**shift`` cells on a side.
-        phase: row and column of the first cell in its block.
-
-    Returns:
-        Counts of (N, N, rows of blocks, columns of blocks).
+    ``codes`` are (H, W) uint8 of each map (``walls.wall_codes``); ``phase`` is the row and column
+    of the first cell in its block.
     """
     (height, width), count = codes[0].shape, len(codes)
     shape = tuple(
@@ -167,14 +162,10 @@ def count_walls(codes: Sequence[U8], shift: int, phase: tuple[int, int] = (0, 0)
 
 
 def trust_of(names: Sequence[str], counts: WallCounts) -> Trust:
-    """Say how far maps may be trusted.
-
-    Args:
-        counts: (N, N), of all their walls.
-    """
+    """Return how far maps may be trusted, from the (N, N) counts of all their walls."""
     moved = (counts.moved + 0.5) / (counts.seen + 2.0)
     extra = (counts.extra + 0.5) / (counts.seen + 2.0)
-    # What both draw elsewhere is an error of both; a thick wall is one of the map that has it.
+    # Walls that both draw elsewhere are errors of both; a thick wall is one of the map that has it.
     both = np.sqrt(moved * moved.T)
     pairs = 1.0 - np.maximum(moved + extra, both + extra.T)
     np.fill_diagonal(pairs, 0.0)
@@ -200,11 +191,7 @@ def most_borne_out(pairs: F64) -> int:
 
 
 def second_opinion(trust: Trust) -> tuple[str, ...]:
-    """Return the maps that agree with each other and contradict those that decide; may be none.
-
-    Returns:
-        Two or more of the maps without a vote.
-    """
+    """Return two or more maps without a vote that agree and contradict the others; may be none."""
     decides = most_borne_out(trust.pairs)
     # A map that agrees with the deciding one on that one's walls only has thicker walls.
     mute = [
@@ -226,12 +213,11 @@ def second_opinion(trust: Trust) -> tuple[str, ...]:
 def local_weights(counts: WallCounts, trust: Trust, resolution: float) -> tuple[U8, U16]:
     """Return what each map weighs in each block, and which is to draw the walls there.
 
-    A map's agreement is counted in the blocks around, three by three, and its agreement in all
-    counts as two metres of wall.
+    A map's agreement is counted in three by three blocks. Its overall agreement counts as two
+    metres of wall.
 
     Args:
         counts: (N, N, H, W) of blocks.
-        trust: in the same maps.
         resolution: metres a cell.
 
     Returns:
@@ -252,7 +238,7 @@ def local_weights(counts: WallCounts, trust: Trust, resolution: float) -> tuple[
                 known += amount[i] * (there > 0)
         others = np.maximum(known, 1e-9)
         odds[j] = _log_odds((met / others + prior * trust.agreement[j]) / (seen / others + prior))
-        # Maps that show no wall of this place do not say how sure the best one is here.
+        # Maps without a wall of this place do not show how reliable the best one is here.
         most = np.where(known > 0.0, np.maximum(most, odds[j]), most)
     relative = np.where(
         most > 0.0, np.minimum(1.0, odds / np.maximum(most, 1e-9)), amount[:, None, None]

@@ -19,7 +19,7 @@ SAME_RESOLUTION = 1e-4
 
 @dataclass(frozen=True)
 class Lattice:
-    """Where the cells of a grid may lie; cell [0, 0] and all others, also of negative indices.
+    """Where the cells of a grid may lie, from cell [0, 0]; indices may be negative.
 
     Attributes:
         resolution: metres per cell.
@@ -45,13 +45,7 @@ class Lattice:
         return int(whole[0]), int(whole[1])
 
     def box_of(self, box: CellBox, other: Lattice, transform: Pose2) -> CellBox:
-        """Return the cells of this lattice that hold a box of another's.
-
-        Args:
-            box: cells of ``other``.
-            other: a lattice of another frame.
-            transform: maps ``other``'s frame into this one's, metres.
-        """
+        """Return the cells of this lattice that hold a box of ``other``; metres."""
         rows, cols = (box.row0, box.row1), (box.col0, box.col1)
         corners = np.array([(x, y) for x in cols for y in rows], dtype=np.float64)
         mapped = transform.transform(other.origin.transform(corners * other.resolution))
@@ -63,12 +57,7 @@ class Lattice:
 
 @dataclass(frozen=True)
 class Extent:
-    """What of a lattice a grid covers, from its first cell on.
-
-    Attributes:
-        lattice: of the grid.
-        shape: rows and columns.
-    """
+    """The cells of a lattice that a grid covers: ``shape`` rows and columns from the first cell."""
 
     lattice: Lattice
     shape: tuple[int, int]
@@ -85,13 +74,7 @@ class Extent:
     def area_outside(
         self, grid: OccupancyGrid, transform: Pose2, thresholds: NormalizeConfig
     ) -> float:
-        """Return the area that a grid knows outside of these cells, square metres.
-
-        Args:
-            grid: a cell counts if its centre is outside, and it is free or occupied.
-            transform: maps the grid's map frame into the lattice's, metres.
-            thresholds: say which cells are free or occupied.
-        """
+        """Return the area of a grid's known cells outside of these cells, square metres."""
         height, width = self.shape
         into = self.lattice.origin.inverse().compose(transform)
         count = 0

@@ -40,8 +40,7 @@ Cell = npt.NDArray[Any]
 
 # Added to the cell of an input where it voted and was outvoted.
 OUTVOTED = np.int8(4)
-# Cells on a side that are decided at once; fewer where so many maps vote that not all may vote in
-# one place.
+# Cells on a side that are decided at once; fewer if too many maps vote in one place.
 TILE, SMALL_TILE = 2048, 256
 # Maps are weighed in windows of three by three blocks of about this many metres.
 BLOCK_M = 1.5
@@ -52,10 +51,9 @@ class GridLayer:
     """What one input shows on the fused lattice: cells of a box, nothing outside.
 
     Attributes:
-        shape: rows and columns of the fused lattice.
         box: cells of it that the input may know, counted from the first; may be empty.
-        codes: (h, w) int8 of the box, cells in {-1, 0, 1}, and these plus ``OUTVOTED`` where the
-            input voted and was outvoted: one byte a cell, of which large maps have many.
+        codes: (h, w) int8 of the box, cells in {-1, 0, 1}, plus ``OUTVOTED`` where the input was
+            outvoted.
     """
 
     shape: tuple[int, int]
@@ -108,7 +106,7 @@ def occupied_codes(codes: I8) -> Mask:
 
 def _plain(codes: I8) -> I8:
     """Return cells in {-1, 0, 1} of the codes of a layer."""
-    # One array of the size of the map is written, and no other.
+    # Only one array of the size of the map is written.
     cells = (codes > 1).view(np.int8)
     cells *= OUTVOTED
     return np.subtract(codes, cells, out=cells)
@@ -125,8 +123,8 @@ class DecidedTile:
         phantom_cells: cells that are occupied here and in no input.
         names: the inputs that show something here.
         dissent: (planes, h, w) uint8, who was outvoted, see ``Votes``; None: that is not kept.
-        worst: by name, how many wall cells disagree with the other maps in the window of a few
-            metres in which most do, and the row and column of its middle.
+        worst: by name, the number of wall cells that disagree with the other maps in the window of
+            a few metres with most of them, and the row and column of its middle.
     """
 
     fused: I8
@@ -150,9 +148,7 @@ class TileVoter:
     Attributes:
         whole: the fused cells.
         resolution: metres a cell.
-        names: of the voters.
-        first: row and column of the lattice of cell [0, 0], so that blocks stay where they are
-            when the fused map grows.
+        first: lattice row and column of cell [0, 0], so that blocks do not move when the map grows.
         trust: in the voters; None: it has not been found, or the mode does not ask for it.
     """
 
@@ -172,9 +168,9 @@ class TileVoter:
     def unknown_votes(self) -> bool:
         """Whether unknown is a value (True) or abstains.
 
-        ``auto``: a value with exactly three voters, so that a tie for first place needs three
-        different cells, one of them occupied. With other numbers free and unknown could tie alone,
-        and the tie would put a wall where no input has one.
+        ``auto``: a value with exactly three voters; a tie for first place then needs three
+        different cells, one of them occupied. With other numbers free and unknown alone could
+        tie, and the tie would add a wall that no input has.
         """
         rule = self.config.unknown
         is_value = len(self.names) == 3 if rule == "auto" else rule == "value"
@@ -233,23 +229,13 @@ class TileVoter:
         return grown_inside(around, margin_cells(self.resolution), self.whole)
 
     def prepare(self, box: CellBox, read: Callable[[CellBox], I8]) -> I8 | U8:
-        """Return what an input shows on a box, as the other functions take it.
-
-        Args:
-            box: of the fused cells.
-            read: returns its cells, in {-1, 0, 1}, on a box.
-        """
+        """Return the cells that ``read`` returns on a box, as the other functions take them."""
         if not self.weighs:
             return read(box)
         return codes_on(box, self.whole, self.resolution, read)
 
     def count(self, tile: CellBox, shown: Mapping[str, I8 | U8]) -> WallCounts:
-        """Count how the walls in a tile agree, (N, N) in the order of ``names``.
-
-        Args:
-            tile: cells.
-            shown: by name, prepared on ``around(tile)``, of those that know a cell there.
-        """
+        """Count how walls in a tile agree, (N, N) in the order of ``names``; see ``decide``."""
         count = len(self.names)
         total = WallCounts(*(np.zeros((count, count), dtype=np.int64) for _ in range(4)))
         if len(shown) > 1:
@@ -314,7 +300,7 @@ class TileVoter:
     ) -> Votes:
         """Let walls be voted for by weight."""
         weights, ranks = local_weights(counts, trust, self.resolution)
-        # Walls up to here say what a cell of the tile is.
+        # Walls up to here affect a cell of the tile.
         reach = same_wall_cells(self.resolution)
         box = grown_inside(tile, reach, wide)
         inner = (slice(None), *self.blocks(box, wide))
@@ -331,13 +317,7 @@ class TileVoter:
     def worst(
         self, box: CellBox, counts: WallCounts, trust: Trust
     ) -> dict[str, tuple[int, int, int]]:
-        """Return where each map agrees least; see ``DecidedTile``.
-
-        Args:
-            box: cells.
-            counts: of each block of the box.
-            trust: in the maps that were counted.
-        """
+        """Return where each map agrees least, by the counts; see ``DecidedTile``."""
         side, phase = 1 << self.shift, self.phase(box)
         row0, col0 = box.row0 - phase[0] + side // 2, box.col0 - phase[1] + side // 2
         return {
@@ -378,7 +358,7 @@ def worst_place(places: Iterable[tuple[int, int, int]]) -> tuple[int, int, int]:
 
 
 def vote_grids(grids: list[I8], device: ComputeDevice, *, unknown_votes: bool) -> Votes:
-    """Let each cell be what most grids say; a tie for first place is occupied ([F16]).
+    """Give each cell the value of most grids; a tie for first place is occupied ([F16]).
 
     Args:
         grids: 1 to 32 of (H, W) int8 in {-1, 0, 1}.
@@ -411,12 +391,7 @@ def check_votes(config: VoteConfig) -> None:
 
 
 def tiles_of(whole: CellBox, side: int) -> Iterator[CellBox]:
-    """Yield boxes that together are the whole, cut where rows and columns are multiples of a side.
-
-    Args:
-        whole: cells.
-        side: cells.
-    """
+    """Yield boxes that cover the whole, cut where rows and columns are multiples of a side."""
     rows, cols = (
         [start, *range(start + side - start % side, stop, side), stop]
         for start, stop in ((whole.row0, whole.row1), (whole.col0, whole.col1))

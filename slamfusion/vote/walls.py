@@ -1,9 +1,9 @@
 """What a map shows around each cell: a wall, a wall within the tolerance, the same wall elsewhere.
 
-Maps of one place draw a wall a cell or two apart. So a wall is voted for with a tolerance, and a
-map whose wall stands a little further away contradicts it, also where the map knows nothing: what
-is behind its wall it has not seen. Only a wall that faces the same way is the same wall; the other
-side of a thin wall faces the other way.
+Maps of one place draw a wall a cell or two apart, so the vote on a wall has a tolerance. A map with
+the wall a little further away contradicts it, even where that map knows nothing: it has not seen
+what is behind its wall. Only a wall that faces the same way is the same wall; the other side of a
+thin wall faces the other way.
 """
 
 from __future__ import annotations
@@ -30,24 +30,25 @@ from slamfusion.vote.boxes import grown_inside, slices
 I8 = npt.NDArray[np.int8]
 U8 = npt.NDArray[np.uint8]
 
-# By how much good maps of one place differ in where they draw a wall, metres.
+# Distance in metres between the same wall in two good maps of one place.
 TOLERANCE_M = 0.08
 # Up to here a wall that faces the same way is the same wall drawn elsewhere, metres.
 SAME_WALL_M = 0.4
 # A wall faces free cells up to this many cells away; the cells between may be unknown.
 FRONT_CELLS = 3
-# Cells this far away say whether a cell is of a lone beam, or a wall near one.
+# Range in cells in which lone beams and walls near them are detected.
 BEAM_CELLS = 7
 # Steps in rows and columns to what a wall may face: the first two along a row, the others along a
 # column. Each has the bit of its place.
 SIDES = ((0, 1), (0, -1), (1, 0), (-1, 0))
-# Rows that are looked at once: they stay in the processor's cache.
+# Rows processed at once: they fit into the processor's cache.
 STRIP_ROWS = 128
 
 
 def margin_cells(resolution: float) -> int:
     """Return how far, in cells of a size in metres, a cell has a say in the codes of others."""
-    # Cells behind the face of a thick wall take its ways, which are seen from as far again.
+    # Cells behind the face of a thick wall take its directions, which are visible from as far
+    # again.
     return max(2 * same_wall_cells(resolution) + FRONT_CELLS, BEAM_CELLS)
 
 
@@ -75,14 +76,7 @@ def wall_codes(cells: I8, resolution: float) -> U8:
 
 
 def codes_on(box: CellBox, whole: CellBox, resolution: float, read: Callable[[CellBox], I8]) -> U8:
-    """Return what a map shows on a box of cells; see ``wall_codes``.
-
-    Args:
-        box: of the whole.
-        whole: all cells that there are.
-        resolution: metres a cell.
-        read: returns the map's cells, in {-1, 0, 1}, on a box.
-    """
+    """Return ``wall_codes`` of a box of ``whole``; ``read`` returns its cells."""
     wide = grown_inside(box, margin_cells(resolution), whole)
     codes = wall_codes(read(wide), resolution)
     return np.ascontiguousarray(codes[slices(box, wide.row0, wide.col0)])
@@ -111,8 +105,8 @@ def _without_lone_beams(cells: I8) -> U8:
     """Return known cells as ``WALL_OCCUPIED`` and ``WALL_FREE``, (H, W), lone beams left out.
 
     Beams that leak through a wall or a window leave streaks of free cells, one or two wide, with an
-    end point that has no wall next to it. They are no place that a map knows: what it knows is
-    three cells wide, where gaps of two cells between beams are filled.
+    end point without a wall next to it. Known ground is at least three cells wide, after gaps of
+    two cells between beams are filled.
     """
     walls, free = (cells == 1).view(np.uint8), (cells == 0).view(np.uint8)
     square = np.ones((3, 3), dtype=np.uint8)
@@ -172,10 +166,10 @@ def _thick(fronts: U8, walls: U8, reach: int) -> U8:
 
 
 def _is_shown(known: U8, ways: U8, reach: int) -> npt.NDArray[np.bool_]:
-    """Return the cells of which a map says something: known ones, and those at a wall's faces.
+    """Return the cells about which a map shows something: known ones, and those at a wall's faces.
 
-    Before and behind its wall a map says that the wall stands here; beyond its end, as where the
-    map was cropped, it says nothing.
+    It does so before and behind its wall, but not beyond the end of the wall, for example where the
+    map was cropped.
     """
     shown = known | _spread(ways & ALONG_ROW, 1, reach) | _spread(ways & ALONG_COL, 0, reach)
     return np.asarray(shown != 0)
