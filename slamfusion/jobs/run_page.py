@@ -27,7 +27,6 @@ from slamfusion.report.fusion_report import (
     fused_section,
     fusion_facts,
     inputs_section,
-    shown_box,
     statistics_section,
 )
 from slamfusion.report.maps import (
@@ -161,7 +160,7 @@ def _maps_section(run: LogRun, colours: Mapping[str, Rgb]) -> Section:
     if run.fused_path is not None:
         shown[FUSED_VERDICT] = run.fused_path.trajectory
     places = [] if answer is None else [(place.x, place.y) for place in answer.check]
-    section = fused_section(result, shown_box(result), shown, places)
+    section = fused_section(result, shown, places)
     fused, *others = section.pictures
     inputs = inputs_section(result, config)
     pictures = [fused, *inputs.pictures, *others]

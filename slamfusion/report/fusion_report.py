@@ -60,9 +60,7 @@ def write_fusion_report(
         evaluations: errors against a truth, of the inputs, the fused map, or both.
         failure: why the result must not be used all the same, e.g. ``--require-all``.
     """
-    box = shown_box(result)
-    sections = [fused_section(result, box), *group_sections(result)]
-    sections.append(inputs_section(result, config))
+    sections = [fused_section(result), *group_sections(result), inputs_section(result, config)]
     if evaluations:
         sections.append(error_section(evaluations))
     sections.append(alignment_section(result))
@@ -181,7 +179,6 @@ def _facts(result: FusionResult, evaluations: Sequence[MapError]) -> list[Fact]:
 
 def fused_section(
     result: FusionResult,
-    box: CellBox,
     paths: Mapping[str, Trajectory] | None = None,
     places: Sequence[tuple[float, float]] = (),
 ) -> Section:
@@ -189,7 +186,7 @@ def fused_section(
 
     For ``paths`` and ``places`` see ``fusion_layers``; the places are numbered on the fused map.
     """
-    fused = result.fused
+    fused, box = result.fused, _shown_box(result)
     drawn = map_picture(_classes(fused), fused.resolution, fused.origin, box)
     draw_places(drawn, places)
     size = f"{fused.width} x {fused.height} cells of {fused.resolution:g} m"
@@ -236,7 +233,7 @@ def group_sections(result: FusionResult) -> list[Section]:
     return [Section("Further groups", text, pictures)]
 
 
-def shown_box(result: FusionResult) -> CellBox:
+def _shown_box(result: FusionResult) -> CellBox:
     """Return what any voter knows: one crop for all pictures on the fused lattice."""
     shown = (result.fused.cells != -1) | (result.agreement.cells != -1)
     for record in result.accepted:
@@ -249,7 +246,7 @@ def inputs_section(result: FusionResult, config: RunConfig) -> Section:
     """Return every input: one that votes aligned, a rejected one also at its best alignment."""
     normalize, fused = config.fusion.normalize, result.fused
     grids = {record.name: record.grid for record in result.inputs}
-    colours, box = input_colours(list(grids)), shown_box(result)
+    colours, box = input_colours(list(grids)), _shown_box(result)
     pictures: list[Picture | None] = []
     for record in result.inputs:
         alignment = record.alignment

@@ -17,7 +17,7 @@ from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.palette import colours_of
 from slamfusion.report import write_fusion_report
-from slamfusion.report.fusion_report import fused_section, shown_box
+from slamfusion.report.fusion_report import fused_section
 from slamfusion.report.layers import MOST_CELLS, error_layers, fusion_layers
 from slamfusion.trajectory import Trajectory
 from tests.report.drawn import NASTY, fusion, room
@@ -42,7 +42,7 @@ def test_layers_hold_every_map_where_it_was_laid() -> None:
     path = Trajectory(np.arange(3.0), np.array([[0, 0, 0], [1, 0, 0], [1, 2, 0.0]]), "room 1")
     messages, data = told(fusion_layers(result, {"room 1": path, "fused": path}).recorded)
     shown = {layer["name"]: layer["is_shown"] for layer in messages["layer"]}
-    overlay = fused_section(result, shown_box(result)).pictures[1]
+    overlay = fused_section(result).pictures[1]
     rooms = ["room 0", "room 1", "room 2"]
     assert shown == {"fused": True, "agreement": False, **dict.fromkeys(rooms, True), NASTY: False}
     maps = {
