@@ -11,6 +11,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from rich.table import Table
@@ -40,8 +41,7 @@ from slamfusion.jobs.live_drive import (
     Pace,
 )
 from slamfusion.jobs.map_log import LogFiles
-from slamfusion.jobs.trajectory import Yardsticks
-from slamfusion.sim import named_course, simulate
+from slamfusion.sim import named_course, simulate, write_recording
 from slamfusion.slam.registry import BUILT_IN, make_producer, with_producers
 from slamfusion.trajectory import Trajectory
 
@@ -122,7 +122,10 @@ def told_drive(name: str, keep: Path | None, device: ComputeDevice) -> ToldDrive
         found = produce(read_drive(files, RunConfig()), None, device)
     else:
         made = simulate(named_course(name, 0), device)
-        drive = Drive(name, made.scans, Yardsticks(truth=made.truth))
+        with TemporaryDirectory() as folder:  # as `run` has it, with rounded ranges
+            log, *_ = write_recording(made, folder)
+            files = LogFiles(log, truth=log.with_name("truth.tum"))
+            drive = read_drive(files, RunConfig())
         found = produce(drive, made.world.grid, device)
     if kept is not None:
         kept.write_bytes(pickle.dumps(found))
