@@ -1,10 +1,9 @@
 """``JudgedScans``: the scans, beams and chunks that paths are scored on, fixed once for all paths.
 
-Nothing there depends on a path: chunks are equal numbers of scans in the order of time, and hits
-are thinned by where the scan saw them. ``cover_stamps`` gives a path a pose at each scan: other
-SLAMs write a pose for a keyframe only, and start or end where they please. Between two poses the
-odometry carries the first on, bent so that it arrives at the second; before the first and after the
-last one, only as far as wheels are good for.
+Nothing here depends on a path: chunks are equal numbers of consecutive scans, and hits are thinned
+in the frame of their scan. ``cover_stamps`` gives a path a pose at each scan, since other SLAMs
+write poses of keyframes only. Odometry interpolates between two poses, corrected to arrive at the
+second, and extrapolates a short way before the first and after the last.
 """
 
 from __future__ import annotations
@@ -32,9 +31,9 @@ I64 = npt.NDArray[np.int64]
 
 # Parts of a drive that are predicted by the others.
 CHUNKS = 24
-# Hits that are judged, and drawn, at most: they say as much as ten times as many.
+# The most judged and drawn hits; more change nothing.
 MOST_HITS = 300_000
-# Of the hits of a scan this near to each other one is judged, metres.
+# Spacing of the judged hits of a scan, metres.
 SPACING_M = 0.1
 # Hits this near to each other, metres, and this many beams apart are on one surface.
 BESIDE_M = 0.3
@@ -87,7 +86,6 @@ class ScanHits:
         odometry: pose of the base in the odometry frame; None without.
         rows: (H, 3) float64, hits about ``SPACING_M`` apart in the base frame, metres, and the
             direction that the surface faces at each, radians.
-        total: hits of the scan.
     """
 
     stamp_s: float
@@ -100,8 +98,8 @@ class ScanHits:
 def scan_hits(item: LogScan) -> ScanHits | None:
     """Return what paths can be scored on of a scan; None where it hit nothing.
 
-    Of the hits of a scan that lie in one square of ``SPACING_M`` the first is kept: walls beside
-    the robot get most of the beams, and those far away tell most of its heading.
+    Of the hits of a scan in one square of ``SPACING_M`` the first is kept: otherwise walls near the
+    robot would dominate, while far ones determine its heading.
     """
     ends, mount = item.scan.points(), item.scan.mount
     if not len(ends):
@@ -112,22 +110,14 @@ def scan_hits(item: LogScan) -> ScanHits | None:
 
 
 def judged_scans(scans: Iterable[LogScan], most_hits: int = MOST_HITS) -> JudgedScans:
-    """Choose what paths of a drive are scored on; see ``judged_hits``.
-
-    Args:
-        scans: of a log, in the order of time.
-    """
+    """Choose the hits of a log, in the order of time, on which paths are scored."""
     return judged_hits((hits for item in scans if (hits := scan_hits(item))), most_hits)
 
 
 def judged_hits(scans: Iterable[ScanHits], most_hits: int = MOST_HITS) -> JudgedScans:
-    """Choose what paths of a drive are scored on.
+    """Choose the hits on which paths of a drive are scored, at most ``most_hits``.
 
-    Where more than ``most_hits`` are given, every second one of each scan, every fourth, and so on.
-
-    Args:
-        scans: in the order of time.
-        most_hits: that are judged at most.
+    If there are more, every second, fourth, ... hit of each scan is kept.
 
     Raises:
         LogError: fewer scans with a hit than there are chunks.
@@ -145,7 +135,7 @@ def judged_hits(scans: Iterable[ScanHits], most_hits: int = MOST_HITS) -> Judged
         kept.append(item.rows[len(kept) % step :: step])
         count += len(kept[-1])
         if count > most_hits:
-            # Each scan begins elsewhere: what stays is what the wider step would have kept.
+            # The start varies by scan, so that a wider step keeps a subset.
             kept = [own[number % (2 * step) // step :: 2] for number, own in enumerate(kept)]
             step, count = 2 * step, sum(map(len, kept))
     if len(kept) < CHUNKS:
@@ -169,13 +159,11 @@ def judged_hits(scans: Iterable[ScanHits], most_hits: int = MOST_HITS) -> Judged
 def spaced(points: F64) -> I64:
     """Return hits of one scan about ``SPACING_M`` apart, in the order of the beams.
 
-    Each stretch of that length of a surface has the middle one of its hits. How long a surface is,
-    is told by means over neighbours: were it told by the hits themselves, those that noise moves
-    on would be the ones that are taken, and a wall on the left would be turned against one on the
-    right.
+    The middle hit of each stretch of that length is kept. The length of a surface is measured on
+    means over neighbours: with the hits themselves, noise would decide which are kept, and turn a
+    wall on the left against one on the right.
 
-    Args:
-        points: (M, 2) float64, hits in the order of the beams, metres.
+    ``points`` are (M, 2), in the order of the beams, metres.
     """
     count = len(points)
     number = np.arange(count)
@@ -193,7 +181,7 @@ def spaced(points: F64) -> I64:
     along_m -= along_m[starts][surface]
     stretch = np.floor(along_m / SPACING_M).astype(np.int64)
     begins = np.flatnonzero(first | (np.diff(stretch, prepend=-1) != 0))
-    # Of two in the middle the first and the second in turn.
+    # Of two middle hits, the first and the second in turn.
     both = begins + np.append(begins[1:], count) - 1
     return np.asarray((both + np.arange(len(both)) % 2) // 2, dtype=np.int64)
 
@@ -201,12 +189,8 @@ def spaced(points: F64) -> I64:
 def surface_facings(points: F64, laser: tuple[float, float]) -> F64:
     """Return the direction that the surface at each hit faces, towards the laser, (M,) radians.
 
-    The surface runs from the hits before to those after, as far as they lie within ``BESIDE_M``; a
-    hit without such neighbours faces the laser.
-
-    Args:
-        points: (M, 2) float64, hits in the order of the beams, metres.
-        laser: x and y of the laser in the same frame.
+    The surface runs from the previous to the next hits within ``BESIDE_M``; a hit without such
+    neighbours faces the laser. ``points`` are (M, 2), in the order of the beams, metres.
     """
     count = len(points)
     along = np.zeros((count, 2))
@@ -228,9 +212,9 @@ def surface_facings(points: F64, laser: tuple[float, float]) -> F64:
 
 B8 = npt.NDArray[np.bool_]
 
-# Odometry carries a path beyond its ends by at most this, metres and radians.
+# Odometry extends a path beyond its ends by at most this, metres and radians.
 BEYOND_M, BEYOND_RAD = 1.0, 1.0
-# Without odometry a path is interpolated between two poses this far apart in time, seconds.
+# Without odometry a path is interpolated across gaps up to this, seconds.
 BETWEEN_S = 1.0
 
 
@@ -260,12 +244,7 @@ class CoveredPath:
 
 
 def cover_stamps(path: Trajectory, scans: JudgedScans) -> CoveredPath:
-    """Return a path's pose at each scan.
-
-    Args:
-        path: at any stamps of the clock of the scans; may be sparse.
-        scans: of the drive, with odometry or without.
-    """
+    """Return a path's pose at each scan; the path may be sparse, on the clock of the scans."""
     count = len(scans)
     poses = np.full((count, 3), np.nan)
     if not len(path):
@@ -299,12 +278,7 @@ def cover_stamps(path: Trajectory, scans: JudgedScans) -> CoveredPath:
 
 
 def no_common_time(name: str, path: Trajectory, stamps_s: F64) -> TrajectoryError:
-    """Return the error that a path has no pose at the time of any scan.
-
-    Args:
-        path: at least one pose.
-        stamps_s: (N,) times of the scans, seconds, N at least 1.
-    """
+    """Return the error that a path has no pose at the time of any scan."""
     return TrajectoryError(
         f"{name}: its poses are of {path.stamps_s[0]:.3f} to {path.stamps_s[-1]:.3f} s, the scans "
         f"of {stamps_s[0]:.3f} to {stamps_s[-1]:.3f} s; "
@@ -322,7 +296,7 @@ def _shares(
 
 
 def _carried(poses: F64, odometry_there: F64, odometry_here: F64) -> F64:
-    """Return poses carried on by the motion that the wheels tell from there to here."""
+    """Return poses moved by the odometry from there to here."""
     return compose_poses(poses, compose_poses(invert_poses(odometry_there), odometry_here))
 
 
@@ -336,7 +310,7 @@ def _odometry_at(scans: JudgedScans, stamps_s: F64) -> F64:
 
 
 def _is_far(scans: JudgedScans, path: Trajectory, at: npt.NDArray[np.int64]) -> B8:
-    """Whether scans lie farther beyond the ends of a path than odometry may carry it."""
+    """Whether scans lie farther beyond the ends of a path than odometry may extend it."""
     known = scans.odometry
     assert known is not None  # noqa: S101 - asked for with odometry only
     travelled_m = travelled(known)

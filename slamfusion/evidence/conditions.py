@@ -1,7 +1,4 @@
-"""``drive_conditions``: what the robot suffers, as the scans and the odometry tell; a line each.
-
-Each condition is a check that ``judge`` makes of a whole drive, too.
-"""
+"""``drive_conditions``: problems of a drive so far, one line each; ``judge`` checks the same."""
 
 from __future__ import annotations
 
@@ -16,19 +13,14 @@ from slamfusion.trajectory import Trajectory
 
 Condition: TypeAlias = Literal["odometry", "new place", "doubled walls"]
 CONDITIONS: tuple[Condition, ...] = get_args(Condition)
-# Odometry is compared with the path over the last time of this length, seconds.
+# Odometry is compared with the path over this last time, seconds.
 RECENT_S = 60.0
 
 
 def drive_conditions(
     evidence: PathEvidence, name: str, device: ComputeDevice
 ) -> Mapping[Condition, str]:
-    """Return what is wrong with a drive so far, in words.
-
-    Args:
-        evidence: of the path called ``name``, at least.
-        name: of the path that the robot goes by.
-    """
+    """Return what is wrong with a drive so far, in words, by the path called ``name``."""
     scans, covered = evidence.scans, evidence.scores[name].path
     here = covered.is_own
     path = Trajectory(scans.stamps_s[here], covered.poses[here], name)
@@ -38,7 +30,7 @@ def drive_conditions(
         wheels = Trajectory(scans.stamps_s[recent], scans.odometry[recent], "odometry")
         if text := "; ".join(contradictions(wheels, path)):
             found["odometry"] = text
-    # A path that no scan contradicts shows that the robot is where it seems to be.
+    # If no scan contradicts the path, the robot is on it.
     others = (other for other in evidence.scores if other != name)
     broken = find_contradiction(evidence, name, device)
     if broken is not None and all(find_contradiction(evidence, other, device) for other in others):

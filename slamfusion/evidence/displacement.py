@@ -1,15 +1,14 @@
 """``find_displacements``: where a path draws walls away from where it has drawn them before.
 
-A map that is bent shows what the robot saw on one visit next to what it saw on another one. So the
-hits of each chunk of the drive are moved together over the map that the path draws of the chunks
-before some time, or after it. If they fit another place better than their own, the path is wrong
-there, and the distance says by how much. People, glass, vegetation and a noisy laser make hits
-unlikely wherever they are moved to: they are no displacement.
+A bent map shows what the robot saw on one visit next to what it saw on another. So the hits of each
+chunk of the drive are moved together over the map of the chunks before some time, or after it. If
+they fit another place better than their own, the path is wrong there by that distance. People,
+glass, vegetation and a noisy laser make hits unlikely at every place, so they do not count.
 
-The place is chosen on one half of the chunk and tested on the other one, and the other way round,
-so that the best of many places is no better by chance. The test is a t-test over blocks of
-neighbouring scans, whose significance is divided by the number of tests: of drives that are right,
-one in a hundred has a chunk that is called displaced.
+The place is chosen on one half of the chunk and tested on the other, and vice versa, so that the
+best of many places is no better by chance. The test is a t-test over blocks of neighbouring scans,
+corrected for the number of tests: at most one in a hundred right drives has a chunk that is
+reported as displaced.
 
 Source: Stone, Cross-validatory choice and assessment of statistical predictions, Journal of the
 Royal Statistical Society B 36(2), 1974 (choose on one part, test on the other).
@@ -40,24 +39,22 @@ from slamfusion.geometry import F64
 I64 = npt.NDArray[np.int64]
 U32 = npt.NDArray[np.uint32]
 
-# If most of what the robot sees was free when it was there before, it is elsewhere.
+# If more of the seen walls were free space before, the robot is elsewhere.
 CONTRADICTED = 0.5
-# The best of many places explains up to a fifth of such hits by chance, and walls that are drawn
-# twice explain a third.
+# The best place explains up to a fifth of such hits by chance, a third if walls are drawn twice.
 EXPLAINED = 0.25
-# Hits that show it, at least.
+# The fewest hits for a contradiction.
 LEAST_ASKED = 200
 
-# How far hits are moved at most, and in which steps, metres: a step of twice the deviation of a hit
-# about its wall misses no place.
+# Range and step of the moved hits, metres: twice the deviation of a hit misses no place.
 REACH_M, STEP_M = 0.8, 0.1
-# Paths that are at most this far apart have met again; walls that are, metres, are one.
+# Smaller displacements are ignored, metres: paths this close have met again.
 LEAST_M = 0.5 * PART_M
-# A wall farther from a hit than this, cells, explains nothing: twice the deviation again.
+# Walls farther from a hit, cells, do not explain it: twice the deviation again.
 WALL_CELLS = 2
 # Blocks of neighbouring scans of a chunk; places are chosen on every second one.
 BLOCKS = 8
-# Hits that are moved at most: 200 a chunk.
+# The most moved hits: 200 a chunk.
 MOST_HITS = 200 * CHUNKS
 # What was seen before each of these shares of the drive is compared with what was seen after it.
 SPLITS = (0.25, 0.5, 0.75)
@@ -86,8 +83,7 @@ class Contradiction:
     Attributes:
         since_s: seconds since the first scan.
         share: of the hits in places that were seen before, ``CONTRADICTED`` to 1.
-        moved_share: the share that remains if the hits of each chunk are moved to where they fit
-            best, by ``REACH_M`` at most.
+        moved_share: the same after the best move of each chunk within ``REACH_M``.
     """
 
     since_s: float
@@ -96,7 +92,7 @@ class Contradiction:
 
     @property
     def is_elsewhere(self) -> bool:
-        """Whether the robot was carried away or is on another floor: nothing near it fits."""
+        """Whether the robot was moved or is on another floor: nothing near it fits."""
         return self.moved_share > CONTRADICTED
 
     @property
@@ -115,7 +111,7 @@ def find_displacements(
     p_values, away_m = np.ones(CHUNKS), np.zeros(CHUNKS)
     for split in SPLITS:
         among = _other_side(split)
-        # What the other side has not seen contradicts nothing, wherever else it would fit.
+        # Hits that the other side has not seen contradict nothing.
         likelihoods, is_seen = drawn.look_up(some, among=among)
         if not is_seen.any():
             continue
@@ -145,13 +141,9 @@ def find_displacements(
 
 
 def contradicted_share(evidence: PathEvidence, name: str, device: ComputeDevice) -> float:
-    """Return how much of what the robot saw was free when it came there at another time.
+    """Return the share of hits, 0 to 1, that fell on free space seen at another time.
 
-    What the laser and the place allow is what the scans of just before and after explain; of these
-    hits those count in places that were seen at other times.
-
-    Returns:
-        Share of hits, 0 to 1; 0 if nothing was seen at another time.
+    Only hits count that scans shortly before and after explain, in places seen at other times.
     """
     drawn, price = _drawn(evidence, name, device)
     (now, _), (then, is_seen) = (drawn.look_up(among=bits) for bits in (NEIGHBOURS, OTHERS))
@@ -162,11 +154,11 @@ def contradicted_share(evidence: PathEvidence, name: str, device: ComputeDevice)
 def find_contradiction(
     evidence: PathEvidence, name: str, device: ComputeDevice
 ) -> Contradiction | None:
-    """Return since when most of what a robot sees was free space before; None: there is no time."""
+    """Return since when most of what a robot sees was free space before, else None."""
     scans = evidence.scans
     drawn, price = _drawn(evidence, name, device)
     some = _some_hits(drawn)
-    # What the laser and the place allow is what the scans of just before and after explain.
+    # Only hits that the scans shortly before and after explain.
     some = some[drawn.look_up(some, among=NEIGHBOURS)[0] > price]
     shares = np.zeros(CHUNKS)
     for first in range(2, CHUNKS):

@@ -1,16 +1,14 @@
 """``draw_map``: the map of all scans of a drive at the poses of one path, by one sensor model.
 
 A vote on maps keeps what each SLAM's sensor model left of people, glass and stray readings. Here
-every beam is counted once, at the best path known. A cell is a wall where enough of the beams that
-reached it ended in it; people, who are met there seldom, leave nothing. Drawn twice: what a beam
-said beyond a wall of the first drawing (it went through glass, or its pose was off by a little)
-does not count in the second, so nothing grows behind walls; and what too few beams have seen stays
-unknown.
+every beam is counted once, at the best path. A cell is a wall if enough of the beams that reached
+it ended in it, so people leave nothing. The map is drawn twice: what a beam adds beyond a wall of
+the first drawing (through glass, or by a pose error) does not count in the second. Cells seen by
+too few beams stay unknown.
 
-``fuse_with_drawn``: that map is the fused map of a drive. The producers have put all that they know
-into their paths, so their own maps add nothing and do not vote; they are compared with the drawn
-map, so that a difference can be seen. A map that another SLAM saved has seen what no scan of this
-log has: it votes.
+``fuse_with_drawn``: that map becomes the fused map of a drive. The producers' own maps add nothing
+to their paths and do not vote; they are compared with the drawn map to show differences. A map that
+another SLAM saved contains scans outside of this log, so it votes.
 """
 
 from __future__ import annotations
@@ -43,7 +41,7 @@ F32 = npt.NDArray[np.float32]
 
 # Parts of a cell that points are rounded to, as the kernel sees them.
 POINT_PARTS = 1024.0
-# Rays of one launch: few, fat launches.
+# Rays of one launch.
 RAYS = 1 << 18
 
 
@@ -52,13 +50,12 @@ class SensorModel:
     """What makes a cell a wall, free or unknown.
 
     Attributes:
-        wall_share: a cell is a wall where more than this share of the beams that reached it ended
-            in it.
+        wall_share: a cell is a wall if more than this share of the beams that reached it ended in
+            it.
         least_hits: and at least this many.
         least_visits: a free cell was crossed by at least this many beams.
-        beyond_m: a beam that goes on beyond a wall for more than this is cut off there, metres.
-        least_area_m2: known cells that touch no others, and cover less than this together, are left
-            out, square metres: far rays met there by chance.
+        beyond_m: a beam that continues beyond a wall for more than this is cut off there, metres.
+        least_area_m2: smaller isolated patches of known cells are removed, square metres.
     """
 
     wall_share: float = 0.25
@@ -130,7 +127,7 @@ def draw_map(
     cells = _without_specks(cells.astype(np.int8), model.least_area_m2 / resolution**2)
     box = known_box(cells)
     if box is not None:
-        # Not by ``OccupancyGrid.crop``: the origin is rounded once, from whole cells.
+        # Not by ``OccupancyGrid.crop``, so that the origin is rounded only once.
         cells = cells[box.row0 : box.row1, box.col0 : box.col1]
         corner = corner + np.array((box.col0, box.row0))
     at = origin.compose(Pose2(*(float(value) for value in corner * resolution)))
@@ -209,10 +206,9 @@ def _count(
 def _pages_crossed(
     lasers: F64, ends: F64, firsts: npt.NDArray[np.int64], shape: tuple[int, ...]
 ) -> npt.NDArray[np.bool_]:
-    """Return which pages beams may cross, (PH, PW) bool: those that they do, and some beside them.
+    """Return which pages beams may cross, (PH, PW) bool, with some neighbours.
 
-    Of the beams of a scan that end on one page one is followed to the middle of that page; the
-    others run less than a page beside it.
+    One beam of a scan is followed to the middle of each end page; the others stay within a page.
     """
     crossed = np.zeros(shape, dtype=np.bool_)
     of = np.repeat(np.arange(len(lasers)), np.diff(firsts))
@@ -269,7 +265,7 @@ def _cut_off(
         ]
     ).astype(np.float64)
     goes_on = met + model.beyond_m / resolution < length
-    # Half a cell before the wall: its own cell is not crossed by this beam.
+    # Half a cell before the wall: this beam does not cross its cell.
     stop = np.where(goes_on, np.maximum(met - 0.5, 0.0), length)
     ends = np.where(goes_on[:, None], starts + stop[:, None] * direction, beams.ends)
     return ends, ~goes_on & (length > 0.0) & np.isfinite(length)

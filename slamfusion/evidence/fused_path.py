@@ -1,20 +1,18 @@
-"""``fuse_paths``: one path from several of one drive, better than the best of them where it can be.
+"""``fuse_paths``: one path from several of one drive, if possible better than the best of them.
 
-A pose graph over all scans. Its measurements are the motions that each path tells: from one scan to
-the next and over longer spans, between two visits of one place, and from the common frame to each
-scan. All are robust: a motion that most of the weight contradicts loses its say there, and only
-there, so a path that slipped once is right again at once about what comes after. Errors of single
-paths average out. From one scan to the next the paths are held against each other and not against
-the graph: some motion of theirs always counts in full, so that the path never jumps where one takes
-over from another.
+A pose graph over all scans. Its measurements are the motions of each path: between successive scans
+and over longer spans, between two visits of one place, and from the common frame to each scan. All
+are robust: a motion that most of the weight contradicts loses its weight there only, so a path that
+slipped once is used again right after. Errors of single paths average out. Motions between
+successive scans are compared among the paths, not with the graph: one of them always counts in
+full, so that the path never jumps between paths.
 
-How well a motion is known is not asked of the paths, but read from their differences: over each
-span, half of them lie within the scale that its measurements get.
+The accuracy of motions is estimated from the differences of the paths: over each span, half of them
+lie within the scale of its measurements.
 
-Paths that share a fault agree with each other and are wrong together: two that close no loops
-would outvote one that does. Where the fault shows, over long spans, between visits of one place and
-in the common frame, they count as one path. And each path is weighed by how well its map predicts
-what was seen at other times (``trust_in_paths``).
+Paths with a common fault agree with each other: two that close no loops would outvote one that
+does. Over long spans, between visits and in the common frame they count as one path. Each path is
+weighted by how well its map predicts the scans of other times (``trust_in_paths``).
 
 Source: Geman and McClure, Statistical methods for tomographic image reconstruction, Bull. ISI 52,
 1987 (the weights); Holland and Welsch, Robust regression using iteratively reweighted
@@ -47,38 +45,36 @@ from slamfusion.trajectory import Trajectory
 
 I64 = npt.NDArray[np.int64]
 
-# Scans that a motion spans; longer ones begin at every quarter of their length.
+# Spans of motions in scans; long ones start at every quarter of their length.
 SPANS = (1, 4, 16, 64, 256)
-# From this on a drift shows in them.
+# From this span on drift is visible.
 LONG_SPAN = 64
-# Two visits of one place: this near to each other, metres, and this much travelled in between.
+# Two visits of one place: closer than this, and at least this much travelled in between, metres.
 VISIT_M, BETWEEN_VISITS_M = 1.5, 8.0
-# Scans among which visits are looked for, and pairs that are used, at most.
+# Scans among which visits are searched, and the most pairs.
 VISITING_SCANS, MOST_VISITS = 1200, 4000
-# Scans that are tied to the common frame at most, of each path.
+# The most scans of each path that are tied to the common frame.
 MOST_TIED = 4000
-# A motion is known to no better than this, metres and radians: what a scan's noise leaves.
+# Least deviation of a motion, metres and radians: the noise of a scan.
 LEAST_M, LEAST_RAD = 0.003, 0.0015
-# Places in the common frame likewise.
+# Least deviation of a place in the common frame.
 LEAST_PLACE_M = 0.03
-# Squared error, in deviations, at which a measurement has lost three quarters of its say.
+# Squared error, in deviations, at which a measurement keeps a quarter of its weight.
 HALF_WAY = 4.0
-# Steps further apart than this many times what is usual are two answers.
+# Steps differ if they are farther apart than this many times the usual difference.
 MOST_STEP_SCALES = 5.0
 # Rounds of reweighting; in each, a few steps towards the least sum of squares.
 ROUNDS, STEPS = 6, 4
-# Of a robust measurement at least this share stays, so that the equations can be solved.
+# Least weight of a robust measurement, so that the equations can be solved.
 LEAST_WEIGHT = 1e-6
-# Log-likelihood of a hit by which a path falls behind the best one to lose 1 - 1/e of its say. On
-# 34 simulated drives 0.1, 0.15 and 0.2 gave the same within 1 %, and 0.02 errors greater by 6 %.
+# Log-likelihood per hit behind the best path at which a path keeps 1/e of its weight.
 TRUST_SCALE = 0.15
 
 
 def trust_in_paths(evidence: PathEvidence) -> dict[str, float]:
-    """Return how much each path is believed by what the scans say of it, by name, 0 to 1.
+    """Return the weight of each path by the evidence of the scans, by name, 0 to 1.
 
-    The best one has 1; each other one falls with its distance from it, so that paths which cannot
-    be told apart count alike.
+    The best one has 1; the others fall with their distance in score, so tied paths count alike.
     """
     told = {name: score.consistency for name, score in evidence.scores.items()}
     best = max(told.values())
@@ -87,14 +83,14 @@ def trust_in_paths(evidence: PathEvidence) -> dict[str, float]:
 
 @dataclass(frozen=True, eq=False)
 class _Motions:
-    """Motions between scans as one or several paths tell them.
+    """Motions between scans by one or several paths.
 
     Attributes:
         starts, ends: (M,) int64, indices of poses of the graph.
-        motions: (M, 3), pose at the end in the frame of that at the start.
-        deviations: (M, 2), of places in metres, of headings in radians.
-        trust: (M,) how much each is believed before it is held against the graph, 0 to 1.
-        is_settled: (M,) bool, those that are not held against it.
+        motions: (M, 3), pose at the end in the frame of the start.
+        deviations: (M, 2), metres and radians.
+        trust: (M,) prior weight, 0 to 1.
+        is_settled: (M,) bool, whether the weight does not depend on the graph.
     """
 
     starts: I64
@@ -116,14 +112,14 @@ def fuse_paths(
 
     Args:
         paths: by name, each in a frame of its own, at stamps of the same scans.
-        weights: how much a path is believed, in [0, 1], by name: one number, or (poses,) of them;
-            default: 1. See ``trust_in_paths``.
-        sharing_fault: names of paths that drift alike, those of SLAMs that close no loops: over
-            long spans they count together as much as the best of them alone.
+        weights: of a path, 0 to 1, by name: one number, or (poses,) of them; default: 1. See
+            ``trust_in_paths``.
+        sharing_fault: names of paths of SLAMs that close no loops: over long spans they count
+            together as much as the best of them.
 
     Returns:
-        A path at the stamps of the path with most poses, in the frame of the path that the others
-        are nearest to. Of one path alone: that path.
+        A path at the stamps of the path with most poses, in the frame of the path that is closest
+        to the others. A single path is returned unchanged.
 
     Raises:
         TrajectoryError: see ``lay_paths``.
@@ -138,7 +134,7 @@ def fuse_paths(
 
 
 def _counted_once(laid: LaidPaths, names: Collection[str]) -> LaidPaths:
-    """Return paths with the weights of some of them lowered to what the best of these has alone."""
+    """Lower the weights of some paths to the best one's share."""
     rows = [row for row, name in enumerate(laid.names) if name in names]
     if len(rows) < 2:
         return laid
@@ -149,12 +145,12 @@ def _counted_once(laid: LaidPaths, names: Collection[str]) -> LaidPaths:
 
 
 def _optimized(laid: LaidPaths, over_long: LaidPaths, poses: F64) -> F64:
-    """Return (N, 3) poses that the motions of the paths bear out best, found from a start."""
+    """Return (N, 3) poses that fit the motions of the paths best."""
     measured = _all_motions(laid, over_long, poses)
     edges = np.stack((measured.starts, measured.ends), axis=1)
     deviations = measured.deviations
     never_closure = np.zeros(len(edges), dtype=np.bool_)
-    # The common frame is one more pose, which is held.
+    # The common frame is one more, fixed pose.
     frame = len(poses)
     found = np.concatenate((poses, np.zeros((1, 3))))
     for _ in range(ROUNDS):
@@ -216,7 +212,7 @@ def _visits(poses: F64) -> tuple[I64, I64]:
 
 
 def _between(laid: LaidPaths, starts: I64, ends: I64) -> _Motions:
-    """Return what each path tells of the motions between pairs of scans."""
+    """Return the motions of each path between pairs of scans."""
     told = compose_poses(invert_poses(laid.poses[:, starts]), laid.poses[:, ends])
     trust = np.minimum(laid.weights[:, starts], laid.weights[:, ends])
     deviation = _spread(told)
@@ -231,7 +227,7 @@ def _between(laid: LaidPaths, starts: I64, ends: I64) -> _Motions:
 
 
 def _agreement(told: F64, trust: F64, scale_m: float) -> F64:
-    """Return how much motions are believed beside each other, (K, M); the best of each has 1."""
+    """Return the weights of motions compared with each other, (K, M); the best of each has 1."""
     has = np.isfinite(told[..., 0])
     believed = np.where(has, np.maximum(trust, LEAST_WEIGHT), 0.0)
     known = has.any(axis=0)
@@ -245,7 +241,7 @@ def _agreement(told: F64, trust: F64, scale_m: float) -> F64:
 
 
 def _spread(told: F64) -> F64:
-    """Return the deviations of motions, (2,) metres and radians, from how paths differ in them."""
+    """Return the deviations of motions, (2,) metres and radians, from the paths' differences."""
     variances = []
     for a in range(len(told)):
         for b in range(a + 1, len(told)):
@@ -253,18 +249,18 @@ def _spread(told: F64) -> F64:
             apart = np.abs(apart[np.isfinite(apart[:, 0])])
             if len(apart):
                 medians = np.array([np.median(apart[:, :2]), np.median(apart[:, 2])])
-                # Of the difference of two; each has half of its variance.
+                # The variance of a difference is that of two motions.
                 variances.append(0.5 * (FROM_MEDIAN * medians) ** 2)
     spread = np.sqrt(np.mean(variances, axis=0)) if variances else np.zeros(2)
     return np.asarray(np.maximum(spread, (LEAST_M, LEAST_RAD)))
 
 
 def _in_frame(laid: LaidPaths, poses: F64) -> _Motions:
-    """Return where each path has the scans in the common frame."""
+    """Return the place of each path's scans in the common frame."""
     count = len(laid)
     has = np.isfinite(laid.poses[..., 0])
     stride = max(1, count // MOST_TIED)
-    # A scan of which a single path knows has nothing else to be tied by.
+    # A scan of a single path has no other tie.
     tied = (np.arange(count) % stride == 0) | (has.sum(axis=0) < len(laid.names))
     tied[[0, -1]] = True
     starts, motions, deviations, trust, ends = [], [], [], [], []

@@ -1,15 +1,14 @@
-"""``KnownMotions``: the motion from one scan to the next, where walls do not tell it.
+"""``KnownMotions``: the motion from one scan to the next where walls do not determine it.
 
-Along a bare corridor a scan matcher has nothing but the odometry, and pulls it short: each SLAM by
-another length, and a path made of theirs has whichever of them are left. So the ways between scans
-are those of the odometry itself. What is wrong with it as a whole, wheels that are larger than they
-are said to be or a base that is turned against its wheels, is a calibration of two numbers that is
-sought together with the poses: where walls tell the way, they tell the calibration, and that tells
-the way where they do not. Headings remain the path's, since scans turn better than wheels do.
+Along a bare corridor a scan matcher has only the odometry, and shortens it, in each SLAM by another
+amount. So distances between scans are those of the odometry itself. Its systematic errors (wheel
+size, a turned base) are a calibration of two numbers that is estimated together with the poses:
+walls determine it elsewhere in the drive. Headings remain the path's, since scans turn better than
+wheels do.
 
-Odometry that errs for a while counts for nothing there: where its way is another one than that of
-the path by more than a calibration leaves (wheels that slip or stand still, a robot that is carried
-off), or where the walls move a scan off it, the way of the path counts.
+The path replaces the odometry where their distances differ by more than a calibration explains
+(wheels that slip or stand still, a robot that is carried), or where the walls move a scan away from
+it.
 
 Source: Borenstein and Feng, Measurement and correction of systematic odometry errors in mobile
 robots, IEEE T-RA 12(6), 1996 (what odometry errs by); Censi, Franchi, Marchionni and Oriolo,
@@ -31,25 +30,22 @@ from slamfusion.geometry import F64, compose_poses, invert_poses, wrap_angles
 
 B8 = npt.NDArray[np.bool_]
 
-# Deviations of the motion from one scan to the next, metres and radians. On 24 simulated drives
-# half as much gave errors greater by a sixth (geometric mean).
+# Deviations of the motion from one scan to the next, metres and radians.
 STEP_M, STEP_RAD = 0.01, 0.005
-# And of a pose from where it was, which holds the frame, metres and radians.
+# Deviation of a pose from its given place, which fixes the frame, metres and radians.
 PLACE_M, PLACE_RAD = 1.0, 0.3
-# Deviation of the calibration from what the given path says it is, share of a way and radians: what
-# the pull of a scan matcher takes off a corridor. A few metres that walls tell weigh more.
+# Deviation of the calibration from that of the given path, share of a distance and radians.
 CALIBRATION = 0.02
-# The odometry is held against the path over ways of this length, metres.
+# Odometry and path are compared over this distance, metres.
 WAY_M = 1.0
-# It errs there where it is off by more than this share of the way and these metres: wheels that
-# slip or stand still are, errors of a scan matcher are not.
+# Odometry errs if it differs by more than this share and this distance, metres: wheels slip or
+# stand still; errors of a scan matcher are smaller.
 OFF_SHARE, OFF_M = 0.2, 0.1
-# Distance of a scan from where odometry has it, from the scan before, at which odometry has lost
-# three quarters of its say, metres: three deviations of the motion. A path that jumps is farther
-# off it and would keep its jump, so the distance begins at the second one, which takes such in, and
-# is halved from round to round (graduated non-convexity).
+# Distance between a scan and its odometry at which odometry keeps a quarter of its weight, metres:
+# three deviations of the motion. It starts at the second value, since a path that jumps would keep
+# its jump, and is halved each round (graduated non-convexity).
 HALF_WAY_M, FIRST_HALF_WAY_M = 0.03, 0.4
-# Scales of odometry beyond these are no calibration: it tells something else than metres.
+# Scales beyond these are not odometry in metres.
 LEAST_SCALE, MOST_SCALE = 0.5, 2.0
 
 
@@ -83,8 +79,8 @@ class KnownMotions:
         of_path: (N - 1, 3) float64, its motions, each in the frame of the pose before it.
         of_wheels: (N - 1, 2) float64, the ways of the odometry in the same frames, metres.
         is_sound: (N - 1,) bool, where the odometry does not err grossly; nowhere without odometry.
-        calibration: (2,) float64, the ways of the path over those of the odometry: as many times
-            as long as its cosine and its sine; see ``turned``.
+        calibration: (2,) float64, cosine and sine times the scale of the path's distances over the
+            odometry's; see ``turned``.
     """
 
     given: F64
@@ -95,12 +91,7 @@ class KnownMotions:
 
     @classmethod
     def of(cls, given: F64, odometry: F64 | None) -> KnownMotions:
-        """Hold the odometry of a drive against a path of it.
-
-        Args:
-            given: (N, 3) poses of the path at the scans, N at least 2.
-            odometry: (N, 3) poses in the odometry frame at the same times; None: there is none.
-        """
+        """Compare the odometry of a drive with its path: (N, 3) poses at the same scans, N >= 2."""
         of_path = compose_poses(invert_poses(given[:-1]), given[1:])
         nothing = cls(
             given,
@@ -122,17 +113,12 @@ class KnownMotions:
             return nothing
         off_m = np.hypot(*(turned(wheels_m, calibration) - path_m).T)
         is_off = off_m > OFF_M + OFF_SHARE * np.hypot(*path_m.T)
-        # A step is sound where every way that it is a part of is.
+        # A step is sound if all spans with it are.
         errs = np.convolve(is_off, np.ones(span))[: len(of_path)] > 0.0
         return cls(given, of_path, of_wheels, ~errs, calibration)
 
     def say(self, poses: F64, calibration: F64, number: int) -> F64:
-        """Return how much the odometry counts in each motion, (N - 1,) 0 to 1; the path the rest.
-
-        Args:
-            poses: (N, 3) of the scans, today.
-            calibration: (2,) likewise.
-        """
+        """Return the weight of the odometry in each motion, (N - 1,) 0 to 1."""
         if number == 0:
             return self.is_sound.astype(np.float64)
         found = compose_poses(invert_poses(poses[:-1]), poses[1:])[:, :2]
@@ -141,13 +127,7 @@ class KnownMotions:
         return np.asarray(self.is_sound * geman_mcclure(off_m / scale_m))
 
     def equations(self, poses: F64, calibration: F64, say: F64) -> MotionEquations:
-        """Return what the motions add to the normal equations.
-
-        Args:
-            poses: (N, 3) of the scans, today.
-            calibration: (2,) likewise.
-            say: (N - 1,) how much the odometry counts in each motion, 0 to 1.
-        """
+        """Return the terms of the normal equations at the current poses and calibration."""
         count = len(poses)
         found = compose_poses(invert_poses(poses[:-1]), poses[1:])
         wheels = say[:, None] * self.of_wheels
@@ -155,7 +135,7 @@ class KnownMotions:
         told[:, :2] += turned(wheels, calibration) - say[:, None] * self.of_path[:, :2]
         off = found - told
         off[:, 2] = wrap_angles(off[:, 2])
-        # Of the motion, by the pose at its start, by the one at its end, and by the calibration.
+        # Derivatives by the pose at the start, the one at the end, and the calibration.
         cos, sin = np.cos(poses[:-1, 2]), np.sin(poses[:-1, 2])
         first, second = np.zeros((2, count - 1, 3, 3))
         second[:, 0, 0], second[:, 0, 1] = cos, sin
@@ -179,7 +159,7 @@ class KnownMotions:
         border = np.zeros((count, 3, 2))
         border[:-1] += by_first @ third
         border[1:] += by_second @ third
-        # Where nothing else says so, poses and calibration are what they were.
+        # Weak priors keep undetermined poses and calibration in place.
         held = np.array((PLACE_M, PLACE_M, PLACE_RAD)) ** -2.0
         away = poses - self.given
         away[:, 2] = wrap_angles(away[:, 2])
@@ -196,19 +176,14 @@ class KnownMotions:
 
 
 def turned(ways: F64, by: F64) -> F64:
-    """Return ways, (M, 2), turned and scaled by a cosine and a sine that share a scale.
-
-    Args:
-        ways: metres.
-        by: (2,), or (M, 2) for each its own.
-    """
+    """Return (M, 2) vectors turned and scaled by (2,) or (M, 2) cosines and sines with a scale."""
     cos, sin = by[..., 0], by[..., 1]
     x, y = ways.T
     return np.stack((cos * x - sin * y, sin * x + cos * y), axis=1)
 
 
 def _span(steps: F64) -> int:
-    """Return how many steps, (N - 1, 2), make a way of ``WAY_M`` on the mean."""
+    """Return the mean number of steps, (N - 1, 2), per ``WAY_M``."""
     mean_m = float(np.hypot(*steps.T).mean())
     return int(np.clip(math.ceil(WAY_M / max(mean_m, 1e-9)), 1, len(steps)))
 
@@ -220,7 +195,7 @@ def _over(steps: F64, span: int) -> F64:
 
 
 def _usual_calibration(path_m: F64, wheels_m: F64) -> F64:
-    """Return what turns and scales most ways of the wheels into those of the path, (2,)."""
+    """Return the turn and scale that take most wheel distances to those of the path, (2,)."""
     squares = (wheels_m**2).sum(axis=1)
     long = squares > (0.25 * WAY_M) ** 2
     if not long.any():

@@ -1,7 +1,7 @@
 """Where one path of a drive leaves another, and where the two go together again.
 
-Two paths may have frames of their own. One is aligned with the other where most of their poses
-agree: of a path that went wrong half-way the right half is aligned, and not the mean of both.
+Two paths may have different frames. One is aligned with the other where most of their poses agree,
+so the right half of a path that went wrong half-way is aligned, not the mean.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from slamfusion.evidence.predictive import PathEvidence
 from slamfusion.geometry import F64, fit_motion, moved_poses, with_levers
 from slamfusion.trajectory import flag_runs
 
-# Two paths part where they are this far from each other, metres: from where they last were within
-# half of it, to where they are so again. Good paths of one drive differ by up to 0.2 m.
+# Two paths part at this distance, metres; the span reaches to where they are within the second one.
+# Good paths of one drive differ by up to 0.2 m.
 PART_M, NEAR_M = 0.3, 0.15
-# Shorter spans are none, seconds.
+# Shorter spans are ignored, seconds.
 LEAST_S = 1.0
-# Two paths are fitted from each of as many parts of the drive, in as many rounds at most.
+# Parts of the drive at which fits of two paths start, and the most rounds.
 BEGINNINGS, FITS = 8, 20
-# Of two fits the one from the earlier part, unless the other takes in more poses by this factor: of
-# a path that broke in two equal halves, the second one is wrong.
+# Of two fits the earlier one is taken unless the other fits more poses by this factor: if a path
+# broke in two equal halves, the second is wrong.
 MORE_POSES = 1.05
 
 
@@ -43,11 +43,7 @@ class Span:
 
 
 def path_spans(evidence: PathEvidence, name: str, other: str) -> tuple[Span, ...]:
-    """Return the spans of a drive in which a path agrees with another one, and in which not.
-
-    Returns:
-        Spans in the order of time that together cover the judged part of the drive.
-    """
+    """Return the spans, in the order of time, in which a path agrees with another one or not."""
     since_s = evidence.scans.stamps_s[evidence.is_judged] - evidence.scans.stamps_s[0]
     gap_m = path_gap_m(evidence, name, other)
     apart = parted(gap_m, since_s)
@@ -65,12 +61,7 @@ def path_gap_m(evidence: PathEvidence, name: str, other: str) -> F64:
 
 
 def parted(gap_m: F64, stamps_s: F64) -> npt.NDArray[np.bool_]:
-    """Return at which scans two paths have parted, (M,) bool; for less than a second they have not.
-
-    Args:
-        gap_m: (M,) how far apart they are, metres.
-        stamps_s: (M,) seconds.
-    """
+    """Return at which scans, (M,) bool, two paths have parted for at least a second."""
     away = np.zeros(len(gap_m), dtype=np.bool_)
     for here in flag_runs(gap_m > NEAR_M):
         if stamps_s[min(here.stop, len(stamps_s) - 1)] - stamps_s[here.start] >= LEAST_S:

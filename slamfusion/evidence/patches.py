@@ -25,47 +25,44 @@ from slamfusion.trajectory import Trajectory
 B8 = npt.NDArray[np.bool_]
 I64 = npt.NDArray[np.int64]
 
-# A patch of wall: its side, metres, and the directions that its normal is told apart by.
+# Side of a patch of wall, metres, and the number of directions of its normal.
 PATCH_M, FACINGS = 0.2, 8
-# A patch has at least this many hits, whose normals agree at least so far (the length of their
-# mean).
+# Least number of hits of a patch, and least length of the mean of their normals.
 LEAST_HITS, LEAST_UNITY = 4, 0.9
-# Deviation of a hit about its patch, metres, while walls are drawn apart; twice as far away a hit
-# has lost three quarters of its say, and at the second distance all of it.
+# Deviation of a hit about its patch, metres; a hit at twice this has a quarter of its weight, at
+# the second distance none.
 SPREAD_M, REACH_M = 0.04, 0.15
-# Hits that are used at most: more say nearly the same again.
+# The most hits used.
 MOST_HITS = 200_000
-# A hit that faces the laser as exactly as this has no neighbours that say what it faces, radians:
-# it would hold the robot's place along a corridor by what is no wall across it.
+# A hit that faces the laser within this has no neighbours and thus no known direction, radians: it
+# would wrongly fix the place along a corridor.
 LONE_RAD = 1e-9
-# Rounds in which the line of a patch is found without its outliers, and those in which its normal
-# is turned to the line.
+# Rounds that find the line of a patch without outliers, and rounds that turn its normal to it.
 LINE_ROUNDS, TURN_ROUNDS = 3, 2
-# Deviation of the normal of a patch from the mean of what its hits are said to face, radians: noise
-# along the beam turns that towards the laser.
+# Deviation of the normal of a patch from the mean of its hits' directions, radians: noise along the
+# beam turns these towards the laser.
 TILT_RAD = 0.5
-# Hits that are as far away and as slant as each other spread alike: shares of them by distance, and
-# limits of the cosine of the slant. Those of a kind that has this many tell how much.
+# Hits at equal distance and slant spread alike: number of distance classes, limits of the cosine of
+# the slant, and least hits of a class for its own spread.
 FAR_SHARES, SLANTS, LEAST_OF_KIND = 6, (0.25, 0.5, 0.8), 30
 KINDS = FAR_SHARES * (len(SLANTS) + 1)
-# No hit is surer than this, metres: walls are not as flat.
+# Least deviation of a hit, metres, since walls are not flat.
 LEAST_SPREAD_M = 0.015
-# Least scales of the distances in the steps of a match, metres: first wide, then as hits spread.
+# Least scales of the distances in the steps of a match, metres.
 SCALES_M = (2.0 * SPREAD_M,) * 4 + (0.0,) * 2
-# A hit lies on its wall within this number of deviations. A scan fits if more than the first share
-# of its hits meets a wall, and more than the second share of these lies on it.
+# A hit fits its wall within this number of deviations. A scan fits if more than the first share of
+# its hits meets a wall, and more than the second share of these fits.
 FITTING, LEAST_KNOWN, LEAST_FITTING = 3.0, 0.05, 0.75
-# Patches along one axis, at most: makes one number of a place.
+# The most patches along one axis: combines two indices into one number.
 ROW = 1 << 28
-# Lattices that patches are cut by in turn: moved by a third of a patch, and normals told apart by
-# other limits.
+# Lattices in turn: offsets of a third of a patch, and other limits of the directions.
 MOVES, TURNS = 3, 2
 LATTICES = MOVES * TURNS
 
 
 @dataclass(frozen=True, eq=False)
 class SurfaceHits:
-    """Hits of the scans that have a pose, on surfaces of which more than one hit tells.
+    """Hits of the scans with a pose, on surfaces with more than one hit.
 
     Attributes:
         points: (B, 2) float64, in the robot's base frame, metres.
@@ -103,7 +100,6 @@ class Patches:
     """Patches of wall at some poses, on one lattice, and what each hit says of its own.
 
     Attributes:
-        number: of the lattice.
         keys: (P,) int64, rising, the place and side of each patch; see ``_keys``.
         middles: (P, 2) float64, the mean of its hits, metres.
         normals: (P, 2) float64, unit vectors.
@@ -114,7 +110,7 @@ class Patches:
             scan's pose: x, y, yaw.
         sides_m: (B,) float64, how far each hit lies beside the middle of its patch.
         away_m: (B,) float64, how far each hit lies from its patch along the normal.
-        weights: (B,) float64, say of each hit over its variance, 1 / m2; 0: none.
+        weights: (B,) float64, weight of each hit over its variance, 1 / m2; 0: none.
     """
 
     number: int
@@ -131,11 +127,7 @@ class Patches:
 
     @classmethod
     def at(cls, hits: SurfaceHits, poses: F64, number: int, *, by_kind: bool) -> Patches:
-        """Sort hits into patches, on the lattice of a round.
-
-        Args:
-            by_kind: weigh hits by how much their kind spreads; otherwise all are equally sure.
-        """
+        """Sort hits into patches on a lattice; ``by_kind`` weighs them by their kind's spread."""
         own = poses[hits.scans]
         cos, sin = np.cos(own[:, 2]), np.sin(own[:, 2])
         x = cos * hits.points[:, 0] - sin * hits.points[:, 1]
@@ -225,7 +217,7 @@ def line_sums(of: I64, count: int, sides_m: F64, values: F64) -> F64:
 
 def line_inverses(of: I64, count: int, sides_m: F64, weights: F64) -> F64:
     """Return the inverse of each patch's equations of height and tilt, (P, 2, 2)."""
-    # A patch in which no hit counts does not move.
+    # A patch without weighted hits does not move.
     mass = np.bincount(of, weights, count) + 1e-9
     first = np.bincount(of, weights * sides_m, count)
     second = np.bincount(of, weights * sides_m**2, count) + TILT_RAD**-2.0
@@ -257,12 +249,7 @@ class ScanMatch:
 
 @dataclass(frozen=True, eq=False)
 class WallMap:
-    """The walls that the scans of a drive show at the poses of a path.
-
-    Attributes:
-        lattices: the same walls, cut in several ways.
-        spread_m: deviation of a hit about its wall.
-    """
+    """The walls that the scans of a drive show at the poses of a path."""
 
     lattices: Sequence[Patches]
     spread_m: float
@@ -284,12 +271,9 @@ class WallMap:
     def match(self, scan: ScanHits, expected: F64, covariance: F64) -> ScanMatch:
         """Find where a scan lies, near where it is expected.
 
-        Gauss-Newton steps on the distances of the hits from the lines of their patches; those far
-        from them have no say. What the walls leave open, along a corridor, stays as expected.
-
-        Args:
-            expected: (3,) pose of the robot, metres and radians.
-            covariance: (3, 3) of it.
+        Gauss-Newton steps on the distances of hits from the lines of their patches, without far
+        hits. Directions that walls leave open, as along a corridor, stay as expected: (3,) metres
+        and radians, with (3, 3) covariance.
         """
         points, facings_rad = scan.rows[:, :2], scan.rows[:, 2]
         is_seen = np.abs(_turned_rad(facings_rad, np.array(scan.laser) - points)) > LONE_RAD
@@ -313,12 +297,7 @@ class WallMap:
         return ScanMatch(pose, sure, known_share, fitting_share)
 
     def _measure(self, points: F64, facings_rad: F64, pose: F64) -> tuple[F64, F64, B8]:
-        """Measure hits from the walls, once on each of L lattices.
-
-        Returns:
-            (L * H, 3) how each distance changes with the pose, (L * H,) the distances, metres, and
-            (L * H,) bool, whether there is a wall.
-        """
+        """Return (L * H, ...) derivatives by the pose (3), distances (m), and whether known."""
         cos, sin = np.cos(pose[2]), np.sin(pose[2])
         arms = points @ np.array(((cos, sin), (-sin, cos)))
         places, sides_rad = pose[:2] + arms, facings_rad + pose[2]

@@ -1,7 +1,7 @@
 """``LaidPaths``: paths of one drive at common stamps and in one frame, each with its weight.
 
-A path that broke away near its end must not turn the others, nor itself where it was still right:
-frames are fitted robustly, with the weights of poses falling with what is left at them.
+A path that broke away near its end must not turn the others, nor its own right part: frames are
+fitted robustly, and the weights of poses fall with their residuals.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from slamfusion.errors import TrajectoryError
 from slamfusion.geometry import F64, Pose2, fit_motion, moved_poses, with_levers, wrap_angles
 from slamfusion.trajectory import SAME_STAMP_S, Trajectory
 
-# Metres that a turn of one radian counts for: what it moves at the range of most walls.
+# Distance that corresponds to a turn of one radian, metres: the range of most walls.
 TURN_M = 2.0
 # Standard deviation of normal errors over the median of their absolute values.
 FROM_MEDIAN = 1.4826
-# Scale of a robust fit at least, metres: what good paths differ by.
+# Least scale of a robust fit, metres: the difference of good paths.
 LEAST_SCALE_M = 0.03
-# Rounds of reweighting, and the motion below which a fit has settled, metres and radians.
+# The most rounds of reweighting, and the change at which a fit has settled, metres and radians.
 MOST_FITS, SETTLED = 30, 1e-6
 
 
@@ -35,7 +35,7 @@ class LaidPaths:
         names: of the K paths, in the order given.
         stamps_s: (N,) float64, times of the scans, seconds, never decreasing.
         poses: (K, N, 3) float64, metres and radians; NaN where a path has none.
-        weights: (K, N) float64, how much each pose is believed, 0 to 1; 0 where there is none.
+        weights: (K, N) float64, 0 to 1; 0 where there is no pose.
     """
 
     names: tuple[str, ...]
@@ -50,13 +50,11 @@ class LaidPaths:
 def lay_paths(
     paths: Mapping[str, Trajectory], weights: Mapping[str, npt.ArrayLike] | None = None
 ) -> LaidPaths:
-    """Lay paths of one drive into one frame: that of the path which the others are nearest to.
+    """Move paths of one drive into the frame of the path that is closest to the others.
 
     Args:
-        paths: by name, each in a frame of its own; the stamps are those of the path with most
-            poses, and poses of others at other times are not used.
-        weights: how much a path is believed, in [0, 1], by name: one number, or (poses,) of them;
-            default, also for paths that are not named: 1.
+        paths: by name, each in its own frame; the stamps are those of the path with most poses.
+        weights: 0 to 1, by name: one number, or (poses,) of them; default: 1.
     """
     if not paths:
         raise TrajectoryError("there is no path to fuse; give at least one")
@@ -79,11 +77,7 @@ def lay_paths(
 
 
 def pose_distances(a: F64, b: F64) -> F64:
-    """Return how far poses lie apart, (...), metres: of places, and ``TURN_M`` for a radian.
-
-    Args:
-        a, b: (..., 3), x and y in metres, yaw in radians; NaN gives NaN.
-    """
+    """Return distances of (..., 3) poses, metres, with ``TURN_M`` per radian; NaN gives NaN."""
     apart = a - b
     turned = np.abs(wrap_angles(apart[..., 2]))
     return np.asarray(np.hypot(apart[..., 0], apart[..., 1]) + TURN_M * turned)
@@ -99,11 +93,7 @@ def geman_mcclure(distance: F64) -> F64:
 
 
 def moved_onto(path: Trajectory, others: Iterable[Trajectory]) -> Trajectory:
-    """Return a path moved so that most of it overlaps others; as it is where no times meet.
-
-    Args:
-        others: all in one frame, of at least one pose each, on the clock of the path.
-    """
+    """Return a path moved so that most of it overlaps others in one frame, if any times meet."""
     moving, still = [np.empty((0, 3))], [np.empty((0, 3))]
     for other in others:
         near, meets = other.matches(path.stamps_s)
@@ -116,14 +106,10 @@ def moved_onto(path: Trajectory, others: Iterable[Trajectory]) -> Trajectory:
 
 
 def fit_frame(moving: F64, still: F64, weights: F64 | None = None) -> Pose2:
-    """Return the motion that lays most of one path on another, whatever the rest does.
+    """Return the motion that takes most of one path, (N, 3) with N at least 1, onto another.
 
-    Iteratively reweighted least squares of places and headings; the scale is the median of what is
-    left, so that the better half of the poses decides.
-
-    Args:
-        moving, still: (N, 3) poses of the same moments, N at least 1; metres and radians.
-        weights: (N,) how much each counts at most; default: 1.
+    Iteratively reweighted least squares of places and headings; the scale is the median of the
+    residuals, so that the better half of the poses decides. ``weights`` (N,) limit each pose.
     """
     count = len(moving)
     trusted = np.ones(count) if weights is None else np.maximum(weights, 1e-6)
@@ -142,12 +128,12 @@ def fit_frame(moving: F64, still: F64, weights: F64 | None = None) -> Pose2:
 
 
 def laid_onto(moving: F64, still: F64) -> F64:
-    """Return one path laid on another, (N, 3); see ``fit_frame``."""
+    """Return one path aligned with another, (N, 3); see ``fit_frame``."""
     return moved_poses(fit_frame(moving, still), moving)
 
 
 def _in_one_frame(poses: F64, weights: F64) -> F64:
-    """Lay (K, N, 3) poses onto the path that all are nearest to, by the weights of each."""
+    """Move (K, N, 3) poses onto the path that is closest to all, by the weights of each."""
     shares = weights.sum(axis=1) / max(float(weights.sum()), 1e-12)
     best, least = poses, math.inf
     for still in poses:
@@ -192,36 +178,30 @@ def _checked_weights(name: str, path: Trajectory, weights: npt.ArrayLike | None)
     return own
 
 
-# How far apart poses are that name one place, metres (and half of that in radians), at most: what
-# two rooms differ by. At least ``LEAST_SCALE_M``.
+# The greatest scale, metres (and half of that in radians): the distance between two rooms.
 MOST_SCALE_M = 0.5
-# What even a path that is not believed counts for where there is no other.
+# Least weight of a path, for times without another.
 LEAST_BELIEF = 1e-6
 # Rounds of the mean shift.
 ROUNDS = 10
 
 
 def consensus_poses(laid: LaidPaths) -> F64:
-    """Return (N, 3) at each scan the pose that most of the weight lies near.
-
-    Args:
-        laid: at least one path; each scan has a pose of at least one.
-    """
+    """Return (N, 3) the pose at each scan with most of the weight nearby."""
     return find_modes(laid.poses, laid.weights, LEAST_SCALE_M, MOST_SCALE_M)
 
 
 def find_modes(poses: F64, weights: F64, least_m: float, most_m: float) -> F64:
-    """Return of several answers to each question the one that most of the weight lies near.
+    """Return for each of N questions the answer that most of the weight of K answers lies near.
 
-    Mean shift to a mode of the weighted density of the answers, from the one that is nearest to the
-    weight of the others; the scale is the distance of that one from the nearest other one. Of two
-    answers far apart the one of greater weight is followed, and of equal ones the first: the middle
-    between two answers is none.
+    Mean shift to a mode of the weighted density, from the answer closest to the weight of the
+    others; the scale is its distance from the nearest other one. Of two distant answers the one of
+    greater weight is followed, of equal ones the first, never the middle.
 
     Args:
-        poses: (K, N, 3) K answers to each of N questions, poses or motions, metres and radians; NaN
-            where there is none, but one of K is there.
-        weights: (K, N) how much each is believed, 0 to 1.
+        poses: (K, N, 3) poses or motions, metres and radians; NaN where missing, at least one
+            given.
+        weights: (K, N), 0 to 1.
 
     Returns:
         (N, 3) float64, yaw in [-pi, pi).

@@ -1,11 +1,10 @@
 """Predictive consistency: how well a path's map of other times predicts what each scan saw.
 
-Each judged hit has a likelihood under the map of all chunks but its own and the two beside it, all
-drawn by the path that is scored; the score of a path is the mean log-likelihood of a hit. It is a
-logarithmic score, which is proper [1]: no path gains in expectation by telling of places other than
-those it holds for true. What the others have not seen has a fixed price, so that a path that misses
-a revisit pays for each hit there. Unlike the entropy of a map [2] or counts of its corners and
-enclosed places [3] it predicts readings that the map was not drawn from, and so a torn map cannot
+Each judged hit has a likelihood under the map of all chunks except its own and the two next to it,
+drawn by the scored path; the score of a path is the mean log-likelihood of a hit. A logarithmic
+score is proper [1]: a wrong path gains nothing in expectation. Unseen places have a fixed price, so
+a path that misses a revisit pays for each hit there. Unlike the entropy of a map [2] or counts of
+its corners and enclosed places [3] it predicts readings that were not drawn, so a torn map cannot
 look crisp by showing everything twice.
 
 Source: [1] Gneiting and Raftery, Strictly proper scoring rules, prediction, and estimation, JASA
@@ -36,11 +35,11 @@ I64 = npt.NDArray[np.int64]
 B8 = npt.NDArray[np.bool_]
 U32 = npt.NDArray[np.uint32]
 
-# Parts of the judged scans that are drawn again: four for each chunk, so that a path that is wrong
-# for a tenth of the drive is wrong in many of them.
+# Parts of the judged scans in the bootstrap: four per chunk, so that a path that is wrong for a
+# tenth of the drive is wrong in many of them.
 BLOCKS = 96
 DRAWS = 2000
-# Below this a difference counts as one; below the second one it also decides something.
+# Significance levels: of a difference, and of one that decides something.
 SIGNIFICANT, SURE = 0.05, 0.01
 
 
@@ -49,7 +48,7 @@ class Comparison:
     """How one path compares with another.
 
     Attributes:
-        verdict: what the scans say of the first path against the second.
+        verdict: of the scans, on the first path against the second.
         difference: score of the first less that of the second, log-likelihood of a hit.
         low, high: interval of the difference, 95 % of the draws.
         p_value: two-sided: share of the draws in which the sign of the difference turns, doubled;
@@ -72,13 +71,8 @@ def compare_sums(
 ) -> Comparison:
     """Compare the sums of log-likelihoods of two paths on the same hits: a paired block bootstrap.
 
-    Neighbouring scans see the same walls, so that their scores are no independent draws; blocks of
-    neighbouring scans are. A block is resampled with the scores of both paths in it.
-
-    Args:
-        first, second: (N,) float64, sums of each scan.
-        beams: (N,) int64, judged hits of each scan.
-        is_judged: (N,) bool, scans that were judged.
+    Scores of neighbouring scans are dependent; blocks of them are not. A block is resampled with
+    the scores of both paths in it. The arrays are (N,): sums and judged hits of each scan.
 
     Source: Efron and Tibshirani, An Introduction to the Bootstrap, 1993, sections 8.5 and 16.4
     (blocks of a series, and achieved significance).
@@ -101,13 +95,13 @@ def compare_sums(
 
 @lru_cache
 def _draws(blocks: int) -> I64:
-    """Return how often each draw has each block, (DRAWS, blocks); the same ones each time."""
+    """Return the number of copies of each block in each draw, (DRAWS, blocks); always the same."""
     shares = np.full(blocks, 1.0 / blocks)
     return np.random.default_rng(0).multinomial(blocks, shares, DRAWS).astype(np.int64)
 
 
-# The lattice is turned against the first pose, radians: most walls are square to it, and a wall
-# along the cells is drawn thinner than one across them.
+# The lattice is turned against the first pose, radians, since walls along the cells are drawn
+# thinner than others.
 LATTICE_YAW_RAD = 0.5
 _CHUNK_BITS = np.uint32(1) << np.arange(CHUNKS, dtype=np.uint32)
 _APART = np.abs(np.subtract.outer(np.arange(CHUNKS), np.arange(CHUNKS)))
@@ -116,22 +110,20 @@ NEIGHBOURS, OTHERS = (
     np.where(are_asked, _CHUNK_BITS, 0).sum(axis=1).astype(np.uint32)
     for are_asked in (_APART == 1, _APART > 1)
 )
-# Pages of a map at most; 2^24 are a square of 6.5 km of cells of 0.05 m.
+# The most pages of a map; 2^24 are a square of 6.5 km of cells of 0.05 m.
 MOST_PAGES = 1 << 24
 
 
-# How likely a hit is under a map: side of a cell, metres; standard deviation of a hit about a wall,
-# cells; likelihood of a hit that no wall explains where the others have seen something, and where
-# they have seen nothing.
+# Likelihood of a hit: side of a cell, metres; deviation of a hit about a wall, cells; likelihood of
+# an unexplained hit in seen places, and in unseen places.
 CELL_M, SPREAD_CELLS, STRAY, UNKNOWN = 0.05, 1.0, 0.03, 0.35
-# How far walls are looked for, cells: farther ones explain nothing; and how near a hit is to a wall
-# in a place that the others have seen, cells.
+# Range in which walls are searched, cells; and distance of a hit from a wall in a seen place.
 REACH_CELLS, KNOWN_CELLS = 4, 2.0
 
 
 @dataclass(frozen=True, eq=False)
 class PathScore:
-    """What the scans say of one path.
+    """Evidence of the scans for one path.
 
     Attributes:
         sums: (N,) float64, sum of the log-likelihoods of each scan's judged hits; 0 where the scan
@@ -165,7 +157,8 @@ class PathScore:
     def seen_consistency(self) -> float:
         """Mean log-likelihood of a hit where other chunks have seen something; NaN for no hit.
 
-        Unlike ``consistency`` it does not fall with what is seen once, so that drives compare.
+        Unlike ``consistency`` it does not depend on the share of places seen once, so drives
+        compare.
         """
         seen = int(self.seen.sum())
         price = (self.beams_judged - seen) * np.log(UNKNOWN)
@@ -174,7 +167,7 @@ class PathScore:
 
 @dataclass(frozen=True, eq=False)
 class PathEvidence:
-    """What the scans of a drive say of its paths.
+    """Evidence of the scans of a drive for its paths.
 
     Attributes:
         is_judged: (N,) bool, scans that every path has a pose for.
@@ -186,7 +179,7 @@ class PathEvidence:
     scores: Mapping[str, PathScore]
 
     def of_paths(self, names: Collection[str]) -> PathEvidence:
-        """Return what was said of some of the paths, in the order of the names."""
+        """Return the evidence for some of the paths, in the order of the names."""
         return replace(self, scores={name: self.scores[name] for name in names})
 
     def ranking(self) -> tuple[str, ...]:
@@ -199,7 +192,7 @@ class PathEvidence:
         return compare_sums(first.sums, second.sums, first.beams, self.is_judged)
 
     def tied(self) -> tuple[str, ...]:
-        """Return the best path and all that cannot be told from it, the best first."""
+        """Return the best path and all tied ones, the best first."""
         best, *others = self.ranking()
         return (best, *(name for name in others if self.compare(best, name).verdict != "better"))
 
@@ -227,9 +220,7 @@ def score_paths(
 ) -> PathEvidence:
     """Score paths of one drive by predictive consistency.
 
-    Args:
-        scans: see ``judged_scans``.
-        paths: by name, each in a frame of its own, on the clock of the scans; may be sparse.
+    paths: by name, each in its own frame, on the clock of the scans; may be sparse.
 
     Returns:
         Scores of all paths on the same hits: those of the scans that every path has a pose for.
@@ -249,10 +240,7 @@ def with_path(
 ) -> PathEvidence:
     """Score one more path of a drive; the same as if all were scored together.
 
-    Args:
-        evidence: of the other paths, one at least.
-        name: of the path; no other one has it.
-        path: in a frame of its own, on the clock of the scans; may be sparse.
+    path: in its own frame, on the clock of the scans; may be sparse; with a new name.
 
     Returns:
         Scores of all paths, this one last. The others are scored again only where it has no pose
@@ -311,14 +299,12 @@ def _score(
 
 @dataclass(frozen=True, eq=False)
 class DrawnChunks:
-    """The map that a path draws, of which each chunk of the drive can be left out.
+    """The map that a path draws, from which each chunk of the drive can be left out.
 
     Attributes:
-        reach_cells: how far walls are looked for.
         hit_scans: (B,) int64, the scan of each judged hit.
         chunks: (B,) int64, the chunk of each.
         beams, facings: of the judged hits, see ``chunk_marks``.
-        table, hits, seen: the map, on the device.
     """
 
     device: ComputeDevice
@@ -364,9 +350,8 @@ class DrawnChunks:
     ) -> tuple[F64, B8]:
         """Return how likely hits are under what other chunks drew.
 
-        Args:
-            among: (CHUNKS,) uint32, for each chunk the bits of those that are asked; default: all
-                that are neither it nor next to it.
+        among: (CHUNKS,) uint32, for each chunk the bits of the chunks that count; default: all
+            except itself and its neighbours.
 
         Returns:
             (P,) float64 log-likelihoods, and (P,) bool, whether others have seen the place.
@@ -391,11 +376,7 @@ class DrawnChunks:
 
 
 def log_likelihoods(found: npt.NDArray[np.int32]) -> tuple[F64, B8]:
-    """Return each hit's log-likelihood, (B,), and whether it lies where something was seen.
-
-    Args:
-        found: (B, 2) int32, of ``nearest_marks``.
-    """
+    """Return log-likelihoods, (B,), of what ``nearest_marks`` found, and whether it was seen."""
     has_wall = found[:, 0] >= 0
     squared = np.where(has_wall, found[:, 0], 0) / float(BEAM_ONE) ** 2
     # A wall out of reach explains nothing.

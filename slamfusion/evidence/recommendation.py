@@ -1,15 +1,14 @@
 """``recommend``: which map and path of a drive to use, which SLAM alone, and what to check first.
 
-By its score a path that is off by decimetres is known from one that is off by centimetres; between
-two that are off by centimetres noise decides. The fused path, along which all scans are aligned, is
-nearer to the truth than either. So it is the answer unless the scans surely support a SLAM's own
-path more, and of the SLAMs the one nearest to it is the one to take alone.
+The score separates a path that is off by decimetres from one that is off by centimetres; between
+two good paths noise decides. The fused path, along which all scans are aligned, is closer to the
+truth than either. So it is the answer unless the scans clearly support a SLAM's own path more, and
+the best single SLAM is the one closest to it.
 
-A place is one to check if walls there stand away from where they were seen at another time
-(``find_displacements``), or if a path that cannot be told from the answer has parted from it there
-and neither most of the SLAMs nor the scans of that time support the answer. If walls stand as far
-apart as paths that have parted in a quarter of the drive, or if most of what the robot saw was free
-space at other times, the map is not to be trusted.
+A place is one to check if walls there are displaced (``find_displacements``), or if a tied path has
+parted there and neither most of the SLAMs nor the scans of that time support the answer. If walls
+are displaced in a quarter of the drive, or most of what the robot saw was free space at other
+times, the confidence is low.
 """
 
 from __future__ import annotations
@@ -29,18 +28,17 @@ from slamfusion.evidence.predictive import BLOCKS, SURE, PathEvidence, compare_s
 from slamfusion.geometry import fit_motion, moved_poses
 from slamfusion.trajectory import Trajectory, nearest_stamps
 
-# Places that are named at most.
+# The most places to check.
 MOST_CHECKS = 3
-# If more of what the robot saw was free space at other times than this share, the map is worth a
-# look: people and moved furniture make up to a quarter.
+# Share of the seen walls that were free space at other times above which the map needs a check:
+# people and moved furniture make up to a quarter.
 DOUBTED = 0.25
-# If walls are displaced in more of the drive than this share, the map is wrong as a whole.
+# Share of the drive with displaced walls above which the map is wrong as a whole.
 BENT = 0.25
-# If fewer of the hits were seen at another time than this share, nothing confirms the path.
+# Share of the hits seen at another time below which nothing confirms the path.
 LITTLE_SEEN = 0.25
-# The scans of a time support one of two paths if there are this number of blocks of them, and the
-# paths differ by this log-likelihood of a hit: what scan matchers fit explains the scans of a place
-# a little better than the true path does, by less in 98 % of 1440 parts of 40 simulated drives.
+# Blocks of scans and log-likelihood per hit from which the scans of a time support one of two
+# paths: scan matchers fit the scans of a place slightly better than the true path does.
 LEAST_BLOCKS, LEAST_DIFFERENCE = 4, 0.03
 
 # How far a recommended path can be trusted.
@@ -190,10 +188,8 @@ def recommend(
 ) -> Recommendation:
     """Choose the path to use and the SLAM to take alone, and find what to check.
 
-    Args:
-        evidence: of the paths of the SLAMs, and of the one fused of them, if any.
-        fused: name of the path that was fused of them; None, or unknown: there is none.
-        frames: paths by name in the frames that places are given in; default: their own.
+    fused: name of the fused path; None or unknown: there is none.
+    frames: paths by name in the frames of the reported places; default: their own.
     """
     path, alone, from_fused_m = choose_path(evidence, slams, fused)
     frame = (frames or {}).get(path)
@@ -211,10 +207,7 @@ def choose_path(
 ) -> tuple[str, str, Mapping[str, float]]:
     """Return the path to use, the SLAM to take alone, and how far each SLAM is from the fused path.
 
-    Args:
-        evidence: of the paths of the SLAMs, of one at least, and of the fused one, if any.
-        slams: names of the paths that are a SLAM's own; others are left out.
-        fused: name of the path that was fused of them; None, or unknown: there is none.
+    fused: name of the fused path; None or unknown: there is none.
 
     Returns:
         Two names, and metres by name; empty if the fused path is not the one to use.
@@ -246,11 +239,9 @@ def _checks(
     frame: Trajectory | None,
     device: ComputeDevice,
 ) -> tuple[tuple[Check, ...], Confidence]:
-    """Return the places of a path to look at, in the order of time, and what they mean for it.
+    """Return the places of a path to check, in the order of time, and the confidence.
 
-    Args:
-        slams: the paths of the SLAMs, which may have parted from it.
-        frame: of the places; None: that of the path.
+    ``frame`` is the path in the frame of the places; None: the path itself.
     """
     displaced = find_displacements(evidence, path, device)
     found: list[tuple[float, Check]] = []
@@ -261,7 +252,7 @@ def _checks(
 
     for part in displaced:
         what = f"walls stand {part.away_m:.1f} m away from where they were seen at other times"
-        # What is sure comes before what is open.
+        # Certain faults come before open ones.
         add(part.from_s, part.to_s, 0.5 * (part.from_s + part.to_s), 1e3 + part.away_m, what)
     since_s = evidence.scans.stamps_s[evidence.is_judged] - evidence.scans.stamps_s[0]
     for rival in slams:
@@ -338,7 +329,7 @@ def _places(count: int) -> str:
 
 
 def _ranked(evidence: PathEvidence, name: str, best: str, from_fused_m: float | None) -> RankedPath:
-    """Return what the scans say of a path; ``best`` is the recommended one."""
+    """Return the evidence of the scans for a path; ``best`` is the recommended one."""
     score = evidence.scores[name]
     found = None if name == best else evidence.compare(best, name)
     start_s = float(evidence.scans.stamps_s[0])

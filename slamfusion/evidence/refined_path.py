@@ -1,19 +1,17 @@
-"""``refine_path``: the path near a given one under which every wall is one wall, seen all at once.
+"""``refine_path``: the path near a given one under which each wall is drawn once.
 
-A scan matcher lays each scan on what came before it, and pulls a little: errors add up, and several
-SLAMs of one drive share them. Here all scans of the drive are laid on each other at once. The hits
-are sorted into patches of wall by place and by the side that they are seen from; where a patch lies
-along its normal, and how it tilts, is as free as the poses are, and the poses are sought under
-which the hits of all patches spread least about them. Those that spread little, near the laser or
-along a wall, count the more; how much each kind spreads the drive itself tells. What walls leave
-open, along a corridor, the odometry decides, calibrated by the walls of the rest of the drive
-(``known_motions``); without odometry, and where it errs, the motions of the given path do. Hits far
-from their patch have no say.
+A scan matcher aligns each scan with the previous ones, so errors add up, and SLAMs of one drive
+share them. Here all scans are aligned at once. The hits are sorted into patches of wall by place
+and visible side; the place and tilt of each patch are unknowns like the poses, and the solution has
+the least spread of hits about their patches. Hits with little spread, near the laser or along a
+wall, weigh more; the spread of each kind is estimated from the drive. Directions without walls,
+along a corridor, follow the calibrated odometry (``known_motions``); without odometry, and where it
+errs, the given path. Hits far from their patch have no weight.
 
 The lines of the patches are eliminated from the normal equations of each round (the Schur
-complement), as those of points are in bundle adjustment; what is left is solved by conjugate
-gradients, with the part that is banded for preconditioner. After each round hits are sorted anew,
-on a lattice that lies elsewhere, so that no wall stays cut in two.
+complement), as points are in bundle adjustment; the rest is solved by conjugate gradients, with its
+banded part as preconditioner. After each round hits are sorted on a shifted lattice, so that no
+wall stays cut in two.
 
 Source: Triggs, McLauchlan, Hartley and Fitzgibbon, Bundle adjustment - a modern synthesis, Vision
 Algorithms, LNCS 1883, 2000, section 6; Liu and Zhang, BALM: Bundle adjustment for lidar mapping,
@@ -33,21 +31,16 @@ from slamfusion.evidence.path_frames import laid_onto
 from slamfusion.geometry import F64, compose_poses, invert_poses, wrap_angles
 from slamfusion.trajectory import Trajectory
 
-# Rounds before those whose mean counts, in which all hits are equally sure; the equations of each
-# are solved by this many steps at most, to this share of the first residual.
+# Rounds with equal hits before those that are averaged; the most solver steps of a round, and the
+# residual at which it ends.
 ROUNDS, MOST_STEPS, TOLERANCE = 3, 400, 1e-4
 
 
 def refine_path(scans: JudgedScans, path: Trajectory) -> Trajectory:
-    """Return a path that lays the scans of a drive on each other.
+    """Return a path that aligns the scans of a drive with each other.
 
-    Args:
-        path: near the right one: walls that it draws further apart than ``REACH_M`` stay so.
-
-    Returns:
-        Poses at the stamps of ``path``, in its frame. Those at times of no scan are moved along
-        with the scan next to them. A path that meets fewer than two scans is returned as it is, and
-        so is one whose scans see no surface.
+    Walls that ``path`` draws further apart than ``REACH_M`` stay so. Poses between scans move with
+    the nearest scan. A path with fewer than two scans, or without surfaces, is returned unchanged.
     """
     given = cover_stamps(path, scans)
     kept = np.flatnonzero(given.is_own)
@@ -64,25 +57,19 @@ def refine_path(scans: JudgedScans, path: Trajectory) -> Trajectory:
         equations = motions.equations(poses, calibration, say)
         step, calibrated = _step(hits, poses, equations, number)
         poses, calibration = poses + step, calibration + calibrated
-        # Nothing but the places of before holds the frame, and the steps are not solved to the end.
+        # The frame is held by the places alone, and the steps are not solved to the end.
         poses = laid_onto(poses, before)
         if number >= ROUNDS:
             off = poses - before
             off[:, 2] = wrap_angles(off[:, 2])
             moved += off
-    # What the walls hardly hold differs by the lattice: the mean of all of them counts.
+    # Weakly determined poses depend on the lattice, so the mean counts.
     poses = before + moved / LATTICES
     return carried_along(path, scans.stamps_s[kept], before, poses)
 
 
 def carried_along(path: Trajectory, stamps_s: F64, before: F64, poses: F64) -> Trajectory:
-    """Return a path each pose of which is carried along by the scan nearest to it.
-
-    Args:
-        stamps_s: (N,) of scans, seconds, N at least 1.
-        before: (N, 3) where the path has them.
-        poses: (N, 3) where they are now.
-    """
+    """Return a path whose poses move with the nearest of (N, 3) scans, N at least 1."""
     near = Trajectory(stamps_s, before, path.name).nearest(path.stamps_s)
     beside = compose_poses(invert_poses(before[near]), path.poses)
     return Trajectory(path.stamps_s, compose_poses(poses[near], beside), path.name)
@@ -113,7 +100,7 @@ def _step(
     inverses = line_inverses(patches.of, len(patches.keys), patches.sides_m, patches.weights)
 
     def through_lines(of_lines: F64) -> F64:
-        """Return what the poses get of the lines' equations, solved for one right-hand side."""
+        """Return the part of the lines' equations for the poses, for one right-hand side."""
         solved = np.einsum("pab,pb->pa", inverses, of_lines.reshape(-1, 2))
         return np.asarray(to_lines.dot(solved.ravel()))
 

@@ -1,15 +1,13 @@
-"""``refine_borne_out``: the refined path, where the scans do not say that it is the worse one.
+"""``refine_borne_out``: the refined path, unless the scans show that it is worse.
 
-Laying all scans on each other can pull walls together that are two. Both paths are scored by
-predictive consistency, and the refined one is taken unless what was seen is surely less likely
-by it.
+Aligning all scans can pull two walls together. Both paths are scored by predictive consistency, and
+the refined one is taken unless it makes the scans clearly less likely.
 
-It reaches as far as walls of one place are drawn near each other. Where the scans see little twice
-the SLAMs may be further off than that, each its own way, and the odometry nearer: of a short drive
-of a laser that sees a small sector, over a threshold on which wheels slip. So where the scans bear
-the odometry out nearly as well as the path, the path is sought from there, too, and the scans say
-which is taken. Where they cannot tell, the two differ in what was not seen: there the SLAMs have
-the odometry too, and pull at it, so that from the odometry counts.
+The refinement reaches as far as walls of one place are drawn near each other. If the scans see
+little twice, the SLAMs may be further off, and the odometry closer: on a short drive with a narrow
+view, over a threshold where wheels slip. So if the scans support the odometry nearly as well as the
+path, the path is also refined from the odometry, and the scans decide. If they are undecided, the
+start at the odometry is taken: the SLAMs use the odometry too, and distort it.
 """
 
 from __future__ import annotations
@@ -26,22 +24,18 @@ from slamfusion.evidence.predictive import SURE, PathEvidence, with_path
 from slamfusion.evidence.refined_path import carried_along, refine_path
 from slamfusion.trajectory import Trajectory
 
-# What the scans of a drive were laid on each other along, at first.
+# Start of the refinement.
 RefinementStart: TypeAlias = Literal["paths", "odometry"]
-# What the refined path is called while it is held against the given one.
+# Name of the refined path while it is compared with the given one.
 _REFINED = "refined"
-# Odometry by which a hit is less likely than by the given path by more than this, log-likelihood,
-# is no start: of 30 simulated drives of minutes 27 are, of 24 of ten seconds none.
+# Odometry is a start only if a hit is at most this much less likely by it, log-likelihood.
 NEAR = 0.3
-# Paths by which a hit differs by less, log-likelihood, say the same of what was seen: those of one
-# place, drawn a little differently, differ by 0.004.
+# Paths with a smaller difference per hit, log-likelihood, are equal.
 GAIN = 0.01
-# What a round must have gained for another: where it gained 0.01 the next one gained nothing, and
-# moved loops of corridor by a centimetre.
+# Least gain of a round for another one.
 ROUND_GAIN = 0.02
-# Paths that lie farther apart than this, metres, are no two fits of one place, and that from the
-# odometry must gain as much as this: a path that meets little of what it saw before is contradicted
-# by little, and two of 30 drives of minutes had one that came within 0.2, 7 m off.
+# Paths farther apart than this, metres, are different places, and the start at the odometry must
+# gain the second value: a path that revisits little is hardly contradicted.
 FAR_M, FAR_GAIN = 1.0, 0.1
 MOST_ROUNDS = 6
 
@@ -73,10 +67,7 @@ class RefinedPath:
 def refine_borne_out(
     evidence: PathEvidence, path: Trajectory, device: ComputeDevice
 ) -> RefinedPath:
-    """Lay the scans of a drive on each other along a path, unless they contradict what comes.
-
-    Args:
-        evidence: of other paths of the drive; none has the name of ``path``.
+    """Refine a path unless the scans contradict the result; ``evidence`` has other paths.
 
     Raises:
         TrajectoryError: see ``score_paths``.
@@ -92,8 +83,7 @@ def refine_borne_out(
         if _consistency(with_other, _REFINED) > _consistency(both, _REFINED) + wanted:
             start, refined, both = "odometry", other, with_other
     found = both.compare(_REFINED, path.name)
-    # By a p-value of 0.05 the paths of three of 73 simulated drives were refused, all nearer to the
-    # truth by half and more.
+    # A p-value of 0.05 would also reject paths that are closer to the truth.
     taken = found.difference >= 0.0 or found.p_value >= SURE
     if taken:
         scores = dict(both.scores)
