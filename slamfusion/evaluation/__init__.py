@@ -1,6 +1,6 @@
-"""How good a map is, and a trajectory: against the truth, measured distances, known relations.
+"""Errors of maps and trajectories against the truth, measured distances or known relations.
 
-Everything here is a pure function on value types; nothing is drawn, printed or written.
+Pure functions on value types.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
-"""Distances measured in the building against the same distances in the map, as in [B16].
+"""Compare distances measured in the building with those in the map.
 
-[B16] is Balasuriya et al., *Outdoor Robot Navigation Using Gmapping Based SLAM*, 2016, which judges
-a map by a tape measure where no true map exists.
+Source: [B16] Balasuriya et al., *Outdoor Robot Navigation Using Gmapping Based SLAM*, 2016.
 """
 
 from __future__ import annotations
@@ -27,8 +26,7 @@ from slamfusion.io.yaml_file import read_yaml
 
 _ROWS_PER_BLOCK = 256
 
-# A centre that falls on the border of two cells belongs to the upper one, whatever the rounding of
-# the poses says; the last digits must not decide row by row.
+# A centre on the border of two cells belongs to the upper one, so that rounding does not decide.
 _BORDER_CELLS = 1e-6
 
 
@@ -71,14 +69,10 @@ def sample_on_lattice(
 def wall_centres(
     classes: npt.NDArray[np.int8], grid: OccupancyGrid, transform: Pose2 = IDENTITY
 ) -> npt.NDArray[np.float64]:
-    """Return the centres of the occupied cells, carried through ``transform``.
+    """Return the centres of the occupied cells, (N, 2) metres, moved by ``transform``.
 
     Args:
         classes: (H, W) int8 in {-1, 0, 1}, one per cell of ``grid``.
-        transform: maps a point of ``grid``'s map frame into the frame of the answer, metres.
-
-    Returns:
-        (N, 2) float64, metres, row by row.
     """
     rows, cols = np.nonzero(classes == 1)
     return transform.transform(grid.cell_centres(rows, cols))
@@ -152,9 +146,9 @@ def compare_distances(
     """Compare measured distances with those between the walls of a map.
 
     Args:
-        grid: the map; its frame is the one of the measured points.
+        grid: in the frame of the measured points.
         distances: a file for ``load_distances``, or its rows.
-        search_radius_m: a wall farther than this from its point is not meant.
+        search_radius_m: a wall farther than this from its point does not count.
 
     Raises:
         MapFileError: the file cannot be read as distances.
@@ -194,10 +188,10 @@ def load_distances(path: str | Path) -> tuple[MeasuredDistance, ...]:
 
     CSV (``.csv``): a header and rows of ``name, x1, y1, x2, y2, distance_m``. YAML (``.yaml``,
     ``.yml``): a list of mappings with these keys, or a mapping with such a list under
-    ``distances``. Points in the map's frame, metres. ``name`` may be left out.
+    ``distances``. Points in the map's frame, metres; ``name`` is optional.
 
     Raises:
-        MapFileError: not such a file; the message names the row and what was wanted.
+        MapFileError: another file; the message names the row and what was wanted.
     """
     path = Path(path)
     readers = {".csv": _read_csv, ".yaml": _read_yaml, ".yml": _read_yaml}
@@ -265,7 +259,7 @@ def _read_yaml(path: Path) -> list[tuple[str, dict[str, Any]]]:
 
 
 def _distance(values: dict[str, Any], where: str, default_name: str) -> MeasuredDistance:
-    """Check one row and return it."""
+    """Return a checked row."""
     numbers = {}
     for column in _NUMBERS:
         raw = values.get(column)
@@ -291,5 +285,5 @@ def _distance(values: dict[str, Any], where: str, default_name: str) -> Measured
 
 
 def _mean(values: list[float]) -> float | None:
-    """Return the mean, or None of nothing."""
+    """Return the mean, or None without values."""
     return sum(values) / len(values) if values else None

@@ -1,7 +1,7 @@
-"""Doubled walls: the trace that a wrong alignment, or a lost SLAM, leaves in a map.
+"""Doubled walls, as a wrong alignment or a lost SLAM draws them.
 
-A wall drawn twice a few cells apart costs little in a cell-by-cell error and much to a robot, which
-plans through the gap. The share of doubled walls needs no truth.
+A wall drawn twice a few cells apart hardly changes a cell-by-cell error, but a robot plans through
+the gap. No truth is needed.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ Bools = npt.NDArray[np.bool_]
 F32 = npt.NDArray[np.float32]
 
 _DEFAULT_NORMALIZE = NormalizeConfig()
-# A map is looked at in tiles of this many cells: those without walls cost nothing.
+# Tile size; tiles without walls are skipped.
 TILE_CELLS = 1024
-# Cells beyond the end of a ray that decide what is found there: windows of the filters.
+# Cells beyond the end of a ray that the filter windows reach.
 FILTERS_CELLS = 32
-# Distances of doubled walls, cells: from the last cell of the own wall to the first of the other.
+# Distances of doubled walls, cells, between the facing cells.
 NEAR, FAR = 2.0, 8.0
-# A group of fewer connected cells is a speck, not a wall.
+# Smaller groups of connected cells are specks, not walls.
 LEAST_GROUP = 5
-# Deviations of the filters that smooth walls, and gather the structure tensor, cells.
+# Deviations of the Gaussian filters of walls and of the structure tensor, cells.
 SMOOTH_CELLS, WINDOW_CELLS = 1.0, 2.5
-# Least coherence of a wall: the difference of the tensor's eigenvalues over their sum.
+# Least coherence of a wall: difference of the tensor's eigenvalues over their sum.
 LEAST_COHERENCE = 0.4
-# Between the centres of two diagonal neighbours the interpolated wall falls to 0.5; a ray that is
-# sampled every half cell still meets 0.4 there, so that it cannot slip through a diagonal wall.
+# Between diagonal neighbours the interpolated wall falls to 0.5; a ray sampled every half cell
+# still meets 0.4, so that it does not pass through a diagonal wall.
 WALL_LEVEL, STEPS_PER_CELL = 0.4, 2
 # Walls within this angle are parallel, degrees.
 PARALLEL_DEG = 20.0
@@ -46,14 +46,13 @@ def doubled_wall_share(
 ) -> float:
     """Return the share of wall cells that have a parallel wall ``NEAR`` to ``FAR`` cells away.
 
-    From each wall cell a ray goes along the wall's normal to either side. It first crosses its own
-    wall, however thick up to ``FAR`` cells, holes narrower than ``NEAR`` included; so neither a
-    thick nor a ragged wall is doubled. When the next wall begins within ``FAR`` cells and runs
-    parallel within 20 degrees, the cell is doubled. Groups of fewer than five connected cells are
-    specks, not walls, and left out.
+    From each wall cell a ray goes along the wall's normal to either side. It crosses its own wall,
+    up to ``FAR`` cells thick, and holes narrower than ``NEAR``; so thick or ragged walls are not
+    doubled. If the next wall starts within ``FAR`` cells and is parallel within 20 degrees, the
+    cell is doubled. Groups of fewer than five connected cells are ignored.
 
-    The normal is the main direction of the structure tensor, which several parallel walls in the
-    window strengthen where a fit of a line to the wall cells would turn away from all of them.
+    The normal is the main direction of the structure tensor, which parallel walls strengthen, while
+    a line fit would turn away from them.
 
     Args:
         grid: a grid, or (H, W) bool with True for a wall.
@@ -73,16 +72,14 @@ def fused_doubled_shares(
 ) -> tuple[float, float]:
     """Return the shares of fused wall cells that are doubled, and doubled in no input.
 
-    The second is what a slip would make.
-
-    A place may have parallel walls close together, and a map that knows little of it shows few of
-    them; so the fused map's share alone cannot tell a slip from a narrow passage. Here a doubled
-    cell of the fused map counts only where no aligned input is doubled within two cells.
+    A narrow passage also has close parallel walls, so the first share alone does not show a wrong
+    alignment. For the second a doubled cell counts only if no aligned input is doubled within two
+    cells.
 
     Args:
         fused: (H, W) int8, above 0 at a wall.
-        inputs: the walls of the aligned inputs, (h, w) bool, each with the box of cells of the
-            fused lattice that it covers.
+        inputs: walls of the aligned inputs, (h, w) bool, each with its box of cells of the fused
+            lattice.
 
     Returns:
         0..1 each; 0 for a map without walls.
@@ -97,7 +94,7 @@ def fused_doubled_shares(
 
 
 def _take_doubled(doubled: Bools, known: Bools, box: CellBox) -> None:
-    """Clear the doubled cells near which the walls of an input are doubled, in place."""
+    """Clear doubled cells near doubled walls of an input, in place."""
     for tile, wide, inner in _tiles(doubled.shape):
         if not doubled[tile].any():
             continue
@@ -115,20 +112,20 @@ def _take_doubled(doubled: Bools, known: Bools, box: CellBox) -> None:
 
 
 def _grown(cells: Bools) -> Bools:
-    """Return cells, and those within two steps along rows and columns of one."""
+    """Return the cells dilated by two steps along rows and columns."""
     cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
     grown = cv2.dilate(np.ascontiguousarray(cells).view(np.uint8), cross, iterations=2)
     return np.asarray(grown).view(np.bool_)
 
 
 def _count(walls: Bools) -> tuple[int, Bools]:
-    """Return how many cells are walls and no specks, and the doubled ones."""
+    """Return the number of wall cells without specks, and the doubled ones."""
     considered, doubled = 0, np.zeros(walls.shape, dtype=np.bool_)
     for tile, wide, inner in _tiles(walls.shape):
         if walls[tile].any():
             asked = np.zeros(walls[wide].shape, dtype=np.bool_)
             asked[inner] = True
-            # Groups that the part's edge cuts are no specks that reach what is asked about.
+            # The margin is wide enough that groups cut by its edge do not matter.
             kept, marks = _doubled(walls[wide], asked)
             considered += int(np.count_nonzero(kept))
             doubled[tile] = marks[inner]
@@ -136,7 +133,7 @@ def _count(walls: Bools) -> tuple[int, Bools]:
 
 
 def _doubled(walls: Bools, asked: Bools) -> tuple[Bools, Bools]:
-    """Return which of the (H, W) cells asked about are walls, and which of these are doubled."""
+    """Return which of the asked (H, W) cells are walls, and which of these are doubled."""
     _, labels, stats, _ = cv2.connectedComponentsWithStats(walls.astype(np.uint8), connectivity=8)
     is_large = np.asarray(stats)[:, cv2.CC_STAT_AREA] >= LEAST_GROUP
     is_large[0] = False
@@ -149,7 +146,7 @@ def _doubled(walls: Bools, asked: Bools) -> tuple[Bools, Bools]:
     angle = angles.at(rows, cols)
     for side in (0.0, math.pi):
         ways = np.stack([np.sin(angle + side), np.cos(angle + side)])
-        # Half a cell further the ray is inside the other wall.
+        # Half a cell further, the ray is inside the other wall.
         steps = _next_wall(drawn, np.stack([rows, cols]), ways)
         rays = np.flatnonzero(steps)
         hits = np.stack([rows, cols])[:, rays] + (steps[rays] + 1) / STEPS_PER_CELL * ways[:, rays]
@@ -161,11 +158,7 @@ def _doubled(walls: Bools, asked: Bools) -> tuple[Bools, Bools]:
 
 
 class _Normals:
-    """Directions across walls, by the structure tensor of smoothed walls.
-
-    Args:
-        drawn: (H, W) float32, 1 at a wall.
-    """
+    """Directions across walls by the structure tensor; ``drawn`` is (H, W), 1 at a wall."""
 
     def __init__(self, drawn: F32) -> None:
         smooth = _smoothed(drawn, SMOOTH_CELLS)
@@ -177,7 +170,7 @@ class _Normals:
         self._tensor = [_smoothed(product, WINDOW_CELLS) for product in products]
 
     def at(self, rows: npt.NDArray[np.intp], cols: npt.NDArray[np.intp]) -> F32:
-        """Return angles from the x axis at cells, radians; NaN where no direction prevails."""
+        """Return angles from the x axis at cells, radians; NaN without a clear direction."""
         height, width = self._tensor[0].shape
         inside = np.clip(rows, 0, height - 1), np.clip(cols, 0, width - 1)
         jxx, jyy, jxy = (part[inside] for part in self._tensor)
@@ -193,20 +186,20 @@ def _smoothed(values: F32, sigma: float) -> F32:
 
 
 def _next_wall(drawn: F32, cells: npt.NDArray[np.intp], ways: F32) -> npt.NDArray[np.int64]:
-    """Walk along rays to the beginning of the next wall.
+    """Walk along rays to the next wall.
 
     Args:
         drawn: (H, W), 1 at a wall.
-        cells: (2, N) rows and columns where rays begin, on a wall.
-        ways: (2, N) unit vectors; NaN goes nowhere.
+        cells: (2, N) rows and columns of the starts, on a wall.
+        ways: (2, N) unit vectors; NaN is skipped.
 
     Returns:
-        (N,) the number of the step of half a cell; 0 where there is none.
+        (N,) number of half-cell steps; 0 if there is none.
     """
     from scipy import ndimage  # noqa: PLC0415 - slow to load
 
-    # From the last sample on the own wall: to one that is on it too, to the first of another, and
-    # as long as the ray goes on. One cell less, since walls reach half a cell beyond centres.
+    # Steps from the last sample on the own wall to one still on it, and to the first of another;
+    # one cell less, since walls reach half a cell beyond centres.
     most_own = math.ceil((NEAR - 1.0) * STEPS_PER_CELL) - 1
     most_other = math.floor((FAR - 1.0) * STEPS_PER_CELL)
     found, own_end = np.zeros((2, cells.shape[1]), dtype=np.int64)
@@ -229,11 +222,7 @@ def _next_wall(drawn: F32, cells: npt.NDArray[np.intp], ways: F32) -> npt.NDArra
 
 
 def _tiles(shape: tuple[int, ...]) -> Iterator[tuple[Window, Window, Window]]:
-    """Yield tiles that together are all of an array of a shape.
-
-    Yields:
-        The tile, the same with the cells around it, and where in these the tile lies.
-    """
+    """Yield tiles of an array: the tile, with its margin, and its place in that."""
     side, reach = TILE_CELLS, 2 * math.ceil(FAR) + FILTERS_CELLS
     for row in range(0, shape[0], side):
         for col in range(0, shape[1], side):
@@ -247,7 +236,7 @@ def _tiles(shape: tuple[int, ...]) -> Iterator[tuple[Window, Window, Window]]:
 
 
 def _walls(grid: OccupancyGrid | Bools, normalize: NormalizeConfig) -> Bools:
-    """Return the occupied cells as (H, W) bool."""
+    """Return the occupied cells, (H, W)."""
     if isinstance(grid, OccupancyGrid):
         classes = trinary_cells(grid.cells, normalize)
         return np.equal(classes, 1, out=classes.view(np.bool_))

@@ -1,4 +1,4 @@
-"""The error of a map against the truth: [F16]'s number first, then what it cannot tell.
+"""The error of a map against the truth: [F16]'s number and further measures.
 
 [F16] is Fernandes and Alexandre, *SLAMfusion: Fusing SLAM Methods for Improved Robustness*,
 ICARSC 2016.
@@ -61,7 +61,7 @@ _DIFFERENCE = np.array(
 )
 
 
-# The cell of the truth and of the map by code; unknown where a code leaves it open.
+# Cell of the truth and of the map by code; unknown if the code does not determine it.
 _TRUE_CELLS = np.array((UNKNOWN, FREE, OCCUPIED, OCCUPIED, UNKNOWN, FREE, UNKNOWN), np.int8)
 _MAP_CELLS = np.array((UNKNOWN, FREE, OCCUPIED, UNKNOWN, OCCUPIED, UNKNOWN, FREE), np.int8)
 
@@ -72,10 +72,10 @@ _SSIM_WINDOW_CELLS = 11
 def maps_of_differences(
     differences: Mapping[str, npt.NDArray[np.int8]], resolution: float, origin: Pose2
 ) -> tuple[OccupancyGrid, list[OccupancyGrid]]:
-    """Return the truth and the maps as far as the codes of their differences tell them.
+    """Return the truth and the maps as far as their differences determine them.
 
-    A true wall that a map lacks is unknown in it, whatever it has there; a wall that all maps have
-    too many is unknown in the truth.
+    A true wall missing in a map is unknown in that map; a wall that all maps have in excess is
+    unknown in the truth.
 
     Args:
         differences: at least one, by the name of the map (H, W) int8, codes of this module.
@@ -85,7 +85,7 @@ def maps_of_differences(
     Raises:
         ValueError: they differ in shape.
     """
-    # What one difference leaves open of the truth another may tell.
+    # Another difference may determine what one leaves open.
     truth = np.max([_TRUE_CELLS[codes] for codes in differences.values()], axis=0)
     maps = [
         OccupancyGrid(_MAP_CELLS[codes], resolution, origin, name)
@@ -163,21 +163,18 @@ def compare_to_truth(
 ) -> MapError:
     """Measure a map against the truth, with every measure at once.
 
-    The map is read on the truth's lattice by nearest cell: each centre of the truth's known box
-    goes back through ``transform`` into the map, and the cell there counts. Distances between
-    walls do not depend on a lattice: they lie between the centres of each map's own cells.
+    The map is read on the truth's lattice by nearest cell over the truth's known box. Wall
+    distances lie between the centres of each map's own cells.
 
     Args:
-        grid: the map; any resolution and origin.
-        transform: maps a point of the map's frame into the truth's, metres; the identity takes
-            both frames for the same.
+        transform: maps a point of the map's frame into the truth's, metres.
         normalize: the thresholds, in percent, for both maps.
-        tolerance_m: how far a wall may lie from a true wall and still be right, at least 0.
-        is_plan: the truth is a floor plan: of rooms that the robot did not enter nothing counts.
-            What is farther than the tolerance from all cells that the map knows is then unknown.
+        tolerance_m: largest distance of a correct wall from a true wall, at least 0.
+        is_plan: the truth is a floor plan; what is farther than the tolerance from all known cells
+            of the map (rooms not entered) does not count.
 
     Raises:
-        GridError: no cell of the truth is known, so there is nothing to compare with.
+        GridError: no cell of the truth is known.
         ValueError: the tolerance is negative or not finite.
     """
     if not (math.isfinite(tolerance_m) and tolerance_m >= 0):
@@ -250,7 +247,7 @@ def compare_to_truth(
 
 
 def _within(mask: npt.NDArray[np.bool_], cells: float) -> npt.NDArray[np.bool_]:
-    """Return the cells (H, W) whose centre is at most so many cells from one that is set."""
+    """Return the cells (H, W) whose centre is within a distance of a set cell."""
     if not mask.any():
         return mask
     away = cv2.distanceTransform((~mask).view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
@@ -268,7 +265,7 @@ def _confusion(
 
 
 def _f16_error(confusion: npt.NDArray[np.int64]) -> float:
-    """Return sqrt(sum((T - M)^2)): the square depends on the pair of classes alone."""
+    """Return sqrt(sum((T - M)^2)), from the confusion table."""
     classes = np.arange(3)
     squares = (classes[:, None] - classes[None, :]) ** 2
     return math.sqrt(int((confusion * squares).sum()))
@@ -284,8 +281,7 @@ def _intersection_over_union(confusion: npt.NDArray[np.int64], index: int) -> fl
 def _mean_ssim(expected: npt.NDArray[np.int8], found: npt.NDArray[np.int8]) -> float:
     """Return the mean structural similarity of two trinary images mapped to 0, 0.5, 1.
 
-    The image is mirrored at its border, so that also a map smaller than the window has a value;
-    the authors' program leaves the border out.
+    The image is mirrored at its border, so that small maps have a value, too.
 
     Source: Wang, Bovik, Sheikh and Simoncelli, "Image quality assessment: from error visibility to
         structural similarity", IEEE TIP 13(4), 2004, eq. 13 with K1 = 0.01, K2 = 0.03, L = 1 and

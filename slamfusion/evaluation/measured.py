@@ -1,7 +1,7 @@
-"""The figures of maps and paths by name, and the rows that they are in a table of results.
+"""Figures of maps and paths by name, and their rows in a table of results.
 
-A *case* is what was measured against: a place, a log, a truth. A *method* is what made the map or
-the path. Results that differ only in the *seed* are repetitions.
+A *case* is a place, a log or a truth; a *method* made the map or the path. Results that differ only
+in the *seed* are repetitions.
 """
 
 from __future__ import annotations
@@ -20,26 +20,21 @@ from slamfusion.evaluation.trajectory_error import TrajectoryErrors
 from slamfusion.geometry import F64
 
 # A row of a table of results: case, seed, method, figure, value, at, to. ``at`` is NaN for a figure
-# of the whole map or path. For a single error it says where: the time of a pose in s, or the metres
+# of the whole map or path; for a single error it is the time of a pose in s, or the metres
 # travelled to the end of a pair of poses. A relation has two times, ``at`` and ``to``.
 Row = tuple[str, str, str, str, float, float, float]
 
 
 @dataclass(frozen=True)
 class Figure:
-    """How a figure is shown and read.
-
-    Attributes:
-        label: head of its column, with its unit.
-        larger_is_better: None: neither way is better.
-    """
+    """How a figure is shown: ``label`` with its unit; ``larger_is_better`` None: neither."""
 
     label: str
     digits: int = 3
     larger_is_better: bool | None = False
 
 
-# By name; a figure that is not here is an error of that name.
+# By name; other names are errors.
 _FIGURES = {
     "error": Figure("error", 2),
     "wall_precision": Figure("wall precision", larger_is_better=True),
@@ -76,17 +71,17 @@ _FIGURES = {
     "time_per_scan_ms": Figure("time per scan [ms]", 2),
     "value": Figure("value of the cell", larger_is_better=None),
 }
-# Those of a table of errors.
+# Columns of a table of errors.
 _SHOWN = (
     *("error", "wall_precision", "wall_recall", "wall_f1", "iou_occupied", "iou_free"),
     *("map_to_truth_mean_m", "truth_to_map_mean_m", "ssim", "coverage"),
 )
-# Faces this near to true ones are right, metres: the middle one of the tolerances.
+# Tolerance of faces, metres: the middle one.
 _FACES_M = 0.1
 
 
 def figure_of(name: str) -> Figure:
-    """Return how a figure is shown; one without an entry here is an error, smaller is better."""
+    """Return how a figure is shown; an unknown one is an error, smaller is better."""
     return _FIGURES.get(name, Figure(name.replace("_", " ")))
 
 
@@ -97,11 +92,10 @@ def result_rows(
     figures: Mapping[str, float | None],
     series: Mapping[str, F64] | None = None,
 ) -> list[Row]:
-    """Return the rows that one map or path adds to a table of results.
+    """Return the rows of one map or path in a table of results.
 
     Args:
-        case: what it was measured against: a place, a log or a truth.
-        seed: number of the repetition of this method in this case; empty for a single one.
+        seed: number of the repetition; empty for a single one.
         figures: by name; None: not defined.
         series: by name (N, 3) float64, single errors: value, ``at`` and ``to``; see ``Row``.
     """
@@ -142,7 +136,7 @@ def shown_figures(error: MapError) -> list[tuple[Figure, float | None]]:
 
 
 def face_figures(error: MapError) -> list[tuple[Figure, float | None]]:
-    """Return the figures of a map that reward no thickness of walls, in order."""
+    """Return the figures that do not depend on the thickness of walls, in order."""
     faces, known = error.faces, map_figures(error)
     found: list[tuple[Figure, float | None]] = [
         (Figure(f"faces F1 ({own.tolerance_m:g} m)", larger_is_better=True), own.f1)
@@ -206,13 +200,7 @@ def error_kinds(
     relations: RelationErrors | None,
     at_scans: RelationErrorsAtScans | None = None,
 ) -> list[tuple[str, ErrorStatistics | None, int]]:
-    """Return name with unit, statistics and digits of each kind of error of a path.
-
-    Args:
-        truth: its errors against the true path; None: there is none.
-        relations: its errors on known relations; None: there are none.
-        at_scans: those on relations between its own poses, likewise.
-    """
+    """Return name with unit, statistics and digits of each kind of error of a path."""
     kinds: list[tuple[str, ErrorStatistics | None, int]] = []
     for errors, where in ((relations, ""), (at_scans, " at scans")):
         if errors is not None:
@@ -235,12 +223,7 @@ def error_kinds(
 def path_figures(
     truth: TrajectoryErrors | None, relations: RelationErrors | None
 ) -> dict[str, float]:
-    """Return the figures of a path by name.
-
-    Args:
-        truth: its errors against the true path; None: there is none.
-        relations: its errors on known relations; None: there are none.
-    """
+    """Return the figures of a path by name."""
     statistics: dict[str, ErrorStatistics | None] = {}
     if truth is not None:
         statistics |= {
@@ -259,7 +242,7 @@ def path_figures(
 
 
 def path_series(truth: TrajectoryErrors | None, relations: RelationErrors | None) -> dict[str, F64]:
-    """Return the single errors of a path by name, as ``result_rows`` takes them."""
+    """Return the single errors of a path by name, for ``result_rows``."""
     found = {}
     if truth is not None:
         found["ate_m"] = error_series(truth.translation_m, truth.stamps_s)
@@ -274,5 +257,5 @@ def path_series(truth: TrajectoryErrors | None, relations: RelationErrors | None
 
 
 def error_series(errors: F64, at: F64, to: F64 | None = None) -> F64:
-    """Return (N, 3) single errors with their places; ``to`` is NaN where one place tells."""
+    """Return (N, 3) single errors with their places; ``to`` is NaN if not given."""
     return np.column_stack((errors, at, np.full(len(errors), np.nan) if to is None else to))

@@ -1,7 +1,6 @@
-"""Poses between the scans of an estimate: the nearest scan's pose, carried on by raw odometry.
+"""Poses between the scans of an estimate: the nearest scan's pose, continued by raw odometry.
 
-A producer works on some scans of a run; relations may speak of all of them. Between two scans the
-wheels know the motion well, so that the estimate can be asked at every row of the odometry.
+A producer uses some scans of a run; relations may refer to all. Odometry is accurate between scans.
 """
 
 from __future__ import annotations
@@ -22,20 +21,20 @@ from slamfusion.trajectory import Trajectory
 
 I64 = npt.NDArray[np.int64]
 
-# Scans that are tried with every row of their time, and scans that judge each trial. A trial turns
-# the far end of a path by the rounding of one heading, so that judges look further.
+# Scans tried as anchors, and scans that score each trial. The rounding of one heading displaces the
+# far end of a path, so the search distance of the scores is larger.
 _ANCHORS = 3
 _JUDGES = 64
 _ROUGHLY = 10.0
-# Stamps of scans may be estimates that are seconds off, but a row a minute away is another visit.
+# Scan stamps may be seconds off; a row a minute away is another visit.
 _WINDOW_S = 60.0
-# The frames of two copies of one odometry are fitted again until the pairs stay.
+# Most iterations of the frame fit.
 _FITS = 10
-# Pairs worse than this times the median are no pairs: the scan's row is missing.
+# Pairs worse than this times the median are rejected: the scan's row is missing.
 _FIT_WITHIN = 4.0
-# What decides between rows of one stamp: less than any clock tells, more than rounding.
+# Breaks ties between rows of one stamp: below any clock's resolution, above rounding.
 _TIE_S = 1e-9
-# An odometry row this near, metres and radians of heading, is a scan's own.
+# An odometry row this near, metres and radians, is a scan's own.
 _EQUAL_M = 0.005
 
 
@@ -59,19 +58,19 @@ class DensePoses:
 def match_odometry(
     scan_odometry: Trajectory, odometry: Trajectory, tolerance_m: float = _EQUAL_M
 ) -> I64:
-    """Find the row of an odometry file that each scan was taken at, by its pose and not its stamp.
+    """Find the row of an odometry file for each scan by its pose, not its stamp.
 
-    Copies of one odometry may lie in frames that differ by a fixed motion, and be rounded; the
-    motion is fitted. A robot that stands repeats its odometry: scans with one candidate
-    tell the order, and between them each scan takes the candidate nearest to its turn.
+    Copies of one odometry may differ by a fixed motion, which is fitted, and by rounding. A robot
+    that stands repeats its odometry: scans with one candidate give the order, and the others take
+    the candidate nearest in it.
 
     Args:
         scan_odometry: raw odometry of the scans of a log; the stamps may be off by seconds.
         odometry: every row of the file, at least one.
-        tolerance_m: a row is equal within this, metres and, of the heading, radians.
+        tolerance_m: metres and, of the heading, radians.
 
     Returns:
-        (N,) row for each scan; -1 where none equals the scan's own odometry.
+        (N,) row for each scan; -1 if none matches.
 
     Raises:
         TrajectoryError: no scan has a row.
@@ -116,14 +115,13 @@ def poses_by_odometry(
 ) -> DensePoses:
     """Return an estimate's poses at every row of an odometry file.
 
-    The pose at a row is that of the nearest scan, counted in rows (of two equally near the
-    earlier), composed with the odometry's motion from the scan's row to this one. Of an estimate's
-    pose the row is found by the scan's own odometry where it is known, because its stamp may be an
-    estimate; else by its stamp.
+    The pose at a row is that of the nearest scan in rows (the earlier of two), composed with the
+    odometry's motion from the scan's row. The row of an estimate's pose is found by the scan's own
+    odometry if known, because its stamp may be inexact; else by its stamp.
 
     Args:
         estimate: poses at scans, in any frame.
-        scan_odometry: raw odometry of the scans of the estimate's log; None where it is unknown.
+        scan_odometry: raw odometry of the scans of the estimate's log; None if unknown.
 
     Raises:
         TrajectoryError: no pose of the estimate has a row.
@@ -139,7 +137,7 @@ def poses_by_odometry(
         _refuse_none(used, estimate, odometry, tolerance_s)
     by_row = np.argsort(rows, kind="stable")
     used, rows = used[by_row], rows[by_row]
-    # Of each row the nearest one of these; of two the earlier.
+    # The nearest scan of each row; of two the earlier.
     nearest = np.searchsorted(0.5 * (rows[1:] + rows[:-1]), np.arange(len(odometry)))
     increment = compose_poses(invert_poses(odometry.poses[rows[nearest]]), odometry.poses)
     poses = compose_poses(estimate.poses[used[nearest]], increment)
@@ -157,12 +155,10 @@ def poses_by_odometry(
 def _rows_by_stamp(
     estimate: Trajectory, odometry: Trajectory, tolerance_s: float
 ) -> tuple[I64, I64]:
-    """Return which poses of the estimate have a row of (nearly) their stamp, and which row.
+    """Return the poses of the estimate that have a row of (nearly) their stamp, and the rows.
 
-    Odometry that was written with rounded stamps has several rows of one stamp, so the nearest row
-    alone would send several poses to one. The poses take one row each, with the least sum of
-    differences, where a pose that is left out costs the tolerance. Of rows with one stamp a lone
-    pose takes the one on its side.
+    With rounded stamps several rows have one stamp. So the poses take one row each with the least
+    sum of differences, where leaving a pose out costs the tolerance.
     """
     count = len(odometry)
     lows = np.searchsorted(odometry.stamps_s, estimate.stamps_s - tolerance_s, "left")
@@ -172,7 +168,7 @@ def _rows_by_stamp(
     nearest = odometry.nearest(estimate.stamps_s)
     costs = np.abs(odometry.stamps_s[rows] - estimate.stamps_s[poses])
     costs += _TIE_S * np.abs(rows - nearest[poses])
-    # Each pose has a column of its own, in which it is left out. No cost may be 0 in such a matrix.
+    # Each pose has an own column for being left out. Costs in such a matrix must not be 0.
     every = np.arange(len(estimate))
     left_out = np.full(len(estimate), tolerance_s + _TIE_S * count)
     matrix = scipy.sparse.csr_array(
@@ -187,10 +183,7 @@ def _rows_by_stamp(
 
 
 def _refined_stamps(stamps_s: F64, rows: I64, exact_s: F64, tolerance_s: float) -> F64:
-    """Return the rows' stamps with those of the scans put in where both agree.
-
-    The scans' stamps are the finer ones, and the rows between keep their side of them.
-    """
+    """Return the rows' stamps, replaced by the more exact ones of the scans if both agree."""
     agree = np.abs(stamps_s[rows] - exact_s) <= tolerance_s
     low, high = np.full(len(stamps_s), -np.inf), np.full(len(stamps_s), np.inf)
     low[rows[agree]] = exact_s[agree]
@@ -203,7 +196,7 @@ def _refined_stamps(stamps_s: F64, rows: I64, exact_s: F64, tolerance_s: float) 
 
 
 def _refuse_none(used: I64, estimate: Trajectory, other: Trajectory, tolerance_s: float) -> None:
-    """Say that no pose of the estimate belongs to the other file, with both ranges of time."""
+    """Raise if no pose of the estimate belongs to the other file."""
     if len(used):
         return
     raise TrajectoryError(
@@ -216,10 +209,9 @@ def _refuse_none(used: I64, estimate: Trajectory, other: Trajectory, tolerance_s
 def _fit_frame(scan_odometry: Trajectory, odometry: Trajectory, tolerance_m: float) -> Pose2:
     """Return the rigid motion from the frame of ``odometry`` to that of ``scan_odometry``.
 
-    A scan and its row give it at once, so a few scans are paired with every row of about their
-    time, and the pair wins under which the scans lie nearest to rows (of equals the nearest in
-    time); a scan without a row nearby costs the same wherever it is. Then each scan is paired with
-    the row whose pose is nearest, and the motion fitted to the good pairs.
+    A few scans are paired with every row of about their time; the pair wins under which the scans
+    are nearest to rows, then nearest in time. Then each scan is paired with its nearest row, and
+    the motion is fitted to the good pairs.
     """
     scans, rows = scan_odometry.poses, odometry.poses
     tree = scipy.spatial.KDTree(_features(rows))

@@ -1,7 +1,7 @@
-"""The relations metric [K09]: how well a trajectory keeps known motions between pairs of times.
+"""The relations metric [K09]: errors of known motions between pairs of times.
 
 Source: Kuemmerle et al., "On Measuring the Accuracy of SLAM Algorithms", Autonomous Robots 27(4),
-2009. No common frame is needed, and a slip counts once, not ever after.
+2009. No common frame is needed, and an error at one place counts once.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from slamfusion.geometry import compose_poses, invert_poses, wrap_angles
 from slamfusion.io.lines import ROW_BYTES, strip_gz, text_lines
 from slamfusion.trajectory import Trajectory
 
-# A relation over more than this joins two visits of one place, not two moments of one visit.
+# A relation over a longer time joins two visits of one place.
 REVISIT_S = 30.0
-# A time this near to that of a scan is that scan's: what the digits of both files leave open.
+# A time this near to that of a scan is the same; rounding of both files.
 AT_SCAN_S = 2e-5
 
 _COLUMNS = ("t1", "t2", "x", "y", "z", "roll", "pitch", "yaw")
@@ -30,12 +30,12 @@ _X, _Y, _YAW = (_COLUMNS.index(name) for name in ("x", "y", "yaw"))
 
 @dataclass(frozen=True, eq=False)
 class Relations:
-    """Known motions between pairs of times; immutable.
+    """Known motions between pairs of times.
 
     Attributes:
-        stamps_s: (N, 2) float64, first and second time, seconds; in no particular order.
-        motions: (N, 3) float64, pose of the robot at the second time seen from the robot at the
-            first; x and y in metres, yaw in radians.
+        stamps_s: (N, 2) float64, first and second time, seconds; in any order.
+        motions: (N, 3) float64, pose of the robot at the second time in its frame at the first; x
+            and y in metres, yaw in radians.
 
     Raises:
         TrajectoryError: shapes that do not fit, or values that are not finite.
@@ -131,11 +131,7 @@ class RelationErrorsAtScans(RelationErrors):
 def read_relations(path: str | Path) -> Relations:
     """Read a relations file: ``t1 t2 x y z roll pitch yaw`` a line, blank-separated.
 
-    Lines that start with ``#`` and empty lines are passed over. The motion is planar: z, roll and
-    pitch are dropped.
-
-    Returns:
-        The relations in the order of the file, named after it.
+    Lines that start with ``#`` are skipped; z, roll and pitch are dropped.
 
     Raises:
         TrajectoryError: a line is not a relation (its number is given), or there is none.
@@ -156,7 +152,6 @@ def read_relations(path: str | Path) -> Relations:
 
 
 def _row(fields: list[bytes], where: str) -> list[float]:
-    """Return the numbers of one line."""
     wanted = f"'{' '.join(_COLUMNS)}'"
     if len(fields) != len(_COLUMNS):
         message = f"{where}: wanted {wanted}, found {len(fields)} columns; fix or remove the line"
@@ -173,17 +168,12 @@ def _row(fields: list[bytes], where: str) -> list[float]:
 def relation_errors(
     trajectory: Trajectory, relations: Relations, tolerance_s: float
 ) -> RelationErrors:
-    """Measure a trajectory by the motions that it should have made.
+    """Measure a trajectory, in any frame, by known motions.
 
-    The pose at a time is the one nearest in time; nothing is interpolated. A relation counts when
-    both of its times have a pose within the tolerance.
-
-    Args:
-        trajectory: the estimate, in any frame.
-        tolerance_s: seconds.
+    Poses are the nearest in time, without interpolation; both must be within the tolerance.
 
     Raises:
-        TrajectoryError: no relation could be used; both ranges of time are named.
+        TrajectoryError: no relation could be used.
     """
     nearest, is_matched = trajectory.matches(relations.stamps_s, tolerance_s)
     used = is_matched.all(axis=1)
@@ -205,12 +195,9 @@ def relation_errors(
 
 
 def errors_at_scans(scans: Trajectory, relations: Relations) -> RelationErrorsAtScans | None:
-    """Measure by the relations alone whose both ends are scans; None where there is none.
+    """Measure only by relations whose both ends are scans; None without any.
 
-    At these no pose is carried on or taken from another time, so the error is the estimate's own.
-
-    Args:
-        scans: the estimate's poses, one a scan, with the stamps of the scans.
+    There no pose is continued by odometry or taken from another time.
     """
     try:
         found = relation_errors(scans, relations, AT_SCAN_S)
@@ -221,7 +208,7 @@ def errors_at_scans(scans: Trajectory, relations: Relations) -> RelationErrorsAt
 
 
 def _no_relation(trajectory: Trajectory, relations: Relations, tolerance_s: float) -> str:
-    """Say why no relation met the trajectory."""
+    """Return why no relation met the trajectory."""
     low_s, high_s = relations.span_s()
     return (
         f"{trajectory.name}: none of the {len(relations)} relations of {relations.name} has a "

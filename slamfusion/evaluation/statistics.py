@@ -1,4 +1,4 @@
-"""Figures that stand for many: of the errors along a path, and of repetitions of an experiment."""
+"""Statistics of the errors along a path, and of repetitions of an experiment."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-# Samples that are drawn for an interval; those that are in memory at once; what draws them.
+# Bootstrap samples, samples in memory at once, and the seed.
 DRAWS, DRAWS_AT_ONCE, SEED = 4000, 250, 0
-# Differences that vary by less than this share of the values vary by rounding alone.
+# Differences that vary by less than this share of the values are rounding.
 ROUNDING = 1e-12
 
 
@@ -54,17 +54,16 @@ class ErrorStatistics:
 
 
 class DifferenceTest(NamedTuple):
-    """Whether two samples differ; NaN: cannot be tested.
+    """A test whether two samples differ; NaN: cannot be tested.
 
     Attributes:
         low, high: ends of the 95 % interval of the mean difference, first minus second (Student's
             t); NaN for unpaired samples.
         p_t: p-value of the paired t-test, or of Welch's.
-        p_rank: p-value of Wilcoxon's signed-rank test, or of Mann and Whitney's U test. Ranks need
-            no normal distribution, but with few values this cannot be small (5 pairs: 0.06).
-        p_pooled: p-value of Student's t-test of unpaired values with one variance. It is the test
-            of [F16]: its Table I with 3 repetitions gives all of its 12 p-values, if the printed
-            deviations are sample deviations.
+        p_rank: p-value of Wilcoxon's signed-rank test, or of Mann and Whitney's U test. No normal
+            distribution is needed, but with few values it cannot be small (5 pairs: 0.06).
+        p_pooled: p-value of Student's t-test of unpaired values with one variance, the test of
+            [F16].
     """
 
     low: float = math.nan
@@ -88,7 +87,7 @@ def difference_test(first: npt.ArrayLike, second: npt.ArrayLike, *, paired: bool
     if min(len(a), len(b)) < 2:
         return DifferenceTest()
     with warnings.catch_warnings():
-        # SciPy warns of values that do not vary. Their p-value is 0 or NaN, which says the same.
+        # SciPy warns of constant values; their p-value is 0 or NaN.
         warnings.simplefilter("ignore", RuntimeWarning)
         pooled = float(scipy.stats.ttest_ind(a, b).pvalue)
         if not paired:
@@ -104,14 +103,13 @@ def difference_test(first: npt.ArrayLike, second: npt.ArrayLike, *, paired: bool
 
 
 def mean_interval(errors: npt.ArrayLike, share: float = 0.95) -> tuple[float, float]:
-    """Return both ends of the interval that holds the mean error, by the percentile bootstrap.
+    """Return the interval of the mean error by the percentile bootstrap; reproducible.
 
-    The errors are resampled with replacement; the same errors always give the same interval. It
-    takes them for independent. Those of one path are not quite: neighbours share their causes.
+    Errors are taken as independent, which those of one path are not quite.
 
     Args:
-        errors: (N,) at least one; the sign of an error does not count.
-        share: of the cases in which the interval holds the mean, between 0 and 1.
+        errors: (N,) at least one; the sign does not count.
+        share: confidence level, between 0 and 1.
 
     Raises:
         ValueError: there is no error, or one is not finite.
@@ -119,7 +117,7 @@ def mean_interval(errors: npt.ArrayLike, share: float = 0.95) -> tuple[float, fl
     Source: Efron and Tibshirani, An Introduction to the Bootstrap, 1993, section 13.3.
     """
     values = np.abs(_checked(errors))
-    if len(values) == 1:  # which SciPy refuses to draw from
+    if len(values) == 1:  # SciPy refuses it
         return float(values[0]), float(values[0])
     drawn = scipy.stats.bootstrap(
         (values,),
@@ -135,13 +133,9 @@ def mean_interval(errors: npt.ArrayLike, share: float = 0.95) -> tuple[float, fl
 
 
 def correct_by_holm(p_values: Sequence[float]) -> list[float]:
-    """Return p-values that allow for the number of tests made at once, in the order given.
+    """Return p-values corrected for the number of tests (family-wise error rate), in order.
 
-    A value below 0.05 then is so by chance in at most 5 % of all such tables. SciPy's own
-    correction holds the share of false findings, which is less.
-
-    Args:
-        p_values: each in 0 to 1; NaN: not tested, and stays so.
+    NaN (not tested) stays NaN.
 
     Source: Holm, A Simple Sequentially Rejective Multiple Test Procedure, Scand. J. Stat., 1979.
     """
@@ -154,7 +148,7 @@ def correct_by_holm(p_values: Sequence[float]) -> list[float]:
 
 
 def _checked(values: npt.ArrayLike) -> npt.NDArray[np.float64]:
-    """Return the values as a row, refusing what has no statistics."""
+    """Return the values as a row; ValueError if empty or not finite."""
     row = np.asarray(values, dtype=np.float64).ravel()
     if row.size == 0 or not np.isfinite(row).all():
         raise ValueError(f"statistics need at least one value, all finite; found {row.size} values")

@@ -29,23 +29,22 @@ from slamfusion.geometry import (
 from slamfusion.grid import IDENTITY
 from slamfusion.trajectory import Trajectory, clock_advice
 
-# Motion is compared at steps of this length, seconds, and then over windows of this length.
+# Step of the compared motions, seconds, and window of the refinement.
 STEP_S, WINDOW_S = 0.1, 1.0
-# Two paths of one drive correlate by more at the right offset, and no others do.
+# Two paths of one drive correlate by more at the right offset.
 LEAST_CORRELATION = 0.5
-# Stamps of the same scans differ by one offset; files round them.
+# Stamps of the same scans differ by one offset and by rounding.
 SAME_SCANS_S = 1e-3
 
 
 def on_clock(path: Trajectory, reference: Trajectory | None, offset: str) -> Trajectory:
-    """Return a path with its times on the clock of another path.
+    """Return a path with its times on the clock of another path of the same drive.
 
     Args:
-        reference: of the same drive; None: there is none.
         offset: seconds to add to the times of ``path``, or ``auto``: found by the motion.
 
     Raises:
-        TrajectoryError: ``auto``, and there is no reference, or it does not move as the path.
+        TrajectoryError: ``auto`` without a reference, or with one that moves differently.
     """
     if offset != "auto":
         seconds = float(offset)
@@ -62,8 +61,8 @@ def on_clock(path: Trajectory, reference: Trajectory | None, offset: str) -> Tra
 def clock_offset_s(path: Trajectory, reference: Trajectory) -> float:
     """Return the seconds to add to the times of a path to put it on the clock of another.
 
-    Speeds and turn rates of both are correlated at every offset, then the best one is refined by
-    how far both move within windows of a second. Both paths may be in frames of their own.
+    Speeds and turn rates are correlated at every offset, then the best one is refined by the motion
+    within windows of a second. The frames may differ.
 
     Raises:
         TrajectoryError: the paths do not move alike at any offset.
@@ -101,7 +100,7 @@ def clock_offset_s(path: Trajectory, reference: Trajectory) -> float:
 
 
 def _motion(path: Trajectory, times_s: F64, span_s: float) -> F64:
-    """Return how far a path drives and turns within a span after times, (N, 2) m and rad."""
+    """Return the distance and turn of a path within a span after times, (N, 2) m and rad."""
     before, after = (
         interpolate_poses(at_s, path.stamps_s, path.poses) for at_s in (times_s, times_s + span_s)
     )
@@ -110,7 +109,7 @@ def _motion(path: Trajectory, times_s: F64, span_s: float) -> F64:
 
 
 def _rates(path: Trajectory) -> F64:
-    """Return speeds and turn rates at each step, (N, 2), of mean 0, together of deviation 1."""
+    """Return speeds and turn rates at each step, (N, 2), of mean 0 and joint deviation 1."""
     times_s = np.arange(path.stamps_s[0], path.stamps_s[-1] - STEP_S, STEP_S)
     rates = _motion(path, times_s, STEP_S)
     rates -= rates.mean(axis=0) if len(rates) else 0.0
@@ -118,7 +117,7 @@ def _rates(path: Trajectory) -> F64:
 
 
 def _window_error(path: Trajectory, reference: Trajectory, offset_s: float) -> float:
-    """Return the mean squared difference of both paths' motions in windows at an offset."""
+    """Return the mean squared difference of the motions in windows at an offset."""
     begin_s = max(path.stamps_s[0], reference.stamps_s[0] - offset_s)
     end_s = min(path.stamps_s[-1], reference.stamps_s[-1] - offset_s) - WINDOW_S
     times_s = np.arange(begin_s, max(end_s, begin_s + STEP_S), STEP_S)
@@ -135,7 +134,7 @@ def _unlike(path: Trajectory, reference: Trajectory, why: str) -> TrajectoryErro
 
 _DEFAULT_CONFIG = TrajectoryConfig()
 
-# Sums of equal steps fall short of a whole delta by rounding.
+# Sums of equal steps may be slightly below a whole delta.
 _ROUNDING = 1e-9
 
 
@@ -208,16 +207,15 @@ class TrajectoryErrors:
 def trajectory_errors(
     estimate: Trajectory, truth: Trajectory, config: TrajectoryConfig = _DEFAULT_CONFIG
 ) -> TrajectoryErrors:
-    """Compare an estimate with the truth.
+    """Compare an estimate with the truth (poses of the same body).
 
     Args:
-        truth: poses of the same body.
-        config: tolerance, alignment, and what one pair of the relative error spans. Pairs follow
+        config: tolerance, alignment, and the span of a pair of the relative error. Pairs follow
             each other without overlap from the first matched pose on; metres are counted along
             the truth.
 
     Raises:
-        TrajectoryError: fewer than two poses meet in time; both ranges of time are named.
+        TrajectoryError: fewer than two poses meet in time.
     """
     began_s = truth.stamps_s[0]
     truth = on_clock(truth, estimate, config.time_offset)
@@ -233,7 +231,7 @@ def trajectory_errors(
     # Absolute: of each pose alone.
     apart = aligned[:, :2] - true_poses[:, :2]
 
-    # Relative: of the motion between two poses, each seen from the first, so in no frame at all.
+    # Relative: of the motion between two poses, independent of the frame.
     progress = {
         "frames": np.arange(len(own), dtype=np.float64),
         "m": travelled_m,
@@ -277,19 +275,14 @@ def trajectory_errors(
 def associate(
     first: Trajectory, second: Trajectory, tolerance_s: float
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Pair poses that are each other's nearest in time; no pose is used twice.
+    """Return indices (M,) into both of poses that are each other's nearest in time.
 
-    Args:
-        first: with at least one pose, like ``second``.
-        tolerance_s: pairs further apart do not count.
-
-    Returns:
-        (M,) indices into ``first``, rising, and (M,) into ``second``; both may be empty.
+    No pose is used twice; pairs further apart than the tolerance do not count.
     """
     there, is_near = second.matches(first.stamps_s, tolerance_s)
     back = first.nearest(second.stamps_s)
     own = np.arange(len(first), dtype=np.int64)
-    # Of poses with one stamp only the first is anybody's nearest; that is a pair as well.
+    # Of poses with one stamp only the first is nearest; that is a pair as well.
     paired = (back[there] == own) & is_near
     return own[paired], there[paired]
 
@@ -297,7 +290,7 @@ def associate(
 def _pairs(
     progress: npt.NDArray[np.float64], delta: float
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Return the ends of the pairs: each ends where at least ``delta`` was made since its start."""
+    """Return the ends of the pairs: each ends once at least ``delta`` was made since its start."""
     ends = [0]
     for index, value in enumerate(progress):
         if value - progress[ends[-1]] >= delta * (1.0 - _ROUNDING):
@@ -306,7 +299,7 @@ def _pairs(
 
 
 def _no_match(estimate: Trajectory, truth: Trajectory, met: int, tolerance_s: float) -> str:
-    """Say why two trajectories cannot be compared."""
+    """Return why two trajectories cannot be compared."""
     ranges = [
         f"{item.name} has {len(item)} poses from {item.stamps_s[0]:.3f} to "
         f"{item.stamps_s[-1]:.3f} s"

@@ -1,8 +1,7 @@
-"""Measures of walls that reward no thickness: their faces, their thickness, what lies outside.
+"""Measures of walls that do not reward thickness: faces, thickness, and the outside area.
 
-A laser sees the face of a wall and never what is behind it. A map that fills the cells behind its
-walls comes nearer to a truth of thick walls in every cell-by-cell measure, without saying anything
-more about where a robot may go. Only the faces decide that: the occupied cells next to free ones.
+A laser sees only the face of a wall. Filling cells behind it improves cell-by-cell measures against
+thick true walls without telling more about free space. Faces are occupied cells next to free ones.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from slamfusion.evaluation.distances import wall_centres
 from slamfusion.geometry import F64, Pose2
 from slamfusion.grid import UNKNOWN, OccupancyGrid, trinary_cells
 
-# A wall exactly the tolerance away counts as found, whatever the last digits of the poses are.
+# A wall exactly the tolerance away counts, whatever the rounding of the poses.
 _TOLERANCE_SLACK_M = 1e-6
 
 
@@ -38,8 +37,7 @@ class WallDistance:
 
 _DEFAULT_NORMALIZE = NormalizeConfig()
 
-# How far a face may lie from a true one and still be right, metres: a cell of the usual maps, two
-# cells, and what a robot's safety margin is.
+# Tolerances of faces, metres: a cell of usual maps, two cells, and a robot's safety margin.
 FACE_TOLERANCES_M = (0.05, 0.1, 0.2)
 
 _FREE, _WALL = 0, 1
@@ -73,11 +71,7 @@ class WallFaces:
     """From each true face cell to the nearest of the map; null when a side has none."""
 
     def f1(self, tolerance_m: float) -> float | None:
-        """Return F1 at one of the tolerances; None where it is not defined.
-
-        Raises:
-            KeyError: it was not asked for at this tolerance.
-        """
+        """Return F1 at one of the tolerances; None if undefined, KeyError for another one."""
         by_tolerance = {item.tolerance_m: item.f1 for item in self.agreements}
         return by_tolerance[tolerance_m]
 
@@ -86,7 +80,7 @@ class WallFaces:
 class Nearness:
     """Metres from each point of one map to the nearest of another, and back.
 
-    Without points in the other map all are infinite; a map without points has none.
+    All infinite if the other map has no points.
     """
 
     map_to_truth: F64
@@ -138,10 +132,7 @@ class WallThickness:
 
 
 def face_cells(classes: npt.NDArray[np.int8]) -> npt.NDArray[np.bool_]:
-    """Mark the faces of walls, (H, W) bool: the occupied cells that share a side with a free one.
-
-    A wall seen from both sides has two faces, one cell thick or more; one that was seen from one
-    side alone has one face however far it is filled behind.
+    """Mark the faces of walls, (H, W) bool: occupied cells that share a side with a free one.
 
     Args:
         classes: (H, W) int8 in {-1, 0, 1}.
@@ -160,14 +151,11 @@ def compare_faces(
 ) -> WallFaces:
     """Compare the faces of a map's walls with the true ones.
 
-    Faces are found on each map's own lattice; distances lie between the centres of their cells, so
-    they do not depend on a common lattice.
+    Faces are found on each map's own lattice; distances lie between the centres of their cells.
 
     Args:
-        classes: (H, W) int8 in {-1, 0, 1}, the cells of ``grid``.
-        grid: gives resolution and origin of ``classes``.
+        classes: (H, W) int8 in {-1, 0, 1}, the cells of ``grid``; likewise ``true_classes``.
         transform: maps a point of the map's frame into the truth's, metres.
-        truth: gives resolution and origin of ``true_classes``.
     """
     found = wall_centres(face_cells(classes).view(np.int8), grid, transform)
     expected = wall_centres(face_cells(true_classes).view(np.int8), truth)
@@ -182,14 +170,10 @@ def compare_faces(
 def wall_thickness(
     grid: OccupancyGrid, *, normalize: NormalizeConfig = _DEFAULT_NORMALIZE
 ) -> WallThickness | None:
-    """Measure how thick the walls of a map are.
+    """Measure how thick the walls of a map are; None without a face.
 
     Through each face cell the occupied cells in a row are counted along rows, columns and both
-    diagonals; the shortest of the four is the thickness there. So a slanted wall is no thicker than
-    a straight one by more than its steps, and a wall's length does not count.
-
-    Returns:
-        None for a map whose walls have no face.
+    diagonals; the shortest is the thickness there, so that a slanted wall is hardly thicker.
     """
     classes = trinary_cells(grid.cells, normalize)
     faces = face_cells(classes)
@@ -219,23 +203,20 @@ def outside_area(
 ) -> float:
     """Return the area that a map knows outside of the truth's outline, square metres.
 
-    The outline holds the known cells of the truth and what they enclose (the inside of pillars and
-    of thick walls), widened by a margin. Beams that went through glass, reflections, and a part
-    that was mapped in a wrong place lie outside; the error of [F16] sees none of it beyond the
-    truth's box.
+    The outline holds the known cells of the truth and what they enclose, widened by a margin.
+    Beams through glass, reflections and misplaced parts lie outside; the error of [F16] misses what
+    is beyond the truth's box.
 
     Args:
-        classes: (H, W) int8 in {-1, 0, 1}, the cells of ``grid``.
-        grid: gives resolution and origin of ``classes``.
+        classes: (H, W) int8 in {-1, 0, 1}, the cells of ``grid``; likewise ``true_classes``.
         transform: maps a point of the map's frame into the truth's, metres.
-        truth: gives resolution and origin of ``true_classes``.
         margin_m: a cell this near to the outline does not count, at least 0.
     """
     margin = math.floor(margin_m / truth.resolution + 1e-6)
     known = np.pad(true_classes != UNKNOWN, margin)
     outline = scipy.ndimage.binary_fill_holes(known)
     if margin:
-        # Distance to the nearest cell of the outline; a square of cells would reach further.
+        # Euclidean distance; a square of cells would reach further.
         outline = scipy.ndimage.distance_transform_edt(~outline) <= margin + 1e-6
     rows, cols = np.nonzero(classes != UNKNOWN)
     points = transform.transform(grid.cell_centres(rows, cols))
@@ -248,7 +229,7 @@ def outside_area(
 
 
 def _run_behind(walls: npt.NDArray[np.bool_], row_step: int, col_step: int) -> npt.NDArray[np.int_]:
-    """Return for each wall cell the length of the unbroken run from it in one direction, cells."""
+    """Return the length of the unbroken run of wall cells from each in one direction."""
     if row_step == 0:
         return _run_behind(walls.T, col_step, 0).T
     runs = walls.astype(np.int_)

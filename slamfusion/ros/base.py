@@ -1,7 +1,6 @@
-"""``NodeBase``: what every node shares, and ``run_node``, which runs one to its end.
+"""``NodeBase``, the common part of the nodes, and ``run_node``.
 
-Diagnostics, which name what is wrong; callbacks that cannot bring the node down; a ``Worker`` for
-what takes long; the compute device; jumps of the clock; a clean end.
+Diagnostics, safe callbacks, a ``Worker`` for long work, the compute device, clock jumps, shutdown.
 """
 
 from __future__ import annotations
@@ -42,23 +41,23 @@ T = TypeVar("T")
 
 DIAGNOSTICS_TOPIC = "/diagnostics"
 DIAGNOSTICS_PERIOD_S = 1.0
-# Of a fusion: the stamp of the last scan, once its map is what ``run`` makes of the drive.
+# Diagnostics key of a fusion: stamp of the last scan, once its map equals that of ``run``.
 FINAL = "final at [s]"
-# A clock that goes on by more at once is named; it is no reason to start over.
+# A larger forward jump of the clock is reported; nothing restarts.
 FORWARD_JUMP_S = 10.0
-# The executor looks for a signal this often.
+# The executor checks for a signal at this interval.
 SPIN_S = 0.1
-# The longest rest of an executor, seconds.
+# Longest rest of an executor, seconds.
 REST_MAX_S = 0.02
-# What has passed stays in the diagnostics this long, seconds.
+# Past events stay in the diagnostics this long, seconds.
 SHOWN_S = 10.0
-# A folder for as long as nodes that were started together run, so that one of them says what holds
-# for all; ``slamfusion.sh`` makes one.
+# A folder of ``slamfusion.sh`` for nodes that were started together, so that only one of them logs
+# what concerns all.
 SESSION_VARIABLE = "SLAMFUSION_SESSION"
-# A file that a node makes when its start is over, where ``slamfusion.sh`` asks for it.
+# A file that a node makes when it has started, for ``slamfusion.sh``.
 STARTED_VARIABLE = "SLAMFUSION_STARTED"
-# Whose warnings stay true while a node runs and cost it time: NumPy in place of OpenCL, kernels
-# that are built at each start. That the wheel's PoCL was changed costs nothing.
+# Loggers whose warnings stay true while a node runs: NumPy instead of OpenCL, kernels that are
+# built at each start.
 DEVICE_LOGGERS = ("slamfusion.compute", "slamfusion.compute.pocl_cache")
 
 
@@ -82,15 +81,15 @@ class Status:
 
 
 class Diagnostics:
-    """What is wrong now, each by a key; logged once when it comes and once when it is over.
+    """Current problems by key; each is logged once when it starts and once when it ends.
 
-    Safe between threads.
+    Thread-safe.
     """
 
     def __init__(self, log: Any) -> None:
         self._log = log
         self._lock = threading.Lock()
-        # Level, words, and until when it holds.
+        # Level, text, and end time.
         self._now: dict[str, tuple[Level, str, float]] = {}
         self._since_s: dict[str, float] = {}
 
@@ -104,14 +103,14 @@ class Diagnostics:
         after_s: float = 0.0,
         is_of_all: bool = False,
     ) -> None:
-        """Report that something is wrong, or with None that it is right again.
+        """Report a problem, or with None its end.
 
         Args:
-            key: what; the same key replaces the words that it had.
-            text: why, for people, with what to do.
-            for_s: it is over after this time, seconds; default: until it is right.
-            after_s: it counts once it has been wrong for this long, seconds.
-            is_of_all: as true of the nodes started with this one: one of them logs it.
+            key: a new text replaces the one of the same key.
+            text: the cause, with what to do.
+            for_s: the problem ends after this time, seconds.
+            after_s: reported only after it has lasted this long, seconds.
+            is_of_all: it concerns all nodes started together: one of them logs it.
         """
         now_s = time.monotonic()
         with self._lock:
@@ -127,27 +126,27 @@ class Diagnostics:
             self._log.info(f"over: {before[1]}")
         if text is None or before is not None or (is_of_all and not is_first_to_say(text)):
             return
-        # Two calls: rclpy ties a place in the code to one level.
+        # Two calls: rclpy ties a line of code to one level.
         if level == Level.ERROR:
             self._log.error(text)
         else:
             self._log.warning(text)
 
     def note(self, key: str, text: str, level: Level = Level.WARN) -> None:
-        """Report something that has passed; it is shown for ``SHOWN_S``."""
+        """Report a past event; it is shown for ``SHOWN_S``."""
         self.say(key, text, level, SHOWN_S)
 
     def clear(self, key: str) -> None:
-        """Report that something is right again, if it was wrong."""
+        """Report the end of a problem, if there is one."""
         self.say(key, None)
 
     def is_on(self, key: str) -> bool:
-        """Whether something is wrong now."""
+        """Whether a problem is reported now."""
         with self._lock:
             return key in self._alive()
 
     def worst(self, fine: str = "ok") -> tuple[Level, str]:
-        """Return the worst level and all that is wrong, worst first, or ``fine``."""
+        """Return the worst level and all problems, worst first, or ``fine``."""
         with self._lock:
             alive = sorted(self._alive().values(), key=lambda item: -item[0])
         if not alive:
@@ -161,12 +160,12 @@ class Diagnostics:
 
 
 def is_first_to_say(text: str) -> bool:
-    """Return whether no node of this session has said the same; the caller now has."""
+    """Return whether this node is the first of its session to log a text; marks it as logged."""
     folder = os.environ.get(SESSION_VARIABLE)
     if not folder:
         return True
     said = Path(folder) / f"said-{hashlib.sha256(text.encode()).hexdigest()[:16]}"
-    with contextlib.suppress(OSError):  # the folder is gone, or full: rather twice than never
+    with contextlib.suppress(OSError):  # no folder, or full: rather twice than never
         try:
             said.touch(exist_ok=False)
         except FileExistsError:
@@ -175,14 +174,13 @@ def is_first_to_say(text: str) -> bool:
 
 
 class Worker(Generic[T]):
-    """A thread that takes items one by one, in order, from a queue that never grows.
+    """A thread that processes items in order from a bounded queue.
 
-    When the queue is full the oldest waiting item is dropped: a robot's newest scan says most of
-    where it is. What is being worked on is never dropped. An item that fails is passed with its
-    error to ``on_error``, in the thread, and the next one is taken.
+    When the queue is full, the oldest waiting item is dropped: the newest scan matters most. A
+    failing item is passed with its error to ``on_error``, in the thread.
 
     Attributes:
-        capacity: items that may wait, at least 1; may be changed.
+        capacity: of the queue, at least 1; may be changed.
     """
 
     def __init__(
@@ -201,7 +199,7 @@ class Worker(Generic[T]):
         self._thread.start()
 
     def put(self, item: T) -> list[T]:
-        """Queue an item; return what was dropped for it, after ``close`` the item itself."""
+        """Queue an item; return the dropped ones (after ``close`` the item itself)."""
         with self._changed:
             if self._is_closed:
                 return [item]
@@ -211,7 +209,7 @@ class Worker(Generic[T]):
             return [self._waiting.popleft() for _ in range(over)]
 
     def clear(self) -> list[T]:
-        """Remove everything that waits, and return it."""
+        """Remove and return all waiting items."""
         with self._changed:
             taken = list(self._waiting)
             self._waiting.clear()
@@ -220,18 +218,18 @@ class Worker(Generic[T]):
 
     @property
     def waiting(self) -> int:
-        """Items that wait now."""
+        """Number of waiting items."""
         return len(self._waiting)
 
     def is_idle(self, timeout_s: float = 0.0) -> bool:
-        """Whether nothing waits and nothing is worked on, or comes to that within a time."""
+        """Whether nothing waits or is in progress, within a time."""
         with self._changed:
             return self._changed.wait_for(
                 lambda: not self._waiting and not self._is_busy, timeout_s
             )
 
     def close(self, timeout_s: float = 5.0) -> bool:
-        """Drop what waits, let the current item end, and return whether the thread has ended."""
+        """Drop waiting items, finish the current one; return whether the thread has ended."""
         with self._changed:
             self._is_closed = True
         self.clear()
@@ -250,26 +248,25 @@ class Worker(Generic[T]):
                 self._is_busy = True
             try:
                 self._work(item)
-            except Exception as error:  # noqa: BLE001  (a node goes on; the error is named)
+            except Exception as error:  # noqa: BLE001  (the node continues)
                 self._on_error(item, error)
 
 
 class NodeBase:
-    """A node: subclasses add topics in their constructor, ``statuses`` and ``close``.
+    """Base of the nodes: subclasses add topics in their constructor, ``statuses`` and ``close``.
 
-    Callbacks run one after the other in the thread of ``run_node`` and must be short; what takes
-    long belongs into a ``Worker``. A callback that raises is logged with its traceback, named in
-    the diagnostics, and the node goes on.
+    Callbacks run in sequence in the thread of ``run_node`` and must be short; long work belongs in
+    a ``Worker``. If a callback raises, its traceback is logged, the diagnostics report it, and the
+    node continues.
 
     Args:
         name: the node's name unless ``--ros-args -r __node:=NAME`` says otherwise.
         arguments: ROS arguments of this node alone, after those of ``rclpy.init``.
 
     Attributes:
-        node: the rclpy node.
-        rest: the executor rests this many times as long as it has worked, 20 ms at most; 0: never.
-            rclpy looks at every subscription each time it wakes, so what that costs grows with the
-            square of their number; while it rests messages gather, and it wakes less often.
+        rest: rest of the executor as a multiple of its work, 20 ms at most; 0: none. Each wake-up
+            of rclpy checks every subscription, so the cost grows with the square of their number;
+            resting gathers messages into fewer wake-ups.
     """
 
     def __init__(
@@ -281,7 +278,7 @@ class NodeBase:
         self.is_stopped = False
         self.exit_code = 0
         self.rest = 0.0
-        # How topics are read on which a writer was found that offers less.
+        # Read profiles of topics with an incompatible writer.
         self._mismatched: dict[str, Any] = {}
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._diagnostics = self.node.create_publisher(
@@ -300,11 +297,11 @@ class NodeBase:
     # --- for subclasses ----------------------------------------------------------------------
 
     def statuses(self) -> list[Status]:
-        """Return the lines of the diagnostics; one with all that is wrong unless overridden."""
+        """Return the lines of the diagnostics; by default one with all problems."""
         return [Status("node", *self.diagnostics.worst())]
 
     def on_time_jump(self, delta_s: float) -> None:
-        """Act on a jump of the node's clock (simulated time): back, or far forward; seconds."""
+        """Handle a jump of the node's clock (simulated time): back, or far forward; seconds."""
 
     def close(self) -> None:
         """End threads; called once, before the node is destroyed."""
@@ -317,11 +314,11 @@ class NodeBase:
         return str(self.node.get_name())
 
     def clock_s(self) -> float:
-        """Return the node's time, seconds: simulated time where it is used."""
+        """Return the node's time, seconds; simulated time if used."""
         return float(self.node.get_clock().now().nanoseconds * 1e-9)
 
     def resolved(self, topic: str) -> str:
-        """Return the whole name of a topic, remapped."""
+        """Return the fully resolved name of a topic."""
         return str(self.node.resolve_topic_name(topic))
 
     def open_device(self, wanted: str) -> ComputeDevice:
@@ -344,11 +341,7 @@ class NodeBase:
     def subscribe(
         self, kind: Any, topic: str, callback: Callable[[Any], None], profile: Any
     ) -> Any:
-        """Return a subscription whose callback cannot bring the node down.
-
-        A writer whose quality of service does not fit is named in the diagnostics while it is
-        there, and until the topic is read another way.
-        """
+        """Return a subscription with a safe callback; incompatible writers are in diagnostics."""
         if topic in self._mismatched:
             self._mismatched[topic] = profile
 
@@ -370,20 +363,20 @@ class NodeBase:
         )
 
     def timer(self, period_s: float, callback: Callable[[], None]) -> Any:
-        """Return a timer in real time, also where the node's own time is simulated."""
+        """Return a timer in real time, even with simulated time."""
         return self.node.create_timer(
             period_s, lambda: self._call("timer", callback), clock=self._steady
         )
 
     def stop(self, exit_code: int = 0) -> None:
-        """Let ``run_node`` come to its end; may be called from any thread."""
+        """End ``run_node``; from any thread."""
         self.exit_code = exit_code
         self.is_stopped = True
 
     def failed(self, _: object, error: Exception, key: str = "worker", where: str = "") -> str:
-        """Name an error that was not expected, of a worker's item or a callback; return its words.
+        """Report an unexpected error in the diagnostics and its traceback in the log, once.
 
-        The log has its traceback, once while it is named.
+        Returns the text.
         """
         if not self.diagnostics.is_on(key):
             self.log.error("".join(traceback.format_exception(error)))
@@ -405,7 +398,7 @@ class NodeBase:
         for topic, profile in list(self._mismatched.items()):
             infos = self.node.get_publishers_info_by_topic(topic)
             found = [qos_check_compatible(info.qos_profile, profile)[0] for info in infos]
-            if QoSCompatibility.ERROR not in found:  # every writer can be heard now
+            if QoSCompatibility.ERROR not in found:  # every writer is compatible now
                 del self._mismatched[topic]
                 self.diagnostics.clear(f"qos {topic}")
         message = DiagnosticArray()
@@ -423,7 +416,7 @@ class NodeBase:
         self._diagnostics.publish(message)
 
     def _name_namesakes(self) -> None:
-        """Name other nodes that have this one's name and namespace."""
+        """Report other nodes with the same name and namespace."""
         own = self.name, str(self.node.get_namespace())
         count = self.node.get_node_names_and_namespaces().count(own)
         text = (
@@ -436,7 +429,7 @@ class NodeBase:
     def _on_jump(self, jump: TimeJump) -> None:
         delta_s = jump.delta.nanoseconds * 1e-9
         if delta_s > 0.0 and self.clock_s() - delta_s <= 0.0:
-            return  # the first time that was ever heard
+            return  # the first time that was received
         how = "forward" if delta_s > 0.0 else "back"
         text = f"time jumped {how} by {abs(delta_s):.3f} s to {self.clock_s():.3f} s"
         self.diagnostics.note("time jump", text)
@@ -444,7 +437,7 @@ class NodeBase:
 
 
 def shown(value: object) -> str:
-    """Return a figure as text."""
+    """Return a value as text."""
     if isinstance(value, bool):
         return "yes" if value else "no"
     if value is None:
@@ -455,9 +448,7 @@ def shown(value: object) -> str:
 
 
 def run_node(make: Callable[[], NodeBase], arguments: Sequence[str] | None = None) -> int:
-    """Start rclpy, make a node, run it until it stops or a signal comes, and clean up.
-
-    SIGINT and SIGTERM end it in order: what is being worked on ends, threads are joined.
+    """Start rclpy, run a node until it stops or SIGINT or SIGTERM comes, and clean up.
 
     Args:
         make: makes the node; called after rclpy has started.
@@ -466,12 +457,12 @@ def run_node(make: Callable[[], NodeBase], arguments: Sequence[str] | None = Non
     Returns the exit code: 0, or that of ``stop``.
 
     Raises:
-        ConfigError: the arguments cannot be understood, or a name of a topic is none.
+        ConfigError: invalid arguments or topic names.
     """
     try:
         rclpy.init(args=list(arguments or []), signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
-        # Without the places in rcl's sources.
+        # Without the source positions of rcl.
         words = str(error).partition(", at /")[0].removeprefix("failed to initialize rcl: ")
         words = words.replace(". Error: error not set", "; wanted FROM:=TO with two valid names")
         raise ConfigError(f"ROS arguments: {words}") from error
@@ -479,7 +470,7 @@ def run_node(make: Callable[[], NodeBase], arguments: Sequence[str] | None = Non
         try:
             base = make()
         except NameValidationException as error:
-            # Whether it came from a parameter or a remapping ROS does not say.
+            # ROS does not say whether it came from a parameter or a remapping.
             message = f"{invalid_name(error)}; correct it in the parameters or remappings"
             raise ConfigError(message) from None
         if mark := os.environ.get(STARTED_VARIABLE):
@@ -504,7 +495,7 @@ def run_node(make: Callable[[], NodeBase], arguments: Sequence[str] | None = Non
 
 
 def invalid_name(error: NameValidationException) -> str:
-    """Return in one line what is no name, of what, and why."""
+    """Return an invalid name, its kind and the reason in one line."""
     # "Invalid KIND: REASON:", the name in quotes, and a mark below the wrong place.
     what, name, *_ = str(error).splitlines()
     kind, _, reason = what.removeprefix("Invalid ").rstrip(":").partition(": ")

@@ -1,4 +1,4 @@
-"""``DriveInput``: the scans of the fusion node, and what they say of the poses of its inputs."""
+"""``DriveInput``: the scans of the fusion node, and the fused path solved from them."""
 
 from __future__ import annotations
 
@@ -24,24 +24,22 @@ if TYPE_CHECKING:
     from slamfusion.ros.fusion_node import FusionNode
 
 PATH_TOPIC = "fused/path"
-# Poses of the published path at most, evenly chosen.
+# Most poses of the published path, evenly chosen.
 PATH_POSES = 2000
-# Scans that wait to be read; of more the oldest is dropped.
+# Scans that wait to be read; then the oldest is dropped.
 SCAN_QUEUE = 20
 
 
 class DriveInput:
-    """Hears ``scan`` and ``NAME/path``, solves the drive and publishes ``fused/path``.
+    """Receives ``scan`` and ``NAME/path``, solves the drive and publishes ``fused/path``.
 
-    Scans are read in one thread, and the drive is solved in another, with a device of its own.
+    Scans are read in one thread, and the drive is solved in another, with its own device.
 
     Args:
-        device: where to compute.
-        on_solution: called with each solution, in the thread that solves.
+        on_solution: called with each solution, in the solver's thread.
 
     Attributes:
         live: the drive so far; takes the poses of the inputs.
-        scans: gives the odometry, too.
         solution: the last one; None before the first. Any thread may read it.
     """
 
@@ -62,12 +60,12 @@ class DriveInput:
     # --- in the executor's thread --------------------------------------------------------------
 
     def forget(self) -> None:
-        """Let a new drive start."""
+        """Start a new drive."""
         self.live.forget()
         self.solution = None
 
     def look(self, sources: Mapping[str, MapSource]) -> None:
-        """Listen to the paths of the inputs while scans are heard; solve what is left to solve."""
+        """Subscribe to the inputs' paths once scans arrive; start the solver."""
         self.scans.name_odometry()
         self._solver.put(None)
         for name, source in sources.items() if self._count else ():
@@ -89,7 +87,7 @@ class DriveInput:
         try:
             scan = self.scans.read(arrived)
         except LeftOutError:
-            return  # named by ``read``
+            return  # reported by ``read``
         within, odometry = self._deskewer.follow(
             scan, lambda times_s: self.scans.odometry_at(arrived, times_s, is_first=False)
         )
@@ -98,7 +96,7 @@ class DriveInput:
         self._solver.put(None)
 
     def _solve(self, _: None) -> None:
-        """Solve the drive if it is time to, and if scans have come since."""
+        """Solve the drive if it is due and new scans have arrived."""
         began_s = time.monotonic()
         depth = self._pace.due(began_s, self._count)
         if depth is None:

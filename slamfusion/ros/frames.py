@@ -1,9 +1,8 @@
-"""Transforms between frames, sent and followed, with tf2_msgs or without.
+"""Send and receive transforms, with tf2_msgs or without.
 
-Where tf2_msgs can be imported (a sourced ROS), transforms go over ``/tf`` and ``/tf_static`` as
-everywhere. It is not on the Python package index; without it the same transforms go out one by one
-as geometry_msgs/TransformStamped on ``transforms`` and ``transforms_static``, and come in from
-there, which only our own nodes listen to; the log says so once.
+With tf2_msgs (a sourced ROS), transforms use ``/tf`` and ``/tf_static``. It is not on the Python
+package index; without it our nodes exchange the same transforms as geometry_msgs/TransformStamped
+on ``transforms`` and ``transforms_static``.
 """
 
 from __future__ import annotations
@@ -38,13 +37,13 @@ WITHOUT_TF2 = (
     "for /tf"
 )
 
-# Own transforms that are remembered, to know those of others by.
+# Own transforms kept, to recognise those of others.
 OWN_KEPT = 500
 RIVAL_KEPT_S = 5.0
 
 
 def _topics(node: Any) -> tuple[Any, str, str]:
-    """Return the type, and the topics of moving and of static transforms."""
+    """Return the type, and the topics of moving and static transforms."""
     if TFMessage is not None:
         return TFMessage, TF_TOPIC, TF_STATIC_TOPIC
     if is_first_to_say(WITHOUT_TF2):
@@ -58,10 +57,10 @@ def _listed(message: Any) -> list[TransformStamped]:
 
 
 class TransformStore:
-    """A live ``TransformTree`` of messages, safe between threads, that can be waited for.
+    """A thread-safe live ``TransformTree`` of messages, with waiting lookups.
 
     Attributes:
-        last_s: when a moving one was taken in last, ``time.monotonic``; None before the first.
+        last_s: ``time.monotonic`` of the last moving transform; None before the first.
     """
 
     def __init__(self) -> None:
@@ -70,7 +69,7 @@ class TransformStore:
         self._changed = threading.Condition()
 
     def add(self, transforms: Iterable[TransformStamped], *, is_static: bool = False) -> None:
-        """Take in transforms; see ``TransformTree.add``."""
+        """Add transforms; see ``TransformTree.add``."""
         now_s = time.monotonic()
         with self._changed:
             for item in transforms:
@@ -91,15 +90,15 @@ class TransformStore:
         """Return the pose of the frame ``source`` in ``target`` at a time; see ``TransformTree``.
 
         Args:
-            wait_s: wait so long for a transform that is still to come; never in a callback.
+            wait_s: longest wait for a transform; never in a callback.
 
         Raises:
-            TransformError: it is not known, also after the wait.
+            TransformError: it is unknown, also after the wait.
         """
         return self.mount(target, source, time_s, wait_s).pose
 
     def mount(self, target: str, source: str, time_s: float, wait_s: float = 0.0) -> Mount:
-        """Return the same and whether the frame is upside down."""
+        """Return the same as a mount."""
         until_s = time.monotonic() + wait_s
         with self._changed:
             while (left_s := until_s - time.monotonic()) > 0.0:
@@ -112,36 +111,36 @@ class TransformStore:
             return self._tree.mount(target, source, time_s)
 
     def forget_after(self, time_s: float) -> None:
-        """Forget moving transforms newer than a time: the clock has jumped back before them."""
+        """Forget moving transforms newer than a time, after a jump back of the clock."""
         with self._changed:
             self._tree.forget_after(time_s)
 
     def settle(self, time_s: float) -> None:
-        """Let in what is held back: time is there now; see ``TransformTree.settle``."""
+        """See ``TransformTree.settle``."""
         with self._changed:
             self._tree.settle(time_s)
             self._changed.notify_all()
 
     def heard_s(self, target: str, source: str) -> float | None:
-        """Return the stamp heard last of what moves a frame; see ``TransformTree.heard_s``."""
+        """See ``TransformTree.heard_s``."""
         with self._changed:
             return self._tree.heard_s(target, source)
 
     @property
     def strays(self) -> int:
-        """Transforms left out for their stamps, far from those before and after them."""
+        """Transforms dropped for their stamps."""
         with self._changed:
             return self._tree.strays
 
     @property
     def frames(self) -> set[str]:
-        """Every frame that has been named."""
+        """Every named frame."""
         with self._changed:
             return self._tree.frames
 
 
 class TransformInput(TransformStore):
-    """Follows the transforms that others send to an rclpy node, whose executor must spin."""
+    """Receives the transforms for an rclpy node, whose executor must spin."""
 
     def __init__(self, node: Any) -> None:
         super().__init__()
@@ -155,9 +154,7 @@ class TransformInput(TransformStore):
 
 
 class TransformOutput:
-    """Sends transforms, and notices when another node sends the same.
-
-    Two senders of one child frame make it jump between two places; see ``rival``.
+    """Sends transforms, and detects other senders of the same child frames (``rival``).
 
     Args:
         node: an rclpy node; its executor must spin for ``rival``.
@@ -175,7 +172,7 @@ class TransformOutput:
         self._subscription = node.create_subscription(kind, moving, self._listen, qos.TF)
 
     def send(self, pose: Pose2, parent: str, child: str, stamp: Time) -> None:
-        """Send the pose of a frame in another one, which holds at a stamp."""
+        """Send the pose of a frame in another one at a stamp."""
         item = transform_to_message(pose, parent, child, stamp)
         with self._lock:
             self._own.append(_key(item))
@@ -183,14 +180,13 @@ class TransformOutput:
         self._publish(self._moving, item)
 
     def send_static(self, pose: Pose2, parent: str, child: str, stamp: Time) -> None:
-        """Send one that holds from now on, the only one; a late listener gets it too."""
+        """Send the one static transform, latched."""
         self._publish(self._latched, transform_to_message(pose, parent, child, stamp))
 
     def rival(self, first: str = "") -> tuple[str, str]:
-        """Return a child frame that another node sent in the last seconds, and that in words.
+        """Return a child frame that another node sent in the last seconds, and a sentence.
 
-        Args:
-            first: the frame that is named where there are several.
+        ``first`` is preferred if there are several.
         """
         since_s = time.monotonic() - RIVAL_KEPT_S
         with self._lock:
@@ -206,7 +202,7 @@ class TransformOutput:
         publisher.publish(TFMessage(transforms=[item]) if HAS_TF2 else item)
 
     def _listen(self, message: Any) -> None:
-        """Take note of foreign transforms to a child frame of ours."""
+        """Note foreign transforms to a child frame of ours."""
         with self._lock:
             for item in _listed(message):
                 if item.child_frame_id in self._children and _key(item) not in self._own:
@@ -214,7 +210,7 @@ class TransformOutput:
 
 
 def _key(item: TransformStamped) -> tuple[Any, ...]:
-    """Return what tells one transform from another's."""
+    """Return a key that identifies a transform."""
     move, turn = item.transform.translation, item.transform.rotation
     place = move.x, move.y, turn.z, turn.w
     return (item.header.frame_id, item.child_frame_id, stamp_ns(item), *place)

@@ -22,40 +22,39 @@ if TYPE_CHECKING:
     from slamfusion.ros.fusion_node import FusionNode
 
 POSE_TOPIC = "fused/pose"
-# A stamp of an input this far behind its last one begins a new time: a bag that loops.
+# A stamp of an input this far behind its last one starts a new time: a bag that loops.
 BACK_NS = 10**9
-# What a new fusion changes of a stamp that was sent already is sent this much later, so that no
-# stamp comes twice; less than what float seconds of today can tell apart twice over.
+# A revised value of a sent stamp is sent this much later, so that no stamp is repeated; below twice
+# the resolution of today's float seconds.
 STEP_NS = 1000
-# A pose that is older says nothing of its producer's health now.
+# An older pose does not show its producer's health.
 POSE_FRESH_S = 2.0
-# publish_tf that has sent nothing for so long since an input votes is named, seconds.
+# publish_tf without output for this long while an input votes is reported, seconds.
 TF_LATE_S = 5.0
-# A correction of fused_map -> odom that takes longer is named, and so is a longer time in which no
-# scan matches, seconds.
+# A longer correction of fused_map -> odom, and a longer time without a matching scan, is reported,
+# seconds.
 LONG_S = 2.0
 
 
 class ChildFrames:
-    """The frame that each input's transform is sent to, where several maps claim one.
+    """The child frame of each input's transform, if several maps have one frame.
 
-    The first that claims a frame keeps it; the frame of another is put into as much of its topic's
-    namespace as tells the two apart: ``graph_map`` of ``robot2/graph/map`` is ``robot2/graph_map``
-    where that of ``robot1/graph/map`` came before. No frame changes when others come or go. Those
-    of ``taken`` no input may have.
+    The first input keeps the frame; another gets as much of its topic's namespace as is needed:
+    ``graph_map`` of ``robot2/graph/map`` is ``robot2/graph_map`` if ``robot1/graph/map`` came
+    first. Frames stay when others come or go. No input gets one of ``taken``.
     """
 
     def __init__(self, taken: Collection[str] = ()) -> None:
         self._taken = set(taken)
-        # The child frame and its input's namespace, by the input's name and its map's frame.
+        # Child frame and namespace by input name and map frame.
         self._children: dict[tuple[str, str], tuple[str, tuple[str, ...]]] = {}
 
     def of(self, name: str, topic: str, frame: str) -> str:
-        """Return the frame of an input: of its name, its resolved map topic and its map's frame."""
+        """Return the child frame of an input's map frame; ``topic`` is resolved."""
         key = name, frame
         if key not in self._children:
             words = tuple(filter(None, topic.split("/")))
-            # Without the last ``map``; of a bare topic that is all.
+            # Without the last ``map``, unless that is all.
             space = words[:-1] if len(words) > 1 and words[-1] == "map" else words
             others = [theirs for (_, own), (_, theirs) in self._children.items() if own == frame]
             child = next(self._names(space, frame, others)) if others else frame
@@ -64,7 +63,7 @@ class ChildFrames:
         return self._children[key][0]
 
     def renamed(self) -> dict[str, tuple[str, str]]:
-        """Return the map's frame and the one that is sent, of inputs where these differ."""
+        """Return the map's frame and the child frame of inputs for which they differ."""
         return {
             name: (frame, child)
             for (name, frame), (child, _) in self._children.items()
@@ -74,7 +73,7 @@ class ChildFrames:
     def _names(
         self, space: tuple[str, ...], frame: str, others: Collection[tuple[str, ...]]
     ) -> Iterator[str]:
-        """Yield free names, the one with the shortest namespace first."""
+        """Yield free names, shortest namespace first."""
         for length in range(1, len(space) + 1):
             is_own = all(theirs[:length] != space[:length] for theirs in others)
             child = "/".join((*space[:length], frame))
@@ -91,15 +90,14 @@ class ChildFrames:
 class FusedFrames:
     """Sends fused_map -> every voter's map frame, the fused pose, and fused_map -> odom.
 
-    A voter's transform goes out with every pose of it, at that pose's stamp; those without poses
-    get the newest stamp of anything heard. The pose is that of the healthiest voter: the reference,
-    or else the best score; it stays with one until that one votes no more or is silent. Where the
-    scans support it, the scan is matched to the walls along the fused path from there. The stamps
-    of each of them only grow, see ``_fresh``. The transform to the odometry frame is sent at stamps
-    of the odometry, see ``OdomFrame``.
+    A voter's transform is sent with each of its poses, at their stamps; without poses, at the
+    newest stamp received. The fused pose is that of the leader: the reference, or else the best
+    score; the leader stays until it stops voting or is silent. If the scans support it, the scan
+    is matched to the walls along the fused path from there. Stamps only increase (``_fresh``). The
+    odometry frame is sent at stamps of the odometry (``OdomFrame``).
 
     Attributes:
-        leader: name of the input whose pose is taken; empty without.
+        leader: name of the input that gives the pose; empty without.
     """
 
     def __init__(self, node: FusionNode, odometry: TransformStore | None) -> None:
@@ -107,13 +105,13 @@ class FusedFrames:
         self._node = node
         self._odometry = odometry or TransformStore()
         self._children = ChildFrames([node.settings.fused_frame])
-        # What is fused now, and what was sent last; the inputs that the scans support; and since
-        # when no scan matches the fused path, a stamp.
+        # The current state and the one sent last; inputs that the scans support; and the stamp
+        # since which no scan matches the fused path.
         self._state = self._sent_state = FusionState()
         self._supported: Collection[str] = ()
         self._unmatched_s: float | None = None
         self._newest_s: float | None = None
-        # The last stamp and what was sent with it: by child frame, and of the fused pose.
+        # Last stamp and value sent, by child frame, and of the fused pose.
         self._sent: dict[str, tuple[int, Pose2]] = {}
         self._heard_ns: dict[str, int] = {}
         self._has_sent_odometry = False
@@ -125,7 +123,7 @@ class FusedFrames:
         )
 
     def on_pose(self, source: MapSource, heard: HeardPose) -> None:
-        """Send what a new pose of an input changes."""
+        """Send the transforms and the pose that follow from a new pose of an input."""
         self._read()
         stamp_ns = messages.stamp_ns(heard.stamp)
         if stamp_ns < self._heard_ns.get(source.name, stamp_ns) - BACK_NS:
@@ -136,14 +134,11 @@ class FusedFrames:
         self._send(source, heard, is_revised=False)
 
     def look(self) -> None:
-        """Send what a new fusion changed, and the frames of voters without poses.
-
-        And name what is wrong with frames.
-        """
+        """Send changes of a new fusion and frames of voters without poses; report problems."""
         self._read()
         now_s, sources = time.monotonic(), self._node.inputs.sources.values()
         for source in sources:
-            self.child_frame(source)  # claimed in the order of the inputs, not of the votes
+            self.child_frame(source)  # claimed in the order of the inputs
         if self._sent_state is not self._state:
             self._sent_state = self._state
             for source in sources:
@@ -161,7 +156,7 @@ class FusedFrames:
         self._name_unsent()
 
     def drive(self) -> None:
-        """Send where the odometry frame lies, at the stamp of the newest odometry."""
+        """Send the odometry frame's transform at the stamp of the newest odometry."""
         settings = self._node.settings
         frames = settings.odom_frame, settings.base_frame
         if not settings.publish_tf or settings.odom_frame == settings.fused_frame:
@@ -172,7 +167,7 @@ class FusedFrames:
         try:
             odometry = self._odometry.lookup(*frames, stamp_s)
         except TransformError:
-            return  # named at the next pose
+            return  # reported at the next pose
         speeds = settings.correction_speed, settings.correction_turn
         moved = self._odom_frame.move(stamp_s, odometry, *speeds)
         if moved is not None:
@@ -181,25 +176,25 @@ class FusedFrames:
             self._output.send(moved, settings.fused_frame, settings.odom_frame, stamp)
 
     def on_time_jump(self) -> None:
-        """Forget what was sent for a future that has not come."""
+        """Forget what was sent for later times."""
         self._newest_s, self._odom_frame = None, OdomFrame()
         self._sent.clear()
         self._heard_ns.clear()
 
     def child_frame(self, source: MapSource) -> str:
-        """Return the frame that an input's transform is sent to; empty without one."""
+        """Return the child frame of an input's transform; empty without one."""
         if not source.frame or source.frame == self._node.settings.fused_frame:
             return ""
         topic = self._node.resolved(source.topic)
         return self._children.of(source.name, topic, source.frame)
 
     def _read(self) -> None:
-        """Take what is fused now, and what the scans support."""
+        """Read the fusion's state and the inputs that the scans support."""
         self._state, solution = self._node.session.snapshot, self._node.drive.solution
         self._supported = () if solution is None else solution.supported
 
     def _send(self, source: MapSource, heard: HeardPose, *, is_revised: bool) -> None:
-        """Send what a pose means; ``is_revised``: it was sent before, and may mean another now."""
+        """Send what follows from a pose; ``is_revised``: again, after a new fusion."""
         settings, live = self._node.settings, self._node.live
         transform = self._state.transform(source.name)
         if transform is None and source.name not in self._supported:
@@ -236,15 +231,10 @@ class FusedFrames:
             self._correct(pose, heard.stamp_s)
 
     def _fresh(self, key: str, stamp: Any, value: Pose2, *, is_revised: bool) -> Any:
-        """Return the stamp that a value is to be sent with; None where it is not to be sent.
+        """Return the stamp for a value; None if it is not to be sent.
 
-        What a new fusion changes of a stamp that was sent already is sent a microsecond later, and
-        the pose of a new leader from its first newer stamp on.
-
-        Args:
-            key: the child frame, or the topic.
-            stamp: builtin_interfaces/Time that the value holds for.
-            is_revised: an older stamp may be sent again where the value is another now.
+        A revised value is sent a microsecond after the last stamp, if it differs; the pose of a new
+        leader from its first newer stamp on. ``key`` is the child frame or the topic.
         """
         stamp_ns = messages.stamp_ns(stamp)
         last = self._sent.get(key)
@@ -256,7 +246,7 @@ class FusedFrames:
         return messages.ns_to_stamp(stamp_ns)
 
     def _choose(self) -> str:
-        """Return the name of the healthiest voter with recent poses; empty without."""
+        """Return the name of the best voter with recent poses; empty without."""
         now_s, sources = time.monotonic(), self._node.inputs.sources
         fresh = {
             name: record
@@ -275,14 +265,14 @@ class FusedFrames:
         self._newest_s = stamp_s if self._newest_s is None else max(self._newest_s, stamp_s)
 
     def _send_frame(self, source: MapSource, transform: Pose2, stamp: Any) -> None:
-        """Send where an input's map frame lies, once the same."""
+        """Send an input's map frame, each value once."""
         frame = self.child_frame(source)
         fresh = self._fresh(frame, stamp, transform, is_revised=True) if frame else None
         if fresh is not None:
             self._output.send(transform, self._node.settings.fused_frame, frame, fresh)
 
     def _correct(self, pose: Pose2, stamp_s: float) -> None:
-        """Take the robot's pose in the fused frame, from which ``drive`` goes on."""
+        """Correct the odometry frame by the robot's pose in the fused frame; see ``drive``."""
         settings, diagnostics = self._node.settings, self._node.diagnostics
         frames = settings.odom_frame, settings.base_frame
         try:
@@ -306,10 +296,10 @@ class FusedFrames:
         is_long = away_m > LONG_S * speed or turn_rad > LONG_S * turn
         diagnostics.say("correction", text if is_long else None)
 
-    # --- what is wrong with frames -----------------------------------------------------------
+    # --- problems with frames ----------------------------------------------------------------
 
     def _name_unmatched(self, for_s: float) -> None:
-        """Name that no scan has matched the walls along the fused path for long."""
+        """Report a long time without a matching scan."""
         text = (
             f"no scan of the last {for_s:.0f} s matches the walls along the fused path: the pose "
             f"goes by {self.leader} alone"
@@ -317,7 +307,7 @@ class FusedFrames:
         self._node.diagnostics.say("match", text if for_s > LONG_S else None)
 
     def _name_shared(self) -> None:
-        """Name frames that two inputs share, or that are the fused one."""
+        """Report frames that two inputs share, or that equal the fused frame."""
         shared = [
             f"{name!r} is in frame {frame!r} as another map is: its transform is sent to {child!r}"
             for name, (frame, child) in self._children.renamed().items()
@@ -330,7 +320,7 @@ class FusedFrames:
         self._node.diagnostics.say("own frame", text if is_own else None)
 
     def _rival_words(self) -> str | None:
-        """Return which of our transforms another node sends, and what to do; None without one."""
+        """Return a problem text if another node sends one of our transforms."""
         odom_frame = self._node.settings.odom_frame
         child, words = self._output.rival(odom_frame)
         if not child:
@@ -343,7 +333,7 @@ class FusedFrames:
         return f"{words}: {what}"
 
     def _name_unsent(self) -> None:
-        """Name that fused_frame -> odom_frame was never sent, though an input votes."""
+        """Report that fused_frame -> odom_frame was never sent though an input votes."""
         settings = self._node.settings
         has_voters = any(record.accepted for record in self._state.inputs.values())
         why = "the odometry does not tell where the robot is at the times of its poses"

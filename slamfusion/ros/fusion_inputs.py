@@ -1,4 +1,4 @@
-"""Which maps a fusion node fuses: entries of ``inputs``, what is discovered, and their changes."""
+"""The inputs of a fusion node: the parameter ``inputs``, discovered topics, and changes."""
 
 from __future__ import annotations
 
@@ -22,25 +22,21 @@ from slamfusion.ros.input_health import MAP_SUFFIX, MapSource
 from slamfusion.ros.interface import INPUTS
 from slamfusion.ros.parameters import declare_names
 
-# Lines in the diagnostics: the fusion's, an input's before its name, and its figure with the entry.
+# Diagnostics lines: the fusion's, the prefix of an input's, and its value with the entry.
 FUSION, PREFIX, ENTRY = "fusion", "input ", "entry"
 FILE_PREFIX = "file:"
-# No topic has it in its name.
+# Not allowed in topic names.
 NAMED = "="
 MAP_TYPE = "nav_msgs/msg/OccupancyGrid"
 ANY_WORDS = "**"
 
 
 def input_names(entries: Sequence[str], before: Mapping[str, str] | None = None) -> dict[str, str]:
-    """Return a short name for every entry of ``inputs``, and the entry, in order.
+    """Return the entries of ``inputs`` by short name, in order.
 
-    ``robot/map`` is called robot, ``file:lab.yaml`` lab; ``yard=TOPIC`` and ``yard=file:PATH`` are
-    called yard. Where two would be called the same, both are called by their whole entry.
-
-    Args:
-        entries: what is fused.
-        before: entries by the names that they have and keep: a new one that would be called as one
-            of these is called by its whole entry.
+    ``robot/map`` is robot, ``file:lab.yaml`` lab; ``yard=TOPIC`` and ``yard=file:PATH`` are yard.
+    Entries with equal short names are called by the whole entry; those of ``before`` keep their
+    names.
 
     Raises:
         ConfigError: one is given twice, or two are given one name.
@@ -59,14 +55,10 @@ def input_names(entries: Sequence[str], before: Mapping[str, str] | None = None)
 
 
 def entry_for(name: str, topic: str | None = None) -> str:
-    """Return the entry of an input of a name.
-
-    Args:
-        name: of the input.
-        topic: of its maps, or ``file:PATH``; None: ``NAME/map``.
+    """Return the entry of an input; ``topic`` or ``file:PATH``, default ``NAME/map``.
 
     Raises:
-        ConfigError: the name is none.
+        ConfigError: the name is invalid.
     """
     if not name.strip("/") or NAMED in name or "," in name or name.startswith(FILE_PREFIX):
         message = f"{name!r} is no name of an input; wanted one like robot3, and --topic for others"
@@ -76,19 +68,19 @@ def entry_for(name: str, topic: str | None = None) -> str:
 
 
 def topic_of(entry: str) -> str | None:
-    """Return the map topic of an entry; None of a saved map."""
+    """Return the map topic of an entry; None for a saved map."""
     where = _split(entry)[1]
     return None if where.startswith(FILE_PREFIX) else where
 
 
 def saved_path(entry: str) -> Path | None:
-    """Return the file of a saved map's entry; None of a topic."""
+    """Return the file of a saved map's entry; None for a topic."""
     where = _split(entry)[1]
     return Path(where.removeprefix(FILE_PREFIX)) if where.startswith(FILE_PREFIX) else None
 
 
 def _split(entry: str) -> tuple[str, str]:
-    """Return the name that an entry gives itself, empty without, and its topic or file."""
+    """Return an entry's explicit name (or empty), and its topic or file."""
     name, is_named, where = entry.partition(NAMED)
     return (name, where) if is_named and not entry.startswith(FILE_PREFIX) else ("", entry)
 
@@ -101,9 +93,9 @@ def _short_name(entry: str) -> str:
 
 
 def fits(topic: str, pattern: str) -> bool:
-    """Return whether a topic fits a pattern; both are whole names that begin with a slash.
+    """Return whether a topic fits a pattern; both are full names with a leading slash.
 
-    ``*``, ``?`` and ``[ab]`` stand for parts of one word between slashes, ``**`` for any words.
+    ``*``, ``?`` and ``[ab]`` match within one word between slashes, ``**`` any words.
     """
     return _fit(topic.split("/"), pattern.split("/"))
 
@@ -117,21 +109,20 @@ def _fit(words: Sequence[str], wanted: Sequence[str]) -> bool:
 
 
 class FusionInputs:
-    """Which maps are fused, by name: the parameter ``inputs``, and what is discovered.
+    """The fused maps by name: the parameter ``inputs``, and what is discovered.
 
-    In the executor's thread. The mappings are replaced as wholes.
+    In the executor's thread. The mappings are replaced as a whole.
 
     Args:
-        outputs: topics that a fusion writes, relative; they are not discovered.
-        is_open: whether there may be none at first, since they are discovered.
-        load: returns the saved map of a name and its file; MapFileError where it cannot be read.
-        listen: returns the source of a name and its topic.
-        on_change: called after a change with the names of those that were removed, and the saved
-            maps among the new ones.
+        outputs: topics of a fusion, relative; not discovered.
+        is_open: whether there may be none at first.
+        load: returns the saved map of a name and a file, or raises MapFileError.
+        listen: returns the source of a name and a topic.
+        on_change: called with the removed names and the new saved maps.
 
     Attributes:
         entries: those of ``inputs`` by name.
-        sources, saved: of the map topics, and the saved maps, by name; none before ``begin``.
+        sources, saved: map topics and saved maps by name; none before ``begin``.
 
     Raises:
         ConfigError: there is none, or one is given twice.
@@ -159,26 +150,25 @@ class FusionInputs:
         self.entries = input_names(given)
         self.sources: dict[str, MapSource] = {}
         self.saved: dict[str, OccupancyGrid] = {}
-        # Topics, resolved, of inputs that were removed and not added again.
+        # Resolved topics of inputs that were removed and not added again.
         self._unwanted: set[str] = set()
-        # Saved maps by entry, from when they were checked until they are inputs.
+        # Checked saved maps by entry, until they are inputs.
         self._loaded: dict[str, OccupancyGrid] = {}
 
     def begin(self) -> None:
-        """Load the saved maps and listen to the topics.
+        """Load the saved maps and subscribe to the topics.
 
         Raises:
-            ConfigError: there are too many, or one topic is given twice or is none.
+            ConfigError: too many, one given twice, or an invalid topic.
             MapFileError: a saved map cannot be read.
         """
         entries, self.entries = [*self.entries.values()], {}
         self._take(self._checked(entries))
 
     def discover(self, settings: FusionNodeConfig) -> None:
-        """Let topics that fit ``discover`` be inputs, as many as can be; not those removed.
+        """Add topics that fit ``discover``, up to the limit, except removed ones.
 
-        Topics without a publisher are none. The maps that a fusion makes are never found, neither
-        this one's nor another's: theirs hold the inputs once more.
+        Topics need a publisher. Fused maps, of any fusion, are not discovered.
         """
         now_s = time.monotonic()
         if not settings.discover or now_s - self._looked_s < 1.0 / settings.discovery_rate_hz:
@@ -189,7 +179,7 @@ class FusionInputs:
         patterns = [part if part[0] == "/" else space + part for part in settings.patterns]
         known = {*self._topics(self.entries), *self._unwanted}
         known |= {self._base.resolved(name) for name in self._outputs}
-        # As relative as can be: robots are called by their own namespaces.
+        # Relative names: robots are called by their own namespaces.
         found = [
             topic.removeprefix(space)
             for topic, types in sorted(node.get_topic_names_and_types())
@@ -211,16 +201,12 @@ class FusionInputs:
             self._base.diagnostics.note("not fused", text)
 
     def load(self, path: str) -> OccupancyGrid:
-        """Let a saved map be an input, read again where it is one; return it.
-
-        Raises:
-            SlamFusionError: why not.
-        """
+        """Add a saved map, or read it again, and return it; SlamFusionError if refused."""
         entry = f"{FILE_PREFIX}{path}"
         others = [other for other in self.entries.values() if other != entry]
         steps = [[*others, entry]]
         if len(others) < len(self.entries):
-            self._load("", Path(path))  # it stays an input where it cannot be read
+            self._load("", Path(path))  # if unreadable, the old one stays
             steps = [others, *steps]
         for entries in steps:
             if problem := self._ask(entries):
@@ -228,17 +214,16 @@ class FusionInputs:
         return next(self.saved[name] for name, other in self.entries.items() if other == entry)
 
     def _ask(self, entries: Sequence[str]) -> str:
-        """Set the parameter; return why it was refused, empty where it was not."""
+        """Set the parameter; return why it was refused, or empty."""
         parameter = Parameter("inputs", Parameter.Type.STRING_ARRAY, [*entries])
         (result,) = self._base.node.set_parameters([parameter])
         return "" if result.successful else str(result.reason)
 
     def _checked(self, entries: Sequence[str]) -> dict[str, str]:
-        """Return what is to be fused from now on by name, and load what is saved of it.
+        """Return the entries by name after loading their new saved maps.
 
         Raises:
-            ConfigError: none would be left, there are too many, one stands there twice, or its
-                topic is none.
+            ConfigError: none left, too many, one given twice, or an invalid topic.
             MapFileError: a saved map cannot be read.
         """
         if not entries and self.entries:
@@ -259,11 +244,7 @@ class FusionInputs:
         return names
 
     def _topics(self, names: Mapping[str, str]) -> list[str]:
-        """Return the whole names of the topics among entries.
-
-        Raises:
-            ConfigError: one is no name of a topic.
-        """
+        """Return the resolved topics among entries; ConfigError for an invalid name."""
         topics = [topic for entry in names.values() if (topic := topic_of(entry)) is not None]
         node = self._base.node
         try:
@@ -276,7 +257,7 @@ class FusionInputs:
         return [self._base.resolved(topic) for topic in topics]
 
     def _change(self, entries: Sequence[str]) -> None:
-        """Take other inputs, which were checked, and log what came and left."""
+        """Apply checked entries, and log the changes."""
         removed, added = self._take(input_names(entries, self.entries))
         for name, entry in removed.items():
             text = f"{name} is removed from the inputs ({entry}), and its vote with it"
@@ -286,7 +267,7 @@ class FusionInputs:
         self._on_change([*removed], [grid for name, grid in self.saved.items() if name in added])
 
     def _take(self, names: dict[str, str]) -> tuple[dict[str, str], dict[str, str]]:
-        """Let these be the inputs; return the entries by name that were removed, and added."""
+        """Replace the inputs; return the removed and the added entries by name."""
         before = self.entries
         added = {name: entry for name, entry in names.items() if before.get(name) != entry}
         removed = {name: entry for name, entry in before.items() if names.get(name) != entry}

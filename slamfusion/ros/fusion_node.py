@@ -1,4 +1,4 @@
-"""``FusionNode``: maps of any SLAMs in, one fused map out, live."""
+"""``FusionNode``: fuses the maps of several SLAMs live."""
 
 from __future__ import annotations
 
@@ -44,33 +44,31 @@ CHANGEABLE = (
     *("max_publish_rate_hz", "publish_tf", "save_path", "lost_after_s"),
     *("correction_speed", "correction_turn", "on_new_place"),
 )
-# How often the node looks whether a fused map may go out, at frames, and who publishes its inputs;
-# and shows itself on the page; and how often it sends what the robot drives by.
+# Timer periods: publishing; frames and inputs; publishers of the inputs; the page; odometry frame.
 TURN_S, LOOK_S, LOOK_AROUND_S, SHOW_S, DRIVE_S = 0.02, 0.1, 1.0, 0.5, 0.05
-# What to do in a new place, by ``on_new_place``.
+# Advice in a new place, by ``on_new_place``.
 NEW_PLACE = {
     "ask": "; start a new map: slamfusion live reset",
     "reset": "; a new map starts",
     "keep": "; the map is kept (on_new_place)",
 }
-# Of an input in the diagnostics, by its state; WARN in the others.
+# Diagnostics level of an input's state; else WARN.
 LEVELS = {State.TRACKED: Level.OK, State.LOST: Level.STALE}
-# From so many inputs on the executor rests so many times as long as it works.
+# With this many inputs the executor rests (``NodeBase.rest``).
 MANY, REST = 8, 3.0
 
 
 class FusionNode(NodeBase):
     """Fuses the maps of several SLAMs while they grow; see ``slamfusion.fusion.live``.
 
-    Its topics, services and parameters: ``slamfusion.ros.interface``. With ``state_path`` the fused
-    frame, the transforms and the last map are kept in a file. A node that finds one publishes that
-    map at once and goes on in that frame; its inputs are tried at their old places, and those that
-    fit nowhere do not vote until ``reset`` starts a new frame.
+    Topics, services and parameters: ``slamfusion.ros.interface``. With ``state_path`` the fused
+    frame, the transforms and the last map are kept in a file. A restarted node publishes that map
+    at once and continues in that frame; inputs are tried at their old places, and those that do
+    not fit have no vote until ``reset`` starts a new frame.
 
-    The callbacks only keep the newest message. One worker converts, fuses and publishes: of maps
-    that come while it works only the newest of each input counts, and a fused map waits a moment
-    for those. When several fused maps fall into one period of ``max_publish_rate_hz`` only the last
-    is published.
+    Callbacks only keep the newest message. One worker converts, fuses and publishes: only the
+    newest map of each input counts, and of several fused maps within one period of
+    ``max_publish_rate_hz`` only the last is published.
 
     Raises:
         ConfigError: a parameter is refused, or ``state_path`` cannot be a file.
@@ -110,10 +108,10 @@ class FusionNode(NodeBase):
             map_files=declare(node, MapFileConfig()),
             start=declare_starts(node, names, may_come=is_open),
         )
-        # First of what may fail: a start with a wrong token or a taken port takes no time.
+        # Of what may fail first, so that a wrong token or a taken port fails early.
         self._page = LivePage(self, self.settings, self._carry_out) if self.settings.page else None
         self._clocks = Clocks(self.clock_s, self.diagnostics)
-        # Before the inputs: of what has come the odometry is heard first, and then the poses.
+        # Before the inputs: odometry is received first, then poses.
         device = self._config.device.device
         self.drive = DriveInput(self, device, self._on_solution)
         self._frames = FusedFrames(self, self.drive.scans.odometry)
@@ -122,9 +120,9 @@ class FusionNode(NodeBase):
         self._fusion = LiveFusion(self._config, self._device, None if is_open else names)
         warm_up(self._config, self._device)
 
-        # The last published map as message and as grid, replaced as a whole; None before the first.
+        # The last published map as message and grid; None before the first.
         self.published: tuple[OccupancyGrid, grids.OccupancyGrid] | None = None
-        # Another node that writes the fused map; empty without.
+        # Another node that publishes the fused map; empty without.
         self.rival = ""
         self._map_topic = node.create_publisher(OccupancyGrid, MAP_TOPIC, qos.MAP)
         updates = messages.MapUpdate, f"{MAP_TOPIC}_updates", qos.STREAM
@@ -144,7 +142,7 @@ class FusionNode(NodeBase):
         if (kept := self._keeper.restored) is not None:
             self.session.offer(FusedMap(*kept.grids(), kept.stamp_s))
         self._shown_votes = 0
-        # The stamp of the last scan when its final solution was published.
+        # Stamp of the last scan of the last published final solution.
         self._final_s: float | None = None
         self._worker: Worker[None] = Worker(self._turn, 1, self.failed, "fusion")
         self._on_inputs([], self.inputs.saved.values())
@@ -162,17 +160,15 @@ class FusionNode(NodeBase):
     # --- callbacks, in the executor's thread -------------------------------------------------
 
     def _load(self, name: str, path: Path) -> grids.OccupancyGrid:
-        """Load the saved map of an input."""
         legacy_unknown = self._config.map_files.legacy_unknown
         return load_map(path, name=name, legacy_unknown=legacy_unknown, warn=self.log.warning)
 
     def _listen(self, name: str, topic: str) -> MapSource:
-        """Listen to the maps of an input."""
         lost_after_s = self.settings.lost_after_s
         return MapSource(self, name, topic, lost_after_s, self._clocks, self._on_map, self._on_pose)
 
     def _on_inputs(self, removed: Sequence[str], saved: Iterable[grids.OccupancyGrid]) -> None:
-        """Forget inputs that were removed, and let the worker see to those that came."""
+        """Forget removed inputs, and let the worker handle new ones."""
         for name in removed:
             self.session.remove(name)
             self._clocks.remove(name)
@@ -181,7 +177,7 @@ class FusionNode(NodeBase):
         for grid in saved:
             read = partial(self._on_page, grid.name, grid)
             self._fusion.put(grid.name, read, time.monotonic(), is_saved=True)
-        # Leave the worker three quarters of the interpreter, where inputs are many.
+        # With many inputs leave the worker three quarters of the interpreter's time.
         self.rest = REST if len(self.inputs.sources) >= MANY else 0.0
         self._wake()
 
@@ -189,14 +185,14 @@ class FusionNode(NodeBase):
         self._worker.put(None)
 
     def _on_map(self, source: MapSource, message: Any) -> None:
-        """Keep a map for the worker; None: the process of the input fell silent, or is back."""
+        """Keep a map for the worker; None: the input's process fell silent, or is back."""
         if message is not None:
             read = partial(self._read, source, message)
             self._fusion.put(source.name, read, time.monotonic())
         self._wake()
 
     def _on_pose(self, source: MapSource, heard: HeardPose) -> None:
-        """Let a pose be compared with the others', and send what follows from it."""
+        """Compare a pose with those of the others, and send what follows from it."""
         self.session.hear(source.name, heard.stamp_s, heard.pose)
         self.drive.live.add_pose(source.name, heard.stamp_s, heard.pose)
         self._frames.on_pose(source, heard)
@@ -204,12 +200,12 @@ class FusionNode(NodeBase):
             self._page.put_pose(source.name, heard.pose)
 
     def _look_turn(self) -> None:
-        """Wake the worker for what had to wait for its turn, or for a listener."""
+        """Wake the worker if a fused map is due."""
         if self.session.is_due:
             self._wake()
 
     def _look(self) -> None:
-        """See which inputs are lost or back, and send what is new of the frames and votes."""
+        """Check which inputs are lost or back, and send new frames and votes."""
         self.inputs.discover(self.settings)
         for name, source in self.inputs.sources.items():
             if self.session.look(
@@ -218,18 +214,18 @@ class FusionNode(NodeBase):
                 self._wake()
         snapshot = self.session.snapshot
         self._frames.look()
-        if snapshot.votes != self._shown_votes:  # which inputs vote is shown at once
+        if snapshot.votes != self._shown_votes:  # votes are shown at once
             self._shown_votes = snapshot.votes
             self.publish_diagnostics()
             self._show()
 
     def _show(self) -> None:
-        """Show how the inputs are on the page."""
+        """Show the inputs on the page."""
         if self._page is not None:
             self._page.show(self.statuses(), self.session.snapshot, self.inputs.sources.values())
 
     def _look_around(self) -> None:
-        """See which nodes publish the inputs and the fused map, and let ages be looked at."""
+        """Check the publishers of the inputs and the fused map, clocks and paths."""
         sources = self.inputs.sources
         for source in sources.values():
             source.look()
@@ -251,18 +247,18 @@ class FusionNode(NodeBase):
         self._wake()
 
     def on_time_jump(self, delta_s: float) -> None:
-        """Forget the odometry of a future that has not come; the maps speak for themselves."""
+        """Forget odometry and poses of later times; the maps stay."""
         if delta_s < 0.0:
             self._clocks.forget()
             self.drive.scans.forget_after(self.clock_s())
             self._frames.on_time_jump()
 
     def _carry_out(self, name: str) -> tuple[bool, str]:
-        """Do what the page asks for."""
+        """Execute a request of the page."""
         return self._services.carry_out(name)
 
     def ask_reset(self) -> None:
-        """Let the worker start a new fused frame; from any thread."""
+        """Start a new fused frame; from any thread."""
         self.drive.forget()
         self._name_conditions({})
         self.session.ask_reset()
@@ -271,7 +267,7 @@ class FusionNode(NodeBase):
     # --- the thread of the drive -------------------------------------------------------------
 
     def _on_solution(self, solution: DriveSolution) -> None:
-        """Let the worker fuse by what the scans say, and name what the robot suffers."""
+        """Use a solution's evidence, and report the conditions it found."""
         self._fusion.put_evidence(solution.evidence)
         self._name_conditions(solution.conditions)
         if "new place" in solution.conditions and self.settings.on_new_place == "reset":
@@ -279,7 +275,7 @@ class FusionNode(NodeBase):
         self._wake()
 
     def _name_conditions(self, found: Mapping[Condition, str]) -> None:
-        """Name what the robot suffers, as its scans show it."""
+        """Report the robot's conditions, as its scans show them."""
         for condition in CONDITIONS:
             text = found.get(condition)
             if text is not None and condition == "new place":
@@ -290,7 +286,7 @@ class FusionNode(NodeBase):
     # --- the worker's thread -----------------------------------------------------------------
 
     def _turn(self, _: None) -> None:
-        """Let the session do what there is to do."""
+        """Run the session once."""
         if self._keeper.is_waiting(self._fusion.has_come):
             self.session.send()
             return
@@ -301,7 +297,7 @@ class FusionNode(NodeBase):
         self._keeper.note(self.session.snapshot)
 
     def _read(self, source: MapSource, message: Any) -> grids.OccupancyGrid:
-        """Convert a map that came, and show it on the page."""
+        """Convert a received map, and show it on the page."""
         try:
             return self._on_page(source.name, source.read(message))
         except GridError as error:
@@ -331,20 +327,19 @@ class FusionNode(NodeBase):
         self._agreement_topic.publish(self._message(fused, fused.agreement))
 
     def _message(self, fused: FusedMap, grid: grids.OccupancyGrid) -> OccupancyGrid:
-        """Return a grid of a fused map as a message in the fused frame."""
         stamp = messages.to_stamp(fused.stamp_s)
         return messages.grid_to_message(grid, self.settings.fused_frame, stamp)
 
     def _stamp_s(self, voters: Sequence[str]) -> float:
-        """Return the stamp of a fused map: of the newest map in it, 0 where all were saved ones."""
+        """Return the stamp of the newest map in a fused map; 0 if all were saved ones."""
         sources = [source for name, source in self.inputs.sources.items() if name in voters]
         stamps = [source.stamp_s for source in sources if source.stamp_s is not None]
-        # None of their stamps can be right: then the node's time is.
+        # Without a plausible stamp: the node's time.
         return max(stamps, default=self.clock_s() if sources else 0.0)
 
     def _on_vote(self, record: LiveInput) -> None:
-        """Log that an input got or lost its vote."""
-        # Two calls: rclpy ties a place in the code to one level.
+        """Log that an input gained or lost its vote."""
+        # Two calls: rclpy ties a line of code to one level.
         if record.accepted:
             self._keeper.confirm()
             self.log.info(f"{record.name} votes: {record.reason}")
@@ -354,7 +349,7 @@ class FusionNode(NodeBase):
     # --- diagnostics -------------------------------------------------------------------------
 
     def statuses(self) -> list[Status]:
-        """Return a line for the fusion and one for each input."""
+        """Return one line for the fusion and one for each input."""
         lines = [self._input_status(name, entry) for name, entry in self.inputs.entries.items()]
         return [self._fusion_status(lines), *lines]
 
@@ -429,7 +424,7 @@ class FusionNode(NodeBase):
         return Status(PREFIX + name, level, record.reason, values)
 
     def close(self) -> None:
-        """End the worker; the map that is being fused is fused to its end, and the state kept."""
+        """Finish the current fusion, end the threads, and keep the state."""
         if self._page is not None:
             self._page.close()
         self.drive.close()

@@ -1,4 +1,4 @@
-"""``FusionServices``: what the fusion node answers: its map, saved maps, a new frame."""
+"""``FusionServices``: the services of the fusion node."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ except ImportError:
     Nav2LoadMap = Nav2SaveMap = None
 
 MAP_TOPIC, SAVE_AS = "fused/map", "save_map_as"
-# What a request of ``save_map_as`` may say, and its types; ``save_map`` calls format image_format.
+# Keys and types of a ``save_map_as`` request; ``save_map`` calls format image_format.
 RULES = dict.fromkeys(("path", "format", "mode"), (str,)) | dict.fromkeys(
     ("free_thresh", "occupied_thresh"), (float, int)
 )
@@ -39,9 +39,8 @@ RULES = dict.fromkeys(("path", "format", "mode"), (str,)) | dict.fromkeys(
 class FusionServices:
     """The services ``get_map``, ``save_map``, ``save_map_as``, ``load_map`` and ``reset``.
 
-    Where nav2 is installed ``~/save_map`` and ``~/load_map`` have its types. Maps are written into
-    the folder of the ``save_path`` that the node was started with, or below it: what the parameter
-    is set to later, or what a request names, leads nowhere else.
+    With nav2 ``~/save_map`` and ``~/load_map`` have its types. Maps are written only into the
+    folder of the initial ``save_path``, or below it.
     """
 
     def __init__(self, node: FusionNode) -> None:
@@ -61,13 +60,13 @@ class FusionServices:
             node.node.create_service(kind, name, self._serve(answer))
 
     def carry_out(self, name: str) -> tuple[bool, str]:
-        """Do what the service ``save`` or ``reset`` does, and return its answer."""
+        """Execute ``save`` or ``reset``, and return the answer."""
         answer = {"save": self._save_map, "reset": self._reset}[name]
         response = self._serve(answer)(None, Trigger.Response())
         return bool(response.success), str(response.message)
 
     def _serve(self, answer: Callable[[Any, Any], None]) -> Callable[[Any, Any], Any]:
-        """Return a service's callback that names what cannot be done, and what went wrong."""
+        """Return a service callback that reports errors."""
 
         def callback(request: Any, response: Any) -> Any:
             try:
@@ -85,7 +84,7 @@ class FusionServices:
         return callback
 
     def _get_map(self, _: Any, response: Any) -> None:
-        """Answer the last published map; without cells before the first."""
+        """Answer the last published map; an empty one before the first."""
         published = self._node.published
         if published is None:
             response.map.header.frame_id = self._node.settings.fused_frame
@@ -93,14 +92,14 @@ class FusionServices:
             response.map = published[0]
 
     def _save_map(self, _: Any, response: Any) -> None:
-        """Write the last published map to ``save_path``."""
+        """Save the last published map to ``save_path``."""
         response.message = self._save()
         response.success = True
 
     def _save_map_as(self, request: Any, response: Any) -> None:
-        """Write the last published map as the request says."""
+        """Save the last published map as requested."""
         given = {item.name: parameter_value_to_python(item.value) for item in request.parameters}
-        # By its type: a truth value is an int, too, and no number.
+        # By type: a bool is an int, too.
         wrong = {name: v for name, v in given.items() if type(v) not in RULES.get(name, ())}
         if wrong:
             wanted = "path, format and mode as texts, free_thresh and occupied_thresh as numbers"
@@ -111,7 +110,7 @@ class FusionServices:
         response.result.successful = True
 
     def _save_for_nav2(self, request: Any, response: Any) -> None:
-        """Write the last published map as nav2's map saver would; zeros and '' are defaults."""
+        """Save the last published map as nav2 does; zeros and '' are defaults."""
         response.result = False
         if not f"/{request.map_topic or MAP_TOPIC}".endswith(f"/{MAP_TOPIC}"):
             raise SlamFusionError(f"wanted the topic {MAP_TOPIC}, found {request.map_topic!r}")
@@ -126,7 +125,7 @@ class FusionServices:
         response.result = True
 
     def _load_map(self, request: Any, response: Any) -> None:
-        """Let a saved map be an input, and answer it."""
+        """Add a saved map as input, and answer it."""
         path = str(request.map_url).strip().removeprefix("file://")
         response.result = LoadMap.Response.RESULT_INVALID_MAP_DATA
         if not path or not Path(path).exists():
@@ -148,10 +147,7 @@ class FusionServices:
 
         Args:
             path: without an ending; relative to the working folder; None: ``save_path``.
-            rules: mode, image_format, free_thresh and occupied_thresh of ``save_map``.
-
-        Raises:
-            SlamFusionError, OSError: why it was not written.
+            rules: of ``save_map``.
         """
         node = self._node
         if node.published is None:
@@ -179,7 +175,7 @@ class FusionServices:
 
 
 def _fail(response: Any, text: str) -> None:
-    """Let an answer of any of the services, except for a map, be that of a failure."""
+    """Set an answer of any of the services, except for a map, to a failure."""
     if isinstance(response, SetParametersAtomically.Response):
         response.result.successful, response.result.reason = False, text
     elif isinstance(response, Trigger.Response):
@@ -187,16 +183,15 @@ def _fail(response: Any, text: str) -> None:
 
 
 def save_target(save_path: str, root: Path, name: str) -> Path:
-    """Return where a map is written, without an ending.
+    """Return the path of a map to write, without an ending.
 
     Args:
-        save_path: as the parameter says now, or a request; relative to the working folder.
-        root: the folder that it must not leave, without links.
-        name: of what gave it.
+        save_path: of the parameter or a request; relative to the working folder.
+        root: the folder that it must not leave, resolved.
+        name: of the parameter, for errors.
 
     Raises:
-        SlamFusionError: it names no file, leaves ``root`` (also by a link), or its folder is not
-            there.
+        SlamFusionError: no file name, outside ``root`` (also by a link), or no such folder.
     """
     given = Path(save_path)
     if given.name in {"", ".."} or "\0" in save_path:

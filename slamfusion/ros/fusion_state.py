@@ -1,4 +1,4 @@
-"""``StateKeeper``: the fusion's state in a file, so that a restart goes on in the same frame."""
+"""``StateKeeper``: keeps the fusion's state in a file, for a restart in the same frame."""
 
 from __future__ import annotations
 
@@ -15,31 +15,31 @@ from slamfusion.fusion.live.state import LiveState, StateError, is_state
 from slamfusion.io.files import check_memory, write_atomic
 from slamfusion.ros.base import Level, NodeBase, Worker
 
-# A state is written at most this often, seconds, and so that writing takes a tenth of the time.
+# Shortest pause between writes, seconds, and their largest share of the time.
 PAUSE_S, SHARE = 2.0, 0.1
-# What was wrong with the state that was found is shown this long, seconds.
+# A problem with the found state is shown this long, seconds.
 STATE_SHOWN_S = 60.0
-# After a restart the inputs that had a place are waited for this long, seconds, so that the first
-# map that is fused again is not that of the quickest alone.
+# After a restart, wait this long for known inputs, seconds, so that the first fused map is not of
+# the quickest alone.
 RETURN_S = 2.0
 UNUSABLE = ".unusable"
-# Bytes of a state in memory for each of the file: most maps compress well.
+# Bytes of a state in memory per byte of the compressed file.
 GROWTH = 20
 
 
 class StateKeeper:
-    """Restores the state at the start, and writes the newest in a thread of its own.
+    """Restores the state at the start, and writes the newest in its own thread.
 
-    A file of another kind is never written over; a state that cannot be used is moved aside.
-    Without a path nothing is read or kept. In the worker's thread, apart from the constructor.
+    A file of another kind is never overwritten; an unusable state is moved aside. In the worker's
+    thread, except the constructor.
 
     Args:
-        live: what is restored and kept; nothing was put there yet.
-        path: of the file, ``~`` for the home folder; None or empty: nothing is kept.
-        names: the inputs, which are waited for; places of others are kept until these come.
+        live: restored and kept; still empty.
+        path: ``~`` for the home folder; None or empty: nothing is read or kept.
+        names: the inputs to wait for; places of others are kept until they come.
 
     Attributes:
-        restored: the state that the node went on from; None where it started empty.
+        restored: the restored state, or None.
 
     Raises:
         ConfigError: the path's folder does not exist, or the path is a folder.
@@ -53,7 +53,7 @@ class StateKeeper:
         self._live = live
         self._path = Path(path).expanduser() if path else None
         self._next_s = float("-inf")
-        # What was noted last, and the newest fused map that is not kept.
+        # Last noted, and the stamp of the newest fused map that is not kept.
         self._resets = self._fused_maps = 0
         self._unkept_s: float | None = None
         self._began_s = time.monotonic()
@@ -69,7 +69,7 @@ class StateKeeper:
         self._writer: Worker[LiveState | None] = Worker(self._write, 1, self._failed, "state")
 
     def _read(self, path: Path, names: Collection[str]) -> None:
-        """Restore the kept state, if there is a usable one."""
+        """Restore the kept state, if it is usable."""
         if not path.exists():
             return
         diagnostics = self._base.diagnostics
@@ -112,18 +112,18 @@ class StateKeeper:
         return self._base.diagnostics.is_on("restored")
 
     def confirm(self) -> None:
-        """Take note that an input votes."""
+        """Note that an input votes."""
         self._base.diagnostics.clear("restored")
 
     def is_waiting(self, has_come: Callable[[str], bool]) -> bool:
-        """Whether inputs that had a place before the restart are waited for."""
+        """Whether known inputs are awaited after a restart."""
         is_young = time.monotonic() - self._began_s < RETURN_S
         if not is_young or all(has_come(name) for name in self._returning):
             self._returning = set()
         return bool(self._returning)
 
     def note(self, state: FusionState) -> None:
-        """Let what has changed be written, now and then; a new frame forgets the kept one."""
+        """Write changes now and then; a new frame deletes the kept state."""
         if state.resets != self._resets:
             self._resets, self._returning, self._unkept_s = state.resets, set(), None
             self._next_s = float("-inf")
@@ -136,7 +136,7 @@ class StateKeeper:
             self._keep()
 
     def close(self, *, is_whole: bool) -> None:
-        """Keep the last state; ``is_whole``: no other thread is at work on the fusion."""
+        """Keep the last state if ``is_whole``: no other thread uses the fusion."""
         if is_whole and self._unkept_s is not None:
             self._keep()
         self._writer.is_idle(5.0)
@@ -149,7 +149,7 @@ class StateKeeper:
             self._put(state)
 
     def _put(self, state: LiveState | None) -> None:
-        """Let a state be written, or with None the file be removed; returns at once."""
+        """Queue a state for writing; None removes the file."""
         if self._path is not None:
             self._writer.put(state)
 

@@ -1,7 +1,7 @@
-"""An input of the fusion node, and whether it is well.
+"""An input of the fusion node and its health.
 
-``MapSource`` hears a map topic and the poses next to it, and ``Liveliness`` whether the process
-that writes them lives. ``Clocks`` knows whose clock is off.
+``MapSource`` receives maps and poses, ``Liveliness`` detects dead processes, ``Clocks`` wrong
+clocks.
 """
 
 from __future__ import annotations
@@ -25,35 +25,33 @@ from slamfusion.ros.base import Diagnostics, Level, NodeBase
 
 MAP_SUFFIX = "/map"
 
-# A lease that ran out counts after this long, seconds: when this process itself was stopped, every
-# lease seems to have run out at once, and the next sign of life is a third of a second away.
+# Delay before an expired lease counts, seconds: if this process was stopped, all leases seem to
+# have expired, and the next sign of life is a third of a second away.
 DOUBT_S = 0.5
-# Kept of the time after which a writer is dead, seconds, to see it and to say so.
+# Part of the time limit for detecting and reporting a dead writer, seconds.
 NOTICE_S = 0.2
 
-# A stamp that is further ahead than this is wrong; clocks of machines that nobody has set together
-# differ by less, seconds.
+# A stamp further ahead is wrong; unsynchronised clocks differ by less, seconds.
 AHEAD_S = 60.0
-# Clocks that differ by less are near enough, and messages come late by as much, seconds.
+# Clocks that differ by less are equal, and messages may be this late, seconds.
 SKEW_S = 2.0
-# Stamps kept of each input, and what they must be to tell a clock: this many, and this far apart,
-# so that none of them is a kept map of some time ago. Seconds.
+# Stamps kept of each input; the number and time span needed to estimate a clock, so that a latched
+# map does not count. Seconds.
 KEPT, LEAST, SPAN_S = 50, 4, 1.0
-# Of the last stamps this share is farther ahead than the one that counts: a stray one does not.
+# Quantile from above that estimates the clock, robust to stray stamps.
 UPPER = 0.25
 
-# Two writers of one name are more than a dead one and its successor after this long, seconds.
+# Two writers of one name are not a dead one and its successor after this long, seconds.
 DEAD_KNOWN_S = 45.0
 UNKNOWN = "_NODE_NAME_UNKNOWN_"
 
 
 class Liveliness:
-    """What the events of a lease say of the writers of a topic, seconds on a growing clock.
+    """The liveliness of a topic's writers by lease events, seconds on a monotonic clock.
 
     Attributes:
-        is_back: whether the writer that lives now is the one that had fallen silent. It stands
-            until all are silent again: under load a lease may run out and be renewed more than once
-            between two looks.
+        is_back: the living writer is the one that had fallen silent. Stays until all are silent
+            again: under load a lease may expire and be renewed more than once between two looks.
     """
 
     def __init__(self) -> None:
@@ -63,17 +61,16 @@ class Liveliness:
         self._lives = False
 
     def take(self, alive: int, alive_change: int, not_alive_change: int, now_s: float) -> bool:
-        """Take an event; return whether there are writers that live now, or none any more.
+        """Take an event; return whether the topic gained its first or lost its last living writer.
 
-        Of a writer that is given up before its first sign of life Fast DDS takes one from the
-        living that it was never added to, so a count may be too small from then on, and a change
-        tells more.
+        Fast DDS may count one too few alive after a writer was given up before its first sign of
+        life, so changes are more reliable than counts.
 
         Args:
             alive: writers that renew their lease, or fewer.
-            alive_change: how many more do since the last event.
-            not_alive_change: how many more do not.
-            now_s: when.
+            alive_change: change of that number.
+            not_alive_change: change of the number that do not.
+            now_s: time of the event.
         """
         had, self._lives = self._lives, alive > 0 or alive_change > 0
         if self._lives:
@@ -84,48 +81,45 @@ class Liveliness:
             self.is_back = False
             if not_alive_change > 0 and self._silent_since_s is None:
                 self._silent_since_s = now_s
-        # Without any writer: one that said good-bye is missed by the reader of the maps, one that
-        # had fallen silent has now been given up by DDS, and stays dead.
+        # Without any writer: a regular end is seen by the map's reader; a silent writer has been
+        # given up by DDS, and stays dead.
         return had != self._lives
 
     def is_dead(self, now_s: float) -> bool:
-        """Whether every writer has fallen silent, and none has taken its place."""
+        """Whether every writer has fallen silent and none has replaced it."""
         since_s = self._silent_since_s
         return since_s is not None and now_s - since_s > DOUBT_S
 
     def forgive(self) -> None:
-        """Take the writers for living ones until their lease runs out again."""
+        """Assume living writers until a lease expires again."""
         self._silent_since_s = None
 
 
 class Clocks:
     """Compares the clocks of the inputs' machines with each other and with this one's.
 
-    A stamp is as far ahead of the node's clock as the sender's clock is, less the time that the
-    message took: of an input's last stamps one of those farthest ahead tells its clock best. Inputs
-    whose poses have stamps in common map the scans of one sensor, so they have one clock, and the
-    later one has a queue. The clock that most have, this machine's among them, is taken for the
-    right one, so that a log that is played without simulated time is not named. No input is refused
-    for its clock: alignment and votes go by when a map came. A single stamp is refused that is far
-    ahead of the node's clock while another input's is not.
+    A stamp is ahead of the node's clock by the offset of the sender's clock minus the delay of the
+    message, so an upper quantile of the last stamps estimates the offset. Inputs with common pose
+    stamps map the scans of one sensor: they share a clock, and the later one has a queue. The
+    majority, this machine included, is taken as right. Wrong clocks are reported, but only single
+    stamps are refused: far ahead of the node's clock while another input's is not.
 
-    In the executor's thread, apart from ``too_far_ahead_s``.
+    In the executor's thread, except ``too_far_ahead_s``.
 
     Args:
-        clock_s: the node's time, seconds; 0 or less while it is not known (simulated time before
-            its first message).
+        clock_s: the node's time, seconds; <= 0 while unknown (before the first simulated time).
     """
 
     def __init__(self, clock_s: Callable[[], float], diagnostics: Diagnostics) -> None:
         self._clock_s = clock_s
         self._diagnostics = diagnostics
-        # Stamps, and how far ahead of the node's clock they were, by name and kind of message.
+        # Stamps, and their lead over the node's clock, by name and kind of message.
         self._heard: dict[tuple[str, str], deque[tuple[float, float]]] = {}
-        # How far ahead each input's last stamp was; each use is one operation on the mapping.
+        # Lead of each input's last stamp; each use is one atomic operation.
         self._ahead_s: dict[str, float] = {}
 
     def too_far_ahead_s(self, name: str, stamp_s: float) -> float | None:
-        """Note a stamp of an input; return by how much it is too far ahead, or None."""
+        """Note a stamp of an input; return its lead if that is too large, else None."""
         now_s = self._clock_s()
         if now_s <= 0.0:
             return None
@@ -135,7 +129,7 @@ class Clocks:
         return ahead_s if is_wrong else None
 
     def hear(self, name: str, kind: str, stamp_s: float) -> None:
-        """Take the stamp of a message that has just come; those of one kind grow, or restart."""
+        """Take the stamp of a new message; a smaller one of the same kind restarts."""
         now_s = self._clock_s()
         if now_s <= 0.0:
             return
@@ -147,7 +141,7 @@ class Clocks:
         heard.append((stamp_s, stamp_s - now_s))
 
     def _relative_s(self) -> dict[str, float]:
-        """Return by how much each input's clock is ahead of what most have, where it is known."""
+        """Return the lead of each known clock over the majority."""
         ahead_s: dict[str, float] = {}
         stamps: dict[str, set[float]] = {}
         for (name, _), heard in self._heard.items():
@@ -167,7 +161,7 @@ class Clocks:
         return {name: ahead - right_s for name, ahead in ahead_s.items()}
 
     def look(self, names: Collection[str]) -> None:
-        """Name which inputs are off; ``names`` are all of them."""
+        """Report inputs with wrong clocks; ``names`` are all of them."""
         known = self._relative_s()
         for name in names:
             ahead_s = known.get(name, 0.0)
@@ -186,17 +180,13 @@ class Clocks:
         self._diagnostics.clear(f"clock {name}")
 
     def forget(self) -> None:
-        """Forget every stamp: time jumped back."""
+        """Forget every stamp, after a jump back of time."""
         self._heard.clear()
         self._ahead_s.clear()
 
 
 def name_writers(base: NodeBase, topics: Mapping[str, str], output: str) -> str:
-    """Name topics with several writers, of inputs by name and of the output.
-
-    Returns:
-        Another node that writes the output; empty without.
-    """
+    """Report topics with several writers; return another node that writes the output, or empty."""
     for name, topic in topics.items():
         nodes = _writers(base, topic)
         single = sorted(set(nodes))
@@ -206,7 +196,7 @@ def name_writers(base: NodeBase, topics: Mapping[str, str], output: str) -> str:
             f"{' and '.join(map(repr, nodes))}, and their maps take turns as one input: end one, "
             "or give each a topic of its own in inputs"
         )
-        # A process that was killed is known to DDS for another 20 s, next to its successor.
+        # DDS knows a killed process for another 20 s, next to its successor.
         after_s = DEAD_KNOWN_S if len(single) == 1 else 0.0
         is_shared = len(nodes) > 1
         base.diagnostics.say(f"writers {name}", text if is_shared else None, after_s=after_s)
@@ -221,7 +211,7 @@ def name_writers(base: NodeBase, topics: Mapping[str, str], output: str) -> str:
 
 
 def _writers(base: NodeBase, topic: str) -> list[str]:
-    """Return the names of the nodes that write a topic, by what DDS knows of them."""
+    """Return the names of the nodes that write a topic."""
     infos = base.node.get_publishers_info_by_topic(topic)
     return sorted(
         f"{info.node_namespace.rstrip('/')}/{info.node_name}"
@@ -232,7 +222,7 @@ def _writers(base: NodeBase, topic: str) -> list[str]:
 
 @dataclass(frozen=True)
 class HeardPose:
-    """The robot's pose in an input's map frame, and when it came by ``time.monotonic``."""
+    """The robot's pose in an input's map frame, and its arrival by ``time.monotonic``."""
 
     pose: Pose2
     stamp: Any  # builtin_interfaces/Time
@@ -243,33 +233,28 @@ class HeardPose:
 class MapSource:
     """A map topic and the pose topic next to it: ``NAME/pose`` for ``NAME/map``.
 
-    The map is read with the quality that is offered: a reader that asks for kept or for reliable
-    maps never hears a writer that offers less. ``MAP_updates`` (map_msgs/OccupancyGridUpdate),
-    which some SLAMs and costmaps send for the part that changed, are put into the last whole map.
-    Stamps far ahead of all else are named and not used, nor are poses that have them.
+    The map is read with the offered quality of service. ``MAP_updates``
+    (map_msgs/OccupancyGridUpdate) are applied to the last whole map. Maps and poses with stamps far
+    ahead of all others are reported and not used.
 
-    A robot that stands still makes no maps and no poses, and its SLAMs are well; one whose process
-    was killed or frozen must lose its vote. A node that is busy with a loop closure is late with
-    messages and diagnostics, so the poses of our producers are offered with a DDS liveliness lease,
-    which the process renews three times a second from a thread that neither Python nor a long
-    computation holds up, and a second reader of the pose topic asks for that lease. Of inputs
-    without one (the SLAMs of others) DDS itself says that they are dead, after the lease of a
-    participant (20 s by default).
+    A robot that stands still sends no maps and poses but is healthy; a killed or frozen process
+    must lose its vote. A busy node is late with messages and diagnostics, so our producers offer
+    poses with a DDS liveliness lease, renewed three times a second by a thread independent of
+    Python, and a second reader of the pose topic requests it. Inputs without a lease are dead when
+    DDS says so (20 s by default).
 
-    In the executor's thread, apart from ``read``.
+    In the executor's thread, except ``read``.
 
     Args:
-        lost_after_s: an input whose process gave no sign of life for this long is lost, and one
-            that no node publishes; below one second it is taken for one.
-        on_map: called with the message when a map has come, and with None when its process fell
-            silent or is back.
+        lost_after_s: an input is lost after this long without a sign of life or a publisher; at
+            least one second.
+        on_map: called with a new map, and with None when the process fell silent or is back.
 
     Attributes:
         frame: of the newest map that was read; empty before the first.
-        stamp_s: of the newest map that was read whose stamp can be right; None before the first.
+        stamp_s: of the newest map with a plausible stamp; None before the first.
         pose: the newest; None before the first.
-        silent_since_s: since when no node publishes the map, ``time.monotonic``; None while one
-            does.
+        silent_since_s: ``time.monotonic`` since when no node publishes the map; None if one does.
     """
 
     def __init__(
@@ -291,19 +276,19 @@ class MapSource:
         self._clocks = clocks
         self._lost_after_s = lost_after_s
         self._on_map, self._on_pose = on_map, on_pose
-        # The last map, which updates are put into, and how many could not be.
+        # The last map, for updates, and the number of unusable updates.
         self._last: Any = None
         self._left_out = 0
         self._profile = qos.MAP
         self._liveliness = Liveliness()
-        # By what they hear: map, updates, pose, path and lease.
+        # By content: map, updates, pose, path and lease.
         self._subscriptions: dict[str, Any] = {}
         if messages.MapUpdate is not None:
             self._subscriptions["updates"] = base.subscribe(
                 messages.MapUpdate, f"{topic}_updates", self._take_update, qos.STREAM
             )
         self._listen()
-        # NAME of NAME/map, which is empty of /map; None of other topics.
+        # NAME of NAME/map, empty for /map; None for other topics.
         self._stem = topic.removesuffix(MAP_SUFFIX) if topic.endswith(MAP_SUFFIX) else None
         if self._stem is not None:
             self._subscriptions["pose"] = base.subscribe(
@@ -312,7 +297,7 @@ class MapSource:
 
     @property
     def lost(self) -> str:
-        """Why the input is lost, one line; empty while it is not."""
+        """Why the input is lost, one line; else empty."""
         now_s = time.monotonic()
         if self._liveliness.is_dead(now_s):
             return Reason.SILENT.says(seconds=self._lost_after_s)
@@ -323,11 +308,11 @@ class MapSource:
 
     @property
     def is_back(self) -> bool:
-        """Whether the process that was lost is the one that lives again, with the same map."""
+        """Whether the lost process lives again, with the same map."""
         return self._liveliness.is_back
 
     def ask(self, lost_after_s: float) -> None:
-        """Take another time after which the input is lost."""
+        """Change the time after which the input is lost."""
         if lost_after_s != self._lost_after_s:
             self._lost_after_s = lost_after_s
             self._close("lease")
@@ -335,19 +320,19 @@ class MapSource:
             self._watch()
 
     def hear_path(self, on_path: Callable[[Any], None]) -> None:
-        """Hear ``NAME/path``, too."""
+        """Subscribe to ``NAME/path``."""
         if self._stem is not None and "path" not in self._subscriptions:
             self._subscriptions["path"] = self._base.subscribe(
                 Path, f"{self._stem}/path", on_path, qos.MAP
             )
 
     def close(self) -> None:
-        """Hear nothing more."""
+        """End all subscriptions."""
         for what in [*self._subscriptions]:
             self._close(what)
 
     def look(self) -> None:
-        """See which nodes publish the map, and read it and its signs of life as offered."""
+        """Check the map's publishers, and adapt the subscriptions to what they offer."""
         self._watch()
         profile = qos.map_qos(self._base.node, self.topic)
         if profile is None:
@@ -370,7 +355,7 @@ class MapSource:
             self._base.node.destroy_subscription(self._subscriptions.pop(what))
 
     def _watch(self) -> None:
-        """Ask for signs of life once a writer of the poses offers a lease that is short enough."""
+        """Request liveliness once a pose writer offers a lease that is short enough."""
         if self._stem is None or "lease" in self._subscriptions:
             return
         node, topic = self._base.node, f"{self._stem}/pose"
@@ -380,16 +365,16 @@ class MapSource:
         if not any(0.0 < lease_s <= asked_s for lease_s in leases_s):
             return
         profile = qos.profile(1, reliable=False, latched=False, lease_s=asked_s)
-        # It is the lease that counts, not the poses.
+        # Only the lease counts, not the poses.
         wanted = PoseStamped, topic, lambda _: None, profile
-        # Without the default ones: that others offer no lease is nothing to warn of.
+        # No default callbacks: writers without a lease are no problem.
         events = SubscriptionEventCallbacks(
             use_default_callbacks=False, liveliness=self._on_liveliness
         )
         try:
             lease = node.create_subscription(*wanted, raw=True, event_callbacks=events)
         except UnsupportedEventTypeError:
-            # This middleware has no leases; its own word that no node publishes must do.
+            # Middleware without leases: rely on its list of publishers.
             lease = node.create_subscription(*wanted, raw=True)
         self._subscriptions["lease"] = lease
 
@@ -400,7 +385,7 @@ class MapSource:
 
     def _take_map(self, message: Any) -> None:
         self._clocks.hear(self.name, "map", messages.stamp_s(message))
-        # Its sender lives, though the last one who promised signs of life does not.
+        # The sender lives, even if the last one with a lease does not.
         self.silent_since_s = None
         if self._liveliness.is_dead(time.monotonic()):
             self._liveliness.forgive()
@@ -409,7 +394,7 @@ class MapSource:
         self._on_map(self, message)
 
     def _take_update(self, update: Any) -> None:
-        """Hand on what an update makes of the last map; one that cannot be used is counted."""
+        """Apply an update to the last map; count unusable ones."""
         reason = "it came before the first map"
         if self._last is not None:
             try:
@@ -438,11 +423,7 @@ class MapSource:
             self._on_pose(self, self.pose)
 
     def read(self, message: Any) -> Grid:
-        """Convert a map that came; in the worker's thread.
-
-        Raises:
-            GridError: it is no grid.
-        """
+        """Convert a received map, in the worker's thread; GridError if it is no grid."""
         before, self.frame = self.frame, message.header.frame_id.lstrip("/")
         if before and self.frame != before:
             text = f"the map of {self.name!r} was in {before!r} and is in {self.frame!r} now"
@@ -453,7 +434,7 @@ class MapSource:
         return messages.grid_from_message(message, self.name)
 
     def _is_ahead(self, what: str, stamp_s: float, outcome: str) -> bool:
-        """Whether a stamp is far ahead of the clock and of other inputs; named while it is."""
+        """Whether a stamp is far ahead of the clock and the other inputs; reports it."""
         ahead_s = self._clocks.too_far_ahead_s(self.name, stamp_s)
         if ahead_s is None:
             return False

@@ -1,4 +1,4 @@
-"""``LiveClient``: asks a running fusion node from outside, as ``ros2 service`` and ``param`` do."""
+"""``LiveClient``: requests to a running fusion node, as ``ros2 service`` and ``param`` make."""
 
 from __future__ import annotations
 
@@ -30,18 +30,13 @@ SPIN_S = 0.1
 
 
 class LiveNodeError(SlamFusionError):
-    """A node that is not there, or does not answer."""
+    """A node that is missing or does not answer."""
 
 
 class LiveClient:
-    """A node of its own that asks; to be used in a ``with``.
+    """A client node, for a ``with`` block.
 
-    Args:
-        node: name of the fusion node, with its namespace where it has one.
-        timeout_s: how long to wait for it, each time.
-
-    Raises:
-        LiveNodeError: of every method: it did not answer in that time.
+    Every method raises LiveNodeError if ``node`` (with its namespace) does not answer in time.
     """
 
     def __init__(self, node: str, timeout_s: float) -> None:
@@ -65,7 +60,7 @@ class LiveClient:
         rclpy.shutdown(context=self._context)
 
     def status(self) -> LiveStatusDocument:
-        """Return what the node says next of itself and its inputs."""
+        """Return the next status of the node and its inputs."""
         if self._diagnostics is None:
             self._diagnostics = self._node.create_subscription(
                 DiagnosticArray, DIAGNOSTICS_TOPIC, self._keep, qos.STREAM
@@ -97,7 +92,7 @@ class LiveClient:
         return _answer(result.successful, result.reason)
 
     def set(self, name: str, value: str) -> LiveAnswerDocument:
-        """Set a parameter to a value as YAML writes it, and return the answer."""
+        """Set a parameter to a value in YAML, and return the answer."""
         try:
             parameter = Parameter(name, value=yaml.safe_load(value))
         except (TypeError, yaml.YAMLError) as error:
@@ -106,25 +101,20 @@ class LiveClient:
         return self._set(parameter, f"{name} is {parameter.value!r} now")
 
     def add(self, name: str, topic: str | None = None) -> LiveAnswerDocument:
-        """Let the node fuse one map more, and return the answer.
+        """Add an input, and return the answer.
 
         Args:
-            name: of the input.
             topic: of its maps, or ``file:PATH`` as the node sees it; default: ``NAME/map``.
 
         Raises:
-            ConfigError: the name is none.
+            ConfigError: the name is invalid.
         """
         entry = entry_for(name, topic)
         parameter = Parameter(INPUTS.name, value=[*self._entries(), entry])
         return self._set(parameter, f"{name} is an input now ({entry})")
 
     def remove(self, name: str) -> LiveAnswerDocument:
-        """Let the node fuse a map no more, and return the answer.
-
-        Raises:
-            LiveNodeError: no input is called so.
-        """
+        """Remove an input, and return the answer; LiveNodeError for an unknown name."""
         inputs = {line["name"]: line["figures"].get(ENTRY) for line in self.status()["inputs"]}
         if name not in inputs:
             message = f"{self._target}: no input {name!r}; the inputs are {', '.join(inputs)}"
@@ -133,11 +123,11 @@ class LiveClient:
         return self._set(Parameter(INPUTS.name, value=entries), f"{name} is no input any more")
 
     def _sibling(self, service: str) -> str:
-        """Return the name of a service in the node's namespace."""
+        """Return the full name of a service in the node's namespace."""
         return f"{self._target.rpartition('/')[0]}/{service}"
 
     def _ask(self, kind: Any, service: str, request: Any) -> Any:
-        """Call a service when it is there, and return the response."""
+        """Call a service once it is there, and return the response."""
         client = self._node.create_client(kind, service)
         self._wait(client.service_is_ready, f"the service {service}")
         future = client.call_async(request)
@@ -145,13 +135,13 @@ class LiveClient:
         return future.result()
 
     def _entries(self) -> list[str]:
-        """Return what the node fuses."""
+        """Return the node's input entries."""
         request = GetParameters.Request(names=[INPUTS.name])
         (value,) = self._ask(GetParameters, f"{self._target}/get_parameters", request).values
         return [*names_of(parameter_value_to_python(value))]
 
     def _set(self, parameter: Parameter, done: str) -> LiveAnswerDocument:
-        """Set a parameter and return the answer; ``done`` where it has no words."""
+        """Set a parameter and return the answer; ``done`` if it has no text."""
         request = SetParameters.Request(parameters=[parameter.to_parameter_msg()])
         (result,) = self._ask(SetParameters, f"{self._target}/set_parameters", request).results
         return _answer(result.successful, result.reason or done)
@@ -183,7 +173,6 @@ def _answer(is_done: object, message: object) -> LiveAnswerDocument:
 
 
 def _line(name: str, status: DiagnosticStatus) -> LiveLineJson:
-    """Return a line of the diagnostics."""
     return {
         "name": name,
         "level": Level(status.level[0]).name.lower(),

@@ -1,4 +1,4 @@
-"""``LivePage``: what a fusion node hears and makes, on the page in the browser."""
+"""``LivePage``: a fusion node's maps and status on the page in the browser."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from slamfusion.ros.input_health import MapSource
 from slamfusion.web.scene import AGREEMENT, FUSED, Scene, layer_name
 
 LEVELS = {Level.OK: "good", Level.WARN: "warn", Level.ERROR: "bad", Level.STALE: "warn"}
-# Holds the token of the page where that is to outlive the node.
+# A token for the page that outlives the node.
 PAGE_TOKEN = "SLAMFUSION_PAGE_TOKEN"  # noqa: S105 - its name
 TOKEN = re.compile(r"[A-Za-z0-9_-]{24,}")
 
 
 class LivePage:
-    """Hands a page's server what the node has, and the node what pages ask for.
+    """Passes a node's data to the page's server, and the page's requests to the node.
 
-    Nothing here waits: maps are cut into tiles in a thread of the server.
+    Nothing here blocks: a thread of the server cuts maps into tiles.
 
     Args:
-        command: carries out ``save`` or ``reset``; called in a thread of the server.
+        command: executes ``save`` or ``reset``; called in a thread of the server.
 
     Raises:
         ConfigError: it cannot listen there, or the extra ``page`` is not installed.
@@ -38,7 +38,7 @@ class LivePage:
     def __init__(
         self, base: NodeBase, settings: FusionNodeConfig, command: Callable[[str], tuple[bool, str]]
     ) -> None:
-        # Nobody else needs what it stands on.
+        # Only the page needs the extra.
         try:
             from slamfusion.web.server import PageServer  # noqa: PLC0415
         except ImportError as error:
@@ -46,7 +46,7 @@ class LivePage:
 
         self._command = command
         self._lock = threading.Lock()
-        # Whose maps were shown.
+        # Inputs whose maps were shown.
         self._inputs: set[str] = set()
         self._scene = Scene(f"SLAMfusion: {base.name}", is_live=True)
         token = os.environ.get(PAGE_TOKEN, "")
@@ -69,24 +69,24 @@ class LivePage:
         self._scene.put_map(layer_name(name), grid, "input")
 
     def put_problem(self, name: str, problem: str) -> None:
-        """Say that a map of an input cannot be read."""
+        """Report a map of an input that cannot be read."""
         self._scene.put_event("warn", f"a map of {name}: {problem}")
 
     def put_fused(self, fused: FusedMap) -> None:
-        """Show a fused map that was published, and where its voters agree."""
+        """Show a published fused map and its agreement."""
         self._scene.put_map(FUSED, fused.grid, "fused")
         self._scene.put_map(AGREEMENT, fused.agreement, "agreement")
 
     # -- in the node's thread ---------------------------------------------------------------------
 
     def put_pose(self, name: str, pose: Pose2) -> None:
-        """Let the path of an input go on."""
+        """Add a point to the path of an input."""
         self._scene.put_point(layer_name(name), pose.x, pose.y)
 
     def show(
         self, lines: Sequence[Status], state: FusionState, sources: Iterable[MapSource]
     ) -> None:
-        """Show the lines of the diagnostics, the fusion's first, and the poses of the inputs."""
+        """Show the diagnostics, the fusion's line first, and the poses of the inputs."""
         fusion, *others = lines
         names = [line.name.removeprefix(PREFIX) for line in others]
         for name in self._inputs.difference(names):
@@ -115,7 +115,7 @@ class LivePage:
     # -- in the server's threads ------------------------------------------------------------------
 
     def _obey(self, name: str) -> tuple[bool, str]:
-        """Carry out a command of a page, one after the other, and return its outcome."""
+        """Execute the commands of pages one at a time."""
         with self._lock:
             is_done, text = self._command(name)
         self._scene.put_event("ok" if is_done else "error", f"{name}: {text}")
@@ -123,7 +123,7 @@ class LivePage:
 
 
 def _shown(name: str, line: Status, state: FusionState) -> dict[str, object]:
-    """Return an input as the page shows it."""
+    """Return an input's entry on the page."""
     record = state.inputs.get(name)
     transform = None if record is None else record.transform
     return {

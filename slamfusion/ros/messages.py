@@ -1,7 +1,6 @@
-"""ROS messages to values and back; nothing here needs a running node.
+"""Convert between ROS messages and values, without a running node.
 
-What cannot be a grid, a scan or a pose is refused with a ``SlamFusionError`` that says why, so a
-node can count and name it.
+A message that is no grid, scan or pose is refused with a ``SlamFusionError`` that gives the reason.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ try:
     from map_msgs import msg as map_msgs
 
     MapUpdate: Any = map_msgs.OccupancyGridUpdate
-except ImportError:  # only a sourced ROS has it; without it maps are heard and sent as wholes
+except ImportError:  # only a sourced ROS has it; without it only whole maps are exchanged
     MapUpdate = None
 
 NS = 10**9
@@ -36,7 +35,7 @@ NS = 10**9
 TILT_MAX = 0.02
 # Rows of x, y and yaw in the covariance of a geometry_msgs/PoseWithCovariance.
 PLANE = (0, 1, 5)
-# A quaternion shorter or longer than these says nothing.
+# A shorter or longer quaternion is invalid.
 LENGTH_MIN, LENGTH_MAX = 1e-3, 1e3
 
 
@@ -60,7 +59,7 @@ def to_stamp(seconds: float) -> Time:
     """Return seconds as a builtin_interfaces/Time, to the nearest nanosecond.
 
     Raises:
-        ValueError: not within the 32 bits of seconds that ROS has.
+        ValueError: outside the 32 bits of seconds that ROS has.
     """
     whole = math.floor(seconds)
     nanoseconds = whole * NS + round((seconds - whole) * NS)
@@ -75,8 +74,8 @@ def to_stamp(seconds: float) -> Time:
 def pose2_from_message(pose: Any) -> Pose2:
     """Return the pose in the plane of a geometry_msgs/Pose or geometry_msgs/Transform.
 
-    Height is left out. A tilt above 2 degrees, an upside-down frame, a quaternion without length
-    and values that are not finite are refused.
+    Height is dropped. A tilt above 2 degrees, an upside-down frame, a quaternion of length 0 and
+    values that are not finite are refused.
 
     Raises:
         TrajectoryError: it is no pose in the plane.
@@ -150,11 +149,7 @@ def transform_to_message(pose: Pose2, parent: str, child: str, stamp: Time) -> T
 def path_to_message(
     trajectory: Trajectory, frame_id: str, stamp: Time, most: int | None = None
 ) -> Path:
-    """Return a path in ``frame_id`` as a nav_msgs/Path.
-
-    Args:
-        most: the largest number of poses, evenly chosen, first and last among them; default: all.
-    """
+    """Return a path in ``frame_id`` with at most ``most`` poses, evenly chosen, ends included."""
     chosen = np.arange(len(trajectory))
     if most is not None and len(chosen) > most:
         chosen = np.unique(np.linspace(0, len(trajectory) - 1, most).round().astype(np.int64))
@@ -167,10 +162,10 @@ def path_to_message(
 
 
 def path_from_message(message: Any, name: str) -> Trajectory:
-    """Return a nav_msgs/Path as a path called ``name``, in the frame of the message.
+    """Return a nav_msgs/Path called ``name``, in the frame of the message.
 
     Raises:
-        TrajectoryError: a pose that is none, or time that goes back.
+        TrajectoryError: an invalid pose, or time that goes back.
     """
     poses = [pose2_from_message(item.pose) for item in message.poses]
     rows = np.array([(pose.x, pose.y, pose.yaw_rad) for pose in poses]).reshape(-1, 3)
@@ -182,9 +177,6 @@ def path_from_message(message: Any, name: str) -> Trajectory:
 
 def grid_from_message(message: Any, name: str) -> grids.OccupancyGrid:
     """Return a nav_msgs/OccupancyGrid as a grid; its cells are copied once.
-
-    Args:
-        name: what tables and messages call it, often the topic.
 
     Raises:
         GridError: a resolution that is not positive and finite, no cells, another number of cells
@@ -209,13 +201,13 @@ def grid_from_message(message: Any, name: str) -> grids.OccupancyGrid:
         raise GridError(f"{name}: {problem}")
     cells = np.array(message.data, dtype=np.int8).reshape(height, width)
     cells.flags.writeable = False
-    # What a float32 was made from: 0.05 travels as 0.05000000074505806, and resolutions that are
-    # equal as float32 must stay equal to those of saved maps.
+    # The shortest decimal of the float32: 0.05 arrives as 0.05000000074505806, and must equal the
+    # resolution of saved maps.
     return grids.OccupancyGrid(cells, float(str(np.float32(resolution))), origin, name)
 
 
 def grid_to_message(grid: grids.OccupancyGrid, frame_id: str, stamp: Time) -> OccupancyGrid:
-    """Return a nav_msgs/OccupancyGrid; a 4000 x 4000 map takes some milliseconds."""
+    """Return a nav_msgs/OccupancyGrid."""
     info = MapMetaData(map_load_time=stamp, resolution=float(grid.resolution))
     info.width, info.height, info.origin = grid.width, grid.height, _pose(grid.origin)
     data = array("b")
@@ -227,10 +219,9 @@ def grid_to_message(grid: grids.OccupancyGrid, frame_id: str, stamp: Time) -> Oc
 def update_to_message(
     before: grids.OccupancyGrid, grid: grids.OccupancyGrid, header: Header
 ) -> Any:
-    """Return the box that changed of a map as a map_msgs/OccupancyGridUpdate.
+    """Return the changed box of a map as a map_msgs/OccupancyGridUpdate.
 
-    None where nothing changed, and where the map has another size or place, so that it must be
-    sent as a whole.
+    None if nothing changed, or if size or origin differ and the whole map must be sent.
     """
     if (before.origin, before.resolution) != (grid.origin, grid.resolution):
         return None
@@ -253,15 +244,11 @@ def update_to_message(
 
 
 def updated_map(message: OccupancyGrid, update: Any) -> OccupancyGrid:
-    """Return a map with the cells of an update; the map that is given stays as it is.
-
-    Args:
-        update: map_msgs/OccupancyGridUpdate: x, y of its lower left cell in the map, width and
-            height in cells, and the cells, row by row from the lowest.
+    """Return a copy of a map with the cells of a map_msgs/OccupancyGridUpdate.
 
     Raises:
-        GridError: it is empty, lies outside of the map or in another frame, or either has another
-            number of cells than its sides say.
+        GridError: the update is empty, outside of the map or in another frame, or either has
+            another number of cells than its size.
     """
     info, frame, own = message.info, update.header.frame_id, message.header.frame_id
     x, y, width, height = (int(n) for n in (update.x, update.y, update.width, update.height))
@@ -290,14 +277,14 @@ def updated_map(message: OccupancyGrid, update: Any) -> OccupancyGrid:
 def scan_from_message(
     message: Any, mount: Pose2 = IDENTITY, *, is_flipped: bool = False
 ) -> scans.LaserScan:
-    """Return a sensor_msgs/LaserScan as a scan; readings stay as they are (REP-117).
+    """Return a sensor_msgs/LaserScan as a scan; readings are unchanged (REP-117).
 
     Args:
         mount: pose of the laser in the robot's base frame; metres, radians.
-        is_flipped: the laser hangs upside down, so its beams turn the other way.
+        is_flipped: the laser is upside down, so its beams turn the other way.
 
     Raises:
-        ScanError: no beam, or angles or limits that are none.
+        ScanError: no beam, or invalid angles or limits.
     """
     turn = -1.0 if is_flipped else 1.0
     low, high = float(message.range_min), float(message.range_max)
@@ -320,7 +307,7 @@ def scan_from_message(
 
 
 def scan_to_message(scan: scans.LaserScan, frame_id: str) -> LaserScan:
-    """Return a sensor_msgs/LaserScan; angles and limits become float32, the mount is left out."""
+    """Return a sensor_msgs/LaserScan; angles and limits become float32, the mount is dropped."""
     message = LaserScan(header=Header(frame_id=frame_id, stamp=to_stamp(scan.stamp_s)))
     message.angle_min = float(scan.angle_min_rad)
     message.angle_increment = float(scan.angle_increment_rad)

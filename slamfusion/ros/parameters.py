@@ -1,9 +1,8 @@
 """A node's parameters, declared from the fields of a configuration dataclass.
 
-Names are those of the YAML files of ``--config``, of a producer those below its name:
-``NAME.resolution``, ``NAME.matcher.beams``. Description, range, default and level come from the
-field. A value is checked by building the dataclass: what that refuses is refused here, in its
-words.
+Names are those of ``--config`` files, a producer's below its name: ``NAME.resolution``,
+``NAME.matcher.beams``. Description, range, default and level come from the field; a value is
+checked by building the dataclass.
 """
 
 from __future__ import annotations
@@ -43,8 +42,7 @@ START = "start."
 class TypedNode(Node):  # type: ignore[misc]  # rclpy is untyped
     """A node whose parameters keep their types when a change is refused.
 
-    Where the type may change rclpy takes over that of each value that is tried, refused or not, and
-    forgets a parameter that is unset.
+    rclpy changes a dynamic parameter's type with each attempt, and forgets an unset parameter.
     """
 
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
@@ -66,7 +64,7 @@ class TypedNode(Node):  # type: ignore[misc]  # rclpy is untyped
 
 
 def given_parameters(node: Any) -> Mapping[str, Any]:
-    """Return what the command line and parameter files set, by name."""
+    """Return the parameters of the command line and parameter files, by name."""
     return {name: item.value for name, item in getattr(node, "_parameter_overrides", {}).items()}
 
 
@@ -78,24 +76,21 @@ def declare(
     changeable: Collection[str] = (),
     on_change: Callable[[T], None] | None = None,
 ) -> T:
-    """Declare every field of a configuration as a parameter and return what was set.
+    """Declare every field of a configuration as a parameter and return the set values.
 
     Args:
-        section: a configuration whose values are the defaults. Nested sections become
-            ``prefix.section.field``.
-        prefix: before every name, e.g. a producer's name; empty for none.
-        changeable: names of parameters that may be changed while the node runs; the others are
-            read-only.
-        on_change: called in the executor's thread with the whole new configuration after a change
-            was accepted.
+        section: gives the defaults. Nested sections become ``prefix.section.field``.
+        prefix: before every name, e.g. a producer's name.
+        changeable: names that may be changed at run time; the others are read-only.
+        on_change: called in the executor's thread with the whole new configuration.
 
     Raises:
-        ConfigError: a value of the wrong type, out of its range, or refused because of another.
+        ConfigError: a value of the wrong type, out of range, or in conflict with another.
     """
     infos = {item.key: item.info for item in config_fields(section, prefix)}
     where, given = _where(node), given_parameters(node)
     for name, info in infos.items():
-        if name in given:  # before ROS does, in words with the unit
+        if name in given:  # before ROS does, for a message with the unit
             checked_value(info, given[name], f"{where}: {name}")
         descriptor = _descriptor(info, is_changeable=name in changeable)
         node.declare_parameter(name, info.default, descriptor)
@@ -113,7 +108,7 @@ def declare(
         return {item.name: item.value for item in changes if item.name in infos}
 
     def as_floats(changes: list[Any]) -> list[Any]:
-        """Take a number without a point for a float where the field is one."""
+        """Accept a number without a point for a float field."""
         return [
             Parameter(item.name, value=float(item.value))
             if item.type_ == Parameter.Type.INTEGER
@@ -148,16 +143,13 @@ def declare_names(
     """Declare a parameter that is a list of names, and return it.
 
     Args:
-        default: the names unless others are given; None: those of ``names``.
-        check: called in the executor's thread with names that it is to be changed to; refuses them
-            by a SlamFusionError. None: the parameter is read-only.
-        on_change: called there with the new names after a change was accepted.
-
-    Returns:
-        The names; one text may be given instead of a list, its names parted by commas.
+        default: None: that of ``names``.
+        check: called in the executor's thread with new names; refuses them by a SlamFusionError.
+            None: the parameter is read-only.
+        on_change: called there after an accepted change.
 
     Raises:
-        ConfigError: neither a text nor a list of texts.
+        ConfigError: neither a list of texts nor a text with commas.
     """
 
     def read(value: Any) -> tuple[str, ...]:
@@ -183,11 +175,7 @@ def declare_names(
 
 
 def names_of(given: Any) -> tuple[str, ...]:
-    """Return the names that a parameter holds, a list or one text with commas.
-
-    Raises:
-        ConfigError: it is neither.
-    """
+    """Return the names in a parameter, a list or one text with commas; else ConfigError."""
     if isinstance(given, str):
         given = given.split(",")
     names = list(given) if isinstance(given, (list, tuple)) else [given] * (given is not None)
@@ -202,14 +190,14 @@ def declare_starts(
     """Declare a read-only parameter ``start.NAME`` for each input, and return those that are set.
 
     Args:
-        may_come: whether other inputs may come, which may have starts already.
+        may_come: other inputs may be added, with starts.
 
     Returns:
         3 or 5 numbers by name: x, y in m, yaw in rad, and tolerances in m and rad.
 
     Raises:
-        ConfigError: one names no input, has another count of numbers, one that is not finite, or a
-            negative tolerance.
+        ConfigError: no such input, another count of numbers, one that is not finite, or a negative
+            tolerance.
     """
     names = [*names]
     for given in sorted(given_parameters(node)):
@@ -231,10 +219,7 @@ def declare_starts(
 
 
 def unknown_parameters(node: Any) -> list[str]:
-    """Return a sentence for each parameter that was given and that the node does not have.
-
-    ROS ignores these without a message.
-    """
+    """Return a sentence for each given parameter that the node does not have; ROS is silent."""
     known = list(getattr(node, "_parameters", {}))
     sentences = []
     for name in sorted(given_parameters(node)):
@@ -256,7 +241,7 @@ def _answer(check: Callable[[], object]) -> SetParametersResult:
 
 
 def _replaced(section: Any, prefix: str, values: Mapping[str, Any], where: str) -> Any:
-    """Return a section with checked values, by their whole names."""
+    """Return a section with checked values, by full names."""
     changed = {}
     for item in dataclasses.fields(section):
         name = f"{prefix}.{item.name}".lstrip(".")
@@ -270,14 +255,13 @@ def _replaced(section: Any, prefix: str, values: Mapping[str, Any], where: str) 
 
 
 def _descriptor(info: FieldInfo, *, is_changeable: bool) -> ParameterDescriptor:
-    """Return what ROS tools show of a field."""
+    """Return the description of a field for ROS tools."""
     unit = f" [{info.unit}]" if info.unit else ""
     descriptor = ParameterDescriptor(
         description=f"{info.help}{unit} ({info.level})",
         additional_constraints=f"one of: {', '.join(info.choices)}" if info.choices else "",
         read_only=not is_changeable,
-        # A number without a point may be given for a float, and a field may be left open; the type
-        # is checked with the value.
+        # Floats may be given without a point, and fields may be None; the value is checked.
         dynamic_typing=True,
     )
     if info.low is None and info.high is None:

@@ -1,4 +1,4 @@
-"""``PlayerNode``: a log or bag as live topics, in its own time, faster, or in lockstep."""
+"""``PlayerNode``: plays a log or bag as live topics, in real time, faster, or in lockstep."""
 
 from __future__ import annotations
 
@@ -39,42 +39,40 @@ from slamfusion.ros.interface import MAPS, WAIT_FOR
 from slamfusion.ros.parameters import declare, declare_names
 
 SCAN_TOPIC, ODOM_TOPIC, CLOCK_TOPIC = "scan", "odom", "/clock"
-# Of the fusion: a map that is saved, and the path that is saved with it.
+# Of the fusion: the saved map and path.
 MAP_TOPIC, PATH_TOPIC = "fused/map", "fused/path"
-# A scan that is not answered is sent again after this long: best-effort readers may lose one.
+# An unanswered scan is sent again after this: best-effort readers may lose one.
 AGAIN_S = 1.0
-# After a jump of the log's time producers wait for a scan to be sent again, and are not made to
-# wait long for that.
+# After a jump of the log's time producers wait for more scans, which are sent at this interval.
 AGAIN_AT_JUMP_S = 0.1
 STAMP_TOLERANCE_S = 1e-6
-# The last scans may have been dropped by the fusion, seconds.
+# The fusion may have dropped the last scans, seconds.
 FINAL_S = 1.0
-# Reliable readers are given this long to take the last messages.
+# Reliable readers have this long to receive the last messages.
 ACKNOWLEDGE_S = 5.0
-# A line for each tenth of the log, but no more often than this, seconds.
+# Progress is logged for each tenth of the log, at most this often, seconds.
 PARTS, APART_S = 10, 5.0
-# Between two scans the clock goes on in steps of this real time.
+# Between two scans the clock advances in steps of this real time.
 CLOCK_STEP_S = 0.02
-# Writers are known a moment before their readers hear them.
+# Writers are discovered a moment before their readers receive them.
 SETTLE_S = 0.3
-# Maps that are saved when the player is stopped may take this long.
+# Longest time for saving maps when the player is stopped.
 SAVE_AT_END_S = 8.0
-# A pause in a log that is longer is not waited for.
+# Longer pauses in a log are shortened to this.
 LONGEST_PAUSE_S = 3600.0
 
 
 class PlayerNode(NodeBase):
     """Plays a log: ``scan``, ``odom``, transforms and ``/clock``, all with the log's stamps.
 
-    The first scan is sent again each second until every producer of ``wait_for`` has sent its pose
-    at it on ``NAME/pose``: a reader that is known may not hear yet. With ``lockstep`` so is every
-    scan. The node ends after the last scan; with ``save`` it writes the newest maps first, and also
-    when it is stopped before.
+    The first scan, and with ``lockstep`` every scan, is repeated each second until every producer
+    of ``wait_for`` has answered with its pose on ``NAME/pose``. The node ends after the last scan;
+    with ``save`` it first writes the newest maps, also when it is stopped early.
 
     Raises:
         ConfigError: a parameter is refused, or no file is named.
         LogError: the log cannot be read.
-        OSError: the same, by the system; or the folder of ``save`` cannot be written to.
+        OSError: the log cannot be opened, or the folder of ``save`` cannot be written to.
     """
 
     def __init__(self, name: str = "player", *, context: Any = None, arguments: Any = None) -> None:
@@ -91,19 +89,19 @@ class PlayerNode(NodeBase):
         if self.settings.lockstep and not self.wait_for:
             message = "player: lockstep needs to know whom to wait for: -p wait_for:=[NAME]"
             raise ConfigError(message)
-        # What the player's thread waits for, the end of the node among it.
+        # Notified on poses, maps and the node's end.
         self._changed = threading.Condition()
         self._is_ending = False
-        # The newest map by topic, and where it is to be written; the stamp of each newest pose.
+        # The newest map and its file by topic; the stamp of each producer's newest pose.
         self._maps: dict[str, Any] = {}
         self._stems: dict[str, Path] = {}
         self._stamps_s: dict[str, float] = {}
-        # Of the fusion: its newest path, and the scan up to which its map is final.
+        # The newest fused path, and the stamp up to which the fused map is final.
         self._path: Any = None
         self._final_s = -math.inf
         if self.settings.save is not None:
             self._open_maps(map_topics, Path(self.settings.save), Path(self.settings.file))
-        # The scans go out as they are: their readers deskew them.
+        # Scans are sent as recorded: their readers deskew them.
         self._deskewer = Deskewer(reading)
         self._log: ScanLog = open_log(self.settings.file, dataclasses.replace(reading, deskew="no"))
         self._scans = node.create_publisher(LaserScan, SCAN_TOPIC, qos.STREAM)
@@ -113,7 +111,7 @@ class PlayerNode(NodeBase):
         for producer in self.wait_for:
             on_pose = partial(self._on_pose, producer)
             self.subscribe(PoseStamped, f"{producer}/pose", on_pose, qos.STREAM)
-        # Scans sent, each counted once, and those sent again; stamp and mount of the last.
+        # Scans sent, each counted once, and repeated; stamp and mount of the last.
         self._sent = self._sent_again = self._rounds = 0
         self._stamp_s: float | None = None
         self._mount: Pose2 | None = None
@@ -156,7 +154,7 @@ class PlayerNode(NodeBase):
                 self.stop(code)
 
     def _wait_until(self, is_true: Callable[[], bool], duration_s: float) -> bool:
-        """Wait until something is true or the node ends; return whether either is so."""
+        """Wait until a condition or the node's end; return whether either came."""
         with self._changed:
             return self._changed.wait_for(lambda: self._is_ending or is_true(), duration_s)
 
@@ -165,11 +163,7 @@ class PlayerNode(NodeBase):
         self._wait_until(lambda: False, duration_s)
 
     def _wait_for_listeners(self) -> None:
-        """Wait until every producer of ``wait_for`` listens, or without those any node.
-
-        Raises:
-            SlamFusionError: a producer of ``wait_for`` does not come.
-        """
+        """Wait until every producer of ``wait_for``, or any node without those, listens."""
         until_s = time.monotonic() + self.settings.start_timeout_s
         while not self._is_ending:
             count = self.node.count_publishers
@@ -191,11 +185,7 @@ class PlayerNode(NodeBase):
             self._pause(0.05)
 
     def _play(self) -> None:
-        """Send every scan at its time.
-
-        Raises:
-            SlamFusionError: the log has no scan, or in lockstep one is not answered.
-        """
+        """Send every scan at its time."""
         while not self._is_ending:
             self._rounds += 1
             sent = self._sent
@@ -228,9 +218,7 @@ class PlayerNode(NodeBase):
     def _send(self, item: LogScan, following: LogScan | None = None) -> None:
         """Send a scan with its time, transforms and odometry, the scan last.
 
-        Args:
-            following: the one after it, whose odometry goes out too: the robot's motion during the
-                sweep of this one; None: not needed.
+        ``following`` adds the odometry of the next scan, for deskewing.
         """
         settings, scan = self.settings, item.scan
         stamp = messages.to_stamp(scan.stamp_s)
@@ -252,20 +240,20 @@ class PlayerNode(NodeBase):
         self._scans.publish(messages.scan_to_message(scan, settings.laser_frame))
 
     def _send_clock(self, stamp_s: float) -> None:
-        """Send the log's time, where that is asked for."""
+        """Send the log's time, if configured."""
         if self.settings.publish_clock:
             self._clock.publish(Clock(clock=messages.to_stamp(max(stamp_s, 0.0))))
 
     def _show_progress(self) -> None:
-        """Log each tenth of the log; of a short one not all of them."""
+        """Log each tenth of the log, not too often."""
         part, now_s = math.floor(PARTS * self._log.fraction_read), time.monotonic()
-        self._shown_part = min(self._shown_part, part)  # it may be played again
+        self._shown_part = min(self._shown_part, part)  # smaller in a new round
         if self._shown_part < part < PARTS and now_s - self._shown_s >= APART_S:
             self._shown_part, self._shown_s = part, now_s
             self.log.info(f"played {part / PARTS:.0%}: {self._sent} scans")
 
     def _timed(self) -> Iterator[tuple[LogScan, LogScan | None, float]]:
-        """Yield scans, the one after each, and the recorded time since the one before, seconds."""
+        """Yield scans, the next one, and the recorded time since the last, seconds."""
         before_s: float | None = None
         ahead, scans = itertools.tee(self._log)
         next(ahead, None)
@@ -277,10 +265,10 @@ class PlayerNode(NodeBase):
         self._due_s = None
 
     def _run_clock(self, stamp_s: float, since_s: float) -> None:
-        """Wait until a scan is due, by the rate, and let the clock go on meanwhile."""
+        """Wait until a scan is due, and advance the clock meanwhile."""
         now_s = time.monotonic()
         due_s, rate = self._due_s, self.settings.rate
-        # A player that fell behind goes on from now; it never hurries.
+        # After a delay it continues from now, without catching up.
         due_s = now_s if due_s is None else max(due_s + since_s / rate, now_s - AGAIN_S)
         while (left_s := due_s - time.monotonic()) > 0.0 and not self._is_ending:
             self._send_clock(stamp_s - left_s * rate)
@@ -288,13 +276,9 @@ class PlayerNode(NodeBase):
         self._due_s = due_s
 
     def _wait_for_answers(self, item: LogScan, before_s: float | None) -> None:
-        """Wait until every producer has sent its pose at a scan that was sent.
+        """Wait until every producer has sent its pose at a scan; SlamFusionError after a timeout.
 
-        Args:
-            before_s: stamp of the scan before it; None for the first.
-
-        Raises:
-            SlamFusionError: one has not, however often the scan was sent.
+        ``before_s`` is the stamp of the last scan; None for the first.
         """
         stamp_s, timeout_s = item.scan.stamp_s, self.settings.lockstep_timeout_s
         until_s = time.monotonic() + timeout_s
@@ -329,12 +313,7 @@ class PlayerNode(NodeBase):
     # --- maps that are written at the end ----------------------------------------------------
 
     def _open_maps(self, topics: Sequence[str], folder: Path, log: Path) -> None:
-        """Listen to maps, and see that they can be written: before the log plays, not after.
-
-        Raises:
-            SlamFusionError: a map would be written over a file of the log.
-            OSError: the folder cannot be made, or written to.
-        """
+        """Subscribe to maps, and check early that they can be written."""
         self._stems = {
             topic: folder / topic.strip("/").removesuffix("/map").replace("/", "_")
             for topic in topics
@@ -345,7 +324,7 @@ class PlayerNode(NodeBase):
         )
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
-            pass  # a file can be made there
+            pass  # the folder is writable
         for topic in topics:
             self.subscribe(OccupancyGrid, topic, partial(self._on_map, topic), qos.MAP)
         if MAP_TOPIC in topics:
@@ -353,12 +332,9 @@ class PlayerNode(NodeBase):
             self.subscribe(DiagnosticArray, DIAGNOSTICS_TOPIC, self._on_diagnostics, qos.STREAM)
 
     def _save(self) -> None:
-        """Write the newest map of every topic, as soon as they hold the last scan.
+        """Write the newest map of every topic once it holds the last scan.
 
-        When the node is ended before, those that have come.
-
-        Raises:
-            SlamFusionError: no map came, or one is none or cannot be written.
+        When the node is stopped early, those received.
         """
         stamp_s = self._stamp_s or 0.0
         is_early = self._is_ending
@@ -387,7 +363,7 @@ class PlayerNode(NodeBase):
     def _late(self, stamp_s: float) -> list[str]:
         """Return the topics whose newest map does not hold the scan of a stamp.
 
-        A fused map that is drawn from scans is that of ``run`` a little later.
+        A fused map drawn from scans becomes final later.
         """
         is_drawn = self._path is not None
         return [
@@ -399,7 +375,7 @@ class PlayerNode(NodeBase):
         ]
 
     def _on_diagnostics(self, message: Any) -> None:
-        """Note how far the fused map is final."""
+        """Note up to where the fused map is final."""
         told = [own.value for status in message.status for own in status.values if own.key == FINAL]
         with self._changed:
             for value in told:
@@ -420,7 +396,7 @@ class PlayerNode(NodeBase):
     # --- diagnostics and end -----------------------------------------------------------------
 
     def statuses(self) -> list[Status]:
-        """Return one line: how far the log is."""
+        """Return one line with the progress."""
         level, message = self.diagnostics.worst(
             "playing" if self._sent else "waiting for listeners"
         )

@@ -1,8 +1,7 @@
 """``ProducerNode``: a SLAM as a ROS node; scans and odometry in, map, pose and path out.
 
-The callbacks only queue. One worker feeds the SLAM, another one turns maps into messages, so a
-map of many cells does not hold up the next scan for longer than it takes to read the map; where the
-SLAM lets its map be drawn aside (``DrawsAside``) that worker draws it, and no scan waits at all.
+Callbacks only queue. One worker feeds the SLAM; another converts maps to messages, and draws them
+if the SLAM allows it (``DrawsAside``), so that maps delay scans as little as possible.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from slamfusion.ros.scan_input import SCAN_TOPIC, ArrivedScan, ScanInput
 from slamfusion.slam.registry import producer, settings_of
 from slamfusion.slam.session import Answer, ProducerSession, QueuedScan, Snapshot, UndrawnMap
 
-# Scans that come for so long without a transform are a reason to name it, seconds.
+# After this long with scans but without a transform, the lack is reported, seconds.
 NEVER_SENT_S = 5.0
 # Fields of ``ProducerNodeConfig`` that may be changed while the node runs.
 CHANGEABLE = (
@@ -38,18 +37,18 @@ CHANGEABLE = (
     "scans_stale_s",
     "reset_back_s",
 )
-# How often the node looks whether a map is due although no scan comes.
+# Period of checks for a due map without scans.
 LOOK_S = 0.1
-# Scans that pause for longer leave the time to solve all closures for the map.
+# A longer pause of the scans is used to solve all closures for the map.
 PAUSE_S = 1.0
-# A scan that is worked on for longer is named.
+# A scan that takes longer is reported.
 SLOW_SCAN_S = 5.0
 STRAY = "a stamp far from those before and after it"
 
 
 @dataclass(frozen=True, eq=False)
 class _Queued(QueuedScan):
-    """A scan that waits, and the stamp that its answer goes out with."""
+    """A waiting scan, and the stamp of its answer."""
 
     stamp: Any
 
@@ -57,10 +56,9 @@ class _Queued(QueuedScan):
 class ProducerNode(NodeBase):
     """A SLAM that maps live scans; its topics and parameters: ``slamfusion.ros.interface``.
 
-    Scans wait in a queue of ``scan_queue``; when one more comes the oldest is dropped and counted.
-    A scan is matched with the odometry of its own time, interpolated; it waits for that up to
-    ``odometry_wait_s`` and then goes on without. Scans before the first odometry are left out. For
-    jumps of time see ``ScanInput``.
+    Scans wait in a queue of ``scan_queue``; when it is full the oldest is dropped and counted. A
+    scan waits up to ``odometry_wait_s`` for odometry at its own time, interpolated, and is then
+    matched without. Scans before the first odometry are left out. Jumps of time: ``ScanInput``.
 
     Args:
         kind: a producer of ``slamfusion.slam.registry``; also the node's name unless remapped, so
@@ -98,7 +96,7 @@ class ProducerNode(NodeBase):
             wants_odometry=self.settings.odometry_source in {"tf", "topic"},
         )
 
-        # Of the executor's thread alone.
+        # Only in the executor's thread.
         self._dropped = 0
 
         name = self.name
@@ -114,7 +112,7 @@ class ProducerNode(NodeBase):
         )
         self._inputs = ScanInput(self, self.settings, self._queue, self._begin_new_map)
         self._transforms: TransformOutput | None = None
-        # Whether the transform was sent since the last look.
+        # Whether the transform was sent since the last check.
         self._has_sent_transform = False
         self._on_settings(self.settings)
         self.timer(LOOK_S, self._look)
@@ -126,7 +124,7 @@ class ProducerNode(NodeBase):
     # --- callbacks, in the executor's thread -------------------------------------------------
 
     def _queue(self, scan: ArrivedScan) -> None:
-        """Let a scan wait for the worker, to be converted then; of too many the oldest goes."""
+        """Queue a scan for the worker, which converts it; the oldest is dropped if full."""
         session, inputs = self._session, self._inputs
         lost = self._worker.put(
             _Queued(
@@ -147,7 +145,7 @@ class ProducerNode(NodeBase):
             self.diagnostics.note("slow", text)
 
     def _begin_new_map(self) -> None:
-        """Leave the old map behind: time has jumped back."""
+        """Start a new map: time has jumped back."""
         self._session.begin_new_map()
         self._dropped += sum(map(bool, self._worker.clear()))
 
@@ -159,12 +157,12 @@ class ProducerNode(NodeBase):
             self._transforms = TransformOutput(self.node)
 
     def on_time_jump(self, delta_s: float) -> None:
-        """Forget the transforms of a future that has not come; scans decide about the map."""
+        """Forget transforms of later times; the scans decide about the map."""
         if delta_s < 0.0:
             self._inputs.forget_after(self.clock_s())
 
     def _look(self) -> None:
-        """Ask for a map where scans pause, and for the path where somebody begins to listen."""
+        """Request a map when scans pause, and the path for a new listener."""
         snapshot = self._session.snapshot
         wanted = (
             snapshot.unmapped
@@ -190,7 +188,7 @@ class ProducerNode(NodeBase):
     # --- the worker's thread -----------------------------------------------------------------
 
     def _work(self, item: _Queued | None) -> None:
-        """Feed a scan, or with None take a map."""
+        """Feed a scan, or with None read a map."""
         session = self._session
         if item is not None:
             answer = session.feed(item)
@@ -205,7 +203,7 @@ class ProducerNode(NodeBase):
                 self._messages.put(made)
 
     def _answer(self, answer: Answer, stamp: Any) -> None:
-        """Publish the pose at a scan, and the transform with it."""
+        """Publish the pose and the transform at a scan."""
         if answer.unused:
             self.diagnostics.note("blind", answer.unused)
         self._pose_topic.publish(messages.pose_to_message(answer.pose, self._map_frame, stamp))
@@ -216,12 +214,12 @@ class ProducerNode(NodeBase):
 
     @property
     def _child_frame(self) -> str:
-        """The frame whose place is sent: without odometry the robot itself."""
+        """The child frame of the transform: without odometry the robot's base."""
         settings = self.settings
         return settings.base_frame if settings.odometry_source == "none" else settings.odom_frame
 
     def _send_transform(self, answer: Answer, stamp: Any) -> None:
-        """Send the transform, where that is asked for and can be said."""
+        """Send the transform, if configured and known."""
         pose, settings = answer.pose, self.settings
         if self._transforms is None or not settings.publish_tf:
             return
@@ -233,7 +231,7 @@ class ProducerNode(NodeBase):
         self._has_sent_transform = True
 
     def _name_transform(self, *, is_due: bool) -> None:
-        """Name a transform that is not sent although scans come, and other senders of the same."""
+        """Report a missing transform while scans come, and other senders of it."""
         settings = self.settings
         wanted = {
             "topic": "odometry at the scans' times; check its topic and its stamps",
@@ -271,7 +269,7 @@ class ProducerNode(NodeBase):
     # --- diagnostics -------------------------------------------------------------------------
 
     def statuses(self) -> list[Status]:
-        """Return one line: how the SLAM is, what is wrong, and its figures."""
+        """Return one line with the state of the SLAM and its figures."""
         self._name_silence()
         self._inputs.name_odometry()
         snapshot = self._session.snapshot
@@ -320,13 +318,13 @@ class ProducerNode(NodeBase):
         }
 
     def _name_silence(self) -> None:
-        """Name scans that do not come, a scan that takes too long, and what is wrong with /tf."""
+        """Report missing scans, a slow scan, and problems with /tf."""
         now_s = time.monotonic()
         silent_s = now_s - self._inputs.last_s
         topic, writers = self.resolved(SCAN_TOPIC), self.node.count_publishers(SCAN_TOPIC)
         who = f"{writers} node(s) could send them" if writers else "no node sends them"
         since = "yet" if not self._inputs.received else "any more"
-        # Without the time, which would be news each second.
+        # Without the time, so that the text stays the same.
         text = f"no scans on {topic!r} {since}; {who}"
         is_silent = silent_s > self.settings.scans_stale_s
         self.diagnostics.say("scans", text if is_silent else None, Level.STALE)
@@ -337,6 +335,6 @@ class ProducerNode(NodeBase):
         self._name_transform(is_due=not is_silent and self.settings.publish_tf)
 
     def close(self) -> None:
-        """End the threads; the scan that is being fed is fed to its end."""
+        """End the threads after the current scan."""
         self._worker.close()
         self._messages.close()

@@ -1,6 +1,6 @@
-"""The qualities of service that our topics have, and what others offer.
+"""Quality of service of our topics, and of others' maps.
 
-A reader that asks for more than the writer offers hears nothing: a transient-local reader of a
+A reader that requests more than the writer offers receives nothing: a transient-local reader of a
 volatile map, or a reliable reader of a best-effort scan.
 """
 
@@ -11,8 +11,7 @@ from typing import Any
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 
-# Poses are offered with this liveliness lease, seconds: DDS says three times in two of these that
-# the process lives, from a thread of its own that needs no interpreter.
+# Liveliness lease of poses, seconds: DDS renews it three times in two leases, in its own thread.
 LEASE_S = 0.5
 
 
@@ -22,8 +21,8 @@ def profile(
     """Return a quality of service.
 
     Args:
-        lease_s: writers offer to renew their liveliness within this time, seconds; a reader that
-            asks for it hears nothing from those that offer none, or a longer one.
+        lease_s: liveliness lease, seconds; a reader that requests it receives nothing from writers
+            with none or a longer one.
     """
     found = QoSProfile(
         depth=depth,
@@ -36,27 +35,22 @@ def profile(
     return found
 
 
-# Scans and odometry, read: hears every writer.
+# Scans and odometry, read: compatible with every writer.
 SENSOR = profile(50, reliable=False, latched=False)
-# Scans, odometry and poses, written: every reader can hear them.
+# Scans, odometry and poses, written: compatible with every reader.
 STREAM = profile(50, reliable=True, latched=False)
-# Poses, written: the same, and a reader that asks for it hears within its lease that the writer has
-# gone.
+# Poses, written: with a lease, so that a reader can detect the writer's end.
 POSE = profile(50, reliable=True, latched=False, lease_s=LEASE_S)
-# Maps: a late reader gets the last one at once.
+# Maps: a late reader receives the last one.
 MAP = profile(1, reliable=True, latched=True)
-# As tf2 has them; and static transforms of several writers, read.
+# As in tf2; and static transforms of several writers, read.
 TF = profile(100, reliable=True, latched=False)
 TF_STATIC = profile(1, reliable=True, latched=True)
 TF_STATIC_READ = profile(100, reliable=True, latched=True)
 
 
 def map_qos(node: Any, topic: str) -> QoSProfile | None:
-    """Return how to read a map topic, so that every writer of it is heard.
-
-    Reliable as far as all writers are; transient local as far as all are, or else no map from
-    before the reader came is heard. None while the topic has no writer.
-    """
+    """Return a profile for a map topic that is compatible with every writer; None without one."""
     infos = node.get_publishers_info_by_topic(topic)  # applies remappings
     if not infos:
         return None

@@ -1,4 +1,4 @@
-"""The scans of a node: which are used by their stamps, where the laser sits, the odometry."""
+"""The scans of a node: stamp checks, the laser's mount, and the odometry."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from slamfusion.ros.frames import TransformInput, TransformStore
 from slamfusion.scan import LaserScan as Scan
 from slamfusion.slam.session import LeftOutError
 
-# Odometry that has not been heard for longer has no say, seconds.
+# Odometry older than this is silent, seconds.
 ODOMETRY_ALIVE_S = 1.0
-# Scans that go on later than the last one by more are worth a word, seconds.
+# A larger forward jump of the scans is reported, seconds.
 FORWARD_JUMP_S = 10.0
 
 
@@ -36,7 +36,7 @@ NO_SCAN = "angles or ranges that cannot be a scan"
 
 @dataclass(frozen=True, eq=False)
 class ArrivedScan:
-    """A sensor_msgs/LaserScan, its stamp, and when it came by ``time.monotonic``; seconds."""
+    """A sensor_msgs/LaserScan, its stamp, and its arrival by ``time.monotonic``; seconds."""
 
     message: Any
     stamp_s: float
@@ -44,30 +44,30 @@ class ArrivedScan:
 
 
 def _is_same(one: ArrivedScan, other: ArrivedScan) -> bool:
-    """Whether a scan was sent again; bytes, for NaN equals nothing."""
+    """Whether a scan was sent again; compares bytes, as NaN equals nothing."""
     return bool(one.message.ranges.tobytes() == other.message.ranges.tobytes())
 
 
 class ScanInput:
-    """The scans that go on by their stamps, and the laser's place and the odometry at each.
+    """The scans with valid stamps, and the laser's mount and the odometry at each.
 
-    Subscribes to ``scan`` and to what the settings ask for. Time that jumps back by more than
-    ``reset_back_s`` starts a new map, when several scans in a row agree and the odometry does not
-    contradict; far forward it is named. A single scan whose stamp is far from the others is left
-    out; see ``StampGate``.
+    Subscribes to ``scan`` and the configured odometry. If time jumps back by more than
+    ``reset_back_s``, several scans in a row agree and the odometry does not contradict, a new map
+    starts; a large forward jump is reported. Single scans with stray stamps are left out
+    (``StampGate``).
 
     Args:
-        on_scan: called with each scan that goes on.
-        on_restart: called before the first scan after time has jumped back.
+        on_scan: called with each accepted scan.
+        on_restart: called before the first scan after a jump back.
 
     Attributes:
-        received: scans that have come so far.
-        last_s: when the last one came, or else this was made, ``time.monotonic``.
-        transforms: from ``/tf``; None where nothing is taken from there.
-        odometry: where odometry is kept; None: there is none.
-        held: scans that are held back for their stamps now.
-        strays: scans left out for their stamps so far.
-        jumps_back: how often time has gone back so far.
+        received: number of scans received.
+        last_s: ``time.monotonic`` of the last scan, or of the start.
+        transforms: from ``/tf``; None if unused.
+        odometry: its store; None without odometry.
+        held: scans held back for their stamps now.
+        strays: scans left out for their stamps.
+        jumps_back: number of jumps back.
     """
 
     def __init__(
@@ -96,22 +96,20 @@ class ScanInput:
         base.subscribe(LaserScan, SCAN_TOPIC, self._take_scan, qos.SENSOR)
 
     def configure(self, settings: ScanNodeConfig) -> None:
-        """Take changed settings."""
+        """Apply changed settings."""
         self._settings = settings
         self._gate.back_s = settings.reset_back_s
 
     @property
     def _stores(self) -> set[TransformStore]:
-        """Every store of transforms."""
         return {store for store in (self.transforms, self.odometry) if store is not None}
 
     def forget_after(self, stamp_s: float) -> None:
-        """Forget the transforms of a future that has not come."""
+        """Forget transforms of later times."""
         for store in self._stores:
             store.forget_after(stamp_s)
 
     def _on_odometry(self, message: Any) -> None:
-        """Keep a pose of the odometry."""
         odom, base = self._settings.odom_frame, self._settings.base_frame
         problem, pose = "", Pose2()
         try:
@@ -134,11 +132,7 @@ class ScanInput:
         self.odometry.add([messages.transform_to_message(pose, odom, base, message.header.stamp)])
 
     def read(self, scan: ArrivedScan) -> Scan:
-        """Convert a scan.
-
-        Raises:
-            LeftOutError: it cannot be, or nobody says where its laser sits; named.
-        """
+        """Convert a scan; LeftOutError, reported, if it is invalid or its mount is unknown."""
         mount = self._mount(scan)
         try:
             read = messages.scan_from_message(scan.message, mount.pose, is_flipped=mount.is_flipped)
@@ -148,11 +142,7 @@ class ScanInput:
         return read.remounted(self._settings.laser)
 
     def _mount(self, scan: ArrivedScan) -> Mount:
-        """Return where the laser sits at a scan.
-
-        Raises:
-            LeftOutError: that is not known; named.
-        """
+        """Return the laser's mount at a scan; LeftOutError, reported, if it is unknown."""
         settings = self._settings
         if settings.laser_source == "parameter":
             return Mount(Pose2(settings.laser_x, settings.laser_y, settings.laser_yaw))
@@ -175,15 +165,15 @@ class ScanInput:
         return mount
 
     def odometry_at(self, scan: ArrivedScan, times: F64, *, is_first: bool) -> F64 | None:
-        """Return the odometry within a sweep, or None, named, where its stamp has none.
+        """Return the odometry within a sweep; None, reported, if its stamp has none.
 
         Args:
             scan: waits for it up to ``odometry_wait_s``.
             times: (K,) seconds, from the scan's stamp on.
-            is_first: scans without it are left out, for the map has not begun.
+            is_first: scans without odometry are left out, as there is no map yet.
 
         Returns:
-            (K, 3) poses, or those before the first that is not known.
+            (K, 3) poses, or those before the first unknown one.
         """
         store, settings = self.odometry, self._settings
         if store is None:
@@ -212,19 +202,16 @@ class ScanInput:
         return _rows(poses)
 
     def _wait_s(self, scan: ArrivedScan, store: TransformStore) -> float:
-        """Return how long a scan may still wait for what a store is to get."""
+        """Return how long a scan may still wait for a store."""
         now_s = time.monotonic()
         if store.last_s is not None and now_s - store.last_s > ODOMETRY_ALIVE_S:
             return 0.0
         return max(0.0, scan.arrived_s + self._settings.odometry_wait_s - now_s)
 
-    # -- by their stamps --------------------------------------------------------------------------
+    # -- stamps -----------------------------------------------------------------------------------
 
     def _take_scan(self, message: Any) -> None:
-        """Hand on a scan that has come, and those that were held back and that it confirms.
-
-        The odometry has a say in jumps, and all is named.
-        """
+        """Pass on a received scan and held ones that it confirms, if the odometry agrees."""
         self.received += 1
         self.last_s = time.monotonic()
         scan = ArrivedScan(message, messages.stamp_s(message), self.last_s)
@@ -244,7 +231,7 @@ class ScanInput:
             self._on_scan(item)
 
     def name_odometry(self) -> None:
-        """Name odometry that was left out for its stamps since the last call."""
+        """Report odometry left out for its stamps since the last call."""
         strays = 0 if self.odometry is None else self.odometry.strays
         if strays > self._strays_named:
             text = (
@@ -255,7 +242,7 @@ class ScanInput:
         self._strays_named = strays
 
     def _odometry_agrees(self, before_s: float, after_s: float) -> bool:
-        """Whether the odometry has jumped with the scans, or says nothing."""
+        """Whether the odometry has jumped with the scans, or is unknown."""
         odometry = self.odometry
         if odometry is None or odometry.last_s is None:
             return True
