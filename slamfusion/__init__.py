@@ -8,8 +8,8 @@ The library in a few lines::
     fused = fuse_maps([made.grid, "saved.yaml"])
     save_fused_maps(fused, "out/fused")
 
-``__init__.pyi`` lists the public names. Each is loaded when it is first asked for: what is not used
-costs nothing. The work is in ``slamfusion.jobs``, the settings in ``slamfusion.config``.
+``__init__.pyi`` lists the public names; each is loaded on first use. The work is in
+``slamfusion.jobs``, the settings in ``slamfusion.config``.
 """
 
 from __future__ import annotations

@@ -1,13 +1,12 @@
 """Deskewing: move the beams of a sweep to the scan's stamp by the robot's motion.
 
-The stamp of a scan is the time of its first beam; a lidar of five turns a second takes 0.2 s to the
-last one, in which a robot that turns at 1.5 rad/s turns by 17 degrees. ``Deskewer`` gives each beam
-the pose that the robot had at the beam's time, as seen from its pose at the stamp.
+The stamp of a scan is the time of its first beam. In a sweep of 0.2 s a robot that turns at
+1.5 rad/s turns by 17 degrees. ``Deskewer`` gives each beam the robot's pose at the beam's time,
+relative to its pose at the stamp.
 
-How long a sweep takes follows from ``time_increment`` of the scans. It cannot be longer than the
-time from scan to scan; where it is, the value is in ms, us or ns. Where it is 0, or fits no unit,
-the scans themselves tell (``SkewTest``). How the robot moves follows from its odometry, and without
-any from matching each sweep with the one before (``LaserMotion``).
+The duration of a sweep follows from ``time_increment`` of the scans. If it is longer than the scan
+period, the value is in ms, us or ns; if it is 0 or fits no unit, it is found from the scans
+(``SkewTest``). The motion follows from odometry, or else from matching sweeps (``LaserMotion``).
 """
 
 from __future__ import annotations
@@ -31,45 +30,45 @@ from slamfusion.geometry import (
 )
 from slamfusion.scan import LaserScan
 
-# Returns poses (K, 3) of the base in a fixed frame at times (K,); None where one is not known.
+# Returns poses (K, 3) of the base in a fixed frame at times (K,); None if unknown.
 Track = Callable[[F64], F64 | None]
 
-# The robot's pose is asked for this often within a sweep, seconds.
+# Interval of the robot's poses within a sweep, seconds.
 SAMPLE_S = 0.02
-# Motion that moves no hit by more, metres, is below the noise of a lidar.
+# A motion that moves hits by less, metres, is below the noise of a lidar.
 MATTERS_M = 0.005
-# Stamps tremble: a sweep may seem longer than the time from scan to scan by this share. One that
-# takes a smaller share of it than the least is no sweep of a mirror, but a wrong unit.
+# Limits of a sweep as a share of the scan period: stamps have jitter; a shorter sweep has a wrong
+# unit.
 LONGEST_SHARE, LEAST_SHARE = 1.1, 0.01
 # Units of ``time_increment`` that drivers send, seconds.
 UNITS_S = (1.0, 1e-3, 1e-6, 1e-9)
-# Two hits this near, metres, are of one surface. Noise of a hit, metres.
+# Largest distance of two hits of one surface, metres. Noise of a hit, metres.
 SURFACE_M, NOISE_M = 0.3, 0.02
-# Rounds of matching: a hit belongs to a surface of the other sweep within this reach, metres.
+# Rounds of matching: largest distance of a hit to its surface in the other sweep, metres.
 REACHES_M = (1.0, 1.0, 0.7, 0.5, 0.35, 0.25, 0.2, 0.2)
-# Hits of a sweep that are matched at most.
+# Most hits of a sweep that are matched.
 MOST_HITS = 200
-# Weights of the guess: how much the way from stamp to stamp differs from the last one, and the
-# motion during a sweep from that way; metres, metres, radians.
+# Weights of the prior: change of the step between stamps, and of the motion during a sweep
+# relative to its share of the step; metres, metres, radians.
 STIFF = 1.0 / np.square((0.3, 0.3, 0.5, 0.05, 0.05, 0.1))
-# A sweep is matched with one that is no older, seconds.
+# Longest time between matched sweeps, seconds.
 LATEST_S = 1.0
-# Cases that decide whether scans are skewed, and those of them that must say so: by chance as many
-# do once in 800 logs. A case is a scan and one of the last scans whose turns differ by this much.
+# Number of cases, and of agreeing ones, that decide whether scans are skewed (false positive rate
+# 1 in 800). A case is a scan and one of the last scans whose turns differ by this much.
 CASES, AGREEING, TURN_RAD, LOOK_BACK = 20, 17, 0.05, 10
-# Scans whose stamps tell the period.
+# Number of scans for estimating the period.
 PERIODS = 50
 
 
 @dataclass
 class Deskewing:
-    """What was done about the robot's motion within a sweep.
+    """Result of deskewing.
 
     Attributes:
-        scans: whose beams were moved.
-        without_motion: scans left as they are, because the robot's motion during them is unknown.
-        sweep_s: time from the first to the last beam, seconds; 0: all are of one time.
-        source: what that follows from.
+        scans: number of scans deskewed.
+        without_motion: number of scans left as they are, because the motion is unknown.
+        sweep_s: time from the first to the last beam, seconds; 0: simultaneous beams.
+        source: where that follows from.
         largest_turn_rad: of the robot within a sweep.
     """
 
@@ -80,7 +79,7 @@ class Deskewing:
     largest_turn_rad: float = 0.0
 
     def sentences(self) -> list[str]:
-        """Say what was done, a sentence, or nothing."""
+        """Return a sentence on what was done, or nothing."""
         if not self.scans and not self.without_motion:
             return []
         text = (
@@ -96,8 +95,8 @@ class Deskewer:
     """Deskews the scans of one laser.
 
     Attributes:
-        learned_s: how long a sweep takes, found out by ``learn`` against what the scans say,
-            seconds; 0: all beams are of one time; None: nothing was.
+        learned_s: duration of a sweep found by ``learn``, if it differs from that of the scans,
+            seconds; 0: simultaneous beams; else None.
     """
 
     def __init__(self, config: LogConfig) -> None:
@@ -109,21 +108,17 @@ class Deskewer:
         self._laser_motion, self._test = LaserMotion(), SkewTest()
 
     def note(self, stamp_s: float) -> None:
-        """Take in the stamp of the next scan; stamps give the period."""
+        """Take the stamp of the next scan, for the period."""
         if self._stamp_s is not None and stamp_s > self._stamp_s:
             self._periods_s.append(stamp_s - self._stamp_s)
         self._stamp_s = stamp_s
 
     def is_skewed(self, scan: LaserScan) -> bool:
-        """Whether the beams of a scan are of different times."""
+        """Whether the beams of a scan have different times."""
         return self._is_on and (self._sweep_s is not None or scan.time_increment_s != 0.0)
 
     def learn(self, scan: LaserScan, odometry: Pose2) -> bool:
-        """Find out how long a sweep takes, or whether it is what the scan says; see ``SkewTest``.
-
-        Returns:
-            Whether it is known now.
-        """
+        """Find the duration of a sweep (``SkewTest``); return whether it is known now."""
         if not self._is_on or self._sweep_s is not None or self._test.sweep_s is not None:
             return True
         told_s = self._sweep(scan)
@@ -135,22 +130,19 @@ class Deskewer:
         return found_s is not None
 
     def times(self, scan: LaserScan) -> F64:
-        """Return the times at which ``moved`` wants the robot's pose, (K,) seconds.
+        """Return the times of the poses for ``moved``, (K,) seconds, from the scan's stamp on.
 
-        The first one is the scan's stamp. The only one: all beams are of that time.
+        One time: simultaneous beams.
         """
         sweep_s = self._sweep(scan)
         count = 1 + math.ceil(abs(sweep_s) / SAMPLE_S)
         return np.asarray(scan.stamp_s + np.linspace(0.0, sweep_s, count))
 
     def follow(self, scan: LaserScan, odometry_at: Track) -> tuple[F64 | None, Pose2 | None]:
-        """Take in the next scan of a live laser, and learn of its sweep.
-
-        Args:
-            odometry_at: returns the odometry at (K,) ``times``, as ``moved`` takes it.
+        """Take the next scan of a live laser, and learn its sweep.
 
         Returns:
-            What it returned, and the odometry at the scan's stamp.
+            The result of ``odometry_at`` (for ``moved``), and the odometry at the scan's stamp.
         """
         self.note(scan.stamp_s)
         poses = odometry_at(self.times(scan))
@@ -160,11 +152,11 @@ class Deskewer:
         return poses, odometry
 
     def moved(self, scan: LaserScan, poses: F64 | None) -> LaserScan:
-        """Return the scan with the robot's motion at each beam; as it is where that is too little.
+        """Return the scan with the robot's motion at each beam, if it is large enough.
 
         Args:
-            poses: (K, 3) of the base in any fixed frame at ``times``; fewer: they end before the
-                sweep; None: there is no odometry.
+            poses: (K, 3) of the base in any fixed frame at ``times``; fewer: they end within the
+                sweep; None: no odometry.
         """
         sweep_s = self._sweep(scan)
         if sweep_s == 0.0:
@@ -192,14 +184,14 @@ class Deskewer:
         return replace(scan, motion=interpolate_poses(beams, known, motion))
 
     def matched(self, first: LaserScan, second: LaserScan) -> F64 | None:
-        """Return the motion between the stamps of two scans, (3,), found by matching them."""
+        """Return the motion between the stamps of two scans, (3,), from matching them."""
         for scan in (first, second):
             if scan.stamp_s > self._laser_motion.stamp_s:
                 self._laser_motion.follow(scan, self._sweep(scan))
         return None if self._laser_motion.during is None else self._laser_motion.step
 
     def _sweep(self, scan: LaserScan) -> float:
-        """Return the time from the first to the last beam, seconds; 0: all are of one time."""
+        """Return the time from the first to the last beam, seconds; 0: simultaneous."""
         if not self.is_skewed(scan) or len(scan) < 2:
             return 0.0
         if self._sweep_s is not None:
@@ -221,22 +213,21 @@ class Deskewer:
 class LaserMotion:
     """Follows a robot without odometry: matches each sweep with the one before it.
 
-    How far the robot got from stamp to stamp, and how its motion during the sweep differs from
-    that, are found at once. That tells how it moved during the sweep before, too, so both are
-    matched a second time.
+    The step between stamps and the deviation of the motion during the sweep are estimated together;
+    with that the sweep before is deskewed again, and both are matched a second time.
 
     Attributes:
         stamp_s: of the last sweep, seconds.
-        step: (3,) motion from the stamp of the sweep before to the last one's; metres, radians.
-        during: (3,) motion from the first to the last beam of the last sweep; None: there was no
-            sweep shortly before it.
+        step: (3,) motion between the last two stamps; metres, radians.
+        during: (3,) motion from the first to the last beam of the last sweep; None without a recent
+            sweep before it.
     """
 
     def __init__(self) -> None:
         self.stamp_s = -math.inf
         self.during: F64 | None = None
         self._before: tuple[F64, F64] | None = None
-        # The step, and how the motion during the sweep differs from its share of that.
+        # The step, and the deviation of the motion during the sweep from its share of that.
         self._found: F64 = np.zeros(6)
 
     @property
@@ -245,7 +236,7 @@ class LaserMotion:
         return self._found[:3]
 
     def follow(self, scan: LaserScan, sweep_s: float) -> None:
-        """Take in the next sweep, from the first to the last beam of which is ``sweep_s``."""
+        """Take the next sweep; ``sweep_s`` is the time from its first to its last beam."""
         self.during = None
         if scan.stamp_s <= self.stamp_s:
             return
@@ -271,17 +262,16 @@ class LaserMotion:
 
 
 class SkewTest:
-    """Finds whether the beams of scans are of different times, as the scans say or not.
+    """Tests whether the beams of scans have different times.
 
-    A scan taken while the robot turns is matched with one that was taken while it turned otherwise:
-    as they are, and both deskewed: by the duration of a sweep that they say, or else as if a whole
-    turn of the lidar took the time from scan to scan. Skew bends a room, so it shows whatever the
-    odometry's error.
+    A scan taken during a turn is matched with one taken during another turn: as they are, and
+    deskewed by the scans' own duration of a sweep, or else as if a turn of the lidar took the whole
+    period. Skew deforms a room, so the result does not depend on the odometry's error.
 
     Attributes:
         cases: pairs compared so far.
-        agreeing: of them, those that fit better when deskewed.
-        sweep_s: from the first to the last beam; 0: the scans are not skewed; None: not yet known.
+        agreeing: those that fit better when deskewed.
+        sweep_s: from the first to the last beam; 0: not skewed; None: undecided.
     """
 
     def __init__(self) -> None:
@@ -290,7 +280,7 @@ class SkewTest:
         self._scans: deque[tuple[LaserScan, F64]] = deque(maxlen=LOOK_BACK + 2)
 
     def add(self, scan: LaserScan, odometry: Pose2, told_s: float) -> None:
-        """Take in the next scan, the odometry at its stamp, and how long it says a sweep takes."""
+        """Take the next scan, the odometry at its stamp, and its own duration of a sweep."""
         if self._scans and scan.stamp_s <= self._scans[-1][0].stamp_s:
             self._scans.clear()
         self._scans.append((scan, np.array((odometry.x, odometry.y, odometry.yaw_rad))))
@@ -312,7 +302,7 @@ class SkewTest:
         self.agreeing += self._error(other, start, motions) < self._error(
             other, start, np.zeros_like(motions)
         )
-        # What the scans say holds until most of them contradict it.
+        # The scans' own value holds until most cases contradict it.
         few = CASES - AGREEING + 1
         if self.agreeing >= (few if told_s else AGREEING):
             self.sweep_s = sweep_s
@@ -320,7 +310,7 @@ class SkewTest:
             self.sweep_s = 0.0
 
     def _error(self, other: int, start: F64, motions: F64) -> float:
-        """Return how badly the last scan but one fits another one, both with their motions."""
+        """Return the mean distance of the last scan but one from another, with both motions."""
         placed = []
         for scan, motion in (
             (self._scans[other][0], motions[other]),
@@ -338,7 +328,7 @@ class SkewTest:
 
 
 class _Surfaces(NamedTuple):
-    """What a sweep saw: points (P, 2) with the normals (P, 2) of their surface, and their tree."""
+    """The surfaces of a sweep: points (P, 2) with their normals (P, 2), and their tree."""
 
     points: F64
     normals: F64
@@ -346,7 +336,7 @@ class _Surfaces(NamedTuple):
 
     @classmethod
     def of(cls, ends: F64) -> _Surfaces | None:
-        """Return the surfaces of hits (M, 2) in the order of the beams; None: there is none."""
+        """Return the surfaces of hits (M, 2) in the order of the beams, or None."""
         along = ends[2:] - ends[:-2]
         length = np.hypot(*along.T)
         is_one = (length > 0.0) & (np.hypot(*np.diff(ends, axis=0).T) < SURFACE_M)[1:]
@@ -369,22 +359,18 @@ def _fit(
     pace: float = 0.0,
     reaches_m: Sequence[float] = REACHES_M,
 ) -> tuple[F64, float]:
-    """Lay the hits of a sweep onto surfaces: where it starts, and how the robot moves during it.
+    """Match the hits of a sweep with surfaces; return its start, its motion, and the mean distance.
 
     Gauss-Newton on the distances along the surfaces' normals, robust by Geman and McClure.
 
     Args:
-        surfaces: of another sweep, in the frame of that one.
+        surfaces: of another sweep, in its frame.
         ends: (M, 2) hits in the robot's frame at their own time, metres.
-        shares: (M,) of the sweep, at their time.
-        guess: (6,) start pose, and how the motion during the sweep differs from ``pace`` times
-            that; x and y in metres, yaw in radians.
-        stiff: (6,) weight of leaving the guess; infinite: it stays.
-        pace: see there.
-        reaches_m: of each round.
-
-    Returns:
-        The same six, and the mean distance, metres, at most the last reach.
+        shares: (M,) time within the sweep, 0 to 1.
+        guess: (6,) start pose, and the deviation of the motion during the sweep from ``pace`` times
+            it; x and y in metres, yaw in radians.
+        stiff: (6,) weights of the guess; infinite: fixed.
+        reaches_m: of each round; the mean distance is at most the last one.
     """
     is_free = np.isfinite(stiff)
     found, error_m = guess.copy(), reaches_m[0]

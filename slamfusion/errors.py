@@ -1,7 +1,6 @@
-"""The errors that SLAMfusion raises on purpose; anything else is a bug and keeps its traceback.
+"""The expected errors of SLAMfusion; any other exception is a bug and keeps its traceback.
 
-A message says what was wanted, what was found, where, and what to do next. ``OSError`` passes
-through unchanged where the operating system's own words are clear enough.
+A message gives what was wanted, what was found, where, and what to do. ``OSError`` passes through.
 """
 
 from __future__ import annotations
@@ -15,14 +14,14 @@ _SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = 60
 
 
 def shown(value: Any) -> str:
-    """Return a value from outside as a message shows it: on one line, and never long."""
-    if isinstance(value, int) and value.bit_length() > 256:  # Python refuses to spell long ones
+    """Return a value from outside for a message: short, on one line."""
+    if isinstance(value, int) and value.bit_length() > 256:  # Python refuses to print long ones
         return f"a number of {value.bit_length()} bits"
     return _SHORT.repr(value)
 
 
 def unknown(value: str, known: Iterable[str]) -> str:
-    """Say that a word is none of the known ones, and which of them is near."""
+    """Return a message for an unknown word, with the nearest known one."""
     words = list(known)
     import difflib  # noqa: PLC0415  (only for an error)
 
@@ -76,7 +75,7 @@ class DeviceError(SlamFusionError):
 
 
 class FleetError(SlamFusionError):
-    """Processes or the workers of a cluster cannot do their tasks, or nobody answers there."""
+    """Processes or cluster workers cannot do their tasks, or do not answer."""
 
 
 class AlignmentError(SlamFusionError):

@@ -9,10 +9,10 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-# Places closer together than this have no direction to turn by.
+# Below this spread places have no direction.
 _NO_SPREAD_M = 1e-9
-# A pose is fitted as two points, this far before and behind it, metres: headings count as much as
-# places, also where a robot has hardly moved.
+# A pose is fitted as two points this far before and behind it, metres, so that headings count even
+# if a robot has hardly moved.
 _LEVER_M = 3.0
 
 
@@ -61,7 +61,7 @@ def invert_poses(poses: npt.ArrayLike) -> F64:
 
 
 def blend_poses(first: F64, second: F64, share: F64) -> F64:
-    """Return poses between two, (M, 3): on the straight way, turning at one rate the short way.
+    """Interpolate between poses (M, 3): straight, turning at constant rate the short way.
 
     Args:
         first, second: (M, 3) float64, x and y in metres, yaw in radians.
@@ -73,21 +73,21 @@ def blend_poses(first: F64, second: F64, share: F64) -> F64:
 
 
 def interpolate_poses(times_s: F64, stamps_s: F64, poses: F64) -> F64:
-    """Return poses at times, linear between those that are known, and as these beyond the ends.
+    """Interpolate poses linearly at times; clamped to the ends.
 
     Args:
         stamps_s: (N,), increasing.
         poses: (N, 3) x, y, yaw at the stamps.
 
     Returns:
-        (..., 3); the yaw goes on where it passes pi.
+        (..., 3); the yaw is not wrapped.
     """
     columns = (poses[:, 0], poses[:, 1], np.unwrap(poses[:, 2]))
     return np.stack([np.interp(times_s, stamps_s, column) for column in columns], axis=-1)
 
 
 def moved_poses(motion: Pose2, poses: npt.ArrayLike) -> F64:
-    """Return many poses in the frame that a motion carries theirs into; (..., 3) float64."""
+    """Transform poses (..., 3) by a motion; float64."""
     return compose_poses((motion.x, motion.y, motion.yaw_rad), poses)
 
 
@@ -110,14 +110,7 @@ def transform_points(poses: F64, points: F64, of: npt.NDArray[np.int64] | None =
 
 
 def travelled(places: F64) -> F64:
-    """Return the length of a way up to each of its places.
-
-    Args:
-        places: (N, 2 or more) float64, x and y first; N at least 1.
-
-    Returns:
-        (N,) float64, 0 first and never falling, in the unit of the places.
-    """
+    """Return the length of a path up to each of its places (N, 2 or more), as (N,) float64."""
     steps = np.diff(places[:, :2], axis=0)
     return np.concatenate(([0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]))))
 
@@ -130,9 +123,8 @@ class Pose2:
     ``pose_a_b.compose(pose_b_c)`` is ``pose_a_c``.
 
     Attributes:
-        x: metres (or any length unit, kept throughout).
-        y: same unit as ``x``.
-        yaw_rad: counter-clockwise, radians; kept as given, not wrapped.
+        x, y: metres (or any length unit, kept throughout).
+        yaw_rad: counter-clockwise, radians; not wrapped.
     """
 
     x: float = 0.0
@@ -160,14 +152,7 @@ class Pose2:
         )
 
     def transform(self, points: npt.ArrayLike) -> F64:
-        """Map points of this frame into the parent frame.
-
-        Args:
-            points: (..., 2) x and y, same unit as the pose.
-
-        Returns:
-            (..., 2) float64.
-        """
+        """Map points (..., 2) of this frame into the parent frame, in the pose's unit."""
         xy = np.asarray(points, dtype=np.float64)
         cos, sin = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
         return np.stack(
@@ -184,13 +169,13 @@ class Pose2:
 
 
 def with_levers(poses: F64) -> F64:
-    """Return poses a lever before and behind each of some, so that fits of places heed headings.
+    """Return poses 3 m before and then behind each pose, so that place fits include headings.
 
     Args:
         poses: (N, 3) float64, x and y in metres, yaw in radians.
 
     Returns:
-        (2 N, 3) float64: those before all poses, then those behind them; 3 m away, headed alike.
+        (2 N, 3) float64, with the same headings.
     """
     ahead, behind = poses.copy(), poses.copy()
     lever_m = _LEVER_M * np.column_stack((np.cos(poses[:, 2]), np.sin(poses[:, 2])))
@@ -200,16 +185,16 @@ def with_levers(poses: F64) -> F64:
 
 
 def fit_motion(moving: F64, still: F64, weights: F64 | None = None) -> Pose2:
-    """Return the rigid motion that brings paired poses together: least squares of their places.
+    """Return the rigid motion between paired poses: least squares of their places.
 
     Args:
         moving: (N, 3) float64, N at least 1; x and y in metres, yaw in radians.
         still: (N, 3) float64, where the same poses should be.
-        weights: (N,) float64, how much each pair counts, at least 0 and not all 0; None: all alike.
+        weights: (N,) float64, at least 0 and not all 0; None: equal.
 
     Returns:
-        The motion from the frame of ``moving`` to that of ``still``. Where the places are all one
-        they say nothing of the turn; then it is the mean difference of the headings.
+        The motion from the frame of ``moving`` to that of ``still``. If all places coincide, its
+        turn is the mean difference of the headings.
 
     Source: Umeyama, PAMI 13(4), 1991, equations 40 to 42 with c = 1; in the plane R is one angle.
     """
@@ -234,7 +219,7 @@ def _mean(values: npt.NDArray[Any], share: F64 | None) -> npt.NDArray[Any]:
     """Return the mean along the first axis, weighted by shares that sum to 1 if given."""
     if share is None:
         return np.asarray(values.mean(axis=0))
-    # The product is rounded by how the values lie in memory: always in one way.
+    # The rounding of the product depends on the memory layout: always use one.
     return np.asarray(share @ np.ascontiguousarray(values))
 
 
@@ -245,7 +230,7 @@ def pose_of(row: F64) -> Pose2:
 
 
 def row_of(pose: Pose2) -> F64:
-    """Return a pose as a row; its yaw as it is."""
+    """Return a pose as a row; its yaw unchanged."""
     return np.array([pose.x, pose.y, pose.yaw_rad])
 
 
@@ -255,10 +240,7 @@ def wrapped_row_of(pose: Pose2) -> F64:
 
 
 def quaternion_yaw_rad(x: float, y: float, z: float, w: float) -> float:
-    """Return where the x axis of a quaternion points, in plan.
-
-    The quaternion may have any length; 0, which is no rotation, gives NaN.
-    """
+    """Return the direction of a quaternion's x axis in plan; any length, NaN for 0."""
     if x == y == z == w == 0.0:
         return math.nan
     return math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)

@@ -1,4 +1,4 @@
-"""``OccupancyGrid``: the one value that flows through SLAMfusion.
+"""``OccupancyGrid``: the map type of SLAMfusion.
 
 Cells follow ``nav_msgs/OccupancyGrid``: -1 unknown, 0 free to 100 occupied, ``cells[row, col]``
 with ``row`` growing along +y of the grid's own axes. The origin is the pose of the lower-left
@@ -23,16 +23,15 @@ FREE = 0
 OCCUPIED = 100
 UNKNOWN = -1
 IDENTITY = Pose2()
-# Cells of a large map that are looked at at once: few enough for the cache.
+# Cells of a large map that are processed at once: they fit into the cache.
 PART_CELLS = 1 << 17
 
-# Metres per cell that a map may have: finer than any sensor measures, coarser than any room.
+# Plausible metres per cell: finer than any sensor measures, coarser than any room.
 RESOLUTION_LEAST_M, RESOLUTION_MOST_M = 1e-4, 100.0
-# Metres from the frame's origin along x or y. UTM northings reach 1e7. Positions are float64, whose
-# step there is 2e-9 m, a 5e4th of the finest cell; what runs in float32 or fixed point on the
-# device is relative to a map's own corner or centre.
+# Metres from the frame's origin along x or y. UTM northings reach 1e7, where float64 has a step of
+# 2e-9 m; float32 and fixed point on the device are relative to a map's own corner or centre.
 ORIGIN_MOST_M = 1e7
-# Radians: two turns; a number beyond is most likely in degrees.
+# Radians: two turns; a larger number is most likely in degrees.
 YAW_MOST_RAD = 4.0 * math.pi
 
 
@@ -62,12 +61,11 @@ class CellBox:
 
 
 def box_origin(origin: Pose2, resolution: float, box: CellBox) -> Pose2:
-    """Return the pose of the lower-left corner of a box of cells.
+    """Return the pose of the lower-left corner of a box of cells, which may be outside the grid.
 
     Args:
         origin: of cell [0, 0]; metres, radians.
         resolution: metres per cell.
-        box: may reach beyond the grid, and be empty.
     """
     if box.row0 == 0 and box.col0 == 0:
         return origin
@@ -76,10 +74,10 @@ def box_origin(origin: Pose2, resolution: float, box: CellBox) -> Pose2:
 
 
 def implausible(resolution: float, origin: Pose2) -> str | None:
-    """Say what is wrong with a map's cell size or place; None where both are plausible.
+    """Return what is wrong with a map's cell size or origin; None if both are plausible.
 
-    Numbers beyond these ranges are mistakes (millimetres for metres, degrees for radians, unset
-    memory), and arithmetic with them ends in absurd amounts of memory or in lost digits.
+    Larger numbers are mistakes (millimetres, degrees, unset memory), and lead to absurd amounts of
+    memory or lost digits.
 
     Args:
         resolution: metres per cell.
@@ -105,18 +103,14 @@ def implausible(resolution: float, origin: Pose2) -> str | None:
 
 
 def row_parts(shape: tuple[int, int]) -> Iterator[slice]:
-    """Yield the rows of an array in parts that fit into the cache; at least a row each."""
+    """Yield the rows of an array in parts that fit into the cache; at least one row each."""
     step = max(1, PART_CELLS // max(1, shape[1]))
     for first in range(0, shape[0], step):
         yield slice(first, first + step)
 
 
 def known_box(cells: npt.NDArray[np.int8]) -> CellBox | None:
-    """Return the smallest box that holds every known cell, or None when all are unknown.
-
-    Args:
-        cells: (H, W) int8, -1 unknown.
-    """
+    """Return the smallest box with all known cells of (H, W) int8, or None without any."""
     height, width = cells.shape
     has_row, has_col = np.zeros(height, dtype=np.bool_), np.zeros(width, dtype=np.bool_)
     for part in row_parts((height, width)):
@@ -202,7 +196,7 @@ class OccupancyGrid:
         return replace(self, name=name)
 
     def known_box(self) -> CellBox | None:
-        """Return the smallest box of cells that holds every known cell, or None."""
+        """Return the smallest box with all known cells, or None."""
         return self._known_box
 
     @cached_property
@@ -210,10 +204,10 @@ class OccupancyGrid:
         return known_box(self.cells)
 
     def crop(self, box: CellBox) -> OccupancyGrid:
-        """Return the cells of ``box``, unmoved in the map frame; parts outside are unknown.
+        """Return a box of cells at the same place in the map frame; outside is unknown.
 
         Args:
-            box: half-open; may reach beyond the grid, also to negative rows and columns.
+            box: may reach beyond the grid, also to negative rows and columns.
         """
         if box == CellBox(0, 0, self.height, self.width):
             return self
@@ -235,7 +229,7 @@ class OccupancyGrid:
     def cell_indices(self, points: F64) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
         """Return rows and columns of the cells under map-frame points (N, 2), metres.
 
-        Indices may lie outside the grid; the caller decides what that means.
+        Indices may be outside the grid.
         """
         own = self.origin.inverse().transform(points) / self.resolution
         index = np.floor(own).astype(np.int64)

@@ -1,4 +1,4 @@
-"""Records, and nested values of them, as JSON has them."""
+"""Records and nested values as JSON."""
 
 from __future__ import annotations
 
@@ -10,17 +10,15 @@ from typing import Any
 
 import numpy as np
 
-# Metadata of a field whose value is a record: its keys take the place of the field.
+# Metadata of a field with a record whose keys replace the field.
 FLAT = {"flat": True}
 
 
 def record_keys(record: Any) -> dict[str, Any]:
-    """Return the keys of a record with their values.
+    """Return the keys of a record (a dataclass) with their values.
 
-    A record is a dataclass. Its fields are the keys, except those with ``repr=False``: arrays that
-    pictures are drawn from, and other values that are not printed. The keys of a record
-    in a field with the metadata ``FLAT`` take the place of that field. A record that is printed
-    otherwise has a method ``to_json`` that returns what is printed.
+    Fields with ``repr=False`` are not printed; the keys of a record in a field with the metadata
+    ``FLAT`` replace that field. A method ``to_json`` replaces all this.
     """
     if hasattr(record, "to_json"):
         found: Any = record.to_json()
@@ -35,7 +33,7 @@ def record_keys(record: Any) -> dict[str, Any]:
 
 
 def plain(value: Any) -> Any:
-    """Return records and nested values as JSON has them: no NumPy, paths, NaN or infinity."""
+    """Return records and nested values for JSON: no NumPy, paths, NaN or infinity."""
     if hasattr(value, "to_json"):
         return plain(value.to_json())  # keys, or a list of records
     if is_dataclass(value):

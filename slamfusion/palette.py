@@ -1,7 +1,7 @@
 """All colours of pictures and pages: (red, green, blue), 0 to 255, sRGB.
 
-Who or what has a name has one colour wherever it is drawn: ask ``colours_of``. Those that must be
-told apart are, also with deuteranopia and protanopia; a test computes it.
+Each name has one colour everywhere (``colours_of``). Colours that must be distinguished are
+distinct also with deuteranopia and protanopia, as a test checks.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ UNKNOWN_RGB: Rgb = (205, 209, 214)
 FREE_RGB: Rgb = (255, 255, 255)
 WALL_RGB: Rgb = (18, 22, 28)
 
-# Of a path, of the walls of a map, of whatever else goes by this name.
+# Of paths, maps' walls, and other things of these names.
 NAMED: Mapping[str, Rgb] = {
     "tinyslam": (0, 105, 175),
     "gmapping": (240, 135, 0),
@@ -25,13 +25,12 @@ NAMED: Mapping[str, Rgb] = {
     "odometry": (133, 127, 143),
     "truth": (40, 144, 88),
 }
-# Of all other names, in their order.
+# Of other names, in order.
 OTHERS: tuple[Rgb, ...] = ((68, 195, 230), (100, 80, 235), (191, 183, 102), (246, 158, 156))
 
-# What contradicts something: cells on which the votes were divided or a map was outvoted,
-# closures that do not hold, revisits.
+# Contradictions: cells with divided votes or an outvoted map, closures that do not hold, revisits.
 DISAGREEMENT_RGB: Rgb = (195, 0, 30)
-# Walls that are not what one looks for: of both maps in a difference, of the map below.
+# Walls in the background: of both maps in a difference, of the lower map.
 AGREED_WALL_RGB: Rgb = (140, 147, 156)
 # A map against the truth.
 EXTRA_FREE_RGB: Rgb = (190, 222, 255)
@@ -44,23 +43,23 @@ END_RGB: Rgb = (110, 0, 60)
 # Lettering on white, and lines of no map.
 INK_RGB: Rgb = (62, 68, 76)
 
-# Hues a golden section of the circle apart never meet.
+# Hues a golden section of the circle apart never coincide.
 _GOLDEN = 0.618034
 
 
 def colours_of(names: Iterable[str]) -> dict[str, Rgb]:
-    """Return the colour of each name; no two have the same.
+    """Return a different colour for each name.
 
     Args:
-        names: all that are shown together, in their order; a name that is not in ``NAMED`` has the
-            colour of its place among those that are not, so more of them may be added at the end.
+        names: all that are shown together, in order; a name outside ``NAMED`` has the colour of its
+            place among the others, so that names may be added at the end.
     """
     others = _others()
     return {name: NAMED[name] if name in NAMED else next(others) for name in dict.fromkeys(names)}
 
 
 def _others() -> Iterator[Rgb]:
-    """Yield ``OTHERS``, and then colours without end, which are harder to tell apart."""
+    """Yield ``OTHERS``, and then endless colours that are harder to distinguish."""
     yield from OTHERS
     for number in itertools.count(1):
         shades = colorsys.hls_to_rgb(number * _GOLDEN % 1.0, (0.35, 0.55, 0.7)[number % 3], 0.5)

@@ -1,8 +1,8 @@
-"""``LaserScan``: one sweep of a planar laser, and what each of its beams saw.
+"""``LaserScan``: one sweep of a planar laser.
 
-Readings follow REP-117: a finite range inside the limits is a hit, +inf says that nothing was
-there up to the longest range, -inf that something was too close to measure, NaN that the reading
-failed. Readers turn what their format writes for "no return" (0, 81.91) into +inf.
+Readings follow REP-117: a finite range inside the limits is a hit, +inf is no return up to the
+longest range, -inf too close to measure, NaN a failed reading. Readers convert the no-return values
+of their formats (0, 81.91) to +inf.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from slamfusion.grid import IDENTITY
 
 @dataclass(frozen=True, eq=False)
 class LaserScan:
-    """One sweep; immutable.
+    """One sweep.
 
     Attributes:
         stamp_s: time of the first beam, seconds.
         ranges: (N,) float32, metres, in the order of the beams; may hold NaN and infinity.
         angle_min_rad: direction of the first beam in the laser's frame, counter-clockwise.
         angle_increment_rad: from one beam to the next; negative for a laser that turns clockwise.
-        range_min_m: readings below are too close to be measured.
-        range_max_m: readings at or above saw nothing.
+        range_min_m: smaller readings are too close to be measured.
+        range_max_m: readings at or above are no return.
         mount: pose of the laser in the robot's base frame; metres, radians.
-        time_increment_s: time from one beam to the next, as the log says it; 0: unknown, or none.
-        motion: (N, 3) float64, pose of the base at the time of each beam, as seen from the base at
-            the stamp; metres, radians. None: it stood still. See ``slamfusion.deskew``.
+        time_increment_s: time from one beam to the next, as logged; 0: unknown, or none.
+        motion: (N, 3) float64, pose of the base at the time of each beam, relative to the stamp's;
+            metres, radians. None: it stood still. See ``slamfusion.deskew``.
 
     Raises:
         ScanError: wrong shape, no beam, or a geometry that is not finite.
@@ -79,26 +79,20 @@ class LaserScan:
         return np.asarray(self.angle_min_rad + self.angle_increment_rad * steps)
 
     def is_hit(self, usable_m: float = math.inf) -> npt.NDArray[np.bool_]:
-        """Return which beams hit something, (N,).
-
-        Args:
-            usable_m: hits at or beyond this are not trusted and do not count.
-        """
+        """Return which beams hit something below ``usable_m``, (N,)."""
         with np.errstate(invalid="ignore"):
             hit = (self.ranges >= self.range_min_m) & (self.ranges > 0.0)
             return np.asarray(hit & (self.ranges < min(self.range_max_m, usable_m)))
 
     def is_clear(self) -> npt.NDArray[np.bool_]:
-        """Return which beams met nothing up to ``range_max_m``, (N,): +inf or over-range."""
+        """Return which beams have no return up to ``range_max_m``, (N,): +inf or over-range."""
         with np.errstate(invalid="ignore"):
             return np.asarray(self.ranges >= self.range_max_m)
 
     def remounted(self, mounting: LaserMounting) -> LaserScan:
-        """Return the scan as of a laser that is mounted otherwise than it says.
+        """Return the scan of a laser mounted differently from its description.
 
-        Args:
-            mounting: ``mirrored``: it hangs upside down, or turns the other way, so each beam goes
-                to the other side; ``backward``: it looks back where it says ahead.
+        ``mirrored``: upside down, or turning the other way; ``backward``: looking back.
         """
         if mounting == "mirrored":
             first, step = -self.angle_min_rad, -self.angle_increment_rad
@@ -112,14 +106,11 @@ class LaserScan:
         beams: npt.NDArray[np.bool_] | None = None,
         ranges_m: npt.NDArray[np.floating] | None = None,
     ) -> F64:
-        """Return the ends of beams in the robot's base frame at the stamp.
+        """Return the ends of beams in the robot's base frame at the stamp, (M, 2) metres.
 
         Args:
-            beams: (N,) which ones; default: every hit.
-            ranges_m: (N,) how far they go, metres; default: up to what they hit.
-
-        Returns:
-            (M, 2) x and y, metres.
+            beams: (N,) bool; default: every hit.
+            ranges_m: (N,) metres; default: the readings.
         """
         chosen = self.is_hit() if beams is None else beams
         angles = self.angles()[chosen] + self.mount.yaw_rad

@@ -1,4 +1,4 @@
-"""``Trajectory``: stamped poses, and finding the pose that belongs to a time."""
+"""``Trajectory``: stamped poses, and lookup by time."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy.typing as npt
 from slamfusion.errors import TrajectoryError
 from slamfusion.geometry import F64, Pose2
 
-# Times that differ by no more are one, seconds: files round them to milliseconds.
+# Stamps with a smaller difference are equal, seconds: files round to milliseconds.
 SAME_STAMP_S = 1e-3
 
 
@@ -31,12 +31,7 @@ def nearest_stamps(stamps_s: F64, wanted_s: npt.ArrayLike) -> npt.NDArray[np.int
 
 
 def clock_advice(own_s: F64, other_s: F64) -> str:
-    """Return what to do about two ranges of time that do not meet; empty where they do.
-
-    Args:
-        own_s: (N,) seconds, never decreasing, N at least 1; of what is put on the other clock.
-        other_s: (M,) likewise.
-    """
+    """Return advice for two ranges of time (seconds, sorted) that do not meet; else empty."""
     if own_s[0] <= other_s[-1] and other_s[0] <= own_s[-1]:
         return ""
     apart_s = other_s[0] - own_s[0]
@@ -47,7 +42,7 @@ def clock_advice(own_s: F64, other_s: F64) -> str:
 
 
 def flag_runs(flags: npt.NDArray[np.bool_]) -> Iterator[slice]:
-    """Yield where flags, (N,), are set without a break, in their order."""
+    """Yield the runs of set flags (N,) in order."""
     edges = np.flatnonzero(np.diff(np.r_[0, flags.astype(np.int8), 0]))
     for start, stop in edges.reshape(-1, 2).tolist():
         yield slice(start, stop)
@@ -100,10 +95,10 @@ class Trajectory:
         return Pose2(float(x), float(y), float(yaw))
 
     def nearest(self, stamps_s: npt.ArrayLike) -> npt.NDArray[np.int64]:
-        """Return for each time the index of the pose nearest in time, (M,); the earlier on a tie.
+        """Return the index of the pose nearest in time for each time, (M,); the earlier on a tie.
 
         Raises:
-            TrajectoryError: there is no pose at all.
+            TrajectoryError: there is no pose.
         """
         if len(self) == 0:
             raise TrajectoryError(f"{self.name}: has no pose")
@@ -112,17 +107,16 @@ class Trajectory:
     def matches(
         self, stamps_s: npt.ArrayLike, within_s: float = SAME_STAMP_S
     ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
-        """Return for each time the pose nearest in time, and whether it is near enough.
+        """Return the pose nearest in time for each time, and whether it is near enough.
 
         Args:
-            stamps_s: times, any shape, seconds.
-            within_s: seconds that a pose may be off.
+            stamps_s: any shape, seconds.
 
         Returns:
-            Indices as ``nearest`` gives them, and bool, both of the shape of the times.
+            Indices as in ``nearest``, and bool, both of the shape of the times.
 
         Raises:
-            TrajectoryError: there is no pose at all.
+            TrajectoryError: there is no pose.
         """
         wanted = np.asarray(stamps_s, dtype=np.float64)
         near = self.nearest(wanted)

@@ -10,13 +10,13 @@ DISTRIBUTIONS = ("numpy", "scipy", "opencv-python-headless", "pyopencl", "PyYAML
 
 
 def versions() -> dict[str, str | None]:
-    """Return the versions that decide a result; None where a package is absent."""
+    """Return the versions that affect results; None for absent packages."""
     found: dict[str, str | None] = {"python": platform.python_version()}
     return found | {name: version_of(name) for name in ("slamfusion", *DISTRIBUTIONS)}
 
 
 def version_of(distribution: str) -> str | None:
-    """Return the version of an installed distribution; None where it is absent."""
+    """Return the version of an installed distribution; None if absent."""
     import importlib.metadata  # noqa: PLC0415  (loads slowly)
 
     try:

@@ -15,17 +15,17 @@ from slamfusion.errors import ConfigError, shown
 
 T = TypeVar("T")
 
-# The profile with the values that an algorithm's authors published.
+# The profile with the values of an algorithm's authors.
 PUBLISHED = "published"
 
-# Larger whole numbers fit no record and no library.
+# Larger integers fit no record and no library.
 INTEGER_MAX = 2**63 - 1
-# A list ``first..last`` has at most this many numbers.
+# Most numbers of a list ``first..last``.
 LIST_MAX = 10_000
 
-# Coordinates are smaller, metres.
+# Limit of coordinates, metres.
 FARTHEST = 1e7
-# Step of a list of numbers that is written as ``first..last``, in the unit of the field.
+# Step of a list ``first..last``, in the unit of the field.
 LIST_STEP = 0.1
 
 
@@ -57,13 +57,11 @@ def option(
 ) -> Any:
     """Declare a configuration field with its description and inclusive range.
 
-    A field of several words is a ``Literal``; one of several values a tuple of any length.
-
     Args:
-        unit: default: what the end of the name says, e.g. ``_m``.
+        unit: default: by the end of the name, e.g. ``_m``.
         low, high: default: open; 0 to 1 for a name that ends in ``_share``.
         level: default: that of the class.
-        flag: its option on the command line where that is not the field's name.
+        flag: its option on the command line, if it is not the field's name.
     """
     metadata = {"help": text, "unit": unit, "low": low, "high": high, "level": level, "flag": flag}
     return field(default=default, metadata=metadata)
@@ -71,16 +69,15 @@ def option(
 
 @dataclass(frozen=True)
 class FieldInfo:
-    """What the command line, ROS and the documentation need to know of one field.
+    """A field's description for the command line, ROS and the documentation.
 
     Attributes:
         kind: bool, int, float or str: of the value, or of each value of a list.
-        is_optional: whether it may be left open (None).
-        help: what it is, a sentence without a capital and a full stop.
-        unit: of the value; empty where it has none.
+        is_optional: may be None.
+        help: without a capital and a full stop.
         low, high: inclusive range; None: open.
-        choices: the words that are allowed; empty: any.
-        level: ``public`` fields are options of commands, ``expert`` ones stand in files only.
+        choices: allowed words; empty: any.
+        level: ``public`` fields are options of commands, ``expert`` ones only in files.
         flag: its option on the command line; empty: made from the name.
     """
 
@@ -98,7 +95,7 @@ class FieldInfo:
     flag: str
 
 
-# By class: a configuration is built, and so checked, for every node, trial and option.
+# By class, as configurations are built and checked often.
 _INFOS: dict[type[Any], tuple[FieldInfo, ...]] = {}
 
 
@@ -139,10 +136,10 @@ def _form(hint: Any) -> dict[str, Any]:
 
 
 def checked_value(info: FieldInfo, value: Any, where: str) -> Any:
-    """Return a value as a field's type, or say by a name of the caller's what is wrong with it.
+    """Return a value as a field's type.
 
     Args:
-        where: what the messages call it, e.g. ``node graph: graph.matcher.beams``.
+        where: its name in messages, e.g. ``node graph: graph.matcher.beams``.
 
     Raises:
         ConfigError: a wrong type, not one of the choices, or out of range.
@@ -179,16 +176,12 @@ class Checked:
 
 @runtime_checkable
 class Profiled(Protocol):
-    """A configuration with profiles: sets of values for the fields that are left open.
-
-    Attributes:
-        profile: name of the profile; one of them is ``PUBLISHED``.
-    """
+    """A configuration with profiles: values for the open fields; one is ``PUBLISHED``."""
 
     profile: Any
 
     def chosen(self) -> Any:
-        """Return the configuration with what is left open filled in by the profile."""
+        """Return the configuration with open fields filled by the profile."""
 
 
 @dataclass(frozen=True)
@@ -198,8 +191,8 @@ class ConfigOption:
     Attributes:
         section: dotted place of its section.
         info: the field, with the tree's value as its default.
-        filled: what the section's profile puts where the value is left open; None: nothing.
-        published: value of the published profile; None for a field that is in no profile.
+        filled: the profile's value for an open field; else None.
+        published: value of the published profile; None for a field outside of profiles.
     """
 
     section: str
@@ -219,7 +212,7 @@ class ConfigOption:
 
     @property
     def default(self) -> Any:
-        """Value without any option or file, the profile's where it is left open; may be None."""
+        """Value without any option or file, from the profile if open; may be None."""
         return self.filled if self.info.default is None else self.info.default
 
     @property
@@ -228,7 +221,7 @@ class ConfigOption:
         return self.info.flag or "--" + self.info.name.replace("_", "-")
 
     def shown_default(self) -> str:
-        """Return the default with its unit, for people; empty where there is none."""
+        """Return the default with its unit; empty without one."""
         if self.default is None:
             return ""
         unit = "" if isinstance(self.default, bool) else self.info.unit
@@ -238,7 +231,7 @@ class ConfigOption:
 def config_fields(config: Any, section: str = "") -> Iterator[ConfigOption]:
     """Yield every leaf field of a configuration tree, in order, sections first to last."""
     whole = config() if isinstance(config, type) else config
-    # Of a section with profiles, what each field is when it is left open.
+    # For a section with profiles: the values of open fields.
     own = whole.chosen() if isinstance(whole, Profiled) else whole
     published = dataclasses.replace(whole, profile=PUBLISHED).chosen() if own is not whole else None
     for info in field_infos(type(whole)):
@@ -260,7 +253,7 @@ def config_fields(config: Any, section: str = "") -> Iterator[ConfigOption]:
 
 
 def shown_value(value: Any) -> str:
-    """Return a setting's value as help and pages show it."""
+    """Return a setting's value for help and pages."""
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, tuple):
@@ -285,12 +278,12 @@ def from_mapping(config: Any, values: Any, where: str = "config") -> Any:
     """Build a configuration from nested plain values.
 
     Args:
-        config: one of the dataclasses of this module, or one that holds what is not said.
+        config: a configuration class, or an instance with the defaults.
         values: nested mappings, as read from YAML; missing keys keep their defaults.
-        where: what the messages call the source, e.g. the file's path.
+        where: the source in messages, e.g. the file's path.
 
     Raises:
-        ConfigError: an unknown key (the nearest known one is named), a wrong type or range.
+        ConfigError: an unknown key, a wrong type or range.
     """
     if values is None:
         values = {}
@@ -312,10 +305,10 @@ def from_mapping(config: Any, values: Any, where: str = "config") -> Any:
             given = {} if is_class else getattr(config, key)
             arguments[key] = _sections(given, value, f"{where}: {key}")
         elif typing.get_origin(hint) is Mapping:
-            # Names and values of the user's own; the class checks them.
+            # The user's own names and values; the class checks them.
             arguments[key] = {} if value is None else value
         elif dataclasses.is_dataclass(hint):
-            # A section's defaults may be others than its class's.
+            # A section's defaults may differ from its class's.
             section = getattr(config, key, hint)
             arguments[key] = from_mapping(section, value, f"{where}: {key}")
         elif key in infos:
@@ -329,7 +322,7 @@ def from_mapping(config: Any, values: Any, where: str = "config") -> Any:
 
 
 def _value(hint: Any, value: Any, where: str) -> Any:
-    """Return what is no option: a text or number, a list of sections or of rows of numbers."""
+    """Return a value that is no option: a text or number, a list of sections or of rows."""
     parts = typing.get_args(hint)
     if typing.get_origin(hint) in {Union, types.UnionType}:
         if value is None and type(None) in parts:
@@ -360,7 +353,7 @@ def _value(hint: Any, value: Any, where: str) -> Any:
 
 
 def _sections(known: Mapping[str, Any], values: Any, where: str) -> dict[str, Any]:
-    """Return named sections with what ``values`` say of them; see ``from_mapping``."""
+    """Return named sections with the changes in ``values``; see ``from_mapping``."""
     if values is None:
         values = {}
     if not isinstance(values, dict):
@@ -390,7 +383,7 @@ def _coerce(value: Any, info: FieldInfo, where: str) -> Any:
 
 
 def _coerced(value: Any, info: FieldInfo, where: str) -> Any:
-    """Return one value as the declared kind; whether it is one of the choices is seen later."""
+    """Return one value as the declared kind; choices are checked later."""
     is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
     is_usable = not is_number or isinstance(value, float) or abs(value) <= INTEGER_MAX
     if info.kind is float and is_number and is_usable:
@@ -406,11 +399,9 @@ def _coerced(value: Any, info: FieldInfo, where: str) -> Any:
 
 
 def split_list(text: str, kind: type[Any]) -> list[Any]:
-    """Return the values of a text: parted by commas, or ``first..last`` in steps of 0.1.
+    """Return the values of a text: separated by commas, or ``first..last`` in steps of 0.1.
 
-    Args:
-        text: as on the command line; parts that are no numbers stay text where numbers are wanted.
-        kind: str, int or float.
+    ``kind`` is str, int or float; parts that are no numbers stay text.
     """
     if kind is str:
         return [part.strip() for part in text.split(",") if part.strip()]

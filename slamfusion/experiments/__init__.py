@@ -1,5 +1,5 @@
-"""The experiments of the papers: each is a script that adds rows to one table of results.
+"""The experiments of the papers; each adds rows to one table of results.
 
-``runs`` does each run once and keeps it; ``page`` makes the tables, tests, sentences and the plot
-of the rows. The scripts are ``tinyslam`` ([H16]), ``trials`` ([F16], failures) and ``real_logs``.
+``runs`` runs and keeps trials, ``page`` makes tables, tests and plots of the rows. Experiments:
+``tinyslam`` ([H16]), ``trials`` ([F16], failures) and ``real_logs``.
 """

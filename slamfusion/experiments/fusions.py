@@ -1,7 +1,6 @@
 """The maps of one drive: of each producer, fused in every way, and drawn at every path.
 
-The stages are those of ``run``: the producers, what the scans say of their paths, and the path that
-is fused of these. Then the maps vote in every way.
+Same stages as ``run``: producers, evidence of the scans, fused path; then every vote.
 """
 
 from __future__ import annotations
@@ -40,23 +39,23 @@ from slamfusion.trajectory import SAME_STAMP_S, Trajectory
 # Every way to vote.
 FUSIONS: tuple[VoteMode, ...] = get_args(VoteMode)
 PLAIN: VoteMode = "majority"
-# The producer whose path is taken (``choose_path``), in tables.
+# Method name: the producer whose path is chosen (``choose_path``).
 CHOICE = "evidence choice"
 # The best producer of each drive, known only afterwards.
 HINDSIGHT = "best in hindsight"
-# The path that is made of all of them; the map that all scans draw at it is called as in ``run``.
+# Method name: the fused path. The map drawn at it has the same name as in ``run``.
 FUSED_PATH = "fused path"
-# A map that is turned by more against the true one lies wrong where both head alike, radians.
+# With equal headings, a map rotated by more against the true one is misaligned, radians.
 MOST_TURN_RAD = 0.5 * math.pi
 
 
 def drawn_at(name: str) -> str:
-    """Return the name of the map that all scans draw at a producer's own path."""
+    """Return the method name of the map drawn at a producer's own path."""
     return f"{name}, drawn"
 
 
 def alone(fusion: str) -> str:
-    """Return the name of a vote from which the harmed producer is left out beforehand."""
+    """Return the method name of a vote without the harmed producer."""
     return f"{fusion}, others alone"
 
 
@@ -65,9 +64,8 @@ class DriveMaps:
     """The maps and paths of one drive.
 
     Attributes:
-        maps: by method; None: it made none.
-        choice: the producer whose path to take, see ``choose_path``; empty where the scans cannot
-            tell.
+        maps: by method; None: no map.
+        choice: the producer whose path to take (``choose_path``); empty if undecided.
     """
 
     maps: Mapping[str, OccupancyGrid | None]
@@ -76,11 +74,9 @@ class DriveMaps:
     choice: str = ""
 
     def path_errors(self, truth: Trajectory, tolerance_s: float = SAME_STAMP_S) -> dict[str, float]:
-        """Return the absolute error of each path (root mean square after a rigid fit), metres.
+        """Return the absolute error of each path (RMSE after a rigid fit), metres.
 
-        Args:
-            truth: a path that meets fewer than two of its poses in time has no error.
-            tolerance_s: poses this near in time belong together.
+        A path with fewer than two poses in common with the truth has none.
         """
         config, found = TrajectoryConfig(tolerance_s=tolerance_s), {}
         for name, path in self.paths.items():
@@ -95,11 +91,11 @@ def produce_maps(
     device: ComputeDevice,
     tell: Tell | None = None,
 ) -> DriveMaps:
-    """Run producers on scans in memory, one after the other; one that fails has a note.
+    """Run producers on scans in memory, one after the other; a failure becomes a note.
 
     Args:
         scans: of each producer, by its name in the registry.
-        tell: called with the share of the work that is done, 0 to 1.
+        tell: progress, 0 to 1.
     """
     maps: dict[str, OccupancyGrid | None] = dict.fromkeys(scans)
     paths, notes = {}, {}
@@ -137,13 +133,10 @@ def fuse_in_every_way(
     """Fuse the maps and paths of producers as ``run`` does, with every way to vote.
 
     Args:
-        saved: maps of other SLAMs, which may have any frame.
+        saved: maps of other SLAMs, in any frame.
         saved_paths: paths of some of them, by name.
-        harmed: a producer without which the others are fused, too; empty: none.
-        drawn_cell_m: metres per cell of the maps that are drawn at every path; None: none is.
-
-    Returns:
-        All maps in order, and the paths with the fused one.
+        harmed: a producer; the others are fused without it, too.
+        drawn_cell_m: metres per cell of maps drawn at every path; None: none.
     """
     notes, paths = dict(made.notes), {name: path for name, path in made.paths.items() if len(path)}
     grids = [*(grid for grid in made.maps.values() if grid is not None), *saved]
@@ -189,7 +182,7 @@ def _fuse(
     device: ComputeDevice,
     notes: dict[str, str],
 ) -> tuple[dict[str, OccupancyGrid | None], Trajectory | None, str]:
-    """Return every vote on maps, the path fused of theirs, and the name of the path to take."""
+    """Return every vote on maps, their fused path, and the name of the path to take."""
     choice = "" if evidence is None else choose_path(evidence, paths)[1]
     fused = None
     if len(paths) >= LEAST_FUSED:
@@ -211,15 +204,11 @@ def vote_every_way(
     device: ComputeDevice,
     notes: dict[str, str],
 ) -> dict[str, OccupancyGrid | None]:
-    """Return the fused map of every way to vote; all have the same voters, or the same one map.
+    """Return the fused map by way to vote; None if there is no map at all.
 
-    Args:
-        notes: what went wrong is added, by method.
-
-    Returns:
-        By way to vote; None where there is no map at all.
+    All votes have the same voters, or the same single map. Failures are added to ``notes``.
     """
-    # The producers of a drive share its frame; saved maps, none of which has such a name, may not.
+    # Producers of a drive share its frame; saved maps (with other names) may not.
     shared_frame = {grid.name for grid in grids} <= set(BUILT_IN)
     plain = replace(config, fusion=_voting(config.fusion, PLAIN))
     drive = fuse_drive(grids, paths, plain, device, shared_frame=shared_frame)
@@ -236,7 +225,7 @@ def vote_every_way(
 
 
 def _voting(config: FusionConfig, mode: VoteMode) -> FusionConfig:
-    """Return the settings with a way to vote; the search is never the fixed-step one."""
+    """Return the settings with a way to vote, and never the fixed-step search."""
     align, vote = replace(config.align, step=None), replace(config.vote, mode=mode)
     return replace(config, align=align, vote=vote)
 
@@ -249,26 +238,24 @@ def against_truth(
     *,
     same_heading: bool = False,
 ) -> MapError:
-    """Measure a map where it lies best on the truth: in the truth's frame, or aligned to it.
-
-    Aligned is where its walls fit best, or next best.
+    """Measure a map at its best place: in the truth's frame, or aligned (best or next best).
 
     Args:
-        grid: None is a map that knows nothing.
-        truth: decides lattice and box.
+        grid: None is an unknown map.
+        truth: gives lattice and box.
         config: thresholds, search (never the fixed-step one) and tolerance.
-        same_heading: both frames head nearly alike, as those of a simulated drive and of its world
-            do: an alignment that turns the map by more than a quarter is none. In a room that looks
-            nearly the same turned round, a wrong one can have the smaller error.
+        same_heading: both frames have nearly the same heading (simulated drives), so an alignment
+            with more than a quarter turn is rejected: in a room that looks nearly the same after a
+            turn, a wrong one can have the smaller error.
     """
     nothing = np.full((1, 1), UNKNOWN, dtype=np.int8)
     known = grid or OccupancyGrid(nothing, truth.resolution, truth.origin, "nothing")
     transforms = [IDENTITY]
     if grid is not None:
-        with suppress(GridError):  # not one known cell: it lies as well anywhere
+        with suppress(GridError):  # without known cells
             found = align_grids(truth, grid, _voting(config.fusion, PLAIN), device)
             transforms.append(found.transform)
-            # Of a map in two pieces each lies somewhere, and their scores are as good as equal.
+            # A map in two pieces has two places with nearly equal scores.
             if found.runner_up is not None:
                 transforms.append(found.runner_up.transform)
     if same_heading:

@@ -1,4 +1,4 @@
-"""The page of an experiment: tables, tests, sentences and the plot, made of its rows."""
+"""The page of an experiment: tables, tests, sentences and the plot."""
 
 from __future__ import annotations
 
@@ -127,15 +127,15 @@ class ExperimentDocument:
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """The rows of an experiment, and what is to be said of them.
+    """The rows of an experiment and their evaluation.
 
     Attributes:
-        name: the start of its file names.
+        name: start of its file names.
         is_paired: whether runs of the same case and seed are pairs.
         inputs, fusions: methods; each fusion is compared with the best input by its ``error``.
-        notes: (case, what went wrong by method) of each run.
-        failure: why the experiment has failed; empty: it has not.
-        read: the files that it rests on.
+        notes: (case, failures by method) of each run.
+        failure: why the experiment failed; else empty.
+        read: the files that it used.
     """
 
     name: str
@@ -167,7 +167,7 @@ class Experiment:
 
     @cached_property
     def comparisons(self) -> pd.DataFrame:
-        """The tests of ``pairs``, in each case that has both methods; see ``ComparisonJson``."""
+        """The tests of ``pairs``, in each case with both methods; see ``ComparisonJson``."""
         found: list[ComparisonJson] = []
         for case, own in self.table.groupby("case", sort=False):
             for figure, pairs in self.pairs.items():
@@ -195,7 +195,7 @@ class Experiment:
 
     @cached_property
     def against_best(self) -> list[AgainstBest]:
-        """Each fusion compared with the best input of each case, whose mean is taken as known."""
+        """Each fusion compared with the best input of each case (by its mean)."""
         if not self.fusions:
             return []
         tests = self.comparisons[self.comparisons["figure"] == "error"]
@@ -215,7 +215,7 @@ class Experiment:
         return found
 
     def overall(self) -> dict[str, Overall]:
-        """Return for each fusion its error over the best inputs', over all cases."""
+        """Return the error of each fusion over the best inputs', over all cases."""
         found: dict[str, Overall] = {}
         for fusion in self.fusions:
             own = [item for item in self.against_best if item.fusion == fusion]
@@ -248,7 +248,7 @@ class Experiment:
         return [*lines, *self.remarks]
 
     def text_tables(self, *, details: bool) -> list[TextTable]:
-        """Return the tables: a row a case and a column a method; of single runs, a row a method."""
+        """Return the tables: cases by methods; for single runs, methods by figures."""
         shown = [name for name in self.figures if (self.table["figure"] == name).any()]
         found = self._single_tables(shown)
         if len(shown) == 1 or self.summaries["count"].max() > 1:
@@ -276,7 +276,7 @@ class Experiment:
         return found
 
     def _means(self, figure: str) -> TextTable:
-        """Return mean ± deviation of a figure: a row a case, a column a method."""
+        """Return mean ± deviation of a figure: a row per case, a column per method."""
         digits = figure_of(figure).digits
         own = self.summaries.xs(figure, level="figure")
         texts = [spread(*both, digits) for both in zip(own["mean"], own["std"], strict=True)]
@@ -288,7 +288,7 @@ class Experiment:
         return f"{figure_of(figure).label}{what}", ("case", "runs", *wide.columns), rows
 
     def _single_tables(self, figures: Sequence[str]) -> list[TextTable]:
-        """Return the figures of single runs: a table a case, a row a method."""
+        """Return the figures of single runs: a table per case, a row per method."""
         wide = self.summaries["mean"].unstack("figure").reindex(columns=figures)  # noqa: PD010
         texts = wide.apply(lambda own: own.map(lambda v: number(v, figure_of(own.name).digits)))
         order = self.table[["case", "method"]].drop_duplicates()
@@ -299,7 +299,7 @@ class Experiment:
         ]
 
     def noted(self) -> list[Note]:
-        """Return what went wrong, with the number of runs and the first reason."""
+        """Return the failures with the number of runs and the first reason."""
         seen: dict[tuple[str, str], list[str]] = {}
         for case, notes in self.notes:
             for what, reason in notes.items():
@@ -321,11 +321,7 @@ class Experiment:
         )
 
     def write(self, folder: Path, forms: Sequence[str] = ()) -> list[Path]:
-        """Write ``NAME.csv`` (all rows), ``NAME.md`` (tables and sentences) and the plot.
-
-        Args:
-            folder: made when missing; older files of the same names are replaced.
-        """
+        """Write ``NAME.csv`` (all rows), ``NAME.md`` (tables and sentences) and the plot."""
         from slamfusion.report.result_plots import experiment_plot  # noqa: PLC0415  (an extra)
 
         lines = [f"# {self.title}\n"]

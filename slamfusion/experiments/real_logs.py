@@ -1,7 +1,6 @@
-"""Fusion on recorded drives: each producer's map and the fused ones against the reference map.
+"""Fusion on recorded drives: the producers' and the fused maps against a reference map.
 
-Nobody knows the truth of a recorded building. The nearest thing to it is the map that is drawn
-from the scans at the poses of the best trajectory known, cell by cell as the graph draws its map;
+The reference is drawn from the scans at the best known trajectory, with the graph's map drawing;
 its own errors are part of every number here.
 """
 
@@ -44,9 +43,9 @@ _LOG = logging.getLogger(__name__)
 
 TITLE = "Fusion on recorded drives"
 REFERENCE = "reference"
-# Rows of the table after the producers' maps and what the scans draw at the fused path.
+# Rows of the table besides the producers' maps and the one drawn at the fused path.
 ROWS = (REFERENCE, FUSED_PATH, *FUSIONS, *map(drawn_at, BUILT_IN))
-# A scan belongs to a pose of the reference at its very time; stamps are rounded here and there.
+# Largest difference of the stamps of a scan and its reference pose (rounding), seconds.
 SAME_TIME_S = 0.02
 FIGURES = (
     "error",
@@ -65,8 +64,8 @@ class RealLog:
     """A recorded drive of the data sets.
 
     Attributes:
-        log: scans with odometry, in the folder of the data sets.
-        reference: the best trajectory known, likewise.
+        log: scans with odometry, relative to the folder of the data sets.
+        reference: the best known trajectory, likewise.
     """
 
     log: str
@@ -89,7 +88,7 @@ REAL_LOGS: dict[str, RealLog] = {
 
 
 def logs_there(folder: Path, warn: Warn) -> list[str]:
-    """Return the recorded drives of ``REAL_LOGS`` whose files lie in a folder."""
+    """Return the drives of ``REAL_LOGS`` whose files are in a folder."""
     names = []
     for name, files in REAL_LOGS.items():
         absent = [path for path in (files.log, files.reference) if not (folder / path).is_file()]
@@ -109,9 +108,8 @@ def compare_on_logs(
     """Run the producers on recorded drives, fuse their maps in every way, and measure all maps.
 
     Args:
-        names: of ``REAL_LOGS``; those whose files are there.
-        others: saved maps of other SLAMs, with their paths or without, by drive; see
-            ``other_slams``.
+        names: of ``REAL_LOGS``.
+        others: saved maps of other SLAMs by drive; see ``other_slams``.
     """
     given = others or {}
     read = log_inputs(folder, names, given)
@@ -137,7 +135,7 @@ def compare_on_logs(
 def log_inputs(
     folder: Path, names: Sequence[str], others: Mapping[str, SavedMaps]
 ) -> list[tuple[str, str, Path]]:
-    """Return role, drive and path of the files of drives, and of other SLAMs' maps and paths."""
+    """Return role, drive and path of all input files."""
     found = []
     for name in names:
         if name in others:
@@ -152,9 +150,9 @@ def log_inputs(
 def other_slams(
     names: Sequence[str], maps: Sequence[CaseFile], paths: Sequence[CaseFile]
 ) -> dict[str, SavedMaps]:
-    """Return the saved maps of other SLAMs, and the paths that were found with them, by drive.
+    """Return the saved maps of other SLAMs and their paths, by drive.
 
-    Whose drive a file is of, and by which SLAM, its name tells; see ``slamfusion.jobs.cases``.
+    File names give the drive and the SLAM; see ``slamfusion.jobs.cases``.
     """
     files = {(item.case, item.method): item.path for item in place_files(names, maps)}
     found = {}
@@ -226,14 +224,13 @@ def _compare_on_log(
 def reference_map(
     scans: Sequence[LogScan], trajectory: Trajectory, config: RunConfig, device: ComputeDevice
 ) -> tuple[OccupancyGrid, int]:
-    """Return the map that scans draw at known poses, and how many scans drew it.
+    """Return the map drawn from scans at known poses, and the number of scans.
 
-    Only scans with a pose at their very time draw: carried on by odometry to the scans between, or
-    interpolated, poses are off by enough to double walls (on mit-csail 18 and 10 % of them, not 7).
+    Only scans with a pose at their own time are drawn: interpolated poses double walls.
 
     Args:
         trajectory: poses of the robot in the frame of the map.
-        config: the graph's settings say how cells are counted.
+        config: the graph's settings give the counting of cells.
     """
     settings = settings_of(config, "graph")
     stamps = np.array([item.scan.stamp_s for item in scans])

@@ -1,4 +1,4 @@
-"""The runs of an experiment: a finished one is kept as a file, with the maps of an example."""
+"""The runs of an experiment; finished ones are kept in files, with the maps of an example."""
 
 from __future__ import annotations
 
@@ -31,25 +31,21 @@ from slamfusion.jobs.inputs import Progress
 from slamfusion.jobs.results import input_records
 
 T = TypeVar("T")
-# Takes the share of a run that is done.
+# Receives the finished share of a run.
 Tell = Callable[[float], None]
 # Role, case and path of files that are read.
 Inputs = Sequence[tuple[str, str, Path]]
 
-# Parts of the package that do not change a result.
+# Parts of the package that do not affect results.
 FACES = {"cli", "page", "report", "ros", "viewer"}
-# The folder of what is done, in that of the experiment; and in it the names of arrays of a file.
+# Folder of finished runs in that of the experiment; array names in map files.
 FOLDER = "trials"
 MAP, RESOLUTION = "map ", "resolution"
 
 
 @dataclass(frozen=True)
 class RunResult:
-    """The result of one run.
-
-    Attributes:
-        example: its maps against the truth, see ``packed_maps``, of a run that is shown.
-    """
+    """The result of one run; ``example``: its maps against the truth (``packed_maps``)."""
 
     rows: Sequence[Row]
     notes: Mapping[str, str] = field(default_factory=dict)
@@ -62,10 +58,10 @@ class Setup:
     """Where and how the runs of an experiment are done.
 
     Attributes:
-        config: the settings; a kept run that was made with others is done again.
-        folder: each run that is done is at once a JSON file in its folder ``trials``.
-        processes: runs at the same time; 1: one after the other in this process.
-        scheduler: of a Dask cluster, whose workers do the runs instead; see ``executor_for``.
+        config: the settings; a kept run with other settings is repeated.
+        folder: finished runs are kept in its folder ``trials``.
+        processes: runs at the same time; 1: in this process.
+        scheduler: of a Dask cluster, whose workers do the runs; see ``executor_for``.
     """
 
     config: RunConfig
@@ -82,15 +78,12 @@ def run_all(
     setup: Setup,
     inputs: Inputs | None = None,
 ) -> list[RunResult]:
-    """Do the runs that the folder does not hold yet.
+    """Do the runs that the folder does not hold yet; return all results in order.
 
     Args:
-        tasks: the runs by the name of their files; the text of a task tells all of it.
+        tasks: by the name of their files; ``repr`` of a task must identify it.
         work: does a run. With several processes it must be a function of a module.
-        inputs: files that a run depends on, and with them on the device; None: on neither.
-
-    Returns:
-        The results in the order of the tasks.
+        inputs: files on which, like on the device, the results depend; None: on neither.
     """
     config, folder = setup.config, setup.folder
     facts = [] if inputs is None else [setup.device.name]
@@ -128,7 +121,7 @@ def _work(
 
 @cache
 def _program() -> str:
-    """Return a hash of the sources that a run depends on: of the package and of its kernels."""
+    """Return a hash of the sources that affect a run: of the package and its kernels."""
     package = Path(slamfusion.__file__).parent
     sources = [
         path for path in package.rglob("*.py") if path.relative_to(package).parts[0] not in FACES
@@ -140,7 +133,7 @@ def _program() -> str:
 
 
 def _fingerprint(task: object, config: RunConfig, facts: Sequence[str]) -> str:
-    """Return what tells runs apart that have one name but other settings or another program."""
+    """Return a hash of a task, its settings, inputs and the program."""
     settings = to_mapping(replace(config, seed=0))
     for unrelated in ("experiment", "live", "graph_optimizer", "simulate", "report"):
         del settings[unrelated]
@@ -149,7 +142,7 @@ def _fingerprint(task: object, config: RunConfig, facts: Sequence[str]) -> str:
 
 
 def _read(folder: Path, key: str, mark: str) -> RunResult | None:
-    """Return the result of an earlier run; None where it is missing, damaged or another."""
+    """Return the result of an earlier run; None if missing, damaged or different."""
     try:
         kept = json.loads((folder / FOLDER / f"{key}.json").read_text(encoding="utf-8"))
         if kept["fingerprint"] != mark:
@@ -166,7 +159,7 @@ def _read(folder: Path, key: str, mark: str) -> RunResult | None:
 
 
 def _write(folder: Path, key: str, mark: str, result: RunResult) -> None:
-    """Write the result of a run, whole or not at all; the same run gives the same bytes."""
+    """Write the result of a run atomically; the same run gives the same bytes."""
     record = {
         "fingerprint": mark,
         "rows": [[*row[:4], None if math.isnan(row[4]) else row[4]] for row in result.rows],
@@ -203,10 +196,7 @@ def kept_runs(folder: Path) -> list[str]:
 
 
 def kept_maps(folder: Path, key: str) -> tuple[OccupancyGrid, list[OccupancyGrid]]:
-    """Return the truth and the maps of a run, all on one lattice.
-
-    Where a map lacks a true wall its cells are unknown, whatever it has there.
-    """
+    """Return the truth and the maps of a run on one lattice, as ``maps_of_differences``."""
     path = _maps_file(folder, key)
     try:
         with np.load(path) as stored:

@@ -35,9 +35,9 @@ from slamfusion.slam.tinyslam import TinySlam
 from slamfusion.slam.tinyslam.slam import CELL_MODELS
 from slamfusion.trajectory import Trajectory
 
-# The figures of a run; the names end in the unit.
+# The figures of a run.
 RELATIONS, ATE, TIME = FIGURES = ("relations_mean_m", "ate_rmse_m", "time_per_scan_ms")
-# Table I: the methods that are compared, each two of them, and the cells of gmapping in [H16].
+# Table I: the methods, their pairs, and the cell size of gmapping in [H16].
 METHODS = ("tinyslam base", "tinyslam mean", "gmapping")
 PAIRS = list(itertools.combinations(METHODS, 2))
 GMAPPING_CELL_M = 0.2
@@ -53,16 +53,16 @@ PAPER = {
     ("mean", "forward"): (0.245, 0.480, 0.715),
     ("mean", "backward"): (0.245, 0.480, 0.715),
 }
-# Table III: ``area`` counts how much of a hit cell is behind the wall, ``constant`` nothing of it.
+# Table III: ``area`` counts the part of a hit cell behind the wall, ``constant`` none.
 ESTIMATORS: tuple[OccupancyEstimator, ...] = get_args(OccupancyEstimator)
 
 
 def table_two() -> Experiment:
-    """Compute Table II: what the cell models make of twelve observations in two orders.
+    """Compute Table II: the cell models after twelve observations in two orders.
 
     Deterministic: a cell starts at 0.5 and receives 12 values, of which 3, 6 or 9 are occupied
     (0.95) and the others free (0.01). Base has quality 0.2, mean (the paper's modified model)
-    quality 1. It fails where a value is not the paper's.
+    quality 1. It fails if a value differs from the paper's.
     """
     rows: list[Row] = []
     different = []
@@ -147,7 +147,7 @@ def sweep_estimators(recorded: Sequence[LogFiles], setup: Setup) -> Experiment:
 def repeated_runs(
     name: str, title: str, rows: Sequence[Row], pairs: Sequence[tuple[str, str]], read: Inputs = ()
 ) -> Experiment:
-    """Return an experiment that says for each drive and error which of two methods is better."""
+    """Return an experiment with a sentence for each drive, error and pair of methods."""
     tests = dict.fromkeys(FIGURES, pairs)
     experiment = Experiment(name, title, rows, FIGURES, tests, is_paired=False, read=read)
     sentences = []
@@ -171,11 +171,7 @@ def repeated_runs(
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """A drive, held in memory because it is run many times.
-
-    Attributes:
-        odometry: of the scans; None where nothing needs it.
-    """
+    """A drive in memory; ``odometry`` of the scans, or None if it is not needed."""
 
     name: str
     scans: tuple[LogScan, ...]
@@ -183,7 +179,7 @@ class Drive:
     odometry: Trajectory | None = None
 
     def errors(self, path: Trajectory, config: RunConfig) -> dict[str, float]:
-        """Return the errors of a path, by name: what there is something to measure with."""
+        """Return the errors of a path by name, as far as they can be measured."""
         measures = self.held.measure(path, config, self.odometry)
         found = path_figures(measures.truth, measures.relations)
         return {name: found[name] for name in (RELATIONS, ATE) if name in found}
@@ -191,11 +187,7 @@ class Drive:
 
 @dataclass(frozen=True)
 class DriveRun:
-    """One run of a producer on a drive.
-
-    Attributes:
-        case: of its rows: the drive, and what else is not compared.
-    """
+    """One run of a producer; ``case`` names the drive and everything that is not compared."""
 
     case: str
     method: str
@@ -205,7 +197,7 @@ class DriveRun:
 
     @property
     def key(self) -> str:
-        """The name of its file."""
+        """Name of its file."""
         return f"{self.case}-{self.method}-s{self.seed}".replace(" ", "-").replace(",", "")
 
 
@@ -221,11 +213,7 @@ def drive_inputs(recorded: Sequence[LogFiles]) -> Inputs:
 
 
 def read_drive(files: LogFiles, config: RunConfig) -> Drive:
-    """Read a recorded drive.
-
-    Args:
-        files: with relations, a true or the best known path, or both.
-    """
+    """Read a recorded drive with relations, a reference path, or both."""
     if files.relations is None and files.truth is None:
         message = f"{files.log}: nothing to measure it by; give relations, a reference, or both"
         raise LogError(message)
@@ -240,7 +228,7 @@ def read_drive(files: LogFiles, config: RunConfig) -> Drive:
 
 
 def simulated_office(seed: int, device: ComputeDevice, progress: Progress | None = None) -> Drive:
-    """Simulate a drive through every room of an office floor with a Hokuyo; the truth is known."""
+    """Simulate a drive through every room of an office floor with a Hokuyo."""
     course = replace(named_course("office", seed), name=f"office-{seed}")
     recording = simulate(course, device, progress)
     return Drive(course.name, recording.scans, Yardsticks(truth=recording.truth))

@@ -1,11 +1,11 @@
 """Trials of the fusion on simulated drives: one drive, three producers, and every map's error.
 
 ``ground-obstacle`` is Tables I to III of [F16]: the robot turns by 360 degrees, drives forward,
-over the obstacle where there is one, and turns by 360 degrees again, with a Kinect's narrow view.
-One seed gives the same errors of odometry and laser, and the same producers, with and without it.
+with or without an obstacle, and turns by 360 degrees again, with a Kinect's narrow view. One seed
+gives the same noise and the same producers in both cases.
 
 ``failures`` drives each course with each laser; with a Kinect most of them in a small place.
-Broken odometry and a laser upside down affect one producer, other faults all of them.
+Broken odometry and an upside-down laser affect one producer, other faults all of them.
 
 Source: Fernandes and Alexandre, *SLAMfusion: Fusing SLAM Methods for Improved Robustness*, 2016.
 """
@@ -46,13 +46,12 @@ from slamfusion.sim.world import LIDARS
 from slamfusion.slam.registry import BUILT_IN, with_settings
 from slamfusion.trajectory import Trajectory
 
-# Faces this near to true ones are right, metres.
+# Tolerance of faces, metres.
 FACES_M = 0.1
-# Drives of ``failures`` are brisk, and so lasers that see far sweep seldom: fewer scans of as much
-# place.
+# Drives of ``failures`` are fast, and long-range lasers sweep slowly, to save scans.
 RATE_HZ = 5.0
 HOKUYO_BEAMS = 361
-# A Kinect sees 4 m: but for the loop it drives in [F16]'s atrium, where four are a crowd.
+# A Kinect sees 4 m: except for the loop it drives in [F16]'s atrium, with at most four people.
 SMALL_WORLD: PlaceName = "atrium"
 SMALL_CROWD = 4
 
@@ -62,12 +61,12 @@ class Trial:
     """One repetition.
 
     Attributes:
-        condition: the case of its rows: a course, or a course with an obstacle.
-        course: with a seed for everything that chance decides on the drive, and one of the place.
-        fault: of ``FAULTS``, done to the scans; empty: none.
-        harmed: the producer that the fault befalls; empty: all of them.
-        is_example: keep its maps' differences to the truth, to be shown.
-        draws: also draw maps from the scans: at each producer's path, and at the fused one.
+        condition: case of its rows: a course, with or without an obstacle.
+        course: with the seeds of the drive and of the place.
+        fault: of ``FAULTS``, applied to the scans; empty: none.
+        harmed: the producer with the fault; empty: all.
+        is_example: keep its maps' differences to the truth for display.
+        draws: also draw maps from the scans at each producer's path and the fused one.
     """
 
     condition: str
@@ -88,7 +87,7 @@ class Trial:
         return f"w{self.course.world.seed}-s{self.course.seed}"
 
 
-# The ways to fail: a course of ``COURSES``; fault and harmed producer as those of a ``Trial``.
+# Failures: a course of ``COURSES``, and fault and harmed producer of a ``Trial``.
 FAILURES: dict[str, tuple[str, str, str]] = {
     "corridor loop": ("loop", "", ""),
     "glass": ("glass", "", ""),
@@ -116,7 +115,7 @@ def obstacle_trials(config: RunConfig) -> list[Trial]:
 
 
 def failure_trials(config: RunConfig) -> list[Trial]:
-    """Return every drive of ``failures``; ConfigError: an unknown course."""
+    """Return every drive of ``failures``; ConfigError for an unknown course."""
     settings = config.experiment.failures
     names = tuple(FAILURES) if settings.courses == ("all",) else dict.fromkeys(settings.courses)
     for name in names:
@@ -155,7 +154,7 @@ def _in_world(course: Course, world: int) -> Course:
 
 
 def _seen_by(name: str, course: Course, *, is_loop: bool) -> Course:
-    """Return a course for a laser: with it, and of a size that suits it."""
+    """Return a course with a laser, in a place of suitable size."""
     lidar = LIDARS[name]
     if name != "kinect":
         beams = HOKUYO_BEAMS if name == "hokuyo" else lidar.beams
@@ -177,7 +176,7 @@ def compare_with_obstacle(setup: Setup) -> Experiment:
 
 
 def compare_failures(setup: Setup) -> Experiment:
-    """Run ``failures``; see ``run_trials``. ConfigError: an unknown course."""
+    """Run ``failures``; see ``run_trials``. ConfigError for an unknown course."""
     processes = setup.config.experiment.failures.processes or usable_cores()
     trials = failure_trials(setup.config)
     setup = replace(setup, processes=processes)
@@ -185,11 +184,7 @@ def compare_failures(setup: Setup) -> Experiment:
 
 
 def run_trials(name: str, title: str, trials: Sequence[Trial], setup: Setup) -> Experiment:
-    """Run trials, several at the same time, and return the experiment.
-
-    Args:
-        trials: their keys differ; maps are drawn in all of them or in none.
-    """
+    """Run trials with different keys, and return the experiment; all draw maps or none."""
     found = run_all({trial.key: trial for trial in trials}, _work, setup)
     results = [(trial.condition, own) for trial, own in zip(trials, found, strict=True)]
     return fusion_experiment(name, title, results, draws=trials[0].draws)
@@ -200,10 +195,9 @@ def fusion_experiment(
 ) -> Experiment:
     """Return the experiment on fusion of trials.
 
-    Every two of the producers and fusions are compared by their [F16] errors; the fused path with
-    the producers' paths; the faces of the drawn map, or else of the vote of ``run``, with those of
-    the producers' maps.
-
+    Compared are: [F16] errors of every two producers and fusions; the fused path with the
+    producers' paths; the faces of the drawn map, or else of the vote of ``run``, with those of the
+    producers' maps.
     """
     best = [CHOICE, HINDSIGHT]
     drawn = [*map(drawn_at, (*BUILT_IN, HINDSIGHT))]
@@ -246,17 +240,15 @@ def measure_trial(
 ) -> RunResult:
     """Drive, run the producers, fuse their maps in every way, and measure all maps.
 
-    Each map is placed on the truth where its [F16] error is smallest: in the frame that drive and
-    truth share, or at the best or next best place that the alignment search finds, turned by a
-    quarter at most. Where no two maps agree, the fallback map that ``run`` names counts alone. A
-    producer without a map, and a fusion of none, has the error of a map that knows nothing.
+    Each map is measured where its [F16] error is smallest (``against_truth``). If no two maps
+    agree, the fallback map of ``run`` counts alone. A missing map counts as an unknown one.
     """
     config = replace(config, seed=trial.course.seed)
     recording = simulate(trial.course, device)
     truth = recording.world.grid
     faulty = FAULTS[trial.fault](recording.scans) if trial.fault else recording.scans
     fed = {name: faulty if trial.harmed in {"", name} else recording.scans for name in BUILT_IN}
-    # What befalls all of them befalls the robot.
+    # A fault of all producers is one of the robot.
     seen = recording.scans if trial.harmed else faulty
     made = fuse_in_every_way(
         produce_maps(fed, config, device, tell),
@@ -295,7 +287,7 @@ def measure_trial(
 def _best(
     known: Mapping[str, float], choice: str, best: Callable[[Sequence[float]], float]
 ) -> dict[str, float]:
-    """Return the figure of the producer that the scans choose, and of the best in hindsight."""
+    """Return the figure of the chosen producer, and of the best in hindsight."""
     found = {}
     if choice in known:
         found[CHOICE] = known[choice]
@@ -307,7 +299,7 @@ def _best(
 
 
 def _true_path(recording: Recording, scans: Sequence[LogScan]) -> Trajectory:
-    """Return the true poses of the scans that a fault has left, which may have other stamps."""
+    """Return the true poses of the remaining scans, which may have other stamps."""
     rows = {item.line: row for row, item in enumerate(recording.scans)}
     stamps_s = np.array([item.scan.stamp_s for item in scans])
     kept = [rows[item.line] for item in scans]
@@ -317,9 +309,9 @@ def _true_path(recording: Recording, scans: Sequence[LogScan]) -> Trajectory:
 # --- faults ---------------------------------------------------------------------------------------
 
 
-# The robot is kidnapped over this part of its drive.
+# Part of the drive over which the robot is kidnapped.
 KIDNAPPED_FROM, KIDNAPPED_TO = 0.45, 0.55
-# From here on the wheels' encoder reads distances too long and turns too small.
+# From this share on, the encoder reads distances too long and turns too small.
 BROKEN_FROM, BROKEN_DISTANCE, BROKEN_TURN = 1.0 / 3.0, 1.4, 0.4
 LOST_FROM = 0.5
 
@@ -327,10 +319,9 @@ Scans = Sequence[LogScan]
 
 
 def kidnap(scans: Scans) -> tuple[LogScan, ...]:
-    """Return the scans of a robot that was lifted and set down elsewhere: a kidnapping.
+    """Return the scans of a kidnapped robot: lifted, and set down elsewhere.
 
-    It is blind on its way, and its wheels stand still: the part of the drive is cut out, and time
-    and odometry go on as if nothing had been.
+    That part of the drive is cut out; time and odometry continue without a gap.
     """
     first, last = int(KIDNAPPED_FROM * len(scans)), int(KIDNAPPED_TO * len(scans))
     if not 0 < first < last < len(scans):
@@ -349,9 +340,9 @@ def kidnap(scans: Scans) -> tuple[LogScan, ...]:
 
 
 def break_odometry(scans: Scans) -> tuple[LogScan, ...]:
-    """Return the scans with odometry of distances too long and turns too small, from a third on.
+    """Return the scans with distances too long and turns too small, from a third on.
 
-    Errors that are in proportion to the motion, much larger than a motion model expects.
+    The errors are proportional to the motion, and much larger than a motion model expects.
     """
     first = int(BROKEN_FROM * len(scans))
     fed, read, before = list(scans[:first]), None, None
@@ -371,17 +362,17 @@ def break_odometry(scans: Scans) -> tuple[LogScan, ...]:
 
 
 def lose(scans: Scans) -> tuple[LogScan, ...]:
-    """Return the scans of a producer that is lost for good from half of the drive on.
+    """Return the scans of a producer that loses tracking for good at half of the drive.
 
-    Its laser was knocked off its mount and hangs upside down: left and right change places, and
-    nothing that it sees fits what it has drawn. A mere jump of odometry is found back from.
+    Its laser hangs upside down from then on, so left and right are exchanged; a mere jump of
+    odometry could be recovered from.
     """
     first = int(LOST_FROM * len(scans))
     return (*scans[:first], *(_upside_down(item) for item in scans[first:]))
 
 
 def _upside_down(item: LogScan) -> LogScan:
-    """Return a scan with left and right in each other's place."""
+    """Return a scan with left and right exchanged."""
     scan = item.scan
     first, step = -scan.angle_min_rad, -scan.angle_increment_rad
     return replace(item, scan=replace(scan, angle_min_rad=first, angle_increment_rad=step))
