@@ -1,17 +1,15 @@
-"""Groups of maps that fit together, of two maps or of a thousand, and where their maps lie.
+"""Groups of maps that fit together, of two maps or of a thousand, and the poses of their maps.
 
-Alignments join maps to groups: a spanning tree, the strongest first where all pairs were aligned,
-else the most promising. Then loops are closed. An alignment between two maps of a group must put
-them where the tree does. A pair without one, on ground that both maps know, must have walls that
-agree there (``ImpliedPairs``); where they contradict, it is aligned in full, and what that says, or
-that nothing is found, contradicts the links of its path (``AlignmentGraph``). What is contradicted
-most is taken back, and the groups are grown again without it. The poses are those that fit all
-links of a group best.
+Alignments join maps to groups: a spanning tree, the strongest first if all pairs were aligned, else
+the most promising. Then loops are closed. An alignment between two maps of a group must agree with
+the tree. A pair without one, on ground that both maps know, must have walls that agree there
+(``ImpliedPairs``); if they contradict, it is aligned in full, and a different or missing result
+contradicts the links of its path (``AlignmentGraph``). The most contradicted links are removed, and
+the groups are grown again. The poses are those that fit all links of a group best.
 
-Of many maps every pair is ranked by how much its best shift at the yaws at which walls are parallel
-gives more than the best shift elsewhere (``shifts``), and a map that shares nothing with the others
-is given up after a few refusals: N^2 coarse comparisons, about N alignments and 2 N looks at a
-known transform.
+Many pairs are ranked by the lead of their best shift at parallel walls over the best shift
+elsewhere (``shifts``), and a map that shares nothing with the others is given up after a few
+rejections: N^2 coarse comparisons, about N alignments and 2 N checks of a known transform.
 """
 
 from __future__ import annotations
@@ -38,35 +36,34 @@ from slamfusion.geometry import Pose2
 from slamfusion.pose_graph import PoseGraph, optimize
 from slamfusion.pose_graph.uncertainty import inverted, moved
 
-# Aligns two maps, by name, in full.
+# Aligns two maps, by name, with a full search.
 AlignPair = Callable[[str, str], Alignment]
-# Told the pairs that are likely to be asked for next; takes as many as it wants.
+# Receives the pairs that are likely to be requested next.
 Ahead = Callable[[Iterable[tuple[str, str]]], None]
 
 CLOSURE_CELLS = 12.0
 CLOSURE_YAW_RAD = math.radians(3.0)
 # Statistic of a pair whose paths were compared and agree: their median gap, metres.
 PATH_GAP = "path_gap_m"
-# Ground that both maps know, as a share of the smaller one's: on less their walls need not meet.
+# Common ground as a share of the smaller map's, above which walls must meet.
 MUCH_GROUND = 0.3
-# A group of maps is given up after so many of its pairs with larger ones were refused in a row.
+# A group of maps is given up after this number of successive rejections with larger groups.
 TRIES = 3
-# Below this ratio of the best place to the best one elsewhere a pair is not promising.
+# Least ratio of the best place to the best one elsewhere of a promising pair.
 RATIO_MIN = 1.05
-# Ground in common, as a share of the smaller map's, on which walls may close a loop. They speak
-# against one on much of it alone (``ImpliedPairs``).
+# Common ground, as a share of the smaller map's, on which walls may close a loop; they contradict
+# one only on much of it (``ImpliedPairs``).
 LOOP_GROUND = 0.12
-# Loops over each link of the trees, and links of each map, that are looked for.
+# Wanted loops over each link of the trees, and links of each map.
 LOOPS, LINKS = 3, 4
-# Points on each side of a map at which common ground is looked for.
+# Points on each side of a map for finding common ground.
 GROUND_POINTS = 24
-# Alignments in a triangle that may each be off by a share of what it may be.
+# Factor on the tolerance of a loop of three alignments.
 TRIANGLE = 3.0
-# Of alignments that loops contradict alike the weakest is false, and those up to this many
-# times as strong: of them none is known to be right.
+# Of equally contradicted alignments the weakest is false, and those up to this factor stronger.
 NEARLY_AS_STRONG = 2.0
-# What an alignment may be off in the middle between the two maps, metres and radians: maps are
-# bent by a few cells.
+# Deviation of an alignment in the middle between two maps, metres and radians: maps are bent by a
+# few cells.
 SHIFT_SIGMA_M, YAW_SIGMA_RAD = 0.1, math.radians(0.4)
 
 
@@ -77,9 +74,8 @@ class Candidate:
     Attributes:
         a, b: names.
         ratio: evidence for the best place over that for the best one elsewhere, at least 1.
-        lead: evidence for the best place above that for the best one elsewhere, in square roots of
-            the latter: so chance grows with the walls that two maps have, and large and small maps
-            are compared.
+        lead: the difference of the two, in square roots of the latter: so large and small maps
+            compare.
     """
 
     a: str
@@ -119,14 +115,10 @@ class GroupSearch:
         pairs: int,
         ahead: Ahead,
     ) -> None:
-        """Begin with every map alone.
+        """Start with every map alone.
 
-        Args:
-            features: of the maps, by name, in input order.
-            candidates: every pair that may be aligned, the most promising first.
-            align: aligns a pair in full.
-            pairs: of maps in the job.
-            ahead: receives, before a pair is aligned, what will be after it.
+        ``candidates`` are all pairs that may be aligned, the most promising first; ``ahead``
+        receives the following pairs before each alignment.
         """
         self.features, self.candidates = features, candidates
         self.align, self.ahead = align, ahead
@@ -137,10 +129,9 @@ class GroupSearch:
         self.ground = {name: _Ground(item) for name, item in features.items()}
 
     def run(self) -> tuple[list[MapGroup], list[Alignment]]:
-        """Return every group, single maps too, the largest first, and every pair looked at.
+        """Return every group, single maps too, the largest first, and every examined pair.
 
-        Pairs are in the order in which they were; those that are accepted in the end, and why the
-        others are not. Of equally large groups that with the greater sum of scores is first.
+        Of equally large groups the one with the greater sum of scores is first.
         """
         self.grow()
         self.close_loops()
@@ -149,7 +140,7 @@ class GroupSearch:
             self.close_loops()
         accepted = [pair for pair in self.found.values() if pair.accepted]
         if accepted and not self.graph.links:
-            # Of alignments that all contradict each other the strongest stays.
+            # If all alignments contradict each other, the strongest stays.
             strongest = max(accepted, key=_strength)
             del self.graph.false[key_of(strongest)]
             self.graph.believe(strongest)
@@ -158,7 +149,7 @@ class GroupSearch:
         return groups, self.told()
 
     def align_all(self) -> None:
-        """Align every candidate; from then on the strongest are the most promising."""
+        """Align every candidate, and sort the candidates by strength."""
         for item in self.candidates:
             self._aligned(item)
         self.candidates = sorted(self.candidates, key=lambda item: -_strength(self.found[item.key]))
@@ -183,7 +174,7 @@ class GroupSearch:
                     refused.update(self._smaller(item))
 
     def close_loops(self) -> None:
-        """Look at pairs on common ground until every link is in loops, or nothing is left."""
+        """Check pairs on common ground until every link is in loops, or no pair is left."""
         for group in self.graph.groups():
             if len(group) <= 2:
                 break
@@ -211,7 +202,7 @@ class GroupSearch:
                     links.update((a, b))
 
     def solved(self, group: tuple[str, ...]) -> MapGroup:
-        """Return where the maps of a group lie by all its links; those that do not fit are out."""
+        """Return the poses of a group by all its links; maps that do not fit are left out."""
         links = self.graph.links_inside(group)
         poses, out = solve_poses(group, self.graph.poses(group), links, self.features)
         for pair in out:
@@ -220,7 +211,7 @@ class GroupSearch:
         return MapGroup(group, math.fsum(pair.score for pair in links), poses)
 
     def told(self) -> list[Alignment]:
-        """Return every pair that was looked at, as it is accepted or rejected in the end."""
+        """Return every examined pair with its final decision."""
         told = []
         for key, pair in {**self.found, **self.graph.links}.items():
             why = self.graph.false.get(key)
@@ -241,7 +232,7 @@ class GroupSearch:
         return self.found[item.key]
 
     def _coming(self, item: Candidate) -> Iterator[tuple[str, str]]:
-        """Yield a pair, and those that grow groups after it if all of them are believed."""
+        """Yield a pair, and the pairs that follow if all of them are accepted."""
         group = {name: self.graph.mates(name)[0] for name in self.features}
         for other in (item, *self.candidates):
             if other is not item and other.ratio < RATIO_MIN:
@@ -253,7 +244,7 @@ class GroupSearch:
             group = {name: one if first == two else first for name, first in group.items()}
 
     def _is_promising(self, item: Candidate) -> bool:
-        """Whether a pair is worth an alignment; the best of a map that was in none always is."""
+        """Whether a pair is worth an alignment; the best pair of an unused map always is."""
         tried = set().union(*self.found)
         return item.ratio >= RATIO_MIN or not tried.issuperset((item.a, item.b))
 
@@ -282,7 +273,7 @@ class GroupSearch:
         return key in self.found and self.found[key].accepted
 
     def _closes(self, a: str, b: str, transform: Pose2) -> bool:
-        """Whether a pair fits where the tree puts it; note what contradicts it."""
+        """Whether a pair agrees with the tree; record contradictions."""
         key = frozenset((a, b))
         if not self._is_accepted(key):
             look = self.implied.look(a, b, transform)
@@ -310,10 +301,10 @@ class GroupSearch:
         return False
 
     def _agrees(self, pair: Alignment, transform: Pose2, path: Sequence[Key]) -> bool:
-        """Whether an alignment is where a path of others puts it.
+        """Whether an alignment agrees with a path of others.
 
-        Bent maps of one drive fit each other here in one pair and there in the next: a loop of
-        pairs whose paths agree is closed by these.
+        Bent maps of one drive fit at different places in different pairs, so pairs with agreeing
+        paths close a loop in any case.
         """
         if all(
             PATH_GAP in one.statistics for one in (pair, *(self.graph.links[key] for key in path))
@@ -340,12 +331,7 @@ class _Ground:
         self.grid, self.cells = grid, features.grid.cells
 
     def share_of(self, moving: _Ground, transform: Pose2) -> float:
-        """Return the share of another map's ground that this one knows too, 0..1.
-
-        Args:
-            moving: the other map.
-            transform: its map frame to this one's, metres.
-        """
+        """Return the share of another map's ground that this one knows too, 0..1."""
         if not len(moving.points):
             return 0.0
         row, col = self.grid.cell_indices(transform.transform(moving.points))
@@ -360,10 +346,8 @@ class Implied:
     """The outcome for a rejected pair under the transform that others imply.
 
     Attributes:
-        alignment: refined from there.
         stands: whether the pair contradicts no group.
-        words: why, in a few words.
-        is_supported: whether walls on common ground, be it much or little, say that it lies there.
+        is_supported: whether walls on common ground, much or little, support the transform.
     """
 
     alignment: Alignment
@@ -376,17 +360,12 @@ class ImpliedPairs:
     """Looks at rejected pairs under implied transforms, at each only once."""
 
     def __init__(self, features: Mapping[str, GridFeatures], pairs: int) -> None:
-        """Keep the maps by name, and how many pairs the job has."""
+        """Keep the maps by name, and the number of pairs of the job."""
         self.features, self.pairs = features, pairs
         self.seen: dict[tuple[str, str, Pose2], Implied] = {}
 
     def look(self, reference: str, moving: str, transform: Pose2) -> Implied:
-        """Return what the walls of two maps say of a transform that others imply.
-
-        Args:
-            reference, moving: names of the maps.
-            transform: moving map frame to the reference's, metres.
-        """
+        """Return the evidence of walls for an implied transform, metres."""
         key = reference, moving, transform
         if key not in self.seen:
             self.seen[key] = self._look(reference, moving, transform)
@@ -422,22 +401,21 @@ def motion_from(pair: Alignment, source: str) -> Pose2:
 
 
 class AlignmentGraph:
-    """Maps, alignments that are believed (links), and pairs that contradict them.
+    """Maps, accepted alignments (links), and pairs that contradict them.
 
-    Links in the order in which they came make a spanning tree of each group of maps; every further
-    link closes a loop with the links of the tree between its two maps, its path. A contradiction
-    is a pair of one group that cannot lie as the tree has it. Each link of its path may be
-    the false one, and so may be the pair's own alignment, where it has one.
+    The first links make a spanning tree of each group of maps; every further link closes a loop
+    with the links of the tree between its two maps, its path. A contradiction is a pair of one
+    group that does not agree with the tree: one link of its path may be false, or the pair's own
+    alignment.
 
     Attributes:
-        names: of the maps, in order.
-        links: believed alignments, by the names of their maps.
-        against: contradictions; the alignment is None where the pair has none that could be true.
-        false: alignments that were taken back, by the names of their maps, and why.
+        links: accepted alignments, by the names of their maps.
+        against: contradictions; the alignment is None if the pair has none that could be true.
+        false: removed alignments, by the names of their maps, and the reason.
     """
 
     def __init__(self, names: Sequence[str]) -> None:
-        """Begin with every map alone."""
+        """Start with every map alone."""
         self.names = tuple(names)
         self.links: dict[Key, Alignment] = {}
         self.against: dict[Key, Alignment | None] = {}
@@ -451,7 +429,7 @@ class AlignmentGraph:
         self._grow_tree(pair)
 
     def contradict(self, key: Key, own: Alignment | None) -> None:
-        """Note a pair that does not lie as the links have it, and its own alignment if it has."""
+        """Record a pair that does not agree with the links, and its own alignment if any."""
         self.against[key] = own
 
     def is_joined(self, a: str, b: str) -> bool:
@@ -511,9 +489,9 @@ class AlignmentGraph:
         )
 
     def drop_false(self) -> bool:
-        """Take back the links that most contradictions count against; tell if there was one.
+        """Remove the links with most contradictions; return whether there were any.
 
-        A contradiction counts against each link of its path, a loop that closes for it.
+        A contradiction counts against each link of its path, a loop that closes supports it.
         """
         blame = Counter[Key]()
         for key in self.against:
@@ -535,7 +513,7 @@ class AlignmentGraph:
         return True
 
     def _rebuild(self) -> None:
-        """Lay the trees out anew; contradictions are of the trees before."""
+        """Rebuild the trees, without the contradictions of the old ones."""
         self._tree = {name: {} for name in self.names}
         self._group = {name: index for index, name in enumerate(self.names)}
         self.against.clear()
@@ -556,18 +534,12 @@ class AlignmentGraph:
 
 
 def _strength(pair: Alignment) -> float:
-    """Return the pieces of wall that say that an alignment is better than any other."""
+    """Return the number of pieces of wall that prefer an alignment to any other."""
     return 0.0 if pair.evidence is None else pair.evidence.better
 
 
 def rank_pairs(maps: Mapping[str, GridFeatures]) -> list[Candidate]:
-    """Return every pair of maps that have walls, the most promising first.
-
-    This ranks pairs and decides nothing: what is promising is searched and decided in full.
-
-    Args:
-        maps: at one resolution, by name.
-    """
+    """Return every pair of maps that have walls, the most promising first; decide nothing."""
     pairs = []
     able = [name for name, item in maps.items() if len(item.wall_points)]
     for a, b in itertools.combinations(able, 2):
@@ -583,12 +555,11 @@ def solve_poses(
     links: Sequence[Alignment],
     features: Mapping[str, GridFeatures],
 ) -> tuple[dict[str, Pose2], list[Alignment]]:
-    """Return the pose of each map's frame that fits all links best, and the links that do not fit.
+    """Return the poses that fit all links best, and the links that do not fit.
 
     Args:
-        group: names of the maps; the frame of the first is that of all poses.
-        start: poses to begin with.
-        links: alignments that join the group, those that are believed most first.
+        group: names of the maps; all poses are in the frame of the first.
+        links: alignments that join the group, the strongest first.
 
     Source: ``pose_graph.robust``, graduated non-convexity.
     """
@@ -625,12 +596,7 @@ def solve_poses(
 
 
 def placed(pair: Pair, transform: Pose2) -> Alignment:
-    """Return the record of a map that other alignments place, with the numbers of its walls there.
-
-    Args:
-        pair: the two maps; they may share nothing.
-        transform: moving map frame to the reference's, metres; kept as it is.
-    """
+    """Return the record of a map at a transform from other alignments, with its wall statistics."""
     found = SearchResult(pair.motion_of(transform)[None], None, "tracked")
     began = time.perf_counter()
     measured = conclude(pair, AlignConfig(), found, transform, 1, began)

@@ -26,16 +26,15 @@ from slamfusion.fusion.pair_tasks import AlignmentTasks, PairSettings
 from slamfusion.geometry import Pose2, wrap_angles
 from slamfusion.io.files import return_freed_memory
 
-# Told what is being done, how many steps are done, and of how many.
+# Progress callback: stage, steps done, total steps.
 Progress = Callable[[str, float, int], None]
-# Receives an alignment and its two maps; returns the alignment to go by.
+# Receives an alignment and its two maps; returns the alignment to use.
 SecondLook = Callable[[Alignment, Pair], Alignment]
 
 REFERENCE_AREA_SHARE = 0.5
-# [F16]: any two of three decide, so one input has nobody to agree with.
+# [F16]: any two of three decide, so one input has no other to agree with.
 LEAST_FUSED = 2
-# Of more pairs most share nothing: those that are promising are aligned, what is refused is not
-# searched once more.
+# With more pairs only promising ones are aligned, and rejected ones are not searched again.
 THOROUGH_PAIRS = 15
 # An input of more cells keeps no fields after its last pair: they are some 30 bytes a cell.
 KEPT_CELLS = 1 << 22
@@ -70,11 +69,10 @@ class Members:
 
 @dataclass(frozen=True, eq=False)
 class AlignedGroup(Members):
-    """The largest group of inputs that fit together, and what became of the others.
+    """The largest group of inputs that fit together, and the outcome of the others.
 
     Attributes:
         left_out: why every other input is no member, and the alignment that shows it.
-        pairs: every pair that was aligned.
         others: further groups of two or more, the larger first.
     """
 
@@ -103,7 +101,6 @@ def align_group(
         reasons: why the other inputs cannot.
         config: settings of the search; ``reference`` may name the reference.
         names: all inputs, in order.
-        progress, second_look, starts, executor: see ``fuse_grids``.
 
     Raises:
         AlignmentError: fewer than two of several inputs agree; ``pairs`` holds the alignments.
@@ -140,7 +137,7 @@ def align_group(
 
 
 class _Aligner:
-    """Aligns pairs of inputs, the larger known box to the smaller, and tells how far it is."""
+    """Aligns pairs of inputs, the larger known box to the smaller, and reports progress."""
 
     def __init__(
         self,
@@ -164,12 +161,12 @@ class _Aligner:
             self.tasks = AlignmentTasks(executor, settings, device)
 
     def tell(self, what: str, done: int) -> None:
-        """Tell what is being done, and how many alignments are."""
+        """Report the stage and the number of alignments done."""
         if self.progress is not None:
             self.progress(what, done, max(self.steps, done))
 
     def align(self, a: str, b: str) -> Alignment:
-        """Align two inputs by name, and take what else is known of them into account."""
+        """Align two inputs by name, and apply what else is known of them."""
         pair, start = self._pair(a, b)
         self.tell("aligning pairs", self.done)
         if self.tasks is not None:
@@ -185,17 +182,13 @@ class _Aligner:
         return found if self.second_look is None else self.second_look(found, pair)
 
     def ahead(self, coming: Iterable[tuple[str, str]]) -> None:
-        """Begin with pairs that are likely to be asked for, the next ones first.
-
-        Args:
-            coming: these; only the first ones, and none where nobody else aligns.
-        """
+        """Start the first of the pairs that are likely to be requested next."""
         if self.tasks is not None:
             for a, b in itertools.islice(coming, self.tasks.ahead):
                 self.tasks.begin(*self._pair(a, b))
 
     def _pair(self, a: str, b: str) -> tuple[Pair, StartPose | None]:
-        """Return two inputs, the smaller one held still, and where the other may lie."""
+        """Return two inputs, the smaller one as the reference, and the start of the other."""
         pair = Pair(self.features[a], self.features[b])
         if math.prod(pair.reference.shape) > math.prod(pair.moving.shape):
             pair = Pair(pair.moving, pair.reference)
@@ -204,8 +197,8 @@ class _Aligner:
     def candidates(self) -> list[Candidate]:
         """Return the pairs that may be aligned, the most promising first; of few inputs all.
 
-        Of many inputs those are none that cannot meet where starts put them; of those that may, the
-        nearest come first.
+        Of many inputs, pairs that cannot meet by their starts are left out, and the nearest come
+        first.
         """
         if self.is_thorough:
             return [Candidate(a, b, math.inf) for a, b in itertools.combinations(self.features, 2)]
@@ -268,10 +261,7 @@ def choose_reference(
 
 
 def _smallest(members: Sequence[str], features: Mapping[str, GridFeatures]) -> str:
-    """Return the member of the smallest known box.
-
-    Members that know less than half the group's median known area do not count.
-    """
+    """Return the member of the smallest box that knows half the group's median known area."""
     typical = median(features[name].known_cells for name in members)
     grown = [
         name for name in members if features[name].known_cells >= REFERENCE_AREA_SHARE * typical
@@ -322,13 +312,7 @@ def _most_supported(
 
 
 def _in_frame_of(reference: str, motion: Pose2, pair: Alignment) -> Alignment:
-    """Return a pair as another map sees it than the pair's own reference.
-
-    Args:
-        reference: that map.
-        motion: takes the frame of the pair's reference into that of the map.
-        pair: the alignment.
-    """
+    """Return a pair in the frame of ``reference``; ``motion`` maps the pair's own to it."""
     runner_up, profile = pair.runner_up, pair.yaw_profile
     if runner_up is not None:
         runner_up = replace(runner_up, transform=motion.compose(runner_up.transform))
@@ -367,9 +351,9 @@ def _own(features: GridFeatures) -> Alignment:
 def _left_out(
     name: str, reference: str, group: MapGroup, pairs: Sequence[Alignment]
 ) -> tuple[str, Alignment | None]:
-    """Return why an input is not in the group, in one line, and the alignment that shows it.
+    """Return why an input is not in the group, and the alignment that shows it.
 
-    The one to the reference where there is one, else the best of the failed.
+    That is the one to the reference if any, else the best of the failed.
     """
     mine = [
         pair

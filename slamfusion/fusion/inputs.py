@@ -1,4 +1,4 @@
-"""Inputs made ready: copies and odd cell sizes left out, the rest brought to one resolution."""
+"""Prepare inputs: leave out copies and odd cell sizes, bring the rest to one resolution."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from slamfusion.errors import GridError
 from slamfusion.grid import OccupancyGrid, row_parts
 from slamfusion.io.files import return_freed_memory
 
-# How many times coarser or finer than the fused cells a map's may be. Walls are compared within
-# 0.15 m, which says nothing of cells of a metre; and cells of 1 mm make a hall too large.
+# Greatest ratio of a map's cells to the fused ones. Walls are compared within 0.15 m, too fine for
+# cells of a metre; and cells of 1 mm make a hall too large.
 RATIO_MAX = 16.0
-# A cell size in centimetres or millimetres is at least so many times as large.
+# Ratio from which a cell size looks like centimetres or millimetres.
 UNITS_RATIO = 99.0
 
 
@@ -49,9 +49,7 @@ class PreparedInputs:
         """Normalise every input.
 
         Args:
-            grids: one or more.
             config: ``normalize`` is used.
-            is_stored: the inputs will vote tile by tile.
 
         Raises:
             MemoryBudgetError: the grids are too large for the memory that is free.
@@ -83,7 +81,7 @@ class PreparedInputs:
         }
 
     def release(self) -> None:
-        """Let go of what alignments look at: several times the memory of the maps."""
+        """Release what alignments use: several times the memory of the maps."""
         self._memory.clear()
         self.features.clear()
         if self._factor > 1:
@@ -91,17 +89,14 @@ class PreparedInputs:
             return_freed_memory()
 
     def lattice(self, name: str) -> VotingGrid:
-        """Return an input with the cells that vote; a large one is laid out for each call."""
+        """Return an input with the cells that vote; a large one is resampled at each call."""
         if self._factor == 1:
             return self._normalized[name]
         return voting_grid(self._grids[name], self._resolution, self._config, self._device)
 
 
 def _without_percents(grid: NormalizedGrid) -> NormalizedGrid:
-    """Return a grid that is aligned and does not vote: where it lies is all that is asked of it.
-
-    What each cell is, -1, 0 or 1, stands for its percents, in the same memory.
-    """
+    """Return a grid for alignment only, with its trinary cells in place of percentages."""
     return replace(grid, grid=replace(grid.grid, cells=grid.cells))
 
 
@@ -111,9 +106,7 @@ def find_copies(grids: Sequence[OccupancyGrid], preferred: Collection[str] = ())
     Copies have equal cells, resolution and origin.
 
     Args:
-        grids: of distinct names.
-        preferred: names that something else is known of: of several copies the first of these
-            votes, or else the first.
+        preferred: of several copies the first of these votes, else the first.
     """
     copies: dict[str, str] = {}
     for index, grid in enumerate(grids):
@@ -126,7 +119,7 @@ def find_copies(grids: Sequence[OccupancyGrid], preferred: Collection[str] = ())
 
 
 def copy_words(voter: str) -> str:
-    """Return what is said of a copy of an input."""
+    """Return the reason of a copy of an input."""
     return f"the same map as {voter} (equal cells, resolution and origin): one voter"
 
 
@@ -138,12 +131,9 @@ def _is_same(a: OccupancyGrid, b: OccupancyGrid) -> bool:
 
 
 def odd_resolutions(resolutions: Mapping[str, float]) -> dict[str, str]:
-    """Return, in words, whose cells are too coarse or too fine to be fused with the others'.
+    """Return, in words, the inputs whose cells are too coarse or too fine for the others.
 
     The typical resolution is the median, of an even number the coarser one.
-
-    Args:
-        resolutions: by name, metres per cell.
     """
     if not resolutions:
         return {}

@@ -1,12 +1,11 @@
-"""Aligned grids on one lattice: lay them there and vote, tile by tile.
+"""Resample aligned grids on one lattice and vote, tile by tile.
 
-The vote goes tile by tile, of those that know something there: an input that abstains where it
-knows nothing changes nothing. So many maps may vote that lie apart, and large ones fit into memory.
-Tiles overlap as far as a cell has a say in what others become.
+Only inputs that know something in a tile vote there, so many distant maps and large ones fit into
+memory. Tiles overlap as far as a cell affects others.
 
-The cells of each input are put on its box of the fused lattice once: as an array (``GridLayer``),
-or, of a vote that does not fit into memory, in packed blocks (``PackedLayer``), of which those
-under a tile travel to the process that decides it (``fleet``).
+The cells of each input are resampled once: as an array (``GridLayer``), or, if a vote does not fit
+into memory, in compressed blocks (``PackedLayer``), which are sent to the process that decides the
+tile (``fleet``).
 """
 
 from __future__ import annotations
@@ -52,20 +51,20 @@ Result = TypeVar("Result")
 # Gives an input at the common resolution, by its name.
 Lattices: TypeAlias = Callable[[str], VotingGrid]
 
-# Bytes that a vote in memory holds for each fused cell: itself, its agreement, and a copy of both.
+# Bytes per fused cell of a vote in memory: cell and agreement, and a copy of both.
 VOTED_BYTES = 4
-# Cells on a side of the blocks in which packed inputs travel.
+# Side in cells of the blocks of packed inputs.
 BLOCK = 512
 
 
 @dataclass(frozen=True, eq=False)
 class PackedLayer:
-    """What an input shows on the fused lattice, packed, so that it travels to any process.
+    """The cells of an input on the fused lattice, compressed to be sent to other processes.
 
     Attributes:
         box: cells that it may know, counted from the first fused cell.
         blocks: its cells in {-1, 0, 1}, ``BLOCK`` on a side, compressed, by row and column of
-            blocks in the box; of those that are not here no cell is known, or needed.
+            blocks in the box; missing blocks are unknown or not needed.
     """
 
     box: CellBox
@@ -83,7 +82,7 @@ class PackedLayer:
         return cls(box, blocks)
 
     def under(self, wide: CellBox) -> PackedLayer:
-        """Return the layer with what it shows on a box of the fused lattice."""
+        """Return the layer with only the blocks on a box of the fused lattice."""
         return replace(self, blocks={at: self.blocks[at] for at, _ in self._meeting(wide)})
 
     def on(self, box: CellBox) -> I8:
@@ -110,14 +109,12 @@ Layer: TypeAlias = GridLayer | PackedLayer
 
 @dataclass(frozen=True, eq=False)
 class LatticeVote:
-    """The vote of a group, ready to be held.
+    """The vote of a group, ready to run.
 
     Attributes:
-        group: those that vote.
-        voter: decides a tile.
-        layers: what each of them shows, by name.
+        layers: by name of the input.
         origin: of the first fused cell, in the reference's frame.
-        prepared: of a vote in memory that has one tile, what each of them shows, see
+        prepared: for a vote in memory with one tile, the prepared cells by name, see
             ``TileVoter.prepare``.
     """
 
@@ -136,7 +133,7 @@ class LatticeVote:
     def trusting(
         self, executor: Executor | None = None, progress: Progress | None = None
     ) -> LatticeVote:
-        """Return the vote with the trust in its inputs, found by all of their walls."""
+        """Return the vote with the trust in its inputs, from all of their walls."""
         if not self.voter.weighs:
             return self
         vote, whole = self, self.voter.whole
@@ -159,8 +156,7 @@ class LatticeVote:
         Args:
             task: ``count_tile``; ``decide_tile`` or ``decide_parts`` with their device.
             what: name of the stage, for ``progress``.
-            executor: does the tasks; None: they are done here.
-            progress: called with ``what``, the tiles done and all tiles.
+            executor: runs the tasks; None: they run here.
 
         Raises:
             GridError: more inputs than a vote takes know one place.
@@ -173,7 +169,7 @@ class LatticeVote:
                 progress(what, done + 1, len(tiles))
 
     def _under(self, tile: CellBox) -> dict[str, Layer]:
-        """Return the layers with what a tile needs of them."""
+        """Return the layers with the cells that a tile needs."""
         wide = self.voter.reading(tile)
         return {
             name: layer.under(wide) if isinstance(layer, PackedLayer) else layer
@@ -201,14 +197,7 @@ class LatticeVote:
         config: FusionConfig,
         device: ComputeDevice,
     ) -> dict[str, Any]:
-        """Return what a fusion in memory and one in a store have in common; see ``Fusion``.
-
-        Args:
-            inputs: the records.
-            phantom_cells, worst: of the decided tiles.
-            config: says whether the fused map was cut, and what is known.
-            device: computed.
-        """
+        """Return what a fusion in memory and one in a store have in common; see ``Fusion``."""
         trust, left_out = self.voter.trust, {}
         if config.vote.extent != "union":
             left_out = {
@@ -238,7 +227,7 @@ class LatticeVote:
         config: FusionConfig,
         device: ComputeDevice,
     ) -> FusionResult:
-        """Hold the vote, and keep the fused map and what each input shows on it; see ``records``.
+        """Run the vote, and keep the fused map and the layers; see ``records``.
 
         Raises:
             GridError: more inputs than a vote takes know one place.
@@ -257,7 +246,7 @@ class LatticeVote:
                     if isinstance(layer, GridLayer):
                         layer.note(part, is_outvoted)
         fused[fused == 1] = OCCUPIED
-        # What is read-only is not copied once more.
+        # Read-only arrays are not copied again.
         fused.flags.writeable = agreement.flags.writeable = False
         size, inputs = self.voter.resolution, self.records(grids, others)
         return FusionResult(
@@ -275,12 +264,11 @@ def vote_in_memory(
     config: FusionConfig,
     device: ComputeDevice,
 ) -> FusionResult:
-    """Let groups of aligned grids vote, and write the records.
+    """Let groups of aligned grids vote, and make the records.
 
     Args:
         grids: all inputs, in order.
-        groups: those that vote; the results of all but the first are its ``others``.
-        lattices: gives each of these at the common resolution.
+        groups: of voters; the results of all but the first are its ``others``.
         others: records of the inputs that are not in the first group, by name.
 
     Raises:
@@ -303,13 +291,10 @@ def prepare_votes(
     *,
     is_stored: bool = False,
 ) -> list[LatticeVote]:
-    """Lay the inputs of groups on their fused lattices, and find the trust in each.
+    """Resample the inputs of groups on their fused lattices, and find the trust in each.
 
     Args:
-        groups: those that vote.
-        lattices: gives each input at the common resolution.
-        executor, progress: see ``LatticeVote.each``.
-        is_stored: no fused map will be in memory, nor more than one input at a time.
+        is_stored: no fused map stays in memory, and only one input at a time.
 
     Returns:
         The vote of each group, or those of two parts of it that contradict each other.
@@ -342,7 +327,7 @@ def _prepare(
     *,
     is_stored: bool,
 ) -> LatticeVote:
-    """Lay the inputs of one group on its fused lattice; see ``prepare_votes``."""
+    """Prepare the vote of one group; see ``prepare_votes``."""
     base = lattices(group.reference)
     lattice, box = base.extent.lattice, base.extent.box
     is_union = config.vote.extent == "union"
@@ -432,7 +417,7 @@ def _parts(tile: CellBox, layers: Mapping[str, Any]) -> Iterator[CellBox]:
 def _shown(
     voter: TileVoter, tile: CellBox, layers: Mapping[str, Any]
 ) -> dict[str, npt.NDArray[Any]]:
-    """Return what those inputs show around a tile that may know a cell there."""
+    """Return the prepared cells of inputs that may know a cell of a tile."""
     around, found = voter.around(tile), dict[str, npt.NDArray[Any]]()
     for name, layer in layers.items():
         if isinstance(layer, np.ndarray):  # it was prepared before
@@ -451,9 +436,7 @@ def warp_onto(
     """Return the cells of a grid on a box of another's lattice, nearest cell, unknown outside.
 
     Args:
-        grid: is laid.
         transform: maps the grid's map frame into the lattice's, metres.
-        lattice: the target, of the same resolution.
         box: cells of it; may be empty.
     """
     shape = (box.height, box.width)
@@ -465,7 +448,7 @@ def warp_onto(
     corner = into.transform((box.col0 * size, box.row0 * size)) / size
     pose = fixed_poses((corner[0], corner[1], into.yaw_rad))
     if tuple(pose[0, :2]) == (FIXED_ONE, 0):
-        # Nothing is turned: all cells move by as much as the first.
+        # Without rotation all cells move by the same number of cells.
         first = np.ones(1, dtype=np.int64)
         (row,), (col,) = fixed_cells(pose[0], first, first)
         return _shifted(grid.cells, int(row), int(col), box)
@@ -474,7 +457,7 @@ def warp_onto(
 
 
 def _shifted(cells: npt.NDArray[np.int8], row: int, col: int, box: CellBox) -> npt.NDArray[np.int8]:
-    """Return as many cells as a box has, from a row and column on, unknown outside."""
+    """Return the cells of a box from a row and column on, unknown outside."""
     out = np.full((box.height, box.width), UNKNOWN, dtype=np.int8)
     read = CellBox(row, col, row + box.height, col + box.width)
     known = overlap(read, CellBox(0, 0, *cells.shape))
@@ -489,14 +472,7 @@ def contradicting(
     first: LatticeVote,
     others: Sequence[LatticeVote],
 ) -> dict[str, InputRecord]:
-    """Return the records of maps that contradict others of their group and are fused apart.
-
-    Args:
-        grids: all inputs.
-        group: that they were in.
-        first: the vote of those that decide.
-        others: further votes.
-    """
+    """Return the records of maps that contradict others of their group and are fused apart."""
     found: dict[str, InputRecord] = {}
     for vote in others:
         own = vote.group.alignments
@@ -528,7 +504,7 @@ def bent_maps(
     for name, share in zip(trust.names, trust.agreement.tolist(), strict=True):
         places = [tile[name] for tile in worst if name in tile]
         missed, row, col = worst_place([(0, 0, 0), *places])
-        # Maps that share no walls do not disagree either.
+        # Maps without common walls do not disagree.
         if share < AGREEING and missed > 0:
             corner = grid.corner(row, col)
             bent[name] = Bent(share, corner.x, corner.y)

@@ -1,9 +1,8 @@
-"""Alignments of pairs by an executor: those that will be asked for begin ahead.
+"""Alignments of pairs by an executor, started ahead of their requests.
 
-Who aligns many maps asks for one pair after the other, and what comes next depends on what was
-found. Most of what comes next is known beforehand all the same: pairs that are told in advance are
-handed over, as many as the executor can do and some more, and wait to be asked for. A pair that is
-never asked for has cost its time and changes nothing: an alignment depends on its two maps alone.
+The next pair depends on the results so far, but most pairs are predictable: they are started in
+advance, a few more than the executor can run. A pair that is never requested costs time and changes
+nothing, because an alignment depends on its two maps only.
 """
 
 from __future__ import annotations
@@ -25,15 +24,15 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import AlignConfig
 from slamfusion.fleet import tasks_ahead
 
-# Cells of a grid whose fields a worker keeps, of which each takes some 24 bytes.
+# Largest grid whose fields a worker keeps, cells; each takes some 24 bytes.
 KEPT_CELLS = 1 << 20
-# A grid as it travels, pickled and compressed to about a tenth, and whether its fields are kept.
+# A grid in transit, pickled and compressed to about a tenth, and whether its fields are kept.
 Packed = tuple[bytes, bool]
 
 
 @dataclass(frozen=True)
 class PairSettings:
-    """What alignments of one job have in common; see ``align_pair``."""
+    """Common settings of the alignments of one job; see ``align_pair``."""
 
     config: AlignConfig
     pairs: int
@@ -44,18 +43,18 @@ class AlignmentTasks:
     """Alignments of pairs of maps by an executor; each pair is aligned once."""
 
     def __init__(self, executor: Executor, settings: PairSettings, device: ComputeDevice) -> None:
-        """Take who does them, and what they have in common."""
+        """Start without tasks."""
         self._executor, self._common = executor, (settings, device)
         self._packed: dict[str, Packed] = {}
         self._tasks: dict[tuple[str, str], Future[Alignment]] = {}
 
     @property
     def ahead(self) -> int:
-        """Pairs that are worth being told in advance, now."""
+        """The number of pairs worth starting in advance, now."""
         return tasks_ahead(self._executor)
 
     def begin(self, pair: Pair, start: StartPose | None) -> None:
-        """Hand over a pair, if it was not yet, and as many run as may."""
+        """Start a pair if it was not started yet."""
         if sum(not task.done() for task in self._tasks.values()) < self.ahead:
             self._task(pair, start)
 
@@ -64,7 +63,7 @@ class AlignmentTasks:
         return self._task(pair, start).result()
 
     def _task(self, pair: Pair, start: StartPose | None) -> Future[Alignment]:
-        """Return the task of a pair, which is handed over if it was not yet."""
+        """Return the task of a pair; start it if it was not started yet."""
         key = pair.reference.grid.name, pair.moving.grid.name
         if key not in self._tasks:
             one, other = (self._pack(features.given) for features in pair)
@@ -88,7 +87,7 @@ def align_packed(
     settings: PairSettings,
     device: ComputeDevice,
 ) -> Alignment:
-    """Align two grids that came from elsewhere; see ``align_pair``."""
+    """Align two packed grids; see ``align_pair``."""
     return align_pair(
         Pair(_features(reference, device), _features(moving, device)), settings.config, start,
         pairs=settings.pairs, thorough=settings.thorough,
@@ -96,7 +95,7 @@ def align_packed(
 
 
 def _features(packed: Packed, device: ComputeDevice) -> GridFeatures:
-    """Return what alignment looks at in a grid; small ones are kept for their next pairs."""
+    """Return the features of a grid; small ones are kept for their next pairs."""
     data, is_small = packed
     make = _kept if is_small else _kept.__wrapped__
     return make(data, device)

@@ -1,12 +1,11 @@
-"""What the paths say of an alignment of maps: producers of one drive must have been together.
+"""Check alignments of maps by the paths: SLAMs of one drive must have been together.
 
-Walls alone can mislead: a place that looks the same turned round locks perfectly the wrong way. The
-path that a producer found goes with its map, so laid into the fused frame all paths of one drive
-must lie on each other. This takes no part in the search, and so is evidence of its own.
+Walls alone can mislead: a place that looks the same after a turn fits perfectly the wrong way. Each
+SLAM has a path with its map, and in the fused frame all paths of one drive must coincide. The
+search does not use the paths, so they are independent evidence.
 
-And walls alone can say too little: bent maps of a narrow view fit in several ways, none of which
-stands out. There the paths have the answer: poses of one moment belong together, so the best fit of
-the paths lays one map on the other. It is believed where the walls, refined from there, meet beyond
+Walls alone can also be ambiguous: bent maps with a narrow view fit in several ways. Then the best
+fit of the paths aligns the maps. It is accepted if the walls, refined from there, match beyond
 chance and the paths still agree: such a map is *placed by its path*.
 """
 
@@ -42,18 +41,17 @@ from slamfusion.geometry import (
 from slamfusion.grid import OccupancyGrid
 from slamfusion.trajectory import Trajectory
 
-# Of two paths each pose of one is held against where the other was at its time, which is known
-# between two of its poses that are no farther apart, or beside one, seconds: a path need not be
-# told for the whole drive, and at 1 m/s the pose of a second ago is a metre away.
+# The pose of one path is compared with the other path at its time, interpolated between two poses
+# no farther apart than this, or next to a pose, seconds: a path need not cover the whole drive, and
+# at 1 m/s a pose a second ago is a metre away.
 BETWEEN_S, BESIDE_S = 2.0, 0.1
-# Where two paths have no such moment, poses up to this far apart in time are held together.
+# Without such times, poses up to this far apart in time are compared.
 TOGETHER_S = 1.0
-# A producer that is lost on its way is together with the others before: it is this many limits
-# away for a quarter of the time, and the others are not.
+# A SLAM that is lost on its way agrees with the others before: it is this many limits away for a
+# quarter of the time, and the others are not.
 LOST_LIMITS = 3.0
-# Where maps do not fit, some are bent, that of a producer that closes loops least: it is taken if
-# its score is more than this share of the best one's. In 8 drives through a corridor loop with a
-# narrow view it was the right one in all, and the scores, within 6 % of each other, named it in 4.
+# If maps do not fit, that of a SLAM that closes loops is probably the least bent: it is taken if
+# its score is more than this share of the best one's.
 NEARLY = 0.9
 
 
@@ -117,21 +115,12 @@ class PathGap:
 
 
 def moved_path(path: Trajectory, transform: Pose2) -> Trajectory:
-    """Return a path in another frame.
-
-    Args:
-        path: in its map's frame.
-        transform: maps a point of that frame into the other, metres.
-    """
+    """Return a path in another frame; ``transform`` maps points into it, metres."""
     return Trajectory(path.stamps_s, moved_poses(transform, path.poses), path.name)
 
 
 def path_gaps(paths: Mapping[str, Trajectory]) -> tuple[PathGap, ...]:
-    """Return how far every two paths lie apart.
-
-    Args:
-        paths: by producer, all in one frame, at least one pose each.
-    """
+    """Return how far every two paths, in one frame, are apart."""
     gaps = []
     for (a, path), (b, other) in itertools.combinations(paths.items(), 2):
         at, there = _together(path, other)
@@ -144,10 +133,10 @@ def path_gaps(paths: Mapping[str, Trajectory]) -> tuple[PathGap, ...]:
 def _together(
     path: Trajectory, other: Trajectory
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
-    """Return poses of a path, as indices, and where another path was at their times, (M, 3).
+    """Return indices of poses of a path, and the places of another at their times, (M, 3).
 
-    That is known as ``BETWEEN_S`` and ``BESIDE_S`` say; where it never is, the pose nearest in time
-    counts within ``TOGETHER_S``, and of all where there are none.
+    See ``BETWEEN_S`` and ``BESIDE_S``; without such times the nearest pose within ``TOGETHER_S`` is
+    used, else all poses.
     """
     stamps_s, known_s = path.stamps_s, other.stamps_s
     near, is_beside = other.matches(stamps_s, BESIDE_S)
@@ -169,15 +158,9 @@ def _together(
 
 
 def fit_paths(moving: Trajectory, still: Trajectory) -> Pose2:
-    """Return the transform under which the poses of two paths lie on each other best.
+    """Return the transform from the frame of ``moving`` into that of ``still`` by their poses.
 
-    Args:
-        moving, still: paths of one drive, at least one pose each; each pose of ``moving`` goes with
-            where ``still`` was at its time, as far as that is known.
-
-    Returns:
-        Maps a point of the frame of ``moving`` into that of ``still``: least squares of places and
-        headings.
+    Least squares of places and headings at equal times, as far as those are known.
     """
     at, there = _together(moving, still)
     return fit_motion(with_levers(moving.poses[at]), with_levers(there))
@@ -186,13 +169,11 @@ def fit_paths(moving: Trajectory, still: Trajectory) -> Pose2:
 def place_by_path(
     pair: Alignment, maps: Pair, paths: Mapping[str, Trajectory], limit_m: float
 ) -> Alignment:
-    """Return an alignment as it is, or the one that the paths give where the walls leave it open.
+    """Return an alignment, or the one by the paths if the walls are ambiguous.
 
     Args:
-        pair: what the walls alone say; believed where it is accepted and the paths agree, which
-            its statistics then say (``PATH_GAP``).
-        maps: its maps.
-        paths: by producer; a pair of which one has none stays as it is.
+        pair: by the walls alone; accepted if the paths agree too (``PATH_GAP`` in its statistics).
+        paths: by producer; a pair without both paths is returned unchanged.
         limit_m: two paths agree when their median gap is at most this, metres.
     """
     if pair.reference not in paths or pair.moving not in paths:
@@ -230,15 +211,13 @@ def place_by_path(
 def fallback_map(
     grids: Sequence[OccupancyGrid], pairs: Sequence[Alignment], loop_closers: Collection[str] = ()
 ) -> OccupancyGrid:
-    """Return the fallback map where nothing can be fused: whose walls the others' fit best.
+    """Return the map whose walls the others fit best, for use if nothing can be fused.
 
     Args:
-        grids: at least one.
-        pairs: every pair that was aligned, believed or not.
         loop_closers: names of grids of producers that close loops.
 
     Returns:
-        The one with the greatest sum of scores, or the best of those that close loops where its
+        The one with the greatest sum of scores, or the best of those that close loops if its
         sum is nearly as great; of equals the one that knows most cells.
     """
     scores = {
@@ -261,20 +240,16 @@ def fuse_with_paths(
     progress: Callable[[str, float, int], None] | None = None,
     starts: Starts | None = None,
 ) -> tuple[FusionResult, tuple[PathGap, ...]]:
-    """Fuse maps; leave out a producer whose path then lies elsewhere than those of the others.
+    """Fuse maps; leave out a producer whose path disagrees with the others.
 
-    Maps that the walls alone leave open are placed by their paths.
+    Maps with ambiguous walls are placed by their paths.
 
     Args:
-        grids: see ``fuse_grids``.
-        paths: those of them that producers of one drive made, by name: the paths found with them,
-            each in its map's frame.
-        config: see ``fuse_grids``.
+        paths: of the grids that producers of one drive made, by name, each in its map's frame.
         limit_m: two paths agree when their median gap is at most this, metres.
-        progress, starts: see ``fuse_grids``.
 
     Returns:
-        The fusion, and the gaps between the paths of all producers whose walls fit, also of those
+        The fusion, and the gaps between the paths of all producers whose walls fit, including those
         that were left out for their paths.
 
     Raises:
@@ -314,15 +289,14 @@ def fuse_with_paths(
 def agreeing(
     names: Sequence[str], gaps: Sequence[PathGap], limit_m: float
 ) -> tuple[tuple[str, ...], dict[str, str]]:
-    """Return the largest group of producers whose paths agree, and why each other one is out.
+    """Return the largest group of producers whose paths agree, and why others are left out.
 
-    Of equally large groups the one whose gaps sum to the least. A group has at least two members:
-    of two that disagree neither is known to be right, and both are out. One that was lost on its
-    way, and is far from the others for a quarter of the time, is out where two others are not.
+    Of equally large groups the one with the least sum of gaps. A group has at least two members: of
+    two that disagree neither is known to be right. A producer that was lost on its way, far from
+    the others for a quarter of the time, is left out if two others are not.
 
     Args:
         names: the producers, in order.
-        gaps: between every two of them.
         limit_m: two paths agree when their median gap is at most this, metres.
     """
     found = {frozenset((gap.a, gap.b)): gap for gap in gaps}
@@ -355,7 +329,7 @@ def _largest_group(
 
 
 def _why(name: str, others: Sequence[str], gaps: Mapping[frozenset[str], PathGap]) -> str:
-    """Say how far a producer's path lies from the others'."""
+    """Describe how far a producer's path is from the others'."""
     apart = {other: gaps[frozenset((name, other))] for other in others if other != name}
     words = " and ".join(
         f"{gap.median_m:.2f} m from that of {other}" for other, gap in apart.items()

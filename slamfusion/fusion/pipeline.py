@@ -20,7 +20,7 @@ from slamfusion.fusion.lattice_vote import Lattices, vote_in_memory
 from slamfusion.grid import OccupancyGrid
 from slamfusion.vote.tiles import check_votes
 
-# Inputs of which it is searched whether they fit with another resolution: a second each.
+# Inputs that are checked for a wrong resolution: a second each.
 LOOKED_AT = 4
 
 
@@ -37,17 +37,14 @@ def fuse_grids(
 
     Args:
         grids: one or more, of distinct names, any frames and resolutions.
-        config: every setting of the fusion.
-        device: computes.
-        progress: called with what is being done, how many steps are done, and of how many.
-        second_look: what else is known of a pair: given each alignment, returns the one that is
-            believed; None: the walls alone decide.
-        starts: where the inputs are expected; a pair of which both are is searched only there.
-        executor: aligns pairs, on devices like this one, see ``slamfusion.fleet``; None: they are
-            aligned here.
+        progress: called with the stage, the steps done and the total steps.
+        second_look: receives each alignment and returns the one to use; None: the walls alone
+            decide.
+        starts: where the inputs are expected; a pair with starts of both is searched only there.
+        executor: aligns pairs, on devices like this one, see ``slamfusion.fleet``; None: here.
 
     Returns:
-        The fused map and everything needed to judge it. A single grid is its own fusion.
+        The fused map with its records. A single grid is its own fusion.
 
     Raises:
         AlignmentError: fewer than two of several inputs agree; ``pairs`` holds the alignments.
@@ -62,13 +59,12 @@ def fuse_grids(
 
 @dataclass(frozen=True, eq=False)
 class AlignedInputs:
-    """Inputs in one frame; what is left is the vote.
+    """Inputs in one frame, before the vote.
 
     Attributes:
         groups: the largest group that fits together, and further ones.
-        pairs: every pair that was aligned.
-        lattices: gives an input that votes at the common resolution.
-        others: what became of those that are not in the largest group, by name.
+        lattices: returns an input that votes at the common resolution.
+        others: records of the inputs that are not in the largest group, by name.
     """
 
     groups: tuple[Members, ...]
@@ -90,12 +86,7 @@ def align_inputs(
 ) -> AlignedInputs:
     """Bring the grids into one frame; see ``fuse_grids``.
 
-    Args:
-        grids, config, device, progress, second_look, starts, executor: as there.
-        is_stored: the vote will be held tile by tile, and take no memory to speak of.
-
-    Raises:
-        AlignmentError, ConfigError, MemoryBudgetError: as there.
+    ``is_stored``: the vote runs tile by tile, with little memory.
     """
     check_votes(config.vote)
     _check_names(grids)
@@ -142,13 +133,7 @@ def align_inputs(
 
 
 def vote_again(result: FusionResult, config: FusionConfig, device: ComputeDevice) -> FusionResult:
-    """Return the vote of the same inputs under the same alignments with other settings.
-
-    Args:
-        result: of ``fuse_grids``.
-        config: its ``vote`` may differ from that of the result.
-        device: computes.
-    """
+    """Return the vote of the same inputs and alignments with other ``vote`` settings."""
     began = time.perf_counter()
     grids = [record.grid for record in result.inputs]
     resolution = common_resolution(grids, config.normalize)
@@ -172,9 +157,9 @@ def _wrong_resolutions(
     device: ComputeDevice,
     second_look: SecondLook | None,
 ) -> dict[str, str]:
-    """Return in words what is wrong with the resolutions of maps if that of the first is right.
+    """Return wrong resolutions in words, if that of the first map is right.
 
-    Only of a few saved maps: the SLAMs of one drive have one resolution.
+    Only for a few saved maps: the SLAMs of one drive have one resolution.
     """
     if second_look is not None or not 1 < len(grids) <= 1 + LOOKED_AT or config.align.step:
         return {}
@@ -184,7 +169,7 @@ def _wrong_resolutions(
 
 
 def _check_names(grids: Sequence[OccupancyGrid]) -> None:
-    """Refuse no inputs, and names given twice."""
+    """Reject an empty list, and names given twice."""
     if not grids:
         raise AlignmentError("wanted at least one map to fuse, found none")
     names = [grid.name for grid in grids]
@@ -196,7 +181,7 @@ def _check_names(grids: Sequence[OccupancyGrid]) -> None:
 def _copies(
     grids: Sequence[OccupancyGrid], config: FusionConfig, starts: Starts | None
 ) -> dict[str, str]:
-    """Return the inputs that have no vote as copies, by whose is theirs; refuse copies alone."""
+    """Return the inputs without a vote as copies, and their voters; reject copies alone."""
     if config.keep_duplicates:
         return {}
     names = [grid.name for grid in grids]
@@ -213,7 +198,7 @@ def _copies(
 def _copy(
     grid: OccupancyGrid, voter: str, alignments: Mapping[str, Alignment | None]
 ) -> InputRecord:
-    """Return the record of a copy: it lies where the voter lies, and has no vote."""
+    """Return the record of a copy: at the voter's place, without a vote."""
     own = alignments.get(voter)
     if own is not None:
         own = replace(own, moving=grid.name)

@@ -1,11 +1,7 @@
-"""Live fusion: maps that arrive again and again become one map whose frame never moves.
+"""Live fusion: maps that arrive repeatedly become one map whose frame never moves.
 
-Data flows one way: maps wait in the ``mailbox``; ``fusion``, which is the whole of it, with the
-rules, empties it, refuses maps that contain no place (``limits``) and lets the ``track`` of an
-input compare its new map with the one before; the ``supervisor`` decides whom to align and who
-votes, from the first fusion over tracking, search and confirmation (``align``, ``poses``) to the
-last fused map (``recovery``); ``voting`` carries what changed to the ``layers`` and votes on those
-boxes. ``state`` carries it over a restart; ``session`` runs it beside a program.
+``fusion`` is the whole with its rules: maps wait in the ``mailbox``, ``supervisor`` decides what is
+aligned and who votes, and ``voting`` votes on what changed. ``session`` runs it in a thread.
 """
 
 from __future__ import annotations

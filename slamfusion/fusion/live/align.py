@@ -1,4 +1,4 @@
-"""Align one input of the live fusion: track it, search it, confirm where it jumped to."""
+"""Align one input of the live fusion: track it, search it, confirm a jump."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY
 from slamfusion.vote.lattice import Lattice
 
-# Transforms that differ by a greater turn are two places, as with ``live.jump_m``.
+# Transforms with a greater turn between them are two places, as with ``live.jump_m``.
 JUMP_RAD = 0.05
 
 
@@ -29,8 +29,8 @@ class LastSearch:
     """What the search, or the first fusion, gave for a pair.
 
     Attributes:
-        score: of all walls of both maps; lower where the maps grew away from each other since.
-        share: of the common walls that it explained; 1 where that is not known.
+        score: of all walls of both maps; it falls where the maps grow apart.
+        share: of the common walls that it explained; 1 if unknown.
     """
 
     score: float
@@ -47,14 +47,14 @@ def explained(pair: Alignment) -> float:
     return 0.0 if pair.evidence is None else pair.evidence.share
 
 
-# New walls that fit worse than this share of what the search found may be mirrored.
+# New walls that fit worse than this share of the search's result may be mirrored.
 MIRROR_SHARE = 0.9
-# Messages, besides, after which an unchanged map that jumped is looked at once more.
+# Further messages after which an unchanged map that jumped is examined again.
 CONFIRM_MAPS = 2
-# A mirrored map fits nowhere, or two places of it are alike; that it is mirrored has to be told.
+# Decisions that a mirrored map may cause.
 MAY_BE_IMAGE: tuple[DecisionKind, ...] = ("ambiguous", "different place", "bent")
-# A search that found nothing, and took longer than this, is followed by a pause this many times as
-# long: one bad map does not silence the others.
+# A longer search without a result is followed by a pause this many times as long, so that one bad
+# map does not block the others.
 LONG_S, REST = 1.0, 4.0
 
 
@@ -73,12 +73,11 @@ class AnchorMap:
 
 
 class Aligner:
-    """Aligns inputs, one at a time, and keeps what the searches gave.
+    """Aligns inputs, one at a time, and keeps the search results.
 
     Attributes:
         lattice: of the fused frame; None before the first fusion.
         has_searched: whether this round searched an input everywhere.
-        now_s: paces the searches.
         starts: where inputs are expected until they have a place in the fused frame.
     """
 
@@ -108,33 +107,30 @@ class Aligner:
         return self.lattice
 
     def features(self, track: Input) -> GridFeatures:
-        """Return what alignment looks at in an input's map."""
+        """Return the features of an input's map."""
         size, thresholds = self.fixed().resolution, self.config.normalize
         return track.features(size, thresholds, CHANGED_SHARE, self.device)
 
     def held(self, track: Input) -> AnchorMap:
-        """Return an input as something to align others to."""
+        """Return an input as an anchor for others."""
         return AnchorMap(track.name, track.transform or IDENTITY, self.features(track))
 
     def note(self, pair: Alignment) -> None:
-        """Keep what a search gave for a pair."""
+        """Keep the search result of a pair."""
         self._found[frozenset((pair.reference, pair.moving))] = LastSearch.of(pair)
 
     @property
     def scores(self) -> dict[frozenset[str], float]:
-        """What the searches gave, by the names of the pair."""
+        """The scores of the searches, by the names of the pair."""
         return {pair: found.score for pair, found in self._found.items()}
 
     def restore(self, lattice: Lattice, scores: Mapping[frozenset[str], float]) -> None:
-        """Take the fused frame of an earlier run, and what its searches gave.
-
-        What the walls of a pair explained is not kept: until it is searched, all is expected.
-        """
+        """Restore the fused frame of an earlier run, and its search scores; shares start at 1."""
         self.lattice = lattice
         self._found = {pair: LastSearch(score) for pair, score in scores.items()}
 
     def remove(self, name: str) -> None:
-        """Forget what the searches gave for an input."""
+        """Forget the search results of an input."""
         self._found = {pair: found for pair, found in self._found.items() if name not in pair}
 
     # -- tracking ---------------------------------------------------------------------------------
@@ -154,16 +150,13 @@ class Aligner:
         return fit is not None
 
     def fit(self, track: Input, held: AnchorMap) -> tuple[Alignment, Pose2] | None:
-        """Track an input from its last transform; None where it fits there no more.
-
-        ``track.fit.mismatch`` says so where its walls do not match, and is empty otherwise.
-        """
+        """Track an input from its last transform; None (and ``fit.mismatch``) if it fails."""
         last = track.transform or IDENTITY
         start = held.transform.inverse().compose(last)
         pair = track_pair(Pair(held.features, self.features(track)), start)
         moved = held.transform.compose(pair.transform)
         found = self._found.get(frozenset((track.name, held.name)))
-        # What explains much less than when it was searched is news: a map may bend as it grows.
+        # A map may bend as it grows, so it may explain much less than when it was searched.
         lasting = 0.0 if found is None else self.live.search_share * found.share
         is_good = pair.accepted and explained(pair) >= lasting
         mismatch = "" if pair.accepted else _not_aligned(held, pair.reason)
@@ -175,12 +168,12 @@ class Aligner:
     # -- searching --------------------------------------------------------------------------------
 
     def may_search(self, track: Input) -> bool:
-        """Whether it may be searched everywhere now: one an update, each not too often."""
+        """Whether it may be searched everywhere now: one per update, each not too often."""
         pause = max(self.live.search_pause_s, track.pace.rest_s)
         return not self.has_searched and self.now_s - track.pace.last_s >= pause
 
     def search(self, track: Input, held: AnchorMap) -> None:
-        """Search an input everywhere and accept, doubt or refuse what is found."""
+        """Search an input everywhere and accept, doubt or reject the result."""
         pair = self.searched(track, held)
         last, jump = track.transform, track.jump
         moved = held.transform.compose(pair.transform)
@@ -209,7 +202,7 @@ class Aligner:
         self.accept(track, moved, pair, is_tracked=False)
 
     def may_confirm(self, track: Input) -> bool:
-        """Whether a map that jumped and did not change since was waited for long enough."""
+        """Whether an unchanged map that jumped has waited long enough."""
         jump = track.jump
         return (
             jump is not None
@@ -218,11 +211,10 @@ class Aligner:
         )
 
     def confirm(self, track: Input, candidates: Sequence[AnchorMap]) -> bool:
-        """Search a jump of an unchanged map once more, in another way; return whether any is left.
+        """Search a jump of an unchanged map again in another way; return whether any is left.
 
-        Against the first candidate that was not tried; against the last, which is the one that it
-        was found by, the other way round: that one is turned and moved instead, from other points,
-        over another lattice of shifts and turns.
+        Against the first untried candidate; against the last, which found it, with the roles
+        swapped, so that other points and another lattice of shifts and turns are used.
         """
         jump = track.jump
         if jump is None:
@@ -259,27 +251,27 @@ class Aligner:
         return pair
 
     def is_jump(self, track: Input, a: Pose2, b: Pose2) -> bool:
-        """Whether two transforms carry an input's map too far apart to be one."""
+        """Whether two transforms of an input's map are too far apart to be one place."""
         centre, turn, _ = track.apart(a, b)
         return centre > self.live.jump_m or turn > JUMP_RAD
 
     def is_worth_a_move(self, track: Input, a: Pose2, b: Pose2) -> bool:
-        """Whether two transforms carry an input's map far enough apart to go by the other."""
+        """Whether two transforms of an input's map differ enough to use the new one."""
         return track.apart(a, b)[2] >= self.live.hold_cells * self.fixed().resolution
 
     def accept(self, track: Input, moved: Pose2, pair: Alignment, *, is_tracked: bool) -> None:
-        """Let an input vote, at its old transform where the new one is nearly the same."""
+        """Let an input vote, at its old transform if the new one is nearly the same."""
         if track.transform is None or self.is_worth_a_move(track, track.transform, moved):
             track.transform = moved
         track.fit = Fit(pair.score, pair.overlap, is_tracked)
         track.accept(Reason.ALIGNED, why=pair.reason)
 
     def _expected(self, track: Input, held: AnchorMap) -> Pose2 | StartPose | None:
-        """Return where a search expects an input in the frame of what it is aligned to.
+        """Return the expected place of an input in the frame of its anchor.
 
-        One that has no place yet is looked for around its start. One that had a place may have
-        begun a new map elsewhere, so it is searched everywhere; where the place looks alike from
-        two sides, the side of the last transform is accepted.
+        An input without a place is searched around its start. One that had a place may have started
+        a new map elsewhere, so it is searched everywhere; if the place is symmetric, the side of
+        the last transform is accepted.
         """
         if track.transform is None:
             return self.starts.between(held.name, track.name)
@@ -288,7 +280,7 @@ class Aligner:
     def _unmirrored(
         self, track: Input, held: AnchorMap, fit: tuple[Alignment, Pose2]
     ) -> tuple[Alignment, Pose2] | None:
-        """Return the fit of new walls, which is much worse than the old ones'; None: mirrored."""
+        """Return the fit of new walls, which fit much worse than the old ones; None: mirrored."""
         pair, reference = fit[0], held.features
         if pair.evidence is not None and pair.evidence.share >= SAME_TIME_SHARE:
             return fit

@@ -63,9 +63,7 @@ class OdomFrame:
         """Move towards the newest pose and return the transform.
 
         Args:
-            stamp_s: of the newest odometry.
             odometry: the robot in the odometry frame.
-            m_s, rad_s: the speed of corrections.
 
         Returns:
             None without a pose of the last ``CARRIED_S``, and for a stamp that is not newer.

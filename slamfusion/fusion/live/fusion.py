@@ -1,26 +1,21 @@
-"""Fuse maps that arrive again and again; the fused frame never moves.
+"""Fuse maps that arrive repeatedly; the fused frame never moves.
 
-The rules, for a robot that drives by the fused map, are those of docs/concepts/live_fusion.md. What
-they ask of the code:
+docs/concepts/live_fusion.md states the rules. In the code:
 
-* **Frame.** The reference of the first fusion gives the frame, the lattice and its phase, which
-  then stay until ``reset``, whatever becomes of it. One map alone has no other to check it, and its
-  frame would bind all others, so the first fusion needs ``live.minimum_inputs``.
-* **Transforms** belong to an input's map frame, not to its map: while most of its old walls stand
-  where they stood, it is held. Starts count until an input has a place.
-* **Search.** The maps of two robots may grow away from each other: an input is searched everywhere
-  when its tracked score and the ground in common both fall below a share of what the search gave.
-  An unchanged map that jumped is searched once more in another way: with another voter, or with the
-  roles swapped. A long search in vain is followed by a longer pause, so that one bad map does not
-  silence the others.
-* **Reference.** It hands over when it is lost, when its walls moved, or when two others agree with
-  each other and not with it; never because another looks better.
-* **Doubt.** A map in doubt does not vote, and neither does the older one before it. It takes no
-  room in the fused map.
-* **Evidence.** Where scans are heard they decide whose poses are wrong, and not how far poses lie
-  apart. A map drawn from the scans takes the vote of all inputs whose poses it was drawn by; maps
-  without poses vote next to it. Before the first fusion it gives the fused frame, and inputs are
-  tried where their poses say that they lie.
+* **Frame.** The reference of the first fusion defines the frame, the lattice and its phase until
+  ``reset``. A single map cannot be checked, so the first fusion needs ``live.minimum_inputs``.
+* **Transforms** belong to an input's map frame, not to its map: one is kept while most of its old
+  walls stay in place. Starts are used until an input has a place.
+* **Search.** An input is searched everywhere if its tracked score and the common ground both fall
+  below a share of the search's result. An unchanged map that jumped is searched again with another
+  voter, or with swapped roles. A long search without a result is followed by a longer pause.
+* **Reference.** It changes if it is lost, if its walls moved, or if two others agree with each
+  other and not with it; never because another looks better.
+* **Doubt.** A map in doubt does not vote, nor does its older one. It takes no room in the map.
+* **Evidence.** If scans are received they decide whose poses are wrong, not the distances between
+  poses. A map drawn from the scans replaces the votes of all inputs whose poses it uses; maps
+  without poses vote next to it. Before the first fusion it defines the fused frame, and inputs are
+  tried where their poses place them.
 """
 
 from __future__ import annotations
@@ -62,7 +57,6 @@ class LiveInput:
         name: as given to ``put``.
         age_s: time since its last message; infinite before the first.
         rate_hz: messages a second, smoothed; 0 before the second.
-        state: see ``State``.
         reason: why it is in that state, one line.
         transform: its map frame into the fused frame, metres; the last that was accepted.
         score, overlap: of its last alignment, see ``Alignment``; 1 for the reference.
@@ -94,12 +88,12 @@ class LiveInput:
 
 @dataclass(frozen=True, eq=False)
 class LiveUpdate:
-    """What an update did.
+    """The outcome of an update.
 
     Attributes:
         fused: cells -1, 0, 100 in the fused frame; None when there is nothing new to publish.
         agreement: share of votes for the winner, 0..100, -1 without; None with ``fused``.
-        inputs: every input that ever came, in the order in which they came.
+        inputs: every input so far, in the order of arrival.
         time_s: seconds by step: ``prepare``, ``align``, ``vote``.
         is_full_search: whether an input was searched everywhere.
         reference: name of the input that others are aligned to; empty without.
@@ -120,7 +114,7 @@ class LiveUpdate:
 
 
 class LiveFusion(Mailbox):
-    """Fuse maps that arrive again and again; the fused frame never moves.
+    """Fuse maps that arrive repeatedly; the fused frame never moves.
 
     ``hear`` and what a ``Mailbox`` takes are quick and may be called from any thread; ``update``
     and the others from one, which does the work.
@@ -133,7 +127,6 @@ class LiveFusion(Mailbox):
 
         Args:
             config: ``fusion``, ``live`` and ``start`` count.
-            device: computes.
             inputs: names of those that are to come, which starts must name; None: any may come.
 
         Raises:
@@ -162,12 +155,7 @@ class LiveFusion(Mailbox):
     # -- what comes, beside maps ------------------------------------------------------------------
 
     def hear(self, name: str, stamp_s: float, pose: Pose2) -> None:
-        """Take a pose that an input tells; see ``live.poses`` for what it is compared with.
-
-        Args:
-            stamp_s: of the scan that it is for, seconds.
-            pose: of the robot in the input's map frame; metres, radians.
-        """
+        """Receive a pose of the robot in the input's map frame, for the scan at ``stamp_s``."""
         with self._lock:
             self._poses.hear(name, stamp_s, pose)
 
@@ -177,12 +165,12 @@ class LiveFusion(Mailbox):
         self._refill()
 
     def _refill(self) -> None:
-        """Forget all but what came last."""
+        """Forget all but the newest maps."""
         self.refill({t.name: t.grid for t in self._inputs.values() if t.is_live})
         self._clear()
 
     def configure(self, live: LiveConfig) -> None:
-        """Take other settings for what comes; from the thread of updates."""
+        """Change the settings; in the thread of updates."""
         self._live = live
         self._aligner.live = live
         self._layers.live = live
@@ -192,13 +180,9 @@ class LiveFusion(Mailbox):
     # -- over a restart ---------------------------------------------------------------------------
 
     def state(self, stamp_s: float = 0.0) -> LiveState | None:
-        """Return what another one needs to go on from here; from the thread of updates.
+        """Return what a restarted fusion needs, None before the first fusion; in the update thread.
 
-        Args:
-            stamp_s: of the newest map in the fused one, to be kept beside it.
-
-        Returns:
-            None before the first fusion.
+        ``stamp_s`` is the stamp of the newest map in the fused one.
         """
         layers = self._layers
         if layers.lattice is None or layers.box is None:
@@ -218,13 +202,13 @@ class LiveFusion(Mailbox):
         )
 
     def restore(self, state: LiveState) -> None:
-        """Go on in the fused frame of a state; before the first update.
+        """Continue in the fused frame of a state; before the first update.
 
-        Inputs are tried where they lay, against the last fused map, and are searched when they fit
-        there no more; none that fits nowhere votes.
+        Inputs are tried at their old places, against the last fused map, and searched if they do
+        not fit there.
 
         Raises:
-            StateError: its cells are of another size than the settings ask for.
+            StateError: its cell size differs from the settings.
         """
         wanted, found = self._config.normalize.resolution, state.lattice.resolution
         if wanted is not None and wanted != found:
@@ -239,13 +223,10 @@ class LiveFusion(Mailbox):
     # -- update -----------------------------------------------------------------------------------
 
     def update(self, now_s: float) -> LiveUpdate | None:
-        """Bring the fused map up to date; None when nothing came and nothing changed.
+        """Bring the fused map up to date; None if nothing came and nothing changed.
 
-        Call it for every map that comes, and again until it answers None: what can wait (aligning
-        large maps again) is done while no map does.
-
-        Args:
-            now_s: on the clock of ``put``.
+        Call it for every map, with the clock of ``put``, and again until it returns None: slow work
+        (aligning large maps again) waits until no map does.
         """
         clock = [time.perf_counter()]
         before = self._state()
@@ -277,7 +258,7 @@ class LiveFusion(Mailbox):
         )
 
     def _weigh(self) -> bool:
-        """Take what the scans say; return whether anything came."""
+        """Apply the evidence of the scans; return whether anything came."""
         evidence = self.take_evidence()
         if evidence is None:
             return False
@@ -313,10 +294,10 @@ class LiveFusion(Mailbox):
         return self._layers.update([*self._inputs.values(), drawn], voters, reference)
 
     def _collect(self, now_s: float) -> tuple[bool, float | None]:
-        """Hand what came to the tracks; return whether there was any, and when the first map came.
+        """Pass maps to the tracks; return whether there was any, and when the first came.
 
-        An input is stale when its last message is older than another's by ``live.stale_after_s``,
-        and not older than now: when the robot stands still all fall silent together.
+        An input is stale if its last message is older than another's by ``live.stale_after_s``; if
+        the robot stands still all become silent together.
         """
         removed, fresh = self.take()
         for name in removed:
@@ -349,11 +330,11 @@ class LiveFusion(Mailbox):
         return bool(fresh or removed), min(since_s, default=None)
 
     def _take(self, track: Input, item: InputMessage) -> str | None:
-        """Let an input take the map that waits; return why it cannot, in words."""
+        """Let an input take the waiting map; return why it cannot, in words."""
         resolution, thresholds = self._layers.resolution, self._config.normalize
         was_live = track.is_live
         try:
-            # One that was dropped and is back goes on with the last map that it sent.
+            # A dropped input that is back continues with its last map.
             grid = item.read() or track.grid
             if grid is None:
                 return None
@@ -428,7 +409,7 @@ class LiveFusion(Mailbox):
     # -- poses ------------------------------------------------------------------------------------
 
     def _contradict(self) -> None:
-        """Take the vote of those whose poses are contradicted, and give it back.
+        """Update the votes by contradicted poses.
 
         Scans decide for the inputs that were scored on them; for others the distances of poses do.
         """
@@ -442,7 +423,7 @@ class LiveFusion(Mailbox):
             track.contradiction = reasons.get(name, "")
 
     def _expect(self) -> None:
-        """Let inputs without a place be looked for where poses of equal stamps put them."""
+        """Set the expected places of inputs by poses of equal stamps."""
         unplaced = [t.name for t in self._inputs.values() if t.is_live and t.transform is None]
         if unplaced:
             with self._lock:
@@ -450,7 +431,7 @@ class LiveFusion(Mailbox):
             self._aligner.starts = replace(self._starts, pairs=pairs)
 
     def _place(self) -> None:
-        """Let the poses of those be compared whose maps are believed."""
+        """Compare the poses of the inputs whose maps are accepted."""
         placed = {
             name: track.transform
             for name, track in self._inputs.items()

@@ -125,7 +125,6 @@ class Fit:
     """The last alignment of an input.
 
     Attributes:
-        score, overlap: see ``Alignment``.
         is_tracked: whether the last accepted one started from the transform before.
         mismatch: why its walls do not match; empty: they do.
         may_be_bent: whether it lies there, but too much of it does not fit for a vote.
@@ -144,10 +143,7 @@ class Jump:
 
     Attributes:
         transform: its map frame into the fused frame there, metres.
-        version: of the map that was searched.
         found_s: when it was first found there.
-        messages: maps that came since.
-        confirms: further searches of the same map.
     """
 
     transform: Pose2
@@ -163,7 +159,6 @@ class SearchPace:
 
     Attributes:
         last_s: when it was searched last.
-        count: searches so far.
         rest_s: the least pause after the last one.
     """
 
@@ -185,10 +180,8 @@ class Input:
         transform: its map frame into the fused frame, metres; the last that was accepted.
         fit: the last alignment.
         contradiction: why scans or poses of others contradict its own; empty: they do not.
-        jump: while it is JUMPED.
         tried: own version, and name and version of what it was last aligned to in vain; see
             ``recovery`` for those of the last fused map.
-        pace: of its searches.
         drift: wall cells that came or went, here and in the reference, since it was accepted.
     """
 
@@ -294,10 +287,8 @@ class Input:
         """Take a new map; return what it changed, None where that is unknown.
 
         Args:
-            grid: the map.
             resolution: of the fused map; None before the first fusion.
             thresholds: what is a wall, and what is free.
-            device: resamples.
         """
         before, last = self.layer, self.grid
         self.grid = grid

@@ -85,11 +85,9 @@ def lay_out(
     """Return a grid as a layer of cells of the given size.
 
     Args:
-        grid: the map.
         lattice: where this input's cells lay before; None for a new input. A grid that lies on
             none of its cells starts a lattice of its own.
         resolution: metres per cell of the layer.
-        thresholds: what makes a wall.
         device: resamples. The nearest cell, or where the layer is coarser any wall in a cell.
     """
     own = Lattice(grid.resolution, grid.origin)

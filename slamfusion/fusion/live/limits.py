@@ -35,7 +35,6 @@ def unusable(grid: OccupancyGrid, thresholds: NormalizeConfig) -> str | None:
     (free and wall cells change places from cell to cell), or all occupied.
 
     Args:
-        grid: the map.
         thresholds: what is a wall, and what is free.
     """
     reason = implausible(grid.resolution, grid.origin)

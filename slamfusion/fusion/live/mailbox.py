@@ -101,7 +101,6 @@ class Mailbox:
         """Take the newest map of an input; one that waits is replaced.
 
         Args:
-            name: the input.
             grid: its map, in its own frame, whatever it is called; or what reads it when its turn
                 has come. Where that raises a SlamFusionError the input votes no more until one can
                 be read.

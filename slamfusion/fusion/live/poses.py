@@ -53,7 +53,6 @@ class _Pair:
         newest_s: stamp of the last poses that were compared.
         last: where the first of the two was then, in the fused frame.
         together_m: driven together without a break.
-        is_linked: whether both track one robot.
         changing_s: since when they say otherwise than ``is_apart``; None: they do not.
         is_apart: whether they contradict each other.
         words: how far apart they were when it began.
@@ -172,9 +171,6 @@ class PoseWatch:
 
     def starts(self, names: Collection[str]) -> dict[tuple[str, str], StartPose]:
         """Return where map frames lie in those of others, as far as equal stamps say it.
-
-        Args:
-            names: inputs whose pairs are wanted.
 
         Returns:
             By the name of the other and of the input, both ways.

@@ -93,10 +93,6 @@ class Anchor:
         One that fits there no more is searched on the whole map, in two ways: a young map may have
         been accepted in the wrong place, and others with it. Where it is not found it stays, since
         the place may have changed, and says so.
-
-        Args:
-            reference: the input that others are aligned to.
-            inputs: all of them.
         """
         name, walls = self._settled
         if self.held is None or (reference.name == name and reference.walls < GROWTH * walls):

@@ -42,9 +42,7 @@ class FusionState:
         reference: name of the input that others are aligned to.
         noted_s: when the last update was, on the clock of the session.
         update: the last one; None before the first.
-        updates, searches, resets: how often.
         votes: how often an input got or lost its vote, or came, or left with its vote.
-        fused_maps: how many fused maps were made.
         fused_stamp_s: stamp of the newest of them, seconds.
         lattice: of the fused frame; None before the first fusion.
         resolution: metres per cell of the fused map; None before the first map.
@@ -96,7 +94,6 @@ class Sent:
     """What went out so far; replaced as a whole, so that any thread may read it.
 
     Attributes:
-        maps: how many.
         median_ms, high_ms: median and 95th percentile from a map's coming to its fused one's going.
     """
 

@@ -65,7 +65,6 @@ class InputSupervisor:
         """Align what is new, came back or changed.
 
         Args:
-            now_s: paces the searches.
             is_idle: whether no new map waits for the answer.
         """
         self._aligner.now_s = now_s

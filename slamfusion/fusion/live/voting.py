@@ -214,7 +214,6 @@ class FusedLayers:
 
         Args:
             box: cells of the lattice.
-            name: the input that needs them.
 
         Raises:
             MemoryBudgetError: the grown layers would not fit; nothing was changed.
@@ -259,7 +258,6 @@ class FusedLayers:
         """Carry an input's cells onto its layer; return the cells of the lattice that it touched.
 
         Args:
-            name: the input.
             layer: all of its cells.
             transform: maps the layer's frame into the fused frame, metres.
             changed: cells of the layer's lattice that differ from what was laid here before with
