@@ -150,7 +150,6 @@ def checked_value(info: FieldInfo, value: Any, where: str) -> Any:
 
 
 def _check_value(where: str, info: FieldInfo, value: Any) -> None:
-    """Raise ConfigError when ``value`` is outside the field's declared choices or range."""
     low = -math.inf if info.low is None else info.low
     high = math.inf if info.high is None else info.high
     for item in value if info.is_list and value is not None else (value,):

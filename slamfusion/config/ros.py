@@ -10,7 +10,7 @@ from slamfusion.config.core import Checked, option
 from slamfusion.config.run import Deskew, LaserMounting, deskew_option, sweep_option
 from slamfusion.errors import ConfigError
 
-# A word of a topic's name with wildcards: at least one name fits it.
+# A word of a topic's name with wildcards that at least one name fits.
 _PART = r"\[!?[^]/]+\]"
 _WORD = re.compile(rf"([A-Za-z_*?]|{_PART})([A-Za-z0-9_*?]|{_PART})*")
 
@@ -172,7 +172,7 @@ class FusionNodeConfig(ScanNodeConfig):
     )
 
     def __post_init__(self) -> None:
-        """Refuse patterns that no topic can fit, too."""
+        """Refuse also patterns that no topic can fit."""
         super().__post_init__()
         for pattern in self.patterns:
             if not all(_WORD.fullmatch(word) for word in pattern.removeprefix("/").split("/")):

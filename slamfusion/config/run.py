@@ -137,8 +137,7 @@ class ExperimentConfig(Checked):
     failures: FailuresConfig = FailuresConfig()
 
 
-# How far a map may lie from its start where the start does not say: what a person who points at a
-# plan, or a robot that is put onto a mark, is off by.
+# Default tolerances of a start: a person pointing at a plan, or a robot placed on a mark.
 START_M = 2.0
 START_RAD = 0.35
 START_FORM = "x,y,yaw or x,y,yaw,metres,radians"
@@ -151,11 +150,10 @@ def checked_start(given: Any, where: str) -> tuple[float, ...]:
     """Return a start as 3 numbers (x, y in m, yaw in rad) or 5 (and tolerances in m and rad).
 
     Args:
-        given: numbers, or a text of them with commas between, as in a file or a parameter. The yaw
-            may be in degrees: ``46.4deg``.
+        given: numbers, or a text of them with commas. The yaw may be in degrees: ``46.4deg``.
 
     Raises:
-        StartError: not so many numbers, one that is not finite, or a tolerance below 0.
+        StartError: another count of numbers, one that is not finite, or a negative tolerance.
     """
     parts = given.split(",") if isinstance(given, str) else given
     is_row = isinstance(parts, Sequence) and not isinstance(parts, bytes)
@@ -180,11 +178,7 @@ def checked_start(given: Any, where: str) -> tuple[float, ...]:
 
 
 def checked_starts(given: Any, where: str = "start") -> dict[str, tuple[float, ...]]:
-    """Return starts by the names of inputs; see ``checked_start``.
-
-    Raises:
-        StartError: no mapping of names to starts, or one of them is refused.
-    """
+    """Return starts by the names of inputs; StartError if refused, see ``checked_start``."""
     if not isinstance(given, Mapping):
         message = f"{where}: wanted names of inputs with {START_FORM} each, found {shown(given)}"
         raise StartError(message)
@@ -206,7 +200,7 @@ def _shown(parts: Sequence[Any]) -> str:
     )
 
 
-# What pictures can be written as.
+# Formats of pictures.
 PICTURE_FORMS = ("png", "svg", "pdf")
 
 
@@ -221,7 +215,7 @@ class MapFileConfig(Checked):
     )
 
 
-# How a laser really sits, where the transforms or the order of its ranges say otherwise.
+# Real mounting of a laser, if transforms or the order of its ranges differ.
 LaserMounting = Literal["as-given", "mirrored", "backward"]
 # Whether the beams of a sweep are moved to its stamp.
 Deskew = Literal["auto", "no"]

@@ -185,7 +185,7 @@ class ActionConfig(Checked):
         return turn_s + abs(self.forward_m) / self.speed_mps + self.wait_s
 
 
-# Long drives are driven and recorded at a brisk pace; a short view leaves look-alikes alike.
+# Long drives are fast; a short view leaves similar places similar.
 _BRISK = {"model": "differential", "speed_mps": 1.2}
 _SPARSE = {"model": "hokuyo", "beams": 361, "rate_hz": 5.0}
 _SHORT = {**_SPARSE, "range_max_m": 8.0}

@@ -210,7 +210,6 @@ def load_distances(path: str | Path) -> tuple[MeasuredDistance, ...]:
 
 
 def _read_csv(path: Path) -> list[tuple[str, dict[str, Any]]]:
-    """Return (where, values) of each row of a CSV file."""
     try:
         text = read_small(path, MapFileError, "a file of distances").decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -239,7 +238,6 @@ def _read_csv(path: Path) -> list[tuple[str, dict[str, Any]]]:
 
 
 def _read_yaml(path: Path) -> list[tuple[str, dict[str, Any]]]:
-    """Return (where, values) of each entry of a YAML file."""
     values = read_yaml(path, MapFileError, "a YAML file of distances")
     if isinstance(values, dict):
         values = values.get("distances")
@@ -259,7 +257,6 @@ def _read_yaml(path: Path) -> list[tuple[str, dict[str, Any]]]:
 
 
 def _distance(values: dict[str, Any], where: str, default_name: str) -> MeasuredDistance:
-    """Return a checked row."""
     numbers = {}
     for column in _NUMBERS:
         raw = values.get(column)
@@ -285,5 +282,4 @@ def _distance(values: dict[str, Any], where: str, default_name: str) -> Measured
 
 
 def _mean(values: list[float]) -> float | None:
-    """Return the mean, or None without values."""
     return sum(values) / len(values) if values else None

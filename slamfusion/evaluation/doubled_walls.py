@@ -236,7 +236,6 @@ def _tiles(shape: tuple[int, ...]) -> Iterator[tuple[Window, Window, Window]]:
 
 
 def _walls(grid: OccupancyGrid | Bools, normalize: NormalizeConfig) -> Bools:
-    """Return the occupied cells, (H, W)."""
     if isinstance(grid, OccupancyGrid):
         classes = trinary_cells(grid.cells, normalize)
         return np.equal(classes, 1, out=classes.view(np.bool_))

@@ -301,7 +301,6 @@ def _mean_ssim(expected: npt.NDArray[np.int8], found: npt.NDArray[np.int8]) -> f
 
 
 def _window_mean(image: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-    """Return the Gaussian-weighted mean around each pixel, (H, W) float32."""
     window = (_SSIM_WINDOW_CELLS, _SSIM_WINDOW_CELLS)
     blurred = cv2.GaussianBlur(
         image, window, sigmaX=_SSIM_SIGMA_CELLS, borderType=cv2.BORDER_REFLECT

@@ -208,7 +208,6 @@ def errors_at_scans(scans: Trajectory, relations: Relations) -> RelationErrorsAt
 
 
 def _no_relation(trajectory: Trajectory, relations: Relations, tolerance_s: float) -> str:
-    """Return why no relation met the trajectory."""
     low_s, high_s = relations.span_s()
     return (
         f"{trajectory.name}: none of the {len(relations)} relations of {relations.name} has a "

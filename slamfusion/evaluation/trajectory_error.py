@@ -299,7 +299,6 @@ def _pairs(
 
 
 def _no_match(estimate: Trajectory, truth: Trajectory, met: int, tolerance_s: float) -> str:
-    """Return why two trajectories cannot be compared."""
     ranges = [
         f"{item.name} has {len(item)} poses from {item.stamps_s[0]:.3f} to "
         f"{item.stamps_s[-1]:.3f} s"

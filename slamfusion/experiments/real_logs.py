@@ -176,7 +176,6 @@ def other_slams(
 def _compare_on_log(
     folder: Path, name: str, setup: Setup, saved: SavedMaps, tell: Tell
 ) -> RunResult:
-    """Return the maps of one drive."""
     config, device, files = setup.config, setup.device, REAL_LOGS[name]
     scans = tuple(open_log(folder / files.log, config.log))
     trajectory = read_trajectory(folder / files.reference, config.log)

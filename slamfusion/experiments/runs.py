@@ -159,7 +159,6 @@ def _read(folder: Path, key: str, mark: str) -> RunResult | None:
 
 
 def _write(folder: Path, key: str, mark: str, result: RunResult) -> None:
-    """Write the result of a run atomically; the same run gives the same bytes."""
     record = {
         "fingerprint": mark,
         "rows": [[*row[:4], None if math.isnan(row[4]) else row[4]] for row in result.rows],

@@ -143,7 +143,6 @@ def failure_trials(config: RunConfig) -> list[Trial]:
 def _repetitions(
     config: RunConfig, settings: GroundObstacleConfig | FailuresConfig
 ) -> list[tuple[int, int]]:
-    """Return world and seed of each drive of a condition."""
     worlds = range(settings.first_world, settings.first_world + settings.worlds)
     seeds = range(config.seed, config.seed + settings.repetitions)
     return list(itertools.product(worlds, seeds))
@@ -228,7 +227,6 @@ def fusion_experiment(
 
 
 def _work(trial: Trial, config: RunConfig, tell: Tell) -> RunResult:
-    """Run a trial in a worker."""
     try:
         return measure_trial(trial, config, shared_device(config.device.device), tell)
     except SlamFusionError as error:
@@ -372,14 +370,12 @@ def lose(scans: Scans) -> tuple[LogScan, ...]:
 
 
 def _upside_down(item: LogScan) -> LogScan:
-    """Return a scan with left and right exchanged."""
     scan = item.scan
     first, step = -scan.angle_min_rad, -scan.angle_increment_rad
     return replace(item, scan=replace(scan, angle_min_rad=first, angle_increment_rad=step))
 
 
 def _at(item: LogScan, move: Callable[[Pose2], Pose2]) -> LogScan:
-    """Return a scan with its odometry moved."""
     return item if item.odometry is None else replace(item, odometry=move(item.odometry))
 
 

@@ -115,7 +115,6 @@ def cannot_read(path: Path, error: OSError) -> MapFileError:
 
 
 def _unpacked(path: Path, file: BufferedReader) -> io.BytesIO:
-    """Return the content of a gzip file of at most ``GZIP_LIMIT`` bytes."""
     try:
         data = gzip.GzipFile(fileobj=file).read(GZIP_LIMIT + 1)
     except (EOFError, gzip.BadGzipFile, zlib.error) as error:

@@ -219,7 +219,6 @@ def cells_from_image(
 
 
 def _colour_cells(band: npt.NDArray[Any], maxval: int, rules: Rules) -> Cells:
-    """Return the cells of colour pixels (H, W, 3 or 4)."""
     # As in nav2, trinary mode averages alpha in like a colour, so that an opaque pixel is brighter.
     averaged = band if rules.mode == "trinary" else band[..., :3]
     channels = averaged.shape[-1]
@@ -616,7 +615,6 @@ def saved_files(
 
 
 def _check_saving(grid: OccupancyGrid, stem: Path, rules: Rules, image_format: str) -> None:
-    """Refuse what would not load as the same map."""
     where = str(stem)
     try:
         kind = stat.S_IFMT(stem.stat().st_mode)

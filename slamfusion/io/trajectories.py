@@ -140,7 +140,6 @@ def _split(line: bytes) -> list[bytes]:
 
 
 def _fields(line: bytes) -> list[bytes]:
-    """Return the fields of a line; none for a comment."""
     stripped = line.strip().removeprefix(b"\xef\xbb\xbf")
     return [] if stripped.startswith((b"#", b"%")) else _split(stripped)
 

@@ -416,7 +416,6 @@ class NodeBase:
         self._diagnostics.publish(message)
 
     def _name_namesakes(self) -> None:
-        """Report other nodes with the same name and namespace."""
         own = self.name, str(self.node.get_namespace())
         count = self.node.get_node_names_and_namespaces().count(own)
         text = (

@@ -83,7 +83,6 @@ class DriveInput:
     # --- in threads of their own ---------------------------------------------------------------
 
     def _read(self, arrived: ArrivedScan) -> None:
-        """Convert and deskew a scan, as the producers do."""
         try:
             scan = self.scans.read(arrived)
         except LeftOutError:
@@ -96,7 +95,6 @@ class DriveInput:
         self._solver.put(None)
 
     def _solve(self, _: None) -> None:
-        """Solve the drive if it is due and new scans have arrived."""
         began_s = time.monotonic()
         depth = self._pace.due(began_s, self._count)
         if depth is None:

@@ -52,7 +52,6 @@ def _topics(node: Any) -> tuple[Any, str, str]:
 
 
 def _listed(message: Any) -> list[TransformStamped]:
-    """Return the transforms of a message of either kind."""
     return list(message.transforms) if hasattr(message, "transforms") else [message]
 
 
@@ -210,7 +209,6 @@ class TransformOutput:
 
 
 def _key(item: TransformStamped) -> tuple[Any, ...]:
-    """Return a key that identifies a transform."""
     move, turn = item.transform.translation, item.transform.rotation
     place = move.x, move.y, turn.z, turn.w
     return (item.header.frame_id, item.child_frame_id, stamp_ns(item), *place)

@@ -189,7 +189,6 @@ class FusedFrames:
         return self._children.of(source.name, topic, source.frame)
 
     def _read(self) -> None:
-        """Read the fusion's state and the inputs that the scans support."""
         self._state, solution = self._node.session.snapshot, self._node.drive.solution
         self._supported = () if solution is None else solution.supported
 
@@ -299,7 +298,6 @@ class FusedFrames:
     # --- problems with frames ----------------------------------------------------------------
 
     def _name_unmatched(self, for_s: float) -> None:
-        """Report a long time without a matching scan."""
         text = (
             f"no scan of the last {for_s:.0f} s matches the walls along the fused path: the pose "
             f"goes by {self.leader} alone"
@@ -307,7 +305,6 @@ class FusedFrames:
         self._node.diagnostics.say("match", text if for_s > LONG_S else None)
 
     def _name_shared(self) -> None:
-        """Report frames that two inputs share, or that equal the fused frame."""
         shared = [
             f"{name!r} is in frame {frame!r} as another map is: its transform is sent to {child!r}"
             for name, (frame, child) in self._children.renamed().items()
@@ -333,7 +330,6 @@ class FusedFrames:
         return f"{words}: {what}"
 
     def _name_unsent(self) -> None:
-        """Report that fused_frame -> odom_frame was never sent though an input votes."""
         settings = self._node.settings
         has_voters = any(record.accepted for record in self._state.inputs.values())
         why = "the odometry does not tell where the robot is at the times of its poses"

@@ -244,7 +244,6 @@ class FusionInputs:
         return names
 
     def _topics(self, names: Mapping[str, str]) -> list[str]:
-        """Return the resolved topics among entries; ConfigError for an invalid name."""
         topics = [topic for entry in names.values() if (topic := topic_of(entry)) is not None]
         node = self._base.node
         try:
@@ -257,7 +256,6 @@ class FusionInputs:
         return [self._base.resolved(topic) for topic in topics]
 
     def _change(self, entries: Sequence[str]) -> None:
-        """Apply checked entries, and log the changes."""
         removed, added = self._take(input_names(entries, self.entries))
         for name, entry in removed.items():
             text = f"{name} is removed from the inputs ({entry}), and its vote with it"

@@ -168,7 +168,6 @@ class FusionNode(NodeBase):
         return MapSource(self, name, topic, lost_after_s, self._clocks, self._on_map, self._on_pose)
 
     def _on_inputs(self, removed: Sequence[str], saved: Iterable[grids.OccupancyGrid]) -> None:
-        """Forget removed inputs, and let the worker handle new ones."""
         for name in removed:
             self.session.remove(name)
             self._clocks.remove(name)
@@ -192,7 +191,6 @@ class FusionNode(NodeBase):
         self._wake()
 
     def _on_pose(self, source: MapSource, heard: HeardPose) -> None:
-        """Compare a pose with those of the others, and send what follows from it."""
         self.session.hear(source.name, heard.stamp_s, heard.pose)
         self.drive.live.add_pose(source.name, heard.stamp_s, heard.pose)
         self._frames.on_pose(source, heard)
@@ -200,7 +198,6 @@ class FusionNode(NodeBase):
             self._page.put_pose(source.name, heard.pose)
 
     def _look_turn(self) -> None:
-        """Wake the worker if a fused map is due."""
         if self.session.is_due:
             self._wake()
 
@@ -220,7 +217,6 @@ class FusionNode(NodeBase):
             self._show()
 
     def _show(self) -> None:
-        """Show the inputs on the page."""
         if self._page is not None:
             self._page.show(self.statuses(), self.session.snapshot, self.inputs.sources.values())
 
@@ -254,7 +250,6 @@ class FusionNode(NodeBase):
             self._frames.on_time_jump()
 
     def _carry_out(self, name: str) -> tuple[bool, str]:
-        """Execute a request of the page."""
         return self._services.carry_out(name)
 
     def ask_reset(self) -> None:
@@ -267,7 +262,6 @@ class FusionNode(NodeBase):
     # --- the thread of the drive -------------------------------------------------------------
 
     def _on_solution(self, solution: DriveSolution) -> None:
-        """Use a solution's evidence, and report the conditions it found."""
         self._fusion.put_evidence(solution.evidence)
         self._name_conditions(solution.conditions)
         if "new place" in solution.conditions and self.settings.on_new_place == "reset":
@@ -275,7 +269,6 @@ class FusionNode(NodeBase):
         self._wake()
 
     def _name_conditions(self, found: Mapping[Condition, str]) -> None:
-        """Report the robot's conditions, as its scans show them."""
         for condition in CONDITIONS:
             text = found.get(condition)
             if text is not None and condition == "new place":
@@ -286,7 +279,6 @@ class FusionNode(NodeBase):
     # --- the worker's thread -----------------------------------------------------------------
 
     def _turn(self, _: None) -> None:
-        """Run the session once."""
         if self._keeper.is_waiting(self._fusion.has_come):
             self.session.send()
             return
@@ -297,7 +289,6 @@ class FusionNode(NodeBase):
         self._keeper.note(self.session.snapshot)
 
     def _read(self, source: MapSource, message: Any) -> grids.OccupancyGrid:
-        """Convert a received map, and show it on the page."""
         try:
             return self._on_page(source.name, source.read(message))
         except GridError as error:
@@ -306,7 +297,6 @@ class FusionNode(NodeBase):
             raise
 
     def _on_page(self, name: str, grid: grids.OccupancyGrid) -> grids.OccupancyGrid:
-        """Show an input's map on the page, and return it."""
         if self._page is not None:
             self._page.put_input(name, grid)
         return grid
@@ -338,7 +328,6 @@ class FusionNode(NodeBase):
         return max(stamps, default=self.clock_s() if sources else 0.0)
 
     def _on_vote(self, record: LiveInput) -> None:
-        """Log that an input gained or lost its vote."""
         # Two calls: rclpy ties a line of code to one level.
         if record.accepted:
             self._keeper.confirm()

@@ -66,8 +66,6 @@ class FusionServices:
         return bool(response.success), str(response.message)
 
     def _serve(self, answer: Callable[[Any, Any], None]) -> Callable[[Any, Any], Any]:
-        """Return a service callback that reports errors."""
-
         def callback(request: Any, response: Any) -> Any:
             try:
                 answer(request, response)
@@ -84,7 +82,6 @@ class FusionServices:
         return callback
 
     def _get_map(self, _: Any, response: Any) -> None:
-        """Answer the last published map; an empty one before the first."""
         published = self._node.published
         if published is None:
             response.map.header.frame_id = self._node.settings.fused_frame
@@ -92,12 +89,10 @@ class FusionServices:
             response.map = published[0]
 
     def _save_map(self, _: Any, response: Any) -> None:
-        """Save the last published map to ``save_path``."""
         response.message = self._save()
         response.success = True
 
     def _save_map_as(self, request: Any, response: Any) -> None:
-        """Save the last published map as requested."""
         given = {item.name: parameter_value_to_python(item.value) for item in request.parameters}
         # By type: a bool is an int, too.
         wrong = {name: v for name, v in given.items() if type(v) not in RULES.get(name, ())}
@@ -125,7 +120,6 @@ class FusionServices:
         response.result = True
 
     def _load_map(self, request: Any, response: Any) -> None:
-        """Add a saved map as input, and answer it."""
         path = str(request.map_url).strip().removeprefix("file://")
         response.result = LoadMap.Response.RESULT_INVALID_MAP_DATA
         if not path or not Path(path).exists():
@@ -136,7 +130,6 @@ class FusionServices:
         response.result = LoadMap.Response.RESULT_SUCCESS
 
     def _reset(self, _: Any, response: Any) -> None:
-        """Start a new fused frame."""
         self._node.log.warning("reset was called: the newest maps begin a new fused frame")
         self._node.ask_reset()
         response.success = True

@@ -69,7 +69,6 @@ class StateKeeper:
         self._writer: Worker[LiveState | None] = Worker(self._write, 1, self._failed, "state")
 
     def _read(self, path: Path, names: Collection[str]) -> None:
-        """Restore the kept state, if it is usable."""
         if not path.exists():
             return
         diagnostics = self._base.diagnostics

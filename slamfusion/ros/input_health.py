@@ -211,7 +211,6 @@ def name_writers(base: NodeBase, topics: Mapping[str, str], output: str) -> str:
 
 
 def _writers(base: NodeBase, topic: str) -> list[str]:
-    """Return the names of the nodes that write a topic."""
     infos = base.node.get_publishers_info_by_topic(topic)
     return sorted(
         f"{info.node_namespace.rstrip('/')}/{info.node_name}"
@@ -394,7 +393,6 @@ class MapSource:
         self._on_map(self, message)
 
     def _take_update(self, update: Any) -> None:
-        """Apply an update to the last map; count unusable ones."""
         reason = "it came before the first map"
         if self._last is not None:
             try:

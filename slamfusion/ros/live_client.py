@@ -123,11 +123,9 @@ class LiveClient:
         return self._set(Parameter(INPUTS.name, value=entries), f"{name} is no input any more")
 
     def _sibling(self, service: str) -> str:
-        """Return the full name of a service in the node's namespace."""
         return f"{self._target.rpartition('/')[0]}/{service}"
 
     def _ask(self, kind: Any, service: str, request: Any) -> Any:
-        """Call a service once it is there, and return the response."""
         client = self._node.create_client(kind, service)
         self._wait(client.service_is_ready, f"the service {service}")
         future = client.call_async(request)
@@ -135,7 +133,6 @@ class LiveClient:
         return future.result()
 
     def _entries(self) -> list[str]:
-        """Return the node's input entries."""
         request = GetParameters.Request(names=[INPUTS.name])
         (value,) = self._ask(GetParameters, f"{self._target}/get_parameters", request).values
         return [*names_of(parameter_value_to_python(value))]

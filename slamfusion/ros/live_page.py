@@ -123,7 +123,6 @@ class LivePage:
 
 
 def _shown(name: str, line: Status, state: FusionState) -> dict[str, object]:
-    """Return an input's entry on the page."""
     record = state.inputs.get(name)
     transform = None if record is None else record.transform
     return {

@@ -232,7 +232,6 @@ def unknown_parameters(node: Any) -> list[str]:
 
 
 def _answer(check: Callable[[], object]) -> SetParametersResult:
-    """Return whether a check passes, or why not."""
     try:
         check()
     except SlamFusionError as error:
@@ -255,7 +254,6 @@ def _replaced(section: Any, prefix: str, values: Mapping[str, Any], where: str) 
 
 
 def _descriptor(info: FieldInfo, *, is_changeable: bool) -> ParameterDescriptor:
-    """Return the description of a field for ROS tools."""
     unit = f" [{info.unit}]" if info.unit else ""
     descriptor = ParameterDescriptor(
         description=f"{info.help}{unit} ({info.level})",

@@ -126,7 +126,6 @@ class PlayerNode(NodeBase):
     # --- the player's thread -----------------------------------------------------------------
 
     def _run(self) -> None:
-        """Play the log and end the node."""
         code = 1
         try:
             began_s = time.monotonic()
@@ -159,7 +158,6 @@ class PlayerNode(NodeBase):
             return self._changed.wait_for(lambda: self._is_ending or is_true(), duration_s)
 
     def _pause(self, duration_s: float) -> None:
-        """Wait, but not beyond the end of the node."""
         self._wait_until(lambda: False, duration_s)
 
     def _wait_for_listeners(self) -> None:
@@ -185,7 +183,6 @@ class PlayerNode(NodeBase):
             self._pause(0.05)
 
     def _play(self) -> None:
-        """Send every scan at its time."""
         while not self._is_ending:
             self._rounds += 1
             sent = self._sent
@@ -240,12 +237,10 @@ class PlayerNode(NodeBase):
         self._scans.publish(messages.scan_to_message(scan, settings.laser_frame))
 
     def _send_clock(self, stamp_s: float) -> None:
-        """Send the log's time, if configured."""
         if self.settings.publish_clock:
             self._clock.publish(Clock(clock=messages.to_stamp(max(stamp_s, 0.0))))
 
     def _show_progress(self) -> None:
-        """Log each tenth of the log, not too often."""
         part, now_s = math.floor(PARTS * self._log.fraction_read), time.monotonic()
         self._shown_part = min(self._shown_part, part)  # smaller in a new round
         if self._shown_part < part < PARTS and now_s - self._shown_s >= APART_S:
@@ -305,7 +300,6 @@ class PlayerNode(NodeBase):
         ]
 
     def _on_pose(self, name: str, message: Any) -> None:
-        """Note the stamp of a producer's pose."""
         with self._changed:
             self._stamps_s[name] = messages.stamp_s(message)
             self._changed.notify_all()
@@ -375,7 +369,6 @@ class PlayerNode(NodeBase):
         ]
 
     def _on_diagnostics(self, message: Any) -> None:
-        """Note up to where the fused map is final."""
         told = [own.value for status in message.status for own in status.values if own.key == FINAL]
         with self._changed:
             for value in told:
@@ -384,11 +377,9 @@ class PlayerNode(NodeBase):
             self._changed.notify_all()
 
     def _on_path(self, message: Any) -> None:
-        """Keep the newest fused path."""
         self._path = message
 
     def _on_map(self, topic: str, message: Any) -> None:
-        """Keep the newest map of a topic."""
         with self._changed:
             self._maps[topic] = message
             self._changed.notify_all()

@@ -175,7 +175,6 @@ class ProducerNode(NodeBase):
 
     @property
     def _is_paused(self) -> bool:
-        """Whether no scan has come for a while."""
         return time.monotonic() - self._inputs.last_s > PAUSE_S
 
     def _is_path_heard(self) -> bool:
@@ -188,7 +187,6 @@ class ProducerNode(NodeBase):
     # --- the worker's thread -----------------------------------------------------------------
 
     def _work(self, item: _Queued | None) -> None:
-        """Feed a scan, or with None read a map."""
         session = self._session
         if item is not None:
             answer = session.feed(item)
@@ -203,7 +201,6 @@ class ProducerNode(NodeBase):
                 self._messages.put(made)
 
     def _answer(self, answer: Answer, stamp: Any) -> None:
-        """Publish the pose and the transform at a scan."""
         if answer.unused:
             self.diagnostics.note("blind", answer.unused)
         self._pose_topic.publish(messages.pose_to_message(answer.pose, self._map_frame, stamp))
@@ -219,7 +216,6 @@ class ProducerNode(NodeBase):
         return settings.base_frame if settings.odometry_source == "none" else settings.odom_frame
 
     def _send_transform(self, answer: Answer, stamp: Any) -> None:
-        """Send the transform, if configured and known."""
         pose, settings = answer.pose, self.settings
         if self._transforms is None or not settings.publish_tf:
             return

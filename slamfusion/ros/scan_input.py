@@ -211,7 +211,6 @@ class ScanInput:
     # -- stamps -----------------------------------------------------------------------------------
 
     def _take_scan(self, message: Any) -> None:
-        """Pass on a received scan and held ones that it confirms, if the odometry agrees."""
         self.received += 1
         self.last_s = time.monotonic()
         scan = ArrivedScan(message, messages.stamp_s(message), self.last_s)

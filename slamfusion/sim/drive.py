@@ -284,7 +284,6 @@ class _Driver:
         return self.speed
 
     def _wheels(self, side: float) -> _Command:
-        """Turn on the spot, or drive and turn."""
         drive = self.drive
         most = drive.turn_rate_rad_s
         turn = min(max(TURN_GAIN * side, -most), most)

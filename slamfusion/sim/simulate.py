@@ -172,7 +172,6 @@ def _chance(course: Course, stream: int) -> np.random.Generator:
 
 
 def _stops(course: Course, floor: Floor, space: FreeSpace, start: Pose2) -> tuple[Point, ...]:
-    """Return the robot's stops: given, proposed by the world, or of a planned tour."""
     if course.script:
         return ()
     if course.waypoints is not None:

@@ -1,8 +1,4 @@
-"""Scans of ROS 1 and ROS 2 bags, without ROS.
-
-``reader`` opens a bag through ``rosbags``, which comes with the extra ``bags``; ``odometry`` is a
-first pass for transforms and odometry; ``log`` yields the scans.
-"""
+"""Scans of ROS 1 and ROS 2 bags, without ROS; needs ``rosbags`` (the extra ``bags``)."""
 
 from slamfusion.io.bags.log import BagLog
 

@@ -22,14 +22,14 @@ from slamfusion.scan import LaserScan
 
 _DEFAULT_CONFIG = LogConfig()
 
-# A laser tilted by more is worth a word.
+# A larger tilt of the laser gives a note.
 _TILT_NOTED_RAD = math.radians(5.0)
 
-# So many scans tell whether there are stamps, and the unit of the ranges.
+# Number of scans that decide whether there are stamps, and the unit of the ranges.
 FIRST_MESSAGES = 20
-# Nine of ten readings beyond ``range_max`` by this factor are in another unit.
+# If nine of ten readings exceed ``range_max`` by this factor, the unit differs.
 OTHER_UNIT = 10.0
-# Parts of a sweep join where their angles differ by no more beams from going on.
+# Largest gap between two parts of a sweep, beams.
 JOIN_BEAMS = 1.5
 
 NO_STAMP = "no time stamp"
@@ -38,7 +38,7 @@ NO_SCAN = "angles or ranges that cannot be a scan"
 
 
 def first_echoes(message: Any) -> npt.NDArray[np.float32]:
-    """Return the ranges of a scan, (N,) metres; of several echoes the first, +inf where none is."""
+    """Return the ranges of a scan, (N,) metres; of several echoes the first, +inf without any."""
     if message.__msgtype__.endswith("MultiEchoLaserScan"):
         echoes = (beam.echoes for beam in message.ranges)
         return np.array([beam[0] if len(beam) else np.inf for beam in echoes], dtype=np.float32)
@@ -46,10 +46,10 @@ def first_echoes(message: Any) -> npt.NDArray[np.float32]:
 
 
 def joined_sweeps(scans: Iterable[tuple[int, LaserScan]]) -> Iterator[tuple[int, LaserScan]]:
-    """Yield whole sweeps of a laser that sends each in several messages.
+    """Join sweeps that a laser sends in several messages.
 
     Scans whose first beam follows the last beam of the scan before belong to one sweep, up to a
-    whole turn. It has the stamp and the number of its first part.
+    whole turn, with the stamp and number of the first part.
     """
     sweep: tuple[int, LaserScan] | None = None
     for number, scan in scans:
@@ -71,23 +71,20 @@ def joined_sweeps(scans: Iterable[tuple[int, LaserScan]]) -> Iterator[tuple[int,
 
 
 class BagLog(ScanLog):
-    """The scans of a bag; read as a stream from its start each time.
+    """The scans of a bag; each iteration reads it as a stream.
 
-    Time is the scan's header stamp. Odometry comes from a nav_msgs/Odometry topic or, where there
-    is none, from the transforms between ``odom_frame`` and the base frame, interpolated at the
-    scan's time. The laser's mount comes from the transforms. Readings stay as they are: ROS
-    already has REP-117. ``line`` is the number of the message on its topic, from 1.
-
-    A first pass keeps the odometry and the transforms in memory (not the scans): some 60 bytes a
-    message, less while the robot rests.
+    Time is the scan's header stamp. Odometry comes from a nav_msgs/Odometry topic, or else from the
+    transforms between ``odom_frame`` and the base frame, interpolated. The laser's mount comes from
+    the transforms. Readings follow REP-117 already. ``line`` is the number of the message on its
+    topic, from 1. A first pass keeps odometry and transforms in memory.
 
     Args:
         path: a .bag, .db3 or .mcap file, or a ROS 2 bag's folder.
         config: topics, frames, and ``no_return_m`` as an upper limit of the scans' own.
 
     Raises:
-        LogError: not a readable bag, no laser in it, several topics to choose from, a topic or
-            frame asked for that is not there, or ``rosbags`` is not installed.
+        LogError: not a readable bag, no laser in it, several topics to choose from, an absent topic
+            or frame, or ``rosbags`` is not installed.
     """
 
     def __init__(self, path: str | Path, config: LogConfig = _DEFAULT_CONFIG) -> None:
@@ -190,7 +187,7 @@ class BagLog(ScanLog):
         )
 
     def _mount(self, frame: str, time_s: float) -> Mount:
-        """Return where a laser frame sits on the robot; kept when it cannot move."""
+        """Return the mount of a laser frame; cached if static."""
         if frame in self._mounts:
             return self._mounts[frame]
         if not self._tree.is_connected(self._base_frame, frame):

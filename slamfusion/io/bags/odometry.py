@@ -1,4 +1,4 @@
-"""The first pass over a bag: its transforms, and the odometry by messages or by transforms."""
+"""The first pass over a bag: transforms, and odometry from messages or transforms."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class BagOdometry:
     base_frame: str
 
     def at(self, stamp_s: float) -> Pose2 | str:
-        """Return the pose at a time, linear between neighbours, or why there is none."""
+        """Return the pose at a time, linear between neighbours, or why it is unknown."""
         if stamp_s < self.stamps_s[0] - HOLD_S:
             return BEFORE_ODOMETRY
         if stamp_s > self.stamps_s[-1] + HOLD_S:
@@ -59,29 +59,24 @@ class BagOdometry:
         )
 
     def track(self, stamps_s: F64) -> F64 | None:
-        """Return the poses (N, 3) at times (N,); None where one of them is not known."""
+        """Return the poses (N, 3) at times (N,); None if any is unknown."""
         poses = [self.at(stamp_s) for stamp_s in stamps_s.tolist()]
         rows = [(pose.x, pose.y, pose.yaw_rad) for pose in poses if isinstance(pose, Pose2)]
         return np.array(rows) if len(rows) == len(poses) else None
 
 
 class BagFrames:
-    """What a first pass over a bag finds: where frames lie to each other, and the odometry.
+    """The transforms and the odometry of a bag.
 
     Attributes:
-        odometry: by messages, else by transforms; None where neither is there.
-        base_frame: the frame whose pose the odometry is; empty where nothing says it.
+        odometry: from messages, else from transforms; None without either.
+        base_frame: the frame of the odometry's pose; empty if unknown.
     """
 
     def __init__(
         self, bag: OpenBag, config: LogConfig, scan_topic: str = "", laser_frame: str = ""
     ) -> None:
-        """Read the transforms.
-
-        Args:
-            scan_topic: of several robots the one in this topic's namespace is read.
-            laser_frame: of the scans.
-        """
+        """Read the transforms; of several robots those in the namespace of ``scan_topic``."""
         self.tree = TransformTree()
         self.odometry: BagOdometry | None = None
         self.base_frame = ""
@@ -90,7 +85,7 @@ class BagFrames:
         self._read_transforms()
 
     def find_odometry(self) -> None:
-        """Find the odometry; refuse a base frame that was asked for and is nowhere."""
+        """Find the odometry; refuse an unknown configured base frame."""
         self.odometry = self._found_odometry()
         self.base_frame = self._found_base_frame()
         wanted = self._config.base_frame
@@ -175,10 +170,9 @@ class BagFrames:
         return BagOdometry(times, rows, wanted.lstrip("/"))
 
     def _moving_frame(self, topic: str, message: Any) -> str:
-        """Return the frame whose pose odometry is: the one named, if that can move with the laser.
+        """Return the frame of the odometry's pose: the named one, if it can move with the laser.
 
-        A message that names its own frame, the laser, the map, no frame or one that no transform
-        knows, means the robot's base.
+        Otherwise (the message's own frame, the laser, the map, none, or an unknown one) the base.
         """
         named, own = message.child_frame_id.lstrip("/"), message.header.frame_id.lstrip("/")
         frames = self.tree.frames
@@ -208,7 +202,7 @@ class BagFrames:
         )
 
     def _odometry_by_transforms(self, base_frame: str) -> BagOdometry | None:
-        """Return the poses of a frame in the odometry frame, at the times they were sent."""
+        """Return the poses of a frame in the odometry frame, at the times of its transforms."""
         frame = base_frame.lstrip("/")
         if not self.tree.is_connected(self._config.odom_frame, frame):
             return None
@@ -221,8 +215,7 @@ class BagFrames:
     def base_poses(self) -> F64:
         """Return the poses of the robot's base in the outermost frame of the transforms.
 
-        Returns:
-            (N, 8) t x y z qx qy qz qw, at the times that transforms were sent.
+        (N, 8) t x y z qx qy qz qw, at the times of the transforms.
         """
         from scipy.spatial.transform import Rotation  # noqa: PLC0415  (who reads maps needs none)
 
@@ -241,7 +234,7 @@ class BagFrames:
         return np.column_stack((stamps_s, matrices[:, :3, 3], turns))
 
     def _found_base_frame(self) -> str:
-        """Return the frame whose pose the odometry is; empty where nothing says it."""
+        """Return the frame of the odometry's pose; empty if unknown."""
         if self.odometry is not None and self.odometry.base_frame:
             return self.odometry.base_frame
         if self._config.base_frame is not None:
@@ -259,8 +252,8 @@ def read_poses(path: Path, config: LogConfig, wanted: str | None, notes: list[st
             transforms; None: the only such topic, else tf.
 
     Returns:
-        (N, 8) t x y z qx qy qz qw in the order of time; None: of a bag with scans no topic was
-        asked for, and the odometry of its scans is its path.
+        (N, 8) t x y z qx qy qz qw in the order of time; None for a bag with scans and no ``wanted``
+        topic, whose path is the odometry of its scans.
     """
     with open_bag(path, notes) as bag:
         others = bag.topics(_POSE_TYPES)
@@ -282,7 +275,7 @@ def read_poses(path: Path, config: LogConfig, wanted: str | None, notes: list[st
 
 
 def _topic_poses(bag: OpenBag, topic: str) -> tuple[F64, Any]:
-    """Return the poses of a topic, and its first usable message; None where there is none."""
+    """Return the poses of a topic, and its first usable message or None."""
     rows, first, unusable = [], None, 0
     for _, _, message in bag.messages(topic):
         row: list[float] = []

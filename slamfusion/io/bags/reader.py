@@ -1,7 +1,4 @@
-"""An open bag: its topics, and its messages with the bytes taken apart.
-
-Bags are read through ``rosbags``, which needs no ROS; it comes with the extra ``bags``.
-"""
+"""An open bag: its topics and decoded messages, through ``rosbags``."""
 
 from __future__ import annotations
 
@@ -28,25 +25,20 @@ if TYPE_CHECKING:
 METADATA = "metadata.yaml"
 SCAN_TYPES = ("sensor_msgs/msg/LaserScan", "sensor_msgs/msg/MultiEchoLaserScan")
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
-# Patterns of a bag's storage files in a folder; those of one kind are a bag.
+# Patterns of a bag's storage files in a folder; a bag has one kind.
 STORAGE_FILES = ("*.mcap", "*.db3", "*.mcap.zstd", "*.db3.zstd")
-# What storage files begin with, and what is packed.
+# First bytes of storage files and of packed ones.
 ROS1_MAGIC, SQLITE_MAGIC, MCAP_MAGIC = b"#ROSBAG V", b"SQLite format 3\0", b"\x89MCAP0\r\n"
-# Errors of a folder that is full.
+# Errors of a full disk.
 _NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-# Messages of a topic whose transforms are described.
+# Messages per topic that are read for a description of the frames.
 FRAMES_READ = 1000
 TRANSFORM_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
 
 class BagMessage(NamedTuple):
-    """One message.
-
-    Attributes:
-        topic: where it was sent.
-        content: its fields; None when its bytes are none.
-    """
+    """One message; ``content`` is None if it cannot be decoded."""
 
     topic: str
     recorded_ns: int
@@ -54,11 +46,7 @@ class BagMessage(NamedTuple):
 
 
 class OpenBag:
-    """A bag that is open; ``open_bag`` makes it.
-
-    Attributes:
-        notes: what a user should know of what was left out.
-    """
+    """An open bag, made by ``open_bag``; ``notes`` for the user on what was left out."""
 
     def __init__(
         self,
@@ -82,11 +70,7 @@ class OpenBag:
     def choose_topic(
         self, types: Sequence[str], wanted: str | None, key: str, sibling: str = ""
     ) -> str:
-        """Return the topic that was asked for, or the only one of its type.
-
-        Args:
-            wanted: the topic that was asked for; None: any with messages.
-        """
+        """Return the wanted topic, or the only one of its type with messages."""
         topics = sorted({item.topic for item in self._connections if _kind(item) in types})
         filled = self.topics(types, sibling)
         kind = types[0].replace("/msg/", "/")
@@ -123,7 +107,7 @@ class OpenBag:
         return filled[0]
 
     def topics(self, types: Sequence[str], sibling: str = "") -> list[str]:
-        """Return the topics of these types that have messages, in order."""
+        """Return the topics of these types with messages, in order."""
         found = sorted(
             {item.topic for item in self._connections if _kind(item) in types and item.msgcount}
         )
@@ -132,14 +116,14 @@ class OpenBag:
         return own if sibling and own else found
 
     def described_topics(self) -> list[str]:
-        """Return each topic with its type and the number of its messages, in order."""
+        """Return each topic with its type and number of messages, in order."""
         kinds = {item.topic: _kind(item) for item in self._connections}
         return [f"{topic} ({kinds[topic]}, {self.count(topic)})" for topic in sorted(kinds)]
 
     def described_frames(self) -> list[str]:
         """Return the frame of each laser's scans, and each transform as ``parent > child``.
 
-        The first messages of each topic are read.
+        Only the first messages of each topic are read.
         """
         found: dict[str, None] = {}
         for topic in self.topics(SCAN_TYPES):
@@ -154,7 +138,7 @@ class OpenBag:
         return list(found)
 
     def count(self, topic: str) -> int:
-        """Return how many messages a topic has."""
+        """Return the number of messages of a topic."""
         return sum(item.msgcount for item in self._connections if item.topic == topic)
 
     def messages(self, *topics: str) -> Iterator[BagMessage]:
@@ -167,7 +151,6 @@ class OpenBag:
             yield BagMessage(connection.topic, recorded_ns, content)
 
     def _stored(self, storage: Storage, topics: Sequence[str]) -> Iterator[Stored]:
-        """Yield the messages of a file, as far as it can be read."""
         wanted = [item for item in storage.connections if item.topic in topics and _kind(item)]
         is_any_read = False
         try:
@@ -185,7 +168,7 @@ class OpenBag:
 
 @contextmanager
 def open_bag(path: Path, notes: list[str]) -> Iterator[OpenBag]:
-    """Open a bag; whatever the library stumbles over is damage of the bag."""
+    """Open a bag; every failure of the library is reported as damage of the bag."""
     try:
         import rosbags.typesys  # noqa: F401, PLC0415  (an extra, and slow to load)
 
@@ -211,7 +194,7 @@ def open_bag(path: Path, notes: list[str]) -> Iterator[OpenBag]:
         message = f"{path}: memory ran out while reading it; free memory, or check that it is whole"
         raise MemoryBudgetError(message) from None
     except Exception as error:
-        # Nothing is written but what is unpacked.
+        # Only unpacked files are written.
         if isinstance(error, OSError) and error.errno in _NO_ROOM:
             raise LogError(
                 f"{path}: cannot be unpacked in {tempfile.gettempdir()}: {error.strerror}; free "
@@ -228,7 +211,7 @@ def _reason(error: Exception) -> str:
 
 
 def _files(path: Path, notes: list[str]) -> list[Path]:
-    """Return the storage files of a bag: those that its index names, else all of one kind."""
+    """Return the storage files of a bag: those in its index, else all of one kind."""
     if not path.is_dir():
         return [path]
     kinds = (sorted(path.glob(pattern), key=_in_number_order) for pattern in STORAGE_FILES)
@@ -238,7 +221,7 @@ def _files(path: Path, notes: list[str]) -> list[Path]:
         names = index["rosbag2_bagfile_information"]["relative_file_paths"]
         named = [path / PurePosixPath(name).name for name in names]
     except (OSError, SlamFusionError, LookupError, TypeError):
-        # People edit the index by hand; it is not needed.
+        # The index is not needed, and may have been edited by hand.
         return there
     found = [file for file in named if file.exists()]
     missing = [file.name for file in named if not file.exists()]
@@ -254,7 +237,7 @@ def _add_note(notes: list[str], note: str) -> None:
 
 
 def _in_number_order(file: Path) -> list[str | int]:
-    """Return a key that sorts part 10 behind part 2."""
+    """Return a key that sorts part 10 after part 2."""
     return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", file.name)]
 
 
@@ -263,7 +246,7 @@ def _encoding(connection: Connection) -> str:
 
 
 def _kind(connection: Connection) -> str:
-    """Return the type of messages, as ROS 2 spells it; empty where they cannot be read."""
+    """Return the type of messages in ROS 2 spelling; empty if they cannot be read."""
     package, _, name = connection.msgtype.replace("/msg/", "/").partition("/")
     return f"{package}/msg/{name}" if _encoding(connection) in {"cdr", "ros1"} else ""
 

@@ -1,7 +1,7 @@
-"""The storage files of bags, through ``rosbags``; each is read as far as it goes.
+"""The storage files of bags, through ``rosbags``; damaged ones are read as far as possible.
 
-The first bytes of a file tell its kind. Message definitions and QoS in a file are not used: only
-standard messages are read, and other topics must not make a bag unreadable.
+Message definitions and QoS in a file are not used: only standard messages are read, and other
+topics must not make a bag unreadable.
 """
 
 from __future__ import annotations
@@ -42,19 +42,19 @@ from slamfusion.io.bags.reader import (
 )
 from slamfusion.io.files import format_bytes, open_regular
 
-# A chunk or a message unpacks to no more; those of recorders are a thousand times smaller.
+# Limit of an unpacked chunk or message; those of recorders are a thousand times smaller.
 PIECE_BYTES = 2**30
-# The topic of a message, when it was recorded in nanoseconds, and its bytes.
+# Connection of a message, its recording time in nanoseconds, and its bytes.
 Stored = tuple[Connection, int, bytes]
 _NO_DEFINITION = MessageDefinition(MessageDefinitionFormat.NONE, "")
-# What damaged records of ROS 1 bags raise.
+# Raised on damaged records of ROS 1 bags.
 _DAMAGE = (rosbag1.ReaderError, ValueError, LookupError, RuntimeError, OSError, AssertionError)
 _MCAP_FOOTER = b"\x02"
 zstd: Any = vars(mcap)["zstd"]
 
 
 class Mcap(mcap.McapReader):
-    """An MCAP file; without a usable end it is read up to its last whole record."""
+    """An MCAP file; without a usable end it is read up to its last complete record."""
 
     is_cut_off = False
 
@@ -104,7 +104,7 @@ class Mcap(mcap.McapReader):
 
 
 class Bag1(rosbag1.Reader):
-    """A ROS 1 bag; without an index, as while it is recorded, it is read from its beginning."""
+    """A ROS 1 bag; without an index (while it is recorded) it is read from the start."""
 
     is_cut_off = False
 
@@ -124,7 +124,7 @@ class Bag1(rosbag1.Reader):
 
     def stored(self, connections: Sequence[Connection]) -> Iterator[Stored]:
         """Yield the messages of connections, in the order of recording."""
-        # A chunk that could not be read is left closed.
+        # An unreadable chunk stays closed.
         self.current_chunk = (-1, BytesIO())
         yield from self.messages(connections)
 
@@ -144,7 +144,7 @@ class Bag1(rosbag1.Reader):
                 header = rosbag1.Header.read(file)
                 length, start = rosbag1.read_uint32(file), file.tell()
                 if header.get_uint8("op") == rosbag1.RecordType.CHUNK:
-                    # The chunk that is being written has no length yet.
+                    # A chunk that is being written has no length yet.
                     length = min(length or size, size - start)
                     unpack = rosbag1.decompressors[header.get_string("compression")]
                     self.chunks[place] = rosbag1.Chunk(length, start, unpack)
@@ -158,7 +158,7 @@ class Bag1(rosbag1.Reader):
     def _scan_chunk(
         self, place: int, data: bytes, indexes: dict[int, list[Any]], found: dict[int, Connection]
     ) -> None:
-        """Add the topics of an unpacked chunk, and where its whole messages are."""
+        """Add the topics of an unpacked chunk, and the places of its complete messages."""
         file, self.bio = self.bio, BytesIO(data)
         try:
             while (offset := self.bio.tell()) < len(data):
@@ -254,7 +254,7 @@ def open_storage(path: Path, stack: ExitStack) -> Storage:
 
 @cache
 def _adapt_rosbags() -> None:
-    """Let ``rosbags`` unpack no bomb, and read no definition, QoS or text of other topics."""
+    """Let ``rosbags`` limit unpacked sizes, and skip definitions, QoS and text of other topics."""
     from_lz4 = partial(_unpack, LZ4FrameDecompressor)
     rosbag1.decompressors["bz2"] = partial(_unpack, bz2.BZ2Decompressor)
     rosbag1.decompressors["lz4"] = from_lz4
@@ -263,7 +263,7 @@ def _adapt_rosbags() -> None:
     vars(mcap).update(
         get_msgdef=lambda _: _NO_DEFINITION,
         get_qos=lambda _: [],
-        # The schemas of other encodings are no text.
+        # The schemas of other encodings are not text.
         read_string=lambda file: mcap.read_bytes(file).decode(errors="replace"),
     )
 
@@ -284,7 +284,7 @@ def _decoder(encoding: str) -> Callable[[bytes, str], Any]:
 
 
 def _plain(raw: bytes) -> bytes:
-    """Return the bytes of a message that may be packed for itself."""
+    """Return the bytes of a message, unpacked if needed."""
     return _unpack_zstd(raw) if raw.startswith(ZSTD_MAGIC) else raw
 
 
