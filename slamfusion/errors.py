@@ -79,11 +79,7 @@ class FleetError(SlamFusionError):
 
 
 class AlignmentError(SlamFusionError):
-    """The grids could not be brought into one frame, so nothing may be fused.
-
-    Attributes:
-        pairs: the alignments that were tried (``slamfusion.align.records.Alignment``).
-    """
+    """The grids could not be aligned; ``pairs`` holds the tried ``Alignment`` records."""
 
     def __init__(self, message: str, pairs: tuple[Any, ...] = ()) -> None:
         super().__init__(message)

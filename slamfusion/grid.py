@@ -61,12 +61,7 @@ class CellBox:
 
 
 def box_origin(origin: Pose2, resolution: float, box: CellBox) -> Pose2:
-    """Return the pose of the lower-left corner of a box of cells, which may be outside the grid.
-
-    Args:
-        origin: of cell [0, 0]; metres, radians.
-        resolution: metres per cell.
-    """
+    """Return the pose (m, rad) of a box's lower-left corner; it may be outside the grid."""
     if box.row0 == 0 and box.col0 == 0:
         return origin
     x, y = origin.transform((box.col0 * resolution, box.row0 * resolution))
@@ -204,11 +199,7 @@ class OccupancyGrid:
         return known_box(self.cells)
 
     def crop(self, box: CellBox) -> OccupancyGrid:
-        """Return a box of cells at the same place in the map frame; outside is unknown.
-
-        Args:
-            box: may reach beyond the grid, also to negative rows and columns.
-        """
+        """Return a half-open box, unmoved in the map frame; cells outside the grid are unknown."""
         if box == CellBox(0, 0, self.height, self.width):
             return self
         cells = np.full((box.height, box.width), UNKNOWN, dtype=np.int8)

@@ -90,10 +90,7 @@ class LaserScan:
             return np.asarray(self.ranges >= self.range_max_m)
 
     def remounted(self, mounting: LaserMounting) -> LaserScan:
-        """Return the scan of a laser mounted differently from its description.
-
-        ``mirrored``: upside down, or turning the other way; ``backward``: looking back.
-        """
+        """Return the scan of a laser that is mirrored (upside down) or looks backward."""
         if mounting == "mirrored":
             first, step = -self.angle_min_rad, -self.angle_increment_rad
             return replace(self, angle_min_rad=first, angle_increment_rad=step)

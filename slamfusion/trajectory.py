@@ -16,11 +16,7 @@ SAME_STAMP_S = 1e-3
 
 
 def nearest_stamps(stamps_s: F64, wanted_s: npt.ArrayLike) -> npt.NDArray[np.int64]:
-    """Return for each wanted time the index of the nearest stamp; the earlier on a tie.
-
-    Args:
-        stamps_s: (N,) seconds, never decreasing, N at least 1.
-    """
+    """Return the indices of the stamps (N,) (sorted, s) nearest to times; the earlier on a tie."""
     wanted = np.asarray(wanted_s, dtype=np.float64)
     last = len(stamps_s) - 1
     after = np.clip(np.searchsorted(stamps_s, wanted), 1, max(1, last))
@@ -95,11 +91,7 @@ class Trajectory:
         return Pose2(float(x), float(y), float(yaw))
 
     def nearest(self, stamps_s: npt.ArrayLike) -> npt.NDArray[np.int64]:
-        """Return the index of the pose nearest in time for each time, (M,); the earlier on a tie.
-
-        Raises:
-            TrajectoryError: there is no pose.
-        """
+        """Return the index of the pose nearest to each time; TrajectoryError without poses."""
         if len(self) == 0:
             raise TrajectoryError(f"{self.name}: has no pose")
         return nearest_stamps(self.stamps_s, stamps_s)

@@ -69,11 +69,7 @@ def sample_on_lattice(
 def wall_centres(
     classes: npt.NDArray[np.int8], grid: OccupancyGrid, transform: Pose2 = IDENTITY
 ) -> npt.NDArray[np.float64]:
-    """Return the centres of the occupied cells, (N, 2) metres, moved by ``transform``.
-
-    Args:
-        classes: (H, W) int8 in {-1, 0, 1}, one per cell of ``grid``.
-    """
+    """Return the centres (N, 2) of occupied cells (class 1), in metres, moved by ``transform``."""
     rows, cols = np.nonzero(classes == 1)
     return transform.transform(grid.cell_centres(rows, cols))
 

@@ -195,10 +195,7 @@ def relation_errors(
 
 
 def errors_at_scans(scans: Trajectory, relations: Relations) -> RelationErrorsAtScans | None:
-    """Measure only by relations whose both ends are scans; None without any.
-
-    There no pose is continued by odometry or taken from another time.
-    """
+    """Measure only by relations between scans, without odometry in between; None without any."""
     try:
         found = relation_errors(scans, relations, AT_SCAN_S)
     except TrajectoryError:

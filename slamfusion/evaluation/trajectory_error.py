@@ -275,10 +275,7 @@ def trajectory_errors(
 def associate(
     first: Trajectory, second: Trajectory, tolerance_s: float
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Return indices (M,) into both of poses that are each other's nearest in time.
-
-    No pose is used twice; pairs further apart than the tolerance do not count.
-    """
+    """Return indices (M,) into both of poses that are each other's nearest in time."""
     there, is_near = second.matches(first.stamps_s, tolerance_s)
     back = first.nearest(second.stamps_s)
     own = np.arange(len(first), dtype=np.int64)

@@ -78,10 +78,7 @@ class WallFaces:
 
 @dataclass(frozen=True, eq=False)
 class Nearness:
-    """Metres from each point of one map to the nearest of another, and back.
-
-    All infinite if the other map has no points.
-    """
+    """Metres from each point of one map to the nearest of another, and back; may be infinite."""
 
     map_to_truth: F64
     truth_to_map: F64

@@ -150,10 +150,7 @@ def log_inputs(
 def other_slams(
     names: Sequence[str], maps: Sequence[CaseFile], paths: Sequence[CaseFile]
 ) -> dict[str, SavedMaps]:
-    """Return the saved maps of other SLAMs and their paths, by drive.
-
-    File names give the drive and the SLAM; see ``slamfusion.jobs.cases``.
-    """
+    """Return other SLAMs' maps and paths by drive, matched by file names (``jobs.cases``)."""
     files = {(item.case, item.method): item.path for item in place_files(names, maps)}
     found = {}
     for item in place_files(names, paths):

@@ -317,10 +317,7 @@ Scans = Sequence[LogScan]
 
 
 def kidnap(scans: Scans) -> tuple[LogScan, ...]:
-    """Return the scans of a kidnapped robot: lifted, and set down elsewhere.
-
-    That part of the drive is cut out; time and odometry continue without a gap.
-    """
+    """Cut a part out of the drive, without a gap in time and odometry."""
     first, last = int(KIDNAPPED_FROM * len(scans)), int(KIDNAPPED_TO * len(scans))
     if not 0 < first < last < len(scans):
         return tuple(scans)
@@ -338,10 +335,7 @@ def kidnap(scans: Scans) -> tuple[LogScan, ...]:
 
 
 def break_odometry(scans: Scans) -> tuple[LogScan, ...]:
-    """Return the scans with distances too long and turns too small, from a third on.
-
-    The errors are proportional to the motion, and much larger than a motion model expects.
-    """
+    """Make distances too long and turns too small, in proportion to the motion, from a third on."""
     first = int(BROKEN_FROM * len(scans))
     fed, read, before = list(scans[:first]), None, None
     for item in scans[first:]:
@@ -360,11 +354,7 @@ def break_odometry(scans: Scans) -> tuple[LogScan, ...]:
 
 
 def lose(scans: Scans) -> tuple[LogScan, ...]:
-    """Return the scans of a producer that loses tracking for good at half of the drive.
-
-    Its laser hangs upside down from then on, so left and right are exchanged; a mere jump of
-    odometry could be recovered from.
-    """
+    """Hang the laser upside down from half of the drive on, so that tracking is lost for good."""
     first = int(LOST_FROM * len(scans))
     return (*scans[:first], *(_upside_down(item) for item in scans[first:]))
 

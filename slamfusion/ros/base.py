@@ -81,10 +81,7 @@ class Status:
 
 
 class Diagnostics:
-    """Current problems by key; each is logged once when it starts and once when it ends.
-
-    Thread-safe.
-    """
+    """Current problems by key, logged at start and end; thread-safe."""
 
     def __init__(self, log: Any) -> None:
         self._log = log
@@ -374,10 +371,7 @@ class NodeBase:
         self.is_stopped = True
 
     def failed(self, _: object, error: Exception, key: str = "worker", where: str = "") -> str:
-        """Report an unexpected error in the diagnostics and its traceback in the log, once.
-
-        Returns the text.
-        """
+        """Report an unexpected error, with its traceback in the log once, and return the text."""
         if not self.diagnostics.is_on(key):
             self.log.error("".join(traceback.format_exception(error)))
         text = f"{where}{type(error).__name__}: {error}"

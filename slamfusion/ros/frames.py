@@ -153,11 +153,7 @@ class TransformInput(TransformStore):
 
 
 class TransformOutput:
-    """Sends transforms, and detects other senders of the same child frames (``rival``).
-
-    Args:
-        node: an rclpy node; its executor must spin for ``rival``.
-    """
+    """Sends transforms, and detects other senders of the same child frames (while it spins)."""
 
     def __init__(self, node: Any) -> None:
         self._lock = threading.Lock()

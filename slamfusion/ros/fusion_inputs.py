@@ -55,11 +55,7 @@ def input_names(entries: Sequence[str], before: Mapping[str, str] | None = None)
 
 
 def entry_for(name: str, topic: str | None = None) -> str:
-    """Return the entry of an input; ``topic`` or ``file:PATH``, default ``NAME/map``.
-
-    Raises:
-        ConfigError: the name is invalid.
-    """
+    """Return the entry of an input, by default ``NAME/map``; ConfigError for an invalid name."""
     if not name.strip("/") or NAMED in name or "," in name or name.startswith(FILE_PREFIX):
         message = f"{name!r} is no name of an input; wanted one like robot3, and --topic for others"
         raise ConfigError(message)
@@ -156,12 +152,7 @@ class FusionInputs:
         self._loaded: dict[str, OccupancyGrid] = {}
 
     def begin(self) -> None:
-        """Load the saved maps and subscribe to the topics.
-
-        Raises:
-            ConfigError: too many, one given twice, or an invalid topic.
-            MapFileError: a saved map cannot be read.
-        """
+        """Load the saved maps and subscribe; ConfigError or MapFileError for bad entries."""
         entries, self.entries = [*self.entries.values()], {}
         self._take(self._checked(entries))
 

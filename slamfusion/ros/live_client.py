@@ -81,11 +81,7 @@ class LiveClient:
         return _answer(response.success, response.message)
 
     def save_as(self, **rules: str) -> LiveAnswerDocument:
-        """Save the fused map and return the answer.
-
-        Args:
-            rules: path, without an ending; format (pgm, png or bmp); mode (trinary, scale or raw).
-        """
+        """Save the fused map with path (no ending), format and mode, and return the answer."""
         given = [Parameter(name, value=value).to_parameter_msg() for name, value in rules.items()]
         request = SetParametersAtomically.Request(parameters=given)
         result = self._ask(SetParametersAtomically, self._sibling(SAVE_AS), request).result

@@ -56,11 +56,7 @@ def ns_to_stamp(nanoseconds: int) -> Time:
 
 
 def to_stamp(seconds: float) -> Time:
-    """Return seconds as a builtin_interfaces/Time, to the nearest nanosecond.
-
-    Raises:
-        ValueError: outside the 32 bits of seconds that ROS has.
-    """
+    """Return seconds as a builtin_interfaces/Time, to 1 ns; ValueError outside 32 bits."""
     whole = math.floor(seconds)
     nanoseconds = whole * NS + round((seconds - whole) * NS)
     if not -(2**31) <= nanoseconds // NS < 2**31:
@@ -117,11 +113,7 @@ def pose_to_message(pose: Pose2, frame_id: str, stamp: Time) -> PoseStamped:
 def sure_pose_to_message(
     pose: Pose2, covariance: F64, frame_id: str, stamp: Time
 ) -> PoseWithCovarianceStamped:
-    """Return a geometry_msgs/PoseWithCovarianceStamped.
-
-    Args:
-        covariance: (3, 3) float64, of x, y and yaw; metres and radians. The rest stays 0.
-    """
+    """Return a PoseWithCovarianceStamped; covariance (3, 3) of x, y, yaw in metres and radians."""
     message = PoseWithCovarianceStamped(header=Header(frame_id=frame_id, stamp=stamp))
     message.pose.pose = _pose(pose)
     whole = np.zeros((6, 6))
@@ -162,11 +154,7 @@ def path_to_message(
 
 
 def path_from_message(message: Any, name: str) -> Trajectory:
-    """Return a nav_msgs/Path called ``name``, in the frame of the message.
-
-    Raises:
-        TrajectoryError: an invalid pose, or time that goes back.
-    """
+    """Return a nav_msgs/Path in the message's frame; TrajectoryError if it is invalid."""
     poses = [pose2_from_message(item.pose) for item in message.poses]
     rows = np.array([(pose.x, pose.y, pose.yaw_rad) for pose in poses]).reshape(-1, 3)
     return Trajectory(np.array([stamp_s(item) for item in message.poses]), rows, name)
@@ -219,10 +207,7 @@ def grid_to_message(grid: grids.OccupancyGrid, frame_id: str, stamp: Time) -> Oc
 def update_to_message(
     before: grids.OccupancyGrid, grid: grids.OccupancyGrid, header: Header
 ) -> Any:
-    """Return the changed box of a map as a map_msgs/OccupancyGridUpdate.
-
-    None if nothing changed, or if size or origin differ and the whole map must be sent.
-    """
+    """Return the changed box as an OccupancyGridUpdate; None if unchanged or of another lattice."""
     if (before.origin, before.resolution) != (grid.origin, grid.resolution):
         return None
     if before.cells.shape != grid.cells.shape:

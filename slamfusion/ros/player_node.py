@@ -213,10 +213,7 @@ class PlayerNode(NodeBase):
                 return
 
     def _send(self, item: LogScan, following: LogScan | None = None) -> None:
-        """Send a scan with its time, transforms and odometry, the scan last.
-
-        ``following`` adds the odometry of the next scan, for deskewing.
-        """
+        """Send a scan with its time, transforms and odometry, and that of the following scan."""
         settings, scan = self.settings, item.scan
         stamp = messages.to_stamp(scan.stamp_s)
         self._stamp_s = scan.stamp_s
@@ -271,10 +268,7 @@ class PlayerNode(NodeBase):
         self._due_s = due_s
 
     def _wait_for_answers(self, item: LogScan, before_s: float | None) -> None:
-        """Wait until every producer has sent its pose at a scan; SlamFusionError after a timeout.
-
-        ``before_s`` is the stamp of the last scan; None for the first.
-        """
+        """Wait for every producer's pose at a scan; SlamFusionError after a timeout."""
         stamp_s, timeout_s = item.scan.stamp_s, self.settings.lockstep_timeout_s
         until_s = time.monotonic() + timeout_s
         is_jump = before_s is not None and not 0.0 < stamp_s - before_s <= AHEAD_S
@@ -326,10 +320,7 @@ class PlayerNode(NodeBase):
             self.subscribe(DiagnosticArray, DIAGNOSTICS_TOPIC, self._on_diagnostics, qos.STREAM)
 
     def _save(self) -> None:
-        """Write the newest map of every topic once it holds the last scan.
-
-        When the node is stopped early, those received.
-        """
+        """Write the newest maps once they hold the last scan; those received if stopped early."""
         stamp_s = self._stamp_s or 0.0
         is_early = self._is_ending
         self._wait_until(lambda: not self._late(stamp_s), self.settings.save_timeout_s)
@@ -355,10 +346,7 @@ class PlayerNode(NodeBase):
                 write_tum(stem.with_name(f"{stem.name}.tum"), driven)
 
     def _late(self, stamp_s: float) -> list[str]:
-        """Return the topics whose newest map does not hold the scan of a stamp.
-
-        A fused map drawn from scans becomes final later.
-        """
+        """Return the topics whose newest map does not hold the scan of a stamp, or is not final."""
         is_drawn = self._path is not None
         return [
             topic

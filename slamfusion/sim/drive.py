@@ -51,10 +51,7 @@ TRAPPED_M = 1.5
 
 
 class StuckError(SimulationError):
-    """A robot cannot reach waypoint number ``waypoint`` (from 1).
-
-    ``is_trapped``: it hardly left the waypoint before.
-    """
+    """A robot cannot reach ``waypoint`` (from 1); ``is_trapped``: it hardly left the one before."""
 
     def __init__(self, message: str, waypoint: int, *, is_trapped: bool) -> None:
         super().__init__(message)

@@ -52,11 +52,7 @@ def draw_people(space: FreeSpace, count: int, rng: np.random.Generator) -> tuple
 
 
 def walk(people: Sequence[PersonConfig], space: FreeSpace, robot: F64, step_s: float) -> Walks:
-    """Walk people along their paths; one that would come too near to the robot waits.
-
-    Args:
-        robot: (N, 2) positions of the robot, metres, one row a step.
-    """
+    """Walk people along their paths; they wait near the robot, (N, 2) metres, one row a step."""
     places, discs, radii = [], [], []
     for number, person in enumerate(people, start=1):
         way = _there_and_back(person, space, f"waypoint of person {number}")

@@ -84,10 +84,7 @@ def pick_glass(
 
 
 class Canvas:
-    """Cells to draw on, in metres from the lower-left corner; all unknown at first.
-
-    ``cells`` is (H, W) int8, in {-1, 0, 100}; walls are 0.1 m thick, at least one cell.
-    """
+    """Cells (H, W) int8, unknown at first, to draw on in metres from the lower-left corner."""
 
     def __init__(self, width_m: float, height_m: float, resolution: float) -> None:
         self.resolution = resolution
@@ -336,10 +333,7 @@ def _atrium(rng: np.random.Generator, resolution: float) -> Floor:
 
 
 def _yard(rng: np.random.Generator, resolution: float) -> Floor:
-    """[B16]'s outdoor yard: barricades around an irregular place and some across it.
-
-    Beams between the barricades have no return; the outside is unknown.
-    """
+    """[B16]'s outdoor yard: barricades around and across it; beams between them have no return."""
     side = 18.0
     canvas = Canvas(side, side, resolution)
     middle = (side / 2.0, side / 2.0)
@@ -503,10 +497,7 @@ def _pillars(rng: np.random.Generator, resolution: float) -> Floor:
 
 
 def _wings(rng: np.random.Generator, resolution: float) -> Floor:
-    """Two identical wings on one side of a plain hallway.
-
-    The drive leads through the first wing, the second, and the first again.
-    """
+    """Two identical wings on a plain hallway; the drive visits the first, the second, the first."""
     wide, deep, apart, way = 8.0, 9.0, 3.0, 2.4
     wing = Canvas(wide, deep, resolution)
     wing.fill((0.0, 0.0, wide, deep), FREE)
@@ -536,10 +527,7 @@ def _wings(rng: np.random.Generator, resolution: float) -> Floor:
 
 
 def _rooms(rng: np.random.Generator, resolution: float) -> Floor:
-    """Eight identical rooms in a row along a plain corridor.
-
-    The drive leads into every room and back into some of them.
-    """
+    """Eight identical rooms along a plain corridor; the drive returns to some of them."""
     count, side, way = 8, 4.0, 2.0
     door, turn = (side / 2.0, 0.0), (side / 2.0, side / 2.0)
     room = Canvas(side, side, resolution)

@@ -121,10 +121,7 @@ class OpenBag:
         return [f"{topic} ({kinds[topic]}, {self.count(topic)})" for topic in sorted(kinds)]
 
     def described_frames(self) -> list[str]:
-        """Return the frame of each laser's scans, and each transform as ``parent > child``.
-
-        Only the first messages of each topic are read.
-        """
+        """Return each laser's frame, and each ``parent > child``, of the first messages."""
         found: dict[str, None] = {}
         for topic in self.topics(SCAN_TYPES):
             frames = (item.content.header.frame_id for item in self.messages(topic) if item.content)
