@@ -70,6 +70,8 @@ CORRECTED_S = 1.0
 # metres and radians.
 CORRECTION_M, CORRECTION_RAD = 0.05, 0.02
 STEP_M, STEP_RAD = 0.01, 0.005
+# The last scans are added to the walls, where they were located, each time so many more were.
+ADDED_SCANS = 5
 # A stamp that goes back by more, seconds, is that of a new drive.
 BACK_S = 1.0
 # After a solution of the window there is a rest this many times as long as it took, and at least so
@@ -201,9 +203,13 @@ class LiveDrive:
         # The stamp of the last scan that a solution of the whole drive has.
         self._whole_until_s = -np.inf
         self._doubted_since_s: Mapping[str, float] = {}
-        # The walls of the solution that was taken, and by input the motion of its map frame into
-        # the fused frame with the covariance of the pose that it gives.
+        # The walls of the solution that was taken, and with what was seen since; the last scans
+        # that have a pose, with it; and by input the motion of its map frame into the fused frame
+        # with the covariance of the pose that it gives.
         self._walls: WallMap | None = None
+        self._grown: WallMap | None = None
+        self._located: list[tuple[ScanHits, F64]] = []
+        self._added = 0
         self._corrections: dict[str, tuple[Pose2, F64]] = {}
 
     # -- what comes, from any thread ---------------------------------------------------------------
@@ -261,14 +267,19 @@ class LiveDrive:
         self._generation += 1
         self._scans.clear()
         self._poses.clear()
-        self._walls, self._corrections = None, {}
+        self._walls = self._grown = None
+        self._located, self._corrections = [], {}
 
     # -- where the robot is, from any thread -------------------------------------------------------
 
     def take(self, solution: DriveSolution) -> None:
         """Locate poses by a solution from now on."""
+        path = solution.path
         with self._lock:
-            self._walls = solution.walls
+            self._walls = self._grown = solution.walls
+            recent = [one.hits for one in self._scans[-2 * LEAST_SCANS :]]
+            near, meets = path.matches(np.array([own.stamp_s for own in recent]))
+            self._located = [(recent[at], path.poses[near[at]]) for at in np.flatnonzero(meets)]
             self._corrections = {
                 name: (motion, _variances(CORRECTION_M, CORRECTION_RAD))
                 for name, motion in solution.supported.items()
@@ -278,13 +289,14 @@ class LiveDrive:
         """Return where a new pose of an input has the robot; None where the scans do not say it.
 
         The pose is carried into the fused frame as the last one was, and the scan of its stamp is
-        matched to the walls of the solved path from there. A scan that does not fit leaves it.
+        matched to the walls of the solved path, and to those that were seen since, from there. A
+        scan that does not fit leaves it.
 
         Args:
             pose: of the robot in the map frame of the input.
         """
         with self._lock:
-            walls, last = self._walls, self._corrections.get(name)
+            walls, last = self._grown, self._corrections.get(name)
             recent = (one.hits for one in self._scans[: -LEAST_SCANS - 1 : -1])
             scan = next((own for own in recent if abs(own.stamp_s - stamp_s) <= SAME_STAMP_S), None)
         if last is None:
@@ -300,7 +312,26 @@ class LiveDrive:
         with self._lock:
             if self._corrections.get(name) is last:
                 self._corrections[name] = located.compose(pose.inverse()), found.covariance
+                self._add_located(scan, found.pose)
         return LocatedPose(located, found.covariance, is_matched=True)
+
+    def _add_located(self, scan: ScanHits, pose: F64) -> None:
+        """Add a scan to the walls where it was located: no solution has seen a new room yet."""
+        own = self._located
+        if self._walls is None or (own and scan.stamp_s <= own[-1][0].stamp_s):
+            return
+        own.append((scan, pose))
+        del own[: -2 * LEAST_SCANS]
+        self._added += 1
+        last = own[-LEAST_SCANS:]
+        if self._added % ADDED_SCANS or len(last) < CHUNKS:
+            return
+        scans = judged_hits([one for one, _ in last])
+        path = Trajectory(scans.stamps_s, np.array([row for _, row in last]), FUSED)
+        seen = WallMap.of(scans, path)
+        if seen is not None:
+            lattices = (*self._walls.lattices, *seen.lattices)
+            self._grown = WallMap(lattices, self._walls.spread_m)
 
     def _thin_out(self) -> None:
         """Drop every second scan before the window, and the poses that belong to none."""

@@ -339,3 +339,20 @@ def test_new_poses_are_located_on_the_solved_walls(device: ComputeDevice) -> Non
     assert np.all(np.diag(later.covariance) > np.diag(found.covariance))
     robot.live.forget()
     assert robot.live.locate("a", 1e3, drifted) is None
+
+
+def test_a_new_room_is_matched_before_a_solution_has_seen_it(device: ComputeDevice) -> None:
+    robot = Robot(device)
+    for at, item in enumerate(robot.scans):  # a short sight
+        ranges = np.where(item.scan.ranges < 2.5, item.scan.ranges, np.inf).astype(np.float32)
+        robot.scans[at] = replace(item, scan=replace(item.scan, ranges=ranges))
+    robot.drive_to(30)
+    robot.live.take(solved(robot, lattice=LATTICE, transforms=in_frame_of_a()))
+    for step in range(30, SCANS):
+        drifted = Pose2(0.0, 0.003 * (step - 30), 0.0).compose(robot.pose_of("a"))
+        robot.drive_to(step + 1, "")
+        found = robot.live.locate("a", robot.scans[step].scan.stamp_s, drifted)
+        assert found is not None
+        assert found.is_matched, step
+        truth = robot.truth[step]
+        assert math.dist((found.pose.x, found.pose.y), (truth.x, truth.y)) < 0.05, step
