@@ -1,10 +1,8 @@
 """Everything that runs once per cell, per point or per candidate pose, on a compute device.
 
-Each family of operations (``fields``, ``search``, ``votes``, ``rays``, ``tiles``, ``scan_match``,
-``cell_means``, ``hit_counts``, ``chunk_marks``, ``wall_pieces``) is one module:
-an operation is a method that launches kernels on an OpenCL device and otherwise computes the same
-with NumPy. ``ComputeDevice`` has all of them, and ``open_device`` chooses the device.
-pyopencl is imported here only, and only when an OpenCL device is asked for.
+Each family of operations is one module: an operation is a method that launches kernels on an OpenCL
+device and otherwise computes the same with NumPy. ``ComputeDevice`` has all of them, and
+``open_device`` chooses the device. pyopencl is imported only if an OpenCL device is requested.
 """
 
 from __future__ import annotations
@@ -35,12 +33,12 @@ __all__ = [
 def open_device(wanted: str = "auto", *, small_kernels: bool = False) -> ComputeDevice:
     """Return the compute device that ``wanted`` names.
 
-    If PoCL would be chosen and can keep its kernels nowhere, ``auto`` means NumPy; it is logged.
+    If PoCL would be chosen but cannot store its kernels, ``auto`` means NumPy; it is logged.
 
     Args:
         wanted: ``auto``, ``numpy``, an index of ``slamfusion devices``, or part of a name.
-        small_kernels: the work is many kernels of well below a millisecond, one after the other.
-            Their thread holds Python's lock meanwhile, so it is not for a process that has more.
+        small_kernels: the work is many kernels of well below a millisecond in sequence. Their
+            thread holds Python's lock meanwhile, so it is not for a process with further threads.
 
     Raises:
         DeviceError: pyopencl or the device is missing, or its kernels do not build.

@@ -1,9 +1,9 @@
-"""Cell means: maps whose cells keep a mean of what scans told them.
+"""Cell means: maps whose cells keep a mean of their observations.
 
 tinySLAM's map (a beam leaves a valley around its hit) and the likelihood field of the graph's
-submaps (how near a scan's hits come) share the way: a scan is marked into a pool of words, then
-what was marked is integrated, so that each cell learns once a scan. Pools are (T, TILE, TILE); the
-rule says which a map has, and how it learns.
+submaps (distance to the hits) work alike: a scan is marked into a pool of words, then the marks are
+integrated, so that each cell is updated once per scan. Pools are (T, TILE, TILE); the rule names
+the pools of a map and its update.
 
 ``kernels/cell_means.cl`` computes the same on an OpenCL device, bit for bit.
 """
@@ -47,16 +47,13 @@ class ScanRule(NamedTuple):
 
     Pools: ``observed`` uint32, ``valley`` uint32 states with the blur, for the matcher,
     ``published`` uint32 states without the blur and without what lies behind hits, ``field`` uint8:
-    how much of a wall the valley is. Beams are (B, 6) int32: x, y of the hit and of the laser and
-    the length between them in 1/1024 cell, the value at the ridge of the valley, 0 to 4095. Of what
-    a cell is told the strongest word stays: a hit over the greatest value over in front over
-    behind.
+    the length between them in 1/1024 cell, the value at the ridge of the valley, 0 to 4095. The
+    strongest word of a cell stays: a hit over the greatest value over in front over behind.
 
     Attributes:
         half_blur: half width of the valley around a hit, 1/1024 cell.
         behind: least value that is written behind a hit, 0 to 4095.
         free: value of a passed cell for the matcher, 0 to 4095.
-        map_free: the same for the published map.
         quality: weight of the scan, in 1/1024.
         is_mean: cell model ``mean``; otherwise ``base``.
         wall_floor: mean of a cell, in 1/2^20, up to which the score field is 0.
@@ -123,7 +120,7 @@ def _walks(beams: I32, half_blur: int) -> _Walks:
 
 
 def _valley_words(beams: I32, rule: ScanRule) -> tuple[I64, I64, I64]:
-    """Return row, column and word of every cell that beams tell something."""
+    """Return row, column and word of every cell that beams observe."""
     w = _walks(beams, rule.half_blur)
     away = (np.abs(w.i) * w.step) >> WALK_TO_BEAM_SHIFT
     half = max(1, rule.half_blur)
@@ -138,7 +135,7 @@ def _valley_words(beams: I32, rule: ScanRule) -> tuple[I64, I64, I64]:
 
 
 def _likelihood_words(beams: I32, rule: LikelihoodRule) -> tuple[I64, I64, I64]:
-    """Return the same; a passed cell learns that nothing was near."""
+    """Return the same; passed cells receive the value of no hit nearby."""
     w = _walks(np.column_stack((beams, np.zeros((len(beams), 2), dtype=np.int32))), 0)
     passed = w.i >= 1
     around = np.arange(-rule.reach, rule.reach + 1)
@@ -204,7 +201,7 @@ class CellMeanDevice(ArrayDevice):
         rule: ScanRule | LikelihoodRule,
         wanted: DeviceArray[np.int32],
     ) -> bool:
-        """Write into ``observed``, in place, what the beams of a scan say of their cells.
+        """Write into ``observed``, in place, the words of a scan's beams.
 
         Args:
             pools: of the rule's kinds; ``observed`` is 0 before.
@@ -251,7 +248,6 @@ class CellMeanDevice(ArrayDevice):
 
         Args:
             pools: ``observed`` as ``mark_scan`` left it; it becomes 0.
-            pages, beams, rule: as for ``mark_scan``.
         """
         if self.opencl:
             height, width = pages.shape
@@ -280,7 +276,7 @@ class CellMeanDevice(ArrayDevice):
 
 
 def _words(beams: I32, rule: ScanRule | LikelihoodRule) -> tuple[I64, I64, I64]:
-    """Return row, column and word of every cell that beams tell something."""
+    """Return row, column and word of every cell that beams observe."""
     if isinstance(rule, ScanRule):
         return _valley_words(beams, rule)
     return _likelihood_words(beams, rule)

@@ -1,9 +1,10 @@
 """Chunk marks: which parts of a drive hit a cell, which saw it, and what the others hit nearby.
 
-A drive is cut into up to 32 chunks, and a cell keeps one bit for each: a word of ``hits`` says
-which chunks' beams ended in it, a word of ``seen`` which passed or ended. One map then is, for each
-chunk, the map of all others: leave its bits out. The map is one page table (PH, PW) int32 and pools
-(T, TILE, TILE) uint32; see ``slamfusion.compute.tiles``. Cells of pages without a tile stay empty.
+A drive is cut into up to 32 chunks, and a cell keeps one bit for each: a word of ``hits`` has the
+chunks whose beams ended in it, a word of ``seen`` those whose beams passed or ended in it. Without
+the bits of a chunk the map is that of all others. The map is one page table (PH, PW) int32 and
+pools (T, TILE, TILE) uint32; see ``slamfusion.compute.tiles``. Cells of pages without a tile stay
+empty.
 
 There is at least one beam and one page.
 

@@ -226,7 +226,6 @@ def full_field(counts: U32, sums: U32, rule: FieldRule) -> U8:
     Args:
         counts: (H, W) uint32.
         sums: (H, W) uint32.
-        rule: see ``FieldRule``.
 
     Returns:
         (H, W) uint8.
@@ -284,7 +283,6 @@ class HitCountDevice(ArrayDevice):
 
         Args:
             pages: (N, PH, PW) int32; only its shape counts.
-            scan: see ``BeamScan``.
             reach: cells, 0 to 16: as far from the walked cells as will be written.
 
         Returns:
@@ -378,11 +376,9 @@ class HitCountDevice(ArrayDevice):
         around those that are no longer occupied: if it was ``full_field`` before, it is afterwards.
 
         Args:
-            counts, sums, pages, scan: as for ``count_beams``.
             field: (T, TILE, TILE) uint8.
             touched: (N, PH, PW) uint8, on the host: what ``touch_pages`` returns for this scan and
                 ``rule.reach``.
-            rule: see ``FieldRule``.
 
         Returns:
             As ``count_beams``.

@@ -40,7 +40,7 @@ def fixed_cells(pose: I64, x2: I64, y2: I64) -> tuple[I64, I64]:
 
 
 def narrow_motions(points: I32, poses: I64) -> tuple[I32, I32, int]:
-    """Return points about their middle and poses in 32 bits, with as many bits as these leave.
+    """Return points about their middle and poses in 32 bits, with the remaining fraction bits.
 
     Args:
         points: (N, 2) int32 lattice positions, x and y in half cells.
@@ -51,7 +51,7 @@ def narrow_motions(points: I32, poses: I64) -> tuple[I32, I32, int]:
         given ones move the given points; and the bits of a place below a whole cell. A map of 2000
         cells is read within 0.01 cells of where the 64 bits read it.
     """
-    # All by columns, each one stretch of memory, which is what makes minima and sums quick.
+    # All by columns, each contiguous, which makes minima and sums quick.
     near = np.array(points.T, dtype=np.int64, order="C")
     middle = np.zeros(2, np.int64)
     if len(points):

@@ -140,7 +140,6 @@ class OpenCLDevice(ComputeDevice):
 
     Attributes:
         wanted: what it was opened by, see ``open_device``.
-        device, context, queue: pyopencl's own.
         shares_memory: a CPU device, which reads and writes the host's arrays where they are.
 
     Raises:

@@ -1,20 +1,19 @@
 """Let the PoCL of the wheel build kernels on newer processors, and offer both of its devices.
 
 The wheel brings PoCL 3.0 with LLVM 14 of 2022. On a processor that LLVM does not know (AMD Zen 5,
-for example) it asks its own compiler for the processor "generic", which that compiler refuses, so
-that no kernel builds ("unknown target CPU 'generic'", PoCL issue 1049). PoCL 3.0 has no setting for
-it. What the processor can do is known from its feature flags, so the one function of the library
-that names the processor is replaced, in this process's memory and before PoCL is first asked for
-its devices, by one that returns the best name which both sides know. Nothing is written to disk,
-and where PoCL knows the processor, or comes from elsewhere, nothing is touched.
+for example) PoCL requests the processor "generic", which its compiler rejects, so that no kernel
+builds ("unknown target CPU 'generic'", PoCL issue 1049). PoCL 3.0 has no setting for it. So the one
+function of the library that names the processor is replaced, in this process's memory and before
+PoCL lists its devices, by one that returns the best known name for the processor's feature flags.
+Nothing is written to disk, and other installations of PoCL are not changed.
 
-It is done only to a library that was looked at: its SHA-256 stands in ``CHECKED``, and the function
-starts as it did then. The first command of an installation reports it, and ``slamfusion doctor``
-always does. ``SLAMFUSION_PATCH_POCL=0`` switches it off; 1 agrees to it without a report. Where it
-is needed and not done, the wheel's devices cannot be used, and ``PoclState`` says what to install.
+Only libraries that were examined are changed: the SHA-256 is in ``CHECKED``, and the function
+starts as recorded there. The first command of an installation reports it, and ``slamfusion doctor``
+always does. ``SLAMFUSION_PATCH_POCL=0`` switches it off; 1 agrees to it without a report. Without a
+needed change the wheel's devices cannot be used, and ``PoclState`` says what to install.
 
-PoCL has two devices for one processor. ``pthread``, the one it shows, hands each kernel to threads
-of its own; ``basic`` runs it in the thread that asks, which takes a tenth of a millisecond less.
+PoCL has two devices for one processor: ``pthread``, the default, runs kernels in its own threads;
+``basic`` runs them in the calling thread, a tenth of a millisecond faster.
 """
 
 from __future__ import annotations

@@ -1,10 +1,9 @@
-"""A folder that PoCL can write the kernels to that it builds, found before it is first asked.
+"""Find a folder in which PoCL can store its kernels, before it is first used.
 
-PoCL keeps every kernel in a cache of files and reads it from there. Where a file cannot be written
-it says that there is no device, or that a kernel does not build; where the disk is full, its
-compiler ends the whole process. So the room is tried first: in PoCL's own folder; else in a
-temporary one, where kernels are kept for this process only; and where that is full too, PoCL is not
-used, and ``open_device`` takes NumPy where any device will do.
+PoCL keeps every kernel in a cache of files. If a file cannot be written it reports that there is no
+device, or that a kernel does not build; on a full disk its compiler ends the process. So the space
+is checked first: in PoCL's own folder, else in a temporary one for this process; if that is full
+too, PoCL is not used, and ``open_device`` takes NumPy unless a device was named.
 """
 
 from __future__ import annotations

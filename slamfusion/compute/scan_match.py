@@ -77,7 +77,6 @@ class ScanMatchDevice(ArrayDevice):
         """Sum the score field under a scan's points at each candidate pose.
 
         Args:
-            field, pages, points: see ``ScanMatchDevice``.
             poses: (N, 4) float32: x, y in cells of the window, cos, sin.
             reach: 0 interpolates between cell centres, in sixteenths; otherwise the greatest of
                 five cells counts: the one under the point and four, ``reach`` cells away
@@ -124,7 +123,6 @@ class ScanMatchDevice(ArrayDevice):
         weighted squares of the distances from it plus its own loss.
 
         Args:
-            field, pages, points: see ``ScanMatchDevice``.
             hypotheses: (K, 7) float32: x, y, yaw, the weights of their squares, its own loss.
             starts: (G, 5) float32: x, y in cells of the window, yaw, cos, sin.
             steps: (R, G, 5) float32: dx, dy, dyaw, cos and sin of dyaw. R at least 1.
@@ -181,7 +179,6 @@ class ScanMatchDevice(ArrayDevice):
         a map.
 
         Args:
-            field, pages, points: see ``ScanMatchDevice``.
             hypotheses: (N, 7) float32, as for ``climb``.
             starts: (N, 5) float32: x, y in cells of the window, yaw, cos, sin.
             sizes: (S, 4) float32: cells, radians, their cos and sin; largest first.
@@ -233,7 +230,6 @@ class ScanMatchDevice(ArrayDevice):
         """Sum what a table makes of the smooth score field under the points, on each of many maps.
 
         Args:
-            field, pages, points: see ``ScanMatchDevice``.
             poses: (N, K, 4) float32: x, y in cells of the window, cos, sin.
             table: (256,) int32.
 

@@ -1,13 +1,12 @@
-"""Closures that bear each other out: the ones to believe first when some may be false.
+"""Closures that support each other: the first to accept when some may be false.
 
-Two closures that lie near each other at both ends form a short loop with the odometry between
-their ends. Whether that loop closes is asked of few poses only, so neither drift nor false closures
-elsewhere have a say, and it is done for all pairs at once: the covariance of the odometry between
-any two poses is a difference of two sums along the path.
+Two closures that are near each other at both ends form a short loop with the odometry between their
+ends. That loop depends on few poses, so drift and false closures elsewhere do not matter. All pairs
+are checked at once: the covariance of the odometry between two poses is a difference of two sums
+along the path.
 
-The idea of asking pairs is that of Mangelson, Dominic, Eustice and Vasudevan, Pairwise Consistent
-Measurement Set Maximization, ICRA 2018; here pairs are near and all of them count, instead of a
-largest clique of any.
+Checking pairs follows Mangelson, Dominic, Eustice and Vasudevan, Pairwise Consistent Measurement
+Set Maximization, ICRA 2018; here pairs are near and all of them count, instead of a largest clique.
 """
 
 from __future__ import annotations
@@ -24,29 +23,28 @@ from slamfusion.pose_graph.uncertainty import inverted, moved, turned
 
 Indices = npt.NDArray[np.int64]
 
-# Poses between the ends of two closures that are near: at first, and at most where few find mates.
+# Poses between the ends of two near closures: at first, and at most if few have mates.
 NEAR_POSES, FAR_POSES = 20, 160
-# The reach is widened until this share of the closures is borne out.
+# The range is widened until this share of the closures is supported.
 ENOUGH = 0.5
 # Quantiles of chi-square with 3 degrees of freedom: 0.5 and 0.99.
 MEDIAN, LARGE = 2.366, 11.345
-# A loop closes when its error is at most this many times that of the typical one that closes.
-# Information that is too cautious would otherwise let loops close by chance.
+# A loop closes if its error is at most this many times that of the typical closing loop. Otherwise
+# too cautious information would let loops close by chance.
 TYPICAL_TIMES = 20.0
 # Loops looked at together, and the most to be looked at, counted both ways round.
 PAIRS_AT_ONCE, MOST_PAIRS = 100_000, 2_000_000
-# Fewer loops than this say nothing of what is typical.
+# With fewer loops the typical error is unknown.
 FEWEST_LOOPS = 20
 
 
 @dataclass(frozen=True, eq=False)
 class Consensus:
-    """What the closures say of each other.
+    """The mutual support of closures.
 
     Attributes:
         mates: (C,) int64, others with which the closure closes a short loop.
-        scale: how large the squared errors of such loops are, relative to what the information
-            promises; 1 where there are too few to tell.
+        scale: the squared errors of such loops relative to the information; 1 if there are too few.
     """
 
     mates: Indices
@@ -54,11 +52,7 @@ class Consensus:
 
 
 def find_consensus(measured: Measurements, may_be_outlier: npt.NDArray[np.bool_]) -> Consensus:
-    """Find the possible outliers that bear each other out.
-
-    Args:
-        may_be_outlier: (M,) bool; C of them are.
-    """
+    """Find the possible outliers, (M,) bool, that support each other."""
     edges, motions = measured.edges, measured.motions
     covariances = inverted(measured.information)
     odometry = _Odometry.of(edges, motions, covariances, ~may_be_outlier)
@@ -174,8 +168,8 @@ class _Closures:
 def _loop_errors(odometry: _Odometry, closures: _Closures, pairs: Indices) -> F64:
     """Return the squared errors of the loops that pairs of closures make, in their deviations.
 
-    The later pose of a pair's one closure is placed twice in the frame of the odometry: by that
-    closure, and by way of the other. Infinite where odometry does not lead from end to end.
+    The later pose of one closure is placed twice in the frame of the odometry: by that closure, and
+    through the other. Infinite if odometry does not connect the ends.
     """
     one, other = pairs.T
     poses = odometry.poses

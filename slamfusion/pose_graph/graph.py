@@ -78,13 +78,10 @@ def part_labels(edges: npt.NDArray[np.int64], count: int) -> tuple[int, npt.NDAr
 
 
 def loop_closing(edges: npt.NDArray[np.int64], count: int) -> npt.NDArray[np.bool_]:
-    """Tell which edges close a loop on top of odometry, (M,) bool.
+    """Return which edges, (M, 2) from and to, close a loop on top of odometry, (M,) bool.
 
-    Edges between consecutive poses, in either direction, are odometry. Of the others, taken in
-    order, one that joins two parts not joined so far closes no loop.
-
-    Args:
-        edges: (M, 2), from and to.
+    Edges between consecutive poses, in either direction, are odometry. Of the others, in order, one
+    that joins two separate parts closes no loop.
     """
     is_closure = np.asarray(np.abs(edges[:, 1] - edges[:, 0]) != 1)
     is_closure[joining(edges, is_closure, count)] = False
@@ -94,17 +91,9 @@ def loop_closing(edges: npt.NDArray[np.int64], count: int) -> npt.NDArray[np.boo
 def joining(
     edges: npt.NDArray[np.int64], is_closure: npt.NDArray[np.bool_], count: int
 ) -> npt.NDArray[np.int64]:
-    """Return the indices of the closures that join parts which the other edges leave apart.
+    """Return the indices, rising, of closures that join parts which the other edges leave apart.
 
-    Each joins two parts that those before it leave apart. One fewer than there are parts, where the
-    whole graph is one.
-
-    Args:
-        edges: (M, 2), from and to.
-        is_closure: (M,) bool.
-
-    Returns:
-        (K,) int64, rising.
+    Each joins two parts that the previous ones leave apart.
     """
     parts, labels = part_labels(edges[~is_closure], count)
     between = labels[edges]
@@ -134,7 +123,7 @@ def chained_poses(graph: PoseGraph, root: int = 0) -> F64:
 
 
 def disconnected(parts: int) -> str:
-    """Return what to say of a graph in several parts."""
+    """Return the message for a graph in several parts."""
     return f"the graph is in {parts} parts that no edge joins; optimise each part on its own"
 
 

@@ -456,7 +456,6 @@ class _Walk:
         best: (N, 3) poses of the least cost so far.
         costs: of the start and of each place that was better than those before.
         poses: (N, 3) where the next step starts.
-        damping: of that step.
         risen: steps since ``best``, each of them for the worse.
     """
 

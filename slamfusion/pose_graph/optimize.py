@@ -36,7 +36,6 @@ class Optimized:
             that cannot be an outlier, below 0.5 for outliers.
         chi2: sum of the squared errors in their deviations, weighted.
         chi2_all: the same with every weight 1.
-        chi2_start: the same of the graph's own poses.
         is_converged: the last descent ended because another step would change next to nothing.
         is_reevaluated: all closures were weighed; False where an earlier inlier set stands.
     """
@@ -71,7 +70,6 @@ def optimize_in_steps(
     """Find the poses with the least sum of squared errors, in their deviations (chi-square).
 
     Args:
-        graph: poses and measurements, all joined.
         robust: how closures that may be false are found; ``none`` believes all of them. See
             ``slamfusion.pose_graph.robust``.
         start: where to descend from: the graph's own poses (``given``), those along the odometry,

@@ -1,22 +1,19 @@
 """Optimise a graph some of whose closures may be false.
 
-What decides is the truncated sum of squares: an edge that may be an outlier counts at most
-``limit``.
-It has many minima, and which one is found depends on where the search starts. Three searches:
+An edge that may be an outlier counts at most ``limit`` in the (truncated) sum of squares. It has
+many minima, and the start of the search decides which one is found. Three searches:
 
-- ``consensus``: start from the closures that bear each other out (``consensus.py``), then let in,
-  one round after the other, what agrees with the graph so far within its own uncertainty. Where
-  that is large, false closures agree by chance: one that stands alone has to agree better.
-- ``gnc``: from given poses, keep the closures that fit there and let in what agrees. Where some are
-  left or no poses are given: from the odometry, with all closures at once but softly, and harden;
-  then let in what agrees. Whichever is better.
+- ``consensus``: start from the closures that support each other (``consensus.py``), then add in
+rounds what agrees with the graph within its own uncertainty. If that is large, false closures agree
+by chance, so an unsupported one has to agree better.
+- ``gnc``: from given poses, keep the closures that fit there and add what agrees. If some are left
+or no poses are given: from the odometry, with soft weights of all closures that harden; then add
+what agrees. The better of the two.
 - ``dcs``: from all closures, each weakened by its own error.
 
-A graph that grows is solved again and again. The outliers of the last solution are not re-evaluated
-as long as all other closures fit, or all but a few where that is tolerated: the inlier set stands,
-and costs no more than a plain descent.
-
-Searches are ``Steps``: a caller that has other work to do takes a few of them at a time.
+A growing graph is solved repeatedly. The outliers of the last solution are not re-evaluated while
+all other closures fit, except for a tolerated few: the inlier set stands, at the cost of a plain
+descent. Searches are ``Steps``, so a caller can interleave other work.
 
 Sources: Yang, Antonante, Tzoumas and Carlone, Graduated Non-Convexity for Robust Spatial
 Perception, RA-L 2020 (truncated least squares); Agarwal, Tipaldi, Spinello, Stachniss and Burgard,
@@ -45,34 +42,32 @@ from slamfusion.pose_graph.uncertainty import Gates, Uncertainty, gates
 
 Mask = npt.NDArray[np.bool_]
 
-# Squared error from which on a closure is false: the quantile 0.999 of chi-square, 3 degrees.
+# Squared error above which a closure is false: the quantile 0.999 of chi-square, 3 degrees.
 LIMIT = 16.27
-# Where the information is too cautious the limit is lower: this many times the scale of the loops
-# that closures make with each other, but at least the second number. The largest errors of true
-# closures lie at a sixth of that or lower on the public graphs.
+# If the information is too cautious the limit is lower: this many times the scale of the closures'
+# loops with each other, but at least the second number.
 LIMIT_PER_SCALE, SMALLEST_LIMIT = 240.0, 4.0
 # Weights get harder by this factor with each step.
 HARDENING = 1.6
-# So hard that only errors within a hundredth of the limit are still in between.
+# At this hardness only errors within a hundredth of the limit are in between.
 HARD = 100.0
-# Share of the edges that may have lost all weight before the equations are laid out without them.
+# Share of edges without weight at which the equations are rebuilt without them.
 SUPERFLUOUS = 0.01
-# Times that closures are let in and out until those used are those that fit.
+# The most rounds of adding and removing closures until those used are those that fit.
 SETTLING = 5
-# Mean error of the closures, in the scale of their loops, from which on the graph looks bent; that
-# of true ones is at most 5 on the public graphs.
+# Mean error of the closures, in the scale of their loops, above which the graph looks bent.
 STRAIN = 12.0
 # Share of the closures that may be left out when all of them are tried at once.
 FEW_LEFT = 0.05
-# Closures outside the graph that are asked whether they agree with it, those nearest to it.
+# Outside closures that are checked against the graph at once, the nearest first.
 GATED_AT_ONCE = 300
-# They agree up to half of the above in deviations of closure and graph together; true ones lie far
-# below, false ones anywhere, so the graph grows by the best first and knows more each time.
+# Closures agree up to half of the above in deviations of closure and graph together. The graph
+# grows by the best first, which makes it more certain.
 SMALLEST_AGREEMENT = 1.0
 AGREEMENT_SHARES = (1.0 / 64.0, 1.0 / 16.0, 1.0 / 4.0, 1.0)
 HOPELESS_TIMES = 10.0
-# Where the graph is badly known, false ones agree with it by chance. One that no other bears out is
-# let in where, given how many do not agree, so few false ones are to be expected to agree as well.
+# If the graph is uncertain, false closures agree by chance. An unsupported one is added if at most
+# this number of false ones is expected to agree as well.
 BY_CHANCE = 0.05
 # The square of an error from which dynamic covariance scaling starts to weaken an edge.
 SCALING_FROM = 5.0
@@ -85,7 +80,6 @@ class Problem:
     """A graph to be optimised.
 
     Attributes:
-        measured: all M edges.
         poses: (N, 3), of which only those that are held count where a start is looked for.
         may_be_outlier: (M,) bool; the others alone join all poses.
         was_outlier: (M,) bool, outliers of an earlier solution; None where there is
@@ -142,11 +136,7 @@ class InlierSet:
 
 
 def consensus(problem: Problem, start: F64 | None = None) -> Steps[InlierSet]:
-    """Start from closures that bear each other out and grow from there.
-
-    Args:
-        start: (N, 3) poses to descend from; default: found from the edges.
-    """
+    """Start from the closures that support each other and grow from there."""
     if start is not None and problem.was_outlier is not None:
         earlier = _Search(problem, LIMIT)
         yield from earlier.keep_what_fits(start)
@@ -178,13 +168,10 @@ def consensus(problem: Problem, start: F64 | None = None) -> Steps[InlierSet]:
 
 
 def gnc(problem: Problem, start: F64 | None = None) -> Steps[InlierSet]:
-    """Believe what fits given poses and what agrees with that; or harden all closures.
+    """Accept what fits given poses (N, 3) and what agrees with that; or harden all closures.
 
-    Args:
-        start: (N, 3) poses to descend from; default: along the odometry, where nothing fits yet.
-
-    All closures are hardened from the odometry even if there are given poses: from these, what was
-    believed so far would be believed again, however many contradict it.
+    Without ``start``, and to harden, the descent starts at the odometry: from given poses
+    everything accepted so far would be accepted again, however many closures contradict it.
     """
     search = _Search(problem, LIMIT)
     if start is not None:
@@ -257,7 +244,7 @@ class _Search:
         return InlierSet(self.poses, weights, self._iterations, self._is_converged)
 
     def propose(self, closures: Mask, start: F64 | None, *, at_once: bool = True) -> Steps[bool]:
-        """Fit some closures, leave out those that do not go with the rest, keep what is better."""
+        """Fit some closures, leave out those that disagree with the rest, keep what is better."""
         if at_once or start is None:
             descent = yield from self._fit(closures, start)
             squares = self._problem.measured.squared_errors(descent.poses)
@@ -297,14 +284,14 @@ class _Search:
         return bool(0 < left_out.sum() <= FEW_LEFT * self._problem.may_be_outlier.sum())
 
     def try_all(self, start: F64 | None) -> Steps[None]:
-        """Believe all closures if they can all be fitted."""
+        """Accept all closures if they can all be fitted."""
         descent = yield from self._fit(self._problem.may_be_outlier, start)
         squares = self._problem.measured.squared_errors(descent.poses)
         if not (squares[self._problem.may_be_outlier] > self._limit).any():
             self._keep_better(descent, squares, self._problem.may_be_outlier)
 
     def grow(self, agreement: float, alone: Mask | None = None) -> Steps[None]:
-        """Let in closures that agree with the graph, the best first, until none does."""
+        """Add closures that agree with the graph, the best first, until none does."""
         fitting = self._outside() & (self._squares <= self._limit)
         if fitting.any() and not (yield from self.propose(self.used | fitting, self.poses)):
             return
@@ -319,7 +306,7 @@ class _Search:
             while True:
                 agrees = found.errors <= share * agreement
                 if alone is not None and agrees.any():
-                    # Closures that are not asked are as often false as those that are.
+                    # Closures that are not checked are false as often as those that are.
                     others = (~self.used[first_asked]).sum() - (found.errors <= agreement).sum()
                     false = known_false.sum() + others * len(asked_about) / len(first_asked)
                     agrees &= ~alone[asked] | (false * found.chances <= BY_CHANCE)
@@ -329,7 +316,7 @@ class _Search:
                 admitted[asked[agrees]] = True
                 if not (yield from self.propose(admitted, self.poses)):
                     return
-                # What was far off will not agree once the graph is known better.
+                # Closures that were far off will not agree later.
                 asked = asked[(found.errors <= HOPELESS_TIMES * agreement) & ~agrees]
                 found = self._against_graph(asked)
                 yield
@@ -339,7 +326,7 @@ class _Search:
         return self._problem.may_be_outlier & ~self.used
 
     def _against_graph(self, asked: npt.NDArray[np.int64]) -> Gates:
-        """Ask edges outside the graph whether they agree with it, given how well it is known."""
+        """Check outside edges against the graph, given its uncertainty."""
         if len(asked) == 0:
             return Gates(np.zeros(0), np.zeros(0))
         _, equations = self._equations_of(self._trusted | self.used, superfluous=0.0)

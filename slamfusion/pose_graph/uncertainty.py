@@ -59,8 +59,7 @@ Indices = npt.NDArray[np.int64]
 # Pairs solved for together: more no longer fit the cache.
 PAIRS_AT_ONCE = 6
 # Half axes of the ellipsoid of all motions: this number of deviations of the places, and half a
-# turn. It holds as much as is needed for motions between two places drawn at random (normal) near
-# none.
+# turn.
 ROOM_DEVIATIONS = math.sqrt(6.0)
 
 
@@ -129,11 +128,7 @@ class Uncertainty:
 
 
 def gates(uncertainty: Uncertainty, poses: F64, candidates: Measurements) -> Gates:
-    """Ask edges how they agree with a graph.
-
-    Args:
-        poses: (N, 3), of the same graph.
-    """
+    """Check edges against a graph at its poses (N, 3)."""
     if len(candidates) == 0:
         return Gates(np.zeros(0), np.zeros(0))
     measured = poses[candidates.start, 2] + candidates.motions[:, 2]

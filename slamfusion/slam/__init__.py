@@ -1,9 +1,4 @@
-"""The producers of maps, each in a folder of its own, and what they have in common.
-
-``tinyslam``, ``gmapping`` and ``graph`` are one SLAM each; ``common`` holds the ``Mapper`` protocol
-that they keep, the scan matcher, the tiled maps and the run over a log; ``registry`` knows them by
-name and ``side_by_side`` runs several on one log.
-"""
+"""The producers of maps, each in its own folder, and what they share (``common``)."""
 
 from __future__ import annotations
 

@@ -162,7 +162,6 @@ class ProducerSession:
         clock: seconds, growing.
 
     Attributes:
-        generation: counts the maps that were begun.
         snapshot: what the worker of scans made so far; any thread may read it.
         drawn: what the worker of maps made so far; any thread may read it.
     """

@@ -115,16 +115,10 @@ def lay_out(
 def carry(
     layer: Layer, transform: Pose2, lattice: Lattice, box: CellBox, device: ComputeDevice
 ) -> I8:
-    """Return a box of a lattice as a layer sees it, nearest cell, unknown outside.
+    """Return a box of a lattice from a layer, (height, width) int8, unknown outside.
 
-    The motion is rounded once for cell [0, 0] of both lattices and then moved by whole cells: a
-    cell gets the same answer whatever box it is asked with, and however the layer grew.
-
-    Args:
-        layer: the cells, of the lattice's resolution.
-        transform: maps the layer's frame into the lattice's, metres.
-        lattice: onto which.
-        box: cells of the lattice; the answer is (height, width) int8.
+    The motion, in metres, is rounded once for cell [0, 0] of both lattices and then moved by whole
+    cells: a cell does not depend on the requested box, nor on how the layer grew.
     """
     away = transform.inverse()
     into = layer.lattice.origin.inverse().compose(away).compose(lattice.origin)
@@ -161,11 +155,10 @@ class Change:
     before: int
 
     def is_steady(self, share: float) -> bool:
-        """Whether enough old walls still stand to believe that the map's frame did not move.
+        """Whether enough old walls still stand that the map's frame did not move.
 
-        Args:
-            share: of those that can be judged, wall or free now. A few that stand by chance tell
-                nothing where most have gone into the unknown.
+        ``share`` is of the walls that are wall or free now; a few that stand by chance do not count
+        if most became unknown.
         """
         judged = self.standing + self.contradicted
         is_enough = self.standing >= max(WALLS_MIN, STANDING_MIN * self.before)
@@ -173,13 +166,7 @@ class Change:
 
 
 def compare(old: Layer, new: Layer, thresholds: NormalizeConfig, device: ComputeDevice) -> Change:
-    """Compare two maps of one input, cell by cell where both lie in its frame.
-
-    Args:
-        old: the map before.
-        new: the map now; on another lattice it is resampled first, and all of it counts as changed.
-        thresholds: what is a wall, and what is free.
-    """
+    """Compare two maps of one input; one on another lattice is resampled and counts as changed."""
     walls = old.walls
     occupied = math.ceil(thresholds.occupied_percent)
     box: CellBox | None = old.box

@@ -1,4 +1,4 @@
-"""``Mailbox``: what inputs and scans sent and was not fused yet, from any thread."""
+"""``Mailbox``: messages of inputs and scans that are not fused yet, from any thread."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.vote.lattice import Lattice
 
-# How much the newest interval counts in the rate.
+# Weight of the newest interval in the rate.
 RATE_WEIGHT = 0.3
 
 
 @dataclass(eq=False)
 class InputMessage:
-    """What one input sent.
+    """The messages of one input.
 
     Attributes:
         maps: messages that came, usable or not.
@@ -59,7 +59,7 @@ class InputMessage:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What the scans of a drive say of the inputs that map it.
+    """Evidence of the scans of a drive for its inputs.
 
     Attributes:
         transforms: of each input whose poses were scored on the scans: its map frame into the fused
@@ -100,12 +100,9 @@ class Mailbox:
     ) -> None:
         """Take the newest map of an input; one that waits is replaced.
 
-        Args:
-            grid: its map, in its own frame, whatever it is called; or what reads it when its turn
-                has come. Where that raises a SlamFusionError the input votes no more until one can
-                be read.
-            received_s: when it came, on the clock of ``LiveFusion.update``.
-            is_saved: read from a file: it never grows stale.
+        ``grid`` may be a function that reads the map later; if it raises a SlamFusionError the
+        input does not vote until one can be read. ``received_s`` is on the clock of
+        ``LiveFusion.update``; a saved map never grows stale.
         """
         with self._lock:
             item = self._received.setdefault(name, InputMessage())
@@ -113,13 +110,13 @@ class Mailbox:
             item.grid, item.gone, item.is_saved, item.is_new = grid, None, is_saved, True
 
     def drop(self, name: str, reason: str) -> None:
-        """Take an input for lost; it votes no more and comes back with its next map."""
+        """Mark an input as lost; it does not vote, and comes back with its next map."""
         with self._lock:
             item = self._received.setdefault(name, InputMessage())
             item.grid, item.gone, item.is_new = None, reason, True
 
     def recall(self, name: str) -> None:
-        """Take an input that was dropped for present again, with the last map that it sent."""
+        """Mark a dropped input as present again, with its last map."""
         with self._lock:
             item = self._received.get(name)
             if item is not None and item.gone is not None:
@@ -132,7 +129,7 @@ class Mailbox:
             self._removed.append(name)
 
     def refill(self, grids: Mapping[str, OccupancyGrid | None]) -> None:
-        """Let maps that were taken wait again, but where a newer one does or the input is lost."""
+        """Put taken maps back, unless a newer one waits or the input is lost."""
         with self._lock:
             for name, grid in grids.items():
                 item = self._received.get(name)

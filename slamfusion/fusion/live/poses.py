@@ -1,20 +1,19 @@
-"""Do the poses of the inputs contradict each other?
+"""Detect inputs whose poses contradict each other.
 
-The rule. SLAMs that track one robot tell a pose for each of its scans, at the scan's stamp. Two
-inputs are *linked*, which says that they track one robot, once their poses of equal stamps, each
-carried into the fused frame, have stayed together over a drive: within 0.3 of ``pose_apart_m`` and
-``pose_apart_rad`` for ``LINK_M`` metres. Two robots cannot stand in one place, and their scans
-seldom have one stamp, so that their inputs are never linked however they meet or stand side by
-side; inputs that are not linked are never compared. Linked inputs are *apart* when their poses
-have differed by more than ``pose_apart_m`` or ``pose_apart_rad`` for ``pose_apart_s`` seconds of
-stamps without a break, and are so until they have been within 0.7 of both limits for as long.
+SLAMs that track one robot report a pose for each of its scans, at the scan's stamp. Two inputs are
+*linked* (they track one robot) once their poses of equal stamps, in the fused frame, have stayed
+within 0.3 of ``pose_apart_m`` and ``pose_apart_rad`` for ``LINK_M`` metres. Two robots cannot share
+a place, and their scans seldom share a stamp, so their inputs are never linked; inputs that are not
+linked are never compared. Linked inputs are *apart* when their poses have differed by more than a
+limit for ``pose_apart_s`` seconds of stamps without a break, until they have been within 0.7 of
+both limits for as long.
 
 The input that is apart from the most others contradicts them; it is left out and the rest is
-looked at again. Where several are apart from equally many, no majority decides, and all of these
-contradict. An input that was aligned again is given a fresh start, but stays linked.
+checked again. If several are apart from equally many, there is no majority, and all of these
+contradict. An input that was aligned again starts afresh, but stays linked.
 
-Poses of equal stamps also say where the map of an input lies in that of another, before either is
-aligned (``starts``), if both have driven and one motion carries all of them onto the others.
+Poses of equal stamps also show where the map of an input lies in that of another, before either is
+aligned (``starts``), if both have driven and one motion fits all of them.
 """
 
 from __future__ import annotations
@@ -31,16 +30,16 @@ from slamfusion.config import LiveConfig
 from slamfusion.geometry import Pose2, fit_motion, moved_poses, travelled, with_levers, wrap_angle
 from slamfusion.trajectory import SAME_STAMP_S
 
-# Metres that two inputs drive together before they are taken to track one robot.
+# Metres that two inputs drive together before they are linked.
 LINK_M = 2.0
 # Shares of the limits: together, and together again.
 LINK_SHARE, RETURN_SHARE = 0.3, 0.7
 # Poses kept of each input, for those of slower ones: 25 s at 20 Hz.
 KEPT = 512
-# Stamps that go back by more, seconds, begin a new time.
+# Stamps that go back by more, seconds, start a new time.
 BACK_S = 1.0
-# Poses show where maps lie from this number of equal stamps on, at least this share of all, and
-# from this number of metres on; a map lies within the last two, metres and radians, of there.
+# Poses show the place of maps from this number of equal stamps, this share of all, and this driven
+# distance in metres on.
 LEAST_EQUAL, EQUAL_SHARE, DRIVEN_M = 10, 0.5, 0.5
 START_M, START_RAD = 0.5, 0.1
 
@@ -151,12 +150,7 @@ class PoseWatch:
         self._pairs = {names: pair for names, pair in self._pairs.items() if name not in names}
 
     def hear(self, name: str, stamp_s: float, pose: Pose2) -> None:
-        """Take a pose of an input.
-
-        Args:
-            stamp_s: of the scan that it is for, seconds.
-            pose: of the robot in the input's map frame; metres, radians.
-        """
+        """Receive a pose of the robot in the input's map frame, for the scan at ``stamp_s``."""
         key = round(stamp_s / SAME_STAMP_S)
         own = self._poses.setdefault(name, OrderedDict())
         own[key] = pose
@@ -170,11 +164,7 @@ class PoseWatch:
             own.popitem(last=False)
 
     def starts(self, names: Collection[str]) -> dict[tuple[str, str], StartPose]:
-        """Return where map frames lie in those of others, as far as equal stamps say it.
-
-        Returns:
-            By the name of the other and of the input, both ways.
-        """
+        """Return where map frames lie in those of others by equal stamps, by other and own name."""
         found = {}
         for name in names:
             for other in self._poses:

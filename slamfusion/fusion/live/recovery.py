@@ -1,10 +1,9 @@
-"""How the fused frame is kept when inputs leave, return or restart their maps.
+"""Keep the fused frame when inputs leave, return or restart their maps.
 
-When no input is left to align to, inputs return by the last fused map. Such inputs, and those whose
-maps restarted, are young: a young map straightens while it grows, so what it draws far from its
-start is off by more and more. Where one is the reference it is therefore aligned with that fused
-map again as it grows, and all inputs that stand with it move along, until it knows more than that
-map did.
+If no input is left to align to, inputs return by the last fused map. Such inputs, and those whose
+maps restarted, are young: a young map straightens while it grows, so its far parts are inaccurate.
+A young reference is therefore aligned with that fused map again as it grows, and all inputs that
+agree with it move along, until it knows more than that map.
 """
 
 from __future__ import annotations
@@ -23,12 +22,12 @@ from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY, OccupancyGrid
 
 LAST_FUSED, LAST_AGREED = "the last fused map", "the last map that a majority decided"
-# The reference is laid onto the last fused map again when it has this many times the walls.
+# The reference is aligned with the last fused map again when its walls grew by this factor.
 GROWTH = 1.2
 # What ``Input.tried`` has in the place of a reference's version: all was tried in vain on the last
 # fused map; or the input was only compared with it where it lay, and waits for its search.
 IN_VAIN, WAITING = -1, -2
-# An input, how it fits a map, and its map frame in the fused frame there.
+# An input, its alignment, and its map frame in the fused frame.
 Placed = tuple[Input, Alignment, Pose2]
 
 
@@ -68,15 +67,12 @@ class Anchor:
             self.held, self._settled = held, ("", 0)
 
     def note_restart(self) -> None:
-        """Remember the last fused map, for the map of an input has restarted.
-
-        With it goes what it alone, or with one other, knew: a majority of young maps knows little.
-        """
+        """Remember the last fused map, since the map of an input has restarted and knows less."""
         if self._before is None:
             self._before = hold_map(self._layers.last_fused(), LAST_FUSED, self._aligner)
 
     def look(self, inputs: Collection[Input]) -> None:
-        """Forget that map when all have outgrown it."""
+        """Forget that map when all know more."""
         standing = [one.walls for one in inputs if one.stands]
         if self._before and standing and min(standing) >= GROWN_SHARE * self._before.walls:
             self._before = None
@@ -88,11 +84,11 @@ class Anchor:
             self.keep(before)
 
     def settle(self, reference: Input, inputs: Iterable[Input]) -> None:
-        """Lay the reference onto the map again if it has grown; who stands with it moves along.
+        """Align a grown reference with the map again; inputs that agree with it move along.
 
-        One that fits there no more is searched on the whole map, in two ways: a young map may have
-        been accepted in the wrong place, and others with it. Where it is not found it stays, since
-        the place may have changed, and says so.
+        If it does not fit there it is searched on the whole map, in two ways: a young map may have
+        been accepted in the wrong place. If it is not found it stays, with a note, since the place
+        may have changed.
         """
         name, walls = self._settled
         if self.held is None or (reference.name == name and reference.walls < GROWTH * walls):

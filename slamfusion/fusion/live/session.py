@@ -1,6 +1,6 @@
-"""``FusionSession``: a live fusion at work beside whoever receives maps and publishes; no ROS.
+"""``FusionSession``: a live fusion in a worker thread, without ROS.
 
-Requests and poses come from one thread, maps are fused in another. What the worker made is one
+Requests and poses come from one thread, maps are fused in another. The worker's results are one
 frozen ``FusionState``, replaced as a whole, so that the other thread reads it without a lock.
 """
 
@@ -22,20 +22,20 @@ from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.vote.lattice import Lattice
 
-# Updates of one turn of the worker; it is to be woken again each second.
+# Updates per turn of the worker, which is woken each second.
 ROUNDS = 8
-# Updates after which what is known of an input has seen that it was lost: one may be under way.
+# Updates after which a lost input is noticed: one may be running.
 NOTICED = 2
-# Fused maps whose latency counts in the figures.
+# Number of fused maps in the latency statistics.
 LATENCIES = 300
-# A fused map waits no longer than this for maps that came while it was made, seconds: sending one
-# of 16 MB keeps them waiting longer than fusing them does.
+# A fused map waits at most this long for maps that came while it was made, seconds: sending one of
+# 16 MB blocks them longer than fusing them.
 GATHER_S = 0.25
 
 
 @dataclass(frozen=True, eq=False)
 class FusionState:
-    """What the worker made so far.
+    """The results of the worker so far.
 
     Attributes:
         inputs: by name, after the last update.
@@ -168,15 +168,9 @@ class FusionSession:
         self._live.hear(name, stamp_s, pose)
 
     def look(self, name: str, lost: str, *, has_map: bool, is_back: bool) -> bool:
-        """Take how an input is; from one thread.
+        """Receive the state of an input, from one thread; return whether the worker has work.
 
-        Args:
-            lost: why it is lost, one line; empty while it is not.
-            has_map: whether it ever sent a map; one that did not cannot be lost.
-            is_back: whether the process that was lost is the one that lives again.
-
-        Returns:
-            Whether the worker has something to do.
+        ``lost`` is the reason of a loss, or empty; ``is_back``: the lost process is alive again.
         """
         record = self.snapshot.inputs.get(name)
         is_accepted = record is not None and record.accepted

@@ -19,13 +19,13 @@ from slamfusion.fusion.live.voting import FusedLayers
 from slamfusion.vote.lattice import Lattice
 
 NEVER = float("-inf")
-# A steady voter is late when the usual share has changed this many times; then it waits for others
-# that are late alone, whatever comes.
+# A steady voter is late when this many times the usual share has changed; then it only waits for
+# other late ones.
 LATE = 20.0
 
 
 class InputSupervisor:
-    """Aligns what changed and decides who votes.
+    """Aligns changed inputs and decides who votes.
 
     Attributes:
         inputs: by name, in the order in which they came; the owner adds and feeds them.
@@ -62,11 +62,7 @@ class InputSupervisor:
                     other.drift += change.walls
 
     def align(self, now_s: float, *, is_idle: bool) -> None:
-        """Align what is new, came back or changed.
-
-        Args:
-            is_idle: whether no new map waits for the answer.
-        """
+        """Align new, returned and changed inputs; ``is_idle``: no new map waits for the result."""
         self._aligner.now_s = now_s
         self._aligner.has_searched = False
         if self._aligner.lattice is None:
@@ -193,8 +189,7 @@ class InputSupervisor:
         """Align what is due: doubtful inputs always, steady voters as far as time allows.
 
         A steady voter's transform holds meanwhile, so a large one, or one of many, waits until no
-        new map does. Of those that are late the one that changed most is aligned whatever waits,
-        one a round, so that each has its turn.
+        new map does. The late one that changed most is aligned in any case, one a round.
         """
         first = self.inputs[self.reference]
         due = [one for one in self.inputs.values() if self._is_due(one, first)]
@@ -252,9 +247,9 @@ class InputSupervisor:
             self._arbitrate(one, reference, others)
 
     def _arbitrate(self, one: Input, reference: Input, others: list[Input]) -> None:
-        """Find who is wrong when an input that voted fits the reference no more.
+        """Find who is wrong when an input that voted does not fit the reference any more.
 
-        A third decides; without one what a majority or both had agreed on, see ``recovery``.
+        A third input decides; without one the last fused map of a majority does, see ``recovery``.
         """
         if not others:
             self._recover()

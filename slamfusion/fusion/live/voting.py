@@ -1,7 +1,7 @@
-"""The fused layers: one lattice that never moves, what each input says on it, and the vote.
+"""The fused layers: a fixed lattice, the cells of each input on it, and the vote.
 
-Each input's layer is kept as the lattice sees it, so that a new map costs what it changed: the
-changed cells are carried over and voted on again, everything else stays as it was.
+Each input's layer is kept on the fused lattice, so a new map costs what it changed: only changed
+cells are resampled and voted on again.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ from slamfusion.vote.walls import codes_on, margin_cells
 
 I8 = npt.NDArray[np.int8]
 
-# Results and copies of a fused cell, and what a layer takes, in bytes.
+# Bytes of a fused cell with its copies, and of a cell of a layer.
 CELL_BYTES, LAYER_BYTES = 6, 2
-# Fused layers of this many cells or more shrink where this share of them would do.
+# Fused layers of at least this number of cells shrink if this share of them is enough.
 SHRUNK_CELLS, SHRUNK_SHARE = 1 << 22, 0.25
-# Voters of which two overrule one: what they say is on the fused map is agreed on by more than one.
+# Number of voters from which a majority is more than one input.
 MAJORITY = 3
 
 
@@ -64,9 +64,8 @@ class LaidInput:
 class FusedLayers:
     """The fused cells, what every input shows of them, and the vote.
 
-    They grow by whole cells of their lattice and never move. They shrink only where four times
-    fewer cells would do, so that an input which leaves for a while does not change the size of what
-    is published, and one that lay far away gives the memory back.
+    They grow by whole cells of their lattice and never move. They shrink only to a quarter or less,
+    so that an input which leaves for a while does not change the published size.
 
     Attributes:
         live: its ``extent`` counts; may be replaced.
@@ -120,7 +119,7 @@ class FusedLayers:
         """Lay what changed and vote on it.
 
         While a map that restarted is among the voters unknown abstains by the rule ``auto``: two
-        young maps know little, and would take from the robot's map what the third knows.
+        young maps know little, and would erase what the third knows.
 
         Args:
             inputs: all of them; the layers of those that do not vote are lifted.

@@ -86,8 +86,6 @@ class Closure:
     """Two scans of one place.
 
     Attributes:
-        start_s: time of the earlier one.
-        end_s: time of the later one.
         motion: pose of the robot at the later in its frame at the earlier, metres and radians.
         weight: 1 where the graph believes it, 0 where it goes against the rest.
     """

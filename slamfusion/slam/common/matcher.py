@@ -1,11 +1,10 @@
-"""A bounded Monte-Carlo search for the pose under which a scan fits the map best, and how surely.
+"""A bounded Monte-Carlo search for the pose under which a scan fits the map best.
 
-The first look draws poses widely around each hypothesis of where the robot went (what its odometry
-says; that it goes on as it went) and scores them on wide basins, in one launch. From the best of
-them hill climbing goes on by rounds of ever narrower random steps, all in one more launch. What is
-maximised is the mean wall value under the hits less a small loss for leaving the nearest
-hypothesis. Where this response falls off steeply around its peak the place is certain; along a
-corridor it stays level: that direction is degenerate.
+The first look draws poses widely around each hypothesis (the odometry; the motion so far) and
+scores them on wide basins, in one launch. From the best of them hill climbing continues in rounds
+of ever narrower random steps, in one more launch. It maximises the mean wall value under the hits
+less a small loss for the distance from the nearest hypothesis. If the response falls off steeply
+around its peak the place is certain; along a corridor it stays level: that direction is degenerate.
 
 Sources: [H16] (Monte-Carlo matcher with a bounded number of tries), [O09] (the response).
 """
@@ -27,12 +26,11 @@ from slamfusion.config import MatcherConfig
 from slamfusion.geometry import F64, wrap_angles
 
 # Distance, metres, between the five cells of which the first look takes the best: basins as wide as
-# the draws lie apart.
+# the spacing of the draws.
 WIDE_REACH_M = 0.15
-# Different cells that a scan's hits fall into, below which it tells less than the weights of the
-# hypotheses assume.
+# Number of different cells with hits below which a scan has less weight than the hypotheses assume.
 TELLING_CELLS = 100.0
-# Beyond any column: makes one number of a cell.
+# Beyond any column: combines a row and a column into one number.
 _ROW_STRIDE = 1 << 32
 # Share of the spread that hill climbing begins with, and share that is left of a step after each
 # round: by the last one steps are far below a cell.
@@ -51,9 +49,9 @@ class PoseHypothesis:
     Attributes:
         pose: (3,) x, y in metres and yaw in radians, map frame.
         spread: (3,) standard deviations of x, y and yaw, how far to look around it.
-        loss: what believing it costs, in units of the score.
+        loss: cost of accepting it, in units of the score.
         by_odometry: whether it is where odometry says.
-        trust: times what leaving its place costs, see ``search_pose``.
+        trust: factor on the loss for leaving its place, see ``search_pose``.
     """
 
     pose: F64
@@ -221,11 +219,7 @@ def search_pose(
     rng: np.random.Generator,
     trust: float = 1.0,
 ) -> Match:
-    """Search around some hypotheses.
-
-    Args:
-        hypotheses: at least one; the first look draws as many poses around each.
-    """
+    """Search around at least one hypothesis, with equal numbers of first poses."""
     centres = np.array([one.pose for one in hypotheses])
     sigmas = np.array([one.spread for one in hypotheses])
     weights = np.array([config.prior_weight_xy, config.prior_weight_xy, config.prior_weight_yaw])
@@ -265,26 +259,21 @@ def search_pose(
 # Steps of the finite differences, metres and radians: a cell's width, and what moves a hit at 5 m
 # by as much.
 SURFACE_M, SURFACE_RAD = 0.05, 0.01
-# Inverse of the response's loss (a share, 0 to 1) that makes a pose e^-0.5 as likely: the spread of
-# repeated noisy matches asks for it.
+# Inverse of the response's loss (a share, 0 to 1) at which a pose is e^-0.5 times as likely.
 RESPONSE_GAIN = 240.0
-# Least and greatest standard deviation of a match, metres (of yaw: at ``_ARM_M``): no match is
-# better than a tenth of a cell, and one that tells nothing still keeps the equations solvable.
+# Least and greatest standard deviation of a match, metres (of yaw: at ``_ARM_M``): a tenth of a
+# cell, and a limit that keeps the equations solvable.
 LEAST_SIGMA, MOST_SIGMA = 0.005, 0.5
-# Standard deviation, metres, from which on a direction is degenerate and left to odometry. In rooms
-# even the weakest direction is told better by half of it; in a bare corridor far worse.
+# Standard deviation, metres, above which a direction is degenerate and follows odometry; in rooms
+# even the weakest direction has half of it.
 DEGENERATE_SIGMA_M = 0.06
-# Distance of a typical hit, metres: at it a radian weighs as a metre where eigenvalues are limited.
+# Distance of a typical hit, metres: there a radian weighs as a metre in the limits.
 _ARM_M = 5.0
 _UNITS = np.outer([1.0, 1.0, 1.0 / _ARM_M], [1.0, 1.0, 1.0 / _ARM_M])
 
 
 def response_information(scan: ScanOnTiles, pose: F64) -> F64:
-    """Return (3, 3) the information of a match along the axes of the map it was matched on.
-
-    Args:
-        pose: (3,) the match, metres and radians.
-    """
+    """Return (3, 3) the information of a match (3,) along the axes of its map."""
     return information_of(response_hessian(scan, pose))
 
 
@@ -300,8 +289,8 @@ def information_of(hessian: F64) -> F64:
 def keep_degenerate_prior(hessian: F64, pose: F64, expected: F64) -> F64:
     """Return a match moved to the expected pose along its degenerate direction, if it has one.
 
-    Where walls run along, new readings lie thinner than old ones, which draws a match back;
-    odometry knows better.
+    Along walls new readings are sparser than old ones, which pulls a match back; odometry is
+    better.
 
     Args:
         hessian: (3, 3) negative Hessian of the response at the match.

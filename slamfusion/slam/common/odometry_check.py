@@ -1,10 +1,10 @@
 """Compare a producer's path with the raw odometry: a wrong sensor makes the two contradict.
 
-A laser that is mounted otherwise than the robot's transforms say gives a map that looks right: the
-producers agree, for they see the same scans. But the robot's own motion tells. Both paths are cut
-into steps of about half a metre or half a radian; of each step the turn, the direction as seen from
-the robot, and the length are compared. A mirrored laser turns the other way, one that looks back
-drives the other way, one that is turned by some degrees drives askew.
+A laser that is mounted otherwise than the robot's transforms say gives a map that looks right,
+since all producers see the same scans; only the robot's own motion shows it. Both paths are cut
+into steps of about half a metre or half a radian, and the turn, the direction as seen from the
+robot, and the length of each step are compared. A mirrored laser turns the other way, one that
+looks back drives the other way, one that is turned by some degrees drives askew.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ import numpy as np
 from slamfusion.geometry import F64, compose_poses, invert_poses, wrap_angles
 from slamfusion.trajectory import Trajectory, flag_runs
 
-# The path gets this far from where it was, metres, while the odometry says the same pose: more
-# than scan matching trembles, less than a dead encoder goes unseen on a drive.
+# Distance of the path, metres, at constant odometry: more than the noise of scan matching, less
+# than the distance that a dead encoder misses on a drive.
 DRIVEN_M = 1.0
 # Written odometry has this many metres or radians at least between two poses of a robot that moves.
 STANDS = 1e-9
@@ -28,13 +28,13 @@ STANDS = 1e-9
 STEP = 0.5
 # Steps that turn, and steps that drive, have at least this much of it: radians, metres.
 TURNING_RAD, DRIVING_M = 0.2, 0.2
-# So many steps of a kind are enough motion to judge by.
+# Least number of steps of a kind for a judgement.
 LEAST_STEPS = 10
-# Steps belong together where they differ from their median by no more, as a share of the step.
+# Steps agree if they differ from their median by no more, as a share of the step.
 SPREAD = 0.4
-# At least this share of the steps must belong together.
+# Least share of the steps that must agree.
 TOGETHER = 0.5
-# Worth a word: an offset of the laser's mount, and odometry that is too long or too short.
+# Reported from here on: an offset of the laser's mount, and odometry that is too long or too short.
 OFFSET_RAD, SCALE = math.radians(5.0), 0.1
 # From here on the laser looks back.
 BACKWARD_RAD = math.radians(150.0)

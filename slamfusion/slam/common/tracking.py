@@ -1,8 +1,8 @@
 """``Tracker``: where the robot may be at the next scan, and where it fits the map best.
 
-Used by every mapper that matches each scan against a map of its own. Two pose hypotheses are
-searched: what odometry says, and that the robot goes on as it went; so odometry that stalls, slips
-or jumps for a moment does not decide.
+Used by every mapper that matches each scan against its own map. Two pose hypotheses are searched:
+the odometry, and an unchanged motion; so odometry that stalls, slips or jumps for a moment does not
+decide.
 """
 
 from __future__ import annotations
@@ -44,16 +44,15 @@ SCORE_MEMORY = 50
 MOST_ONWARD = 3.0
 # Spread of the first look without odometry, in that with it: acceleration is not known.
 NO_ODOMETRY_SPREAD = 2.0
-# Where scans are missing and there is no odometry a robot may have stopped anywhere on its way. At
-# most so many places beyond are searched, MOST_ONWARD steps apart: as far as a first look spreads.
+# Without scans and odometry a robot may have stopped anywhere on its way. At most this number of
+# places beyond is searched, MOST_ONWARD steps apart.
 PLACES_ON_THE_WAY = 8
-# Scans in a map below which leaving the odometry costs more, the more the fewer they are. The beams
-# of one scan mark some cells of a wall alone, so the next ones fit best where it was taken: a robot
-# that drives seems to stand, and what is mapped there says so again.
+# Scans in a map below which leaving the odometry costs more. The beams of one scan mark some cells
+# of a wall alone, so the next scans fit best at its place: a moving robot seems to stand, and
+# mapping it there confirms that.
 YOUNG_SCANS = 20
-# What standing still is to cost there, of the score, where the odometry says that it drove: by some
-# of it a scan fits better where another one was taken. A long step costs that anyway, and odometry
-# that is far off over one must be left; one too short to cost it even so tells nothing.
+# Cost of standing still in a young map, of the score, if the odometry moved. Long steps cost that
+# anyway, so that odometry that is far off can be left.
 STANDING_LOSS = 0.1
 # Score lost by a robot that went on as it went, against its odometry.
 DRIFT_LOSS = 0.05

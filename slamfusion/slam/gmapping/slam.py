@@ -92,7 +92,6 @@ class Gmapping(SavedMapper):
         """Start with empty maps.
 
         Args:
-            config: see ``GmappingConfig``.
             device: where the maps live.
         """
         self.health: FilterHealth = FilterHealth()

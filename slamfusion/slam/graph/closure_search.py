@@ -1,14 +1,14 @@
-"""Where a scan lies in an old submap, and why that is not known.
+"""Find a scan in an old submap, or the reason why it is not found.
 
-A scan is searched near where it is expected, or over a whole window by branch and bound [H16c], or
-over all of the submap where nothing is expected. What is found must fit about as well as scans do
-on average, must not lie where the submap has seen nothing, must have no degenerate direction, and
-where the window is wide there must be no other place that fits nearly as well.
+A scan is searched near its expected place, over a whole window by branch and bound [H16c], or over
+all of the submap. The result must fit about as well as scans do on average, must not lie where the
+submap is unseen, must have no degenerate direction, and in a wide window must have no rival that
+fits nearly as well.
 
 The window search is exact. Its search set is every whole-cell shift within the window times yaw
-steps that move the farthest hit by at most ``YAW_CELLS``. A block of shifts is bounded by reading,
-for each hit, the greatest cell of the square that the hit can reach within the block; blocks whose
-bound is below the best pose found are never opened.
+steps that move the farthest hit by at most ``YAW_CELLS``. The bound of a block of shifts sums, for
+each hit, the greatest cell that it can reach within the block; blocks with a bound below the best
+pose are never opened.
 """
 
 from __future__ import annotations
@@ -37,13 +37,12 @@ I32 = npt.NDArray[np.int32]
 
 # Blocks that are opened together: the device is asked few times.
 BATCH = 256
-# Distance, cells, by which a yaw step moves the farthest hit: the likelihood around a wall reaches
-# about as far, so that a hit half a step off still counts.
+# Distance, cells, by which a yaw step moves the farthest hit: the range of the likelihood around a
+# wall.
 YAW_CELLS = 2.0
 # Differences, metres and radians, up to which two poses are one place: the peak of one response.
 BESIDE_M, BESIDE_RAD = 0.5, 0.35
-# Distance of the farthest hit, cells, that the yaw step is chosen for at least: hits at the robot's
-# feet would leave a single step.
+# Least distance of the farthest hit, cells, for the yaw step.
 LEAST_REACH_CELLS = 20.0
 
 
@@ -185,9 +184,7 @@ AROUND_M = 1.0
 # Metres.
 LOCAL_DRIFT_M = 0.8
 # Response that a closure needs, as a share of the running mean score, and the share of a scan's
-# hits that may lie where the older submap has seen nothing: old submaps fit a little worse than the
-# growing one, and the robot may be at their border. Where it may be anywhere more is asked for:
-# more places fit, the fewer hits count.
+# hits that may be unseen in the older submap; a search without an expected place needs more.
 MEAN_SHARE, MEAN_SHARE_ANYWHERE = 0.75, 0.85
 MOST_UNSEEN, MOST_UNSEEN_ANYWHERE = 0.6, 0.3
 # Another place with this share of a closure's response makes it ambiguous.

@@ -56,7 +56,6 @@ class Estimate:
         local: pose of the robot in the active submap.
         score: of its match, 0 to 1.
         hessian: (3, 3) negative Hessian of the response there; None: not measured.
-        status: whether the robot is still tracked.
     """
 
     local: Pose2

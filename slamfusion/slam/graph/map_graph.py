@@ -261,11 +261,9 @@ class Solution:
 
     Attributes:
         poses: (N, 3) to start from.
-        constraints: number of them.
         closures: times that closures came that it is the first to solve.
         tolerated: outliers without re-evaluation, see ``optimize``.
         weights: of the solution before it.
-        taken: steps so far.
     """
 
     poses: F64

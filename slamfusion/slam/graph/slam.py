@@ -67,7 +67,6 @@ class GraphSlam(SavedMapper):
         """Start with an empty graph.
 
         Args:
-            config: see ``GraphConfig``.
             device: where the maps live.
         """
         self.health: GraphHealth = GraphHealth()

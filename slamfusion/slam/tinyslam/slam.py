@@ -139,7 +139,6 @@ class TinySlam:
         """Start with an empty map.
 
         Args:
-            config: see ``TinySlamConfig``.
             device: where the map lives.
         """
         self.health = Health()
