@@ -209,7 +209,7 @@ def _timings_section(run: LogRun) -> Section:
     slams = [(row, [own.get(row, "-") for own in shown.values()]) for row in rows]
     found = tables().timings(list(shown), slams, run.stages_s)
     text = "; ".join((f"The log: {run.files.log}", *run.log_notes()))
-    return Section("Timings and memory", text, tables=found)
+    return Section("Health, times and memory", text, tables=found)
 
 
 # --- paths -------------------------------------------------------------------------------------

@@ -145,7 +145,7 @@ def test_every_part_is_on_the_one_page(page: Path) -> None:
         "ATE, translation [m]",
         "Errors of the paths",
         "Error against the truth",
-        "Timings and memory",
+        "Health, times and memory",
         "4.0 s, 3.5 s of processor",
         "12.8 s",
         "for all, without this page",
