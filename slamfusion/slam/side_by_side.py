@@ -35,25 +35,24 @@ from slamfusion.slam.registry import (
     with_producers,
 )
 
-# Time between two words of a process on how far it is, seconds: a progress bar needs no more.
+# Time between two progress reports of a process, seconds.
 TELL_S = 0.2
-# Patience with a process that was killed, or has let go of its pipe, seconds: moments are enough.
+# Time to wait for a process that was killed or has closed its pipe, seconds.
 JOIN_S = 10.0
 
-# Told the producer and the share of the log that it has read, 0 to 1.
+# Receives the producer's name and the share of the log that it has read, 0 to 1.
 Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """The outcome of one producer.
+    """The outcome of one producer; ``run`` is None if it failed.
 
     Attributes:
-        run: what it made; None where it made nothing.
-        reason: why it made nothing, in one line; empty where it made something.
+        reason: why it failed, in one line; else empty.
         time_s: from the start of its process to its answer, imports included.
-        cpu_s: processor time of its process, user and system; None where it did not live to tell.
-        device: what it computed on, in words; empty where it did not come that far.
+        cpu_s: processor time of its process, user and system; None if the process died.
+        device: description of the device; empty if it was not opened.
         detail: the traceback of a failure that is a bug; else empty.
     """
 
@@ -79,12 +78,8 @@ class _Job:
 class SideBySide:
     """Producers at work; use it in a ``with`` block, which leaves no process behind.
 
-    The first producers start at once, so that the caller can prepare what comes after them; the
-    others follow in ``wait``.
-
-    Attributes:
-        config: the same, with the settings of all of them, defaults included.
-        source: the log, opened once: its first pass takes as long as reading it.
+    The first producers start at once, the others in ``wait``. ``config`` has the settings of all
+    producers, defaults included; ``source`` is the opened log.
 
     Raises:
         ConfigError: no producer, an unknown one, or one given twice.
@@ -121,7 +116,7 @@ class SideBySide:
         self._jobs.clear()
 
     def wait(self, progress: Progress | None = None) -> tuple[Outcome, ...]:
-        """Return what became of each producer, in the order given, when the last one has ended."""
+        """Return the outcome of each producer, in the order given, when the last one has ended."""
         while self._jobs:
             ready = connection.wait([job.answers for job in self._jobs], self._patience_s())
             for job in list(self._jobs):
@@ -134,13 +129,13 @@ class SideBySide:
         return tuple(self._outcomes[name] for name in self._names)
 
     def _start(self) -> None:
-        """Start processes until as many run as may."""
+        """Start processes up to the allowed number."""
         while self._waiting and len(self._jobs) < self._processes:
             with interrupts_held():  # none comes before the process can be stopped
                 self._jobs.append(_start(self._waiting.pop(0), self._arguments, self._threads))
 
     def _listen(self, job: _Job, progress: Progress | None) -> None:
-        """Take one thing that a process sent; nothing more to come means that it died."""
+        """Receive one message of a process; the end of its pipe means that it died."""
         try:
             said = job.answers.recv()
         except (EOFError, OSError):
@@ -162,7 +157,7 @@ class SideBySide:
         _stop(job)  # one that has answered has nothing left to do
 
     def _patience_s(self) -> float | None:
-        """Return how long nothing may be heard before a limit has to be looked at."""
+        """Return the time until the first process reaches its limit; None without a limit."""
         if self._limit_s is None:
             return None
         first = min(job.begun_s for job in self._jobs)
@@ -174,7 +169,7 @@ class SideBySide:
 
 
 def _sealed(run: ProducerRun) -> ProducerRun:
-    """Return a run whose values are immutable again: arrays that were sent can be written."""
+    """Return a run whose arrays are read-only again, which sending them undoes."""
     return replace(
         run,
         grid=replace(run.grid),
@@ -204,7 +199,7 @@ def _start(name: str, arguments: tuple[Any, ...], threads: int) -> _Job:
     begun_s = time.perf_counter()
     with threads_limited(threads):
         process.start()
-    theirs.close()  # ours: else the end of the process would not be seen as the end of the pipe
+    theirs.close()  # else the pipe would not end with the process
     return _Job(name, process, answers, begun_s)
 
 
@@ -213,12 +208,12 @@ def _stop(job: _Job) -> None:
         job.process.kill()
         job.process.join(JOIN_S)
     job.answers.close()
-    with contextlib.suppress(ValueError):  # one that cannot even be killed
+    with contextlib.suppress(ValueError):  # the process cannot be killed
         job.process.close()
 
 
 def _how_it_died(exit_code: int | None) -> str:
-    """Say how a process ended that sent no answer."""
+    """Describe how a process without an answer ended."""
     if exit_code is None or exit_code >= 0:
         return f"its process ended with code {exit_code} and no map"
     try:
@@ -233,12 +228,12 @@ def _how_it_died(exit_code: int | None) -> str:
 
 
 def _work(name: str, source: ScanLog, config: RunConfig, answers: Connection) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the caller is interrupted too, and ends us
-    os.dup2(2, 1)  # whatever a driver prints: standard output belongs to the caller
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the caller handles the interrupt
+    os.dup2(2, 1)  # standard output belongs to the caller; drivers may print
     try:
         answer = _answer(name, source, config, answers)
         answers.send(answer)
-    except BrokenPipeError:  # nobody is waiting any more
+    except BrokenPipeError:  # the caller is gone
         sys.exit(1)
 
 
@@ -263,7 +258,7 @@ def _answer(name: str, source: ScanLog, config: RunConfig, answers: Connection) 
     except MemoryError:
         reason = "out of memory; use a coarser cell or fewer processes"
         return Outcome(name, None, reason, cpu_s=_cpu_s())
-    except Exception as error:  # noqa: BLE001 - a bug in one producer must not take the others
+    except Exception as error:  # noqa: BLE001 - a bug in one producer must not stop the others
         reason = f"a bug: {type(error).__name__}: {error}"
         detail = traceback.format_exc()
         return Outcome(name, None, _one_line(reason), cpu_s=_cpu_s(), detail=detail)

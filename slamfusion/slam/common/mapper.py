@@ -17,13 +17,12 @@ from slamfusion.trajectory import Trajectory
 
 @dataclass(frozen=True)
 class Step:
-    """What one scan did.
+    """The result of one scan; the pose of the base is in the map frame.
 
     Attributes:
-        pose_map_base: where the robot's base now is in the map frame; metres, radians.
-        used: False when the scan told nothing and the pose is dead reckoning.
-        match_score: share of the scan's hits that fell on known walls, 0 to 1; None for the first.
-        reason: why the scan was not used, in the words of ``Health.skips``; empty when it was.
+        used: False if the scan could not be used and the pose is dead reckoning.
+        match_score: share of the scan's hits on known walls, 0 to 1; None for the first scan.
+        reason: why the scan was not used, as counted in ``Health.skips``; else empty.
     """
 
     pose_map_base: Pose2
@@ -45,7 +44,7 @@ class Health:
     skips: Skips = field(default_factory=Skips)
 
     def warnings(self) -> tuple[str, ...]:
-        """Return what contradicts the map in the producer's own words, a sentence each."""
+        """Return what contradicts the map, a sentence each."""
         return ()
 
     def to_json(self) -> HealthJson:
@@ -55,7 +54,7 @@ class Health:
         return cast("HealthJson", {**figures, "skipped": skipped})
 
     def own_figures(self) -> dict[str, Any]:
-        """Return what a kind of producer counts of its own, by name."""
+        """Return the figures that this kind of producer adds to ``Health``, by name."""
         common = {item.name for item in fields(Health)}
         return {
             item.name: getattr(self, item.name) for item in fields(self) if item.name not in common
@@ -67,11 +66,9 @@ class Series:
     """A quantity over the time of a run, to be plotted.
 
     Attributes:
-        name: what is counted, e.g. ``effective particles``.
-        unit: of the values; empty for a plain number.
         stamps_s: (N,) float64, seconds, as the scans' stamps.
-        values: (N,) float64.
-        limit: a value worth a line across the plot; None for none.
+        values: (N,) float64, in ``unit``; an empty unit means a plain number.
+        limit: value drawn as a line across the plot; None for none.
     """
 
     name: str
@@ -83,11 +80,10 @@ class Series:
 
 @dataclass(frozen=True)
 class Closure:
-    """Two scans of one place.
+    """Two scans of one place; ``weight`` is 1 for an inlier of the pose graph, 0 for an outlier.
 
     Attributes:
-        motion: pose of the robot at the later in its frame at the earlier, metres and radians.
-        weight: 1 where the graph believes it, 0 where it goes against the rest.
+        motion: pose of the robot at the later scan in its frame at the earlier, metres, radians.
     """
 
     start_s: float
@@ -99,12 +95,9 @@ class Closure:
 class Mapper(Protocol):
     """One SLAM: feed it scans in the order of time, ask it for its pose and map at any moment.
 
-    The map frame starts at the first odometry pose (at the identity without odometry), so maps of
-    several producers on one log begin in one frame. Same scans, configuration and seed give the
-    same bytes on one device.
-
-    Attributes:
-        name: short name, e.g. ``tinyslam``; the grid and the trajectory carry it.
+    The map frame starts at the first odometry pose (the identity without odometry), so producers
+    of one log share their frame. Same scans, configuration and seed give the same bytes on one
+    device. The grid and the trajectory carry the mapper's short ``name``.
     """
 
     name: str
@@ -114,21 +107,16 @@ class Mapper(Protocol):
         """The record so far."""
 
     def feed(self, scan: LaserScan, odometry: Pose2 | None = None) -> Step:
-        """Take the next scan.
-
-        Args:
-            scan: with a stamp later than the last one's.
-            odometry: pose of the base in the odometry frame at the scan's time; None: none known.
-        """
+        """Take the next scan, of a later stamp, and the base's pose in the odometry frame."""
 
     def trajectory(self) -> Trajectory:
-        """Return the pose at every scan fed so far, by today's knowledge."""
+        """Return the pose at every scan so far, by all that is known now."""
 
     def other_paths(self) -> tuple[Trajectory, ...]:
-        """Return what else it believes the path to be, best first; may be empty."""
+        """Return alternative paths, best first; may be empty."""
 
     def series(self) -> tuple[Series, ...]:
-        """Return how its own quantities went over time, to be plotted; may be empty."""
+        """Return the producer's own quantities over time; may be empty."""
 
     def grid(self) -> OccupancyGrid:
         """Return the map; unknown where nothing was seen.
@@ -138,7 +126,7 @@ class Mapper(Protocol):
         """
 
     def memory_bytes(self) -> int:
-        """Return the bytes that the map and the filter hold, on host and device."""
+        """Return the bytes of the map and the filter, on host and device."""
 
 
 @runtime_checkable
@@ -146,16 +134,15 @@ class ClosesLoops(Mapper, Protocol):
     """A mapper that recognises places where the robot has been before."""
 
     def closures(self) -> list[Closure]:
-        """Return the closures so far, as they are judged now."""
+        """Return the closures so far, with their present weights."""
 
 
 @dataclass(frozen=True, eq=False)
 class MapJob:
-    """What a map is drawn from: it does not change when the mapper goes on.
+    """What a map is drawn from, unaffected by later scans; at least one node.
 
     Attributes:
-        nodes: at least one; what is drawn at each pose, as the drawer knows it.
-        poses: (N, 3) float64 of them in the map frame: metres, metres, radians.
+        poses: (N, 3) float64 poses of the nodes in the map frame: metres, metres, radians.
     """
 
     nodes: Sequence[Any]
@@ -175,13 +162,9 @@ class DrawsAside(Mapper, Protocol):
     """A mapper whose map is drawn in another thread, while scans go on."""
 
     def map_job(self, *, is_settled: bool = False) -> MapJob:
-        """Return what the map is drawn from.
+        """Return what the map is drawn from; SlamFusionError if no scan has been used yet.
 
-        Args:
-            is_settled: drawn from it the map is that of ``grid``; else asking takes no time.
-
-        Raises:
-            SlamFusionError: no scan has been used yet, so there is no map.
+        If ``is_settled``, the map equals that of ``grid``; else the call takes no time.
         """
 
     def map_drawer(self, device: ComputeDevice) -> MapDrawer:

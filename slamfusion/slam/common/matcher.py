@@ -25,12 +25,11 @@ from slamfusion.compute.layout import CLIMBERS
 from slamfusion.config import MatcherConfig
 from slamfusion.geometry import F64, wrap_angles
 
-# Distance, metres, between the five cells of which the first look takes the best: basins as wide as
-# the spacing of the draws.
+# Distance, metres, between the five cells whose maximum the first look uses: the draws' spacing.
 WIDE_REACH_M = 0.15
 # Number of different cells with hits below which a scan has less weight than the hypotheses assume.
 TELLING_CELLS = 100.0
-# Beyond any column: combines a row and a column into one number.
+# Larger than any column: combines a row and a column into one number.
 _ROW_STRIDE = 1 << 32
 # Share of the spread that hill climbing begins with, and share that is left of a step after each
 # round: by the last one steps are far below a cell.
@@ -96,21 +95,12 @@ class FieldMap(NamedTuple):
 
 
 class ScanOnTiles:
-    """One scan's hits over a tiled map: scores of poses, in metres and radians.
-
-    Attributes:
-        cells: different cells that the hits fall into: how much the scan can tell.
-    """
+    """One scan's hits over a tiled map, in ``cells`` different cells, and the scores of poses."""
 
     def __init__(
         self, device: ComputeDevice, walls: FieldMap, points: F64, most_points: int
     ) -> None:
-        """Bring the hits to the device.
-
-        Args:
-            points: (P, 2) hits in the robot's frame, metres.
-            most_points: if there are more, every second (third, ...) counts.
-        """
+        """Upload hits (P, 2), metres in the robot's frame, thinned to at most ``most_points``."""
         self._device = device
         self._map = (walls.field, walls.pages)
         self._cell = resolution = walls.resolution
@@ -134,7 +124,7 @@ class ScanOnTiles:
         return self._means(self._points, poses)
 
     def unseen_share(self, pose: F64, unseen: int) -> float:
-        """Return the share of the hits at a pose (3,) that fall where the field has one value."""
+        """Return the share of the hits at a pose (3,) whose field value is ``unseen``."""
         table = np.zeros(256, dtype=np.int32)
         table[unseen] = 1
         field, pages = self._map
@@ -150,20 +140,17 @@ class ScanOnTiles:
     def hill_climb(
         self, starts: F64, steps: F64, hypotheses: Sequence[PoseHypothesis], weights: F64
     ) -> F64:
-        """Run hill climbing from poses, by rounds of random steps.
+        """Run hill climbing by rounds of random steps; return (G, 4) poses and objectives.
 
         Args:
             starts: (G, 3) poses.
             steps: (R, G, CLIMBERS, 3) in metres and radians.
-            weights: (3,) loss one spread beside a hypothesis, along x, y and yaw.
-
-        Returns:
-            (G, 4): the pose where each ended and its score less its loss.
+            weights: (3,) loss at one spread from a hypothesis, along x, y and yaw.
         """
         cell, yaw0 = self._cell, hypotheses[0].pose[2]
 
         def rows(poses: F64) -> F64:
-            """In cells of the window, headings near 0: float32 is to carry them."""
+            """Convert to cells of the window, headings near 0, within float32's precision."""
             yaw = wrap_angles(poses[:, 2] - yaw0)
             return np.column_stack((poses[:, :2] / cell - self._corner, yaw))
 
@@ -194,12 +181,9 @@ class ScanOnTiles:
 
 
 def pose_table(poses: F64, cell: float, corner: F64) -> npt.NDArray[np.float32]:
-    """Return poses (..., 3), metres and radians, as kernels take them: (..., 4) float32.
+    """Return poses (..., 3), metres and radians in the map frame, as (..., 4) float32 for kernels.
 
-    Args:
-        poses: in the map frame.
-        cell: metres per cell.
-        corner: (2,) x and y of the window's lower-left corner in the map frame, cells.
+    ``cell`` is in metres; ``corner`` is the window's lower-left corner (2,) in cells.
     """
     table = np.empty((*poses.shape[:-1], 4), dtype=np.float32)
     table[..., :2] = poses[..., :2] / cell - corner
@@ -208,7 +192,7 @@ def pose_table(poses: F64, cell: float, corner: F64) -> npt.NDArray[np.float32]:
 
 
 def _scale(points: DeviceArray[Any]) -> float:
-    """From a sum over points (P, 2) to a mean of 0 to 1."""
+    """Return the factor from a sum over points (P, 2) to a mean of 0 to 1."""
     return 1.0 / (255.0 * int(points.shape[0]))
 
 
@@ -223,7 +207,7 @@ def search_pose(
     centres = np.array([one.pose for one in hypotheses])
     sigmas = np.array([one.spread for one in hypotheses])
     weights = np.array([config.prior_weight_xy, config.prior_weight_xy, config.prior_weight_yaw])
-    # The score is a mean: of few cells it is worth less against the hypotheses.
+    # A mean over few cells is less certain, so the hypotheses weigh more.
     weights *= max(1.0, TELLING_CELLS / scan.cells)
     weights[:2] *= trust
 
@@ -239,7 +223,7 @@ def search_pose(
     poses = (centres[:, None, :] + draws * sigmas[:, None, :]).reshape(-1, 3)
     order = np.argsort(loss(poses) - scan.wide_scores(poses), kind="stable")
     starts = np.concatenate((poses[order[: config.climbers]], centres))
-    # Hill climbing; each round's first step is none, so that nothing found is lost.
+    # Hill climbing; each round's first step is zero, which keeps the best pose so far.
     widths = sigmas.max(axis=0) * FIRST_NARROWING * NARROWING ** np.arange(config.rounds)[:, None]
     steps = rng.standard_normal((config.rounds, len(starts), CLIMBERS, 3))
     steps *= widths[:, None, None, :]
@@ -287,15 +271,10 @@ def information_of(hessian: F64) -> F64:
 
 
 def keep_degenerate_prior(hessian: F64, pose: F64, expected: F64) -> F64:
-    """Return a match moved to the expected pose along its degenerate direction, if it has one.
+    """Return a match (3,) moved to the expected pose (3,) along its degenerate direction.
 
     Along walls new readings are sparser than old ones, which pulls a match back; odometry is
-    better.
-
-    Args:
-        hessian: (3, 3) negative Hessian of the response at the match.
-        pose: (3,) the match; it is this array that comes back where no direction is degenerate.
-        expected: (3,) where odometry has the robot.
+    better. Without a degenerate direction the same array is returned.
     """
     values, vectors = np.linalg.eigh(RESPONSE_GAIN * hessian[:2, :2])
     if values[0] >= DEGENERATE_SIGMA_M**-2.0:
@@ -306,13 +285,10 @@ def keep_degenerate_prior(hessian: F64, pose: F64, expected: F64) -> F64:
 
 
 def response_hessian(scan: ScanOnTiles, pose: F64) -> F64:
-    """Return (3, 3) the negative Hessian of the response: how fast it falls.
+    """Return (3, 3) the negative Hessian of the response at a match (3,), metres and radians.
 
     Measured along x and y and then once more along their own axes: a wall's response is no
-    parabola, and across it differences along other axes see a curvature where there is none.
-
-    Args:
-        pose: (3,) the match, metres and radians.
+    parabola, and differences along other axes show a curvature across it that does not exist.
     """
     flat = _hessian_along(scan, pose, np.eye(3), _FLAT)
     turn = 0.5 * math.atan2(2.0 * flat[0, 1], flat[0, 0] - flat[1, 1])
@@ -322,26 +298,21 @@ def response_hessian(scan: ScanOnTiles, pose: F64) -> F64:
 
 
 def _hessian_along(scan: ScanOnTiles, pose: F64, axes: F64, stencil: _Stencil) -> F64:
-    """Return the same by differences along the columns of ``axes``, (3, 3)."""
+    """Return the Hessian by differences along the columns of ``axes``, (3, 3)."""
     scores = scan.scores(pose + stencil.steps @ axes.T)
     local = -(stencil.weights @ scores).reshape(3, 3)
     return np.asarray(axes @ local @ axes.T)
 
 
 class _Stencil(NamedTuple):
-    """Where a surface is read, and what makes its second derivatives of that.
-
-    Attributes:
-        steps: (K, 3) metres and radians.
-        weights: (9, K) of the values read, per metre and radian squared.
-    """
+    """Finite differences: steps (K, 3) in metres and radians, weights (9, K) of their values."""
 
     steps: F64
     weights: F64
 
 
 def _stencil() -> _Stencil:
-    """Return the one of all second derivatives."""
+    """Return the stencil of all second derivatives."""
     places = [np.zeros(3)]
     weights = [np.zeros((3, 3))]
     for axis in range(3):

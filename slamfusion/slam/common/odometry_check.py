@@ -1,10 +1,10 @@
 """Compare a producer's path with the raw odometry: a wrong sensor makes the two contradict.
 
-A laser that is mounted otherwise than the robot's transforms say gives a map that looks right,
-since all producers see the same scans; only the robot's own motion shows it. Both paths are cut
+A laser that is mounted differently from the robot's transforms gives a map that looks right, since
+all producers see the same scans; only the robot's own motion shows it. Both paths are cut
 into steps of about half a metre or half a radian, and the turn, the direction as seen from the
 robot, and the length of each step are compared. A mirrored laser turns the other way, one that
-looks back drives the other way, one that is turned by some degrees drives askew.
+looks back drives the other way, one that is rotated by some degrees drives askew.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from slamfusion.trajectory import Trajectory, flag_runs
 # Distance of the path, metres, at constant odometry: more than the noise of scan matching, less
 # than the distance that a dead encoder misses on a drive.
 DRIVEN_M = 1.0
-# Written odometry has this many metres or radians at least between two poses of a robot that moves.
+# Least motion between two odometry poses of a moving robot, metres or radians.
 STANDS = 1e-9
 
 # A step ends where either path has moved this far, metres plus radians.
 STEP = 0.5
-# Steps that turn, and steps that drive, have at least this much of it: radians, metres.
+# Least turn or length of a step that is compared: radians, metres.
 TURNING_RAD, DRIVING_M = 0.2, 0.2
 # Least number of steps of a kind for a judgement.
 LEAST_STEPS = 10
@@ -34,9 +34,9 @@ LEAST_STEPS = 10
 SPREAD = 0.4
 # Least share of the steps that must agree.
 TOGETHER = 0.5
-# Reported from here on: an offset of the laser's mount, and odometry that is too long or too short.
+# Least deviations that are reported: angle of the laser's mount, and scale of the odometry.
 OFFSET_RAD, SCALE = math.radians(5.0), 0.1
-# From here on the laser looks back.
+# Least angle at which the laser looks back.
 BACKWARD_RAD = math.radians(150.0)
 
 
@@ -145,19 +145,14 @@ def contradictions(odometry: Trajectory, path: Trajectory) -> Iterator[str]:
 
 
 def laser_fault(odometry: Trajectory | None, path: Trajectory | None) -> str | None:
-    """Say how a laser is mounted otherwise than the log says; None: it is not, or nothing tells.
-
-    Args:
-        odometry: raw, of the scans; None: there is none.
-        path: what a producer made of them; None: there is none.
-    """
+    """Describe a laser that is mounted differently from the log; None if the paths show none."""
     if odometry is None or path is None:
         return None
     return "; ".join(_laser_faults(fit_odometry(odometry, path))) or None
 
 
 def _laser_faults(fit: OdometryFit) -> Iterator[str]:
-    """Yield a sentence for each way in which the laser is mounted otherwise than it says."""
+    """Yield a sentence for each way in which the laser's mount contradicts the log."""
     if fit.turn is not None and fit.turn < 0.0 and fit.turns_together >= TOGETHER:
         yield (
             f"the path turns against the odometry (slope {fit.turn:+.2f}): the laser is mounted "
@@ -182,11 +177,7 @@ def _laser_faults(fit: OdometryFit) -> Iterator[str]:
 
 
 def frozen_span(odometry: Trajectory, path: Trajectory) -> tuple[float, float] | None:
-    """Return the longest time in which raw odometry stands still and the path does not.
-
-    Returns:
-        (from, to), seconds of their stamps; None where the odometry goes along.
-    """
+    """Return (from, to) in seconds of the longest time in which only raw odometry stands still."""
     stands = np.asarray((np.abs(np.diff(odometry.poses, axis=0)) < STANDS).all(axis=1))
     longest: tuple[float, float] | None = None
     for here in flag_runs(stands):

@@ -1,4 +1,4 @@
-"""Run one producer over the scans of a log, and keep what is worth knowing of the run."""
+"""Run one producer over the scans of a log, and record its results and costs."""
 
 from __future__ import annotations
 
@@ -26,11 +26,7 @@ from slamfusion.trajectory import Trajectory
 
 @runtime_checkable
 class Resumable(Mapper, Protocol):
-    """A producer whose whole state can be saved, to go on later as if it had never stopped.
-
-    Attributes:
-        last_stamp_s: of the last scan fed, seconds; None before the first.
-    """
+    """A producer whose whole state can be saved and resumed; ``last_stamp_s`` is in seconds."""
 
     last_stamp_s: float | None
 
@@ -41,7 +37,7 @@ class Resumable(Mapper, Protocol):
 BYTES_PER_MB = 1e6
 # Percent of the scans that took at most p50, p95, p99, p999.
 TIME_PERCENTILES = (50.0, 95.0, 99.0, 99.9)
-# What a producer calls the path that it told as it went.
+# Name of the path as it was reported during the run.
 FIRST_REPORTED = "as first reported"
 # Share of the scans with a low match, and number of these in a row, from which on the robot may be
 # lost: a door or a crowd makes one now and then.
@@ -104,10 +100,7 @@ class ProducerRun:
         return self.health.scans_used
 
     def time_per_scan_ms(self) -> TimePerScanJson:
-        """Return mean, median (p50), percentiles (p95, p99, p99.9) and longest time for a scan.
-
-        The name of the last percentile is ``p999``.
-        """
+        """Return mean, median (p50), p95, p99, p99.9 (as ``p999``) and longest time for a scan."""
         feed_ms = 1e3 * self.feed_s
         p50, p95, p99, p999 = np.percentile(feed_ms, TIME_PERCENTILES).tolist()
         return {
@@ -120,14 +113,14 @@ class ProducerRun:
         }
 
     def online_path(self) -> Trajectory | None:
-        """Return the poses as they were first reported; None where the producer keeps none."""
+        """Return the poses as they were first reported; None if the producer keeps none."""
         for path in self.other_paths:
             if path.name == FIRST_REPORTED:
                 return path
         return None
 
     def warnings(self) -> tuple[str, ...]:
-        """Return what contradicts the map, a sentence each; empty where nothing does."""
+        """Return what contradicts the map, a sentence each."""
         sentences = []
         health = self.health
         is_often_low = health.low_scores > MANY_LOW_SHARE * health.scans_used
@@ -186,12 +179,10 @@ def run_producer(
     progress: Callable[[int], None] | None = None,
     limit: int | None = None,
 ) -> ProducerRun:
-    """Feed scans to a producer and return its map, its path and its record.
+    """Feed scans to a producer, which keeps its map, and return its results.
 
-    Args:
-        mapper: fresh or resumed; it keeps its map afterwards. What a resumed one was fed before
-            is not fed again.
-        limit: scans after which it stops, at least 1; default: none.
+    A resumed producer does not receive known scans again. It stops after ``limit`` scans, at least
+    1 if given.
     """
     last_s = mapper.last_stamp_s if isinstance(mapper, Resumable) else None
     known_until_s = -math.inf if last_s is None else last_s

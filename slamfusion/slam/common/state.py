@@ -35,7 +35,7 @@ M = TypeVar("M", bound="SavedMapper")
 
 # Names of the JSON part and of the digest in the file.
 RECORD, DIGEST = "record", "digest"
-# Of booleans, whole numbers and floats a state is made.
+# The dtype kinds of a state: booleans, integers and floats.
 KINDS = "biuf"
 QUOTE = "'"
 
@@ -70,10 +70,9 @@ class Stateful:
 
 
 class SavedMapper(Stateful):
-    """A mapper that can be saved and resumed; made of its settings, a device and a seed.
+    """A mapper that can be saved and resumed, made of its settings, a device and a seed.
 
-    Attributes:
-        STATE_KINDS: dataclasses that the state is made of, besides ``Pose2`` and ``Skips``.
+    ``STATE_KINDS`` lists the dataclasses in its state besides ``Pose2`` and ``Skips``.
     """
 
     name: str
@@ -83,7 +82,7 @@ class SavedMapper(Stateful):
     _seed: int
 
     def save_state(self, path: Path) -> None:
-        """Write everything that decides how the mapper goes on; whole or not at all."""
+        """Write the whole state, atomically."""
         state, packed = pack(self.to_state())
         record = {"state": state, **self.owner()}
         arrays: dict[str, Any] = packed
@@ -120,17 +119,17 @@ class SavedMapper(Stateful):
         return made
 
     def owner(self) -> dict[str, Any]:
-        """Return what a state must have in common with the mapper that takes it over."""
+        """Return what a state and the mapper that restores it must have in common."""
         settings = {"seed": self._seed, **_flat(to_mapping(self._config))}
         return {"name": self.name, "format": self.STATE_FORMAT, "settings": settings}
 
 
 def pack(state: Any) -> tuple[Any, Arrays]:
-    """Return a state as JSON values, and by dtype the values of all its arrays.
+    """Return a state as JSON values, and the values of all its arrays by dtype.
 
     In the JSON values ``{"array": [dtype, shape]}`` stands for the next array of that dtype,
     ``{"dict": [[key, value], ...]}`` for a dictionary, and ``{"Name": {...}}`` for a dataclass.
-    Tuples become lists, but for those that are keys.
+    Tuples become lists, except those that are keys.
     """
     parts: dict[str, list[npt.NDArray[Any]]] = {}
     packed = _packed(state, parts)
@@ -158,7 +157,7 @@ def _is_mutable_record(value: Any) -> bool:
 
 
 def _kind(value: Any) -> Any:
-    """Return what stays the same of an attribute from one scan to the next; None of None."""
+    """Return what stays the same of an attribute between scans; None of None."""
     if isinstance(value, np.ndarray):
         return value.dtype, value.ndim
     return None if value is None else type(value).__name__
@@ -181,7 +180,7 @@ def _packed(value: Any, parts: dict[str, list[npt.NDArray[Any]]]) -> Any:
 
 
 def _unpacked(packed: Any, rest: Arrays, kinds: Mapping[str, type]) -> Any:
-    """Return a value, and leave in ``rest`` what follows its arrays."""
+    """Return a value, and remove its arrays from ``rest``."""
     if isinstance(packed, list):
         return [_unpacked(item, rest, kinds) for item in packed]
     if not isinstance(packed, dict):
@@ -201,7 +200,7 @@ def _unpacked(packed: Any, rest: Arrays, kinds: Mapping[str, type]) -> Any:
 
 
 class _NoFileError(SlamFusionError):
-    """A state was named that is no regular file."""
+    """The named state is no regular file."""
 
 
 def _read(path: Path, owner: dict[str, Any]) -> tuple[Any, Arrays]:
@@ -274,11 +273,9 @@ Array = npt.NDArray[Any]
 
 
 def check_shapes(arrays: Mapping[str, Array], wanted: Mapping[str, str]) -> dict[str, int]:
-    """Return the length that each letter stands for.
+    """Check shapes, such as ``N 3``, by name; return the length of each letter.
 
-    Args:
-        wanted: by name too, sides parted by blanks: a number, or a letter that is the same length
-            wherever it stands, ``N 3`` for example; empty for a single value.
+    A letter stands for the same length everywhere; an empty text for a single value.
     """
     lengths: dict[str, int] = {}
     for name, text in wanted.items():

@@ -25,15 +25,15 @@ from slamfusion.slam.common.state import check_indices, check_kinds, check_shape
 
 # Tiles of a new pool: a room's, so that a small map never grows.
 FIRST_TILES = 64
-# Factors by which a full pool grows: the number of copies stays logarithmic, and little is held for
-# nothing. Of shared maps less; of large ones, from so many tiles on, still less.
+# Factors by which a full pool grows: the number of copies stays logarithmic. Shared maps grow less;
+# large ones, from ``LARGE_TILES`` on, still less.
 GROWTH, SHARED_GROWTH = 1.5, 1.25
 LARGE_TILES, LARGE_GROWTH = 10_000, 1.1
 # Empty pages that the window keeps between its content and its border, so that it seldom moves.
 MARGIN = 2
 # Pages that a window may have: 64 MB of page table, far beyond any building.
 MOST_PAGES = 1 << 24
-# Pages on a side that beams can cross, which count in 1/1024 cell in 32 bits.
+# Most pages on a side: beams count in 1/1024 cell in 32 bits.
 MOST_SIDE = 1 << 15
 
 Array = npt.NDArray[Any]
@@ -83,11 +83,7 @@ class _Tiles:
         return next(iter(self.pools.values())).shape[0]
 
     def cover(self, low: F64, high: F64) -> None:
-        """Move and grow the window until it holds a box of cells with a margin of empty pages.
-
-        Args:
-            low: (2,) x and y of the box, cells from the anchor.
-            high: (2,) its other corner.
+        """Extend the window to a box of cells from the anchor, with a margin of empty pages.
 
         Raises:
             MemoryBudgetError: the window would be larger than any building.
@@ -115,11 +111,7 @@ class _Tiles:
         self._send()
 
     def cells(self, name: str, *index: int) -> tuple[Array, npt.NDArray[np.int64]]:
-        """Return one map of a pool as an array, cut to the pages in use; only these are fetched.
-
-        Returns:
-            (H, W) values, and (2,) column and row of the first cell from the anchor.
-        """
+        """Return one map (H, W), cut to the pages in use, and its first (column, row), (2,)."""
         pages = self.pages[index]
         rows, cols = np.nonzero(pages)
         if len(rows) == 0:
@@ -140,7 +132,7 @@ class _Tiles:
             self.pools[name] = self._device.extend(self.pools[name], capacity, self._fills[name])
 
     def _restore(self, arrays: Mapping[str, Array], *others: str) -> int:
-        """Take over saved pools, pages and corner; return how many tiles each pool holds."""
+        """Restore saved pools, pages and corner; return how many tiles each pool holds."""
         kept = {name: pool for name, pool in self.pools.items() if f"pool_{name}" in arrays}
         shapes = {f"pool_{name}": f"T {TILE} {TILE}" for name in kept}
         pages = "N H W" if self.pages.ndim > 2 else "H W"
@@ -169,17 +161,13 @@ class TileMap(_Tiles):
     def __init__(
         self, device: ComputeDevice, pools: Mapping[str, tuple[npt.DTypeLike, int]]
     ) -> None:
-        """Make pools with their empty tile: by name what kind of cell and its value."""
+        """Make pools with their empty tile, given the dtype and the fill value by name."""
         self.tiles = 1
         self._wanted: Any = None
         super().__init__(device, pools)
 
     def write(self, beams: npt.NDArray[np.int32], rule: ScanRule | LikelihoodRule) -> None:
-        """Write a scan into the cells.
-
-        Args:
-            beams: (B, K) as the rule says; all that they come near to is covered.
-        """
+        """Write a scan's beams (B, K), as the rule says, all in the window."""
         device, handle = self._device, self._device.upload(beams)
         if device.mark_scan(self.pools, self.page_tables, handle, rule, self._wanted):
             self._provide_wanted()
@@ -203,12 +191,12 @@ class TileMap(_Tiles):
         self._send()
 
     def keep_only(self, name: str) -> None:
-        """Let go of every pool but one; nothing can be written any more."""
+        """Free every pool but one; the map becomes read-only."""
         self.pools = {name: self.pools[name]}
         self._wanted = None
 
     def _provide_wanted(self) -> None:
-        """Give a tile to every page that is wanted."""
+        """Give a tile to every page that needs one."""
         missing = np.flatnonzero(self._device.download(self._wanted)[1:])
         needed = self.tiles + len(missing)
         if needed > self._capacity:
@@ -223,13 +211,13 @@ class TileMap(_Tiles):
 
 
 class SharedTileMaps(_Tiles):
-    """N maps of tiles that share what is equal; pages are (N, PH, PW), unseen cells 0."""
+    """N maps that share equal tiles; pages are (N, PH, PW), unseen cells 0."""
 
     def __init__(
         self, device: ComputeDevice, count: int, pools: Mapping[str, npt.DTypeLike]
     ) -> None:
         """Make empty maps."""
-        # Maps that use each tile; the empty tile is nobody's and never free.
+        # Number of maps that use each tile; the empty tile counts as unused and is never free.
         self._users = np.zeros(FIRST_TILES, dtype=np.int32)
         self._one: tuple[int, DeviceArray[Any]] | None = None
         super().__init__(device, {name: (kind, 0) for name, kind in pools.items()}, (count,))
@@ -263,21 +251,17 @@ class SharedTileMaps(_Tiles):
         return self._device.upload(self.pages[indices])
 
     def take_over(self, parents: npt.NDArray[np.int64]) -> None:
-        """Let every map become that of its parent, (N,) indices of maps; no cell is copied."""
+        """Replace every map by its parent's, (N,) indices of maps; no cell is copied."""
         self.pages = self.pages[parents]
         self._users = np.bincount(self.pages.ravel(), minlength=len(self._users)).astype(np.int32)
         self._users[0] = 0
         self._send()
 
     def make_writable(self, written: npt.NDArray[np.bool_]) -> None:
-        """Give maps tiles of their own where they are going to write.
-
-        Args:
-            written: (N, PH, PW) pages of each map.
-        """
+        """Give maps tiles of their own on the pages (N, PH, PW) that they are going to write."""
         places = np.flatnonzero(written)
         tiles = self.pages.flat[places]
-        # Of several that write into a tile the last may keep it, if nobody else uses it.
+        # The last of several writers of a tile may keep it if no other map uses it.
         order = np.argsort(tiles, kind="stable")
         ordered = tiles[order]
         last = np.append(ordered[1:] != ordered[:-1], np.array([True]))[: len(ordered)]
@@ -325,7 +309,7 @@ class SharedTileMaps(_Tiles):
         self._send()
 
     def _take(self, count: int) -> npt.NDArray[np.int64]:
-        """Return the numbers of ``count`` free tiles; the pools grow where they must."""
+        """Return the numbers of ``count`` free tiles; grow the pools if needed."""
         free = np.flatnonzero(self._users[1:] == 0)[:count] + 1
         missing = count - len(free)
         if missing > 0:

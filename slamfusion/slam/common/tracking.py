@@ -31,30 +31,29 @@ from slamfusion.slam.common.state import Stateful
 
 # Share of the running mean score below which a match is low: while tracking holds that is rare.
 LOW_SHARE = 0.5
-# The second search after a low match: its spread and its draws, in those of the first one; wide
+# Spread and draws of the second search after a low match, as factors of the first one's; wide
 # enough for a wheel that has slipped.
 SECOND_SEARCH_SPREAD, SECOND_SEARCH_POSES = 3.0, 4
-# Score, 0 to 1, that the second search must find beyond the first one's: more draws find more by
-# chance too.
+# Gain in score, 0 to 1, that the second search needs: more draws find more by chance too.
 SECOND_SEARCH_GAIN = 0.1
 # Memory of the running mean score, scans: some seconds, so that it follows the place.
 SCORE_MEMORY = 50
 # A step is extrapolated over missing scans to at most this many times its length: a robot that went
 # on for longer may have turned.
 MOST_ONWARD = 3.0
-# Spread of the first look without odometry, in that with it: acceleration is not known.
+# Factor on the spread of the first look without odometry: acceleration is not known.
 NO_ODOMETRY_SPREAD = 2.0
 # Without scans and odometry a robot may have stopped anywhere on its way. At most this number of
-# places beyond is searched, MOST_ONWARD steps apart.
+# further places is searched, MOST_ONWARD steps apart.
 PLACES_ON_THE_WAY = 8
 # Scans in a map below which leaving the odometry costs more. The beams of one scan mark some cells
 # of a wall alone, so the next scans fit best at its place: a moving robot seems to stand, and
 # mapping it there confirms that.
 YOUNG_SCANS = 20
 # Cost of standing still in a young map, of the score, if the odometry moved. Long steps cost that
-# anyway, so that odometry that is far off can be left.
+# anyway, so a match can still reject bad odometry.
 STANDING_LOSS = 0.1
-# Score lost by a robot that went on as it went, against its odometry.
+# Cost of continuing the last motion against the odometry, of the score.
 DRIFT_LOSS = 0.05
 
 
@@ -97,7 +96,7 @@ class Tracker(Stateful):
     running_mean_score: float | None = None
 
     def hypotheses(self, stamp_s: float, odometry: Pose2 | None) -> list[PoseHypothesis]:
-        """Return where the robot may be: by its odometry, and if it goes on as it went."""
+        """Return where the robot may be: by its odometry, and by continuing its motion."""
         self.has_jumped = False
         if self.pose is None:
             return [PoseHypothesis(row_of(odometry or IDENTITY), self._spread(IDENTITY, 1.0))]
@@ -113,17 +112,12 @@ class Tracker(Stateful):
         trust = self._trust(step)
         return [
             replace(self._hypothesis(step, 1.0, 0.0), by_odometry=True, trust=trust),
-            # Odometry that stalls and then catches up, or wheels that slip, are what this is for.
+            # For odometry that stalls and then catches up, and for wheels that slip.
             self._hypothesis(onward, 1.0, DRIFT_LOSS * trust),
         ]
 
     def match(self, walls: FieldMap, points: F64, hypotheses: list[PoseHypothesis]) -> Match:
-        """Search around the hypotheses; where little fits once more, wider, if it is to.
-
-        Args:
-            points: (P, 2) hits in the robot's frame, metres; at least one.
-            hypotheses: at least one.
-        """
+        """Search points (P, 2), metres in the robot's frame, around at least one hypothesis."""
         config = self.config
         scan = ScanOnTiles(self.device, walls, points, config.beams)
         by_odometry, trust = hypotheses[0].by_odometry, hypotheses[0].trust
@@ -141,20 +135,20 @@ class Tracker(Stateful):
         if self.resolves_degeneracy and by_odometry:
             hessian = response_hessian(scan, match.pose)
             pose = keep_degenerate_prior(hessian, match.pose, hypotheses[0].pose)
-            is_moved = pose is not match.pose  # the Hessian is that of another place then
+            is_moved = pose is not match.pose  # the Hessian belongs to the old place
             match = replace(match, pose=pose, hessian=None if is_moved else hessian)
         self._remember(match.score)
         return match
 
     def advance(self, pose: Pose2, odometry: Pose2 | None, stamp_s: float) -> None:
-        """Take a pose as where the robot is at a scan."""
+        """Set the robot's pose at a scan."""
         if self.pose is not None:
             self.step = self.pose.inverse().compose(pose)
             self.step_s = stamp_s - self.stamp_s
         self.pose, self.odometry, self.stamp_s = pose, odometry, stamp_s
 
     def _onward(self, duration_s: float) -> Pose2:
-        """Return the step of a robot that goes on as it went between the last two scans."""
+        """Return the step that continues the motion between the last two scans."""
         if self.step_s <= 0.0:
             return IDENTITY
         times = min(duration_s / self.step_s, MOST_ONWARD)
@@ -162,9 +156,9 @@ class Tracker(Stateful):
         return Pose2(step.x * times, step.y * times, step.yaw_rad * times)
 
     def _without_odometry(self, onward: Pose2, duration_s: float) -> list[PoseHypothesis]:
-        """Return where the robot may be: as expected, and where scans are missing all the way on.
+        """Return where the robot may be: as expected, and all the way on if scans are missing.
 
-        The further from where it would have come to as it went the less likely, by ``DRIFT_LOSS``.
+        The farther a place is from the expected one, the more it costs, up to ``DRIFT_LOSS``.
         """
         missing = duration_s / (MOST_ONWARD * self.step_s) if self.step_s > 0.0 else 0.0
         if missing <= 1.0 or self.step == IDENTITY:
@@ -184,7 +178,7 @@ class Tracker(Stateful):
         return [found[first], *found[:first], *found[first + 1 :]]
 
     def _trust(self, step: Pose2) -> float:
-        """Return how many times more leaving the odometry costs than on a map of many scans."""
+        """Return the factor on the cost of leaving the odometry, 1 on a map of many scans."""
         if not self.doubts_young_map:
             return 1.0
         spreads = math.hypot(step.x, step.y) / float(self._spread(step, 1.0)[0])
@@ -205,7 +199,6 @@ class Tracker(Stateful):
         )
 
     def _remember(self, score: float) -> None:
-        """Keep the record of match scores."""
         health = self.health
         mean = health.mean_match_score
         if mean is not None and score < LOW_SHARE * mean:

@@ -35,7 +35,7 @@ from slamfusion.slam.graph.submap import UNSEEN_WALL, Pyramid, Submap, seen_scor
 
 I32 = npt.NDArray[np.int32]
 
-# Blocks that are opened together: the device is asked few times.
+# Blocks that are opened together, to call the device less often.
 BATCH = 256
 # Distance, cells, by which a yaw step moves the farthest hit: the range of the likelihood around a
 # wall.
@@ -47,13 +47,7 @@ LEAST_REACH_CELLS = 20.0
 
 
 class Window(NamedTuple):
-    """Poses that are searched, in a submap's frame.
-
-    Attributes:
-        centre: (3,) metres and radians.
-        half_m: how far x and y reach from there.
-        half_rad: how far the yaw does.
-    """
+    """Poses to search in a submap's frame: centre (3,) and half-widths, metres and radians."""
 
     centre: F64
     half_m: float
@@ -61,12 +55,7 @@ class Window(NamedTuple):
 
 
 class WindowMatch(NamedTuple):
-    """The best pose of the search set.
-
-    Attributes:
-        pose: (3,) x, y in metres and yaw in radians, in the submap's frame.
-        score: mean field under the hits, 0 to 1.
-    """
+    """The best pose (3,), metres and radians in the submap's frame, and its score, 0 to 1."""
 
     pose: F64
     score: float
@@ -86,11 +75,11 @@ def search_window(
     Args:
         points: (P, 2) hits in the robot's frame, metres; at least one.
         resolution: metres per cell.
-        beside: (3,) a pose in the submap's frame; what lies within ``BESIDE_M`` and
-            ``BESIDE_RAD`` of it is passed over: is there another place that fits?
+        beside: (3,) a pose in the submap's frame; poses within ``BESIDE_M`` and ``BESIDE_RAD``
+            of it are skipped.
 
     Returns:
-        The best; of equals one, always the same. None where nothing is above ``least``.
+        The best, with a fixed choice among equals; None if no score is above ``least``.
     """
     cells = points / resolution
     reach = max(float(np.hypot(cells[:, 0], cells[:, 1]).max()), LEAST_REACH_CELLS)
@@ -105,13 +94,13 @@ def search_window(
     starts = device.upload(np.floor(np.stack((y, x), axis=1)).astype(np.int32))
     span = 2 * half + 1
 
-    # A sum is whole: what is added undoes the rounding of a score that was one.
+    # Sums are integers: the small term undoes the rounding of ``least``.
     best_sum = int(np.floor(least * 255.0 * len(points) + 1e-6))
     side = pyramid.windows[0]
     firsts = -(-span // side)
     blocks = np.indices((len(yaws), firsts, firsts), dtype=np.int32).reshape(3, -1).T
     blocks = blocks * np.array([1, side, side], dtype=np.int32)
-    # A stack of open blocks by level; the most promising of the deepest level come first.
+    # A stack of open blocks by level; the deepest level's highest bounds come first.
     queues = [(blocks, device.bound_blocks(blocks, starts, pyramid.fields[0], best_sum))]
     best: I32 | None = None
     while queues:
@@ -151,7 +140,7 @@ def _children(blocks: I32, window: int, part: int) -> I32:
 
 @cache
 def _offsets(window: int, part: int) -> I32:
-    """Return the first shifts of the parts in a block, (K, 3): no yaw, rows, columns."""
+    """Return the first shifts of the parts in a block, (K, 3): yaw 0, rows, columns."""
     steps = np.arange(0, window, part, dtype=np.int32)
     rows, cols = (axis.ravel() for axis in np.meshgrid(steps, steps, indexing="ij"))
     return np.stack((np.zeros_like(rows), rows, cols), axis=-1)
@@ -163,25 +152,23 @@ LITTLE_IN_COMMON = "little in common"
 DEGENERATE = "degenerate direction"
 AMBIGUOUS = "two places fit"
 
-# Deviation of the matcher's search around where a scan is expected, metres: at least three cells.
+# Least deviation of the matcher's search around the expected place, metres: three cells.
 LEAST_SPREAD_M = 0.15
 # Error of the expected heading: radians, fixed and for a metre of drift.
 TURN_RAD, TURN_RAD_PER_M = 0.05, 0.1
-# Share of that response which the window search needs: it finds whole cells, and what the fine
-# search then finds fits better.
+# Share of the needed response for the window search: it finds whole cells only, and the fine search
+# improves it.
 WINDOW_SHARE = 0.8
-# A rival is searched this many times as far as the closure, and metres farther.
+# Window of a rival: factor on the closure's window, and metres added.
 RIVAL_TIMES, RIVAL_M = 1.5, 0.5
-# Half-width of the peak that is searched once more for the response to compare rivals with: cells
-# and radians.
+# Half-width of the peak whose response rivals are compared with: cells and radians.
 PEAK_CELLS, PEAK_RAD = 2.0, 0.02
-# Difference between expected and found, metres and radians, up to which no rival is searched unless
-# the window is wide: the closure then tells hardly anything new.
+# Difference between expected and found, metres and radians, below which no rival is searched unless
+# the window is wide: the closure then changes little.
 NEWS_M, NEWS_RAD = 0.2, 0.05
-# Distance around the robot's places in a submap, metres, from where its walls can be seen too.
+# Distance around the robot's places in a submap, metres, from which its walls can be seen too.
 AROUND_M = 1.0
-# Drift up to which the matcher's own search finds a closure; beyond, a whole window is searched.
-# Metres.
+# Drift, metres, up to which the matcher's own search is used; above it a whole window is searched.
 LOCAL_DRIFT_M = 0.8
 # Response that a closure needs, as a share of the running mean score, and the share of a scan's
 # hits that may be unseen in the older submap; a search without an expected place needs more.
@@ -189,12 +176,11 @@ MEAN_SHARE, MEAN_SHARE_ANYWHERE = 0.75, 0.85
 MOST_UNSEEN, MOST_UNSEEN_ANYWHERE = 0.6, 0.3
 # Another place with this share of a closure's response makes it ambiguous.
 RIVAL_SHARE = 0.93
-# A robot that tracking may have lost is searched this far around where it is expected; where a bad
-# match is best as near as the second pair, the world has changed, not the place. Metres, radians.
+# Half-width of the search if tracking may have failed, metres and radians. If a bad match is best
+# within the second pair of the expected place, the world has changed, not the place.
 SEARCH_M, SEARCH_RAD = 1.5, 0.8
 EXPECTED_M, EXPECTED_RAD = 0.4, 0.12
-# Deviations of the matcher's search around what a window search has found: metres, two cells, and
-# radians.
+# Standard deviations of the matcher's search around a window search's result: two cells, radians.
 AFTER_WINDOW_M, AFTER_WINDOW_RAD = 0.1, 0.02
 
 
@@ -220,22 +206,19 @@ class ClosureSearch:
         self._config = config
         self._device = device
         self._rng = rng
-        # A window search ends within a cell of the place: half of the climbers find it from there.
+        # A window search ends within a cell of the place, so half of the climbers suffice.
         climbers = max(1, config.matcher.climbers // 2)
         self._after_window = replace(config.matcher, climbers=climbers)
 
     def near(
         self, submap: Submap, points: F64, expected: F64, drift_m: float, mean_score: float
     ) -> Found | str:
-        """Search where the robot is expected.
+        """Search where the robot is expected; return the pose or the reason for the health record.
 
         Args:
             points: (P, 2) hits in the robot's frame, metres.
             expected: (3,) pose in the submap's frame.
             mean_score: running mean score of the tracker, 0 to 1.
-
-        Returns:
-            Where it lies, or why that is not known, in the words of the health record.
         """
         config = self._config
         least = max(config.loop_match_minimum_response, MEAN_SHARE * mean_score)
@@ -267,17 +250,12 @@ class ClosureSearch:
     def around(
         self, submap: Submap, points: F64, expected: F64, mean_score: float, *, by_odometry: bool
     ) -> tuple[F64, bool]:
-        """Search the growing submap far around a pose for a robot that tracking may have lost.
-
-        Args:
-            points: (P, 2) hits in the robot's frame, metres.
-            expected: (3,) pose in the submap's frame.
-            mean_score: running mean score of the tracker, 0 to 1.
+        """Search the growing submap far around the expected pose (3,) after a bad match.
 
         Returns:
-            A pose (3,), and whether it may be trusted: the scan fits there about as well as on
-            average and nowhere else nearly as well; or it fits badly, but best where it is
-            expected: then the world has changed, not the place.
+            A pose (3,), and whether it is certain: the scan fits there about as well as on
+            average and nowhere else nearly as well; or it fits badly, but best at the expected
+            pose: then the world has changed, not the place.
         """
         window = Window(expected, SEARCH_M, SEARCH_RAD)
         best = self._searched(submap, points, window, 0.0)
@@ -304,7 +282,7 @@ class ClosureSearch:
         least: float,
         most_unseen: float,
     ) -> Found | str:
-        """Search the first window, judge what is found, and look for a rival in the second."""
+        """Search the first window, check the result, and look for a rival in the second."""
         best = self._searched(submap, points, windows[0], WINDOW_SHARE * least)
         if best is None:
             return LOW_RESPONSE
@@ -323,7 +301,7 @@ class ClosureSearch:
         *,
         by_window: bool = False,
     ) -> Found | str:
-        """Search around a hypothesis, of a window search or not, and judge what is found."""
+        """Search around a hypothesis, from a window search or not, and check the result."""
         config = self._config
         scan = ScanOnTiles(self._device, submap.walls(), points, config.matcher.beams)
         matcher = self._after_window if by_window else config.matcher
@@ -342,7 +320,7 @@ class ClosureSearch:
     def _searched(
         self, submap: Submap, points: F64, window: Window, least: float, beside: F64 | None = None
     ) -> WindowMatch | None:
-        """Return the best of a window, not ``beside`` a pose (3,); None where nothing fits."""
+        """Return the best of a window away from ``beside`` (3,); None if nothing fits."""
         every = -(-len(points) // self._config.matcher.beams)
         cell, pyramid = self._config.resolution, submap.pyramid()
         return search_window(self._device, pyramid, points[::every], window, cell, least, beside)
@@ -358,11 +336,11 @@ class ClosureSearch:
 
 
 def _is_news(expected: F64, found: F64) -> bool:
-    """Return whether a scan lies elsewhere than the graph has it, poses (3,)."""
+    """Return whether a scan lies elsewhere than the graph predicts, poses (3,)."""
     away = found - expected
     return bool(np.hypot(away[0], away[1]) > NEWS_M or abs(wrap_angle(float(away[2]))) > NEWS_RAD)
 
 
 def _around(coarse: F64) -> PoseHypothesis:
-    """Return where the fine search looks around what a window has found."""
+    """Return the start of the fine search around a window search's result."""
     return PoseHypothesis(coarse, spread_of(AFTER_WINDOW_M, AFTER_WINDOW_RAD))

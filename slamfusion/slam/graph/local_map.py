@@ -22,29 +22,27 @@ from slamfusion.slam.graph.submap import UNSEEN_WALL, Submap, fill_walls, seen_s
 WALL_CELLS = 1.0
 # A scan with this share of its hits where the local map has seen nothing is not bad.
 MOST_UNSEEN = 0.8
-# A match worth less than this share of the usual one is bad. Right after a reset of the odometry
-# one that is worth less than the second share is enough: the robot was perhaps switched off and
-# moved.
+# A match below this share of the usual score is bad. Right after a reset of the odometry the second
+# share applies: the robot may have been switched off and moved.
 BAD_SHARE, RESET_SHARE = 0.6, 0.8
 
 
 class LocalMap(Stateful):
-    """Submaps in the order of their anchors; it owns them, and the map components they are in.
+    """Submaps in the order of their anchors, and the map components they are in.
 
-    The robot is followed in the frame of the active submap. Half way through it the next one
-    begins beside it, and when it is full that one becomes the active one. Submaps of one component
-    are placed to each other by matches; those of another, begun by a kidnapped robot, are not.
+    The robot is followed in the frame of the active submap; those before it are finished. Half way
+    through it the next one starts, and when it is full that one becomes the active one. Matches
+    place the submaps of one component relative to each other; only odometry places components.
 
     Attributes:
-        components: number of the map component of each.
-        active: index of the one in whose frame the robot is followed; those before it are finished.
-        node_pose: pose of the last node in that frame.
+        components: number of the map component of each submap.
+        active: index of the active submap.
+        node_pose: pose of the last node in its frame.
     """
 
     STATE = ("components", "active", "node_pose", "_begun")
 
     def __init__(self, config: GraphConfig, device: ComputeDevice, health: GraphHealth) -> None:
-        """Start empty."""
         self.submaps: list[Submap] = []
         self.components: list[int] = []
         self.active = 0
@@ -52,10 +50,10 @@ class LocalMap(Stateful):
         self._config = config
         self._device = device
         self._health = health
-        # Of the finished submaps: anchors (S,), and corners of the boxes around
-        # the robot's places in them, metres (S, 2).
+        # Of the finished submaps: anchors (S,), and corners (S, 2), metres, of the boxes around
+        # the robot's places.
         self._boxes = (np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)))
-        # Where a submap was begun in the frame of the one before it, by their anchors.
+        # Pose of each new submap in the frame of the one before it, by their anchors.
         self._begun: dict[tuple[int, int], Pose2] = {}
 
     # -- what there is -------------------------------------------------------------------------
@@ -81,19 +79,14 @@ class LocalMap(Stateful):
         return sum(submap.memory_bytes for submap in self.submaps)
 
     def in_other_components(self) -> list[int]:
-        """Return the finished submaps of other components than the robot's."""
+        """Return the finished submaps of the components that the robot is not in."""
         own = self.active_component
         return [index for index in range(self.active) if self.components[index] != own]
 
     def distances_m(self, pose: Pose2, poses: F64) -> F64:
-        """Return how far a pose is from where the robot was in each finished submap, (S,).
+        """Return the distance of a pose to the robot's places in each finished submap, (S,) metres.
 
-        Args:
-            pose: in the map frame.
-            poses: (N, 3) of the nodes, likewise.
-
-        Returns:
-            Metres; 0 within a box around the robot's places there.
+        The pose and the nodes' poses (N, 3) are in the map frame; 0 within the places' box.
         """
         if len(self._boxes[0]) != self.active:
             finished = self.submaps[: self.active]
@@ -111,14 +104,10 @@ class LocalMap(Stateful):
         return np.asarray(np.hypot(outside[:, 0], outside[:, 1]))
 
     def fit(self, points: F64, match: Match, mean_score: float | None) -> float:
-        """Return what a match is worth where the active submap has seen something.
+        """Return a match's score relative to the mean, where the active submap is known.
 
-        Args:
-            points: (P, 2) hits in the robot's frame, metres.
-            mean_score: running mean score of the matches before; None: there are none.
-
-        Returns:
-            Its score in the mean score; 1 where it is not much lower, or says little.
+        1 if there is no mean yet, or the score is not much lower or covers little. Hits (P, 2) are
+        in the robot's frame, metres.
         """
         if mean_score is None:
             return 1.0
@@ -132,7 +121,7 @@ class LocalMap(Stateful):
     # -- how it grows --------------------------------------------------------------------------
 
     def begin(self, number: int, node: Node, component: int) -> None:
-        """Begin a submap that no other overlaps, at a node; those before grow no more."""
+        """Start a submap at a node that no other overlaps; the earlier ones are finished."""
         for submap in self.submaps[self.active :]:
             submap.finish()
         begun = self._append(number, component)
@@ -143,11 +132,9 @@ class LocalMap(Stateful):
     def constraints(
         self, number: int, points: F64, local: Pose2, hessian: F64 | None
     ) -> list[Constraint]:
-        """Return what a match tells of a node and the anchors of the growing submaps.
+        """Return the constraints between a node and the anchors of the growing submaps.
 
-        Args:
-            points: (P, 2) its hits in the robot's frame, metres.
-            hessian: (3, 3) negative Hessian of the response there; None: not measured yet.
+        Hits (P, 2) are in the robot's frame, metres; ``hessian`` is that of the response (3, 3).
         """
         active = self.active_submap
         row = wrapped_row_of(local)
@@ -165,7 +152,7 @@ class LocalMap(Stateful):
         return found
 
     def insert(self, number: int, node: Node, local: Pose2) -> Pose2:
-        """Write a node into the growing submaps; return its pose in the one that is active then."""
+        """Write a node into the growing submaps; return its pose in the then active submap."""
         config, walls, active = self._config, self._walls_of(node), self.active_submap
         active.insert(*walls, local)
         if self.active + 1 < len(self.submaps):
@@ -183,10 +170,9 @@ class LocalMap(Stateful):
         return local
 
     def join(self, other: int, node_count: int) -> tuple[npt.NDArray[np.bool_], bool]:
-        """Make one component of the robot's and another one: the later joins the earlier.
+        """Join the robot's and another component; return which nodes moved, (N,), and if it did.
 
-        Returns:
-            (N,) whether each node was in the component that joins; whether that is the robot's.
+        The later component joins the earlier one.
         """
         own = self.active_component
         joining, kept = (own, other) if own > other else (other, own)
@@ -200,7 +186,7 @@ class LocalMap(Stateful):
     # -- state ---------------------------------------------------------------------------------
 
     def to_state(self) -> dict[str, Any]:
-        """Return the state, see ``Stateful``, with what each submap holds."""
+        """Return the state, see ``Stateful``, with the submaps' contents."""
         submaps = [submap.to_arrays() for submap in self.submaps]
         return {**super().to_state(), "submaps": submaps}
 

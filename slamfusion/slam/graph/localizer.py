@@ -22,8 +22,8 @@ from slamfusion.slam.graph.node_map import Node
 
 TrackingStatus = Literal["tracked", "unsure", "failed", "kidnapped"]
 
-# Scans in a row without a sure place after which the robot is kidnapped. One or two bad scans are a
-# door or a crowd.
+# Consecutive scans without a certain place after which the robot is kidnapped. One or two bad scans
+# are a door or a crowd.
 LOST_SCANS = 4
 # Tracking has failed after this number of bad scans among this number of the last ones.
 FAILED_BAD, FAILED_SCANS = 3, 10
@@ -31,32 +31,21 @@ FAILED_BAD, FAILED_SCANS = 3, 10
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """A scan with what is known of it.
-
-    Attributes:
-        points: (P, 2) its hits within the usable range, in the robot's frame, metres.
-        odometry: pose by odometry at its time; None where there is none or it is not to be used.
-    """
+    """A scan, its usable hits (P, 2) in the robot's frame, metres, and its odometry if usable."""
 
     scan: LaserScan
     points: F64
     odometry: Pose2 | None
 
     def node(self, travelled_m: float) -> Node:
-        """Return it as a node, after a distance travelled, metres."""
+        """Return it as a node."""
         laser = np.array([self.scan.mount.x, self.scan.mount.y], dtype=np.float32)
         return Node(self.points.astype(np.float32), laser, travelled_m, self.odometry)
 
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """Where a scan was found.
-
-    Attributes:
-        local: pose of the robot in the active submap.
-        score: of its match, 0 to 1.
-        hessian: (3, 3) negative Hessian of the response there; None: not measured.
-    """
+    """Pose in the active submap, score of the match, 0 to 1, and Hessian (3, 3) of its response."""
 
     local: Pose2
     score: float
@@ -78,25 +67,24 @@ class Localizer(Stateful):
         search: ClosureSearch,
         health: GraphHealth,
     ) -> None:
-        """Start without a pose."""
         self._local_map = local_map
         self._search = search
         self._health = health
         self._tracker = Tracker(
             config.matcher, device, rng, health, searches_again=False, resolves_degeneracy=True
         )
-        # Scans in a row whose place was not sure, and the bad ones among the last ``FAILED_SCANS``.
+        # Consecutive uncertain scans, and the bad ones among the last ``FAILED_SCANS``.
         self._unsure_row = 0
         self._bad: list[int] = []
 
     @property
     def has_pose(self) -> bool:
-        """Whether a scan was seen before."""
+        """Whether it has received a scan."""
         return self._tracker.pose is not None
 
     @property
     def has_jumped(self) -> bool:
-        """Whether odometry has just been reset."""
+        """Whether odometry jumped at the last scan."""
         return self._tracker.has_jumped
 
     @property
@@ -109,7 +97,7 @@ class Localizer(Stateful):
         return self._tracker.hypotheses(stamp_s, odometry)
 
     def localize(self, seen: Observation, hypotheses: list[PoseHypothesis]) -> Estimate:
-        """Return where a scan lies; one that fits badly is searched far around."""
+        """Return where a scan lies; if it fits badly, search far around."""
         local_map, mean_score = self._local_map, self._tracker.running_mean_score
         submap = local_map.active_submap
         match = self._tracker.match(submap.walls(), seen.points, hypotheses)
@@ -130,12 +118,10 @@ class Localizer(Stateful):
         return Estimate(local, match.score, hessian, status)
 
     def _judge(self, fit: float, *, is_sure: bool) -> TrackingStatus:
-        """Take how a scan fitted, and return what that says of the robot.
+        """Update the tracking quality and return the status.
 
-        Returns:
-            ``kidnapped`` where it is no longer where the local map is; ``failed`` where it may be,
-            but its place to what was before is not known; ``unsure`` for a scan that only dead
-            reckoning places.
+        ``kidnapped``: the robot has left the local map; ``failed``: its place relative to
+        earlier scans is uncertain; ``unsure``: the scan is placed by dead reckoning only.
         """
         number = self._health.scans
         self._unsure_row = 0 if is_sure else self._unsure_row + 1
@@ -149,7 +135,7 @@ class Localizer(Stateful):
         return "failed" if len(self._bad) >= FAILED_BAD else "tracked"
 
     def dead_reckon(self, seen: Observation, hypothesis: PoseHypothesis) -> Pose2:
-        """Take a hypothesis as where the robot is at a scan that tells nothing; return it."""
+        """Accept a hypothesis as the robot's pose at an unusable scan; return it."""
         local = pose_of(hypothesis.pose)
         self._tracker.advance(local, seen.odometry, seen.scan.stamp_s)
         return local
@@ -160,7 +146,7 @@ class Localizer(Stateful):
         self._tracker.advance(IDENTITY, seen.odometry, seen.scan.stamp_s)
 
     def restart(self) -> None:
-        """Follow the robot in the frame of a submap that has just begun where it is."""
+        """Follow the robot in the frame of a submap that starts at its pose."""
         self._tracker.pose = IDENTITY
         self._unsure_row, self._bad = 0, []
 

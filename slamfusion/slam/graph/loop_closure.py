@@ -1,10 +1,10 @@
-"""Loop closures: what is searched when, which ones are accepted, and a kidnapped robot's way back.
+"""Loop closures: which submaps are searched, which results are accepted, and relocalization.
 
 A closure that moves the robot far waits in ``PendingClosures`` until others agree. A kidnapped
-robot is searched near where odometry has it and then all over. Rooms look alike: every place where
-a scan fits is a hypothesis, which says where the next scans must fit too. The robot is relocalized
-when one hypothesis has been confirmed over a distance, no other is left, and every old submap has
-been searched.
+robot is searched near its odometry and then everywhere. Rooms look alike: every place where
+a scan fits is a hypothesis that predicts where the next scans must fit too. The robot is
+relocalized when one hypothesis has been confirmed over a distance, no other is left, and every old
+submap has been searched.
 """
 
 from __future__ import annotations
@@ -22,29 +22,22 @@ from slamfusion.slam.graph.closure_search import LOW_RESPONSE, ClosureSearch, Fo
 from slamfusion.slam.graph.local_map import LocalMap
 from slamfusion.slam.graph.map_graph import BELIEVED_SHARE, Constraint, GraphHealth, MapGraph
 
-# How a place was searched: where the graph has the robot; where odometry has a kidnapped one; all
-# over.
+# Where a place was searched: at the graph's pose; at a kidnapped robot's odometry; everywhere.
 How = Literal["known", "odometry", "anywhere"]
 
-# A closure that moves the robot by no more is accepted alone, metres and radians.
+# A closure that moves the robot by at most this much needs no confirmation, metres and radians.
 SMALL_STEP_M, SMALL_STEP_RAD = 0.4, 0.1
-# Closures that put the robot nearer to each other than this say the same, metres and radians.
+# Closures agree if their poses of the robot differ by less than this, metres and radians.
 AGREEMENT_M, AGREEMENT_RAD = 0.3, 0.05
-# Nodes whose closures must agree before one that moves the robot far is accepted, and nodes for
-# which it waits for them.
+# Nodes whose closures must agree before a large correction is accepted, and nodes that it waits.
 AGREEING_NODES, WAIT_NODES = 2, 12
-# The same where odometry has a kidnapped robot: nodes, and the way between them, metres.
+# The same at a kidnapped robot's odometry: nodes, and the distance between them, metres.
 ODOMETRY_NODES, ODOMETRY_M = 3, 0.8
 
 
 @dataclass(frozen=True, eq=False)
 class PendingClosure:
-    """A closure that is not believed yet.
-
-    Attributes:
-        correction: what it would do to the robot's pose in the map frame.
-        travelled_m: distance that the robot has travelled up to it.
-    """
+    """A closure that is not accepted yet; ``correction`` would move the robot in the map frame."""
 
     constraint: Constraint
     correction: Pose2
@@ -53,11 +46,7 @@ class PendingClosure:
 
 
 class PendingClosures(Stateful):
-    """Closures that wait for others to say the same.
-
-    Attributes:
-        closures: the ones of the last nodes.
-    """
+    """Closures of the last nodes that wait for others to agree."""
 
     STATE = ("closures",)
 
@@ -65,10 +54,9 @@ class PendingClosures(Stateful):
         self.closures: list[PendingClosure] = []
 
     def confirmed(self, closure: PendingClosure, pose: Pose2) -> list[PendingClosure]:
-        """Return the closures that may be believed now, this one among them; often none.
+        """Return the closures that are now accepted, this one among them; often none.
 
-        Args:
-            pose: of its node in the map frame, before any correction.
+        ``pose`` is that of its node in the map frame, before any correction.
         """
         number = closure.constraint.end
         moved = closure.correction.compose(pose)
@@ -99,17 +87,17 @@ def is_same_place(one: Pose2, other: Pose2) -> bool:
 
 
 def _is_small(pose: Pose2, moved: Pose2) -> bool:
-    """Return whether a closure leaves the robot about where it was believed to be."""
+    """Return whether a closure moves the robot only a little."""
     away = math.hypot(moved.x - pose.x, moved.y - pose.y)
     turn = abs(wrap_angle(moved.yaw_rad - pose.yaw_rad))
     return away <= SMALL_STEP_M and turn <= SMALL_STEP_RAD
 
 
-# Hypotheses that are tested at a node, and that are kept: what a node may cost.
+# Hypotheses tested per node, and kept at most: bounds on the time of a node.
 TESTED, MOST_HYPOTHESES = 2, 12
-# A hypothesis is accepted after this number of nodes that fit over this way, metres: longer than
-# rooms look alike. It is given up after this number of misses in a row: a door or a person may hide
-# a place once or twice.
+# A hypothesis is accepted after this number of fitting nodes over this distance, metres: longer
+# than rooms look alike. It is dropped after this number of consecutive misses: a door or a person
+# may hide a place once or twice.
 BORNE_OUT_NODES, BORNE_OUT_M, MISSES = 14, 4.0, 3
 # One with fewer hits, or a smaller share of the best one's, is no rival.
 RIVAL_HITS, RIVAL_SHARE = 2, 0.4
@@ -117,11 +105,10 @@ RIVAL_HITS, RIVAL_SHARE = 2, 0.4
 
 @dataclass(eq=False)
 class RelocalizationHypothesis:
-    """Where the robot's map component may lie.
+    """A motion of the map frame that may place the robot's map component.
 
     Attributes:
-        correction: what would move the component there, in the map frame.
-        misses: tests in a row that it has failed.
+        misses: consecutive tests that it has failed.
         tested: node at which it was tested last.
     """
 
@@ -156,49 +143,42 @@ class LoopCandidate:
     hypothesis: RelocalizationHypothesis | None = None
 
 
-# Submaps that are searched all over at a node; and once each has been, nodes until the next round.
+# Submaps searched everywhere per node; and once each has been, nodes until the next round.
 SEARCHED_AT_NODE, ROUND_NODES = 3, 4
-# How far off the robot may be, metres: where odometry has a kidnapped one, more for each metre that
-# it travels from there; and where a hypothesis has it.
+# Error of the robot's expected pose, metres: at a kidnapped robot's odometry, with its growth per
+# metre travelled; and at a hypothesis.
 KIDNAPPED_DRIFT_M, DRIFT_SHARE, HYPOTHESIS_DRIFT_M = 1.2, 0.02, 0.6
-# Searches in vain where odometry has it, one for each node, after which it may be anywhere.
+# Failed searches at the odometry, one per node, after which the robot may be anywhere.
 LOCAL_SEARCHES = 12
 # A hypothesis is tested on an old submap where the robot was this near to where it is now, metres.
 INSIDE_M = 0.5
 
 
 class Relocalization(Stateful):
-    """The search for a kidnapped robot in the map components that it is not in.
-
-    Attributes:
-        hypotheses: where it may be, those that are not given up.
-    """
+    """The search for a kidnapped robot in the other map components."""
 
     STATE = ("hypotheses", "_searched", "_failed_searches", "_kidnapped_m")
 
     def __init__(self) -> None:
         self.hypotheses: list[RelocalizationHypothesis] = []
-        # How often submaps of other components were searched all over.
         self._searched: dict[int, int] = {}
-        # Searches where odometry has it, and the distance travelled when it was kidnapped.
         self._failed_searches = 0
         self._kidnapped_m = 0.0
 
     def begin(self, travelled_m: float) -> None:
-        """Begin for a robot that was kidnapped after a distance travelled, metres."""
+        """Start the search for a robot that was kidnapped after ``travelled_m``."""
         self.forget()
         self._failed_searches = 0
         self._kidnapped_m = travelled_m
 
     def forget(self) -> None:
-        """Forget what was searched, and every hypothesis: the robot is somewhere else now."""
+        """Forget all searches and hypotheses."""
         self._searched, self.hypotheses = {}, []
 
     def add(self, hit: PendingClosure, pose: Pose2) -> RelocalizationHypothesis:
-        """Take a closure as a hit of the hypothesis that says the same, or of a new one.
+        """Add a closure to the hypothesis that agrees with it, or to a new one.
 
-        Args:
-            pose: of its node in the map frame, before any correction.
+        ``pose`` is that of its node in the map frame, before any correction.
         """
         place = hit.correction.compose(pose)
         for one in self.hypotheses:
@@ -214,7 +194,7 @@ class Relocalization(Stateful):
         return one
 
     def miss(self, one: RelocalizationHypothesis) -> None:
-        """Count that a scan did not fit where a hypothesis says that it must."""
+        """Count that a scan did not fit where a hypothesis predicts it."""
         one.misses += 1
         if one.misses >= MISSES and one in self.hypotheses:
             self.hypotheses.remove(one)
@@ -229,11 +209,7 @@ class Relocalization(Stateful):
         return best if best.is_borne_out and not has_rival else None
 
     def candidates(self, graph: MapGraph, local_map: LocalMap, pose: Pose2) -> list[LoopCandidate]:
-        """Return the submaps that a kidnapped robot is searched in at a node.
-
-        Args:
-            pose: of the robot if it were where odometry alone has it, in the map frame.
-        """
+        """Return the submaps to search at a node, given the odometry's pose in the map frame."""
         if local_map.component_count < 2:
             return []
         others = local_map.in_other_components()
@@ -271,11 +247,7 @@ class Relocalization(Stateful):
     def confirmed(
         self, closure: PendingClosure, pose: Pose2, local_map: LocalMap
     ) -> list[PendingClosure]:
-        """Return the closures found anywhere that may be believed now; often none.
-
-        Args:
-            pose: of its node in the map frame, before any correction.
-        """
+        """Return the closures found anywhere that are now accepted; often none."""
         self.add(closure, pose)
         winner = self.winner()
         to_search = _covering(local_map.in_other_components())
@@ -285,7 +257,7 @@ class Relocalization(Stateful):
 
 
 def _covering(submaps: list[int]) -> list[int]:
-    """Return those of some submaps that together hold every scan: all overlap by half."""
+    """Return a subset of the submaps that contains every scan: neighbours overlap by half."""
     known = set(submaps)
     return [
         index
@@ -299,8 +271,7 @@ PENDING = "not confirmed by another"
 
 # Drift since a submap that the robot has just left, metres.
 LEAST_DRIFT_M = 0.3
-# Nodes between two searches of one submap, and submaps that are searched at a node: what a node may
-# cost.
+# Nodes between two searches of one submap, and submaps searched per node: bounds on a node's time.
 RETRY_NODES, TRIES_PER_NODE = 2, 2
 
 
@@ -317,7 +288,6 @@ class LoopClosure(Stateful):
         search: ClosureSearch,
         health: GraphHealth,
     ) -> None:
-        """Take what it works on."""
         self.relocalization = Relocalization()
         self._config = config
         self._graph = graph
@@ -325,28 +295,24 @@ class LoopClosure(Stateful):
         self._search = search
         self._health = health
         self._pending = PendingClosures()
-        # By submap: the node that was last searched in it, and the distance travelled when it was
-        # last tied to the robot by a closure.
+        # By submap: the node last searched in it, and the distance travelled at the last closure.
         self._last_searched: dict[int, int] = {}
         self._linked_m: dict[int, float] = {}
-        # The node at which tracking has failed, until a closure ties what came after to what was
-        # before.
+        # The node at which tracking failed, until a closure joins the path before and after it.
         self._failure_node: int | None = None
 
     def kidnapped(self) -> None:
-        """Take note that the robot was kidnapped after the last node."""
+        """Start relocalization after the last node."""
         self.relocalization.begin(self._graph.travelled_m)
 
     def tracking_failed(self) -> None:
-        """Take note that tracking has failed before the next node."""
+        """Record that tracking has failed before the next node."""
         self._failure_node = len(self._graph.nodes)
 
     def close(self, number: int, points: F64, mean_score: float) -> None:
-        """Search older submaps for a node, and solve the graph where that is due.
+        """Search older submaps for a node, and solve the graph if due.
 
-        Args:
-            points: (P, 2) its hits in the robot's frame, metres.
-            mean_score: running mean score of the tracker, 0 to 1.
+        Hits (P, 2) are in the robot's frame, metres; ``mean_score`` is the tracker's, 0 to 1.
         """
         graph, local_map = self._graph, self._local_map
         pose = graph.pose(number)
@@ -363,7 +329,7 @@ class LoopClosure(Stateful):
             components = local_map.component_count
             self._take(candidate, number, pose, found)
             if local_map.component_count != components:
-                break  # all else was expected where the robot is not
+                break  # the other candidates were computed from the old pose
         graph.solve_if_due(number)
 
     # -- where to search -----------------------------------------------------------------------
@@ -373,7 +339,6 @@ class LoopClosure(Stateful):
         config, local_map, graph = self._config, self._local_map, self._graph
         away_m = local_map.distances_m(pose, graph.poses)
         reach_m = config.loop_search_maximum_distance
-        # How far it has travelled since a submap was last tied to it, by its growth or a closure.
         following = [submap.anchor for submap in local_map.submaps[1 : len(away_m) + 1]]
         last = np.array(following, dtype=np.int64) + config.scan_buffer_size // 2
         travelled_m = graph.travelled_m - graph.travelled_at(last)
@@ -398,7 +363,7 @@ class LoopClosure(Stateful):
     # -- what is found -------------------------------------------------------------------------
 
     def _take(self, candidate: LoopCandidate, number: int, pose: Pose2, found: Found | str) -> None:
-        """Take what a search has found into the graph, or count why not."""
+        """Add a search's result to the graph, or count the reason for its rejection."""
         graph, health = self._graph, self._health
         health.closures_tried += 1
         if candidate.hypothesis is not None and found == LOW_RESPONSE:
@@ -422,7 +387,6 @@ class LoopClosure(Stateful):
             health.reject_closure(PENDING)
             return
 
-        # Add them to the graph; they may relocalize the robot.
         graph.add_closures([one.constraint for one in confirmed])
         moved = correction.compose(pose)
         correction_m = math.hypot(moved.x - pose.x, moved.y - pose.y)
@@ -435,7 +399,7 @@ class LoopClosure(Stateful):
             self._relocalize(self._local_map.components[candidate.index], correction)
 
     def _relocalize(self, other: int, correction: Pose2) -> None:
-        """Join the robot's map component and another one, now that it is known how they lie."""
+        """Join the robot's map component and another one."""
         graph, local_map = self._graph, self._local_map
         is_joining, is_own = local_map.join(other, len(graph.nodes))
         graph.move_nodes(is_joining, correction if is_own else correction.inverse())

@@ -1,7 +1,7 @@
 """``MapGraph``: nodes and constraints, and the poses that fit them best; and the driven path.
 
 Constraints from one scan to the next are trusted; closures may be false, and the robust solution
-leaves outliers out of the inlier set (graduated non-convexity, ``slamfusion.pose_graph.robust``).
+rejects outliers (graduated non-convexity, ``slamfusion.pose_graph.robust``).
 """
 
 from __future__ import annotations
@@ -37,10 +37,9 @@ from slamfusion.trajectory import Trajectory
 
 @dataclass(frozen=True, eq=False)
 class Constraint:
-    """What is known of two nodes.
+    """A relative measurement of two nodes.
 
     Attributes:
-        start: number of the node in whose frame it is told.
         motion: (3,) pose of ``end`` in the frame of ``start``, metres and radians.
         information: (3, 3) inverse covariance of the motion, along the axes of ``start``.
         is_closure: whether it may be false.
@@ -56,13 +55,10 @@ class Constraint:
 def solve_constraints(
     poses: F64, constraints: Sequence[Constraint], weights: F64 | None = None, tolerated: int = 0
 ) -> Steps[Optimized]:
-    """Return the poses that fit the constraints best; the first node is held.
+    """Return the poses that fit the constraints best; the first node is fixed.
 
-    Args:
-        poses: (N, 3) where the nodes are believed to be: where the search starts.
-        constraints: together they join all nodes; at least one.
-        weights: of the first of them by the last solution: its outliers are not tried again from
-            the start.
+    The search starts at ``poses`` (N, 3). The constraints must join all nodes. ``weights`` are the
+    last solution's, of the first constraints: its outliers are not re-evaluated at the start.
     """
     motions = np.array([one.motion for one in constraints])
     information = np.array([one.information for one in constraints])
@@ -95,15 +91,14 @@ def _in_end_frame(information: F64, yaws: F64) -> F64:
     return np.asarray(0.5 * (seen + seen.transpose(0, 2, 1)))
 
 
-# Node of the scans before there is one: their poses are told from the start.
+# Node of the scans before the first node: their poses are relative to the start.
 NO_NODE = -1
 
 
 class DrivenPath(Stateful):
     """The scans' poses relative to the graph's nodes, so that the path moves with them.
 
-    Attributes:
-        start: pose of the robot in the map frame at the first scan.
+    ``start`` is the robot's pose in the map frame at the first scan.
     """
 
     STATE = ("start", "_scans", "_reported", "_responses")
@@ -115,19 +110,15 @@ class DrivenPath(Stateful):
         self._responses: list[tuple[float, float]] = []
 
     def add(self, stamp_s: float, node: int, moved: Pose2) -> None:
-        """Add a scan.
-
-        Args:
-            moved: pose of the robot in the node's frame, or in that of the start.
-        """
+        """Add a scan, given the robot's pose in the frame of the node or of the start."""
         self._scans.append((stamp_s, node, (moved.x, moved.y, moved.yaw_rad)))
 
     def report(self, pose: Pose2) -> None:
-        """Keep what was told of the last scan's pose, in the map frame."""
+        """Record the last scan's pose in the map frame as reported."""
         self._reported.append((pose.x, pose.y, pose.yaw_rad))
 
     def add_response(self, stamp_s: float, score: float) -> None:
-        """Keep the response, 0 to 1, of a node's match."""
+        """Record the response, 0 to 1, of a node's match."""
         self._responses.append((stamp_s, score))
 
     def series(self) -> tuple[Series, ...]:
@@ -146,7 +137,7 @@ class DrivenPath(Stateful):
         return Trajectory(stamps, compose_poses(frames[nodes], motions), name)
 
     def as_reported(self, name: str) -> Trajectory:
-        """Return the pose at every scan as it was first told."""
+        """Return the pose at every scan as first reported."""
         stamps = np.array([stamp for stamp, _, _ in self._scans])
         return Trajectory(stamps, np.array(self._reported).reshape(-1, 3), name)
 
@@ -158,34 +149,33 @@ class DrivenPath(Stateful):
         return stamps
 
 
-# Share of the information that matches and odometry tell which is believed: scans on one submap
-# share its errors, and what wheels do wrong they do all the way. Without it true closures of long
-# loops are taken for outliers.
+# Share of the information of matches and odometry that is used: scans on one submap share its
+# errors, and errors of odometry are systematic. Without it true closures of long loops count as
+# outliers.
 BELIEVED_SHARE = 0.5
 # Standard deviations of a step of odometry: metres and metres per metre, radians and per radian.
 ODOMETRY_M, ODOMETRY_M_PER_M = 0.05, 0.1
 ODOMETRY_RAD, ODOMETRY_RAD_PER_RAD = 0.05, 0.1
-# Difference between odometry and the match, in these deviations, from which on a step is left out.
+# Difference between odometry and match, in these deviations, above which a step is left out.
 ODOMETRY_GATE = 3.0
-# Deviations of the tie between two local maps that no match joins, metres and radians: next to
-# nothing, which only keeps the equations solvable.
+# Deviations of the constraint between two local maps that no match joins, metres and radians: it
+# only keeps the equations solvable.
 FREE_SIGMAS = (10.0, 10.0, 3.0)
-# Deviations of odometry across such a gap, metres and radians: believed as far as the closures that
-# come agree with it.
+# Deviations of odometry across such a gap, metres and radians: may be rejected like a closure.
 GAP_SIGMAS = (0.3, 0.3, 0.2)
 # Nodes from one solution to the next: poses are kept relative to the local map, so it can wait.
 SOLVE_NODES = 30
-# New closures, and share of them, that may be left out as outliers without re-evaluating all, which
-# takes many times as long.
+# New closures, and their share, that may be outliers without re-evaluating all, which takes many
+# times as long.
 NEW_OUTLIERS, NEW_OUTLIERS_SHARE = 3, 1.0 / 6.0
-# Work of a solution at one scan, in constraints that are linearised; a step costs some more. About
-# 40 ms: what is left goes on at the next scans, the same number of steps on any machine.
+# Work of a solution at one scan, in linearised constraints; a step costs some more. About 40 ms:
+# the rest continues at the next scans, with the same number of steps on any machine.
 SCAN_WORK, STEP_WORK = 28_000, 400
 # Memory of a constraint: motion, information and ends.
 CONSTRAINT_BYTES = 112
 
 
-# What JSON calls figures that have another name here.
+# JSON names of figures that are named differently here.
 PUBLISHED = {
     "kidnappings": "restarts",
     "tracking_failures": "breaks",
@@ -193,7 +183,7 @@ PUBLISHED = {
     "map_components": "parts",
     "closure_outliers": "closures_doubted",
 }
-# Time without a scan, seconds, from which on the pause is named: the robot may have been moved.
+# Time without a scan, seconds, above which it counts as a pause: the robot may have been moved.
 PAUSE_S = 60.0
 
 
@@ -224,7 +214,7 @@ class GraphHealth(Health):
         return {**super().to_json(), "graph": cast("GraphJson", own)}
 
     def warnings(self) -> tuple[str, ...]:
-        """Return what contradicts the map; see ``Health.warnings``."""
+        """Return what contradicts the map, a sentence each."""
         sentences = []
         if self.map_components > 1:
             sentences.append(
@@ -245,7 +235,7 @@ class GraphHealth(Health):
         return tuple(sentences)
 
     def count_pause(self, pause_s: float) -> None:
-        """Count the time since the last scan, seconds, if it was long."""
+        """Count a long time since the last scan, seconds."""
         if pause_s > PAUSE_S:
             self.pauses += 1
             self.longest_pause_s = max(self.longest_pause_s, pause_s)
@@ -275,18 +265,13 @@ class Solution:
     time_s: float = 0.0
 
     def steps(self, constraints: Sequence[Constraint]) -> Steps[Optimized]:
-        """Return all its steps, given the graph's constraints."""
+        """Return all its steps."""
         known = constraints[: self.constraints]
         return solve_constraints(self.poses, known, self.weights, self.tolerated)
 
 
 class MapGraph(Stateful):
-    """The pose graph: it owns nodes, poses and constraints, and decides when it is solved.
-
-    Attributes:
-        nodes: scans that are kept, in the order of time.
-        poses: (N, 3) of them in the map frame, metres and radians.
-    """
+    """The pose graph; decides when it is solved. ``poses`` (N, 3) are in the map frame."""
 
     STATE = (
         "nodes",
@@ -303,8 +288,7 @@ class MapGraph(Stateful):
     )
 
     def __init__(self, health: GraphHealth) -> None:
-        """Start empty."""
-        # It loads slowly: here, not while the robot drives.
+        # Loads slowly: not while the robot drives.
         importlib.import_module("scipy.sparse.linalg")
         self.nodes: list[Node] = []
         self.poses: F64 = np.zeros((0, 3))
@@ -312,20 +296,19 @@ class MapGraph(Stateful):
         self._health = health
         self._node_bytes = 0
         self._travelled = np.zeros(0)
-        # Of the constraints that there were at the last solution, and outliers among them.
+        # Weights of the constraints in the last solution, and the number of outliers.
         self._weights = np.zeros(0)
         self._outliers = 0
-        # Of these, the ones left out since all closures were last re-evaluated.
+        # Outliers since all closures were last re-evaluated.
         self._new_outliers = 0
-        # Times that closures came since the last solution, and whether several came at once.
+        # Closure events since the last solution, and whether several closures came at once.
         self._unsolved = 0
         self._is_urgent = False
         self._solved_at = 0
-        # The solution that is under way, and its next steps.
         self._solution: Solution | None = None
         self._steps: Steps[Optimized] | None = None
         self._left = 0
-        # Poses by all closures, as of a number of constraints.
+        # Poses by all closures, and the number of constraints they were solved with.
         self._settled: tuple[int, F64] | None = None
 
     # -- nodes and constraints -----------------------------------------------------------------
@@ -336,7 +319,7 @@ class MapGraph(Stateful):
         return self.nodes[-1].travelled_m if self.nodes else 0.0
 
     def travelled_at(self, numbers: npt.NDArray[np.int64]) -> F64:
-        """Return the distances that the robot had travelled up to nodes, (K,), or to the last."""
+        """Return the distances travelled up to nodes (K,), or to the last node."""
         return self._travelled[np.minimum(numbers, len(self.nodes) - 1)]
 
     @property
@@ -349,7 +332,7 @@ class MapGraph(Stateful):
         return pose_of(self.poses[number])
 
     def add_node(self, node: Node, pose: Pose2) -> int:
-        """Add a node where it is taken to be in the map frame, and return its number."""
+        """Add a node at a pose in the map frame, and return its number."""
         self.nodes.append(node)
         self._node_bytes += node.ends.nbytes
         self._travelled = np.append(self._travelled, node.travelled_m)
@@ -362,10 +345,9 @@ class MapGraph(Stateful):
         self.constraints += constraints
 
     def add_odometry(self, number: int, matched: Pose2) -> None:
-        """Tie a node to the one before it by odometry, unless a match says something else.
+        """Join a node to the previous one by odometry, unless the match contradicts it.
 
-        Args:
-            matched: its pose in the frame of the one before it, as matches have it.
+        ``matched`` is the match's pose in the frame of the previous node.
         """
         node, before = self.nodes[number], self.nodes[number - 1]
         if node.odometry is None or before.odometry is None:
@@ -381,10 +363,9 @@ class MapGraph(Stateful):
             self.add([Constraint(number - 1, number, wrapped_row_of(step), information)])
 
     def add_beyond_gap(self, node: Node, moved: Pose2) -> int:
-        """Add a node that no match ties to the one before it, only odometry; return its number.
+        """Add a node joined to the previous one by odometry only; return its number.
 
-        Args:
-            moved: its pose in the frame of the one before it.
+        ``moved`` is its pose in the frame of the previous node.
         """
         number = self.add_node(node, self.pose(len(self.nodes) - 1).compose(moved))
         for sigmas, is_closure in ((FREE_SIGMAS, False), (GAP_SIGMAS, True)):
@@ -394,13 +375,13 @@ class MapGraph(Stateful):
         return number
 
     def add_closures(self, closures: Sequence[Constraint]) -> None:
-        """Add closures that are believed; several at once have waited, and are urgent."""
+        """Add accepted closures; several at once are urgent."""
         self.add(closures)
         self._unsolved += 1
         self._is_urgent = self._is_urgent or len(closures) > 1
 
     def move_nodes(self, chosen: npt.NDArray[np.bool_], motion: Pose2) -> None:
-        """Move the chosen nodes, (N,), by a motion of the map frame, as no solution knows yet."""
+        """Move the chosen nodes (N,) by a motion of the map frame, and drop a running solution."""
         motions = np.broadcast_to(wrapped_row_of(motion), (int(chosen.sum()), 3))
         self.poses[chosen] = compose_poses(motions, self.poses[chosen])
         if self._solution is not None:
@@ -417,23 +398,23 @@ class MapGraph(Stateful):
     # -- the solution --------------------------------------------------------------------------
 
     def settled_poses(self) -> F64:
-        """Return the nodes' poses by all closures; asking changes nothing of how it goes on."""
+        """Return the nodes' poses by all closures, without changing the graph's state."""
         if not (self._unsolved or self._new_outliers or self._solution):
             return self.poses
         if self._settled is None or self._settled[0] != len(self.constraints):
-            # By all closures, those too that were left out without re-evaluation.
+            # Outliers without re-evaluation are evaluated too.
             weights = None if self._new_outliers else self._weights
             solved = take_steps(solve_constraints(self.poses, self.constraints, weights))
             self._settled = (len(self.constraints), cast("Optimized", solved).poses)
         return self._settled[1]
 
     def go_on(self) -> None:
-        """Take this scan's steps of the solution that is under way, if there is one."""
+        """Take this scan's steps of a running solution."""
         self._left = max(1, SCAN_WORK // (len(self.constraints) + STEP_WORK))
         self._take_steps()
 
     def solve_if_due(self, number: int) -> None:
-        """Begin to solve if closures wait for it and enough nodes have come or it is urgent."""
+        """Start a solution if closures wait for it and it is due or urgent."""
         is_due = number - self._solved_at >= SOLVE_NODES
         if self._solution is None and self._unsolved and (is_due or self._is_urgent):
             share = int(NEW_OUTLIERS_SHARE * self._unsolved)
@@ -446,7 +427,7 @@ class MapGraph(Stateful):
             self._take_steps()
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Take over what ``to_state`` returned; a solution that was under way goes on."""
+        """Restore what ``to_state`` returned; a running solution continues."""
         super().restore(state)
         self._travelled = np.array([node.travelled_m for node in self.nodes])
         if self._solution is not None:
@@ -454,7 +435,7 @@ class MapGraph(Stateful):
             take_steps(self._steps, self._solution.taken)
 
     def _take_steps(self) -> None:
-        """Take the steps that are left for this scan, and over the poses where that is all."""
+        """Take this scan's remaining steps, and use the poses of a finished solution."""
         solution = self._solution
         if solution is None or self._steps is None or not self._left:
             return
@@ -468,7 +449,7 @@ class MapGraph(Stateful):
             self._take_over(solution, solved)
 
     def _take_over(self, solution: Solution, solved: Optimized) -> None:
-        """Take over a solution's poses; nodes that came since then move with the last one in it."""
+        """Replace the poses by a solution's; later nodes move with its last one."""
         last = len(solved.poses) - 1
         since = compose_poses(invert_poses(self.poses[last]), self.poses[last + 1 :])
         since = compose_poses(solved.poses[last], since)

@@ -1,8 +1,9 @@
 """The map of a graph's scans at the poses of today, redrawn only where poses moved.
 
 Every cell counts the beams that met something in it and all that came by. Counts are whole numbers
+Every cell counts its hits and all beams that cross it. Counts are whole numbers
 and positions are rounded to a lattice that does not depend on the map's size, so a scan can be
-taken back and counted elsewhere: the map is the same, to the bit, as one drawn from nothing.
+subtracted and counted elsewhere: the map is bit for bit the same as one drawn from scratch.
 """
 
 from __future__ import annotations
@@ -22,23 +23,22 @@ from slamfusion.grid import UNKNOWN, OccupancyGrid
 from slamfusion.slam.common.mapper import MapJob
 from slamfusion.slam.common.tile_map import SharedTileMaps
 
-# Parts of a cell, and of a radian, that a pose is rounded to: what moves less is not drawn again.
+# Parts of a cell, and of a radian, to which a pose is rounded: smaller motions are not redrawn.
 PLACE_PARTS, YAW_PARTS = 8.0, 2048.0
-# Parts of a cell that points are rounded to, as the kernel sees them.
+# Parts of a cell to which points are rounded, as in the kernel.
 POINT_PARTS = 1024.0
-# Distance from the window's corner, cells, up to which float32 carries these parts.
+# Distance from the window's corner, cells, within which float32 is exact.
 EXACT_CELLS = 1 << 14
 
 
 @dataclass(frozen=True, eq=False)
 class Node:
-    """A scan that is kept.
+    """A scan in the graph, and the odometry of its pose if known.
 
     Attributes:
         ends: (B, 2) float32 hits in the robot's frame, metres.
         laser: (2,) float32, the laser in the robot's frame, metres.
-        travelled_m: distance that the robot has travelled up to here.
-        odometry: pose by odometry; None where there is none.
+        travelled_m: distance travelled up to here.
     """
 
     ends: npt.NDArray[np.float32]
@@ -55,13 +55,12 @@ class NodeMap:
     """Draws maps of one graph, one after another."""
 
     def __init__(self, config: GraphConfig, device: ComputeDevice) -> None:
-        """Start with nothing drawn."""
         self._config = config
         self._device = device
         self._maps = self._empty()
         # Poses in parts of a cell and of a radian, from the cell of the first node.
         self._drawn: F64 = np.zeros((0, 3))
-        # Whether what was counted can be taken back.
+        # Whether counts can be subtracted exactly.
         self._is_exact = True
 
     @property
@@ -70,7 +69,7 @@ class NodeMap:
         return self._maps.memory_bytes
 
     def draw(self, job: MapJob) -> OccupancyGrid:
-        """Return the map of a graph that has grown or moved since the last one."""
+        """Return the map of a graph that has grown or moved since the last call."""
         cell = self._config.resolution
         anchor = np.floor(job.poses[0, :2] / cell)
         wanted = np.rint(
@@ -93,7 +92,7 @@ class NodeMap:
             self._config.occupancy_threshold,
             self._config.min_pass_through,
         )
-        # Cropped in whole cells: the origin is the same whatever the window was.
+        # Cropped in whole cells: the origin does not depend on the window.
         known = percent != UNKNOWN
         rows, cols = np.flatnonzero(known.any(axis=1)), np.flatnonzero(known.any(axis=0))
         if len(rows):
@@ -106,7 +105,7 @@ class NodeMap:
         return SharedTileMaps(self._device, 1, {"counts": np.uint32, "sums": np.uint32})
 
     def _count(self, node: Node, rounded: F64, *, take_back: bool = False) -> None:
-        """Count a node's beams at a rounded pose (3,), or take them back."""
+        """Add a node's counts at a rounded pose (3,), or subtract them."""
         cell, maps = self._config.resolution, self._maps
         x, y, yaw = (float(v) for v in rounded / (PLACE_PARTS, PLACE_PARTS, YAW_PARTS))
         cos, sin = math.cos(yaw), math.sin(yaw)

@@ -1,8 +1,8 @@
 """``GraphSlam``: the method from a scan to the map, one named step after the other.
 
 Every scan is matched on the local map. A scan after some distance becomes a node; it is written
-into the submaps that grow there and tied to them. Nodes that come back to an older submap are
-searched there; what is found, and is neither degenerate nor contradicted, becomes a closure, and
+into the growing submaps and joined to them by constraints. Nodes that return to an older submap are
+searched there; results that are neither degenerate nor contradicted become closures, and
 the graph is solved again. Poses are kept relative to the local map, so following the robot never
 waits for the graph.
 
@@ -45,11 +45,7 @@ NAME = "graph"
 
 
 class GraphSlam(SavedMapper):
-    """The graph SLAM behind the ``Mapper`` protocol.
-
-    Attributes:
-        last_stamp_s: time of the last scan; None before the first.
-    """
+    """The graph SLAM behind the ``Mapper`` protocol."""
 
     name = NAME
     STATE_FORMAT = 8
@@ -64,11 +60,7 @@ class GraphSlam(SavedMapper):
     STATE = ("health", "last_stamp_s", "_localizer", "_graph", "_local_map", "_loops", "_path")
 
     def __init__(self, config: GraphConfig, device: ComputeDevice, seed: int = 0) -> None:
-        """Start with an empty graph.
-
-        Args:
-            device: where the maps live.
-        """
+        """Start with an empty graph."""
         self.health: GraphHealth = GraphHealth()
         self.last_stamp_s: float | None = None
         self._config, self._seed = config, seed
@@ -90,13 +82,11 @@ class GraphSlam(SavedMapper):
 
         self._graph.go_on()
 
-        # Where may the robot be?
         known = None if self._config.odometry == "none" else odometry
         hypotheses = self._localizer.hypotheses(scan.stamp_s, known)
         if not self._localizer.has_pose:
             self._path.start = pose_of(hypotheses[0].pose)
 
-        # Where is it, and what does the map learn?
         points = scan.points(scan.is_hit(self._config.usable_range_m))
         seen = Observation(scan, points, known)
         if len(points) == 0:
@@ -124,7 +114,7 @@ class GraphSlam(SavedMapper):
         if found.status == "unsure" or not _is_far(moved, self._config):
             return self._report(seen, found.local, found.score)
 
-        # Add the node to the graph, and tie it to the submaps and to odometry.
+        # Add the node to the graph, with constraints to the submaps and by odometry.
         travelled_m = self._graph.travelled_m + math.hypot(moved.x, moved.y)
         anchor = self._local_map.active_submap.anchor
         pose = self._graph.pose(anchor).compose(found.local)
@@ -135,11 +125,10 @@ class GraphSlam(SavedMapper):
         self._graph.add_odometry(number, moved)
         self._path.add_response(seen.scan.stamp_s, found.score)
 
-        # Write it into the local map; another submap may be the active one then.
+        # Write it into the local map, whose active submap may change.
         local = self._local_map.insert(number, self._graph.nodes[number], found.local)
         self._localizer.change_frame(local)
 
-        # Close loops, and tell where the robot is by all that is known now.
         if self._config.do_loop_closing:
             self._loops.close(number, seen.points, self._localizer.mean_score)
         return self._report(seen, local, found.score)
@@ -147,7 +136,7 @@ class GraphSlam(SavedMapper):
     def _report(
         self, seen: Observation, local: Pose2, score: float | None, reason: str = ""
     ) -> Step:
-        """Tell a pose in the active submap's frame in the map frame."""
+        """Report a pose in the active submap's frame as one in the map frame."""
         last = len(self._graph.nodes) - 1
         moved = self._local_map.node_pose.inverse().compose(local)
         self._path.add(seen.scan.stamp_s, last, moved)
@@ -158,7 +147,7 @@ class GraphSlam(SavedMapper):
     # -- where it begins -----------------------------------------------------------------------
 
     def _skip(self, reason: str, hypothesis: PoseHypothesis, seen: Observation) -> Step:
-        """Leave a scan out; the robot is where it is expected."""
+        """Skip a scan; the robot is where it is expected."""
         self.health.skips.add(reason, self.health.scans)
         local = self._localizer.dead_reckon(seen, hypothesis)
         if self._graph.nodes:
@@ -175,7 +164,7 @@ class GraphSlam(SavedMapper):
         return self._report(seen, IDENTITY, None)
 
     def _begin_component(self, seen: Observation, local: Pose2) -> Step:
-        """Begin a map component for a kidnapped robot; the old ones stay as they are."""
+        """Start a map component for a kidnapped robot; the old ones stay as they are."""
         self.health.kidnappings += 1
         reason = "the robot is lost: a new submap begins, placed by odometry alone"
         self.health.skips.add(reason, self.health.scans)
@@ -183,13 +172,13 @@ class GraphSlam(SavedMapper):
         return self._begin_again(seen, local, max(self._local_map.components) + 1)
 
     def _begin_after_failure(self, seen: Observation, local: Pose2) -> Step:
-        """Begin a submap where scans have fitted badly for a while."""
+        """Start a submap after scans have fitted badly for a while."""
         self.health.tracking_failures += 1
         self._loops.tracking_failed()
         return self._begin_again(seen, local, self._local_map.active_component)
 
     def _begin_again(self, seen: Observation, local: Pose2, component: int) -> Step:
-        """Begin a submap that odometry alone ties to those before, and closures may move."""
+        """Start a submap that only odometry joins to the earlier ones; closures may move it."""
         before = len(self._graph.nodes) - 1
         moved = self._local_map.node_pose.inverse().compose(local)
         odometry = self._graph.nodes[before].odometry
@@ -228,18 +217,14 @@ class GraphSlam(SavedMapper):
         return self._map.draw(self.map_job(is_settled=True))
 
     def map_drawer(self, device: ComputeDevice) -> NodeMap:
-        """Return what draws the maps on another device; see ``DrawsAside``."""
+        """Return the drawer of maps on another device; see ``DrawsAside``."""
         return NodeMap(self._config, device)
 
     def map_job(self, *, is_settled: bool = False) -> MapJob:
         """Return what a ``NodeMap`` on another device draws the map from, in another thread.
 
-        Args:
-            is_settled: as for ``grid``, by all closures, which may take a solution; else those
-                since the last solution are not in it, and asking takes no time.
-
-        Raises:
-            SlamFusionError: no scan has been used yet.
+        If ``is_settled``, by all closures, which may need a solution; else the call takes no time.
+        SlamFusionError: no scan has been used yet.
         """
         if not self._graph.nodes:
             raise SlamFusionError(f"{self.name}: no scan could be used, so there is no map")
@@ -252,7 +237,7 @@ class GraphSlam(SavedMapper):
 
 
 def _is_far(moved: Pose2, config: GraphConfig) -> bool:
-    """Return whether the robot has moved or turned enough since the last node for another."""
+    """Return whether the robot has moved or turned enough for another node."""
     return (
         math.hypot(moved.x, moved.y) >= config.minimum_travel_distance
         or abs(wrap_angle(moved.yaw_rad)) >= config.minimum_travel_heading

@@ -24,25 +24,19 @@ from slamfusion.slam.common.matcher import FieldMap
 from slamfusion.slam.common.state import check_indices, check_kinds, check_shapes
 from slamfusion.slam.common.tile_map import TileMap
 
-# Distance between hits, metres, from which on they are not joined: there may be a door.
+# Distance between hits, metres, above which they are not joined: there may be a door.
 MOST_GAP_M = 1.5
-# Distance of the hits on both sides from the line through a gap, metres and a share of the gap, up
-# to which they are on one wall: the noise of a laser.
+# Distance of the neighbouring hits from the line through a gap, metres and a share of the gap,
+# within which they are on one wall: the noise of a laser.
 STRAIGHT_M, STRAIGHT_SHARE = 0.03, 0.05
-# Angle between two beams, in the median one, up to which they are neighbours: none is missing.
+# Angle between two neighbouring beams, in the median one: none is missing.
 NEIGHBOUR_STEPS = 1.5
 
 
 def fill_walls(points: F64, laser: F64, step_m: float) -> F64:
-    """Return hits and, between those on one wall, further ones.
+    """Return hits (P, 2), metres in beam order, followed by further ones between those on one wall.
 
-    Args:
-        points: (P, 2) hits in the order of the beams, metres.
-        laser: (2,) in the same frame.
-        step_m: hits are no farther apart on a wall than this, above 0.
-
-    Returns:
-        (Q, 2), the hits first.
+    The laser (2,) is in the same frame; on a wall hits are at most ``step_m`` apart.
     """
     if len(points) < 4:
         return points
@@ -73,13 +67,11 @@ def fill_walls(points: F64, laser: F64, step_m: float) -> F64:
     return np.concatenate((points, points[owner + 1] + share[:, None] * lines[owner]))
 
 
-# Likelihood, of 255, of a cell that no scan has seen: a little, so that new space does not repel
-# scans.
+# Likelihood, of 255, of an unknown cell: a little, so that new space does not repel scans.
 UNSEEN_WALL = 20
-# Standard deviations around a hit up to which its likelihood is written: 5 % are left beyond.
+# Standard deviations around a hit within which its likelihood is written: 5 % are beyond.
 REACH_SIGMAS = 2.0
-# Cells around a hit up to which its likelihood is written at most: the kernels' time grows with the
-# square.
+# Most cells around a hit for its likelihood: the kernels' time grows with the square.
 MOST_REACH = 6
 # Entries of the likelihood's table by squared distance.
 TABLE_STEPS = 256
@@ -92,18 +84,14 @@ class Pyramid:
 
     Attributes:
         windows: sides of the squares in cells, the largest first, 1 last.
-        fields: (H, W) uint8 handles, one for each.
+        fields: (H, W) uint8 handles, one for each window.
         corner: (2,) x and y of the first cell's lower-left corner in the submap's frame, cells.
     """
 
     windows = (16, 8, 4, 2, 1)  # each half of the one before
 
     def __init__(self, device: ComputeDevice, values: npt.NDArray[np.uint8], corner: F64) -> None:
-        """Pool the field of a submap; what lies beyond it is no wall.
-
-        Args:
-            values: (H, W) uint8.
-        """
+        """Pool the field (H, W) of a submap; cells outside it are no wall."""
         pad = self.windows[0] - 1
         padded = np.pad(values, ((pad, 0), (pad, 0)))
         self.corner = corner - pad
@@ -113,23 +101,15 @@ class Pyramid:
 
 
 class Submap:
-    """A map of a few scans in the frame of its anchor.
+    """A map of a few scans in the frame of its anchor node.
 
-    Attributes:
-        anchor: number of the node in whose frame it lies.
-        low: (2,) metres, lower-left corner of the robot's places in it.
-        high: (2,) the other corner.
+    ``low`` and ``high`` (2,) are the corners of the robot's places in it, metres.
     """
 
     def __init__(
         self, device: ComputeDevice, anchor: int, resolution: float, sigma_m: float
     ) -> None:
-        """Start empty.
-
-        Args:
-            resolution: metres per cell.
-            sigma_m: standard deviation of the likelihood around a hit, metres, above 0.
-        """
+        """Start empty, with a likelihood of deviation ``sigma_m``, metres, around a hit."""
         self.anchor = anchor
         self.scans = 0
         self.low = np.zeros(2)
@@ -150,7 +130,7 @@ class Submap:
 
     @property
     def memory_bytes(self) -> int:
-        """Bytes of its tiles and, where it has one, of its pyramid."""
+        """Bytes of its tiles and pyramid."""
         pyramid = 0
         if self._pyramid is not None:
             pyramid = sum(int(np.prod(field.shape)) for field in self._pyramid.fields)
@@ -162,12 +142,9 @@ class Submap:
         return FieldMap(tiles.pools["field"], tiles.page_tables, tiles.origin, self._cell)
 
     def insert(self, points: F64, laser: F64, pose: Pose2) -> None:
-        """Update the likelihood field by the hits of a scan.
+        """Update the likelihood field by hits (P, 2), at least one, in metres in the robot's frame.
 
-        Args:
-            points: (P, 2) metres, in the robot's frame; at least one.
-            laser: (2,) likewise.
-            pose: of the robot in the anchor's frame.
+        The laser (2,) is in the robot's frame, the pose in the anchor's.
         """
         tiles, rule, cell = self._tiles, self._rule, self._cell
         hits = pose.transform(points) / cell
@@ -186,7 +163,7 @@ class Submap:
         self.scans += 1
 
     def finish(self) -> None:
-        """Let go of what only a growing submap needs."""
+        """Free what only a growing submap needs."""
         self._tiles.keep_only("field")
         self._is_finished = True
 
@@ -206,7 +183,7 @@ class Submap:
         self._tiles.restore(arrays)
 
     def pyramid(self) -> Pyramid:
-        """Return its dense fields; of a finished one made at the first call."""
+        """Return its dense fields; a finished submap keeps them."""
         if self._pyramid is not None:
             return self._pyramid
         values, first = self._tiles.cells("field")
@@ -219,16 +196,12 @@ class Submap:
 
 
 def seen_score(score: float, unseen_share: float) -> float:
-    """Return the mean score, 0 to 1, of the hits that fall where a submap has seen something.
-
-    Args:
-        unseen_share: share of the hits that fall elsewhere, below 1.
-    """
+    """Return the mean score, 0 to 1, of the hits on known cells; ``unseen_share`` is below 1."""
     return (score - unseen_share * UNSEEN_WALL / 255.0) / (1.0 - unseen_share)
 
 
 def likelihood_rule(deviation_cells: float) -> LikelihoodRule:
-    """Return how hits spread by a Gaussian likelihood of a deviation in cells."""
+    """Return the Gaussian likelihood rule of a deviation in cells."""
     reach = min(MOST_REACH, max(1, math.ceil(REACH_SIGMAS * deviation_cells)))
     farthest = 2.0 * ((reach + 0.5) * BEAM_ONE) ** 2
     shift = max(0, math.ceil(math.log2(farthest / TABLE_STEPS)))
