@@ -34,26 +34,22 @@ def align_maps(
     """Align a map with another one.
 
     Args:
-        reference: the map that is held still: in memory, a map_server YAML file, or a bare image.
+        reference: the fixed map: in memory, a map_server YAML file, or a bare image.
         moving: the map that is moved, likewise.
-        config: ``fusion``, ``start`` and ``map_files`` are used; default: the defaults.
-        device: searches; default: the one that the settings name.
-        start: where the frame of ``moving`` is expected in that of ``reference``: searched only
-            within its tolerances; of a bare pose the windows of the settings count from there.
-            Default: what ``config.start`` says by the names of the two maps. One alone is told in
-            the other map's frame, and where it has no tolerances of its own, windows in the
-            settings stand for them.
+        start: expected pose of the frame of ``moving`` in that of ``reference``. Only its
+            tolerances are searched; a bare pose shifts the windows of the settings. Default: from
+            ``config.start`` by the names of the two maps. A single start there is in the other
+            map's frame; without tolerances it gets windows from the settings.
         resolution: metres per cell of bare images.
-        warn: told in a sentence what is doubtful about a map.
+        warn: receives a sentence for each doubtful property of a map.
 
     Returns:
-        The alignment; its ``transform`` maps a point of the frame of ``moving`` into that of
-        ``reference``. It may be used only where it is ``accepted``.
+        The alignment; its ``transform`` maps points from the frame of ``moving`` to that of
+        ``reference``. Use it only if it is ``accepted``.
 
     Raises:
         MapFileError: a map cannot be read.
         GridError: a map has no known cell.
-        DeviceError: the device cannot be opened.
         StartError: ``config.start`` names another map.
     """
     config = config or RunConfig()

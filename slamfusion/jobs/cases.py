@@ -1,9 +1,8 @@
-"""Which map or path belongs to which truth or log, where a job is given several of each.
+"""Assign maps and paths to cases, each named by its ground truth or log.
 
-A case is named by its truth or log. A file belongs to the case whose name stands in its own name,
-or in that of a folder above it, as words of their own: ``graph/intel.tum``, ``intel_graph.tum`` and
-``intel/graph.tum`` all belong to ``intel``, and the words that are left name the method: ``graph``.
-The word ``seed3`` or ``s3`` names neither: the file is repetition 3 of its method in its case.
+A file belongs to the case whose name is a word of its file name or of a folder above it:
+``graph/intel.tum``, ``intel_graph.tum`` and ``intel/graph.tum`` belong to ``intel``; the other
+words name the method: ``graph``. The word ``seed3`` or ``s3`` is the repetition.
 """
 
 from __future__ import annotations
@@ -25,11 +24,7 @@ _SEED = re.compile(rf"(?:^|{_BETWEEN})(?:seed[-_. ]?|s)(\d+)(?=$|{_BETWEEN})", r
 
 @dataclass(frozen=True)
 class CaseFile:
-    """A file, and the case that it was said to belong to.
-
-    Attributes:
-        case: as it was said; empty: its name tells.
-    """
+    """A file and its case; an empty case is derived from the file's name."""
 
     path: Path
     case: str = ""
@@ -67,10 +62,10 @@ class Placed:
 
 
 def case_names(files: Sequence[CaseFile]) -> list[str]:
-    """Return the names of the cases that truths or logs are of, one each, in order.
+    """Return the distinct names of the cases of truths or logs, in order.
 
     Raises:
-        ConfigError: two have one name, or a name can be none of a folder.
+        ConfigError: two have the same name, or a name cannot be a folder's.
     """
     names = [file.case or _stem(file.path) for file in files]
     for name, count in Counter(names).items():
@@ -82,13 +77,10 @@ def case_names(files: Sequence[CaseFile]) -> list[str]:
 
 
 def shared_case_names(*kinds: Sequence[CaseFile]) -> list[str]:
-    """Return the names of the cases that files of several kinds are of, one each, in order.
+    """Return the distinct names of the cases of files of several kinds, in order.
 
-    The kind with most files names them; of kinds with as many, one with a ``CASE=``. What is
-    ``CASE=`` of the other kinds, and new, follows.
-
-    Raises:
-        ConfigError: see ``case_names``.
+    The kind with the most files names them; on a tie, one with a ``CASE=``. New ``CASE=`` names of
+    the other kinds follow. Raises as ``case_names``.
     """
     leading = max(kinds, key=lambda files: (len(files), any(file.case for file in files)))
     names = case_names(leading)
@@ -100,7 +92,7 @@ def files_by_case(cases: Sequence[str], files: Sequence[CaseFile], what: str) ->
     """Return the file of each case that has one.
 
     Raises:
-        ConfigError: a file belongs to none of the cases, or to several; or two are of one.
+        ConfigError: a file belongs to no case or to several, or a case has two files.
     """
     found: dict[str, Path] = {}
     for file in files:
@@ -113,16 +105,13 @@ def files_by_case(cases: Sequence[str], files: Sequence[CaseFile], what: str) ->
 
 
 def place_files(cases: Sequence[str], files: Sequence[CaseFile]) -> list[Placed]:
-    """Return of each map or path its case and its method, in the order given.
+    """Return the case and method of each map or path, in the order given.
 
-    Methods are named alike in all cases: by the file's name without case and seed, and by as many
-    of its folders as tell the files of a case apart.
-
-    Args:
-        cases: their names; one alone has every file.
+    Methods have the same names in all cases: the file's name without case and seed, and the folders
+    needed to distinguish the files of a case. A single case has every file.
 
     Raises:
-        ConfigError: a file belongs to none of the cases, or to several.
+        ConfigError: a file belongs to no case, or to several.
     """
     own = [_case_of(cases, file) for file in files]
     parted = [_rest(case, file.path) for case, file in zip(own, files, strict=True)]

@@ -95,21 +95,16 @@ class ComparedResults:
 
 
 def compare_results(files: Sequence[str | Path]) -> ComparedResults:
-    """Compare results that ``--save-results`` wrote, every two of them.
+    """Compare every two results that ``--save-results`` wrote.
 
     Files are compared; if a file has several methods in a case and none of them is in another file,
     its methods are. Rows of the same case, seed and method are pairs; if there are none and each
-    file has one method, rows of the same case and seed are, so that one method is compared with
-    another. If no seed is the same, the means over the seeds of each case are pairs. If no case is
-    the same, figures are compared as two samples.
-
-    Args:
-        files: one with several methods, or more.
+    file has one method, rows of the same case and seed are. If no seed is the same, the means over
+    the seeds of each case are pairs. If no case is the same, figures are compared as two samples.
 
     Raises:
-        ResultsFileError: a file is none of saved results, or is damaged.
+        ResultsFileError: a file holds no saved results, or is damaged.
         SlamFusionError: there is nothing to compare, or no two have a figure in common.
-        OSError: a file cannot be opened.
     """
     paths = [Path(path) for path in files]
     names = distinct_names([path.with_suffix("") for path in paths])
@@ -180,10 +175,7 @@ Rows = tuple["pd.DataFrame", "pd.DataFrame"]
 
 
 def _paired(first: SavedResults, second: SavedResults) -> tuple[list[str], Rows]:
-    """Return what rows are paired by, and these of both results in the same order.
-
-    Where nothing can be paired, that is nothing, and all rows.
-    """
+    """Return the keys of the pairs and both results in the same order; no keys: all rows."""
     tables = figures_of(first.table), figures_of(second.table)
     for keys in PAIRED_BY:
         if "method" in keys or all(map(_has_one_method, tables)):
@@ -265,11 +257,7 @@ def _correct(figures: Sequence[ComparisonJson]) -> None:
 
 
 def _agreeing_interval(item: ComparisonJson, p_holm: float) -> tuple[float | None, float | None]:
-    """Return the interval of pairs at the level at which it agrees with the corrected p-value.
-
-    It holds no zero exactly if ``p_holm`` is below ``SIGNIFICANT``. Without a correction it is the
-    95 % interval.
-    """
+    """Return the interval that excludes zero exactly if ``p_holm`` is below ``SIGNIFICANT``."""
     low, high, p_t = item["low"], item["high"], item["p_t"]
     if low is None or high is None or not p_t or not low < high:
         return low, high
@@ -321,14 +309,7 @@ def _other_yardsticks(first: SavedResults, second: SavedResults) -> list[str]:
 
 
 def write_comparison_plot(found: ComparedResults, path: str | Path) -> None:
-    """Write the comparison as one picture: errors along the paths, and figures by case.
-
-    Args:
-        path: PNG, SVG or PDF, by its suffix.
-
-    Raises:
-        SlamFusionError: matplotlib is missing, or the file cannot be written.
-    """
+    """Write one picture (PNG, SVG or PDF) of errors along the paths and figures by case."""
     from slamfusion.report.result_plots import comparison_plot  # noqa: PLC0415  (an extra)
 
     tables = {item.name: item.table for item in found.results}

@@ -65,11 +65,7 @@ class DoctorDocument:
 
 
 def check_installation(config: RunConfig) -> DoctorDocument:
-    """Look at versions and devices, and test three kernels of the chosen device.
-
-    Returns:
-        What was found; ``problems`` says what is wrong and what to do, and nothing is raised.
-    """
+    """Report versions, devices, problems and a test of three kernels of the chosen device."""
     from slamfusion.compute.self_test import self_test  # noqa: PLC0415
 
     found, devices, pocl = versions(), list_devices(), pocl_state()

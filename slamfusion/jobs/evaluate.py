@@ -96,21 +96,19 @@ def evaluate_maps(
 ) -> tuple[Evaluation, ...]:
     """Compare each map with the truth, aligned first.
 
-    A map whose alignment is rejected is measured at the best transform found all the same; its
-    error is then the least it can claim, and ``aligned`` says so. How maps are brought onto the
-    truth is part of the measure: it is the same search whatever aligned them with each other, so
-    ``fusion.align.step`` does not count.
+    A map whose alignment is rejected is still measured at the best transform found; this error is a
+    lower bound, and ``aligned`` is false. The alignment with the truth is part of the measure, so
+    it ignores ``fusion.align.step``.
 
     Args:
         maps: in memory, map_server YAML files, or bare images.
-        align: search where each map lies on the truth; else both frames are taken for the same.
-        scale: the truth is a floor plan with pixels of this size, which is searched; what a map has
-            not seen of it does not count. None: the truth is a map.
+        align: search the pose of each map in the truth; else both frames are the same.
+        scale: the truth is a floor plan with pixels of this size, which is searched; parts that a
+            map has not seen do not count. None: the truth is a map.
 
     Raises:
         MapFileError: a map cannot be read.
         GridError: a map has no known cell, or does not fit the truth.
-        DeviceError: the device cannot be opened.
     """
     config = config or RunConfig()
     grids = load_maps(maps, config, resolution=resolution, measured=True)
@@ -151,14 +149,11 @@ def compare_maps(
     device: ComputeDevice | None = None,
     progress: Progress | None = None,
 ) -> FusionResult:
-    """Compare maps of one place with each other: without a truth, those that agree are right.
-
-    Returns:
-        Their fusion by ``consensus``; ``wall_agreement`` and ``bent`` are what is asked for.
+    """Compare maps of one place by ``wall_agreement`` and ``bent`` of a ``consensus`` fusion.
 
     Raises:
         AlignmentError: no two of them fit.
-        MapFileError, DeviceError: as there.
+        MapFileError: a map cannot be read.
     """
     config = config or RunConfig()
     grids = load_maps(maps, config)
@@ -183,7 +178,7 @@ def measure_distances(
 
     Args:
         maps: in memory, map_server YAML files, or bare images.
-        distances: as measured, CSV or YAML, or the rows of it; see ``load_distances``.
+        distances: CSV or YAML, or its rows; see ``load_distances``.
 
     Raises:
         MapFileError: a map or the file of distances cannot be read.
@@ -283,11 +278,11 @@ def evaluate_cases(
     progress: Progress | None = None,
     warn: Warn = _LOG.warning,
 ) -> EvaluatedCases:
-    """Compare maps, each with the truth of its case, and with measured distances.
+    """Compare maps with the truths of their cases and with measured distances.
 
     Raises:
         ConfigError: a map belongs to no case, or to several.
-        MapFileError, GridError, DeviceError: see ``evaluate_maps``.
+        MapFileError, GridError: see ``evaluate_maps``.
     """
     cases = case_names(truths)
     placed = place_files(cases, maps) if cases else []
@@ -336,13 +331,8 @@ def write_evaluation(
     """Write the report and the difference images that are asked for, all of them or none.
 
     Args:
-        evaluations: at least one.
-        report: folder of the page and its pictures; None: no report.
-        images: a picture (PNG, SVG or PDF) for each map, of its differences to the truth; empty:
-            none.
-
-    Raises:
-        SlamFusionError: matplotlib is missing, or a file cannot be written.
+        report: folder of the page and its pictures.
+        images: one picture (PNG, SVG or PDF) of the differences for each map, or none.
     """
     if report is None and not images:
         return

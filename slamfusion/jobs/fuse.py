@@ -1,7 +1,4 @@
-"""Saved maps of one place become one: align, vote, measure, and write the result.
-
-The fused map stays in memory, or goes tile by tile into a Zarr store; the cells are the same.
-"""
+"""Fuse saved maps of one place: in memory, or tile by tile in a Zarr store with the same cells."""
 
 from __future__ import annotations
 
@@ -152,11 +149,7 @@ class FusedMaps:
 
 
 def check_count(maps: Sequence[object]) -> None:
-    """Refuse a fusion of one map.
-
-    Raises:
-        SlamFusionError: there is one map alone, or none.
-    """
+    """Raise ``SlamFusionError`` for fewer than two maps."""
     if len(maps) < LEAST_FUSED:
         name = "no map was given"
         if maps:
@@ -185,28 +178,24 @@ def fuse_maps(
     Args:
         maps: two or more, in memory, map_server YAML files, or bare images; those in memory have
             distinct names.
-        truth: the true map: errors of every input and of the fused map. With a store it is not
-            looked at.
+        truth: the true map: errors of every input and of the fused map. Not used with a store.
         scale: the truth is a floor plan with pixels of this size; see ``evaluate_maps``.
-        store: ``OUT.zarr``, a Zarr store that the fused map is written to tile by tile, so that it
-            need not fit into memory; further groups go to ``OUT-2.zarr`` ... Nothing may be at any
-            of them, see ``check_stores``. It has the arrays ``fused`` (-1, 0, 100) and
-            ``agreement`` (-1, 0 to 100); maps of up to ``FILES_CELLS`` cells are also written as
-            files of a map server beside it, with the record. Default: the map stays in memory.
+        store: ``OUT.zarr``, a Zarr store to which the fused map is written tile by tile, so that it
+            need not fit into memory; further groups go to ``OUT-2.zarr`` ... None may exist. It has
+            the arrays ``fused`` (-1, 0, 100) and ``agreement`` (-1, 0 to 100). Maps of up to
+            ``FILES_CELLS`` cells are also written as files of a map server next to it.
         given: the files of maps that are in memory; default: those that are read.
-        executor: aligns the pairs, and decides tiles for a store, see ``slamfusion.fleet``;
-            default: both are done here.
+        executor: aligns the pairs and decides tiles for a store, see ``slamfusion.fleet``.
 
     Raises:
-        AlignmentError: fewer than two of the maps agree, so nothing may be fused; its ``pairs``
-            hold the alignments. ``AllRequiredError``: one was left out that had to be in.
-        MapFileError: a map cannot be read, something is at a store, or Zarr is not installed.
-        ConfigError: the reference named in the settings is none of the inputs. ``StartError``: a
-            start names none, or is one alone that says nothing of the others.
-        MemoryBudgetError: the maps are too large for the memory that is free.
-        DeviceError: the device cannot be opened.
-        FleetError: who was to align the pairs is gone.
-        SlamFusionError: there is one map alone.
+        AlignmentError: fewer than two maps agree; its ``pairs`` hold the alignments.
+            ``AllRequiredError``: a required map was left out.
+        MapFileError: a map cannot be read, a store exists, or Zarr is not installed.
+        ConfigError: the configured reference is not an input. ``StartError``: a start names no
+            input, or a single start does not define the others.
+        MemoryBudgetError: the maps are too large for the free memory.
+        FleetError: the scheduler is gone.
+        SlamFusionError: there is only one map.
     """
     config = config or RunConfig()
     check_count(maps)
@@ -323,13 +312,7 @@ def _vote_into(
 
 
 def check_stores(store: Path, count: int) -> None:
-    """Refuse a fusion into stores of which one is there, before any work.
-
-    One of an earlier fusion that this one does not write would look like a group of it.
-
-    Raises:
-        MapFileError: something is at one of them, or Zarr is not installed.
-    """
+    """Raise ``MapFileError`` if a store exists, also a further group's, or Zarr is missing."""
     for path in group_stores(store, count // 2):
         check_store(path)
 
@@ -359,15 +342,15 @@ def save_fused_maps(
     image_format: str = "pgm",
     files: AtomicFiles | None = None,
 ) -> FuseDocument:
-    """Write the fused map, the agreement, the record of both and the report, all or none.
+    """Write the fused map, the agreement, their record ``STEM.json`` and the report, all or none.
 
     Args:
         stem: the fused map's path without suffix.
         report: folder for ``report.html`` and its pictures; None: no report.
-        image_format: of the pictures of the maps, ``pgm`` or ``png``.
+        image_format: of the maps' pictures, ``pgm`` or ``png``.
 
     Returns:
-        The record of the fusion, which names the files; it stands in ``STEM.json``.
+        The record of the fusion, which names the files.
 
     Raises:
         SlamFusionError: a file cannot be written, or matplotlib is missing.
@@ -409,14 +392,7 @@ def write_failed_fusion(
     *,
     device: str,
 ) -> Path:
-    """Write the report of maps that were not fused; that of an earlier fusion stays.
-
-    Returns:
-        The path of ``report.html``.
-
-    Raises:
-        SlamFusionError: matplotlib is missing, or a file cannot be written.
-    """
+    """Write the report of maps that were not fused, return its path; an earlier fusion's stays."""
     from slamfusion.report import write_failure_report, write_fusion_report  # noqa: PLC0415
 
     folder = failure_folder(directory, report_files(directory))

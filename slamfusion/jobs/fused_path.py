@@ -1,7 +1,4 @@
-"""The fused path of a drive: one path made of several SLAMs' paths, as far as the scans agree.
-
-Shared by ``run_log``, ``judge_paths``, the live fusion and what measures it.
-"""
+"""The fused path of a drive: one path made of several SLAMs' paths, as far as the scans agree."""
 
 from __future__ import annotations
 
@@ -59,9 +56,7 @@ class DrivePath:
 def fuse_weighed_paths(
     paths: Mapping[str, Trajectory], evidence: PathEvidence | None, device: ComputeDevice
 ) -> DrivePath:
-    """Make one path of several, each weighed by how well the scans support it.
-
-    Then all scans are aligned along it, where they do not contradict the result.
+    """Fuse paths, each weighed by its support by the scans, then align all scans along the result.
 
     Raises:
         TrajectoryError: the paths have no times in common.

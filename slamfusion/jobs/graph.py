@@ -63,14 +63,10 @@ class OptimizedGraph:
 
 
 def optimize_graph(path: str | Path, config: RunConfig | None = None) -> OptimizedGraph:
-    """Find the poses that fit the edges of a pose graph best.
-
-    Args:
-        path: g2o's or TORO's text, plain or gzip.
+    """Find the poses that best fit the edges of a pose graph, a g2o or TORO file, plain or gzip.
 
     Raises:
         GraphError: the file is damaged, or its poses cannot be found from its edges.
-        OSError: the file cannot be opened.
     """
     config = config or RunConfig()
     file = read_g2o(Path(path))
@@ -108,14 +104,11 @@ def optimize_graph(path: str | Path, config: RunConfig | None = None) -> Optimiz
 def save_optimized_graph(
     graph: OptimizedGraph, output: str | Path | None = None, *, tum: str | Path | None = None
 ) -> OptimizedGraph:
-    """Write what is asked for, all of it or nothing; return the graph with its files.
+    """Write the requested files, all or none; return the graph with its files.
 
     Args:
-        output: g2o file for the graph with its new poses; all edges stay. None: none.
-        tum: file for the new poses, with the vertex ids as times. None: none.
-
-    Raises:
-        MapFileError: a file cannot be written.
+        output: g2o file for the graph with its new poses and all edges.
+        tum: file for the new poses, with the vertex ids as times.
     """
     file = graph.graph
     written = replace(graph, output=as_path(output), tum=as_path(tum))

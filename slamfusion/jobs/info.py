@@ -134,13 +134,7 @@ class InfoDocument:
 def describe(
     path: str | Path, config: RunConfig | None = None, progress: Progress | None = None
 ) -> InfoDocument:
-    """Describe a log, a bag, a map or a run.
-
-    Raises:
-        LogError: it is no log that can be read.
-        MapFileError: it is no map that can be read.
-        OSError: it cannot be opened.
-    """
+    """Describe a log, a bag, a map or a run."""
     path, config = Path(path), config or RunConfig()
     if (path / RUN_RECORD).exists():
         return _run_info(path)

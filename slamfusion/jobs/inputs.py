@@ -63,18 +63,13 @@ def load_maps(
     warn: Warn = _LOG.warning,
     measured: bool = False,
 ) -> list[OccupancyGrid]:
-    """Return maps in order; files are loaded, and named apart even where they have one name.
+    """Return maps in order with distinct names; files are loaded.
 
     Args:
         maps: in memory, map_server YAML files, bare images, or folders with a fused map or a single
             one.
-        config: ``map_files`` says how they are read.
         resolution: metres per cell of the bare images.
         measured: they are compared with a truth, or are one: drawings have edges of grey cells.
-
-    Raises:
-        MapFileError: a file is missing, damaged or breaks the format's rules.
-        MemoryBudgetError: a map would not fit into memory.
     """
     from slamfusion.io import load_map  # noqa: PLC0415  (OpenCV loads slowly; --help needs none)
 
@@ -94,11 +89,7 @@ def load_maps(
 
 
 def map_file(path: Path) -> Path:
-    """Return the map of a folder: the fused one of a run, or the only one; other paths as given.
-
-    Raises:
-        MapFileError: a folder without such a map.
-    """
+    """Return the fused or only map of a folder; other paths as given."""
     if not path.is_dir():
         return path
     maps = [item for item in sorted(path.iterdir()) if _is_yaml(item)]
@@ -120,9 +111,8 @@ def load_truth(
     """Return the map that others are compared with; see ``load_maps``.
 
     Args:
-        truth: in memory, a map_server YAML file, a bare image or a drawing.
         resolution: metres per cell of a bare image; default for a plan: ``PIXEL_M``.
-        scale: of a floor plan, whose scale is to be found; None: it is a map.
+        scale: of a floor plan, whose scale is searched; None: the truth is a map.
     """
     if scale is not None and resolution is None:
         resolution = PIXEL_M
@@ -135,22 +125,14 @@ def as_path(path: str | Path | None) -> Path | None:
 
 
 def device_for(config: RunConfig, device: ComputeDevice | None = None) -> ComputeDevice:
-    """Return the device given, or the one that the settings name.
-
-    Raises:
-        DeviceError: see ``open_device``.
-    """
+    """Return the device given, or the one that the settings name."""
     from slamfusion.compute import open_device  # noqa: PLC0415
 
     return open_device(config.device.device) if device is None else device
 
 
 def check_writable(folder: Path) -> None:
-    """Refuse a place that cannot be written before any work is done; nothing is made.
-
-    Raises:
-        MapFileError: the folder, or the nearest one above it that exists, takes no new files.
-    """
+    """Raise ``MapFileError`` if the folder cannot be created or written; nothing is made."""
     nearest = next(part for part in (folder, *folder.absolute().parents) if part.exists())
     if not nearest.is_dir():
         message = f"{folder}: cannot write: {nearest} is not a folder; choose another name"
@@ -161,11 +143,7 @@ def check_writable(folder: Path) -> None:
 
 
 def distinct_names(paths: Sequence[Path]) -> list[str]:
-    """Return each file's stem, with as many of its folders as tell it from the others.
-
-    ``a/map.yaml`` and ``b/map.yaml`` become ``a/map`` and ``b/map``; one file given twice becomes
-    ``map`` and ``map#2``.
-    """
+    """Return each file's stem with the folders that distinguish it; repeats end in ``#2``."""
     parts = [(*path.absolute().parent.parts, _stem(path)) for path in paths]
     ends = Counter(own[-depth:] for own in set(parts) for depth in range(1, len(own) + 1))
     names, seen = [], Counter[tuple[str, ...]]()

@@ -76,10 +76,7 @@ class JudgedPaths:
     circumstances: Circumstances = field(repr=False)
 
     def rows(self, case: str, placed: Sequence[Placed]) -> list[Row]:
-        """Return figures and single scores of each path as rows of a table of results.
-
-        The recommended path comes first.
-        """
+        """Return figures and single scores of each path as rows, the recommended path first."""
         by_name = {item.name: item for item in placed if item.case == case}
         rows: list[Row] = []
         for path in self.recommendation.paths:
@@ -154,27 +151,24 @@ def judge_paths(
     fused: str | Path | None = None,
     warn: Warn = _LOG.warning,
 ) -> JudgedPaths:
-    """Rank paths of a log by what its scans say of them, and measure them where there is a truth.
-
-    Asked to, it makes one path of them as ``run`` does of its producers', and judges it beside.
+    """Rank the paths of a log by its scans, and measure their errors if there is a truth.
 
     Args:
         log: a CARMEN or tinySLAM log, or a ROS bag.
         paths: files of poses on the clock of the log, made by any SLAM, each in its own frame; or
-            the same by names.
+            a mapping from names to such files.
         relations: known motions between pairs of times: errors of the paths.
         odometry: raw odometry of the whole run, to carry poses on to the relations' times.
         truth: the true trajectory: errors of the paths.
-        scan_odometry: what gives the scans their odometry instead of the log.
-        fused: fuse the paths; where ``write_fused_path`` will write what comes of it. Default: no.
+        scan_odometry: replaces the odometry of the log's scans.
+        fused: fuse the paths as ``run`` does and judge the result, too; the file that
+            ``write_fused_path`` will write.
 
     Raises:
         LogError: the log cannot be read, or has too few scans.
-        TrajectoryError: a path, the relations, the odometry or the truth cannot be read, or a path
-            meets no scan in time; or paths cannot be fused.
+        TrajectoryError: a file of poses or relations cannot be read, a path and the scans have no
+            times in common, or paths cannot be fused.
         GraphError: the equations of the fused path cannot be solved.
-        DeviceError: the device cannot be opened.
-        OSError: a file cannot be opened.
     """
     if not paths:
         raise TrajectoryError(f"{log}: no path to judge; give at least one file of poses")
@@ -248,11 +242,7 @@ def judgements_document(logs: Mapping[str, JudgedPaths], rows: Sequence[Row]) ->
 
 
 def write_fused_path(found: JudgedPaths, files: AtomicFiles | None = None) -> None:
-    """Write the path that was fused of the others as TUM, where there is one.
-
-    Raises:
-        MapFileError: the file cannot be written.
-    """
+    """Write the fused path as TUM, if there is one."""
     fused = found.fused_path
     if fused is not None and fused.file is not None:
         write_tum(fused.file, fused.trajectory, files=files)
@@ -261,14 +251,7 @@ def write_fused_path(found: JudgedPaths, files: AtomicFiles | None = None) -> No
 def write_judgement(
     found: JudgedPaths, directory: str | Path, files: AtomicFiles | None = None
 ) -> Path:
-    """Write the report of what the scans say of paths.
-
-    Returns:
-        The path of ``report.html``.
-
-    Raises:
-        SlamFusionError: matplotlib is missing, or the directory cannot be written.
-    """
+    """Write the report of the judged paths; return the path of ``report.html``."""
     from slamfusion.report import write_judge_report  # noqa: PLC0415  (an extra)
 
     return write_judge_report(

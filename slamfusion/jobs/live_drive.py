@@ -1,17 +1,13 @@
-"""``LiveDrive``: what the scans of a drive say of several SLAMs while it lasts, and one path.
+"""``LiveDrive``: score the paths of several SLAMs during the drive, and fuse them into one path.
 
-The method is that of ``run``: predictive consistency scores the paths, and ``fuse_weighed_paths``
-makes one path of all, along which all scans are aligned. It is applied to the whole drive so far
-now and then, and in between to the last ``WINDOW_S`` seconds, whose path continues that of the
-whole drive (``Pace``). When no scan comes any more it is applied with all hits that ``run`` scores,
-so that the answer is that of ``run``.
+The method is that of ``run``: predictive consistency scores the paths, ``fuse_weighed_paths`` fuses
+them, and all scans are aligned along the result. The whole drive is solved from time to time, and
+in between its last ``WINDOW_S`` seconds, which continue the last solution (``Pace``). When the
+scans stop, the drive is solved with all hits that ``run`` scores, which gives the answer of
+``run``.
 
-After each solution all scans say which inputs are bent: their paths have parted from the fused one,
-and the scans surely support the fused one more.
-
-The cost of a solution is bounded, and so is the memory. A solution takes ``MOST_SCANS`` scans and
-``MOST_HITS`` hits at most. Of more scans every second one is dropped, except those of the window,
-so that a longer drive is drawn and scored from fewer scans per metre.
+A solution takes at most ``MOST_SCANS`` scans and ``MOST_HITS`` hits, which bounds time and memory.
+Of more scans every second one is dropped, except those of the window.
 """
 
 from __future__ import annotations
@@ -97,11 +93,7 @@ class Pace:
         self._due_s: dict[Depth, float] = dict.fromkeys(DEPTHS, -np.inf)
 
     def due(self, now_s: float, scans: int) -> Depth | None:
-        """Return what is due; None while nothing is.
-
-        Args:
-            scans: that have come so far.
-        """
+        """Return what is due after this number of scans, or None."""
         if scans != self._scans:
             self._scans = scans
             self._due_s["final"] = now_s + STILL_S
@@ -122,18 +114,18 @@ class Pace:
 
 @dataclass(frozen=True, eq=False)
 class DriveSolution:
-    """What the scans say of a drive so far.
+    """A solution of the drive so far.
 
     Attributes:
         path: the fused path, at the scans that are kept, in the fused frame.
         corrections: by input, the motion of its map frame that carries its newest poses onto the
             path; metres and radians.
         doubted_since_s: by input that the scans contradict, since when: a stamp.
-        conditions: what the robot suffers, in words.
+        conditions: problems of the drive, in words.
         lattice: of ``drawn``, in the fused frame.
-        drawn: the map drawn from the scans at the path; None: it was not asked for.
-        is_final: whether it is the answer of ``run``; otherwise there is a better one to come.
-        walls: what the scans show along the path, where new scans are located.
+        drawn: the map drawn from the scans at the path; None: not requested.
+        is_final: whether it is the answer of ``run``.
+        walls: seen by the scans along the path; new scans are matched to them.
     """
 
     path: Trajectory
@@ -163,12 +155,11 @@ class DriveSolution:
 
 @dataclass(frozen=True, eq=False)
 class LocatedPose:
-    """Where the robot is in the fused frame.
+    """Pose of the robot in the fused frame.
 
     Attributes:
         covariance: (3, 3) float64, x and y in metres, yaw in radians, in axes of that frame.
-        is_matched: whether the scan of its stamp was matched to the walls of the solved path;
-            otherwise the pose is carried on from the last one that was.
+        is_matched: whether its scan was matched to the walls; else carried on from the last one.
     """
 
     pose: Pose2
@@ -184,10 +175,7 @@ class _Kept(NamedTuple):
 
 
 class LiveDrive:
-    """Keeps the scans and poses of a drive and solves it; ``solve`` is for one thread.
-
-    What comes may come from any thread.
-    """
+    """Keeps scans and poses from any thread and solves the drive; ``solve`` is for one thread."""
 
     def __init__(self, device: ComputeDevice) -> None:
         """Start without scans; ``device`` is that of the thread of ``solve``."""
@@ -286,14 +274,10 @@ class LiveDrive:
             }
 
     def locate(self, name: str, stamp_s: float, pose: Pose2) -> LocatedPose | None:
-        """Return where a new pose of an input has the robot; None where the scans do not say it.
+        """Return the fused-frame pose of a new pose in an input's map frame, or None.
 
-        The pose is carried into the fused frame as the last one was, and the scan of its stamp is
-        matched to the walls of the solved path, and to those that were seen since, from there. A
-        scan that does not fit leaves it.
-
-        Args:
-            pose: of the robot in the map frame of the input.
+        The pose is carried over as the last one was; from there its scan is matched to the walls of
+        the solution and of later scans. A scan that does not fit leaves the pose as it is.
         """
         with self._lock:
             walls, last = self._grown, self._corrections.get(name)
@@ -356,13 +340,13 @@ class LiveDrive:
         transforms: Mapping[str, Pose2] | None = None,
         resolution: float | None = None,
     ) -> DriveSolution | None:
-        """Solve the drive so far; None while there are too few scans or poses for it.
+        """Solve the drive so far; None while there are too few scans or poses.
 
         Args:
-            depth: how much of it; the first solution is of the whole drive.
-            lattice: of the fused frame; None while there is none, and the drive gives it.
+            depth: the first solution is of the whole drive in any case.
+            lattice: of the fused frame; None: the drive gives it.
             transforms: of the inputs that vote, map frame into the fused frame.
-            resolution: draw the map, with cells of this many metres; None: do not.
+            resolution: metres per cell of the drawn map; None: no map.
         """
         with self._lock:
             generation = self._generation
@@ -501,10 +485,7 @@ def _solved(
 
 
 def _doubts(evidence: PathEvidence) -> dict[str, float]:
-    """Return which inputs are bent and surely contradicted, by name, and since which stamp.
-
-    A fused path that all inputs leave is confirmed by none: then it contradicts no input.
-    """
+    """Return bent, contradicted inputs and since which stamp; none if all leave the fused path."""
     found = {}
     for name in evidence.scores:
         told = evidence.compare(FUSED, name)
@@ -519,9 +500,8 @@ def _doubts(evidence: PathEvidence) -> dict[str, float]:
 def _bent_at(evidence: PathEvidence, name: str) -> npt.NDArray[np.bool_]:
     """Return at which judged scans a path has parted from the fused one, (M,) bool.
 
-    It is aligned with that one by the first part of the drive that shows it. Aligned where most of
-    its poses agree, a path that turns away slowly parts late, however far its first and last walls
-    are from each other.
+    It is aligned by the first part of the drive that shows it: aligned by most of its poses, a path
+    that turns away slowly would part late.
     """
     judged = evidence.is_judged
     moving, still = (evidence.scores[one].path.poses[judged] for one in (name, FUSED))

@@ -174,22 +174,18 @@ def map_log(
         log: a CARMEN or tinySLAM log, or a ROS bag.
         relations, odometry, truth, truth_map: what path and map are compared with; odometry is that
             of the whole run, to carry poses on to the relations' times.
-        scan_odometry: what gives the scans their odometry instead of the log; see ``open_log``.
+        scan_odometry: replaces the odometry of the log's scans; see ``open_log``.
         resume: a saved state to go on from, made with the same settings.
         limit: scans after which it stops, at least 1; default: none.
 
     Returns:
-        Map, path and record. What cannot be measured does not take the map along: it is the
-        result's ``failure``.
+        Map, path and record; ``failure`` holds what could not be measured.
 
     Raises:
         LogError: the log cannot be read.
         TrajectoryError: relations, odometry or truth cannot be read.
         MapFileError: the true map cannot be read.
-        DeviceError: the device cannot be opened.
-        SlamFusionError: there is no such producer, the state does not fit, or no scan could be
-            used.
-        OSError: a file cannot be opened.
+        SlamFusionError: the producer is unknown, the state does not fit, or no scan could be used.
     """
     config, state = config or RunConfig(), as_path(resume)
     read = map(as_path, (relations, odometry, truth, truth_map))
@@ -240,11 +236,7 @@ def run_remarks(run: ProducerRun) -> list[tuple[str, str]]:
 
 
 def measure_run(run: ProducerRun, config: RunConfig, held: Yardsticks) -> Measures:
-    """Measure the path, and the one that was first reported where the producer keeps it.
-
-    Raises:
-        TrajectoryError: the path does not meet the relations, the odometry or the truth.
-    """
+    """Measure the path, and the first reported one if the producer keeps it."""
     online = run.online_path()
     final = held.measure(run.trajectory, config, run.odometry)
     if online is None or (held.relations is None and held.truth is None):
@@ -282,16 +274,13 @@ def save_mapped_log(
     state: str | Path | None = None,
     report: str | Path | None = None,
 ) -> MappedLog:
-    """Write map, path, record, state and report; all of them or none.
+    """Write map, path, record, state and report, all or none; return the record with its files.
 
     Args:
         stem: the files' path without their suffixes.
         probabilities: also write the map with its probabilities.
-        state: file for everything that a later run needs to go on; None: none.
-        report: folder for ``report.html`` and its pictures; None: no report.
-
-    Returns:
-        The same with its files, as the record next to the map has it.
+        state: file for ``resume`` of a later run.
+        report: folder for ``report.html`` and its pictures.
 
     Raises:
         SlamFusionError: a file cannot be written, the producer cannot save its state, or

@@ -1,8 +1,7 @@
-"""The files that jobs write, and the results of an earlier job in the folder that one writes to.
+"""The files that jobs write, and earlier results in the same folder.
 
-What a failed job made never takes the place of earlier results: it goes into ``failed`` in that
-folder, so that old and new are not taken for one. A job that ends well replaces all of them at
-once, ``failed`` too.
+A failed job writes into ``failed`` in the folder and keeps earlier results; a successful one
+replaces all of them at once, ``failed`` too.
 """
 
 from __future__ import annotations

@@ -50,11 +50,7 @@ class AlignedPlan:
         )
 
     def save(self, folder: Path, normalize: NormalizeConfig) -> None:
-        """Save the plan, the map in the plan's frame, the plan's world file and an overlay.
-
-        The world file places the picture ``plan.png`` in the frame of the robot's map. See
-        ``plan_files``.
-        """
+        """Save plan, map in the plan's frame, world file and overlay; see ``plan_files``."""
         from slamfusion.report.maps import input_colours, pair_overlay  # noqa: PLC0415 - an extra
 
         with AtomicFiles() as files:
@@ -84,22 +80,15 @@ def align_plan(
     *,
     scale: PixelSizes = "free",
 ) -> AlignedPlan:
-    """Align a floor plan whose scale is not known with a robot's map.
+    """Align a floor plan of unknown scale with a robot's map; the result may be rejected.
 
     Args:
-        reference: the robot's map.
         plan: its resolution is a first guess.
-        config: ``fusion`` is used; default: the defaults.
-        device: searches; default: the one that the settings name.
         scale: least and greatest metres per pixel of the plan.
-
-    Returns:
-        The plan with its resolution, and the alignment, also where it is rejected.
 
     Raises:
         ConfigError: ``scale`` is not positive or not in order.
         GridError: a map has no known cell.
-        DeviceError: the device cannot be opened.
     """
     config = config or RunConfig()
     scales = (1.0 / FACTOR, FACTOR)
@@ -117,12 +106,7 @@ def align_plan_with_all(
     device: ComputeDevice,
     scale: PixelSizes,
 ) -> list[AlignedPlan]:
-    """Align a floor plan with maps of one place, with all at one scale.
-
-    Args:
-        references: the maps; the scale is that at which the plan fits the last one that it fits.
-        plan, config, device, scale: see ``align_plan``.
-    """
+    """Align a floor plan with maps of one place, all at the scale of the last one that it fits."""
     found = []
     for reference in reversed(references):
         one = align_plan(reference, plan, config, device, scale=scale)
@@ -133,12 +117,7 @@ def align_plan_with_all(
 
 
 def world_file(plan: OccupancyGrid, transform: Pose2) -> str:
-    """Return the six lines of an ESRI world file: where the plan's pixels lie in another frame.
-
-    Args:
-        plan: its picture's top row is the last row of cells.
-        transform: maps the plan's frame into the other one, metres.
-    """
+    """Return the ESRI world file of the plan's picture (top row first) in the transform's frame."""
     pose = transform.compose(plan.origin)
     along, across = (plan.resolution * f(pose.yaw_rad) for f in (math.cos, math.sin))
     x, y = pose.transform(np.array((0.5, plan.height - 0.5)) * plan.resolution)

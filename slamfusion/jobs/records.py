@@ -1,11 +1,8 @@
 """Parts of what several commands print with ``--json``, and the JSON Schema of all of it.
 
-A type ``...Document`` is a whole document; it is in the module that fills it. It is composed of
-records: the dataclasses that hold the results (see ``slamfusion.json_values``), and types
-``...Json`` where a document has more keys or fewer. The text under a key is its meaning and unit.
-
-``python -m tests.support.make_schema`` makes ``schema.json`` next to this module from these types:
-JSON Schema (2020-12) for any validator, which ``load_schema`` reads.
+A type ``...Document`` is a whole document, in the module that fills it. It consists of dataclasses
+(see ``slamfusion.json_values``) and types ``...Json`` with more or fewer keys. The text under a key
+is its meaning and unit. ``python -m tests.support.make_schema`` makes ``schema.json`` of them.
 """
 
 from __future__ import annotations
@@ -140,13 +137,12 @@ class AlignDocument:
 def load_schema(what: str | None = None) -> dict[str, Any]:
     """Return the JSON Schema (2020-12) of what commands print with ``--json``.
 
-    Args:
-        what: the words of a command, e.g. ``fuse`` or ``graph optimize``, or the name of a record,
-            e.g. ``Alignment`` or ``RunRecord``; None: any command's document.
+    ``$defs`` holds an entry for each command, its words joined by hyphens (``graph-optimize``), and
+    one for each record, in CapWords.
 
-    Returns:
-        A whole schema, for any validator. ``$defs`` holds an entry for each command, named by its
-        words joined by hyphens (``graph-optimize``), and one for each record, named in CapWords.
+    Args:
+        what: the words of a command, e.g. ``graph optimize``, or the name of a record, e.g.
+            ``RunRecord``; None: any command's document.
 
     Raises:
         KeyError: there is no such command or record.

@@ -1,9 +1,8 @@
-"""Results: one table of all that was measured, and the zip that keeps it.
+"""The table of measured figures (see ``slamfusion.evaluation.Row``), and the zip that keeps it.
 
-A row of the table is one figure of one map or path; see ``slamfusion.evaluation.Row``. The zip
-holds ``results.csv`` (the table), ``manifest.json`` (version, command, settings and the inputs'
-SHA-256) and ``document.json`` (what the command prints with ``--json``). The same results give the
-same bytes.
+The zip holds ``results.csv`` (the table), ``manifest.json`` (version, command, settings and the
+inputs' SHA-256) and ``document.json`` (the output of ``--json``). The same results give the same
+bytes.
 """
 
 from __future__ import annotations
@@ -71,10 +70,7 @@ def results_table(rows: Iterable[Row]) -> pd.DataFrame:
 
 
 def figures_of(table: pd.DataFrame) -> pd.DataFrame:
-    """Return the figures of whole maps and paths: a row each by ``KEYS``, a column a figure.
-
-    Rows and columns keep the order of the table. NaN: not defined.
-    """
+    """Return the figures of whole maps and paths, a row per ``KEYS``, in order; NaN: undefined."""
     own = table[table["at"].isna()]
     wide = own.set_index([*KEYS, "figure"])["value"].unstack()  # noqa: PD010 - there is no mean
     order = pd.MultiIndex.from_frame(own[KEYS].drop_duplicates())
@@ -82,10 +78,9 @@ def figures_of(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def means_of(figures: pd.DataFrame, keys: Sequence[str], how: str = "mean") -> pd.DataFrame:
-    """Return the figures of rows that have the same keys as one row, in order.
+    """Return the figures of rows with the same keys as one row, in order.
 
-    A figure that is not defined in one of the rows has no mean. A mean over fewer rows would be
-    compared with those of other methods over all of them.
+    A figure that is undefined in one of the rows has no mean.
     """
     groups = figures.groupby(level=list(keys), sort=False)
     return groups.agg(how).where(groups.count().eq(groups.size(), axis=0))
@@ -175,13 +170,12 @@ def write_results_file(
 
     Args:
         command: its words, e.g. ``trajectory``.
-        document: a record, or a mapping, as the command prints it as JSON.
-        inputs: the files that were measured and compared with: the role (map, truth, path, log,
-            ...), the case (empty: all), and the path.
+        document: the record or mapping that the command prints as JSON.
+        inputs: of each measured or reference file the role (map, truth, path, log, ...), the case
+            (empty: all) and the path.
 
     Raises:
         SlamFusionError: the file cannot be written.
-        OSError: an input cannot be read any more.
     """
     manifest = {
         "format": FORMAT,
@@ -228,14 +222,10 @@ def input_records(role: str, case: str, given: Path) -> Iterator[dict[str, Any]]
 
 
 def read_results(path: str | Path, name: str | None = None) -> SavedResults:
-    """Read a file of saved results.
-
-    Args:
-        name: how tables name it; default: its stem.
+    """Read a file of saved results, by default named by its stem.
 
     Raises:
-        ResultsFileError: it is none, is damaged, of another format version, or unpacks to too much.
-        OSError: it cannot be opened.
+        ResultsFileError: it holds no results, is damaged, of another format version, or too large.
     """
     where = Path(path)
     with open_regular(where, ResultsFileError) as file:
@@ -275,11 +265,7 @@ def _check_version(where: Path, manifest: dict[str, Any]) -> None:
 
 
 def _read_table(data: bytes) -> pd.DataFrame:
-    """Return the rows of a file.
-
-    Raises:
-        ValueError: a column is missing, a number is none, or two rows are the same figure.
-    """
+    """Return the rows of a file; ``ValueError``: missing column, bad number or double figure."""
     texts = [*KEYS, "figure"]
     table = pd.read_csv(
         io.BytesIO(data),

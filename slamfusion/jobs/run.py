@@ -87,32 +87,30 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
 ) -> LogRun:
     """Map a log with several producers side by side, fuse their maps, and measure everything.
 
-    Each producer runs in a process of its own, so a program that calls this needs the usual
+    Each producer runs in a process of its own, so the calling program needs the usual
     ``if __name__ == "__main__":``.
 
     Args:
         log: a CARMEN or tinySLAM log, or a ROS bag.
         saved_maps: of other SLAMs, which vote too: map_server YAML files, or bare images.
-        saved_paths: paths that were found with the saved maps, each in its map's frame and on the
-            clock of the log, may be sparse: what the scans say of them counts as for the
-            producers' own. Whose path each one is, its name tells; see ``slamfusion.jobs.cases``.
+        saved_paths: the paths of saved maps, each in its map's frame and on the clock of the log;
+            they may be sparse. Scored like the producers' own; matched to the maps by name, see
+            ``slamfusion.jobs.cases``.
         relations, odometry, truth, truth_map, scan_odometry: see ``map_log``.
         scale: the true map is a floor plan with pixels of this size; see ``evaluate_maps``.
-        prepare: called while the producers are at work; what it raises ends the run at once.
+        prepare: called while the producers are at work; an exception from it ends the run.
 
     Returns:
-        Everything that was made. A producer that made no map, a fusion that failed, and what could
-        not be measured are in it and raise nothing.
+        All results. A producer without a map, a failed fusion and failed measurements are in it
+        and raise nothing.
 
     Raises:
-        ConfigError: no producer, an unknown one, or one given twice; or a path of no saved map, or
-            two of one. ``StartError``: a start names no producer and no saved map, or is one alone
-            that says nothing of the others.
+        ConfigError: no producer, an unknown or a repeated one; or a path of no saved map, or two of
+            one. ``StartError``: a start names no producer and no saved map, or a single start does
+            not define the others.
         LogError: the log cannot be opened.
         TrajectoryError: relations, odometry or truth cannot be read.
         MapFileError: a map cannot be read.
-        DeviceError: the device cannot be opened.
-        OSError: a file cannot be opened.
     """
     config = config or RUN_DEFAULTS
     saved = SavedMaps.of(saved_maps, saved_paths)
@@ -265,9 +263,7 @@ class _Stages:
     """The time of each stage, and what failed in them.
 
     Attributes:
-        begun_s: when the run began, seconds of ``time.perf_counter``.
         slams: of each SLAM the share of the log that it has read.
-        ended: the number of blocks that have ended.
     """
 
     def __init__(self, progress: Progress | None, slams: Sequence[str]) -> None:
@@ -373,15 +369,11 @@ def fuse_drive(
     progress: Progress | None = None,
     starts: Starts | None = None,
 ) -> DriveFusion:
-    """Fuse the maps of a drive, and compare the producers' paths in the fused frame.
+    """Fuse the maps of a drive, or say why not, and compare the paths in the fused frame.
 
-    All producers start in one frame, the odometry's. The search is full all the same: a lost
-    producer must not be pulled into place. The common frame only decides between answers that fit
-    equally well, in places that look alike under two turns. Saved maps may have any frame, so with
-    them the settings decide.
-
-    Returns:
-        The fusion; where there are too few maps, or too few fit, why there is none.
+    All producers start in the odometry's frame. The search is full all the same: a lost producer
+    must not be pulled into place. The common frame only decides between answers that fit equally
+    well. Saved maps may have any frame, so with them the settings decide.
     """
     given = tuple(grids)
     if len(given) < LEAST_FUSED:
@@ -466,11 +458,11 @@ def draw_run(
     config: RunConfig,
     device: ComputeDevice,
 ) -> tuple[DriveFusion, DrawnMap | None, str | None]:
-    """Draw the map of a log at the fused path, as the fused map or next to it, as asked for.
+    """Draw the map of a log at the fused path, instead of the vote or next to it.
 
     Returns:
-        The fusion, with the drawn map in place of the vote where that was asked for; the drawn map
-        next to it, where that was; and why the maps voted although they were not to.
+        The fusion, its map replaced if asked for; the map next to it, if asked for; and why the
+        vote was kept against the settings.
     """
     is_mode = config.fusion.vote.mode == DRAWN
     result, why = fusion.result, NO_PATH

@@ -297,19 +297,14 @@ def load_report() -> None:
 
 
 def save_run(run: LogRun, folder: str | Path, *, probabilities: bool = False) -> LogRun:
-    """Write all files together or none, and remove those of an earlier run.
+    """Write all files or none, remove those of an earlier run, return the run with its files.
 
-    A map of an earlier run next to those of this one would be taken for one of them. So a run that
-    made a fused map replaces everything of an earlier one, and one that made none writes into a
-    folder of its own where there are results already. An earlier run is known by its report;
-    without one nothing is removed.
+    A run with a fused map replaces everything of an earlier one (known by its report); a run
+    without one writes into ``failed`` if there are results already.
 
     Args:
-        folder: for the maps; ``report`` in it is that of the report.
+        folder: for the maps, with the report in its ``report``.
         probabilities: also write the producers' maps with their probabilities.
-
-    Returns:
-        The same with its files and the time of the report.
 
     Raises:
         SlamFusionError: a file cannot be written, or matplotlib is missing.

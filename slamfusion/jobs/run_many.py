@@ -25,13 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class LogTask:
-    """A log and a seed (None: that of the settings), and the folder of the results.
-
-    Attributes:
-        case: the log's name among the others.
-        probabilities: also write the producers' maps with their probabilities.
-        host: the machine that asks for it.
-    """
+    """A log and a seed (None: that of the settings), and the folder of the results."""
 
     log: Path
     folder: Path
@@ -103,11 +97,10 @@ def run_rows(run: LogRun, case: str, seed: str = "") -> list[Row]:
 def log_tasks(
     logs: Sequence[Path], folder: Path, seeds: Sequence[int] = (), *, probabilities: bool = False
 ) -> list[LogTask]:
-    """Return a task for each log and seed, with results in ``folder/NAME/seed-N``.
+    """Return a task for each log and seed; results: ``folder/NAME`` or ``folder/NAME/seed-N``.
 
-    NAME is the log's file without its ending, and what tells it from the others where there are
-    several of one name: its ending, or as many of its folders as that takes. Without seeds the
-    results go to ``folder/NAME``.
+    NAME is the log's name without its ending; of several with one name, with what distinguishes it:
+    its ending, or its folders.
     """
     names = [name.replace("/", "-") for name in distinct_names(logs)]
     stems = [Path(name).stem for name in names]
@@ -133,16 +126,12 @@ def run_logs(
     executor: Executor | None = None,
     progress: Progress = lambda *_: None,
 ) -> list[RunOfLog]:
-    """Run the main job on each log, and write its files; see ``run_log`` and ``save_run``.
+    """Run the main job on each log and write its files; a failure is in the log's outcome.
 
-    Logs are read and results are written where the tasks are done: workers of other machines need
-    the same folders under the same names.
+    Logs and results are on the workers' file systems: other machines need the same folders.
 
     Args:
         options: arguments of ``run_log``.
-
-    Returns:
-        The outcome of each, in order. One that fails is named there and raises nothing.
     """
 
     def tell(count: float) -> None:

@@ -50,12 +50,7 @@ class SavedPath:
 
 @dataclass(frozen=True)
 class SavedMaps:
-    """Files of saved maps, and of the paths of some of them.
-
-    Attributes:
-        names: of these, as the run calls them: no producer has one.
-        paths: of the poses, by the map's name.
-    """
+    """Files of saved maps, and of the paths of some of them, by the map's name."""
 
     files: tuple[Path, ...]
     names: tuple[str, ...]
@@ -63,11 +58,7 @@ class SavedMaps:
 
     @classmethod
     def of(cls, maps: Sequence[str | Path], paths: Sequence[CaseFile]) -> SavedMaps:
-        """Name maps, and find whose each path is: see ``slamfusion.jobs.cases``.
-
-        Raises:
-            ConfigError: a path of no map, or two of one.
-        """
+        """Name maps and match paths to them; ``ConfigError``: a path of no map, or two of one."""
         files = tuple(map(Path, maps))
         own = distinct_names(files)
         if paths and not files:
@@ -84,16 +75,7 @@ class SavedMaps:
     def load(
         self, config: RunConfig, resolution: float | None, warn: Warn
     ) -> tuple[list[OccupancyGrid], dict[str, Trajectory]]:
-        """Return the maps and the paths, named.
-
-        Args:
-            config: ``map_files`` and ``log`` say how they are read.
-
-        Raises:
-            MapFileError: a map cannot be read.
-            TrajectoryError: a path is damaged.
-            OSError: a file cannot be opened.
-        """
+        """Return the maps and the paths, named."""
         grids = load_maps(self.files, config, resolution=resolution, warn=warn)
         named = [grid.with_name(name) for grid, name in zip(grids, self.names, strict=True)]
         paths = {
@@ -109,11 +91,7 @@ def free_name(name: str, taken: Collection[str] = ()) -> str:
 
 
 def path_at_scans(path: Trajectory, scans: JudgedScans) -> Trajectory:
-    """Return a path's poses at the scans of its drive, also where odometry carries it.
-
-    Raises:
-        TrajectoryError: it has a pose for too few of the scans.
-    """
+    """Return a path's poses at the drive's scans; ``TrajectoryError`` if too few have one."""
     covered = cover_stamps(path, scans)
     if covered.covered_share < LEAST_COVERED:
         raise TrajectoryError(

@@ -91,11 +91,10 @@ class SimulatedDrive:
 
 
 def choose_course(course: str | Path, config: RunConfig, *, seed: int | None = None) -> Course:
-    """Return the course of a name or a YAML file, changed as ``config.simulate`` says.
+    """Return the course of a name or a YAML file, changed by ``config.simulate``.
 
     Raises:
         SimulationError: there is no such course, or the file is damaged.
-        OSError: the file cannot be opened.
     """
     path = Path(course)
     if path.suffix.lower() in SUFFIXES or path.is_file():
@@ -114,14 +113,10 @@ def simulate_course(
     *,
     progress: Progress | None = None,
 ) -> SimulatedDrive:
-    """Simulate a robot that drives a course.
-
-    Args:
-        course: as ``choose_course`` gives it, or what that takes.
+    """Simulate a robot that drives a course, given as for ``choose_course`` or by its result.
 
     Raises:
         SimulationError: there is no such course, or it cannot be driven.
-        DeviceError: the device cannot be opened.
     """
     config = config or RunConfig()
     chosen = course if isinstance(course, Course) else choose_course(course, config)
@@ -160,9 +155,5 @@ def simulate_course(
 
 
 def save_simulated_drive(drive: SimulatedDrive, folder: str | Path) -> SimulatedDrive:
-    """Write the log, the truth and the course, all or none; return the drive with its files.
-
-    Raises:
-        MapFileError: a file cannot be written; nothing was changed.
-    """
+    """Write the log, the truth and the course, all or none; return the drive with its files."""
     return replace(drive, files=write_recording(drive.recording, folder))

@@ -56,12 +56,12 @@ class MeasuresJson(PathErrorsJson, total=False):
 
 @dataclass(frozen=True)
 class Measures:
-    """Everything that was measured of one trajectory; what was not asked for is None.
+    """Everything that was measured of one trajectory; None: not asked for.
 
     Attributes:
         dense: how the poses at the relations' times were composed with odometry.
-        at_scans: errors on those of the relations whose both ends are poses of the trajectory.
-        online: the same of the path as it was first reported, before it was corrected.
+        at_scans: errors on the relations with poses of the trajectory at both ends.
+        online: errors of the path as it was first reported, before it was corrected.
     """
 
     relations: RelationErrors | None = None
@@ -85,7 +85,7 @@ class Measures:
 
 @dataclass(frozen=True, eq=False)
 class Yardsticks:
-    """What paths are held against; None where there is nothing.
+    """What paths are compared with.
 
     Attributes:
         relations: known motions between pairs of times.
@@ -107,13 +107,7 @@ class Yardsticks:
         truth: str | Path | None = None,
         warn: Warn = _LOG.warning,
     ) -> Yardsticks:
-        """Read files; those not named are None.
-
-        Raises:
-            TrajectoryError: a file is damaged.
-            LogError: a log cannot be read.
-            OSError: a file cannot be opened.
-        """
+        """Read the files that are named."""
         at_relations, rows, poses = as_path(relations), as_path(odometry), as_path(truth)
         return cls(
             None if at_relations is None else read_relations(at_relations),
@@ -126,11 +120,7 @@ class Yardsticks:
     def measure(
         self, path: Trajectory, config: RunConfig, scans: Trajectory | None = None
     ) -> Measures:
-        """Measure a path by all that there is; see ``measure_trajectory``.
-
-        Raises:
-            TrajectoryError: the path does not meet the relations, the odometry or the truth.
-        """
+        """Measure a path by all that there is; see ``measure_trajectory``."""
         return measure_trajectory(
             path,
             config.trajectory,
@@ -150,14 +140,10 @@ def measure_trajectory(
     scans: Trajectory | None = None,
     truth: Trajectory | None = None,
 ) -> Measures:
-    """Measure a trajectory in every way that there is something to hold it against.
-
-    Args:
-        relations, odometry, truth: see ``Yardsticks``.
-        scans: raw odometry of the scans of the estimate's log.
+    """Measure a trajectory by everything given; see ``Yardsticks``.
 
     Raises:
-        TrajectoryError: the estimate does not meet the relations, the odometry or the truth.
+        TrajectoryError: the estimate has no times in common with one of them.
     """
     config = config or TrajectoryConfig()
     dense = None
@@ -179,11 +165,11 @@ def measure_trajectory(
 
 @dataclass(frozen=True)
 class KnownFiles:
-    """The files that the paths of one drive are measured with; None where there is none.
+    """The files that the paths of one drive are measured with.
 
     Attributes:
         log: what the paths were made from.
-        scan_odometry: what gives the scans of the log their odometry.
+        scan_odometry: gives the scans of the log their odometry.
     """
 
     relations: Path | None = None
@@ -196,13 +182,10 @@ class KnownFiles:
 def known_files(
     cases: Sequence[str], logs: Sequence[CaseFile], **others: Sequence[CaseFile]
 ) -> dict[str, KnownFiles]:
-    """Return the files of each case.
-
-    Args:
-        others: of each other kind of ``KnownFiles``, by its name.
+    """Return the files of each case; ``others`` are the other kinds of ``KnownFiles`` by name.
 
     Raises:
-        ConfigError: a file belongs to none of the cases, or to several; or two are of one.
+        ConfigError: a file belongs to no case or to several, or a case has two of a kind.
     """
     found = {
         kind: files_by_case(cases, own, f"--{kind.replace('_', '-')}")
@@ -292,15 +275,14 @@ class TrajectoriesDocument:
 def measure_trajectories(
     placed: Sequence[Placed], known: Mapping[str, KnownFiles], config: RunConfig | None = None
 ) -> tuple[list[MeasuredTrajectory], list[str]]:
-    """Measure paths, each by what there is of its case.
+    """Measure each path by the files of its case.
 
     Returns:
-        The paths that could be measured, in the order given, and a sentence for each other one.
+        The measured paths, in the order given, and a sentence for each other one.
 
     Raises:
         TrajectoryError: a file of a case is damaged, or the only path cannot be measured.
         LogError: a log cannot be read.
-        OSError: a file cannot be opened.
         SlamFusionError: none of the paths could be measured.
     """
     config = config or RunConfig()
@@ -370,11 +352,7 @@ def write_trajectories(
     config: RunConfig | None = None,
     files: AtomicFiles | None = None,
 ) -> Path:
-    """Write one report of the errors of paths; see ``slamfusion.report.page.write_page``.
-
-    Raises:
-        SlamFusionError: matplotlib is missing, or the directory cannot be written.
-    """
+    """Write one report of the errors of paths; see ``slamfusion.report.page.write_page``."""
     from slamfusion.report import MeasuredPath, write_trajectory_report  # noqa: PLC0415  (an extra)
 
     cases: dict[str, list[MeasuredPath]] = {}
