@@ -72,7 +72,7 @@ def executor_for(
         except BrokenProcessPool:
             raise FleetError("a process died (out of memory?); fewer processes need less") from None
         finally:
-            # Those at work come to their end unheard, which takes seconds; others do not begin.
+            # Running tasks finish, which takes seconds; others are cancelled.
             pool.shutdown(cancel_futures=True)
 
 

@@ -43,7 +43,7 @@ class Consensus:
     """The mutual support of closures.
 
     Attributes:
-        mates: (C,) int64, others with which the closure closes a short loop.
+        mates: (C,) int64, number of closures with which each closes a short loop.
         scale: the squared errors of such loops relative to the information; 1 if there are too few.
     """
 
@@ -87,12 +87,11 @@ def _scale(errors: F64) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Odometry:
-    """Poses along the odometry, and how uncertain the way between any two of them is.
+    """Poses along the odometry, and their relative uncertainty.
 
     Attributes:
-        poses: (N, 3), from the first one on; where no odometry leads on, the next is put on top of
-            the last.
-        piece: (N,) what goes up by one where no odometry leads on.
+        poses: (N, 3); where odometry has a gap, the next pose is put on the last.
+        piece: (N,) number of gaps so far.
         sums: (N, 3, 3), sum of the covariances of all steps so far, each moved to the origin.
     """
 

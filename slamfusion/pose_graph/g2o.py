@@ -27,7 +27,7 @@ from slamfusion.pose_graph.graph import (
     part_labels,
 )
 
-# Of an edge's last six numbers, in the file's order, the places in the information matrix.
+# Places of an edge's last six numbers in the information matrix, in the file's order.
 _G2O_ORDER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 _TORO_ORDER = ((0, 0), (0, 1), (1, 1), (2, 2), (0, 2), (1, 2))
 _VERTICES = (b"VERTEX_SE2", b"VERTEX2")
@@ -36,7 +36,7 @@ _EDGES: Mapping[bytes, tuple[tuple[int, int], ...]] = {
     b"EDGE2": _TORO_ORDER,
 }
 _FIX = b"FIX"
-# Of an edge as Python numbers, with its tables.
+# Bytes of an edge as Python numbers, with its tables.
 LINE_BYTES = 1500
 _LARGEST_ID = 10**18 - 1
 _WANTED = "VERTEX_SE2, EDGE_SE2 and FIX (g2o), VERTEX2 and EDGE2 (TORO)"
@@ -44,15 +44,14 @@ _WANTED = "VERTEX_SE2, EDGE_SE2 and FIX (g2o), VERTEX2 and EDGE2 (TORO)"
 
 @dataclass(frozen=True, eq=False)
 class GraphFile:
-    """A pose graph and what else its file said.
+    """A pose graph and the other contents of its file.
 
     Attributes:
-        graph: poses in the order of their ids; where the file has none, those along the odometry.
-            Closures are the edges that ``loop_closing`` tells.
+        graph: poses in the order of their ids, chained along the odometry if the file has none.
         ids: (N,) int64, the poses' names in the file, rising.
-        fixed: indices of the poses that FIX holds; the first pose where there is no FIX.
+        fixed: indices of the poses of FIX; the first pose without FIX.
         has_poses: the file has vertices, not only edges.
-        skipped: how many lines of each kind were not understood.
+        skipped: number of unknown lines by kind.
     """
 
     graph: PoseGraph
@@ -105,15 +104,10 @@ def write_g2o(
     *,
     files: AtomicFiles | None = None,
 ) -> None:
-    """Write a graph as g2o's text; numbers keep all their digits.
+    """Write a graph as g2o's text with all digits, packed if the path ends in ``.gz``.
 
-    Args:
-        path: the file; packed when its name ends in ``.gz``.
-        ids: (N,) names of the poses; default: their indices.
-        files: stage the file here, to appear together with others; default: write it now.
-
-    Raises:
-        MapFileError: the file cannot be written.
+    ``ids`` (N,) names the poses, by default by index; ``files`` stages the file with others.
+    MapFileError: the file cannot be written.
     """
     names = np.arange(len(graph)) if ids is None else ids
     data = "".join(_text(graph, names.tolist(), fixed)).encode()
@@ -139,11 +133,7 @@ def _numbers(values: list[float]) -> str:
 
 
 class _Lines:
-    """What stands in a file's lines.
-
-    Attributes:
-        skipped: lines by kind that were not understood.
-    """
+    """The parsed lines of a file; ``skipped`` counts unknown lines by kind."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -160,7 +150,7 @@ class _Lines:
                 self._take(number, words)
 
     def check(self, index: Mapping[int, int]) -> None:
-        """Refuse edges and FIX that lead nowhere, and information that is none."""
+        """Refuse edges and FIX without a vertex, and invalid information."""
         for place, (start, end) in enumerate(self.edges):
             lost = next((name for name in (start, end) if name not in index), None)
             if lost is not None:

@@ -1,4 +1,4 @@
-"""``PoseGraph``: poses, and what was measured of one from another."""
+"""``PoseGraph``: poses and relative measurements between them."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class PoseGraph:
 
 
 def part_labels(edges: npt.NDArray[np.int64], count: int) -> tuple[int, npt.NDArray[np.int32]]:
-    """Return in how many parts edges leave ``count`` poses, and of each pose its part, (count,)."""
+    """Return the number of connected parts of ``count`` poses, and the part of each, (count,)."""
     parts, labels = scipy.sparse.csgraph.connected_components(
         _adjacency(edges, count), directed=False
     )
@@ -91,16 +91,13 @@ def loop_closing(edges: npt.NDArray[np.int64], count: int) -> npt.NDArray[np.boo
 def joining(
     edges: npt.NDArray[np.int64], is_closure: npt.NDArray[np.bool_], count: int
 ) -> npt.NDArray[np.int64]:
-    """Return the indices, rising, of closures that join parts which the other edges leave apart.
-
-    Each joins two parts that the previous ones leave apart.
-    """
+    """Return the indices, rising, of closures that each join two parts left apart so far."""
     parts, labels = part_labels(edges[~is_closure], count)
     between = labels[edges]
     candidates = np.flatnonzero(is_closure & (between[:, 0] != between[:, 1]))
     pairs = np.sort(between[candidates], axis=1).astype(np.int64)
     _, first = np.unique(pairs[:, 0] * parts + pairs[:, 1], return_index=True)
-    # The tree of least weight, where an edge weighs its place in the order.
+    # The minimum spanning tree, weighted by order.
     shape = (parts, parts)
     weights = scipy.sparse.coo_matrix(
         (first + 1.0, (pairs[first, 0], pairs[first, 1])), shape=shape
@@ -110,10 +107,7 @@ def joining(
 
 
 def chained_poses(graph: PoseGraph, root: int = 0) -> F64:
-    """Return (N, 3) poses that follow from the pose ``root`` by measurements alone.
-
-    Along a tree of the graph, of odometry as far as that reaches; loops are not closed.
-    """
+    """Return (N, 3) poses chained from ``root`` along odometry first; loops are not closed."""
     parts, _ = part_labels(graph.edges, len(graph))
     if parts > 1:
         raise GraphError(disconnected(parts))
@@ -163,7 +157,7 @@ def _adjacency(edges: npt.NDArray[np.int64], count: int) -> scipy.sparse.coo_mat
 
 
 def _check_poses(poses: F64) -> None:
-    """Refuse an empty graph and poses that are no place."""
+    """Refuse an empty graph and poses that are not finite."""
     if len(poses) == 0:
         raise GraphError("the graph has no pose")
     bad = np.flatnonzero(~np.isfinite(poses).all(axis=1))
@@ -182,7 +176,7 @@ def _check_edges(edges: npt.NDArray[np.int64], count: int) -> None:
 
 
 def _check_measurements(edges: npt.NDArray[np.int64], motions: F64, information: F64) -> None:
-    """Refuse measurements that are not finite or weigh nothing in some direction."""
+    """Refuse measurements that are not finite or have no weight in some direction."""
     finite = np.isfinite(motions).all(axis=1) & np.isfinite(information).all(axis=(1, 2))
     bad = np.flatnonzero(~finite)
     if len(bad) == 0:

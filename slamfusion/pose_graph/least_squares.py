@@ -39,11 +39,8 @@ class Measurements:
         edges: (M, 2) int64, from and to.
         motions: (M, 3) float64 x, y, yaw.
         information: (M, 3, 3) float64.
-        start: (M,) int64, from.
-        end: (M,) int64, to.
-        motion: (3, M), the same motions.
-        cos: (M,) of the motions' yaws.
-        sin: (M,) of the motions' yaws.
+        start, end: (M,) int64, the columns of ``edges``.
+        motion: (3, M), the same motions; ``cos`` and ``sin`` (M,) are of their yaws.
         upper: (6, M), the upper triangles of the information, row by row.
     """
 
@@ -97,11 +94,9 @@ class Measurements:
         return wrap_angles(yaw[self.end] - yaw[self.start] - self.motion[2])
 
     def turned_information(self, cos: F64, sin: F64) -> F64:
-        """Return the upper triangles of the information in the world's axes, (6, M).
+        """Return the information's upper triangles in the world's axes, (6, M).
 
-        Args:
-            cos: (M,) of the yaws of the first poses.
-            sin: (M,) of the same.
+        ``cos`` and ``sin`` (M,) are of the yaws of the first poses.
         """
         c, s = cos * self.cos - sin * self.sin, sin * self.cos + cos * self.sin
         i00, i01, i02, i11, i12, i22 = self.upper
@@ -125,7 +120,7 @@ PANEL_SIZE = 4
 
 def factorise(matrix: scipy.sparse.csc_matrix, order: str = "NATURAL") -> Any:
     """Return SciPy's ``SuperLU`` of a symmetric positive definite matrix, without pivoting."""
-    # Its types know neither complex matrices nor the order as a name.
+    # SciPy's type stubs do not cover complex matrices and the order by name.
     solve: Any = scipy.sparse.linalg.splu
     return solve(
         matrix,
@@ -137,14 +132,7 @@ def factorise(matrix: scipy.sparse.csc_matrix, order: str = "NATURAL") -> Any:
 
 
 def elimination_order(edges: Indices, count: int) -> Indices:
-    """Return an order of the nodes of a graph that keeps its factor sparse (minimum degree).
-
-    Args:
-        edges: (M, 2) between nodes.
-
-    Returns:
-        (count,) nodes, first the one to be eliminated first.
-    """
+    """Return the (count,) nodes of a graph in an order that keeps its factor sparse."""
     if count < 3:
         return np.arange(count)
     low, high = edges.min(axis=1), edges.max(axis=1)
@@ -159,12 +147,11 @@ def elimination_order(edges: Indices, count: int) -> Indices:
 
 
 class NormalEquations:
-    """The least-squares problem of a graph, linearised where it is asked to.
+    """The least-squares problem of a graph, linearised on request.
 
     Attributes:
-        fixed: poses that do not move.
         free: (F,) poses that may move, in the order of elimination.
-        place: (N,) of each pose its place in ``free``; -1 for the fixed ones.
+        place: (N,) place of each pose in ``free``; -1 for the fixed ones.
         gradient: (3 F,) of half the weighted sum of squares, at the last linearisation.
     """
 
@@ -181,13 +168,10 @@ class NormalEquations:
     def linearise(
         self, poses: F64, weights: F64 | None = None, *, by_measured_ways: bool = False
     ) -> None:
-        """Fill in the matrix and the gradient.
+        """Fill in the matrix and the gradient at poses (N, 3), with weights (M,), default 1.
 
-        Args:
-            poses: (N, 3), where.
-            weights: (M,) by which the information is multiplied; default: 1.
-            by_measured_ways: take the way from i to j as measured, turned by the yaw of i, where
-                the positions are not known yet.
+        With ``by_measured_ways`` the way from i to j is the measured one, turned by the yaw of i,
+        for positions that are not known yet.
         """
         measured = self.measurements
         x, y = measured.ways(poses)
@@ -220,23 +204,14 @@ class NormalEquations:
         self.gradient = gradient.ravel()
 
     def matrix(self, damping: float = 0.0) -> scipy.sparse.csc_matrix:
-        """Return the matrix of the last linearisation; the diagonal times 1 + ``damping``.
-
-        Returns:
-            (3 F, 3 F), x, y and yaw of each pose in ``free``.
-        """
+        """Return the last (3 F, 3 F) matrix, its diagonal times 1 + ``damping``; x, y, yaw."""
         data = self._values.ravel()[self._source]
         data[self._diagonal] *= 1.0 + damping
         size = 3 * len(self.free)
         return scipy.sparse.csc_matrix((data, self._rows, self._columns), shape=(size, size))
 
     def step(self, damping: float = 0.0) -> tuple[F64, float]:
-        """Solve for the step that takes the linearised errors to their least squares.
-
-        Returns:
-            (N, 3) to be added to the poses, and by how much the weighted sum of squares would fall
-            if the errors were linear.
-        """
+        """Return the step, (N, 3), and the predicted decrease of the weighted sum of squares."""
         matrix = self.matrix(damping)
         moved = -factorise(matrix).solve(self.gradient)
         if not np.isfinite(moved).all():
@@ -256,7 +231,7 @@ class NormalEquations:
         return free[elimination_order(ends[(ends >= 0).all(axis=1)], len(free))]
 
     def _pattern(self) -> None:
-        """Find where each block of the matrix comes from and goes to.
+        """Find source and target of each block of the matrix.
 
         Blocks are kept once: first those on the diagonal, then those of each pair of joined poses,
         with the pose that is eliminated later as row. The matrix has them twice.
@@ -325,13 +300,8 @@ def rotations_first(equations: NormalEquations, poses: F64) -> F64:
     """Return a start that needs no guess: two linear problems, both solved exactly.
 
     First the yaws alone, as free complex numbers u with ``u_j = exp(i z) u_i`` of each edge.
-    Then poses and yaws together, where the way along each edge is taken as measured.
-
-    Args:
-        poses: (N, 3); only the fixed ones count.
-
-    Returns:
-        (N, 3) float64, not wrapped.
+    Then poses and yaws together, with the measured way along each edge. Of ``poses`` (N, 3) only
+    the fixed ones count; the result is (N, 3) float64, not wrapped.
     """
     turned = np.array(poses, np.float64)
     turned[equations.free, 2] = _yaws(equations, turned[:, 2])
@@ -357,7 +327,7 @@ def _yaws(equations: NormalEquations, yaws: F64) -> F64:
 
 
 def _yaw_information(information: F64) -> F64:
-    """Return what edges know of yaw when nothing is known of x and y, (M,), from (6, M)."""
+    """Return the information of yaw with x and y unknown, (M,), from (6, M)."""
     xx, xy, x_yaw, yy, y_yaw, yaw = information
     known = (yy * x_yaw * x_yaw - 2.0 * xy * x_yaw * y_yaw + xx * y_yaw * y_yaw) / (
         xx * yy - xy * xy
@@ -365,24 +335,24 @@ def _yaw_information(information: F64) -> F64:
     return np.asarray(np.maximum(yaw - known, 1e-9 * yaw))
 
 
-# Damping after a first step that made it worse, and where damping is taken for hopeless.
+# Damping after a first step that increased the cost, and the damping at which the search stops.
 FIRST_DAMPING, LARGEST_DAMPING = 1e-6, 1e8
-# Undamped steps in a row that may make it worse, as long as one after them makes it better: from
-# far off they often cross a ridge that damped steps creep along.
+# Undamped steps in a row that may increase the cost: from far off they often cross a ridge that
+# damped steps follow slowly.
 PATIENCE = 4
-# When that does not help, parts of the step to try instead.
+# Parts of the step to try otherwise.
 SHARES = (0.5, 0.25, 0.1, 0.03)
-# A sum of squares this small is no error that could be seen: poses fit to 1e-6 deviations.
+# A negligible sum of squares: poses fit to 1e-6 deviations.
 NEGLIGIBLE = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
 class Descent:
-    """How a descent went.
+    """The result of a descent.
 
     Attributes:
-        poses: (N, 3) where it ended.
-        costs: sums of squares, of the start and after each accepted step; never rising.
+        poses: (N, 3) at the end.
+        costs: sums of squares at the start and after each accepted step; never rising.
         iterations: steps solved for, kept or not.
         is_converged: it ended because another step would change next to nothing.
     """
@@ -400,7 +370,7 @@ Steps: TypeAlias = Generator[None, None, Result]
 
 
 def take_steps(steps: Steps[Result], most: float = math.inf) -> Result | None:
-    """Take up to some steps; return the result where these were the last, or else None."""
+    """Take up to ``most`` steps; return the result if the work is finished, else None."""
     taken = 0
     try:
         while taken < most:
@@ -412,7 +382,7 @@ def take_steps(steps: Steps[Result], most: float = math.inf) -> Result | None:
 
 
 def at_once(in_steps: Callable[Parameters, Steps[Result]]) -> Callable[Parameters, Result]:
-    """Return the same work as a function that does all of it."""
+    """Return the same work as a function that does all its steps."""
 
     @functools.wraps(in_steps)
     def done(*arguments: Parameters.args, **options: Parameters.kwargs) -> Result:
@@ -424,11 +394,9 @@ def at_once(in_steps: Callable[Parameters, Steps[Result]]) -> Callable[Parameter
 def descend(
     equations: NormalEquations, poses: F64, *, max_iterations: int = 100, tolerance: float = 1e-5
 ) -> Steps[Descent]:
-    """Descend to the nearest least sum of squared errors.
+    """Descend from poses (N, 3) to the nearest minimum of the squared errors.
 
-    Args:
-        poses: (N, 3), the start.
-        tolerance: stop after a step that promised to lower the sum by less than this share.
+    It stops after a step that promised to lower the sum by less than the share ``tolerance``.
     """
     walk = _Walk(equations, poses)
     for iteration in range(1, max_iterations + 1):
@@ -442,7 +410,7 @@ def descend(
             if is_done:
                 return Descent(walk.best, tuple(walk.costs), iteration, is_converged=True)
         elif walk.risen == 0 and (is_small or walk.damping > LARGEST_DAMPING):
-            # Nothing but rounding is left, or no step leads down.
+            # Only rounding is left, or no step leads down.
             return Descent(walk.best, tuple(walk.costs), iteration, is_converged=is_small)
         else:
             walk.cope(step, cost)
@@ -450,13 +418,13 @@ def descend(
 
 
 class _Walk:
-    """Where a descent is.
+    """The progress of a descent.
 
     Attributes:
         best: (N, 3) poses of the least cost so far.
-        costs: of the start and of each place that was better than those before.
+        costs: of the start and of each improvement.
         poses: (N, 3) where the next step starts.
-        risen: steps since ``best``, each of them for the worse.
+        risen: steps since ``best``, each with a greater cost.
     """
 
     def __init__(self, equations: NormalEquations, poses: F64) -> None:
@@ -467,26 +435,25 @@ class _Walk:
         self.risen, self._patience = 0, PATIENCE
 
     def cost_at(self, poses: F64) -> float:
-        """Return the sum of squares."""
         return float(self._equations.measurements.squared_errors(poses).sum())
 
     def next_step(self) -> tuple[F64, float]:
-        """Return the step from here and what it promises; not a number, and infinity, if none."""
+        """Return the step and its predicted decrease; NaN and infinity if there is none."""
         self._equations.linearise(self.poses)
         try:
             return self._equations.step(self.damping)
-        except RuntimeError:  # singular in this arithmetic; damping mends it
+        except RuntimeError:  # singular in this arithmetic; damping fixes it
             return np.full_like(self.poses, np.nan), np.inf
 
     def keep(self, step: F64, cost: float) -> None:
-        """Go a step for the better."""
+        """Take a step that lowers the cost."""
         if self.damping == 0.0:
             self._patience = PATIENCE
         self._go(step, cost)
         self.damping = 0.1 * self.damping if self.damping > FIRST_DAMPING else 0.0
 
     def cope(self, step: F64, cost: float) -> None:
-        """Do something about a step for the worse: go on all the same, go back, or shorten it."""
+        """Handle a step that increases the cost: accept it for now, go back, or shorten it."""
         if self.damping == 0.0 and self.risen < self._patience and np.isfinite(cost):
             self.poses, self.risen = self.poses + step, self.risen + 1
             return

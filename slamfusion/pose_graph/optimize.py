@@ -52,7 +52,7 @@ class Optimized:
 
     @property
     def is_outlier(self) -> npt.NDArray[np.bool_]:
-        """Of each edge whether it is outside the inlier set: taken to be false, (M,)."""
+        """Whether each edge is outside the inlier set, (M,)."""
         return np.asarray(self.weights < 0.5)
 
 
@@ -133,11 +133,7 @@ optimize = at_once(optimize_in_steps)
 
 
 def chi2_of(graph: PoseGraph, poses: F64 | None = None) -> F64:
-    """Return the squared error of each edge in its deviations, (M,).
-
-    Args:
-        poses: (N, 3); default: the graph's own.
-    """
+    """Return the squared error of each edge in its deviations, (M,), by default at its poses."""
     measured = Measurements(graph.edges, graph.motions, graph.information)
     return measured.squared_errors(graph.poses if poses is None else poses)
 
@@ -151,7 +147,7 @@ def _check(graph: PoseGraph, held: tuple[int, ...]) -> None:
 
 
 def _earlier_outliers(graph: PoseGraph, weights: F64) -> npt.NDArray[np.bool_]:
-    """Return which edges earlier weights, (K,), leave out, (M,)."""
+    """Return the outliers, (M,), of earlier weights, (K,)."""
     outliers = np.zeros(len(graph.edges), np.bool_)
     if len(weights) > len(outliers):
         raise GraphError(f"{len(weights)} earlier weights do not fit {len(outliers)} edges")
@@ -160,7 +156,7 @@ def _earlier_outliers(graph: PoseGraph, weights: F64) -> npt.NDArray[np.bool_]:
 
 
 def _start(problem: Problem, graph: PoseGraph, start: Start) -> F64 | None:
-    """Return the poses to start from; None where they are looked for."""
+    """Return the poses to start from; None if the search finds its own."""
     if start == "given":
         return graph.poses
     if start == "odometry":

@@ -80,10 +80,9 @@ class Problem:
     """A graph to be optimised.
 
     Attributes:
-        poses: (N, 3), of which only those that are held count where a start is looked for.
+        poses: (N, 3); without a given start only the fixed ones count.
         may_be_outlier: (M,) bool; the others alone join all poses.
-        was_outlier: (M,) bool, outliers of an earlier solution; None where there is
-            no earlier one.
+        was_outlier: (M,) bool, outliers of an earlier solution; None without one.
         tolerated: new outliers with which the earlier inlier set stands, without re-evaluation.
     """
 
@@ -193,7 +192,7 @@ def dcs(problem: Problem, start: F64 | None = None) -> Steps[InlierSet]:
     for iteration in range(1, problem.max_iterations + 1):
         squares = problem.measured.squared_errors(poses)
         scale = np.minimum(1.0, 2.0 * SCALING_FROM / (SCALING_FROM + squares))
-        # An edge that counts nothing at all could leave a pose without any.
+        # A weight of 0 could leave a pose without any edge.
         weights = np.where(problem.may_be_outlier, np.maximum(scale * scale, 1e-9), 1.0)
         equations.linearise(poses, weights)
         step, promised = equations.step()
@@ -205,14 +204,10 @@ def dcs(problem: Problem, start: F64 | None = None) -> Steps[InlierSet]:
 
 
 def truncated_weights(squares: F64, hardness: float, limit: float) -> F64:
-    """Return the weights of graduated truncated least squares, (K,).
+    """Return the weights of graduated truncated least squares, (K,), from squared errors.
 
-    Near 0 the hardness gives nearly the same pull to every edge, however wrong; with a large one
-    the weight is 1 up to the limit and 0 from there.
-
-    Args:
-        squares: (K,) squared errors.
-        hardness: above 0, mu of the paper.
+    With ``hardness`` (mu of the paper, above 0) near 0 every edge has nearly the same weight; if it
+    is large, the weight is 1 up to the limit and 0 above.
     """
     low, high = hardness / (hardness + 1.0) * limit, (hardness + 1.0) / hardness * limit
     between = np.sqrt(limit * hardness * (hardness + 1.0) / np.clip(squares, low, high)) - hardness
@@ -220,12 +215,7 @@ def truncated_weights(squares: F64, hardness: float, limit: float) -> F64:
 
 
 class _Search:
-    """The best set of closures so far, and the poses that belong to it.
-
-    Attributes:
-        poses: (N, 3).
-        used: (M,) bool, the inlier set.
-    """
+    """The best set of closures so far, ``used`` (M,) bool, and its poses (N, 3)."""
 
     def __init__(self, problem: Problem, limit: float) -> None:
         self._problem, self._limit = problem, limit
@@ -239,7 +229,6 @@ class _Search:
         self._equations: tuple[Mask, NormalEquations] | None = None
 
     def inlier_set(self) -> InlierSet:
-        """Return the best that was found."""
         weights = (self._trusted | self.used).astype(np.float64)
         return InlierSet(self.poses, weights, self._iterations, self._is_converged)
 
@@ -363,7 +352,7 @@ class _Search:
     def _equations_of(
         self, used: Mask, superfluous: float = SUPERFLUOUS
     ) -> tuple[Mask, NormalEquations]:
-        """Return normal equations with some edges in them, those of the last time where they do."""
+        """Return normal equations that contain some edges, reusing the last ones if possible."""
         if self._equations is not None:
             there, _ = self._equations
             needless = there & ~used
@@ -380,7 +369,7 @@ class _Search:
         return descent
 
     def _keep_better(self, descent: Descent, squares: F64, closures: Mask) -> bool:
-        """Take over a fit of a lower truncated sum of squares, or of as low a one with more."""
+        """Accept a fit of a lower truncated sum of squares, or an equal one with more closures."""
         cost = self._problem.truncated_cost(squares, self._limit)
         more = bool((self.used <= closures).all() and (closures & ~self.used).any())
         if not (cost < self._cost or (more and cost <= self._cost + EQUAL_COST)):

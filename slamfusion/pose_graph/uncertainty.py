@@ -1,4 +1,4 @@
-"""How well a graph knows one pose relative to another."""
+"""The uncertainty of one pose of a graph relative to another."""
 
 from __future__ import annotations
 
@@ -18,28 +18,18 @@ def inverted(information: F64) -> F64:
 
 
 def turned(covariance: F64, yaw_rad: F64) -> F64:
-    """Return covariances as seen in a frame in which their own frame has the yaw ``yaw_rad``.
-
-    Args:
-        covariance: (K, 3, 3) of x, y, yaw.
-        yaw_rad: (K,).
-    """
+    """Return covariances (K, 3, 3) in a frame in which their own frame has the yaw (K,)."""
     turn = _turns(yaw_rad)
     return np.asarray(turn @ covariance @ turn.transpose(0, 2, 1))
 
 
 def turned_vectors(vectors: F64, yaw_rad: F64) -> F64:
-    """Return vectors of x, y, yaw, (K, 3), as seen in such a frame."""
+    """Return vectors of x, y, yaw, (K, 3), in such a frame."""
     return np.asarray((_turns(yaw_rad) @ vectors[..., None])[..., 0])
 
 
 def moved(covariance: F64, way: F64) -> F64:
-    """Return covariances of another point of the same rigid body.
-
-    Args:
-        covariance: (K, 3, 3) of x, y, yaw.
-        way: (K, 2 or more) x and y from the old to the new point, in the same axes.
-    """
+    """Return covariances (K, 3, 3) at another point of the body, at an offset (K, 2 or more)."""
     lever = np.tile(np.eye(3), (len(covariance), 1, 1))
     lever[:, 0, 2], lever[:, 1, 2] = -way[:, 1], way[:, 0]
     return np.asarray(lever @ covariance @ lever.transpose(0, 2, 1))
@@ -58,8 +48,7 @@ Indices = npt.NDArray[np.int64]
 
 # Pairs solved for together: more no longer fit the cache.
 PAIRS_AT_ONCE = 6
-# Half axes of the ellipsoid of all motions: this number of deviations of the places, and half a
-# turn.
+# Half axes of the ellipsoid of all motions: this many deviations of the places, and half a turn.
 ROOM_DEVIATIONS = math.sqrt(6.0)
 
 
@@ -92,13 +81,9 @@ class Uncertainty:
         self._factor = factorise(equations.matrix())
 
     def in_world_axes(self, pairs: Indices) -> F64:
-        """Return covariances of the second pose of each pair relative to the first, (K, 3, 3).
+        """Return covariances of the second poses relative to the first, pairs (K, 2), (K, 3, 3).
 
-        Args:
-            pairs: (K, 2) poses.
-
-        Returns:
-            Of x, y in metres and yaw in radians, in the world's axes.
+        Of x, y in metres and yaw in radians, in the world's axes.
         """
         parts = [
             self._solve(pairs[start : start + PAIRS_AT_ONCE])
@@ -136,14 +121,14 @@ def gates(uncertainty: Uncertainty, poses: F64, candidates: Measurements) -> Gat
     vectors = turned_vectors(candidates.errors(poses).T, measured)
     covariance = uncertainty.in_world_axes(candidates.edges) + own
     errors = np.einsum("ki,ki->k", vectors, np.linalg.solve(covariance, vectors[..., None])[..., 0])
-    # The motions that agree as well fill an ellipsoid; within those of the map where that is less.
+    # The motions that agree as well fill an ellipsoid, limited to those of the map.
     filled = errors[:, None, None] * covariance
     whole = np.maximum(np.linalg.det(filled + _room(poses)), np.finfo(np.float64).tiny)
     return Gates(errors, np.sqrt(np.clip(np.linalg.det(filled) / whole, 0.0, 1.0)))
 
 
 def _room(poses: F64) -> F64:
-    """Return the ellipsoid of all motions between places, (3, 3), as a covariance is one."""
+    """Return the ellipsoid of all motions between places, (3, 3), as a covariance."""
     room = np.zeros((3, 3))
     room[:2, :2] = ROOM_DEVIATIONS**2 * np.cov(poses[:, :2], rowvar=False)
     room[2, 2] = math.pi**2

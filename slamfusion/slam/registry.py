@@ -1,4 +1,4 @@
-"""The producers by name: a record says how each one comes into being, fresh or resumed.
+"""The producers by name: each record tells how to create or resume one.
 
 Three are built in. Any package adds its own by an entry point of the group
 ``slamfusion.producers`` whose name is the producer's and whose object is a ``Producer``; it then
@@ -36,23 +36,22 @@ MAP_INTERVAL_S = 1.0
 
 @dataclass(frozen=True)
 class Producer:
-    """How a producer comes into being, and what others need to know of it.
+    """How a producer is created, and its properties.
 
     Attributes:
         name: on the command line, in configurations, topics and file names: a letter, then letters,
             digits and underscores.
-        summary: what it is, one sentence without a full stop.
-        config: its settings with their defaults: an instance of a frozen dataclass that derives
-            from ``slamfusion.config.Checked``.
-        make: a mapper with an empty map, from settings, device and seed.
-        load: a mapper in the state that a file of ``Resumable.save_state`` holds, from the file
-            and the settings, the device and the seed that it was made with; raises
-            SlamFusionError for any other file. None for one that cannot go on.
-        cost: time for a scan, roughly, in tinySLAM's: the longest job of several starts first.
-        closes_loops: whether it corrects its path when it comes back to a place: where maps
-            contradict each other, those that close loops are bent least.
-        map_interval_s: seconds between two maps that its node publishes, from its settings.
-        prefers_small_kernels: what its device is to be good at, see ``open_device``.
+        summary: one sentence without a full stop.
+        config: its default settings: an instance of a frozen dataclass that derives from
+            ``slamfusion.config.Checked``.
+        make: returns a mapper with an empty map, from settings, device and seed.
+        load: returns a mapper in the state of a file of ``Resumable.save_state``, from the file,
+            settings, device and seed; raises SlamFusionError for any other file. None: it cannot
+            be resumed.
+        cost: time for a scan relative to tinySLAM's: the longest job of several starts first.
+        closes_loops: whether it corrects its path at known places; such maps are bent least.
+        map_interval_s: seconds between two published maps, from its settings.
+        prefers_small_kernels: see ``open_device``.
     """
 
     name: str
@@ -74,7 +73,7 @@ class Producer:
 
 
 def _imported(place: str, *arguments: Any) -> Any:
-    """Call what ``module:name`` below this package names; it is imported only now."""
+    """Import ``module:name`` below this package and call it."""
     return pkgutil.resolve_name(f"slamfusion.slam.{place}")(*arguments)
 
 
@@ -116,7 +115,7 @@ BUILT_IN = tuple(_BUILT_IN)
 
 @cache
 def _others() -> Mapping[str, EntryPoint]:
-    """Return the entry points of other packages, by name; none is imported."""
+    """Return the entry points of other packages by name, without importing them."""
     from importlib.metadata import entry_points  # noqa: PLC0415  (loads slowly)
 
     found: dict[str, EntryPoint] = {}
@@ -158,7 +157,7 @@ def producer(name: str) -> Producer:
 
 
 def loop_closers(names: Collection[str]) -> tuple[str, ...]:
-    """Return those of the names that are producers which close loops."""
+    """Return the names of producers that close loops."""
     known = producer_names()
     return tuple(name for name in names if name in known and producer(name).closes_loops)
 
@@ -167,18 +166,18 @@ def loop_closers(names: Collection[str]) -> tuple[str, ...]:
 
 
 def settings_of(config: RunConfig, name: str) -> Any:
-    """Return the settings of a producer: those in the configuration, or else its defaults."""
+    """Return the settings of a producer, by default its own."""
     return config.producers[name] if name in config.producers else producer(name).config
 
 
 def with_settings(config: RunConfig, name: str, **changed: Any) -> RunConfig:
-    """Return a configuration in which some settings of a producer are others."""
+    """Return a configuration with some settings of a producer changed."""
     settings = replace(settings_of(config, name), **changed)
     return replace(config, producers={**config.producers, name: settings})
 
 
 def with_producers(config: RunConfig, names: Collection[str] = BUILT_IN) -> RunConfig:
-    """Return a configuration that holds the settings of these producers, defaults included."""
+    """Return a configuration with the settings of these producers, defaults included."""
     added = {name: settings_of(config, name) for name in names}
     return replace(config, producers={**config.producers, **added})
 
@@ -186,11 +185,8 @@ def with_producers(config: RunConfig, names: Collection[str] = BUILT_IN) -> RunC
 def load_config(path: str | Path, base: RunConfig | None = None) -> RunConfig:
     """Read a configuration from a YAML file, with the settings of the producers that it names.
 
-    They stand under ``producers``, by name. At the top of the file, where they stood until
-    version 0.1, they are still read, with a warning.
-
-    Args:
-        base: holds what the file does not say; default: the defaults.
+    Settings stand under ``producers`` by name; at the top of the file, as until version 0.1, they
+    are read with a warning. ``base`` gives what the file leaves out; default: the defaults.
 
     Raises:
         ConfigError: no YAML, an unknown key or producer, a wrong type or range.
@@ -228,8 +224,8 @@ def load_config(path: str | Path, base: RunConfig | None = None) -> RunConfig:
 def open_producer_device(name: str, config: RunConfig) -> ComputeDevice:
     """Return the device for a producer that has a process to itself.
 
-    Where PoCL may use one thread only, it runs the kernels in the thread that asks: a second one
-    takes turns with it, and a launch costs five times as much.
+    With a single PoCL thread the kernels run in the calling thread: a second one would make a
+    launch five times as slow.
     """
     from slamfusion.compute import open_device  # noqa: PLC0415  (loads slowly)
 
@@ -239,11 +235,7 @@ def open_producer_device(name: str, config: RunConfig) -> ComputeDevice:
 
 
 def make_producer(name: str, config: RunConfig, device: ComputeDevice) -> Mapper:
-    """Return a producer with its settings and an empty map.
-
-    Raises:
-        SlamFusionError: there is none of this name; the known ones are named.
-    """
+    """Return a producer with its settings and an empty map; SlamFusionError if it is unknown."""
     return producer(name).make(settings_of(config, name), device, config.seed)
 
 

@@ -1,7 +1,7 @@
 """``ProducerSession``: a SLAM at work on live scans, one map after another; no ROS.
 
-Scans are fed in one thread, maps drawn in a second one, and a third looks on. What a worker made is
-a frozen snapshot, replaced as a whole, so that others read it without a lock.
+Scans are fed in one thread, maps drawn in a second one, and a third observes. The workers' results
+are frozen snapshots, replaced as a whole, so that other threads read them without a lock.
 """
 
 from __future__ import annotations
@@ -39,20 +39,19 @@ NEVER_S = float("-inf")
 
 
 class LeftOutError(Exception):
-    """A scan cannot be fed; the reason under which it is counted."""
+    """A scan cannot be fed; the message is the reason under which it is counted."""
 
 
 @dataclass(frozen=True, eq=False)
 class QueuedScan:
-    """A scan that waits.
+    """A waiting scan.
 
     Attributes:
-        stamp_s: of the scan, seconds.
-        arrived_s: when it came, on the clock of the session.
-        generation: of the map that it belongs to; see ``ProducerSession.begin_new_map``.
-        read: gives the scan; asked when its turn has come; raises ``LeftOutError``.
-        odometry: gives the odometry at times (K,), seconds, the first of which is its own: poses
-            (K, 3), or those before the first that is not known; None where its own is not.
+        arrived_s: time of arrival, on the clock of the session.
+        generation: of its map; see ``ProducerSession.begin_new_map``.
+        read: returns the scan; may raise ``LeftOutError``.
+        odometry: returns poses (K, 3) at times (K,), seconds, up to the first unknown one; None if
+            the first, the scan's own, is unknown.
     """
 
     stamp_s: float
@@ -64,13 +63,11 @@ class QueuedScan:
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What a scan that was fed tells.
+    """The result of a scan; the pose of the base is in the map frame.
 
     Attributes:
-        pose: of the base in the map frame; metres, radians.
-        odometry: of the scan; None: none known.
-        is_new: False for a scan that was sent again and is answered as before.
-        unused: why the scan was not used, one line; empty where it was.
+        is_new: False for a scan that was sent again and gets the same answer.
+        unused: why the scan was not used, one line; else empty.
     """
 
     pose: Pose2
@@ -81,22 +78,21 @@ class Answer:
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """What the worker of scans made so far.
+    """The results of the scan worker so far.
 
     Attributes:
-        without_odometry: scans that had none though it is wanted.
+        without_odometry: scans without the odometry that is wanted.
         left_out: scans that were not fed, by reason.
-        fed_s: stamp of the newest scan fed to this map, seconds; None: none yet.
-        pose: at that scan, of the base in the map frame.
+        fed_s: stamp of the newest scan in this map, seconds; None before the first.
+        pose: of the base in the map frame at that scan.
         unmapped: scans fed since the last map was read.
-        problem: why the producer failed at the last scan, one line; empty: it did not.
-        busy_since_s: when the scan that is worked on was begun; None: none is.
+        problem: why the producer failed at the last scan, one line; else empty.
+        busy_since_s: start of the work on the present scan; None if there is none.
         map_at_s: when a map was last read.
-        is_settled: whether that one had all closures solved, where the producer has any.
-        is_path_due: whether that one went without a path, since nobody listened.
-        latencies_s: from a scan's coming to its answer, of the last 300.
-        contradictions: how the poses contradict the odometry, a sentence each, when a map was last
-            read.
+        is_settled: whether that map had all closures solved.
+        is_path_due: whether that map had no path, without subscribers.
+        latencies_s: from arrival to answer, of the last scans.
+        contradictions: between poses and odometry when a map was last read, a sentence each.
     """
 
     fed: int = 0
@@ -125,12 +121,9 @@ class Snapshot:
 
 @dataclass(frozen=True, eq=False)
 class UndrawnMap:
-    """A map on its way out, drawn or to be drawn.
+    """A map to be published, drawn or not; ``stamp_s`` is of its newest scan, seconds.
 
-    Attributes:
-        grid: the map, or what it is drawn from.
-        trajectory: the path; None where nobody listens.
-        stamp_s: of the newest scan in it, seconds.
+    ``trajectory`` is None without subscribers.
     """
 
     grid: OccupancyGrid | MapJob
@@ -141,11 +134,11 @@ class UndrawnMap:
 
 @dataclass(frozen=True)
 class Drawn:
-    """What the worker of maps made so far.
+    """The results of the map worker so far.
 
     Attributes:
-        shape: width and height of the last one, cells.
-        time_s: how long it took to draw; None where maps are not drawn aside.
+        shape: width and height of the last map, cells.
+        time_s: time to draw it; None if maps are not drawn in this thread.
     """
 
     maps: int = 0
@@ -154,16 +147,14 @@ class Drawn:
 
 
 class ProducerSession:
-    """Feeds scans to a producer, begins new maps when time goes back, and reads maps.
+    """Feeds scans to a producer, starts new maps when time goes back, and reads maps.
+
+    ``snapshot`` and ``drawn`` may be read by any thread.
 
     Args:
-        open_drawing: gives a device for the thread that draws maps, for a device's queue is one
-            thread's; called only where the producer lets its map be drawn aside.
-        clock: seconds, growing.
-
-    Attributes:
-        snapshot: what the worker of scans made so far; any thread may read it.
-        drawn: what the worker of maps made so far; any thread may read it.
+        open_drawing: opens a device for the map thread, since a queue belongs to one thread; called
+            only if the producer's map can be drawn aside.
+        clock: monotonic time, seconds.
     """
 
     def __init__(
@@ -197,18 +188,18 @@ class ProducerSession:
         _warm_up(self._make(), self._drawing)
 
     def begin_new_map(self) -> None:
-        """Leave the map behind: scans queued from now on belong to a new one."""
+        """Start a new map: scans queued from now on belong to it."""
         self.generation += 1
 
     @property
     def is_before_odometry(self) -> bool:
-        """Whether odometry is wanted and the map has not begun with it."""
+        """Whether odometry is wanted and the map waits for it."""
         return self._wants_odometry and self.snapshot.fed_s is None
 
     # -- in the worker of scans -------------------------------------------------------------------
 
     def feed(self, item: QueuedScan) -> Answer | None:
-        """Feed a scan; None where it is left out, with the reason counted in the snapshot."""
+        """Feed a scan; None if it is left out, with the reason counted in the snapshot."""
         self._change(problem="")
         if item.generation != self.generation:
             return None
@@ -240,7 +231,7 @@ class ProducerSession:
             if item.stamp_s < fed_s:
                 raise LeftOutError(NOT_NEWER)
             self.leave_out(NOT_NEWER)
-            # Sent again: who waits for the answer gets it again.
+            # Sent again: the answer is repeated.
             return Answer(self.snapshot.pose, is_new=False)
         scan = item.read()
         within, odometry = self._deskewer.follow(scan, item.odometry)
@@ -276,7 +267,7 @@ class ProducerSession:
         return self._clock() - self.snapshot.map_at_s >= interval_s
 
     def read_map(self, *, is_path_heard: bool, is_paused: bool) -> UndrawnMap | None:
-        """Read the map and the path; None where there is none, or nothing new in it."""
+        """Read the map and the path; None if there is no map or nothing new in it."""
         begun_s = self._clock()
         self._change(map_at_s=begun_s)
         before = self.snapshot
@@ -307,7 +298,7 @@ class ProducerSession:
         return tuple(contradictions(odometry, path))
 
     def _grid(self, *, is_paused: bool) -> tuple[OccupancyGrid | MapJob, bool]:
-        """Return the map, or what it is drawn from, and whether that is known to be as before."""
+        """Return the map or its job, and whether it is known to be unchanged."""
         producer = self._producer
         if not isinstance(producer, DrawsAside):
             return producer.grid(), False
@@ -319,7 +310,7 @@ class ProducerSession:
     # -- in the worker of maps --------------------------------------------------------------------
 
     def draw(self, item: UndrawnMap) -> OccupancyGrid:
-        """Return the map; one that is drawn aside is drawn on the last one of its generation."""
+        """Return the map; one that is drawn aside updates the last one of its generation."""
         grid, time_s = item.grid, self.drawn.time_s
         if isinstance(grid, MapJob):
             begun_s = self._clock()
@@ -334,12 +325,12 @@ class ProducerSession:
         return grid
 
     def count_map(self) -> None:
-        """Take note that a map was published."""
+        """Count a published map."""
         self.drawn = replace(self.drawn, maps=self.drawn.maps + 1)
 
 
 def _warm_up(trial: Mapper, drawing: ComputeDevice | None) -> None:
-    """Let a producer compile its kernels and run them, on scans of a square room of 6 m."""
+    """Let a producer compile and run its kernels, on scans of a square room of 6 m."""
     angles = np.linspace(-np.pi, np.pi, WARM_UP_BEAMS, endpoint=False)
     ranges = (3.0 / np.maximum(np.abs(np.cos(angles)), np.abs(np.sin(angles)))).astype(np.float32)
     for index in range(3):

@@ -1,8 +1,7 @@
-"""What a robot drives by: the odometry frame in the fused frame, and how sure its pose is; no ROS.
+"""The odometry frame in the fused frame, and the certainty of the robot's pose; no ROS.
 
-A new pose says where the odometry frame should be. A planner and a controller cannot follow a frame
-that jumps there, so ``OdomFrame`` moves it with limited speed. Between corrections it stands still,
-and the odometry alone carries the robot.
+A new pose moves the odometry frame. A planner and a controller cannot follow a jump, so
+``OdomFrame`` moves it with limited speed. Between corrections it stands still.
 """
 
 from __future__ import annotations
@@ -16,11 +15,11 @@ from slamfusion.geometry import F64, Pose2, wrap_angle
 
 # The odometry carries the robot for this long after the last pose, seconds.
 CARRIED_S = 10.0
-# Odometry that is faster, metres a second, has jumped: its origin was set again.
+# Odometry that is faster, metres per second, has jumped: its origin was reset.
 JUMP_M_S = 10.0
-# Two sent transforms that are farther apart in time, seconds, count as this far apart.
+# Longest time between two sent transforms that counts for the speed, seconds.
 LONGEST_S = 1.0
-# Differences of poses count for this long, seconds, and this many at most.
+# Age, seconds, and number of differences of poses that count at most.
 SPREAD_S, MOST_DIFFERENCES = 10.0, 300
 # Stamps whose poses wait for those of slower inputs.
 STAMPS = 256
@@ -35,7 +34,7 @@ class OdomFrame:
     odometry moves that origin by metres and the robot not at all.
 
     Attributes:
-        transform: fused frame to odometry frame, as it was last sent; None before the first pose.
+        transform: fused frame to odometry frame, as last sent; None before the first pose.
     """
 
     def __init__(self) -> None:
@@ -46,14 +45,14 @@ class OdomFrame:
         self._moved: tuple[float, Pose2] | None = None
 
     def correct(self, stamp_s: float, pose: Pose2, odometry: Pose2) -> None:
-        """Take a pose of the robot in the fused frame, and its odometry at the same stamp."""
+        """Set the target from a pose in the fused frame and the odometry at the same stamp."""
         self._target = pose.compose(odometry.inverse())
         self._posed_s = stamp_s
         if self.transform is None:
             self.transform = self._target
 
     def left(self, odometry: Pose2) -> Pose2:
-        """Return the correction that is still to be made, seen from the robot."""
+        """Return the remaining correction, seen from the robot."""
         if self.transform is None:
             return Pose2()
         here = self.transform.compose(odometry)
@@ -62,11 +61,7 @@ class OdomFrame:
     def move(self, stamp_s: float, odometry: Pose2, m_s: float, rad_s: float) -> Pose2 | None:
         """Move towards the newest pose and return the transform.
 
-        Args:
-            odometry: the robot in the odometry frame.
-
-        Returns:
-            None without a pose of the last ``CARRIED_S``, and for a stamp that is not newer.
+        None without a pose of the last ``CARRIED_S``, and if the stamp is not newer.
         """
         before = self._moved
         if self.transform is None or stamp_s - self._posed_s > CARRIED_S:
@@ -98,8 +93,8 @@ class OdomFrame:
 class PoseSpread:
     """How far the voters' poses of equal stamps are apart: the covariance of the fused pose.
 
-    The inputs read the same scans, so their errors are alike in part. That is why the mean square
-    of the differences counts whole, which is twice the variance of inputs that err independently.
+    The inputs read the same scans, so their errors are correlated. So the mean square of the
+    differences counts whole, which is twice the variance of independent inputs.
     """
 
     def __init__(self) -> None:
@@ -108,7 +103,7 @@ class PoseSpread:
         self._differences: deque[tuple[float, float, float, float]] = deque(maxlen=MOST_DIFFERENCES)
 
     def hear(self, leader: str, name: str, stamp_ns: int, pose: Pose2) -> None:
-        """Take a voter's pose in the fused frame; ``leader`` is the input whose pose is taken."""
+        """Add a voter's pose in the fused frame; ``leader`` is the input whose pose is used."""
         if leader != self._leader:
             self._leader = leader
             self._differences.clear()
@@ -126,8 +121,7 @@ class PoseSpread:
     def covariance(self, stamp_s: float, alone_m: float, alone_rad: float) -> F64:
         """Return (3, 3) float64: x and y in metres, yaw in radians, in axes of the fused frame.
 
-        Args:
-            alone_m, alone_rad: the deviations of a pose that no other input confirms.
+        Without other inputs, ``alone_m`` and ``alone_rad`` are the deviations.
         """
         rows = np.array([row[1:] for row in self._differences if stamp_s - row[0] <= SPREAD_S])
         if not len(rows):

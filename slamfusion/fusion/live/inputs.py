@@ -1,6 +1,6 @@
-"""One input of the live fusion: its state, its newest map, and where that lies.
+"""One input of the live fusion: its state, its newest map, and its transform.
 
-``TRANSITIONS`` is the whole state machine: what happens to an input in a state, and its next state.
+``TRANSITIONS`` is the whole state machine: the next state by event and state.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from slamfusion.fusion.live.layers import Change, Layer, compare, lay_out
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.grid import OccupancyGrid
 
-# A map with less than the first share of the walls of the one before has restarted, and is young
-# until it has the second.
+# A map with less than the first share of the previous one's walls has restarted, and is young until
+# it has the second.
 RESTARTED_SHARE, GROWN_SHARE = 0.5, 0.75
-# An input is aligned again once this share of its wall cells has changed; a new map belongs to its
-# old transform where the second share of the old walls still stands.
+# An input is aligned again once this share of its wall cells has changed; a new map keeps its old
+# transform if at least the second share of the old walls remains.
 CHANGED_SHARE, STEADY_SHARE = 0.01, 0.75
 
 
@@ -50,9 +50,8 @@ class Event(Enum):
     ACCEPTANCE = "its alignment is accepted"
 
 
-# The next state by event and state; in a state that is left out the event changes nothing. While
-# the scans contradict a TRACKED input, or without scans the poses of others do, it is DOUBTED, see
-# ``Input.state``.
+# The next state by event and state; events that are not listed change nothing. A TRACKED input that
+# scans, or without scans the poses of others, contradict is DOUBTED, see ``Input.state``.
 TRANSITIONS: Mapping[Event, Mapping[State, State]] = {
     Event.MAP: dict.fromkeys((State.NEW, State.DOUBTED, State.LOST), State.NEW),
     Event.LOSS: dict.fromkeys(State, State.LOST),
@@ -67,10 +66,10 @@ _JUMP = "jumped by {away_m:.2f} m and {turn_rad:.2f} rad"
 
 
 class Reason(Enum):
-    """Why an input is in its state: the event, and the sentence that diagnostics and page show.
+    """Why an input is in its state: the event, and the sentence for diagnostics and page.
 
-    ``{why}`` is the sentence of the part that decided: of the alignment in ``slamfusion.align``, of
-    a map in ``live.limits``, of the first fusion in ``slamfusion.fusion.groups``.
+    ``{why}`` is the sentence of the part that decided: ``slamfusion.align`` for an alignment,
+    ``live.limits`` for a map, ``slamfusion.fusion.groups`` for the first fusion.
     """
 
     NEW = Event.MAP, "new; not aligned yet"
@@ -125,9 +124,9 @@ class Fit:
     """The last alignment of an input.
 
     Attributes:
-        is_tracked: whether the last accepted one started from the transform before.
-        mismatch: why its walls do not match; empty: they do.
-        may_be_bent: whether it lies there, but too much of it does not fit for a vote.
+        is_tracked: whether the last accepted one started from the previous transform.
+        mismatch: why its walls do not match; else empty.
+        may_be_bent: whether it is aligned, but too much of it does not fit for a vote.
     """
 
     score: float = 0.0
@@ -139,11 +138,11 @@ class Fit:
 
 @dataclass(frozen=True)
 class Jump:
-    """Where a search found an input, away from its transform.
+    """A search result away from the input's transform.
 
     Attributes:
         transform: its map frame into the fused frame there, metres.
-        found_s: when it was first found there.
+        found_s: time of the first such result.
     """
 
     transform: Pose2
@@ -155,12 +154,7 @@ class Jump:
 
 @dataclass
 class SearchPace:
-    """When an input may be searched everywhere.
-
-    Attributes:
-        last_s: when it was searched last.
-        rest_s: the least pause after the last one.
-    """
+    """When an input may be searched everywhere: time of the last search and least pause after."""
 
     last_s: float = -math.inf
     count: int = 0
@@ -169,20 +163,19 @@ class SearchPace:
 
 @dataclass(eq=False)
 class Input:
-    """What the fusion keeps of one input.
+    """The state of one input.
 
     Attributes:
         grid: its newest map; None before the first, and while that cannot be used.
-        version: counts the maps that differed from the one before.
+        version: counts the maps that differed from the previous one.
         layer: ``grid`` at the fused resolution; None before the first fusion.
-        young_below: wall cells below which a restarted map knows less than the one before; 0: none.
+        young_below: wall cells below which a restarted map is young; 0: it is not.
         reason: why it is in its state, one line.
-        transform: its map frame into the fused frame, metres; the last that was accepted.
-        fit: the last alignment.
-        contradiction: why scans or poses of others contradict its own; empty: they do not.
-        tried: own version, and name and version of what it was last aligned to in vain; see
-            ``recovery`` for those of the last fused map.
-        drift: wall cells that came or went, here and in the reference, since it was accepted.
+        transform: its map frame into the fused frame, metres; the last accepted one.
+        contradiction: how scans or poses of others contradict its own; else empty.
+        tried: own version, and name and version of the last failed alignment; see ``recovery`` for
+            those of the last fused map.
+        drift: wall cells that changed, here and in the reference, since it was accepted.
     """
 
     name: str
@@ -208,7 +201,7 @@ class Input:
     # -- its state --------------------------------------------------------------------------------
 
     def turn(self, reason: Reason, **words: object) -> None:
-        """Take an event for a reason: the next state by ``TRANSITIONS``, and why in one line."""
+        """Apply an event for a reason: the next state by ``TRANSITIONS``, and why in one line."""
         state = TRANSITIONS[reason.value[0]].get(self._state)
         if state is None:
             return
@@ -254,12 +247,12 @@ class Input:
         return self.reason + (f"; {Reason.YOUNG.says()}" if self.votes and self.is_young else "")
 
     def refuse_map(self, why: str) -> None:
-        """Let it not vote, for its newest map cannot be used; no older one counts either."""
+        """Stop its vote: its newest map cannot be used, and no older one counts."""
         self.grid = None
         self.turn(Reason.REJECTED, why=why)
 
     def accept(self, reason: Reason, **words: object) -> None:
-        """Let it vote with its newest map, where its transform puts that."""
+        """Accept its newest map at its transform."""
         self.turn(reason, **words)
         self.drift, self.tried = 0, None
         if self.layer is not None:
@@ -273,7 +266,7 @@ class Input:
     # -- its map ----------------------------------------------------------------------------------
 
     def place(self, resolution: float, thresholds: NormalizeConfig, device: ComputeDevice) -> None:
-        """Lay the map out at the fused resolution; before the first fusion there is none."""
+        """Compute the layer at the fused resolution."""
         if self.grid is not None:
             self.layer = lay_out(self.grid, None, resolution, thresholds, device)
 
@@ -284,11 +277,9 @@ class Input:
         thresholds: NormalizeConfig,
         device: ComputeDevice,
     ) -> Change | None:
-        """Take a new map; return what it changed, None where that is unknown.
+        """Set a new map; return its changes, None if unknown.
 
-        Args:
-            resolution: of the fused map; None before the first fusion.
-            thresholds: what is a wall, and what is free.
+        ``resolution`` is that of the fused map; None before the first fusion.
         """
         before, last = self.layer, self.grid
         self.grid = grid
@@ -320,7 +311,7 @@ class Input:
         return change
 
     def _is_steady(self, thresholds: NormalizeConfig, device: ComputeDevice) -> bool:
-        """Whether the walls still stand as in the map that was accepted last."""
+        """Whether the walls remain as in the map that was accepted last."""
         if self._key is None or self.layer is None:
             return True
         before, compared = self._key
@@ -336,7 +327,7 @@ class Input:
         stale_share: float,
         device: ComputeDevice,
     ) -> GridFeatures:
-        """Return what alignment looks at; that of an older map while few walls have changed."""
+        """Return the alignment's features, of an older map while few walls have changed."""
         if self._features is not None:
             features, changed = self._features
             if self._changed - changed <= stale_share * self.walls:
@@ -357,7 +348,7 @@ class Input:
         return lattice.origin.transform(np.array(cells, dtype=np.float64) * lattice.resolution)
 
     def apart(self, a: Pose2, b: Pose2) -> tuple[float, float, float]:
-        """Return how far two transforms carry this map apart: centre m, turn rad, corners m."""
+        """Return the difference of two transforms of this map: centre m, turn rad, corners m."""
         own = self.corners()
         corners = a.transform(own) - b.transform(own)
         centre = own.mean(axis=0)

@@ -1,4 +1,4 @@
-"""What a map must not be to take part in the live fusion."""
+"""The maps that are rejected from the live fusion."""
 
 from __future__ import annotations
 
@@ -12,30 +12,25 @@ from slamfusion.errors import MemoryBudgetError
 from slamfusion.grid import OccupancyGrid, implausible, row_parts
 from slamfusion.io.files import check_memory
 
-# Steps from free to wall between neighbouring cells, per known cell. Of 70 recorded, rendered and
-# drawn maps of places the highest has 0.21; noise of three values has 0.67, a chequered board of
-# 4 x 4 cells 0.50.
+# Most steps from free to wall between neighbouring cells, per known cell: recorded and drawn maps
+# have 0.21 at most, noise 0.50 or more.
 STEPS_MAX = 0.4
-# The same per wall cell: a map that is drawn in thick black has 0.009 at least; one that is all
-# occupied has none.
+# Least share of such steps per wall cell; a map that is all occupied has none.
 EDGE_MIN = 0.001
-# A map with fewer free cells for each wall cell is one of walls alone; there unknown is their rest.
+# Free cells per wall cell below which a map has walls only; unknown then counts as free.
 FREE_MIN = 0.01
 # Metres from corner to corner.
 LENGTH_MAX_M = 1e6
-# Working copies of one map, in bytes a cell, and the map from which they are worth a check.
+# Memory of the working copies of one map, bytes per cell, and the cells from which it is checked.
 INPUT_BYTES = 12
 CHECKED_CELLS = 1 << 22
 
 
 def unusable(grid: OccupancyGrid, thresholds: NormalizeConfig) -> str | None:
-    """Return in words why a map cannot take part, or None.
+    """Return why a map cannot take part, or None.
 
-    It cannot with numbers that no place has (``grid.implausible``), with too few walls, as noise
-    (free and wall cells change places from cell to cell), or all occupied.
-
-    Args:
-        thresholds: what is a wall, and what is free.
+    Reasons are implausible numbers (``grid.implausible``), too few walls, noise (free and wall
+    cells alternate), or a map that is all occupied.
     """
     reason = implausible(grid.resolution, grid.origin)
     if reason is not None:
@@ -77,7 +72,7 @@ def unusable(grid: OccupancyGrid, thresholds: NormalizeConfig) -> str | None:
 
 
 def too_large(grid: OccupancyGrid, resolution: float) -> str | None:
-    """Return in words that memory cannot hold a map at a resolution (m per cell), or None."""
+    """Return why memory cannot hold a map at a resolution (m per cell), or None."""
     cells = int(grid.height * grid.width * max(1.0, (grid.resolution / resolution) ** 2))
     if cells <= CHECKED_CELLS:
         return None

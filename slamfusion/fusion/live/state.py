@@ -1,8 +1,8 @@
-"""``LiveState``: what a live fusion needs to go on in the same fused frame after a restart.
+"""``LiveState``: the state with which a live fusion resumes in the same fused frame.
 
-As bytes: one line with the kind and version, one with the SHA-256 of everything after it, and a
-zlib stream of one line of JSON and the cells of both grids. Nothing is unpacked before its digest
-is right, and nothing in it is code.
+As bytes: one line with the kind and version, one with the SHA-256 of the rest, and a zlib stream of
+one line of JSON and the cells of both grids. Nothing is unpacked before its digest is checked, and
+nothing in it is code.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ ZLIB_LEVEL = 1
 
 
 class StateError(SlamFusionError):
-    """Bytes are no state, or one that cannot be used."""
+    """Bytes are no state, or an unusable one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,10 +43,10 @@ class LiveState:
         row, col: the lattice's indices of the first cell of ``fused``.
         fused: (H, W) int8, -1 unknown, 0 free, 100 occupied; read-only.
         agreement: (H, W) int8, share of the votes in percent, -1 without; read-only.
-        transforms: every believed input's map frame into the fused frame, metres, by name.
-        reference: name of the input that others were aligned to; empty without.
-        scores: what the search gave for a pair of names; tracked scores are held against it.
-        stamp_s: of the newest map in ``fused``, seconds; 0 where all were saved maps.
+        transforms: every accepted input's map frame into the fused frame, metres, by name.
+        reference: name of the reference input; empty without.
+        scores: search score of a pair of names, with which tracked scores are compared.
+        stamp_s: of the newest map in ``fused``, seconds; 0 if all were saved maps.
     """
 
     lattice: Lattice
@@ -60,11 +60,7 @@ class LiveState:
     stamp_s: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse what no fusion can have kept.
-
-        Raises:
-            StateError: sizes, values, or numbers that are none.
-        """
+        """Check sizes, values and finite numbers; StateError otherwise."""
         lattice, shape = self.lattice, self.fused.shape
         poses = (lattice.origin, *self.transforms.values())
         numbers = [lattice.resolution, self.stamp_s, *self.scores.values()]
@@ -93,7 +89,7 @@ class LiveState:
         )
 
     def to_bytes(self) -> bytes:
-        """Return the state as bytes; the same state gives the same."""
+        """Return the state as bytes, the same for equal states."""
         record = {
             "resolution": self.lattice.resolution,
             "origin": _numbers(self.lattice.origin),
@@ -111,11 +107,7 @@ class LiveState:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> LiveState:
-        """Return the state that ``to_bytes`` wrote.
-
-        Raises:
-            StateError: other bytes, of another version, or damaged; says which.
-        """
+        """Return the state that ``to_bytes`` wrote; StateError for other or damaged bytes."""
         head, _, rest = data.partition(b"\n")
         if not is_state(data):
             raise StateError("this is no state of a live fusion")
@@ -149,7 +141,7 @@ class LiveState:
 
 
 def is_state(data: bytes) -> bool:
-    """Return whether bytes start as a state does, of whatever version, damaged or not."""
+    """Return whether bytes start as a state of any version does, damaged or not."""
     return data.startswith(KIND + b" ")
 
 

@@ -44,14 +44,14 @@ MAJORITY = 3
 
 @dataclass(eq=False)
 class LaidInput:
-    """What the lattice holds of one input.
+    """The cells of one input on the lattice.
 
     Attributes:
-        cells: of all of the fused box, in {-1, 0, 1}.
-        walls: what they show around each cell, where that decides.
-        covered: cells of the lattice that hold every known one; None: none.
-        place: lattice and transform of the layer that was laid; None: lay all of it again.
-        changed: cells of the layer's lattice that differ from what was laid; None: none.
+        cells: the whole fused box, in {-1, 0, 1}.
+        walls: wall codes of each cell, see ``vote.walls``.
+        covered: cells of the lattice that contain every known one; None: none.
+        place: lattice and transform of the layer; None: copy all of it again.
+        changed: cells of the layer's lattice that changed since; None: none.
     """
 
     cells: I8
@@ -62,7 +62,7 @@ class LaidInput:
 
 
 class FusedLayers:
-    """The fused cells, what every input shows of them, and the vote.
+    """The fused cells, the layer of every input, and the vote.
 
     They grow by whole cells of their lattice and never move. They shrink only to a quarter or less,
     so that an input which leaves for a while does not change the published size.
@@ -71,11 +71,9 @@ class FusedLayers:
         live: its ``extent`` counts; may be replaced.
         lattice: of the fused frame; None before the first fusion.
         box: cells of the lattice that are kept; None before the first ``grow``.
-        names: who voted last.
-        wall_agreement, bent: of these, see ``Fusion``.
+        names: the last voters; ``wall_agreement`` and ``bent`` are theirs, see ``Fusion``.
         has_young: whether a map that restarted was among them.
-        agreed: the fused map when a majority last decided, before all but two or fewer lost their
-            vote; None while a majority decides, and before one ever did.
+        agreed: the fused map of the last majority, kept while fewer voters are left.
     """
 
     def __init__(self, config: FusionConfig, live: LiveConfig, device: ComputeDevice) -> None:
@@ -92,7 +90,7 @@ class FusedLayers:
         self._device = device
         self._laid: dict[str, LaidInput] = {}
         self._trust: Trust | None = None
-        # Walls that agree, of the voters and the cells of the last vote.
+        # Agreeing walls of the voters and the cells of the last vote.
         self._counts: WallCounts | None = None
         self._counted: tuple[tuple[str, ...], CellBox] | None = None
         self._fused = np.zeros((0, 0), dtype=np.int8)
@@ -116,18 +114,11 @@ class FusedLayers:
     def update(
         self, inputs: Iterable[Input], voters: Sequence[Input], reference: str
     ) -> CellBox | None:
-        """Lay what changed and vote on it.
+        """Update the layers and vote on what changed; return those cells of the fused map.
 
-        While a map that restarted is among the voters unknown abstains by the rule ``auto``: two
-        young maps know little, and would erase what the third knows.
-
-        Args:
-            inputs: all of them; the layers of those that do not vote are lifted.
-            voters: the inputs that vote, in order; one that finds no room is refused.
-            reference: name of the input that others are aligned to.
-
-        Returns:
-            Those cells of the fused map, counted from its first cell; None without any.
+        While a map that restarted is among the voters, unknown abstains by the rule ``auto``: two
+        young maps know little, and would erase what the third knows. Layers of inputs that do not
+        vote are removed; a voter without enough memory is rejected.
         """
         if self.lattice is None:
             return None
@@ -153,7 +144,7 @@ class FusedLayers:
         return moved(reduce(hull, parts), -self.box.row0, -self.box.col0)
 
     def _keep_agreed(self, names: Sequence[str]) -> None:
-        """Keep what a majority decided while fewer voters are left than make one."""
+        """Keep the fused map of a majority while there are too few voters for one."""
         if len(names) >= MAJORITY:
             self.agreed = None
         elif len(self.names) >= MAJORITY:
@@ -171,7 +162,7 @@ class FusedLayers:
             return False
 
     def _give_back(self, voters: Sequence[Input], reference: str) -> bool:
-        """Give back the memory of cells that no voter needs; return whether there was any."""
+        """Free the cells that no voter needs; return whether there were any."""
         found = [self._needed(track, reference) for track in voters]
         boxes = [box for box in found if box is not None]
         if self.box is None or self.box.area < SHRUNK_CELLS or not boxes:
@@ -183,7 +174,7 @@ class FusedLayers:
         return True
 
     def _needed(self, track: Input, reference: str) -> CellBox | None:
-        """Return the cells of the lattice that an input needs; None where it gives no extent."""
+        """Return the cells of the lattice that an input needs; None if it gives no extent."""
         if track.layer is None or track.layer.known is None or track.transform is None:
             return None
         if self.live.extent == "reference" and track.name != reference:
@@ -191,13 +182,13 @@ class FusedLayers:
         return self._fixed.box_of(track.layer.known, track.layer.lattice, track.transform)
 
     def note(self, name: str, changed: CellBox | None) -> None:
-        """Take note of cells of an input's lattice that its new map changed."""
+        """Record the cells of an input's lattice that its new map changed."""
         laid = self._laid.get(name)
         if laid is not None and changed is not None:
             laid.changed = changed if laid.changed is None else hull(laid.changed, changed)
 
     def _lay(self, track: Input) -> CellBox | None:
-        """Lay what the layers have not seen of an input; return the cells of the lattice."""
+        """Update an input's layer; return the changed cells of the lattice."""
         layer, transform, laid = track.layer, track.transform, self._laid.get(track.name)
         if layer is None or layer.known is None or transform is None:
             return None
@@ -209,10 +200,7 @@ class FusedLayers:
         return self.lay(track.name, layer, transform, changed)
 
     def grow(self, box: CellBox, name: str) -> CellBox | None:
-        """Make room for a box of the lattice; return all their cells where they grew.
-
-        Args:
-            box: cells of the lattice.
+        """Extend the layers to a box of the lattice; return all their cells if they grew.
 
         Raises:
             MemoryBudgetError: the grown layers would not fit; nothing was changed.
@@ -226,7 +214,7 @@ class FusedLayers:
         return grown
 
     def _resize(self, box: CellBox) -> None:
-        """Keep the cells of another box; what is new of it is unknown."""
+        """Change the box; new cells are unknown."""
         before, self.box = self.box, box
         common = None if before is None else overlap(before, box)
 
@@ -244,7 +232,7 @@ class FusedLayers:
             laid.covered = None if laid.covered is None else overlap(laid.covered, box)
 
     def restore(self, state: LiveState) -> None:
-        """Begin with the last fused map of an earlier run, which no layer is under yet."""
+        """Start with the last fused map of an earlier run, which has no layers yet."""
         classes = np.array([UNKNOWN] * 256, dtype=np.int8)
         classes[FREE], classes[OCCUPIED] = 0, 1
         fused = cv2.LUT(state.fused.view(np.uint8), classes.view(np.uint8))
@@ -254,13 +242,12 @@ class FusedLayers:
     def lay(
         self, name: str, layer: Layer, transform: Pose2, changed: CellBox | None
     ) -> CellBox | None:
-        """Carry an input's cells onto its layer; return the cells of the lattice that it touched.
+        """Copy an input's cells onto its layer; return the cells of the lattice that it touched.
 
         Args:
-            layer: all of its cells.
             transform: maps the layer's frame into the fused frame, metres.
-            changed: cells of the layer's lattice that differ from what was laid here before with
-                the same transform and lattice; None for all.
+            changed: cells of the layer's lattice that changed since the last call with the same
+                transform and lattice; None for all.
         """
         box = self.box
         if box is None or layer.known is None:
@@ -293,7 +280,7 @@ class FusedLayers:
         return touched
 
     def _show(self, laid: LaidInput, touched: CellBox, whole: CellBox) -> None:
-        """Find what a layer shows around the cells that changed."""
+        """Update the wall codes around the cells that changed."""
         size = self._fixed.resolution
         box = grown_inside(touched, margin_cells(size), whole)
 
@@ -303,21 +290,15 @@ class FusedLayers:
         laid.walls[slices(box, whole.row0, whole.col0)] = codes_on(box, whole, size, read)
 
     def lift(self, name: str) -> None:
-        """Take an input's layer away."""
+        """Remove an input's layer."""
         if self._laid.pop(name, None) is not None:
             self._counted = None
 
     def vote(self, names: Sequence[str], box: CellBox, *, has_young: bool = False) -> CellBox:
-        """Let the layers of some inputs vote again on a box of the lattice.
+        """Vote again on a box of the lattice inside ``box``; return the cells that were voted on.
 
-        Args:
-            names: the voters, one or more, in order; each has a layer.
-            box: cells of the lattice, inside of those kept. All of these are voted on where the
-                trust in the inputs has changed.
-            has_young: whether a map that restarted votes: unknown abstains by the rule ``auto``.
-
-        Returns:
-            The cells that were voted on.
+        These are all cells if the trust in the inputs has changed. With ``has_young`` unknown
+        abstains by the rule ``auto``.
         """
         whole = self.box
         if whole is None:
@@ -348,7 +329,7 @@ class FusedLayers:
         return box
 
     def _count(self, voter: TileVoter, changed: CellBox) -> WallCounts:
-        """Count the walls of the blocks that changed again; return the counts of all blocks."""
+        """Recount the walls of the blocks that changed; return the counts of all blocks."""
         whole, key = voter.whole, (voter.names, voter.whole)
         if self._counts is None or key != self._counted:
             changed = whole
@@ -366,7 +347,7 @@ class FusedLayers:
         return self._counts
 
     def _shown(self, voter: TileVoter, tile: CellBox) -> dict[str, npt.NDArray[Any]]:
-        """Return what the voters show around a tile."""
+        """Return the voters' codes or cells around a tile."""
         whole = self.box or tile
         window = slices(voter.around(tile), whole.row0, whole.col0)
         laid = {name: self._laid[name] for name in voter.names}

@@ -25,19 +25,19 @@ from slamfusion.trajectory import Trajectory
 I64 = npt.NDArray[np.int64]
 
 
-# Usable range where ``maxUrange`` is open: metres, and share of the laser's range, near whose end
-# readings are often returns of nothing.
+# Usable range if ``maxUrange`` is not set: metres, and share of the laser's range, near whose end
+# readings are often false.
 DEFAULT_USABLE_M, USABLE_SHARE = 80.0, 0.98
 
 
 @dataclass(frozen=True, eq=False)
 class Beams:
-    """The beams of a scan that count.
+    """The beams of a scan that count, in the robot's frame, metres.
 
     Attributes:
-        ends: (B, 2) metres in the robot's frame.
-        is_hit: (B,) 1 for those that hit something there; the others are free up to their end.
-        laser: (2,) likewise.
+        ends: (B, 2) ends of the beams.
+        is_hit: (B,) 1 for hits; the other beams are free up to their end.
+        laser: (2,) position of the laser.
     """
 
     ends: F64
@@ -71,16 +71,11 @@ def effective_particles(weights: F64) -> float:
 
 
 def resample_systematic(weights: F64, start: float) -> npt.NDArray[np.int64]:
-    """Return (N,) which particle each new one descends from; systematic resampling.
-
-    Args:
-        weights: (N,) normalised.
-        start: uniform in [0, 1).
-    """
+    """Return (N,) parents by systematic resampling of normalised weights, ``start`` in [0, 1)."""
     count = len(weights)
     places = (np.arange(count) + start) / count
     sums = np.cumsum(weights)
-    # Rounding may leave the last place beyond the sum: it goes to the last one with any weight.
+    # Rounding may put the last place beyond the sum: it gets the last particle with any weight.
     last = np.searchsorted(sums, sums[-1])
     return np.asarray(np.minimum(np.searchsorted(sums, places, side="right"), last))
 
@@ -92,9 +87,9 @@ class Particles:
     Attributes:
         poses: (N, 3) in the map frame, metres and radians.
         log_weights: (N,) since the last resampling.
-        path_weights: (N,) logarithms too, of whole paths: never set back by resampling.
-        best: index of the one whose path has the greatest weight.
-        n_eff: times of the filter steps, seconds, and how many particles were effective there.
+        path_weights: (N,) logarithms for whole paths: not reset by resampling.
+        best: index of the greatest path weight.
+        n_eff: stamps of the filter steps, seconds, with the effective number of particles.
     """
 
     poses: F64
@@ -117,7 +112,7 @@ class Particles:
         return pose_of(self.poses[self.best])
 
     def move(self, poses: F64, log_evidence: F64) -> None:
-        """Give each particle a pose, (N, 3), and what its weight is multiplied by, (N,)."""
+        """Set the poses (N, 3), and add log evidence (N,) to the weights."""
         self.poses = poses
         self.log_weights = self.log_weights + log_evidence
         self.path_weights = self.path_weights + log_evidence
@@ -130,13 +125,13 @@ class Particles:
         return shares, n_eff
 
     def resample(self, parents: I64) -> None:
-        """Let every particle become its parent, (N,); all are equally likely then."""
+        """Replace every particle by its parent, (N,), with equal weights."""
         self.poses = self.poses[parents]
         self.path_weights = self.path_weights[parents]
         self.log_weights = np.zeros(len(self))
 
     def series(self, limit_share: float) -> tuple[Series, ...]:
-        """Return how the effective number of particles went, with a limit, a share of all."""
+        """Return the effective number of particles over time, with a limit as a share of all."""
         if not self.n_eff:
             return ()
         stamps_s, values = np.array(self.n_eff).T
@@ -156,32 +151,24 @@ def normalised_weights(log_weights: F64, gain: float) -> F64:
     return np.asarray(weights / weights.sum())
 
 
-# Share of a cell's beams that ended in it from which on the matcher takes it for a wall; the
-# published map asks for ``occ_thresh``.
+# Share of hits among a cell's beams above which the matcher sees a wall; the published map uses
+# ``occ_thresh``.
 MATCHER_SHARE = 0.1
 # Entries of the score field's table by squared distance.
 TABLE_STEPS = 256
-# Beams of a scan that are mapped at most, what a cell can count at once: of more every second
-# (third, ...) is.
+# Most beams of a scan that are mapped, the limit of the counts; longer scans are thinned.
 MOST_MAPPED = MOST_BEAMS
-# Share of ``memory_budget`` that the maps may hold before particles are resampled for it: a scan
-# may still add as much as the rest.
+# Share of ``memory_budget`` at which particles are resampled for it: the rest is room for a scan.
 BUDGET_SHARE = 0.8
 BYTES_PER_MB = 1e6
 
 
 class ParticleMaps(Stateful):
-    """Maps of N particles on tiles that they share until one writes.
-
-    Attributes:
-        anchor: (2,) x and y in the map frame, metres, of the cells' lattice.
-        tiles: counts of hits and visits, sums of the hits' places, and the score field.
-    """
+    """Maps of N particles on shared tiles; ``anchor`` (2,) is in the map frame, metres."""
 
     STATE = ("anchor", "tiles")
 
     def __init__(self, config: Any, device: ComputeDevice, count: int) -> None:
-        """Start empty."""
         self.anchor = np.zeros(2)
         pools = {"counts": np.uint32, "sums": np.uint32, "field": np.uint8}
         self.tiles = SharedTileMaps(device, count, pools)
@@ -206,7 +193,7 @@ class ParticleMaps(Stateful):
         return bool(0.0 < budget < self.tiles.used_bytes)
 
     def begin_at(self, place: F64) -> None:
-        """Lay the cells so that their lattice is the map frame's, near a place (2,), metres."""
+        """Place the map frame's lattice of cells near a place (2,), metres."""
         cell = self._config.delta
         self.anchor = np.floor(place / cell) * cell
 
@@ -226,11 +213,7 @@ class ParticleMaps(Stateful):
         return grid if box is None else grid.crop(box)
 
     def integrate(self, beams: Beams, poses: F64, alive: I64) -> None:
-        """Integrate a scan into the maps of some particles.
-
-        Args:
-            poses: (N, 3) of all particles.
-        """
+        """Integrate a scan into the maps of some particles, given the poses (N, 3) of all."""
         config, maps, device = self._config, self.tiles, self._device
         cell = config.delta
         every = -(-len(beams.ends) // MOST_MAPPED)
@@ -295,19 +278,14 @@ class ParticlePaths(Stateful):
         return len(self._poses) * self._count * 28 + len(self._stamps) * 40
 
     def add_node(self, poses: F64, parents: npt.NDArray[np.int64] | None) -> None:
-        """Add a filter step.
-
-        Args:
-            poses: (N, 3), metres and radians.
-            parents: (N,) which particle of the node before each descends from; None: itself.
-        """
+        """Add a filter step with poses (N, 3) and parents (N,); None: each is its own parent."""
         own = np.arange(self._count) if parents is None else parents
         self._poses.append(poses.copy())
         self._parents.append(own.astype(np.int32))
         self._entropies.append(_entropy(poses))
 
     def add_scan(self, stamp_s: float, moved: Pose2) -> None:
-        """Add a scan that lies so far behind the last node; before the first, behind the origin."""
+        """Add a scan by its motion since the last node, or since the origin before the first."""
         self._stamps.append(stamp_s)
         self._nodes.append(len(self._poses) - 1)
         self._motions.append((moved.x, moved.y, moved.yaw_rad))

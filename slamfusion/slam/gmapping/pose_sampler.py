@@ -2,7 +2,7 @@
 
 Every particle's drawn pose is moved to where the scan fits its own map, by hill climbing.
 Likelihood times prior is sampled around there, and the pose is drawn from the Gaussian of these
-samples; their sum is what the particle's weight is multiplied by.
+samples; their sum multiplies the particle's weight.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from slamfusion.geometry import F64, Pose2, compose_poses, invert_poses, wrap_an
 from slamfusion.slam.common.matcher import pose_table
 from slamfusion.slam.gmapping.particles import ParticleMaps
 
-# Least standard deviations of x, y and yaw, metres and radians: a prior without width would decide
-# everything.
+# Least standard deviations of x, y and yaw, metres and radians: a prior of no width would outweigh
+# the scan.
 LEAST_SIGMAS = (0.005, 0.005, 0.002)
-# Distance, metres, below which a bicycle's steering cannot be told: it stands.
+# Distance, metres, below which a bicycle stands: its steering angle is undefined.
 LEAST_DISTANCE_M = 1e-6
-# Greatest steering angle, radians: at a right angle it could not drive.
+# Greatest steering angle, radians: at a right angle a bicycle cannot drive.
 MOST_STEERING_RAD = 1.4
 # Turn, radians, below which an arc is straight: its radius would overflow.
 LEAST_TURN_RAD = 1e-9
 
 
 class MotionModel(Protocol):
-    """Draws steps, and says how widely."""
+    """Draws steps of the robot; metres, radians, its own frame."""
 
     def draw(self, step: Pose2, count: int, rng: np.random.Generator) -> F64:
         """Return (count, 3) steps that the robot may have made; metres, radians, its own frame."""
@@ -82,7 +82,7 @@ class BicycleModel:
         )
         meant = _arcs(np.array([distance]), np.array([distance * math.tan(steering) / self._base]))
         drawn = _arcs(distances, distances * np.tan(angles) / self._base)
-        # The step may hold several arcs; what the errors change is put behind it.
+        # The step may consist of several arcs; the change by the errors is appended.
         changed = compose_poses(invert_poses(meant), drawn)
         return np.asarray(compose_poses(np.array([[step.x, step.y, step.yaw_rad]]), changed))
 
@@ -109,7 +109,7 @@ class BicycleModel:
 
 
 def make_motion_model(config: GmappingConfig) -> MotionModel:
-    """Return the model that a configuration with nothing left open asks for."""
+    """Return the motion model of a complete configuration."""
     srr, srt, across, stt = (getattr(config, name) for name in ("srr", "srt", "str", "stt"))
     if config.motion_model == "bicycle":
         return BicycleModel(srr, config.steering_sigma, config.wheel_base)
@@ -126,7 +126,7 @@ def _arcs(distances: F64, turns: F64) -> F64:
 
 
 class Proposal(NamedTuple):
-    """Gaussians of N particles, and what each particle's weight is multiplied by.
+    """Gaussians of N particles, and the logarithm of each particle's weight factor.
 
     Attributes:
         means: (N, 3) x, y in metres and yaw in radians, relative to the centre of the samples.
@@ -151,14 +151,11 @@ def propose(offsets: F64, log_likelihoods: F64, log_priors: F64, steps: F64) -> 
     """Fit a Gaussian to likelihood times prior on samples of the pose.
 
     Args:
-        offsets: (K, 3) the samples, from the centre that each particle has of its own.
+        offsets: (K, 3) the samples, relative to each particle's own centre.
         log_likelihoods: (N, K) of the scan at each sample.
         log_priors: (N, K) log density of the motion model there.
-        steps: (3,) distance between samples along x, y, yaw: the volume that each stands for.
-
-    Returns:
-        Means and covariances of the normalised product; the variance within a sample's own volume
-        is part of it, so that a single sharp sample still has a width.
+        steps: (3,) distance between samples along x, y, yaw. The variance within a sample's
+            volume is included, so that a single sharp sample still has a width.
     """
     joint = log_likelihoods + log_priors
     top = joint.max(axis=1, keepdims=True)
@@ -179,23 +176,22 @@ def _symmetric(reach: float, step: float) -> F64:
     return np.asarray(step * np.arange(-most, most + 1, dtype=np.float64))
 
 
-# Squared distance of a hit beside every wall, m^2: as 0.7 m away; one outlier decides little.
+# Squared distance of a hit far from every wall, m^2: as 0.7 m away; one outlier decides little.
 NO_HIT_M2 = 0.5
-# Parts in which log-likelihoods count, to be whole numbers.
+# Log-likelihoods are integers in this part of 1.
 LOG_ONE = 1024
-# Steps that hill climbing tries in all: a bound on its time; it ends far earlier.
+# Most steps of a hill climb: a bound on its time; it ends far earlier.
 MOST_TRIES = 40
 
 
 @dataclass(frozen=True, eq=False)
 class Sampled:
-    """The outcome for N particles.
+    """The sampled poses (N, 3), metres and radians, of N particles.
 
     Attributes:
-        poses: (N, 3) drawn from each one's proposal, metres and radians.
-        log_evidence: (N,) what their weights are multiplied by, logarithm.
+        log_evidence: (N,) logarithm of each weight's factor.
         scores: (N,) sums of the hits' scores, each 0 to 1, where hill climbing ended.
-        rejected: particles whose match was not believed.
+        rejected: number of particles whose match was rejected.
     """
 
     poses: F64
@@ -208,7 +204,6 @@ class PoseSampler:
     """Samples the particles' poses."""
 
     def __init__(self, config: Any, device: ComputeDevice, maps: ParticleMaps) -> None:
-        """Make the tables."""
         self._config = config
         self._device = device
         self._maps = maps
@@ -225,8 +220,8 @@ class PoseSampler:
 
         Args:
             points: (P, 2) hits, metres in the robot's frame.
-            expected: (N, 3) where the motion model expects each particle.
-            drawn: (N, 3) where it has drawn it.
+            expected: (N, 3) poses expected by the motion model.
+            drawn: (N, 3) poses drawn from it.
             sigmas: (3,) its standard deviations.
         """
         config, cell = self._config, self._config.delta
@@ -264,7 +259,7 @@ class PoseSampler:
         looked_at = self._device.upload(hits)
 
         def rows(poses: F64) -> F64:
-            """In cells of the window, headings near 0: float32 is to carry them."""
+            """Convert to cells of the window, headings near 0, within float32's precision."""
             yaw = wrap_angles(poses[..., 2] - expected[..., 2])
             return np.concatenate((poses[..., :2] / cell - corner, yaw[..., None]), axis=-1)
 

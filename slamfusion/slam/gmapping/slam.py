@@ -2,8 +2,8 @@
 
 Between two filter steps the robot is followed by matching every scan against the best particle's
 map. When it has gone far enough, every particle draws a pose from the motion model, climbs on its
-own map to where the scan fits, samples likelihood and prior around there, and draws its pose from
-the Gaussian of these samples; their sum is its weight. Particles whose weights have become uneven
+own map to the best fit of the scan, samples likelihood and prior around it, and draws its pose from
+the Gaussian of these samples; their sum is its weight. Particles with uneven weights
 are resampled, and the scan is written into every map.
 
 Sources: Grisetti, Stachniss and Burgard, T-RO 2007 [G07]; the parameters that were published with
@@ -67,11 +67,7 @@ NAME = "gmapping"
 
 
 class Gmapping(SavedMapper):
-    """The filter behind the ``Mapper`` protocol.
-
-    Attributes:
-        last_stamp_s: time of the last scan; None before the first.
-    """
+    """The filter behind the ``Mapper`` protocol."""
 
     name = NAME
     STATE_FORMAT = 7
@@ -89,14 +85,10 @@ class Gmapping(SavedMapper):
     )
 
     def __init__(self, config: GmappingConfig, device: ComputeDevice, seed: int = 0) -> None:
-        """Start with empty maps.
-
-        Args:
-            device: where the maps live.
-        """
+        """Start with empty maps."""
         self.health: FilterHealth = FilterHealth()
         self.last_stamp_s: float | None = None
-        # No field of it is open, which its type cannot say.
+        # Every field has a value, which its type cannot express.
         self._config = cast("Any", config.chosen())
         self._seed = seed
         self._rng = np.random.default_rng(seed)
@@ -113,7 +105,7 @@ class Gmapping(SavedMapper):
         self._motion = make_motion_model(self._config)
         self._sampler = PoseSampler(self._config, device, self._maps)
         self._paths = ParticlePaths(count)
-        # What the robot has done since the last filter step, and when that was.
+        # Motion since the last filter step, and its stamp.
         self._moved = IDENTITY
         self._filtered_s = 0.0
         self._is_mapped = False
@@ -121,7 +113,7 @@ class Gmapping(SavedMapper):
     # -- one scan ------------------------------------------------------------------------------
 
     def feed(self, scan: LaserScan, odometry: Pose2 | None = None) -> Step:
-        """Follow the robot to a scan, and filter where it has gone far enough."""
+        """Follow the robot to a scan; filter if it has moved far enough."""
         self.health.scans += 1
         known = None if self._config.odometry == "none" else odometry
         hypotheses = self._tracker.hypotheses(scan.stamp_s, known)
@@ -137,7 +129,7 @@ class Gmapping(SavedMapper):
         else:
             step = self._follow(scan.stamp_s, beams, hypotheses)
         self._tracker.advance(step.pose_map_base, known, scan.stamp_s)
-        if self._is_mapped and self._moved == IDENTITY:  # the filter has chosen another best
+        if self._is_mapped and self._moved == IDENTITY:  # the filter may have chosen another best
             self._tracker.pose = self._particles.best_pose
         self.last_stamp_s = scan.stamp_s
         pose = self._tracker.pose or step.pose_map_base
@@ -152,7 +144,7 @@ class Gmapping(SavedMapper):
 
     def _begin(self, stamp_s: float, beams: Beams) -> Step:
         poses = self._particles.poses
-        # All particles are alike still: they share one map.
+        # All particles are still alike: they share one map.
         self._maps.integrate(beams, poses, np.zeros(1, dtype=np.int64))
         self._maps.tiles.take_over(np.zeros(len(poses), dtype=np.int64))
         self._is_mapped = True
@@ -162,12 +154,12 @@ class Gmapping(SavedMapper):
         return Step(pose_of(poses[0]), used=True, match_score=None)
 
     def _follow(self, stamp_s: float, beams: Beams, hypotheses: list[PoseHypothesis]) -> Step:
-        """Match a scan on the best map; filter when the robot has gone far enough."""
+        """Match a scan on the best map; filter if the robot has moved far enough."""
         points = beams.hits
         start = self._particles.best_pose
         score: float | None = None
         pose = pose_of(hypotheses[0].pose)
-        # Without odometry nothing but the match moves the robot.
+        # Without odometry only the match moves the robot.
         is_matched = self._config.match_every_scan or self._tracker.odometry is None
         if is_matched:
             match = self._tracker.match(self._maps.walls(self._particles.best), points, hypotheses)
@@ -187,10 +179,10 @@ class Gmapping(SavedMapper):
     # -- the filter ----------------------------------------------------------------------------
 
     def _filter(self, stamp_s: float, beams: Beams) -> float:
-        """Move, weigh, resample and map; return the mean score of a hit for the best particle."""
+        """Move, weigh, resample and map; return the best particle's mean score of a hit."""
         health, particles, points = self.health, self._particles, beams.hits
 
-        # Move every particle by the motion model and by what the scan says on its own map.
+        # Move every particle by the motion model and by the match on its own map.
         drawn = self._motion.draw(self._moved, len(particles), self._rng)
         sampled = self._sampler.sample(
             points,
@@ -205,12 +197,11 @@ class Gmapping(SavedMapper):
         particles.move(sampled.poses, sampled.log_evidence)
         parents = self._parents(stamp_s)
 
-        # Map the scan, for those particles that go on.
+        # Map the scan for the surviving particles; descendants of one particle share its map.
         alive = np.arange(len(particles)) if parents is None else np.unique(parents)
         self._maps.integrate(beams, particles.poses, alive)
         scores = sampled.scores
         if parents is not None:
-            # Those that descend from one particle would map the scan alike: they share its map.
             self._maps.tiles.take_over(parents)
             particles.resample(parents)
             scores = scores[parents]
@@ -228,12 +219,12 @@ class Gmapping(SavedMapper):
         return health.best_score / len(points)
 
     def _parents(self, stamp_s: float) -> npt.NDArray[np.int64] | None:
-        """Return (N,) which particle each new one descends from; None where all go on."""
+        """Return the parents (N,) of the particles; None if all survive."""
         config, particles = self._config, self._particles
         shares, n_eff = particles.weigh(stamp_s, config.ogain)
         self.health.n_eff = n_eff
         if self._maps.is_over_budget:
-            # Their weights are too even to leave fewer maps by chance: the better half goes on.
+            # The weights are too even to leave fewer maps by chance.
             self.health.resamplings_for_memory += 1
             return better_half(particles.log_weights)
         if n_eff < config.resampleThreshold * len(shares):
@@ -253,7 +244,7 @@ class Gmapping(SavedMapper):
         return tuple(self._paths.path(index, f"particle {index}") for index in others)
 
     def series(self) -> tuple[Series, ...]:
-        """Return how the effective number of particles went."""
+        """Return the effective number of particles over time."""
         return self._particles.series(limit_share=self._config.resampleThreshold)
 
     def grid(self) -> OccupancyGrid:
@@ -263,12 +254,12 @@ class Gmapping(SavedMapper):
         return self._maps.grid(self._particles.best, self.name)
 
     def memory_bytes(self) -> int:
-        """Return the bytes of all maps, with what their pools hold in reserve, and of the paths."""
+        """Return the bytes of the maps, reserves of their pools included, and of the paths."""
         return self._maps.tiles.memory_bytes + self._paths.memory_bytes
 
 
 def _is_due(moved: Pose2, waited_s: float, config: Any) -> bool:
-    """Return whether the robot has gone, turned or waited enough for a filter step."""
+    """Return whether the robot has moved, turned or waited enough for a filter step."""
     return bool(
         math.hypot(moved.x, moved.y) >= config.linearUpdate
         or abs(wrap_angle(moved.yaw_rad)) >= config.angularUpdate

@@ -104,29 +104,29 @@ def area_behind(offset_x: npt.ArrayLike, offset_y: npt.ArrayLike, angle_rad: npt
 
 
 NAME = "tinyslam"
-# Value, 0 to 1, that a cell is told by a beam that ends in it and by one that passes it: [H16],
+# Value, 0 to 1, of an observation by a beam that ends in a cell and by one that passes it: [H16],
 # Table II.
 OCCUPIED_VALUE, FREE_VALUE = 0.95, 0.01
-# Share of the way to what it is told that a cell goes, by cell model, where ``quality`` is open:
-# the mean weighs by number, the base cell would follow the last beam alone.
+# Default weight of an observation by cell model: the mean weighs by number, the base cell would
+# otherwise follow the last beam alone.
 DEFAULT_QUALITY = {"mean": 1.0, "base": 0.3}
 # Occupied share of a hit's cell on average, by estimator: a hit lies anywhere in its cell.
 HIT_SHARE = {"constant": 1.0, "area": 0.5}
-# Share of the way from a passed cell's value to a wall's from which on the matcher sees a wall:
+# Share of the range from a passed cell's value to a wall's above which the matcher sees a wall:
 # cells that a few beams grazed are none.
 FLOOR_SHARE = 0.2
-# What the matcher's map learns of a passed cell.
+# Value of a passed cell in the matcher's map.
 MATCHER_FREE_VALUE = 0.2
-# Wall value, of 255, of a cell that no scan has seen: were it 0, a scan that looks into new space
-# would rather fit where the robot has been.
+# Wall value, of 255, of an unknown cell: with 0 a scan into new space would be pulled back to
+# where the robot has been.
 UNSEEN_WALL = 20
-# Distance of a match from its first hypothesis, in spreads, from which on the map believes less of
-# the scan: match or odometry is wrong more often there.
+# Distance of a match from its first hypothesis, in spreads, above which the scan weighs less: match
+# or odometry is wrong more often there.
 FAR_MOVED = 2.0
 # Published percent at no wall, at the free limit, at the occupied one (those of the map servers),
 # and at a sure wall.
 PERCENTS = (0.0, 25.0, 65.0, 100.0)
-# Share of ``occupied_share`` that lies at the free limit: cells in between are published as such.
+# Share of ``occupied_share`` at the free limit: cells in between are published as unclear.
 FREE_SHARE = 0.5
 
 
@@ -136,11 +136,7 @@ class TinySlam:
     name = NAME
 
     def __init__(self, config: TinySlamConfig, device: ComputeDevice, seed: int = 0) -> None:
-        """Start with an empty map.
-
-        Args:
-            device: where the map lives.
-        """
+        """Start with an empty map."""
         self.health = Health()
         self._config = config
         rng = np.random.default_rng(seed)
@@ -185,7 +181,7 @@ class TinySlam:
         return Trajectory(np.array(self._stamps), np.array(self._poses).reshape(-1, 3), self.name)
 
     def other_paths(self) -> tuple[Trajectory, ...]:
-        """Return nothing: there is one belief."""
+        """Return nothing: the method has one path."""
         return ()
 
     def series(self) -> tuple[Series, ...]:
@@ -205,7 +201,7 @@ class TinySlam:
         return grid if box is None else grid.crop(box)
 
     def memory_bytes(self) -> int:
-        """Return the bytes of the map, with what its pools hold in reserve."""
+        """Return the bytes of the map, reserves of its pools included."""
         return self._map.memory_bytes
 
     # -- one scan ------------------------------------------------------------------------------
@@ -230,7 +226,7 @@ class TinySlam:
         return FieldMap(tiles.pools["field"], tiles.page_tables, corner, cell)
 
     def _quality(self, match: Match | None) -> float:
-        """Return how much of the scan the map believes."""
+        """Return the weight of the scan in the map."""
         quality = self._config.quality or DEFAULT_QUALITY[self._config.cell_model]
         if match is not None and match.moved > FAR_MOVED:
             quality *= self._config.quality_moved
@@ -249,7 +245,7 @@ class TinySlam:
             np.minimum(hits.min(axis=0), laser) - reach, np.maximum(hits.max(axis=0), laser) + reach
         )
         beams = self._beams(hits - tiles.origin, laser - tiles.origin)
-        # What a wall's cells come to hold by and by.
+        # The expected value of a wall's cells.
         share = HIT_SHARE[config.occupancy_estimator]
         peak = FREE_VALUE + share * (OCCUPIED_VALUE - FREE_VALUE)
         floor = MATCHER_FREE_VALUE + FLOOR_SHARE * (peak - MATCHER_FREE_VALUE)
@@ -286,8 +282,8 @@ class TinySlam:
 def _percent(states: npt.NDArray[np.uint32], occupied_share: float) -> npt.NDArray[np.int8]:
     """Return published states as occupancy in percent.
 
-    The percent rises with the cell's mean so that ``occupied_share`` comes to lie at 65 and half of
-    it at 25, the limits of the map servers: a wall that some beams grazed stays a wall.
+    The percent rises with the cell's mean: ``occupied_share`` maps to 65 and half of it to 25, the
+    limits of the map servers, so a wall that some beams grazed stays a wall.
     """
     mean = (states >> 12).astype(np.float64) / (2 * MEAN_HALF)
     limits = (0.0, FREE_SHARE * occupied_share, occupied_share, 1.0)
