@@ -103,11 +103,7 @@ def _group_of(option: click.Parameter) -> str:
 
 
 class Command(click.Command):
-    """A command whose help starts with examples and has its options in groups.
-
-    Args:
-        examples: command lines, without the program's name, each with a word on it or none.
-    """
+    """A command whose help starts with examples (lines, with a text or none) and groups options."""
 
     def __init__(self, *args: Any, examples: Sequence[str] = (), **named: Any) -> None:
         super().__init__(*args, **named)
@@ -178,11 +174,7 @@ def _help_all() -> click.Option:
 
 
 class Group(Command, click.Group):
-    """A group that lists its commands in the order of its table, and loads one when it is used.
-
-    Args:
-        table: by name, where the command is (``module:name`` in this package) and what it does.
-    """
+    """A group with a table of name, place (``module:name``) and summary; loads on use."""
 
     command_class = Command
 
@@ -231,12 +223,7 @@ class Group(Command, click.Group):
 
 
 class ProducerGroup(Group):
-    """A group with a command for each producer of the registry, and for a few others.
-
-    Args:
-        make: returns the command of a name.
-        others: by name, what they do.
-    """
+    """A group with a command, made by ``make``, for each producer, and for ``others``."""
 
     def __init__(
         self,
@@ -255,11 +242,7 @@ class ProducerGroup(Group):
         return [*producer_names(), *self.others]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Make a command; None where there is none of this name.
-
-        Raises:
-            SlamFusionError: the package that offers the producer is broken.
-        """
+        """Make a command; None for an unknown name."""
         from slamfusion.slam.registry import BUILT_IN  # noqa: PLC0415  (loads slowly)
 
         known = cmd_name in (*self.others, *BUILT_IN) or cmd_name in self.list_commands(ctx)

@@ -1,7 +1,7 @@
-"""Entry points: of the ``slamfusion`` command, and of the programs that ``ros2 run`` starts.
+"""Entry points of the ``slamfusion`` command and of the programs that ``ros2 run`` starts.
 
 Exit codes: 0 done; 1 expected failure, with one line on stderr; 2 wrong usage; 130 interrupted;
-141 the reader of our output went away.
+141 the reader of the output is gone.
 """
 
 from __future__ import annotations

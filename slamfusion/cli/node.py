@@ -104,9 +104,8 @@ def command() -> None:
 def import_rclpy() -> None:
     """Import rclpy, or say how to get it.
 
-    A sourced ROS brings its own environment, which is left alone. The wheels of the package index
-    set the library path when Python starts, but not below a Python of another environment that has
-    done so before; then this process starts once more.
+    A sourced ROS is left as it is. The wheels of the package index set the library path when Python
+    starts, but not in a child of another environment's Python; then this process restarts.
     """
     try:
         importlib.import_module("rclpy")

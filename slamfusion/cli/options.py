@@ -51,10 +51,7 @@ METAVARS = {"%": "PERCENT", "cells": "CELLS", "str": "TEXT", "int": "N", "float"
 def with_config(
     *sections: str, base: RunConfig | None = None, preset: RunConfig | None = None
 ) -> Callable[[F], F]:
-    """Give a command ``--config`` and the public fields of some sections as options.
-
-    The command receives one ``config: RunConfig``: defaults, then the file, then the options.
-    """
+    """Add ``--config`` and options for the public fields of sections; pass ``config`` on."""
     defaults = base or RunConfig()
     chosen = [
         option
@@ -106,12 +103,7 @@ def output_option(
 
 
 def check_picture(name: str, path: Path | None) -> None:
-    """Refuse a picture that cannot be drawn, before any work is done.
-
-    Raises:
-        click.BadParameter: its name ends in no form of a picture.
-        SlamFusionError: see ``check_report``.
-    """
+    """Refuse a picture with a wrong suffix, or without matplotlib, before any work is done."""
     if path is None:
         return
     if path.suffix.lower().removeprefix(".") not in PICTURE_FORMS:
@@ -121,11 +113,7 @@ def check_picture(name: str, path: Path | None) -> None:
 
 
 def check_report(folder: Path | None) -> None:
-    """Refuse a report that cannot be drawn, before any work is done.
-
-    Raises:
-        SlamFusionError: matplotlib is missing.
-    """
+    """Refuse a report without matplotlib before any work is done."""
     if folder is not None:
         import slamfusion.report  # noqa: F401, PLC0415  (says what to install)
 

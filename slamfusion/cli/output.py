@@ -32,12 +32,11 @@ MOST_COUNTED = 500
 
 @dataclass
 class Settings:
-    """What the common options of a run say; the error handler reads them.
+    """The common options of a command, also for the error handler.
 
     Attributes:
-        debug, as_json, verbose: as asked.
         printed: whether the JSON document was.
-        tables: where tables that are printed are kept, too; None: nowhere.
+        tables: file that keeps the printed tables.
         arguments: the whole command line, without the program.
     """
 
@@ -136,11 +135,7 @@ def print_table(
 
 @contextlib.contextmanager
 def progress_bar() -> Iterator[Progress]:
-    """Give a callback (stage, done, total): bars on a terminal's stderr, else lines.
-
-    A bar has the stage, its share, and the time that it has taken and will take. One whose share is
-    not known yet moves.
-    """
+    """Give a callback (stage, done, total) that draws bars on a terminal, else prints lines."""
     if not sys.stderr.isatty():
         yield _lines()
         return
@@ -222,14 +217,11 @@ class Table:
     """Rows of cells under heads, each row with a note of any length.
 
     Attributes:
-        columns: heads with their units, the most important first; a name that ends in a space is of
+        columns: heads with their units, the most important first; one that ends in a space is of
             text, aligned left.
-        rows: as many cells each; the first names the row.
-        notes: one for each row, e.g. a reason; empty where there is nothing to say.
+        notes: one for each row, e.g. a reason, or empty.
         title: a line above; empty for none.
-        has_head: whether the heads are shown.
-        names: the number of first columns that name the row. They are in every part of a table that
-            is cut.
+        names: number of first columns that name the row; repeated in each part of a cut table.
     """
 
     columns: Sequence[str]
@@ -258,10 +250,10 @@ class Table:
         yield from ("\t".join(row) for row in self.cells())
 
     def fitted(self, width: int, *, is_whole: bool = False) -> str:
-        """Return the table in at most ``width`` places, drawn by rich.
+        """Return the table in at most ``width`` places.
 
-        Columns that hold nothing are left out; heads and text are wrapped. If that is not enough,
-        the last columns are left out and named. Notes are below, with the row's name.
+        Empty columns are left out; heads and text are wrapped; if that is not enough, the last
+        columns are left out and named. Notes are below, with the row's name.
         """
         from rich.console import Console  # noqa: PLC0415  (a pipe needs none)
 

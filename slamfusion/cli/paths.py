@@ -20,11 +20,7 @@ Files = Callable[[Path, Mapping[str, Any]], Iterable[Path]]
 
 
 class InputPath(click.Path):
-    """A path that is read, and need not exist; ``~`` is the home folder where no shell put it in.
-
-    Args:
-        files: returns the files that are read for it.
-    """
+    """A path that is read (``files``: by its files) and need not exist; ``~`` is expanded."""
 
     def __init__(self, files: Files) -> None:
         super().__init__(readable=False, path_type=Path)
@@ -73,12 +69,7 @@ def stem_of(out: Path, suffixes: Collection[str]) -> Path:
 
 
 def check_paths(context: click.Context, given: Mapping[str, Any]) -> None:
-    """Refuse a command that would write over what it reads, or where it cannot, before any work.
-
-    Raises:
-        click.BadParameter: an output would replace an input, or another output.
-        MapFileError: an output cannot be written.
-    """
+    """Refuse outputs that replace inputs or other outputs, or cannot be written."""
     reads: list[tuple[Path, Path]] = []
     writes: list[tuple[str, Path]] = []
     for option in context.command.params:

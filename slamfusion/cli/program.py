@@ -94,11 +94,7 @@ class _Output(io.FileIO):
 
 
 def _open_streams() -> None:
-    """Put something in the place of closed streams, and give errors of the output its name.
-
-    The next file that is opened would take a closed stream's number, and with it what libraries
-    print.
-    """
+    """Replace closed streams, whose numbers the next opened files would take, and name errors."""
     for number in range(3):
         try:
             os.fstat(number)

@@ -129,11 +129,7 @@ def _print_figures(tables: Sequence[pd.DataFrame], what: str, title: str) -> Non
 
 
 def print_by_case(figures: pd.DataFrame, what: str, leading: Sequence[str]) -> None:
-    """Print a table for each leading figure, if there are several cases or seeds.
-
-    It has a row a method and a column a case, with mean and deviation over the seeds, and then the
-    mean and deviation over the cases.
-    """
+    """Print each leading figure, methods by cases, with mean and deviation over seeds and cases."""
     from slamfusion.evaluation import figure_of  # noqa: PLC0415  (loads slowly)
     from slamfusion.jobs.results import means_of  # noqa: PLC0415  (loads slowly)
 

@@ -81,10 +81,7 @@ MORE = {"--inputs": {".yaml", ".yml", ".pgm", ".png", ".bmp", ".pnm"}, "--paths"
 
 
 class _ManyInputs(Command):
-    """A command that takes ``--inputs A.yaml B.yaml`` for ``--inputs A.yaml --inputs B.yaml``.
-
-    Likewise ``--paths A.tum B.tum``.
-    """
+    """Takes ``--inputs A B`` for ``--inputs A --inputs B``, and likewise ``--paths``."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Put the option before each map or path that follows another one."""

@@ -99,10 +99,9 @@ class Finished:
     """A folder of maps.
 
     Attributes:
-        scene: all that is shown.
         maps: names of the layers, in the order in which they are shown.
         also: other drives of the folder, which can be shown by name.
-        report: folder of the report; None: there is none.
+        report: folder of the report.
     """
 
     scene: Scene
@@ -143,11 +142,7 @@ def read_finished(place: Path, drive: str = "") -> Finished:
 
     Args:
         place: the folder; or of several fusions in one folder the map or the record of one.
-        drive: of an experiment, which of its drives; empty: the first.
-
-    Raises:
-        MapFileError: there is no map in it, its record is damaged, it has several, or no such
-            drive.
+        drive: of an experiment; empty: the first.
     """
     path = _record_of(place)
     if path is not None:

@@ -38,10 +38,7 @@ PAIR_COLUMNS = (
 def print_fusion(
     result: FusionResult | StoredFusion, doubled: DoubledWalls | None, wanted: str | None
 ) -> None:
-    """Print how each input lies to the reference, how many were fused and in whose frame.
-
-    ``--verbose`` adds why each was accepted, and where the inputs are, ready to paste.
-    """
+    """Print the pose of each input, their number and the frame; verbose: reasons and starts."""
     from slamfusion.jobs.fuse_documents import fusion_sentences  # noqa: PLC0415  (loads slowly)
 
     print_table(

@@ -74,10 +74,7 @@ class DriveMaps:
     choice: str = ""
 
     def path_errors(self, truth: Trajectory, tolerance_s: float = SAME_STAMP_S) -> dict[str, float]:
-        """Return the absolute error of each path (RMSE after a rigid fit), metres.
-
-        A path with fewer than two poses in common with the truth has none.
-        """
+        """Return each path's RMSE after a rigid fit, metres, if it has two poses in common."""
         config, found = TrajectoryConfig(tolerance_s=tolerance_s), {}
         for name, path in self.paths.items():
             with suppress(SlamFusionError):
@@ -91,12 +88,7 @@ def produce_maps(
     device: ComputeDevice,
     tell: Tell | None = None,
 ) -> DriveMaps:
-    """Run producers on scans in memory, one after the other; a failure becomes a note.
-
-    Args:
-        scans: of each producer, by its name in the registry.
-        tell: progress, 0 to 1.
-    """
+    """Run producers, by their names, on scans in memory in turn; a failure becomes a note."""
     maps: dict[str, OccupancyGrid | None] = dict.fromkeys(scans)
     paths, notes = {}, {}
     costs = {name: producer(name).cost for name in scans}
@@ -133,9 +125,8 @@ def fuse_in_every_way(
     """Fuse the maps and paths of producers as ``run`` does, with every way to vote.
 
     Args:
-        saved: maps of other SLAMs, in any frame.
-        saved_paths: paths of some of them, by name.
-        harmed: a producer; the others are fused without it, too.
+        saved: maps of other SLAMs, in any frame; ``saved_paths``: of some of them, by name.
+        harmed: a producer; the others are also fused without it.
         drawn_cell_m: metres per cell of maps drawn at every path; None: none.
     """
     notes, paths = dict(made.notes), {name: path for name, path in made.paths.items() if len(path)}
@@ -204,10 +195,7 @@ def vote_every_way(
     device: ComputeDevice,
     notes: dict[str, str],
 ) -> dict[str, OccupancyGrid | None]:
-    """Return the fused map by way to vote; None if there is no map at all.
-
-    All votes have the same voters, or the same single map. Failures are added to ``notes``.
-    """
+    """Return the fused map of the same voters by way to vote; failures are added to ``notes``."""
     # Producers of a drive share its frame; saved maps (with other names) may not.
     shared_frame = {grid.name for grid in grids} <= set(BUILT_IN)
     plain = replace(config, fusion=_voting(config.fusion, PLAIN))
@@ -244,9 +232,8 @@ def against_truth(
         grid: None is an unknown map.
         truth: gives lattice and box.
         config: thresholds, search (never the fixed-step one) and tolerance.
-        same_heading: both frames have nearly the same heading (simulated drives), so an alignment
-            with more than a quarter turn is rejected: in a room that looks nearly the same after a
-            turn, a wrong one can have the smaller error.
+        same_heading: reject alignments of more than a quarter turn (simulated drives): in a nearly
+            symmetric room a wrong one can have the smaller error.
     """
     nothing = np.full((1, 1), UNKNOWN, dtype=np.int8)
     known = grid or OccupancyGrid(nothing, truth.resolution, truth.origin, "nothing")

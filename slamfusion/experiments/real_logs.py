@@ -61,12 +61,7 @@ FIGURES = (
 
 @dataclass(frozen=True)
 class RealLog:
-    """A recorded drive of the data sets.
-
-    Attributes:
-        log: scans with odometry, relative to the folder of the data sets.
-        reference: the best known trajectory, likewise.
-    """
+    """A recorded drive: log and best known trajectory, relative to the folder of the data sets."""
 
     log: str
     reference: str
@@ -105,10 +100,9 @@ def logs_there(folder: Path, warn: Warn) -> list[str]:
 def compare_on_logs(
     folder: Path, names: Sequence[str], setup: Setup, others: Mapping[str, SavedMaps] | None = None
 ) -> Experiment:
-    """Run the producers on recorded drives, fuse their maps in every way, and measure all maps.
+    """Run the producers on drives of ``REAL_LOGS``, fuse in every way, and measure all maps.
 
     Args:
-        names: of ``REAL_LOGS``.
         others: saved maps of other SLAMs by drive; see ``other_slams``.
     """
     given = others or {}
@@ -220,13 +214,9 @@ def _compare_on_log(
 def reference_map(
     scans: Sequence[LogScan], trajectory: Trajectory, config: RunConfig, device: ComputeDevice
 ) -> tuple[OccupancyGrid, int]:
-    """Return the map drawn from scans at known poses, and the number of scans.
+    """Return the map drawn from scans at robot poses in its frame, and the number of scans.
 
     Only scans with a pose at their own time are drawn: interpolated poses double walls.
-
-    Args:
-        trajectory: poses of the robot in the frame of the map.
-        config: the graph's settings give the counting of cells.
     """
     settings = settings_of(config, "graph")
     stamps = np.array([item.scan.stamp_s for item in scans])

@@ -55,7 +55,7 @@ class RunResult:
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """Where and how the runs of an experiment are done.
+    """How the runs of an experiment are done.
 
     Attributes:
         config: the settings; a kept run with other settings is repeated.
@@ -82,7 +82,7 @@ def run_all(
 
     Args:
         tasks: by the name of their files; ``repr`` of a task must identify it.
-        work: does a run. With several processes it must be a function of a module.
+        work: does a run; with several processes a function of a module.
         inputs: files on which, like on the device, the results depend; None: on neither.
     """
     config, folder = setup.config, setup.folder
@@ -176,12 +176,7 @@ def _write(folder: Path, key: str, mark: str, result: RunResult) -> None:
 
 
 def packed_maps(differences: Mapping[str, npt.NDArray[np.int8]], resolution: float) -> bytes:
-    """Return the file of maps against the truth.
-
-    Args:
-        differences: by method (H, W) int8, codes of ``slamfusion.evaluation``, all on one lattice.
-        resolution: metres per cell.
-    """
+    """Return the file of differences to the truth, (H, W) int8 by method, all on one lattice."""
     arrays: dict[str, Any] = {f"{MAP}{name}": item for name, item in differences.items()}
     arrays[RESOLUTION] = np.float64(resolution)
     buffer = io.BytesIO()

@@ -238,8 +238,7 @@ def measure_trial(
 ) -> RunResult:
     """Drive, run the producers, fuse their maps in every way, and measure all maps.
 
-    Each map is measured where its [F16] error is smallest (``against_truth``). If no two maps
-    agree, the fallback map of ``run`` counts alone. A missing map counts as an unknown one.
+    If no two maps agree, the fallback map of ``run`` counts alone. A missing map is an unknown one.
     """
     config = replace(config, seed=trial.course.seed)
     recording = simulate(trial.course, device)

@@ -1,7 +1,6 @@
 """Reports: one self-contained HTML file, and its pictures as PNG in the same folder.
 
-The only place that imports matplotlib, which is an extra; without it the import of this package
-says what to install.
+Needs matplotlib, an extra; without it the import of this package says what to install.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
-"""What the pictures of a report share: the sheet, its lettering, and maps with axes in metres.
+"""Drawing shared by the pictures of a report: sheet, lettering, and maps with axes in metres.
 
-A picture is complete without its page: title and legend stand in it, in dark letters on white, so
-that it can be used elsewhere as it is.
+Title and legend are part of a picture, dark on white, so that it can be used without its page.
 """
 
 from __future__ import annotations
@@ -260,8 +259,7 @@ def shown_cells(
 ) -> tuple[Classes, float, Pose2]:
     """Cut cells to a box, and shrink them by a whole factor to what a picture can show.
 
-    The largest code of each block wins: walls are one cell wide, and any kind of averaging would
-    lose them first.
+    The largest code of each block wins, so that walls of one cell are not averaged away.
 
     Args:
         codes: (H, W) int8.
@@ -290,10 +288,7 @@ def shown_cells(
 
 
 def draw_cells(axes: Axes, colours: npt.NDArray[np.uint8], side_m: float, corner: Pose2) -> None:
-    """Draw an image of cells, (h, w, 3 or 4) uint8, with the lower-left corner of [0, 0] at a pose.
-
-    The axes keep their limits; beyond the image nothing is known.
-    """
+    """Draw cells, (h, w, 3 or 4) uint8, at the pose of their lower-left corner; keep the limits."""
     height, width = colours.shape[:2]
     turned = Affine2D().rotate(corner.yaw_rad).translate(corner.x, corner.y)
     limits = axes.get_xlim(), axes.get_ylim()

@@ -156,11 +156,7 @@ def _over_time(
 
 
 def distribution_figure(values: Mapping[str, F64], colours: Mapping[str, Rgb]) -> Figure:
-    """Draw the share of errors in metres below each value, and on the same axis a box a path.
-
-    Args:
-        values: (N,) float64 errors by path, at least one each.
-    """
+    """Draw the share of errors (N,) in metres below each value, with a box plot of each path."""
     figure, (above, below) = stacked_axes(2, (1.5, 0.2 + 0.2 * len(values)))
     draw_shares(above, list(values.items()), colours)
     drawn = below.boxplot(
@@ -216,13 +212,12 @@ def broken(stamps_s: F64, values: F64) -> tuple[F64, F64]:
 def series_picture(
     series: Sequence[Series], *, colours: Sequence[Rgb] = (), start_s: float | None = None
 ) -> Figure:
-    """Draw quantities over time, axes above each other; series of one name share axes.
+    """Draw quantities over time on stacked axes; series of one name share axes.
 
     A limit is a dotted line. A value that is not finite leaves a gap.
 
     Args:
-        series: at least one, each ``drawable``.
-        colours: of the line of each series; default: the same for all.
+        series: each ``drawable``.
         start_s: stamp that counts as 0 s; default: the earliest of all series.
     """
     first_s = min(float(item.stamps_s[0]) for item in series)

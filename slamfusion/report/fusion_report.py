@@ -52,13 +52,11 @@ def write_fusion_report(
     failure: str | None = None,
     files: AtomicFiles | None = None,
 ) -> Path:
-    """Write the report of a fusion as one self-contained page with its pictures.
+    """Write the report of a fusion; see ``write_page``.
 
     Args:
-        result: what was fused; rejected inputs are shown with their reasons.
-        directory, files: see ``write_page``, also for what is returned and raised.
         evaluations: errors against a truth, of the inputs, the fused map, or both.
-        failure: why the result must not be used all the same, e.g. ``--require-all``.
+        failure: why the result must not be used, e.g. ``--require-all``.
     """
     sections = [fused_section(result), *group_sections(result), inputs_section(result, config)]
     if evaluations:
@@ -79,11 +77,7 @@ def write_failure_report(
     config: RunConfig,
     device: str = "",
 ) -> Path:
-    """Write the report of maps that could not be fused: each map, each pair, and why.
-
-    Args:
-        directory: see ``write_page``, also for what is returned and raised.
-    """
+    """Write the report of maps that could not be fused: maps, pairs, reason; see ``write_page``."""
     normalize = config.fusion.normalize
     sections = [
         Section(
@@ -182,10 +176,7 @@ def fused_section(
     paths: Mapping[str, Trajectory] | None = None,
     places: Sequence[tuple[float, float]] = (),
 ) -> Section:
-    """Return the fused map, the inputs over each other, and where they agree.
-
-    For ``paths`` and ``places`` see ``fusion_layers``; the places are numbered on the fused map.
-    """
+    """Return the fused map with numbered places, the overlay of the inputs, and their agreement."""
     fused, box = result.fused, _shown_box(result)
     drawn = map_picture(_classes(fused), fused.resolution, fused.origin, box)
     draw_places(drawn, places)
@@ -307,11 +298,10 @@ def alignment_section(result: FusionResult) -> Section:
 def statistics_section(
     result: FusionResult, config: RunConfig, doubled: Mapping[str, float] | None = None
 ) -> Section:
-    """Return who voted with which weight, whose walls agree, and the maps in numbers.
+    """Return the weights of the voters, the agreement of walls, and the maps in numbers.
 
     Args:
-        doubled: shares of doubled walls by name, that of the fused map as ``fused map``, where
-            they are known already.
+        doubled: known shares of doubled walls by name; the fused map's is ``fused map``.
     """
     grids = [*(record.grid for record in result.inputs), result.fused.with_name("fused map")]
     found = tables().votes(result, _outvoted)

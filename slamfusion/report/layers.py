@@ -29,11 +29,10 @@ _Maps = Mapping[str, tuple[OccupancyGrid, Kind, bool]]
 
 @dataclass(frozen=True)
 class Layers:
-    """Maps that one can touch on a page.
+    """Interactive maps of a page.
 
     Attributes:
-        recorded: what a scene says of them, as JSON that may stand in a script element; empty: they
-            are too large.
+        recorded: the scene as JSON, safe in a script element; empty: too large.
     """
 
     recorded: str
@@ -45,11 +44,9 @@ def fusion_layers(
     paths: Mapping[str, Trajectory] | None = None,
     places: Sequence[tuple[float, float]] = (),
 ) -> Layers:
-    """Return the fused map, the agreement and the aligned inputs.
+    """Return the fused map, the agreement and the aligned inputs; rejected ones are hidden first.
 
     Args:
-        result: what was fused; an input that was never aligned is left out, one that was rejected
-            is hidden at first.
         paths: by input in the frame of its map, and as ``fused`` in the fused frame.
         places: x and y in the fused frame, metres, of what to check; the first has number 1.
     """

@@ -114,12 +114,10 @@ def overlay_picture(
     origin: Pose2,
     box: CellBox | None = None,
 ) -> Figure:
-    """Draw the walls of several maps over each other.
+    """Draw the walls of several maps on one lattice over each other.
 
-    A wall of one map has its colour, darker where more have one, of all that of a wall. Other cells
-    are the whiter, the more of the maps know them.
-
-    All are on one lattice; see ``map_picture``.
+    A wall in one map has that map's colour, in several a darker one, in all the colour of walls.
+    The more maps know another cell, the whiter it is. See ``map_picture``.
     """
     box = box or crop_box(np.any([layer != -1 for layer in layers], axis=0))
     shown = [shown_cells(layer, resolution, origin, box) for layer in layers]
@@ -157,10 +155,7 @@ def agreement_colour(percent: int) -> Rgb:
 
 
 def yaw_picture(alignment: Alignment, profile: npt.NDArray[np.float64]) -> Figure:
-    """Draw the best coarse score over yaw, (N, 2), with the answer and its rival marked.
-
-    A single sharp peak is a place that looks like itself under one yaw only.
-    """
+    """Draw the best coarse score over yaw, (N, 2), with the answer and its rival marked."""
     order = np.argsort(profile[:, 0])
     yaw_deg, score = np.rad2deg(profile[order, 0]), profile[order, 1]
 
@@ -240,10 +235,7 @@ def pair_overlay(
     normalize: NormalizeConfig,
     colours: Mapping[str, Rgb],
 ) -> Picture | None:
-    """Return two maps over each other under an alignment, to see why it failed.
-
-    None if they are too far apart to be drawn, or one of them is all unknown.
-    """
+    """Return an overlay of a pair; None if they are too far apart or one is all unknown."""
     fixed, moved = trinary_cells(reference.cells, normalize), trinary_cells(moving.cells, normalize)
     own, other = known_box(fixed), known_box(moved)
     if own is None or other is None:
@@ -338,7 +330,7 @@ def map_statistics(
 def error_section(
     evaluations: Sequence[MapError], alignments: Sequence[Alignment | None] = ()
 ) -> Section:
-    """Return the errors against one truth, as a table and as pictures of the difference.
+    """Return the errors against one truth as a table and pictures of the difference.
 
     Args:
         alignments: of each map with the truth, None if it was not moved; may be empty.

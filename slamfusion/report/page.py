@@ -42,7 +42,7 @@ class Picture:
 
     Attributes:
         stem: start of the file name; anything that is not a plain character is replaced.
-        title: also the text for who cannot see the picture.
+        title: also the alternative text.
         tone: ``plain``, or framed as ``good`` or ``bad``.
         badge: a word next to the caption, e.g. ``rejected``; the picture is framed as ``bad``.
     """
@@ -85,10 +85,7 @@ class Fact:
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the page: text, layers, pictures and tables, in this order.
-
-    One section of a page has layers, no more.
-    """
+    """Text, layers (in one section of a page at most), pictures and tables, in this order."""
 
     title: str
     text: str = ""
@@ -108,10 +105,7 @@ class Banner:
 
 @dataclass(frozen=True)
 class Page:
-    """A whole report, which ends with the settings in effect and the device, in words.
-
-    The first ``CARDS`` of the facts are cards; the others stand in a table at the end.
-    """
+    """A whole report. The first ``CARDS`` facts are cards; the others are in a table at the end."""
 
     title: str
     banner: Banner
@@ -144,20 +138,13 @@ def _settings(config: RunConfig) -> tuple[list[tuple[str, str]], str]:
 
 
 def write_page(page: Page, directory: str | Path, files: AtomicFiles | None = None) -> Path:
-    """Write ``report.html`` and its pictures in the same folder, all or none.
+    """Write ``report.html`` and its numbered pictures in one folder, all or none; return its path.
 
-    Pictures of an earlier report there that this one does not replace go.
-
-    Args:
-        page: its pictures are in the page and, numbered, in the folder, there also in the forms
-            of the settings: ``svg``, ``pdf``.
-        directory: made when it is missing; older files of the same names are replaced.
-
-    Returns:
-        The path of the page.
+    The pictures are in the page, and in the folder also as ``svg`` and ``pdf`` if the settings ask
+    for it. Those of an earlier report go.
 
     Raises:
-        SlamFusionError: the directory cannot be written; one line with the reason.
+        SlamFusionError: the directory cannot be written.
     """
     directory = Path(directory)
     pictures = [picture for section in page.sections for picture in section.pictures]

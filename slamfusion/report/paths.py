@@ -95,10 +95,9 @@ def path_picture(
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """A path as a picture of several shows it.
+    """A path of one or more poses, in the frame of its picture.
 
     Attributes:
-        path: in the frame of the picture; at least one pose.
         is_cut: what is far beyond the other lines is cut off, as the drift of odometry is.
     """
 
@@ -133,12 +132,12 @@ def paths_picture(
     grid: OccupancyGrid | None = None,
     normalize: NormalizeConfig = _NORMALIZE,
 ) -> Figure:
-    """Draw several paths of one drive over each other.
+    """Draw several paths of one drive in one frame over each other.
 
     Args:
-        lines: at least one, the lowest first; all in one frame.
+        lines: at least one, the lowest first.
         marked: the path whose first and last pose are marked.
-        others: what else this path may have been, drawn faintly under the lines; cut off as drift.
+        others: its alternatives, drawn faintly under the lines; cut off as drift.
     """
     shown = [other for other in others if len(other)]
     extent = place_extent(marked.poses, grid, normalize)
@@ -196,7 +195,7 @@ def path_pictures(
     odometry: Trajectory | None = None,
     others: Sequence[Trajectory] = (),
 ) -> list[Picture]:
-    """Return the path by time, by its error, and with the truth and raw odometry.
+    """Return pictures of the path by time, by its error, and with the truth and raw odometry.
 
     Args:
         trajectory: the estimate, in the frame of ``grid``.
@@ -254,9 +253,9 @@ def closures_picture(
     grid: OccupancyGrid,
     normalize: NormalizeConfig,
 ) -> Picture:
-    """Draw a path, a dot where a closure was found, a line to where the closure has the robot.
+    """Draw a path, a dot for each closure (at least one), and a line to the pose that it implies.
 
-    There is at least one closure; times beyond the path's count as its ends.
+    Times beyond the path's count as its ends.
     """
     figure, axes = map_axes(place_extent(path.poses, grid, normalize))
     draw_grid(axes, grid, normalize)

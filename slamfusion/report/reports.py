@@ -71,20 +71,19 @@ def write_slam_report(
     device: str = "",
     files: AtomicFiles | None = None,
 ) -> Path:
-    """Write the report of a producer's run as one self-contained page with its pictures.
+    """Write the report of a producer's run; see ``write_page``.
 
     Args:
-        directory, files: see ``write_page``, also for what is returned and raised.
-        run: what was made; its path has at least one pose. The first of the other paths of a
-            producer with closures is the path as it was first reported.
-        facts: health and timing, for the headline, in this order.
-        figures: of the run, by what they are.
-        remarks: of the log and its scans, by where they are from.
+        run: its path has at least one pose. The first of the other paths of a producer with
+            closures is the path as it was first reported.
+        facts: health and timing, for the headline.
+        figures: of the run, with their names.
+        remarks: of the log and its scans, with their source.
         truth: the true path; its errors are computed as ``config.trajectory`` says.
         relations: the trajectory's errors on known relations.
 
     Raises:
-        TrajectoryError: the truth does not meet the trajectory in time.
+        TrajectoryError: the truth and the trajectory have no times in common.
     """
     normalize, warnings = config.fusion.normalize, run.warnings()
     grid, trajectory, errors = run.grid, run.trajectory, None
@@ -149,12 +148,11 @@ def write_trajectory_report(
     grid: OccupancyGrid | None = None,
     files: AtomicFiles | None = None,
 ) -> Path:
-    """Write the errors of paths as one self-contained page with its pictures.
+    """Write the report of the errors of paths; see ``write_page``.
 
     Args:
-        directory, files: see ``write_page``, also for what is returned and raised.
         cases: by case its paths, at least one.
-        odometry: of a single path, where the wheels alone would have gone.
+        odometry: raw odometry of a single path.
         grid: a map in the frame of a single path, drawn under it.
     """
     sections, by_path, lines = [], [], []
@@ -252,13 +250,12 @@ def write_evaluation_report(
     device: str = "",
     files: AtomicFiles | None = None,
 ) -> Path:
-    """Write how maps differ from a truth as one self-contained page with its pictures.
+    """Write the report of the differences of maps to one truth; see ``write_page``.
 
     Args:
-        evaluations: at least one map, all against one truth.
-        directory, files: see ``write_page``, also for what is returned and raised.
-        alignments: the alignment with the truth that each evaluation rests on, in the same order,
-            None if the map was not moved; a rejected one is named at the top.
+        evaluations: at least one.
+        alignments: of each map with the truth, None if it was not moved; rejected ones are named at
+            the top.
     """
     section = error_section(evaluations, alignments)
     sections = [replace(section, layers=error_layers(evaluations))]
@@ -292,9 +289,6 @@ def write_difference_image(
 ) -> None:
     """Write the difference to the truth as one picture, in the colours of the report.
 
-    Args:
-        path: of the picture; its suffix says the form.
-
     Raises:
         MapFileError: the file is not called ``.png``, ``.svg`` or ``.pdf``, or cannot be written.
     """
@@ -321,13 +315,11 @@ def write_judge_report(
     device: str = "",
     files: AtomicFiles | None = None,
 ) -> Path:
-    """Write which path to use as one self-contained page with its pictures.
+    """Write the report of which path to use; see ``write_page``.
 
     Args:
-        directory, files: see ``write_page``, also for what is returned and raised.
-        errors_m: by what they are (ATE, relations), the errors of the paths by name, metres; a path
-            that could not be measured is missing.
-        not_measured: what could not be measured, a sentence each.
+        errors_m: errors in metres by kind (ATE, relations), then by path; only measured paths.
+        not_measured: a sentence for each path that could not be measured.
     """
     strip = strip_picture(answer, path_colours(answer, evidence, {}))
     sections = [Section("Over the drive", "", [strip]), evidence_section(answer, evidence)]

@@ -37,7 +37,7 @@ WINDOWS, WINDOW_ERRORS, BAND = 60, 5, (0.1, 0.9)
 
 
 def comparison_plot(tables: Mapping[str, pd.DataFrame], form: str) -> bytes:
-    """Draw saved results next to each other.
+    """Draw saved results next to each other; return a ``png``, ``svg`` or ``pdf`` file.
 
     The first rows show the single errors of each case: on the left their running median with a
     band from the 10 % to the 90 % quantile, on the right the share of the errors below each value.
@@ -45,10 +45,6 @@ def comparison_plot(tables: Mapping[str, pd.DataFrame], form: str) -> bytes:
 
     Args:
         tables: the rows of each file of results, by its name; see ``slamfusion.evaluation.Row``.
-        form: ``png``, ``svg`` or ``pdf``.
-
-    Returns:
-        The bytes of the file; the same for the same results.
     """
     named = []
     for name, own in tables.items():
@@ -70,14 +66,10 @@ def comparison_plot(tables: Mapping[str, pd.DataFrame], form: str) -> bytes:
 
 
 def experiment_plot(summaries: pd.DataFrame, figures: Sequence[str], form: str) -> bytes:
-    """Draw the figures of an experiment by case.
+    """Draw the named figures of an experiment by case; return a ``png``, ``svg`` or ``pdf`` file.
 
     Args:
         summaries: ``mean`` and ``std`` by case, figure and method.
-        figures: those that are drawn, in order; others are left out.
-
-    Returns:
-        The bytes of the file; the same for the same numbers.
     """
     known = summaries.index.unique("figure")
     return _plot([], summaries, [name for name in figures if name in known], form)

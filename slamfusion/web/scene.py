@@ -110,16 +110,12 @@ def _cut(cells: npt.NDArray[np.int8], offset: Place) -> dict[Place, npt.NDArray[
 
 @dataclass
 class _Layer:
-    """A map that was put.
-
-    Tiles are counted from where the map first began, so that one that grows to the left or below
-    sends no tile twice.
+    """A map of a scene. Tiles are counted from its first anchor, so that growth resends none.
 
     Attributes:
         kind: see ``Scene.put_map``.
-        is_shown: whether one sees it at first.
-        lattice: of the tiles; None before the first map and after it was taken away.
-        tiles: (TILE, TILE) int8 by place; those without a known cell are not in it.
+        lattice: of the tiles; None without a map.
+        tiles: (TILE, TILE) int8 by place; those without a known cell are left out.
         epoch: the number of lattices that it had.
         seq: when its description changed last.
         sent: of every tile ever sent in this epoch, when it changed last and its bytes.
@@ -137,22 +133,19 @@ class _Layer:
 
 
 class Scene:
-    """What pages are told. Any thread may put and ask.
+    """The state that pages show. Any thread may put and ask.
 
-    Everything that is put gets a number, ``seq``, that only grows. A page that has everything up to
-    a number is told what is newer, each thing once and in its newest state, however much came in
-    between. A map waits until a page asks, and is cut into tiles then.
+    Every change gets a growing number, ``seq``. A page asks for what is newer than the number that
+    it has, and gets each thing once, in its newest state. Maps are cut into tiles when a page asks.
 
     Args:
-        title: of the page.
         is_live: whether more is to come.
-        names: of layers, in the order in which they have their colours; others come after them.
+        names: of layers, in the order of their colours; others follow.
         clock: seconds since 1970.
-        level: how hard tiles are packed, 1 to 9.
+        level: compression of tiles, 1 to 9.
 
     Attributes:
-        id: of this scene's life; the numbers of another one mean nothing here.
-        title, is_live: as given.
+        id: of this scene; the numbers of another one mean nothing here.
     """
 
     def __init__(
@@ -201,12 +194,11 @@ class Scene:
                 self._layers[name] = gone
 
     def put_status(self, inputs: Sequence[Mapping[str, Any]], **figures: Any) -> None:
-        """Take how the inputs are; live, an input that got or lost its vote becomes an event.
+        """Take the state of the inputs; live, a gained or lost vote becomes an event.
 
         Args:
-            inputs: of each ``name``, ``votes`` (None: it was not asked), ``reason``, ``transform``
-                (x, y in metres and yaw in radians of its map frame in the fused one; None
-                without), ``score``.
+            inputs: of each ``name``, ``votes`` (None: unknown), ``reason``, ``transform`` (x, y in
+                metres and yaw in radians of its map frame in the fused one, or None), ``score``.
             figures: whatever else the page shows.
         """
         for item in inputs:
@@ -233,10 +225,7 @@ class Scene:
             self._events.append((self._next(), event))
 
     def put_point(self, name: str, x_m: float, y_m: float, stamp_s: float | None = None) -> None:
-        """Take the next point of a path, in the frame of the map of that name; default time: now.
-
-        A step below ``STEP_M`` is left out.
-        """
+        """Take the next point of a path in its map's frame; steps below ``STEP_M`` are dropped."""
         with self._lock:
             trail = self._trails.setdefault(name, deque(maxlen=POINTS))
             if trail and math.dist(trail[-1][1:3], (x_m, y_m)) < STEP_M:

@@ -1,19 +1,18 @@
-"""``PageServer``: the front end's files and the sockets of those who look, in one thread.
+"""``PageServer``: serve the front end's files and its sockets in one thread.
 
-Server to page come the messages of ``slamfusion.web.scene`` and, ``type`` of the JSON text:
+The server sends the messages of ``slamfusion.web.scene`` and, ``type`` of the JSON text:
 
-- ``hello``: ``scene`` (of this server's life), ``may_command``, ``title``, ``is_live``,
-  ``has_report``.
+- ``hello``: ``scene`` (its id), ``may_command``, ``title``, ``is_live``, ``has_report``.
 - ``end``: all of this batch was sent; ``seq`` of the newest thing in it.
 - ``answer``: to a command, ``id``, ``success``, ``message``.
 
-Page to server: ``hello`` with ``token`` (may be empty), ``scene`` and ``seq`` of what it has; then
-``seen`` with ``seq`` after each ``end``, before which nothing more is sent, so that a slow page
-gets the newest state and never all that came between; and ``command`` with ``id`` and ``name``.
+A page sends ``hello`` with ``token`` (may be empty), ``scene`` and ``seq`` of what it has; ``seen``
+with ``seq`` after each ``end``, before which nothing more is sent, so that a slow page gets the
+newest state only; and ``command`` with ``id`` and ``name``.
 
-Any website that a user visits can open a socket to localhost. The browser says for which name it
-asks (Host) and which page asks (Origin). A name that a stranger made lead here (DNS rebinding) is
-no address, so that addresses and the names asked for suffice.
+Any website that a user visits can open a socket to localhost. The browser sends the name it asks
+for (Host) and the asking page (Origin). A foreign name that resolves to here (DNS rebinding) is no
+address, so checking for addresses and the bound name suffices.
 """
 
 from __future__ import annotations
@@ -104,11 +103,7 @@ class PageMessage(Checked):
 
 
 def parse_message(text: str) -> PageMessage:
-    """Return what a page says.
-
-    Raises:
-        PageMessageError: it is nothing of the protocol.
-    """
+    """Return a page's message; ``PageMessageError`` if it is not of the protocol."""
     try:
         said = from_mapping(PageMessage, json.loads(text))
     except (ValueError, TypeError, AttributeError, LookupError, RecursionError, ConfigError):
@@ -122,12 +117,7 @@ def parse_message(text: str) -> PageMessage:
 
 
 def may_ask(host: str, bound: str) -> bool:
-    """Whether a server answers for what a Host header names.
-
-    Args:
-        host: the header; a port may be any, as a tunnel has another one.
-        bound: the address that the server listens on.
-    """
+    """Whether a server bound to an address answers for a Host header; any port, for tunnels."""
     if host.startswith("["):
         name = host[1:].partition("]")[0].lower()
     else:
@@ -156,16 +146,13 @@ class PageServer:
     """Serves a scene until it is closed.
 
     Args:
-        scene: what is shown.
-        host, port: where to listen; port 0 takes a free one.
-        command: carries out a command of a page that has the token, in some thread; None where
-            there is nothing to command.
-        token: what lets a page command; empty: a new one.
-        report: folder of a report, served with the page; None: there is none.
+        port: 0 takes a free one.
+        command: carries out a command of a page that has the token, in some thread.
+        token: lets a page command; empty: a new one.
+        report: folder of a report, served with the page.
 
     Attributes:
-        url: with the token, where there are commands, in its fragment, which no browser sends
-            anywhere.
+        url: with the token, if there are commands, in its fragment, which no browser sends.
 
     Raises:
         ConfigError: it cannot listen there.
@@ -336,11 +323,7 @@ class PageServer:
 
 
 def _listen(host: str, port: int) -> socket.socket:
-    """Return a socket that listens.
-
-    Raises:
-        ConfigError: the address is not of this machine, or the port is taken.
-    """
+    """Return a listening socket; ``ConfigError`` for a foreign address or a used port."""
     try:
         family, *_, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         listening = socket.socket(family)
