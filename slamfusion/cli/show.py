@@ -202,7 +202,7 @@ def _read_record(path: Path, record: Mapping[str, Any]) -> Finished:
             "votes": item["accepted"],
             "reason": item["reason"],
             "score": item["score"],
-            # One that was never aligned has no place.
+            # An input that was never aligned has no pose.
             "transform": None
             if item["dx_m"] is None
             else [item["dx_m"], item["dy_m"], item["yaw_rad"]],

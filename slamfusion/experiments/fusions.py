@@ -36,7 +36,6 @@ from slamfusion.slam.common.runner import run_producer
 from slamfusion.slam.registry import BUILT_IN, make_producer, producer
 from slamfusion.trajectory import SAME_STAMP_S, Trajectory
 
-# Every way to vote.
 FUSIONS: tuple[VoteMode, ...] = get_args(VoteMode)
 PLAIN: VoteMode = "majority"
 # Method name: the producer whose path is chosen (``choose_path``).

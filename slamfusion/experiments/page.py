@@ -23,7 +23,6 @@ from slamfusion.jobs.results import KEYS, markdown, results_table
 from slamfusion.json_values import FLAT
 
 Pairs = Mapping[str, Sequence[tuple[str, str]]]
-# A title, heads and rows of texts.
 TextTable = tuple[str, Sequence[str], Sequence[Sequence[str]]]
 
 

@@ -35,13 +35,11 @@ from slamfusion.slam.tinyslam import TinySlam
 from slamfusion.slam.tinyslam.slam import CELL_MODELS
 from slamfusion.trajectory import Trajectory
 
-# The figures of a run.
 RELATIONS, ATE, TIME = FIGURES = ("relations_mean_m", "ate_rmse_m", "time_per_scan_ms")
 # Table I: the methods, their pairs, and the cell size of gmapping in [H16].
 METHODS = ("tinyslam base", "tinyslam mean", "gmapping")
 PAIRS = list(itertools.combinations(METHODS, 2))
 GMAPPING_CELL_M = 0.2
-# Table II.
 OBSERVATIONS = 12
 OCCUPIED_COUNTS = (3, 6, 9)
 OCCUPIED_VALUE, FREE_VALUE = 0.95, 0.01

@@ -245,7 +245,7 @@ def measure_trial(
     truth = recording.world.grid
     faulty = FAULTS[trial.fault](recording.scans) if trial.fault else recording.scans
     fed = {name: faulty if trial.harmed in {"", name} else recording.scans for name in BUILT_IN}
-    # A fault of all producers is one of the robot.
+    # A fault of all producers is a fault of the robot.
     seen = recording.scans if trial.harmed else faulty
     made = fuse_in_every_way(
         produce_maps(fed, config, device, tell),

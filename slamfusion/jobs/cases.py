@@ -15,9 +15,8 @@ from pathlib import Path
 
 from slamfusion.errors import ConfigError
 
-# What parts words in a file name.
 _BETWEEN = r"[-_. ]+"
-# The method of files whose names say nothing but case and seed.
+# The method of files that are named by case and seed only.
 ONLY_SEED = "run"
 _SEED = re.compile(rf"(?:^|{_BETWEEN})(?:seed[-_. ]?|s)(\d+)(?=$|{_BETWEEN})", re.IGNORECASE)
 

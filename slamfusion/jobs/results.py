@@ -45,13 +45,11 @@ MANIFEST, DOCUMENT, TABLE = "manifest.json", "document.json", "results.csv"
 MOST_BYTES = 2**30
 # A zip holds dates; one and the same keeps the bytes of equal results equal.
 NO_DATE = (1980, 1, 1, 0, 0, 0)
-# Errors that reading a damaged file raises.
 _BROKEN = (
     *(zipfile.BadZipFile, zlib.error, struct.error, EOFError, OSError, NotImplementedError),
     *(ValueError, KeyError, TypeError, RuntimeError, OverflowError),
 )
 
-# The columns that name a map or path, and all columns.
 KEYS = ["case", "seed", "method"]
 NUMBERS = ["value", "at", "to"]
 COLUMNS = [*KEYS, "figure", *NUMBERS]

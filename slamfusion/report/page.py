@@ -32,7 +32,6 @@ from slamfusion.web.front import bundled, front_end
 NO_TABLES = Markup("")
 _STEM = re.compile(r"[^A-Za-z0-9_-]+")
 _STEM_LENGTH = 40
-# Facts that are cards at the top.
 CARDS = 4
 
 

@@ -38,7 +38,6 @@ from slamfusion.trajectory import Trajectory
 
 _NORMALIZE = NormalizeConfig()
 
-# The name of the alternatives of a path.
 _OTHERS = "other paths"
 # Ends of both colour scales that would vanish on white are cut off.
 _TIME_SPAN = (0.15, 0.82)

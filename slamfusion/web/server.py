@@ -61,7 +61,7 @@ END_S = 5.0
 
 # Codes of closed sockets (RFC 6455): refused by policy; come again later.
 REFUSED, BUSY = 1008, 1013
-# A page says no more than this at once.
+# Largest message of a page.
 MESSAGE_BYTES = 4096
 
 TYPES = {
@@ -173,7 +173,7 @@ class PageServer:
         self._host = host
         self._command = command
         self._token = token or secrets.token_urlsafe(24)
-        # Nothing else is served, but for the report.
+        # Only these files and the report are served.
         self._files = {
             name: (text.encode(), TYPES[PurePath(name).suffix])
             for name, text in front_end().items()
@@ -241,7 +241,7 @@ class PageServer:
     async def _look(self, ws: WebSocket) -> None:
         """Show the scene to one page until it goes."""
         origin, host = ws.headers.get("origin", ""), ws.headers.get("host", "")
-        # Without Origin it is no browser's.
+        # A request without Origin is not from a browser.
         if not host or not self._may_ask(ws) or origin != f"http://{host}":
             await ws.close(REFUSED)  # before it is accepted: HTTP 403
             return
