@@ -65,10 +65,7 @@ def open_device(wanted: str = "auto", *, small_kernels: bool = False) -> Compute
 
 @cache
 def shared_device(wanted: str) -> ComputeDevice:
-    """Return the device of this process: its kernels are built once; see ``open_device``.
-
-    A device that is sent to another process becomes this one there.
-    """
+    """Return this process's device, built once; sent to another process it becomes that one's."""
     return open_device(wanted)
 
 

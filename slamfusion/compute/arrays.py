@@ -46,7 +46,7 @@ class DeviceArray(Protocol[Scalar_co]):
 
 
 def host(handle: DeviceArray[Scalar]) -> npt.NDArray[Scalar]:
-    """Return an array of the device that is NumPy as what it is."""
+    """Return an array of the NumPy device as an ``ndarray``."""
     return cast("npt.NDArray[Scalar]", handle)
 
 
@@ -54,17 +54,14 @@ class ArrayDevice(ABC):
     """A device that holds arrays; the families of operations are built on it.
 
     Each operation is one method: with ``opencl`` it launches kernels, otherwise it computes the
-    same with NumPy, which defines the result.
-
-    Attributes:
-        name: the device in words, for tables and reports.
+    same with NumPy, which defines the result. ``name`` describes the device.
     """
 
     name: str
 
     @property
     def opencl(self) -> OpenCLDevice | None:
-        """What launches kernels; None where NumPy computes."""
+        """The kernel launcher; None if NumPy computes."""
         return None
 
     @abstractmethod

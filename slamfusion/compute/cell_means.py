@@ -135,7 +135,7 @@ def _valley_words(beams: I32, rule: ScanRule) -> tuple[I64, I64, I64]:
 
 
 def _likelihood_words(beams: I32, rule: LikelihoodRule) -> tuple[I64, I64, I64]:
-    """Return the same; passed cells receive the value of no hit nearby."""
+    """Return the same; passed cells get the value of no hit nearby."""
     w = _walks(np.column_stack((beams, np.zeros((len(beams), 2), dtype=np.int32))), 0)
     passed = w.i >= 1
     around = np.arange(-rule.reach, rule.reach + 1)
@@ -211,7 +211,7 @@ class CellMeanDevice(ArrayDevice):
                 tile yet; those cells are left out.
 
         Returns:
-            Whether a page was missing: provide tiles and mark again, which changes nothing twice.
+            Whether a page was missing: provide tiles and mark again, which is idempotent.
         """
         if self.opencl:
             height, width = pages.shape
@@ -244,11 +244,7 @@ class CellMeanDevice(ArrayDevice):
         beams: DeviceArray[np.int32],
         rule: ScanRule | LikelihoodRule,
     ) -> None:
-        """Fold, in place, what a scan marked into the cells; each cell learns once a scan.
-
-        Args:
-            pools: ``observed`` as ``mark_scan`` left it; it becomes 0.
-        """
+        """Fold a scan's marks into the cells, in place, once per cell; ``observed`` becomes 0."""
         if self.opencl:
             height, width = pages.shape
             count = beams.shape[0]

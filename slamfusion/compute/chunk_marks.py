@@ -85,14 +85,14 @@ class ChunkMarkDevice(ArrayDevice):
         left_out: DeviceArray[np.uint32],
         reach: int,
     ) -> I32:
-        """Return how near the end of each beam the chunks that are not left out hit something.
+        """Return the distance from each beam's end to the nearest hit of the counted chunks.
 
         Args:
             hits, seen, pages: a map as ``mark_chunks`` leaves it.
-            beams: (B, BEAM_INTS) int32; of the laser nothing is read.
+            beams: (B, BEAM_INTS) int32; the laser is not used.
             facings: (B,) int32, the direction that each hit surface faces.
             left_out: (B,) uint32, the bits that do not count for each beam.
-            reach: cells around the end's own that are looked at, 0 to ``MARK_REACH_MAX``.
+            reach: cells around the end's own that are searched, 0 to ``MARK_REACH_MAX``.
 
         Returns:
             (B, 2) int32, on the host: the squared distance from the end to the centre of the
@@ -112,7 +112,7 @@ class ChunkMarkDevice(ArrayDevice):
         x, y = beams[:, 0].astype(np.int64), beams[:, 1].astype(np.int64)
         col, row = x >> BEAM_SHIFT, y >> BEAM_SHIFT
         counted = ~left_out
-        # More than any squared distance within reach.
+        # Above any squared distance within reach.
         none = 2 * ((reach + 1) * BEAM_ONE) ** 2
         nearest = np.full(len(beams), none, dtype=np.int64)
         for dy in range(-reach, reach + 1):

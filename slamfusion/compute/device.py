@@ -1,4 +1,4 @@
-"""Choose an OpenCL device and say which and why; offer Intel's (the extra ``intel``) too."""
+"""Choose an OpenCL device and give the reason; offer Intel's (the extra ``intel``) too."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from slamfusion.errors import DeviceError
 DISTRIBUTION = "intel-opencl-rt"
 LIBRARY = "libintelocl.so"
 INTEL_PLATFORM = "Intel(R) OpenCL"
-# Where the loader looks; a user who set one knows what to show.
+# Where the loader looks for platforms.
 VENDORS, USUAL_FOLDER = "OCL_ICD_VENDORS", "OPENCL_VENDOR_PATH"
 DEFAULT_FOLDER = "/etc/OpenCL/vendors"
 
@@ -39,9 +39,8 @@ def intel_library() -> Path | None:
     """Return Intel's OpenCL of this environment; None where the extra is not installed.
 
     The extra's wheel puts ``libintelocl.so`` into the environment's ``lib`` folder, with an entry
-    for OpenCL's loader that names the folder of another machine. So the loader is shown, while it
-    looks for platforms, a folder that has the usual entries and this one. It is no default where
-    PoCL works: its threads spin, and PoCL is as fast.
+    for OpenCL's loader that names the folder of another machine. So the loader gets a folder with
+    the usual entries and this one. It is no default where PoCL works, which is as fast.
     """
     if sys.platform != "linux" or platform.machine() != "x86_64":
         return None
@@ -63,10 +62,7 @@ def is_intel_extra(device: Any) -> bool:
 
 @contextlib.contextmanager
 def intel_shown() -> Iterator[None]:
-    """Let OpenCL's loader see Intel's CPU device too, if it looks for platforms now.
-
-    Where the environment says what the loader shall see, or the extra is absent, nothing changes.
-    """
+    """Show OpenCL's loader Intel's CPU device too, unless the environment sets its folder."""
     library = intel_library()
     if library is None or os.environ.get(VENDORS):
         yield
@@ -92,10 +88,9 @@ NO_DEVICE = (
 
 
 def find_devices() -> list[Any]:
-    """Return every OpenCL device; an empty list without any platform.
+    """Return every OpenCL device; PoCL's only if it can store its kernels.
 
-    None of PoCL where it can keep its kernels nowhere. PoCL's single-thread device and the extra's
-    Intel device are last, so that neither is the first.
+    PoCL's single-thread device and the extra's Intel device are last.
     """
     name_processor()
     offer_single_thread()
@@ -117,7 +112,7 @@ def find_devices() -> list[Any]:
 
 
 def _is_behind(device: Any) -> int:
-    """Return in which order devices are shown and, where nothing else decides, chosen."""
+    """Return the rank of a device in the listed order."""
     return 2 if is_intel_extra(device) else int(is_single_thread(device))
 
 
@@ -127,7 +122,7 @@ def is_simulator(device: Any) -> bool:
 
 
 def _note(device: Any) -> str:
-    """Return when a device is chosen, where that does not follow from its type."""
+    """Return when a device is chosen, if that does not follow from its type."""
     if is_simulator(device):
         return "simulator, only when asked for by name"
     if is_refused(device):
@@ -211,14 +206,14 @@ def choose_device(wanted: str = "auto", *, small_kernels: bool = False) -> tuple
 
 
 def _is_second(device: Any, *, small_kernels: bool) -> int:
-    """Return which of the devices of one type goes first."""
+    """Return the rank of a device among those of its type."""
     if is_intel_extra(device):
         return 2
     return int(is_single_thread(device) != small_kernels)
 
 
 def _why_none(devices: list[Any]) -> str:
-    """Return what to do where no device can be chosen."""
+    """Return the advice if no device can be chosen."""
     return name_processor().detail if any(is_refused(device) for device in devices) else NO_DEVICE
 
 

@@ -39,10 +39,7 @@ class FieldDevice(ArrayDevice):
     def solid_walls(self, cells: DeviceArray[np.int8]) -> DeviceArray[np.uint8]:
         """Return (H, W) uint8, 1 where an occupied cell has at most six free neighbours.
 
-        With seven or eight it stands in free space alone, or next to one other: a speck of noise.
-
-        Args:
-            cells: (H, W) int8 in {-1, 0, 1}.
+        With seven or eight it is a speck of noise in free space. Cells (H, W) are in {-1, 0, 1}.
         """
         if self.opencl:
             height, width = cells.shape
@@ -57,12 +54,7 @@ class FieldDevice(ArrayDevice):
     def surface_walls(
         self, cells: DeviceArray[np.int8], solid: DeviceArray[np.uint8]
     ) -> DeviceArray[np.uint8]:
-        """Return (H, W) uint8, 1 where a solid wall cell has a free one among its 8 neighbours.
-
-        Args:
-            cells: (H, W) int8 in {-1, 0, 1}.
-            solid: (H, W) uint8, 1 at the wall cells that count.
-        """
+        """Return (H, W) uint8, 1 where a solid wall cell has a free one among its 8 neighbours."""
         if self.opencl:
             height, width = cells.shape
             out = self.opencl.empty(cells.shape, np.uint8)
@@ -168,11 +160,7 @@ class FieldDevice(ArrayDevice):
         return np.clip(value, 0, FIELD_ONE).astype(np.uint8)
 
     def look_up(self, values: DeviceArray[np.uint16], table: U16) -> DeviceArray[np.uint16]:
-        """Return ``table[values]``.
-
-        Args:
-            values: any shape, uint16. table: (M,) uint16, longer than the largest value.
-        """
+        """Return ``table[values]`` of uint16 values; the table is longer than the largest value."""
         if self.opencl:
             out = self.opencl.empty(values.shape, np.uint16)
             cells = values.size
@@ -189,12 +177,7 @@ class FieldDevice(ArrayDevice):
         table: U16,
         otherwise: U16,
     ) -> DeviceArray[np.uint16]:
-        """Return ``table[values]`` where the mask is not 0, ``otherwise[values]`` elsewhere.
-
-        Args:
-            values: any shape, uint16. mask: the same shape, uint8.
-            table, otherwise: (M,) uint16, longer than the largest value.
-        """
+        """Return ``table[values]`` where the mask (uint8) is not 0, else ``otherwise[values]``."""
         if self.opencl:
             out = self.opencl.empty(values.shape, np.uint16)
             cells = values.size
@@ -208,11 +191,7 @@ class FieldDevice(ArrayDevice):
     def max_ahead(self, field: DeviceArray[np.uint8], shift: int) -> DeviceArray[np.uint8]:
         """Return the largest of each cell, those ``shift`` farther along row and column, and both.
 
-        Of the greatest of squares of ``shift`` cells it makes that of squares of twice the side.
-
-        Args:
-            field: (H, W) uint8; outside counts as 0.
-            shift: cells, at least 1.
+        From maxima of squares of side ``shift`` it makes those of twice the side; outside is 0.
         """
         if self.opencl:
             height, width = field.shape

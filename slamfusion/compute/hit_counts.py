@@ -44,17 +44,14 @@ from slamfusion.compute.layout import (
 from slamfusion.compute.tiles import tile_places, walk_cells
 from slamfusion.errors import DeviceError
 
-# Rows of a map that are turned into percent together: floating point takes memory for these alone.
+# Rows of a map that are converted to percent together, to save memory.
 ROWS_AT_ONCE = 256
 # The limits of the map servers, in percent.
 FREE_PERCENT, OCCUPIED_PERCENT = 25.0, 65.0
 
 
 def halve_counts(device: ArrayDevice, pools: dict[str, DeviceArray[Any]]) -> None:
-    """Halve the counts of every busy cell before they overflow; means and shares stay.
-
-    Of few counts the halves would be something else: those of other cells are left.
-    """
+    """Halve the counts of busy cells before they overflow; few counts would become inexact."""
     counts = device.download(pools["counts"])
     is_busy = (counts >= FULL_HITS // 2 << 16) | (counts & 0xFFFF >= FULL_VISITS // 2)
     busy = np.nonzero(is_busy)
@@ -76,8 +73,8 @@ def percent_of_counts(
 ) -> npt.NDArray[np.int8]:
     """Return hits and visits as occupancy in percent.
 
-    The percent rises with the share of hits so that the threshold comes to lie at 65, the limit of
-    the map servers: what is a wall by the threshold is published as one, all else as free.
+    The percent rises with the share of hits, and the threshold maps to 65, the limit of the map
+    servers: walls by the threshold are published as walls, all else as free.
 
     Args:
         counts: (H, W) uint32, hits above 16 bits of visits.
@@ -149,11 +146,7 @@ class FieldRule(NamedTuple):
 
 
 def check_beams(scan: BeamScan) -> None:
-    """Refuse a scan that could make a cell's sums flow over.
-
-    Raises:
-        DeviceError: it has more than ``MOST_BEAMS`` beams.
-    """
+    """Refuse a scan of more than ``MOST_BEAMS`` beams, which could overflow a cell's sums."""
     if len(scan.ends) > MOST_BEAMS:
         message = f"a scan to be counted has up to {MOST_BEAMS} beams, found {len(scan.ends)}"
         raise DeviceError(message)
@@ -203,7 +196,7 @@ def _is_wall(counts: U32, rule: FieldRule) -> npt.NDArray[np.bool_]:
 
 
 def _field_of(counts: U32, sums: U32, offset: tuple[int, int], rule: FieldRule) -> I64:
-    """Return what cells give the field of those from which they lie at an offset."""
+    """Return the field that cells cause at an offset."""
     hits = (counts >> HITS_SHIFT).astype(np.int64)
     halves = (sums >> SUM_SHIFT).astype(np.int64), (sums & SUM_MASK).astype(np.int64)
     dx, dy = (
@@ -221,15 +214,7 @@ def _square(reach: int) -> list[tuple[int, int]]:
 
 
 def full_field(counts: U32, sums: U32, rule: FieldRule) -> U8:
-    """Return the score field of a whole map from its counts.
-
-    Args:
-        counts: (H, W) uint32.
-        sums: (H, W) uint32.
-
-    Returns:
-        (H, W) uint8.
-    """
+    """Return the (H, W) score field of a whole map from its (H, W) counts and sums."""
     height, width = counts.shape
     padded = [np.pad(values, rule.reach) for values in (counts, sums)]
     best = np.zeros(counts.shape, dtype=np.int64)
@@ -264,7 +249,7 @@ def _count(
     sign: int,
     rule: FieldRule | None = None,
 ) -> DeviceArray[np.int32]:
-    """Start counting a scan; return the flag that a cell is full. No rule: nothing is marked."""
+    """Start counting a scan; return the flag of a full cell. Without a rule nothing is marked."""
     full = device.upload(np.zeros(1, dtype=np.int32))
     if pages.size and len(scan.ends):
         occupied, least_hits = (0, 0) if rule is None else (rule.occupied, rule.least_hits)

@@ -13,8 +13,7 @@ from slamfusion.geometry import F64
 I32 = npt.NDArray[np.int32]
 I64 = npt.NDArray[np.int64]
 
-# The place of a point after a pose stays below this, so that it fits 32 bits with its sign and what
-# rounding adds.
+# Limit of a coordinate after a pose: it fits 32 bits with its sign and rounding.
 NARROW_LIMIT = (1 << 31) - (1 << 20)
 
 
@@ -51,13 +50,13 @@ def narrow_motions(points: I32, poses: I64) -> tuple[I32, I32, int]:
         given ones move the given points; and the bits of a place below a whole cell. A map of 2000
         cells is read within 0.01 cells of where the 64 bits read it.
     """
-    # All by columns, each contiguous, which makes minima and sums quick.
+    # By columns, each contiguous, which makes minima and sums fast.
     near = np.array(points.T, dtype=np.int64, order="C")
     middle = np.zeros(2, np.int64)
     if len(points):
         middle[:] = (near.min(axis=1) + near.max(axis=1)) // 2
     near -= middle[:, None]
-    # In float64, which adds and multiplies in lanes and is exact, as no place is beyond 2^53.
+    # In float64, which is vectorised and exact below 2^53.
     moved = np.array(poses.T, dtype=np.float64, order="C")
     moved[2] += moved[0] * middle[0] - moved[1] * middle[1]
     moved[3] += moved[1] * middle[0] + moved[0] * middle[1]

@@ -42,24 +42,17 @@ def kernel_folder() -> Path:
 
 
 def kernel_source(folder: Path) -> str:
-    """Return the source of all kernels with the headers that they include written out.
+    """Return the source of all kernels in a folder, with their headers written out.
 
-    It is one program, since PoCL reads the OpenCL header of 1 MB anew for each program that it
-    finds in its cache. No path stands in it, which that cache goes by: what one installation built,
-    every other one of equal sources has.
-
-    Args:
-        folder: of the .cl files, one for each family.
+    It is one program, since PoCL reads the OpenCL header of 1 MB for each program in its cache.
+    It contains no path, so that installations of equal sources share that cache.
     """
     families = sorted(path.stem for path in folder.glob("*.cl"))
     return "\n".join(_family_source(folder, family) for family in families)
 
 
 def _family_source(folder: Path, family: str) -> str:
-    """Return the source of a family; a compiler's complaint names its files and lines.
-
-    Arithmetic is as in a program that begins: what the family before it asked for has ended.
-    """
+    """Return the source of a family, with its lines named, and arithmetic set to the default."""
     source = (folder / f"{family}.cl").read_text(encoding="utf-8")
 
     def write_out(found: re.Match[str]) -> str:
@@ -75,11 +68,7 @@ class KernelProgram:
     """All kernels, built for one device; a kernel object is fetched once and kept."""
 
     def __init__(self, context: Any, device: Any, options: tuple[str, ...] = ()) -> None:
-        """Build every kernel; a compiler's complaint becomes one DeviceError.
-
-        Args:
-            options: of the compiler, beside the constants of ``layout``.
-        """
+        """Build every kernel, with further compiler options; a failure is a DeviceError."""
         source = kernel_source(kernel_folder())
         self.options = ("-w", *kernel_options(), *options)
         LOG.debug("kernels are built with %s", " ".join(self.options))
@@ -99,9 +88,7 @@ class KernelProgram:
     def kernel(self, name: str, arguments: Sequence[Any]) -> Any:
         """Return the kernel object of that name.
 
-        Args:
-            arguments: of a launch. The types of the numbers among them are those of every launch:
-                pyopencl receives them once, as it takes 4 us to find out that of each number.
+        The types of the numbers in its first launch are kept: finding each takes 4 us.
         """
         kernel = self._kernels[name]
         if name not in self._typed:
@@ -110,8 +97,8 @@ class KernelProgram:
         return kernel
 
 
-# PoCL compiles a kernel again for every new work-group size and picks badly when left to choose:
-# one fixed size for each number of dimensions. A group of one dimension is a round of a climb.
+# PoCL compiles a kernel for every new work-group size, so there is one fixed size for each number
+# of dimensions. A group of one dimension is a round of a climb.
 LOCAL_SIZES = {1: (CLIMBERS,), 2: (16, 4), 3: (1, 4, 1)}
 
 
@@ -138,9 +125,7 @@ class OpenCLArray(Generic[Scalar]):
 class OpenCLDevice(ComputeDevice):
     """One OpenCL device with an in-order queue and all kernels, and the arrays on it.
 
-    Attributes:
-        wanted: what it was opened by, see ``open_device``.
-        shares_memory: a CPU device, which reads and writes the host's arrays where they are.
+    ``wanted`` is its name for ``open_device``; with ``shares_memory`` it uses the host's arrays.
 
     Raises:
         DeviceError: no such device, or the kernels do not build on it.
@@ -165,7 +150,7 @@ class OpenCLDevice(ComputeDevice):
         self.shares_memory = is_cpu and not is_simulator(self.device)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Travel to another process as what was wanted; see ``shared_device``."""
+        """Pickle as the wanted device; see ``shared_device``."""
         from slamfusion.compute import shared_device  # noqa: PLC0415 - which imports this module
 
         return shared_device, (self.wanted,)
@@ -195,7 +180,7 @@ class OpenCLDevice(ComputeDevice):
         return out
 
     def finish(self) -> None:
-        """Wait until the device has done all that it was told."""
+        """Wait until the device has finished all its work."""
         self.queue.finish()
 
     def empty(self, shape: tuple[int, ...], dtype: npt.DTypeLike) -> OpenCLArray[Any]:

@@ -59,7 +59,7 @@ INSTEAD = (
 
 @dataclass(frozen=True)
 class CheckedLibrary:
-    """A library whose function was looked at.
+    """A library whose function was examined.
 
     Attributes:
         wheel: version of ``pocl-binary-distribution`` that has it.
@@ -88,11 +88,7 @@ class _RefusedError(Exception):
 
 
 def processor_name(flags: set[str]) -> str:
-    """Return LLVM's name of the best processor whose features are all among ``flags``.
-
-    Args:
-        flags: as in the ``flags`` line of /proc/cpuinfo.
-    """
+    """Return LLVM's best processor name whose features are all in ``flags`` of /proc/cpuinfo."""
     for name, needed in PROCESSORS:
         if flags.issuperset(needed.split()):
             return name
@@ -100,16 +96,13 @@ def processor_name(flags: set[str]) -> str:
 
 
 def offer_single_thread() -> None:
-    """Let the wheel's PoCL show both of its devices; call it before listing devices.
-
-    What ``POCL_DEVICES`` says stays, and so does the meaning of ``PYOPENCL_CTX``.
-    """
+    """Show both devices of the wheel's PoCL before listing devices; user settings stay."""
     if _library() and not os.environ.get("PYOPENCL_CTX"):
         os.environ.setdefault("POCL_DEVICES", "pthread basic")
 
 
 def is_single_thread(device: Any) -> bool:
-    """Return whether a device runs its kernels in the thread that asks."""
+    """Return whether a device runs its kernels in the calling thread."""
     return bool(device.name.startswith("basic"))
 
 
@@ -157,7 +150,7 @@ def name_processor() -> PoclState:
 
 
 def _is_news(library: Path) -> bool:
-    """Whether the change of this library is not reported yet; then keep a file that says so."""
+    """Whether this library's change was not yet reported; if so, record it in a file."""
     if os.environ.get(SWITCH) == AGREED:
         return False
     name = hashlib.sha256(os.fsencode(library)).hexdigest()[:16]
@@ -214,7 +207,7 @@ def _returning(name: str) -> bytes:
 
 
 def _overwrite(address: int, code: bytes, before: bytes) -> None:
-    """Write code over the first bytes of a function, which are ``before`` and at least as many."""
+    """Write code over the first bytes of a function, which must be ``before`` and long enough."""
     if len(code) > len(before):
         message = "what was checked of its function is shorter than what would be replaced"
         raise _RefusedError(message)
@@ -240,7 +233,7 @@ def _processor_flags(cpuinfo: str) -> set[str]:
 
 
 class _Symbol(ctypes.Structure):
-    """What ``dladdr`` says of an address."""
+    """The result of ``dladdr``."""
 
     _fields_ = (
         ("file", ctypes.c_char_p),
@@ -251,10 +244,7 @@ class _Symbol(ctypes.Structure):
 
 
 def _library_of(vendor: Any) -> Path | None:
-    """Return the file that a platform's functions are in.
-
-    OpenCL's loader finds them by a table, which the platform begins with a pointer to.
-    """
+    """Return the file of a platform's functions, found by the loader's table."""
     table = ctypes.c_void_p.from_address(vendor.int_ptr).value
     first = ctypes.c_void_p.from_address(table).value if table else None
     symbol = _Symbol()

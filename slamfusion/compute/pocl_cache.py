@@ -28,11 +28,9 @@ ROOM_BYTES = 2**24
 
 @dataclass(frozen=True)
 class PoclCache:
-    """Where PoCL keeps what it builds.
+    """The folder in which PoCL stores its kernels; None if there is none.
 
-    Attributes:
-        folder: that can be written; None where there is none.
-        detail: why it is not PoCL's own, one line for people; empty where it is.
+    ``detail`` is why it is not PoCL's own, in one line; else empty.
     """
 
     folder: Path | None
@@ -83,7 +81,7 @@ def _remove(folder: Path, owner: int) -> None:
 
 
 def _own_folder() -> Path:
-    """Return where PoCL looks: what it is told, or else the caches of the user."""
+    """Return PoCL's folder: from the environment, or else in the user's caches."""
     told = os.environ.get(FOLDER)
     if told:
         return Path(told)
@@ -91,7 +89,7 @@ def _own_folder() -> Path:
 
 
 def user_caches() -> Path:
-    """Return where programs of the user keep what they can make again."""
+    """Return the user's cache folder."""
     for variable, below in ((CACHES, ""), ("HOME", ".cache")):
         if os.environ.get(variable):
             return Path(os.environ[variable], below)
@@ -99,7 +97,7 @@ def user_caches() -> Path:
 
 
 def _why_not(folder: Path) -> str:
-    """Return why kernels cannot be kept in a folder, which is made; empty where they can."""
+    """Create a folder and return why kernels cannot be stored there; empty if they can."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder) as file:

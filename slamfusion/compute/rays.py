@@ -15,13 +15,9 @@ SMALLEST_COSINE = 1e-9
 
 
 def ray_table(rays: F32) -> F32:
-    """Return rays as the kernel reads them: with the reciprocals that a step multiplies by.
+    """Return rays (N, 4) with the reciprocals of cos and sin, (N, 6) float32.
 
-    Args:
-        rays: (N, 4) float32: x and y in cells, cos and sin of the direction.
-
-    Returns:
-        (N, 6) float32; a cosine too small to divide by counts as 0, its reciprocal as infinite.
+    A cosine too small to divide by counts as 0, its reciprocal as infinite.
     """
     table = np.empty((len(rays), RAY_FLOATS), dtype=np.float32)
     table[:, :4] = rays

@@ -41,10 +41,7 @@ def _moved(points: F32, poses: F32) -> tuple[F32, F32]:
 
 
 def _losses(poses: F32, hypotheses: F32) -> F32:
-    """Return the weighted squares of how far poses x, y, yaw lie from hypotheses, and their loss.
-
-    The arrays are broadcast together but for their last axis; see ``climb``.
-    """
+    """Return the weighted squared distances of poses x, y, yaw from hypotheses, and their loss."""
     away = poses[..., :3] - hypotheses[..., :3]
     squares = away * away * hypotheses[..., 3:6]
     return np.asarray(((squares[..., 0] + squares[..., 1]) + squares[..., 2]) + hypotheses[..., 6])

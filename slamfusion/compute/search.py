@@ -59,7 +59,7 @@ class FitSide(NamedTuple):
     distance: DeviceArray[np.uint16]
 
 
-# Points, cells and rows that one work item sums, one after the other; the host adds the sums.
+# Points, cells and rows that one work item sums; the host adds the sums.
 CHUNK_POINTS = 64
 
 
@@ -98,7 +98,7 @@ def _pose_scores(side: ScoredSide) -> I64:
 
 
 def _side_terms(side: FitSide, scales: F32, centre: tuple[float, float], *, backward: bool) -> F64:
-    """Return what the points of one side add to the normal equations."""
+    """Return the normal equations of the points of one side."""
     points, distance = np.asarray(side.points), np.asarray(side.distance)
     poses = side.poses
     height, width = distance.shape

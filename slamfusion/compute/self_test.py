@@ -47,11 +47,7 @@ OPERATIONS: dict[str, Callable[[ComputeDevice], list[npt.NDArray[Any]]]] = {
 
 
 def self_test(device: ComputeDevice) -> list[tuple[str, bool, str]]:
-    """Run the operations once on small random input.
-
-    Returns:
-        For each its name, whether it equals its twin, and what was found.
-    """
+    """Run the operations once; return name, equality with the twin, and result of each."""
     results = []
     for name, operation in OPERATIONS.items():
         try:

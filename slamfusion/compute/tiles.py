@@ -62,13 +62,7 @@ class TileDevice(ArrayDevice):
     """A device that keeps pools of tiles."""
 
     def extend(self, pool: DeviceArray[Scalar], count: int, fill: int) -> DeviceArray[Scalar]:
-        """Return a longer copy of a pool.
-
-        Args:
-            pool: (T, ...) of any dtype.
-            count: tiles of the copy, T or more.
-            fill: value of the new tiles' cells.
-        """
+        """Return a copy of a pool (T, ...) with ``count`` tiles; the new ones hold ``fill``."""
         if self.opencl:
             grown = self.opencl.empty((count, *pool.shape[1:]), pool.dtype)
             self.opencl.copy(pool, grown)
@@ -99,15 +93,7 @@ class TileDevice(ArrayDevice):
             pool[pairs[:, 1]] = pool[pairs[:, 0]]
 
     def take_tiles(self, pool: DeviceArray[Scalar], numbers: I32) -> npt.NDArray[Scalar]:
-        """Fetch tiles of a pool.
-
-        Args:
-            pool: (T, TILE, TILE) of any dtype.
-            numbers: (K,) int32, 0 to T - 1, on the host.
-
-        Returns:
-            (K, TILE, TILE), on the host.
-        """
+        """Fetch tiles (K, TILE, TILE) of a pool by their numbers (K,) int32 to the host."""
         if self.opencl:
             count = len(numbers)
             tiles = np.empty((count, TILE, TILE), dtype=pool.dtype)

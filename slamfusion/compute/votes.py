@@ -53,7 +53,7 @@ class Votes(NamedTuple):
     phantom_cells: int
 
     def on(self, window: tuple[slice, slice]) -> Votes:
-        """Return what was decided on some rows and columns; of all cells, how many are phantom."""
+        """Return the decision on some rows and columns, with the phantom cells of the whole."""
         fused, agreement, dissent, phantom_cells = self
         return Votes(
             fused[window], agreement[window], dissent[(slice(None), *window)], phantom_cells
@@ -254,16 +254,10 @@ def _walls_stand(stack: U8, amount: I32, trust: I32, ways: U8) -> tuple[Mask, I3
 
 
 def _same_wall(own: U8, at: Cells, ways: U8, reach: int) -> tuple[Cell, Cell, Mask]:
-    """Find the nearest wall of one input that faces some ways, along a row, a column or next to it.
+    """Return rows and columns (K,) of the nearest wall of one input that faces some ways.
 
-    Args:
-        own: (H, W) its codes.
-        at: rows and columns to look from, (K,) each.
-        ways: (K,).
-        reach: cells.
-
-    Returns:
-        Rows and columns, (K,), of those that were found; which these are.
+    The search goes along rows and columns from ``at``, ``reach`` cells far; also returns which
+    walls were found.
     """
     rows, cols = at[0].copy(), at[1].copy()
     found = np.zeros(len(rows), dtype=np.bool_)

@@ -14,11 +14,9 @@ from slamfusion.compute.layout import FACING_PARTS, OPPOSED_PARTS
 
 
 def is_another(own: U8, other: U8, turn: int) -> npt.NDArray[np.bool_]:
-    """Return (N,) whether two walls were seen from opposite sides, so that they are not one.
+    """Return (N,) whether two walls were seen from opposite sides; 0 is an unknown facing.
 
-    Args:
-        own, other: (N,) uint8 what they face; 0 says nothing.
-        turn: how far the own ones are turned, in parts of a turn.
+    The own ones are turned by ``turn``, in parts of a turn.
     """
     apart = (own.astype(np.int64) + turn - other) & (FACING_PARTS - 1)
     is_far = (apart >= OPPOSED_PARTS) & (apart <= FACING_PARTS - OPPOSED_PARTS)

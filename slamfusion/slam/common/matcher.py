@@ -47,9 +47,8 @@ class PoseHypothesis:
 
     Attributes:
         pose: (3,) x, y in metres and yaw in radians, map frame.
-        spread: (3,) standard deviations of x, y and yaw, how far to look around it.
+        spread: (3,) standard deviations of x, y and yaw.
         loss: cost of accepting it, in units of the score.
-        by_odometry: whether it is where odometry says.
         trust: factor on the loss for leaving its place, see ``search_pose``.
     """
 

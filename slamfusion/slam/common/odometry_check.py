@@ -42,13 +42,13 @@ BACKWARD_RAD = math.radians(150.0)
 
 @dataclass(frozen=True)
 class OdometryFit:
-    """How a path moves compared with the odometry; None where there is too little motion to say.
+    """How a path moves compared with the odometry; None if there is too little motion.
 
     Attributes:
-        turn: the path's turns over the odometry's, median of the steps: 1 where they agree, -1
-            where one of them is mirrored.
-        offset_rad: from the direction in which the odometry drives to the path's, both seen from
-            the robot; median.
+        turn: the path's turns over the odometry's, median of the steps: 1 if they agree, -1 if
+            one of them is mirrored.
+        offset_rad: median angle from the odometry's direction of travel to the path's, both seen
+            from the robot.
         length: the path's length over the odometry's, median.
         turns_together: share of the turning steps that are near the median.
         drives_together: share of the driving steps that are near the median offset and length.

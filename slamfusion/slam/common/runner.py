@@ -51,24 +51,23 @@ MANY_SKIPPED_SHARE = 0.2
 
 @dataclass(frozen=True, eq=False)
 class ProducerRun:
-    """What one producer made of a log, and what it took.
+    """The results of one producer on a log, and their cost.
 
     Attributes:
         trajectory: its pose at each scan, in the frame of the map.
-        odometry: raw odometry of the scans that have some; None where none has.
-        log: the log's record; None where the scans are from no log.
-        time_s: from the first scan asked for to the finished map, reading included.
-        feed_s: (N,) float64, seconds that the producer took for each scan, nothing else in it.
-        low_in_a_row: most matches one after the other whose score was below half of the mean.
+        odometry: raw odometry of the scans that have some; None if none has.
+        log: the log's record; None if the scans are from no log.
+        time_s: from the first scan requested to the finished map, reading included.
+        feed_s: (N,) float64, seconds that the producer itself took for each scan.
+        low_in_a_row: most consecutive matches whose score was below half of the mean.
         peak_memory_bytes: of map and filter together, host and device.
         process_peak_memory_bytes: of the whole process so far, as the system counts it.
-        is_complete: whether the scans came to their end, before the limit.
-        known_scans: of the log, that a resumed producer had been fed before and that were passed
-            over; ``scans`` counts all that it was fed in any run.
-        series: the producer's own quantities over time, to be plotted.
-        other_paths: what else it believes the path to be; best first.
-        match_scores: (N,) float64, the share of each fed scan's hits that fell on known walls; NaN
-            where it was not matched.
+        is_complete: whether the scans ended before the limit.
+        known_scans: scans skipped because a resumed producer had received them; ``scans`` counts
+            those of all runs.
+        other_paths: alternative paths, best first.
+        match_scores: (N,) float64, share of each fed scan's hits on known walls; NaN if it was not
+            matched.
     """
 
     name: str

@@ -62,18 +62,13 @@ class Tracker(Stateful):
     """Follows the robot from scan to scan.
 
     Attributes:
-        device: where the maps live.
-        health: the producer's record; match scores and disbelieved odometry are written there.
-        searches_again: search again, wider, where little fits; False leaves that to the producer.
-        resolves_degeneracy: odometry decides along a match's degenerate direction, as along a
-            corridor.
-        doubts_young_map: odometry counts for more while few scans are in the map.
-        expects_standstill: without odometry the robot is expected to stand rather than to go on as
-            it went.
-        pose: of the robot at the last scan; None before the first.
-        odometry: at the last scan.
-        step: what the robot did before the last scan, in its own frame.
-        stamp_s: time of the last scan.
+        health: the producer's record; receives match scores and rejected odometry.
+        searches_again: search again, wider, after a low match.
+        resolves_degeneracy: follow odometry along a match's degenerate direction, as in a corridor.
+        doubts_young_map: trust odometry more while few scans are in the map.
+        expects_standstill: without odometry expect the robot to stand, not to continue.
+        pose, odometry: at the last scan; None before the first or without odometry.
+        step: motion of the robot before the last scan, in its own frame.
         running_mean_score: of the last matches, 0 to 1; None before the first.
     """
 

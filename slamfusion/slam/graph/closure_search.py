@@ -186,12 +186,7 @@ AFTER_WINDOW_M, AFTER_WINDOW_RAD = 0.1, 0.02
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """Where a scan lies in a submap.
-
-    Attributes:
-        pose: (3,) of the robot in the submap's frame, metres and radians.
-        information: (3, 3) inverse covariance of it.
-    """
+    """Pose (3,) of the robot in a submap's frame, metres, radians, and (3, 3) information of it."""
 
     pose: F64
     information: F64

@@ -128,12 +128,9 @@ class RelocalizationHypothesis:
 
 @dataclass(frozen=True)
 class LoopCandidate:
-    """A submap that is to be searched.
+    """A submap to be searched, perhaps as a test of a hypothesis.
 
-    Attributes:
-        expected: pose of the robot in the map frame; None: anywhere.
-        drift_m: how far off that may be.
-        hypothesis: that this is to test; None for none.
+    ``expected`` is in the map frame, with an error of ``drift_m``; None: search everywhere.
     """
 
     index: int

@@ -247,13 +247,13 @@ class GraphHealth(Health):
 
 @dataclass
 class Solution:
-    """A solution under way: of the nodes and the first constraints that there were at its start.
+    """A solution in progress, of the nodes and the first constraints known at its start.
 
     Attributes:
         poses: (N, 3) to start from.
-        closures: times that closures came that it is the first to solve.
+        closures: number of closure events that it is the first to solve.
         tolerated: outliers without re-evaluation, see ``optimize``.
-        weights: of the solution before it.
+        weights: of the previous solution.
     """
 
     poses: F64
