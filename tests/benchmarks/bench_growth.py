@@ -101,7 +101,7 @@ def first_scans(log: Path, count: int) -> str:
 
 def cells(folder: Path) -> Iterator[Series]:
     """Three maps of more and more cells."""
-    sizes = (100, 1000, 2000, 4000, 8000)
+    sizes = (160, 1000, 2000, 4000, 8000)
     yield (
         "fuse 3 maps",
         "cells of a map",
@@ -113,9 +113,9 @@ def cells(folder: Path) -> Iterator[Series]:
 
 
 def inputs(folder: Path) -> Iterator[Series]:
-    """More and more maps of 800 x 800 cells; two of 100 x 100 show the cost of the command."""
+    """More and more maps of 800 x 800 cells; two of 160 x 160 show the cost of the command."""
     files = draw_maps(folder, 800, 16)
-    words = [(2, draw_maps(folder, 100, 2)), *((n, files[:n]) for n in (2, 4, 8, 16))]
+    words = [(2, draw_maps(folder, 160, 2)), *((n, files[:n]) for n in (2, 4, 8, 16))]
     yield (
         "fuse 800 x 800 cells",
         "maps",
@@ -201,7 +201,7 @@ def rows(series: Series, runs: int) -> list[tuple[str, ...]]:
     powers = exponent(sizes, cpu_s), exponent(sizes, peak_mib)
     shown = [
         " / ".join(f"{value:{form}}" for value in values)
-        for values, form in ((sizes[1:], ".3g"), (cpu_s[1:], ".3g"), (peak_mib[1:], ".0f"))
+        for values, form in ((sizes[1:], ",.0f"), (cpu_s[1:], ".3g"), (peak_mib[1:], ".0f"))
     ]
     own = f"{cpu_s[0]:.2g} s, {peak_mib[0]:.0f} MiB"
     return [(work, unit, shown[0], shown[1], powers[0], shown[2], powers[1], own)]
