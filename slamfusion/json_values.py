@@ -34,8 +34,6 @@ def record_keys(record: Any) -> dict[str, Any]:
 
 def plain(value: Any) -> Any:
     """Return records and nested values for JSON: no NumPy, paths, NaN or infinity."""
-    if hasattr(value, "to_json"):
-        return plain(value.to_json())  # keys, or a list of records
     if is_dataclass(value):
         value = record_keys(value)
     if isinstance(value, Mapping):

@@ -108,7 +108,7 @@ class Patches:
         of: (B,) int64, the patch of each hit.
         slopes: (B, 3) float64, how each hit's place along the normal of its patch changes with its
             scan's pose: x, y, yaw.
-        sides_m: (B,) float64, how far each hit lies beside the middle of its patch.
+        sides_m: (B,) float64, distance of each hit from the middle of its patch along the wall.
         away_m: (B,) float64, how far each hit lies from its patch along the normal.
         weights: (B,) float64, weight of each hit over its variance, 1 / m2; 0: none.
     """
@@ -142,15 +142,14 @@ class Patches:
         unity = np.hypot(*normals.T)
         normals /= np.maximum(unity, 1e-9)[:, None]
         middles = _means(of, sizes, places)
-        beside = places - middles[of]
+        offsets = places - middles[of]
         is_wall = (sizes >= LEAST_HITS) & (unity > LEAST_UNITY)
         sure = np.full(len(of), SPREAD_M**-2.0)
         turned = normals
         for _ in range(TURN_ROUNDS):
             normals = turned
             normal = normals[of]
-            across_m = np.asarray((beside * normal).sum(axis=1), dtype=np.float64)
-            sides_m = beside[:, 1] * normal[:, 0] - beside[:, 0] * normal[:, 1]
+            across_m, sides_m = _along(offsets, normal)
             say = np.ones(len(of))
             for _ in range(LINE_ROUNDS):
                 lines = _lines(of, count, sides_m, across_m, say * sure)
@@ -160,11 +159,23 @@ class Patches:
             is_used = is_wall[of] & (np.abs(away_m) < REACH_M)
             if by_kind and is_used.any():
                 sure = _spreads_m(away_m[is_used], hits.kinds[is_used])[hits.kinds] ** -2.0
-        slopes = np.column_stack((normal, x * normal[:, 1] - y * normal[:, 0]))
+        slopes = _slopes(np.stack((x, y), axis=1), normal)
         return cls(
             number, keys, middles, normals, lines, is_wall, of, slopes, sides_m, away_m,
             say * is_used * sure,
         )  # fmt: skip
+
+
+def _along(offsets: F64, normals: F64) -> tuple[F64, F64]:
+    """Return offsets, (B, 2), along normals and to the left of them, (B,) each."""
+    across_m = np.asarray((offsets * normals).sum(axis=1), dtype=np.float64)
+    return across_m, offsets[:, 1] * normals[:, 0] - offsets[:, 0] * normals[:, 1]
+
+
+def _slopes(arms: F64, normals: F64) -> F64:
+    """Return how places along normals change with a scan's pose, (B, 3); arms start at the scan."""
+    turning = arms[:, 0] * normals[:, 1] - arms[:, 1] * normals[:, 0]
+    return np.column_stack((normals, turning))
 
 
 def _turned_rad(facings_rad: F64, to_laser: F64) -> F64:
@@ -305,12 +316,10 @@ class WallMap:
         for own in self.lattices:
             keys = _keys(places, sides_rad, own.number)
             at = np.minimum(np.searchsorted(own.keys, keys), len(own.keys) - 1)
-            normal, beside = own.normals[at], places - own.middles[at]
-            across_m = (beside * normal).sum(axis=1)
-            sides_m = beside[:, 1] * normal[:, 0] - beside[:, 0] * normal[:, 1]
+            normal = own.normals[at]
+            across_m, sides_m = _along(places - own.middles[at], normal)
             away_m = across_m - own.lines[at, 0] - own.lines[at, 1] * sides_m
-            turning = arms[:, 0] * normal[:, 1] - arms[:, 1] * normal[:, 0]
             is_known = (own.keys[at] == keys) & own.is_wall[at]
-            found.append((np.column_stack((normal, turning)), away_m, is_known))
+            found.append((_slopes(arms, normal), away_m, is_known))
         slopes, distances_m, are_known = (np.concatenate(part) for part in zip(*found, strict=True))
         return slopes, distances_m, are_known

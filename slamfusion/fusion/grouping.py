@@ -32,7 +32,7 @@ from slamfusion.align.records import Alignment
 from slamfusion.align.search import SearchResult
 from slamfusion.align.shifts import parallel_shifts
 from slamfusion.config import AlignConfig
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import Pose2, pose_of, row_of
 from slamfusion.pose_graph import PoseGraph, optimize
 from slamfusion.pose_graph.uncertainty import inverted, moved
 
@@ -576,10 +576,10 @@ def solve_poses(
         covariance = np.diag([SHIFT_SIGMA_M, SHIFT_SIGMA_M, YAW_SIGMA_RAD]) ** 2
         way = -0.5 * np.array([[between.x, between.y]])
         covariances.append(moved(covariance[None], way)[0])
-        motions.append(_row(motion))
+        motions.append(row_of(motion))
     information = inverted(np.array(covariances))
     graph = PoseGraph(
-        poses=np.array([_row(node) for node in nodes]),
+        poses=np.array([row_of(node) for node in nodes]),
         edges=np.array([(number[pair.reference], number[pair.moving]) for pair in links]),
         motions=np.array(motions),
         information=0.5 * (information + information.transpose(0, 2, 1)),
@@ -587,7 +587,7 @@ def solve_poses(
     )
     solved = optimize(graph, robust="gnc", start="given")
     poses = {
-        name: Pose2(*(float(value) for value in row)).compose(middles[name].inverse())
+        name: pose_of(row).compose(middles[name].inverse())
         for name, row in zip(group, solved.poses, strict=True)
     }
     first = poses[group[0]].inverse()
@@ -602,7 +602,3 @@ def placed(pair: Pair, transform: Pose2) -> Alignment:
     measured = conclude(pair, AlignConfig(), found, transform, 1, began)
     reason = "placed over other maps, with which it is aligned"
     return replace(measured, transform=transform, accepted=True, reason=reason, decision="accepted")
-
-
-def _row(pose: Pose2) -> tuple[float, float, float]:
-    return pose.x, pose.y, pose.yaw_rad
