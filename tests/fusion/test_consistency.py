@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Mapping
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
+from slamfusion.align.features import GridFeatures
 from slamfusion.align.records import Alignment, MatchEvidence
 from slamfusion.compute import ComputeDevice
-from slamfusion.fusion.grouping import Candidate, GroupSearch, Implied
+from slamfusion.fusion.grouping import Candidate, GroupSearch, Implied, ImpliedPairs
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from tests.fusion.drawings import features_of
@@ -66,13 +68,21 @@ class Search(GroupSearch):
             3,
             lambda _: None,
         )
-        self.against, self.asked = set(against), list[str]()
-        self.implied.look = self._look  # type: ignore[method-assign]
+        self.implied = Given(self.features, 3, set(against))
         self.align_all()
 
     device: ComputeDevice
+    implied: Given
 
-    def _look(self, reference: str, moving: str, transform: Pose2) -> Implied:
+
+class Given(ImpliedPairs):
+    """Says of each pair whether its walls contradict others, and notes what was asked."""
+
+    def __init__(self, features: Mapping[str, GridFeatures], pairs: int, against: set[str]) -> None:
+        super().__init__(features, pairs)
+        self.against, self.asked = against, list[str]()
+
+    def look(self, reference: str, moving: str, transform: Pose2) -> Implied:
         self.asked.append(reference + moving)
         right = pair(moving, reference).transform
         assert (transform.x, transform.y) == pytest.approx((right.x, right.y))
@@ -148,12 +158,12 @@ def test_a_rejected_pair_is_asked_about_where_the_others_put_it() -> None:
     pairs = [pair("b", "a"), pair("c", "a"), pair("c", "b", error=ASIDE, accepted=False)]
     search = Search("abc", pairs)
     assert search.run()[0][0].members == ("a", "b", "c")
-    assert search.asked == ["bc"]
+    assert search.implied.asked == ["bc"]
     # Rejected pairs to a map of no group are no question.
     apart = [pair("b", "a"), pair("c", "a", accepted=False), pair("c", "b", accepted=False)]
     search = Search("abc", apart)
     assert search.run()[0][0].members == ("a", "b")
-    assert not search.asked
+    assert not search.implied.asked
 
 
 def test_links_are_taken_back_over_a_rejected_pair_that_walls_contradict() -> None:
