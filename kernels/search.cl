@@ -11,7 +11,7 @@
  * fields: uchar planes, field_stride bytes from one k to the next (0: one plane for all);
  * offsets (count or 1, points) int: row * field_width + col of each point, offset_stride ints apart;
  * spans (count, ceil(points / SHIFT_POINTS)) int4: first and last row, first and last column of the
- * shifts at which any of so many points reads something else than `base`; elsewhere none is read;
+ * shifts at which any of SHIFT_POINTS points reads something else than `base`; elsewhere none is read;
  * scores (count, shift_height, shift_width) int, shift_width a multiple of SHIFT_LANES.
  * Global: (shift_width / SHIFT_LANES, ceil(shift_height / SHIFT_ROWS), count). */
 __kernel void correlate(__global const uchar *fields, const int field_stride, const int field_width,

@@ -4,7 +4,7 @@
  */
 #include "common.h"
 
-/* Whether two bytes say that walls were seen from opposite sides, the own one's turned by so many
+/* Whether two bytes say that walls were seen from opposite sides, the own one's turned by `turn`
  * parts. 0 says nothing. */
 inline bool is_another(const int own, const int other, const int turn) {
   if (!own || !other) return false;

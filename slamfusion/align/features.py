@@ -80,7 +80,7 @@ def spread_sample(points: npt.NDArray[np.int32], most: int) -> npt.NDArray[np.in
 
 @lru_cache(maxsize=64)
 def _spread_rows(count: int, most: int) -> npt.NDArray[np.intp]:
-    """Return ``most`` of so many rows, evenly strided."""
+    """Return ``most`` row numbers, evenly strided."""
     rows = (np.arange(most, dtype=np.intp) * count) // most
     rows.flags.writeable = False
     return rows

@@ -49,7 +49,7 @@ class Settings:
 
 
 def _settings() -> Settings:
-    """Return those of the running command; without one, nobody's."""
+    """Return those of the running command; without one, those of no command."""
     context = click.get_current_context(silent=True)
     return Settings() if context is None else context.ensure_object(Settings)
 

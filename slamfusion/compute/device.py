@@ -40,7 +40,8 @@ def intel_library() -> Path | None:
 
     The extra's wheel puts ``libintelocl.so`` into the environment's ``lib`` folder, with an entry
     for OpenCL's loader that names the folder of another machine. So the loader gets a folder with
-    the usual entries and this one. It is no default where PoCL works, which is as fast.
+    the usual entries and this one. It is no default where PoCL works, which is as fast; and its
+    threads wait busily.
     """
     if sys.platform != "linux" or platform.machine() != "x86_64":
         return None

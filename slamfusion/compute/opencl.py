@@ -97,8 +97,8 @@ class KernelProgram:
         return kernel
 
 
-# PoCL compiles a kernel for every new work-group size, so there is one fixed size for each number
-# of dimensions. A group of one dimension is a round of a climb.
+# PoCL compiles a kernel for every new work-group size, and chooses slow sizes by itself: one fixed
+# size for each number of dimensions. A group of one dimension is a round of a climb.
 LOCAL_SIZES = {1: (CLIMBERS,), 2: (16, 4), 3: (1, 4, 1)}
 
 

@@ -1,7 +1,7 @@
 """Resample aligned grids on one lattice and vote, tile by tile.
 
-Only inputs that know something in a tile vote there, so many distant maps and large ones fit into
-memory. Tiles overlap as far as a cell affects others.
+Only inputs that know something in a tile vote there, which lets large maps and many distant ones
+fit into memory. Tiles overlap as far as a cell affects others.
 
 The cells of each input are resampled once: as an array (``GridLayer``), or, if a vote does not fit
 into memory, in compressed blocks (``PackedLayer``), which are sent to the process that decides the

@@ -66,7 +66,7 @@ CORRECTED_S = 1.0
 # metres and radians.
 CORRECTION_M, CORRECTION_RAD = 0.05, 0.02
 STEP_M, STEP_RAD = 0.01, 0.005
-# The last scans are added to the walls, where they were located, each time so many more were.
+# The last located scans are added to the walls each time this number of scans was located.
 ADDED_SCANS = 5
 # A stamp that goes back by more, seconds, is that of a new drive.
 BACK_S = 1.0

@@ -79,7 +79,7 @@ def draw_maps(folder: Path, cells: int, count: int) -> list[str]:
 
 
 def draw_log(folder: Path, beams: int) -> Path:
-    """Simulate an office with a laser of so many beams; return the log."""
+    """Simulate an office with a laser of ``beams`` beams; return the log."""
     course = named_course("office", SEED)
     course = replace(course, lidar=replace(course.lidar, beams=beams))
     recording = simulate(course, open_device("auto"))
