@@ -1,41 +1,60 @@
-"""Run a producer on every recorded and simulated drive, over several seeds.
+"""Measure a SLAM on recorded drives, simulated courses and corrected logs: accuracy and time.
 
-    python -m tests.benchmarks.bench_slam --seeds 5 --maps out/bench_slam
+    python -m tests.benchmarks.bench_slam graph --part recordings --seeds 5 --maps out/bench_slam
 
-Per drive: the error of the raw odometry and of the best trajectory in the folder (the floor), the
-producer's error over the seeds (mean, deviation, worst), the time a scan takes, and the memory of
-the map. Errors are the mean translation over the relations where there are some [K09], or else the
-root mean square of the absolute trajectory error against the simulated truth. With --maps the map
-of the first seed of each drive is written, to be looked at.
+recordings: mean translation over all relations [K09] of the final path and of the path as first
+reported, of the raw odometry, and of the best trajectory in the folder (the floor). That of Intel
+ends early: ours is given on its relations too. Drives without relations have times only.
+courses: simulated drives, another course with every seed: absolute trajectory error, error of the
+last pose seen from the first, walls against the truth, and closures. A closure that joins what is
+over 0.5 m or 0.1 rad apart is false.
+logs: gmapping-corrected logs of more buildings, driven by their reconstructed odometry. Distances
+are to gmapping's answer, which is no truth.
+
+With --maps the first seed's maps are written as PNG, of logs with a report. --config takes a YAML
+file of settings, as the command line does, e.g. gmapping's published profile.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
-from dataclasses import replace
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
+import pandas as pd
 from rich.table import Table
 
-from slamfusion.compute import ComputeDevice, open_device
-from slamfusion.config import RunConfig
-from slamfusion.config.sim import LidarName
-from slamfusion.evaluation import Relations
+from slamfusion.compute import ComputeDevice
+from slamfusion.config import DeviceConfig, RunConfig
+from slamfusion.config.run import LidarName
+from slamfusion.evaluation import (
+    Relations,
+    compare_to_truth,
+    doubled_wall_share,
+    errors_at_scans,
+    mean_interval,
+    trajectory_errors,
+)
 from slamfusion.evaluation.odometry import match_odometry
-from slamfusion.experiments.tinyslam import ATE, RELATIONS, Drive, read_drive
-from slamfusion.io import open_log, read_trajectory, save_map
+from slamfusion.experiments.tinyslam import RELATIONS, Drive, read_drive
+from slamfusion.fusion.path_check import moved_path
+from slamfusion.geometry import F64, compose_poses, invert_poses, wrap_angles
+from slamfusion.grid import OccupancyGrid
+from slamfusion.io import LogScan, open_log, read_trajectory, save_map
+from slamfusion.io.log import odometry_path
 from slamfusion.jobs.map_log import LogFiles
 from slamfusion.jobs.trajectory import Yardsticks
-from slamfusion.sim.courses import named_course, with_overrides
-from slamfusion.sim.simulate import simulate
-from slamfusion.slam.common.runner import run_producer
-from slamfusion.slam.registry import BUILT_IN, make_producer
+from slamfusion.sim import named_course, simulate, with_overrides
+from slamfusion.slam.common.mapper import Closure
+from slamfusion.slam.common.runner import ProducerRun, run_producer
+from slamfusion.slam.registry import BUILT_IN, load_config, make_producer, open_producer_device
 from slamfusion.trajectory import Trajectory
-from tests.benchmarks.producer_bench import over_seeds, shown
 from tests.benchmarks.record import add_record_option, console_for
-from tests.support.datasets import DATASETS
+from tests.support.datasets import ABSENT, DATASETS
 
 CSAIL, INTEL = DATASETS / "mit-csail", DATASETS / "intel"
 MEASURED = (
@@ -55,115 +74,368 @@ BEST = {
     "intel-910-raw": INTEL / "intel-estimate-11439.txt.gz",
 }
 UNMEASURED = ("tinyslam/exp1.dat.gz", "tinyslam/exp2.dat.gz", "rosbags/test_turtlebot.bag")
-SIMULATED: tuple[tuple[str, LidarName], ...] = (
-    *(("office", "hokuyo"), ("office", "rplidar"), ("hall", "hokuyo"), ("hall", "rplidar")),
-    *(("office", "kinect"), ("f16", "kinect")),
-)
+LIDARS = ("hokuyo", "rplidar", "kinect")
+# Courses by the question that a SLAM's page asks; a lidar other than the course's after a comma.
+COURSES = {
+    "tinyslam": (*(f"{place}, {own}" for place in ("office", "hall") for own in LIDARS), "f16"),
+    "gmapping": ("yard-tracks", "yard", "office"),
+    "graph": ("ring-100", "ring-300", "wings", "pillars", "rooms", "corridor", "office"),
+}
+# A closure that is off by more joins two places that are not one; ties of neighbours are no loops.
+FALSE_M, FALSE_RAD, LOOP_S = 0.5, 0.1, 5.0
+# One that is off a corrected path by more is worth a look.
+OFF_M, OFF_RAD = 1.0, 0.2
+# A closure of less weight is an outlier.
+USED_FROM = 0.5
+
+Row = dict[str, Any]
 
 
-def drives(config: RunConfig, device: ComputeDevice) -> Iterator[Drive]:
-    """Yield every drive; recorded ones first."""
-    for files in MEASURED:
-        if files.log.exists():
-            yield read_drive(files, config)
-    for name in UNMEASURED:
-        if (DATASETS / name).exists():
-            scans = tuple(open_log(DATASETS / name, config.log))
-            yield Drive(Path(name).name.split(".")[0], scans, Yardsticks())
-    for world, lidar in SIMULATED:
-        course = named_course(world, config.seed)
-        if world != "f16":
-            course = with_overrides(course, replace(config.simulate, lidar=lidar))
-        recording = simulate(course, device)
-        yield Drive(f"{world}, {lidar}", recording.scans, Yardsticks(truth=recording.truth))
+@dataclass(frozen=True)
+class Bench:
+    """One part of the benchmark.
 
-
-def within_floor(drive: Drive, config: RunConfig) -> Drive | None:
-    """Return the drive with the relations alone that the best trajectory in the folder covers.
-
-    That of Intel ends before the run does, and where it ends scans lie farther apart: a fair floor
-    and a fair error are those on the same relations.
+    Attributes:
+        config: settings of the producer, and of the measures.
+        seeds: of the runs, and of the simulated courses.
+        only: names of drives, courses or logs; empty: all of them.
+        uses_odometry: False strips it from the scans.
+        maps: folder for the first seed's maps; None: none are written.
     """
-    if drive.name not in BEST or drive.held.relations is None:
-        return None
-    best = read_trajectory(BEST[drive.name], config.log)
+
+    producer: str
+    config: RunConfig
+    device: ComputeDevice
+    seeds: range
+    only: Sequence[str]
+    uses_odometry: bool
+    maps: Path | None
+
+    def chosen(self, names: Iterable[str]) -> list[str]:
+        """Return the names that are asked for."""
+        return [name for name in names if not self.only or name in self.only]
+
+    def run(self, name: str, scans: Iterable[LogScan], seed: int, **more: Any) -> ProducerRun:
+        """Run a fresh producer, and write its map."""
+        if not self.uses_odometry:
+            scans = (replace(item, odometry=None) for item in scans)
+        mapper = make_producer(self.producer, replace(self.config, seed=seed), self.device)
+        run = run_producer(mapper, scans, **more)
+        self.keep_map(run.grid, seed, name)
+        return run
+
+    def keep_map(self, grid: OccupancyGrid, seed: int, name: str) -> None:
+        """Write a map of the first seed where maps are wanted."""
+        if self.maps is not None and seed == self.seeds[0]:
+            save_map(grid, self.maps / name.replace(", ", "-"), image_format="png")
+
+    def ate(self, path: Trajectory | None, truth: Trajectory) -> tuple[float, float]:
+        """Return the absolute trajectory error, rms and farthest, metres; NaN without a path."""
+        if path is None or not len(path):
+            return np.nan, np.nan
+        found = trajectory_errors(path, truth, self.config.trajectory).ate
+        return found.rmse, found.max
+
+
+def online(run: ProducerRun) -> Trajectory:
+    """Return the path as first reported; the final one where the producer keeps no other."""
+    return run.online_path() or run.trajectory
+
+
+def cost(run: ProducerRun) -> Row:
+    """Return the times of a scan, and the memory of the map."""
+    times = run.time_per_scan_ms()
+    return {
+        "ms": times["mean"],
+        "p95 ms": times["p95"],
+        "p99.9 ms": times["p999"],
+        "longest ms": times["max"],
+        "map MB": run.peak_memory_bytes / 1e6,
+        "low in a row": run.low_in_a_row,
+    }
+
+
+# --- recordings ----------------------------------------------------------------------------------
+
+
+def recorded(bench: Bench) -> Iterator[Drive]:
+    """Yield the recorded drives that are asked for; those with relations first."""
+    found = False
+    for files in MEASURED:
+        if files.log.exists() and bench.chosen([files.log.name.split(".")[0]]):
+            found = True
+            yield read_drive(files, bench.config)
+    for name in UNMEASURED:
+        own = Path(name).name.split(".")[0]
+        if (DATASETS / name).exists() and bench.chosen([own]):
+            found = True
+            yield Drive(own, tuple(open_log(DATASETS / name, bench.config.log)), Yardsticks())
+    if not found:
+        raise SystemExit(ABSENT)
+
+
+def within_floor(drive: Drive, best: Trajectory) -> Drive:
+    """Return the drive with the relations alone that the best trajectory covers.
+
+    Where that of Intel ends, scans lie farther apart: a fair floor and a fair error are those on
+    the same relations.
+    """
     known = drive.held.relations
+    if known is None:
+        return drive
     inside = known.stamps_s.max(axis=1) <= best.stamps_s[-1]
     part = Relations(known.stamps_s[inside], known.motions[inside])
     return replace(drive, held=replace(drive.held, relations=part))
 
 
-def scan_odometry(drive: Drive) -> Trajectory:
-    """Return the raw odometry of the scans of a drive."""
-    known = [(item.scan.stamp_s, pose) for item in drive.scans if (pose := item.odometry)]
-    rows = np.array([(pose.x, pose.y, pose.yaw_rad) for _, pose in known])
-    return Trajectory(np.array([stamp_s for stamp_s, _ in known]), rows, drive.name)
+def at_scans(drive: Drive, path: Trajectory, config: RunConfig) -> Trajectory:
+    """Return the poses of the best trajectory at the drive's scans."""
+    if drive.held.odometry is None:
+        return path
+    scans = odometry_path(drive.scans, drive.name)
+    matched = match_odometry(scans, drive.held.odometry)
+    stamps_s = drive.held.odometry.stamps_s[matched]
+    nearest, is_matched = path.matches(stamps_s, config.trajectory.tolerance_s)
+    known = (matched >= 0) & is_matched
+    return Trajectory(scans.stamps_s[known], path.poses[nearest[known]], path.name)
 
 
-def floor(drive: Drive, config: RunConfig) -> float | None:
-    """Return the error of the best trajectory in the folder at the drive's scans."""
-    part = within_floor(drive, config)
-    if part is None:
-        return None
-    best = read_trajectory(BEST[drive.name], config.log)
-    if drive.held.odometry is not None:
-        own, scans = config.trajectory, scan_odometry(drive)
-        matched = match_odometry(scans, drive.held.odometry)
-        stamps_s = drive.held.odometry.stamps_s[matched]
-        nearest, is_matched = best.matches(stamps_s, own.tolerance_s)
-        known = (matched >= 0) & is_matched
-        best = Trajectory(scans.stamps_s[known], best.poses[nearest[known]], best.name)
-    return error(part, best, config)
+def recordings(bench: Bench) -> Iterator[Row]:
+    """Errors on the relations, of the final path and as first reported, and the floor; times."""
+
+    def error(drive: Drive, path: Trajectory) -> float:
+        return drive.errors(path, bench.config).get(RELATIONS, np.nan) if len(path) else np.nan
+
+    for drive in recorded(bench):
+        row: Row = {"drive": drive.name, "scans": len(drive.scans)}
+        row["beams"] = len(drive.scans[0].scan)
+        row["odometry m"] = error(drive, odometry_path(drive.scans, drive.name))
+        part = None
+        if drive.name in BEST:
+            best = read_trajectory(BEST[drive.name], bench.config.log)
+            part = within_floor(drive, best)
+            row["floor m"] = error(part, at_scans(drive, best, bench.config))
+        for seed in bench.seeds:
+            run = bench.run(drive.name, drive.scans, seed)
+            row["error m"] = error(drive, run.trajectory)
+            row["where the floor is m"] = np.nan if part is None else error(part, run.trajectory)
+            row["online m"] = error(drive, online(run))
+            if drive.held.relations is not None:
+                own = errors_at_scans(run.trajectory, drive.held.relations)
+                if own is not None:
+                    row["at scans m"] = own.translation_m.mean()
+                    row["at scans, from (95 %)"], row["to"] = mean_interval(own.translation_m)
+            yield row | cost(run)
 
 
-def error(drive: Drive, trajectory: Trajectory | None, config: RunConfig) -> float | None:
-    """Return the drive's own measure of a trajectory."""
-    if trajectory is None or len(trajectory) == 0:
-        return None
-    found = drive.errors(trajectory, config)
-    return found.get(RELATIONS, found.get(ATE))
+# --- courses -------------------------------------------------------------------------------------
+
+
+def loops(closures: Iterable[Closure]) -> list[Closure]:
+    """Return the closures that join two visits of a place, not two moments of one."""
+    return [item for item in closures if abs(item.end_s - item.start_s) > LOOP_S]
+
+
+def closure_errors(closures: Sequence[Closure], truth: Trajectory) -> F64:
+    """Return how far closures at stamps of the truth are from it, (N, 2): metres, radians."""
+    if not closures:
+        return np.zeros((0, 2))
+    nearest = truth.nearest([(item.start_s, item.end_s) for item in closures])
+    first, second = truth.poses[nearest[:, 0]], truth.poses[nearest[:, 1]]
+    said = np.array([(m.x, m.y, m.yaw_rad) for m in (item.motion for item in closures)])
+    left = compose_poses(invert_poses(compose_poses(invert_poses(first), second)), said)
+    return np.stack((np.hypot(left[:, 0], left[:, 1]), np.abs(wrap_angles(left[:, 2]))), axis=1)
+
+
+def closed(run: ProducerRun, truth: Trajectory) -> Row:
+    """Return how many loop closures are used, and how many of these and of the others are false."""
+    own = loops(run.closures)
+    errors = closure_errors(own, truth)
+    is_used = np.array([item.weight >= USED_FROM for item in own], dtype=np.bool_)
+    is_false = (errors[:, 0] > FALSE_M) | (errors[:, 1] > FALSE_RAD)
+    return {
+        "closures": int(is_used.sum()),
+        "false": int((is_used & is_false).sum()),
+        "false, not used": int((~is_used & is_false).sum()),
+        "worst closure m": errors[is_used, 0].max(initial=0.0),
+    }
+
+
+def end_error(estimate: Trajectory, truth: Trajectory) -> tuple[float, float]:
+    """Return how wrong the last pose is, seen from the first: metres, degrees."""
+    motions = [
+        compose_poses(invert_poses(own.poses[0]), own.poses[-1]) for own in (truth, estimate)
+    ]
+    x, y, yaw_rad = compose_poses(invert_poses(motions[0]), motions[1])
+    return float(np.hypot(x, y)), float(np.degrees(abs(yaw_rad)))
+
+
+def courses(bench: Bench) -> Iterator[Row]:
+    """Errors of path, map and closures on simulated courses."""
+    known = dict.fromkeys(name for own in COURSES.values() for name in own)
+    for name in bench.chosen(known) if bench.only else COURSES[bench.producer]:
+        place, _, lidar = name.partition(", ")
+        for seed in bench.seeds:
+            course = named_course(place, seed)
+            if lidar:
+                settings = bench.config.simulate
+                course = with_overrides(course, replace(settings, lidar=cast("LidarName", lidar)))
+            recording = simulate(course, bench.device)
+            truth, grid = recording.truth, recording.world.grid
+            bench.keep_map(grid, seed, f"{name}-truth")
+            run = bench.run(name, recording.scans, seed)
+            errors = trajectory_errors(run.trajectory, truth, bench.config.trajectory)
+            row: Row = {"course": name, "path m": truth.path_length_m()}
+            row["odometry m"] = bench.ate(recording.odometry(), truth)[0]
+            row["ATE m"], row["farthest m"] = errors.ate.rmse, errors.ate.max
+            row["online m"] = bench.ate(online(run), truth)[0]
+            row["end m"], row["end deg"] = end_error(run.trajectory, truth)
+            walls = compare_to_truth(
+                run.grid,
+                grid,
+                errors.pose_truth_estimate,
+                normalize=bench.config.fusion.normalize,
+                tolerance_m=bench.config.evaluate.tolerance_m,
+            )
+            row["precision"], row["recall"] = walls.wall_precision, walls.wall_recall
+            row["F1"] = walls.wall_f1
+            row["off m"] = walls.map_to_truth_m.mean if walls.map_to_truth_m else np.nan
+            row["doubled %"] = 100.0 * doubled_wall_share(run.grid)
+            yield row | closed(run, truth) | cost(run)
+
+
+# --- corrected logs ------------------------------------------------------------------------------
+
+
+def logs(bench: Bench) -> Iterator[Row]:
+    """Health on corrected logs by reconstructed odometry, and distance to gmapping's answer."""
+    found = {
+        log.name.removesuffix("-corrected.log.gz"): log
+        for folder in ("radish-corrected", "mit-killian")
+        for log in sorted((DATASETS / folder).glob("*-corrected.log.gz"))
+    }
+    if not found:
+        raise SystemExit(ABSENT)
+    for name in bench.chosen(found):
+        beside = found[name].with_name(f"{name}.odom.csv.gz")
+        odometry = beside if beside.exists() else None
+        own = replace(bench, uses_odometry=bench.uses_odometry and odometry is not None)
+        corrected = read_trajectory(found[name], bench.config.log)
+        for seed in bench.seeds:
+            log = open_log(found[name], bench.config.log, odometry)
+            run = own.run(name, log, seed, log=log)
+            if bench.maps is not None and seed == bench.seeds[0]:
+                write_report(bench.maps / name, run, corrected, bench.config)
+            for sentence in (*run.health.skips.sentences("scan"), *run.warnings()):
+                print(f"{name}: {sentence}")
+            used = [item for item in loops(run.closures) if item.weight >= USED_FROM]
+            off = closure_errors(used, corrected) > (OFF_M, OFF_RAD)
+            row: Row = {"log": name, "scans": run.scans}
+            row["way m"] = corrected.path_length_m()
+            row["closures"], row["off"] = len(used), int(off.any(axis=1).sum())
+            row["low scores"] = run.health.low_scores
+            row["to corrected m"], row["farthest m"] = bench.ate(run.trajectory, corrected)
+            row["online m"] = bench.ate(online(run), corrected)[0]
+            row["odometry m"] = bench.ate(run.odometry if odometry else None, corrected)[0]
+            row["doubled %"] = 100.0 * doubled_wall_share(run.grid)
+            yield row | cost(run)
+
+
+def write_report(folder: Path, run: ProducerRun, corrected: Trajectory, config: RunConfig) -> None:
+    """Write the report of a run, with the corrected path next to its own."""
+    from slamfusion.report import write_slam_report  # noqa: PLC0415  (loads matplotlib)
+
+    moved = trajectory_errors(corrected, run.trajectory, config.trajectory).pose_truth_estimate
+    other = replace(moved_path(corrected, moved), name="the corrected log, aligned")
+    shown = replace(run, other_paths=(*run.other_paths, other))
+    write_slam_report(folder, shown, config=config)
+
+
+# --- tables --------------------------------------------------------------------------------------
+
+# Figures of which more than the mean over the seeds is shown.
+SHOWN = {
+    "error m": ("mean", "std", "median", "max"),
+    "ATE m": ("mean", "std", "max"),
+    "online m": ("mean", "max"),
+    "end m": ("mean", "max"),
+    "end deg": ("mean", "max"),
+    **dict.fromkeys(("closures", "false", "false, not used"), ("sum",)),
+    **dict.fromkeys(("ms", "p95 ms", "p99.9 ms"), ("median",)),
+    **dict.fromkeys(
+        ("farthest m", "worst closure m", "longest ms", "map MB", "low in a row"), ("max",)
+    ),
+}
+
+
+def table_of(rows: Iterable[Row], title: str) -> Table:
+    """Return the figures of runs as a table, joined over the seeds of each drive."""
+    frame = pd.DataFrame(rows)
+    name = frame.columns[0]
+    groups = frame.groupby(name, sort=False)
+    table = Table(name, title=title)
+    columns = []
+    for figure in frame.columns[1:]:
+        joined = SHOWN.get(figure, ("mean",))
+        for how in joined:
+            table.add_column(figure if len(joined) == 1 else f"{figure}, {how}")
+            columns.append([shown(value) for value in groups[figure].agg(how)])
+    for own, *cells in zip(groups.groups, *columns, strict=True):
+        table.add_row(str(own), *cells)
+    return table
+
+
+def shown(value: float) -> str:
+    """Return a figure: of lengths the tenth of a millimetre."""
+    if np.isnan(value) or value == round(value):
+        return "-" if np.isnan(value) else f"{value:.0f}"
+    return f"{value:.4f}" if abs(value) < 1.0 else f"{value:.5g}"
+
+
+# Each part, and how many seeds it takes where none are asked for.
+PARTS: dict[str, tuple[Callable[[Bench], Iterator[Row]], int]] = {
+    "recordings": (recordings, 5),
+    "courses": (courses, 5),
+    "logs": (logs, 1),
+}
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--producer", choices=tuple(BUILT_IN), default="tinyslam")
-    parser.add_argument("--seeds", type=int, default=5)
-    parser.add_argument("--device", default="auto")
-    parser.add_argument("--maps", type=Path)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("producer", choices=BUILT_IN)
+    parser.add_argument("--part", choices=PARTS, action="append", help="default: all")
+    parser.add_argument("--only", action="append", metavar="NAME", help="drive, course or log")
+    parser.add_argument("--seeds", type=int, help="default: 5; logs 1")
+    parser.add_argument("--first-seed", type=int, default=0)
+    parser.add_argument("--no-odometry", action="store_true", help="on the laser alone")
+    parser.add_argument("--maps", type=Path, metavar="DIR")
+    parser.add_argument("--config", type=Path, metavar="FILE")
+    parser.add_argument("--device")
     add_record_option(parser)
     options = parser.parse_args()
-    config = RunConfig()
-    device = open_device(options.device, small_kernels=True)
-    columns = "scans, beams, odometry m, floor m, mean m, dev. m, worst m, ms, p95 ms, map MB"
-    table = Table(title=f"{options.producer}, {options.seeds} seeds, {device.name}")
-    for column in ("drive", *columns.split(", ")):
-        table.add_column(column)
-    for drive in drives(config, device):
-        runs = [
-            run_producer(
-                make_producer(options.producer, replace(config, seed=seed), device), drive.scans
-            )
-            for seed in range(options.seeds)
-        ]
-        errors = [error(drive, run.trajectory, config) for run in runs]
-        known = [value for value in errors if value is not None]
-        figures = over_seeds(known) if known else ["-"] * 4
-        times = [run.time_per_scan_ms() for run in runs]
-        table.add_row(
-            drive.name,
-            str(len(drive.scans)),
-            str(len(drive.scans[0].scan)),
-            shown(error(drive, scan_odometry(drive), config)),
-            shown(floor(drive, config)),
-            *(figures[index] for index in (0, 1, 3)),
-            f"{np.median([time['mean'] for time in times]):.2f}",
-            f"{np.median([time['p95'] for time in times]):.2f}",
-            f"{max(run.peak_memory_bytes for run in runs) / 1e6:.1f}",
+    config = load_config(options.config) if options.config else RunConfig()
+    if options.device:
+        config = replace(config, device=DeviceConfig(options.device))
+    device = open_producer_device(options.producer, config)
+    for name in options.part or PARTS:
+        part, count = PARTS[name]
+        first = options.first_seed
+        bench = Bench(
+            options.producer,
+            config,
+            device,
+            range(first, first + (options.seeds or count)),
+            options.only or (),
+            not options.no_odometry,
+            None if options.maps is None else options.maps / name,
         )
-        if options.maps is not None:
-            options.maps.mkdir(parents=True, exist_ok=True)
-            save_map(runs[0].grid, options.maps / drive.name.replace(", ", "-"))
-    console_for(options.producer, options.record, width=160).print(table)
+        began_s = time.perf_counter()
+        title = f"{name}; {options.producer}, {len(bench.seeds)} seeds, {device.name}"
+        console = console_for(f"{options.producer}-{name}", options.record, width=330)
+        console.print(table_of(part(bench), title))
+        console.print(f"{name}: {time.perf_counter() - began_s:.0f} s in all\n", highlight=False)
 
 
 if __name__ == "__main__":

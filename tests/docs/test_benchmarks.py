@@ -100,14 +100,13 @@ def test_a_console_keeps_every_table_that_it_prints(tmp_path: Path):
 
 @pytest.mark.parametrize("path", sorted(BENCHMARKS.glob("bench_*.py")), ids=lambda path: path.stem)
 def test_every_benchmark_can_keep_its_table(path: Path):
-    """Those of one producer have the option, and the console, from ``parts``."""
     module = ast.parse(path.read_text(encoding="utf-8"))
     called = {
         node.func.id
         for node in ast.walk(module)
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
     }
-    assert {"add_record_option", "console_for"} <= called or {"parser_of", "measure"} <= called
+    assert {"add_record_option", "console_for"} <= called
 
 
 @pytest.mark.parametrize(
