@@ -42,6 +42,10 @@ from slamfusion.jobs.compare import (
     compare_results as compare_results,
     write_comparison_plot as write_comparison_plot,
 )
+from slamfusion.evaluation.measured import (
+    Measures as Measures,
+    measure_trajectory as measure_trajectory,
+)
 from slamfusion.jobs.evaluate import (
     evaluate_maps as evaluate_maps,
     measure_distances as measure_distances,
@@ -57,6 +61,7 @@ from slamfusion.jobs.graph import (
     optimize_graph as optimize_graph,
     save_optimized_graph as save_optimized_graph,
 )
+from slamfusion.jobs.inputs import LogFiles as LogFiles
 from slamfusion.jobs.judge import (
     JudgedPaths as JudgedPaths,
     judge_paths as judge_paths,
@@ -81,11 +86,8 @@ from slamfusion.jobs.simulate import (
     simulate_course as simulate_course,
 )
 from slamfusion.jobs.trajectory import (
-    KnownFiles as KnownFiles,
     MeasuredTrajectory as MeasuredTrajectory,
-    Measures as Measures,
     measure_trajectories as measure_trajectories,
-    measure_trajectory as measure_trajectory,
     write_trajectories as write_trajectories,
 )
 from slamfusion.scan import LaserScan as LaserScan

@@ -14,21 +14,29 @@ import numpy as np
 FLAT = {"flat": True}
 
 
+def printed_with(name: str) -> dict[str, str]:
+    """Return the metadata of a field that is printed where the field of this name is not None."""
+    return {"with": name}
+
+
 def record_keys(record: Any) -> dict[str, Any]:
     """Return the keys of a record (a dataclass) with their values.
 
     Fields with ``repr=False`` are not printed; the keys of a record in a field with the metadata
-    ``FLAT`` replace that field. A method ``to_json`` replaces all this.
+    ``FLAT`` replace that field, and None has no keys. A method ``to_json`` replaces all this.
     """
     if hasattr(record, "to_json"):
         found: Any = record.to_json()
         return record_keys(found) if is_dataclass(found) else found
     keys: dict[str, Any] = {}
     for item in fields(record):
+        value = getattr(record, item.name)
         if item.metadata == FLAT:
-            keys |= record_keys(getattr(record, item.name))
+            keys |= {} if value is None else record_keys(value)
         elif item.repr:
-            keys[item.name] = getattr(record, item.name)
+            partner = item.metadata.get("with")
+            if partner is None or getattr(record, partner) is not None:
+                keys[item.name] = value
     return keys
 
 

@@ -79,7 +79,7 @@ def print_comparison(found: ComparedResults) -> None:
 
 def _print_figures(found: ComparedResults) -> None:
     """Print every figure of every two results."""
-    from slamfusion.evaluation import figure_of  # noqa: PLC0415  (loads slowly)
+    from slamfusion.evaluation.measured import figure_of  # noqa: PLC0415  (loads slowly)
 
     has_names = len(found.results) > 2
     rows = [

@@ -37,7 +37,7 @@ from slamfusion.jobs.documents import number
 from slamfusion.jobs.inputs import PixelSizes, device_for, distinct_names, load_maps, map_file
 
 if TYPE_CHECKING:
-    from slamfusion.evaluation import DistanceComparison
+    from slamfusion.evaluation.distances import DistanceComparison
     from slamfusion.grid import OccupancyGrid
 
 

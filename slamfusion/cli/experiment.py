@@ -29,7 +29,7 @@ from slamfusion.jobs.inputs import device_for
 if TYPE_CHECKING:
     from slamfusion.experiments.page import Experiment
     from slamfusion.experiments.runs import Setup
-    from slamfusion.jobs.map_log import LogFiles
+    from slamfusion.jobs.inputs import LogFiles
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -143,7 +143,7 @@ def occupancy_estimator(setup: Setup, log_path: Path | None, **others: Path | No
     Uses simulated office floors, whose truth is known, and a recorded drive with --log.
     """
     from slamfusion.experiments.tinyslam import sweep_estimators  # noqa: PLC0415
-    from slamfusion.jobs.map_log import LogFiles  # noqa: PLC0415
+    from slamfusion.jobs.inputs import LogFiles  # noqa: PLC0415
 
     if log_path is None and any(path is not None for path in others.values()):
         message = "--relations, --odometry and --reference belong to a recorded drive; give --log"
@@ -178,7 +178,7 @@ def cell_models_trajectories(setup: Setup, logs: tuple[Path, ...]) -> Experiment
 
 def _drive_files(text: Path) -> LogFiles:
     """Return the files of ``LOG:RELATIONS[:ODOMETRY]``."""
-    from slamfusion.jobs.map_log import LogFiles  # noqa: PLC0415
+    from slamfusion.jobs.inputs import LogFiles  # noqa: PLC0415
 
     parts = str(text).split(":")
     if len(parts) not in {2, 3} or not all(parts):

@@ -39,7 +39,7 @@ from slamfusion.cli.results import (
 from slamfusion.cli.tables import path_table, print_recommendation
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
-from slamfusion.jobs.cases import CaseFile, case_names, place_files
+from slamfusion.jobs.cases import CaseFile, case_names, known_files, measured_inputs, place_files
 from slamfusion.jobs.documents import number
 from slamfusion.jobs.inputs import device_for
 
@@ -116,7 +116,6 @@ def command(
         write_fused_path,
         write_judgement,
     )
-    from slamfusion.jobs.trajectory import known_files, known_inputs  # noqa: PLC0415
 
     check_odometry(odometry, relations)
     if fused is not None and more_logs:
@@ -127,7 +126,7 @@ def command(
     cases = case_names(logs)
     known = known_files(
         cases,
-        [CaseFile(file.path, case) for case, file in zip(cases, logs, strict=True)],
+        log=[CaseFile(file.path, case) for case, file in zip(cases, logs, strict=True)],
         relations=relations,
         odometry=odometry,
         truth=truths,
@@ -147,7 +146,7 @@ def command(
                 config,
                 device,
                 relations=files.relations,
-                odometry=files.odometry,
+                odometry=files.odometry_file,
                 truth=files.truth,
                 scan_odometry=files.scan_odometry,
                 fused=fused,
@@ -163,7 +162,7 @@ def command(
     document = (
         judgements_document(found, rows) if several else JudgeDocument(first, first.circumstances)
     )
-    save_results(results_path, document, rows, lambda: known_inputs(placed, known))
+    save_results(results_path, document, rows, lambda: measured_inputs(placed, known))
     if as_json:
         print_json(document)
     elif several:
@@ -185,21 +184,18 @@ def command(
 
 def _print(found: JudgedPaths) -> None:
     """Print the paths, the rankings by what is known, and which one to use."""
-    from slamfusion.jobs.judge import errors_by_relations_m, errors_by_truth_m  # noqa: PLC0415
+    from slamfusion.jobs.judge import errors_m  # noqa: PLC0415
 
     answer = found.recommendation
-    known = {
-        "ATE rmse [m]": errors_by_truth_m(found.measures),
-        "relations mean [m]": errors_by_relations_m(found.measures),
-    }
     columns, rows = path_table(answer)
-    for what, errors in known.items():
+    heads = ("ATE rmse [m]", "relations mean [m]")
+    for what, errors in zip(heads, errors_m(found.measures).values(), strict=True):
         if errors:
             ranks = {name: str(rank) for rank, name in enumerate(errors, start=1)}
             columns += [what, "rank"]
             for row, path in zip(rows, answer.paths, strict=True):
                 row += [number(errors.get(path.name), 4), ranks.get(path.name, NOTHING)]
-    print_table(columns, rows, title=f"Paths of {found.log}, the recommended one first")
+    print_table(columns, rows, title=f"Paths of {found.files.log}, the recommended one first")
     if found.fused_path is not None:
         print_facts(("fused path", found.fused_path.file))
     print_recommendation(answer)

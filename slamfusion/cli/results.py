@@ -17,7 +17,7 @@ from slamfusion.jobs.documents import number, spread
 if TYPE_CHECKING:
     import pandas as pd
 
-    from slamfusion.evaluation import Row
+    from slamfusion.evaluation.measured import Row
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -114,7 +114,7 @@ def _repetitions(figures: pd.DataFrame) -> list[pd.DataFrame]:
 
 def _print_figures(tables: Sequence[pd.DataFrame], what: str, title: str) -> None:
     """Print the figures of tables by case, seed and method; the seed only if there is one."""
-    from slamfusion.evaluation import figure_of  # noqa: PLC0415  (loads slowly)
+    from slamfusion.evaluation.measured import figure_of  # noqa: PLC0415  (loads slowly)
 
     figures = [figure_of(name) for name in tables[0].columns]
     rows = [
@@ -130,7 +130,7 @@ def _print_figures(tables: Sequence[pd.DataFrame], what: str, title: str) -> Non
 
 def print_by_case(figures: pd.DataFrame, what: str, leading: Sequence[str]) -> None:
     """Print each leading figure, methods by cases, with mean and deviation over seeds and cases."""
-    from slamfusion.evaluation import figure_of  # noqa: PLC0415  (loads slowly)
+    from slamfusion.evaluation.measured import figure_of  # noqa: PLC0415  (loads slowly)
     from slamfusion.jobs.results import means_of  # noqa: PLC0415  (loads slowly)
 
     keys = ["method", "case"]

@@ -290,7 +290,7 @@ def _print_tables(run: LogRun) -> None:
 
 def _print_slams(run: LogRun) -> None:
     """Print a row for each SLAM, saved path and fused result: its vote, its errors, its effort."""
-    from slamfusion.jobs.trajectory import Measures  # noqa: PLC0415  (loads slowly)
+    from slamfusion.evaluation.measured import Measures  # noqa: PLC0415  (loads slowly)
 
     errors = {item.name: item for item in run.evaluations}
     measures = {name: own for name, (_, own) in run.paths.items()}

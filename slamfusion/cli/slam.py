@@ -172,7 +172,7 @@ def _run_seeds(
     **asked: Any,
 ) -> int:
     """Run with each seed, write the files of each, and print one table with their means."""
-    from slamfusion.evaluation import map_figures, path_figures, result_rows  # noqa: PLC0415
+    from slamfusion.evaluation.measured import map_figures, result_rows  # noqa: PLC0415
     from slamfusion.jobs.map_log import map_log, save_mapped_log  # noqa: PLC0415
     from slamfusion.json_values import record_keys  # noqa: PLC0415  (NumPy loads slowly)
 
@@ -189,7 +189,7 @@ def _run_seeds(
             mapped = map_log(log, name, own, limit=limit, progress=progress, warn=notice, **asked)
             saved.append(save_mapped_log(mapped, stem, probabilities=probabilities))
             result = mapped.result
-            figures = path_figures(result.measures.truth, result.measures.relations)
+            figures = result.measures.figures()
             figures["time_per_scan_ms"] = result.run.time_per_scan_ms()["mean"]
             errors = {} if result.map_error is None else map_figures(result.map_error)
             rows += result_rows(log.stem, str(seed), name, {**figures, **errors})

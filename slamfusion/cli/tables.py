@@ -15,11 +15,10 @@ from slamfusion.jobs.documents import number
 
 if TYPE_CHECKING:
     from slamfusion.align.records import Alignment, Fusion, FusionResult, InputRecord, StoredFusion
-    from slamfusion.evaluation import Figure
+    from slamfusion.evaluation.measured import Figure, Measures
     from slamfusion.evidence.recommendation import Recommendation
     from slamfusion.jobs.fuse_documents import DoubledWalls
     from slamfusion.jobs.records import Evaluation
-    from slamfusion.jobs.trajectory import Measures
     from slamfusion.trajectory import Trajectory
 
 PAIR_COLUMNS = (
@@ -153,7 +152,7 @@ def tell_unaligned(evaluations: Sequence[Evaluation]) -> None:
 
 def print_evaluations(evaluations: Sequence[Evaluation]) -> None:
     """Print the errors of each map; ``--verbose`` adds figures that do not reward thick walls."""
-    from slamfusion.evaluation import face_figures, shown_figures  # noqa: PLC0415  (loads slowly)
+    from slamfusion.evaluation.measured import face_figures, shown_figures  # noqa: PLC0415  (loads slowly)
 
     first = evaluations[0]
     _print_figures(
@@ -194,18 +193,17 @@ def _print_figures(
 
 def print_measures(estimate: Trajectory, measures: Measures) -> None:
     """Print one row for each kind of error, then how it was counted."""
-    from slamfusion.evaluation import FIGURES, error_kinds, how_counted  # noqa: PLC0415
+    from slamfusion.evaluation.measured import FIGURES  # noqa: PLC0415
 
     rows = [
         [f"{kind}{which}", *(number(getattr(errors, name, None), digits) for name in FIGURES)]
-        for own, which in ((measures, ""), (measures.online, ", as first reported"))
+        for own, which in ((measures, ""), (measures.as_first_reported, ", as first reported"))
         if own is not None
-        for kind, errors, digits in error_kinds(own.truth, own.relations, own.at_scans)
+        for kind, errors, digits in own.kinds()
     ]
     title = f"{estimate.name}: {len(estimate)} poses, {estimate.path_length_m():.1f} m"
     print_table(("error ", *FIGURES), rows, title=title)
-    own = measures
-    for note in how_counted(own.truth, own.relations, own.at_scans, own.dense):
+    for note in measures.how_counted():
         say(note)
 
 

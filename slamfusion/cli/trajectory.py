@@ -23,7 +23,13 @@ from slamfusion.cli.results import print_items, results_option, save_results, ta
 from slamfusion.cli.tables import print_measures
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
-from slamfusion.jobs.cases import CaseFile, place_files, shared_case_names
+from slamfusion.jobs.cases import (
+    CaseFile,
+    known_files,
+    measured_inputs,
+    place_files,
+    shared_case_names,
+)
 from slamfusion.jobs.inputs import load_maps
 
 if TYPE_CHECKING:
@@ -104,8 +110,6 @@ def command(
     from slamfusion.jobs.records import Settings  # noqa: PLC0415
     from slamfusion.jobs.trajectory import (  # noqa: PLC0415
         TrajectoryDocument,
-        known_files,
-        known_inputs,
         measure_trajectories,
         trajectories_document,
         write_trajectories,
@@ -125,7 +129,7 @@ def command(
     check_report(report_dir)
 
     cases = shared_case_names(truths, relations)
-    known = known_files(cases, logs, relations=relations, odometry=odometry, truth=truths)
+    known = known_files(cases, log=logs, relations=relations, odometry=odometry, truth=truths)
     found, not_measured = measure_trajectories(place_files(cases, paths), known, config)
     if map_path is not None:
         (grid,) = load_maps([map_path], config, warn=notice)
@@ -138,7 +142,7 @@ def command(
     if not is_one:
         document = trajectories_document(found, not_measured, config)
     inputs = [own.placed for own in found]
-    save_results(results_path, document, rows, lambda: known_inputs(inputs, known))
+    save_results(results_path, document, rows, lambda: measured_inputs(inputs, known))
     if as_json:
         print_json(document)
     elif is_one:

@@ -6,18 +6,33 @@ in the *seed* are repetitions.
 
 from __future__ import annotations
 
+import logging
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 
+from slamfusion.config import RunConfig, TrajectoryConfig
 from slamfusion.evaluation.map_error import MapError
-from slamfusion.evaluation.odometry import DensePoses
-from slamfusion.evaluation.relations import RelationErrors, RelationErrorsAtScans
+from slamfusion.evaluation.odometry import DensePoses, poses_by_odometry
+from slamfusion.evaluation.relations import (
+    RelationErrors,
+    RelationErrorsAtScans,
+    Relations,
+    errors_at_scans,
+    read_relations,
+    relation_errors,
+)
 from slamfusion.evaluation.statistics import ErrorStatistics, mean_interval
-from slamfusion.evaluation.trajectory_error import TrajectoryErrors
+from slamfusion.evaluation.trajectory_error import TrajectoryErrors, trajectory_errors
 from slamfusion.geometry import F64
+from slamfusion.io import read_trajectory
+from slamfusion.json_values import FLAT, printed_with
+from slamfusion.trajectory import Trajectory
+
+_LOG = logging.getLogger(__name__)
 
 # A row of a table of results: case, seed, method, figure, value, at, to. ``at`` is NaN for a figure
 # of the whole map or path; for a single error it is the time of a pose in s, or the metres
@@ -151,109 +166,179 @@ def face_figures(error: MapError) -> list[tuple[Figure, float | None]]:
     return found + [(figure_of(name), known[name]) for name in names]
 
 
+# --- paths ----------------------------------------------------------------------------------------
+
 # The statistics of an error that tables show.
 FIGURES = ("mean", "std", "rmse", "median", "min", "max")
 
 
-def how_counted(
-    truth: TrajectoryErrors | None,
-    relations: RelationErrors | None,
-    at_scans: RelationErrorsAtScans | None = None,
-    dense: DensePoses | None = None,
-) -> list[str]:
-    """Return in sentences what the errors of a path rest on; see ``error_kinds``.
+@dataclass(frozen=True)
+class PathErrors:
+    """Errors of a path: against the truth, on known relations, both or none."""
 
-    Args:
-        dense: how odometry carried the path to the times of the relations; None: it did not.
-    """
-    notes = []
-    if relations is not None:
-        how = f"poses within {relations.tolerance_s:g} s of both times"
-        if dense is not None:
-            total = dense.poses_used + dense.poses_without_row
-            how = (
-                f"poses carried on by {dense.rows} rows of odometry; rows of the poses found "
-                f"by {dense.rows_found_by}, {dense.poses_without_row} of {total} poses without one"
+    truth: TrajectoryErrors | None = field(default=None, metadata=FLAT)
+    relations: RelationErrors | None = field(default=None, metadata=FLAT)
+    odometry: DensePoses | None = field(default=None, metadata=printed_with("relations"))
+    """How poses at the relations' times were composed with odometry; null: they were not."""
+    at_scans: RelationErrorsAtScans | None = field(default=None, metadata=printed_with("relations"))
+    """Errors on the relations whose both ends are poses of the path; null: the same or none."""
+
+    def figures(self) -> dict[str, float]:
+        """Return the figures of the path by name."""
+        statistics: dict[str, ErrorStatistics | None] = {}
+        if self.truth is not None:
+            statistics |= {
+                "ate_mean_m": self.truth.ate,
+                "ate_rotation_mean_deg": self.truth.ate_rotation_deg,
+                "rpe_mean_m": self.truth.rpe,
+                "rpe_rotation_mean_deg": self.truth.rpe_rotation_deg,
+            }
+        if self.relations is not None:
+            statistics |= {
+                "relations_mean_m": self.relations.translation,
+                "relations_rotation_mean_deg": self.relations.rotation_deg,
+            }
+        first = {} if self.truth is None else {"ate_rmse_m": self.truth.ate.rmse}
+        return first | {name: own.mean for name, own in statistics.items() if own is not None}
+
+    def series(self) -> dict[str, F64]:
+        """Return the single errors by name, for ``result_rows``."""
+        found = {}
+        if (truth := self.truth) is not None:
+            found["ate_m"] = error_series(truth.translation_m, truth.stamps_s)
+            found["ate_rotation_deg"] = error_series(np.rad2deg(truth.rotation_rad), truth.stamps_s)
+            found["rpe_m"] = error_series(truth.relative_translation_m, truth.relative_travelled_m)
+        if (known := self.relations) is not None:
+            found["relations_m"] = error_series(known.translation_m, *known.stamps_s.T)
+            found["relations_rotation_deg"] = error_series(
+                np.rad2deg(known.rotation_rad), *known.stamps_s.T
             )
-        count = f"{relations.relations_used} of {relations.relations_total}"
-        notes.append(f"{count} relations used, {how}")
-    if at_scans is not None:
-        low, high = mean_interval(at_scans.translation_m)
-        notes.append(
-            f"both ends are poses of the trajectory in {at_scans.relations_used} of "
-            f"{at_scans.relations_total} relations; the mean of their translation errors is "
-            f"{low:.4f} to {high:.4f} m with 95 %"
-        )
-    if truth is not None:
-        aligned = "aligned" if truth.alignment.kind == "se2" else "not aligned"
-        notes.append(
-            f"{truth.poses_matched} of {truth.poses} poses met one of {truth.truth} within "
-            f"{truth.tolerance_s:g} s, {aligned}; {len(truth.relative_translation_m)} pairs"
-        )
-        if truth.time_offset_s:
-            notes.append(f"{truth.time_offset_s:.4f} s added to the times of {truth.truth}")
-    return notes
+        return found
 
-
-def error_kinds(
-    truth: TrajectoryErrors | None,
-    relations: RelationErrors | None,
-    at_scans: RelationErrorsAtScans | None = None,
-) -> list[tuple[str, ErrorStatistics | None, int]]:
-    """Return name with unit, statistics and digits of each kind of error of a path."""
-    kinds: list[tuple[str, ErrorStatistics | None, int]] = []
-    for errors, where in ((relations, ""), (at_scans, " at scans")):
-        if errors is not None:
+    def kinds(self) -> list[tuple[str, ErrorStatistics | None, int]]:
+        """Return name with unit, statistics and digits of each kind of error."""
+        kinds: list[tuple[str, ErrorStatistics | None, int]] = []
+        for errors, where in ((self.relations, ""), (self.at_scans, " at scans")):
+            if errors is not None:
+                kinds += [
+                    (f"relations{where}, translation [m]", errors.translation, 4),
+                    (f"relations{where}, rotation [deg]", errors.rotation_deg, 3),
+                ]
+        if (truth := self.truth) is not None:
+            unit = truth.rpe_unit.removesuffix("s") if truth.rpe_delta == 1.0 else truth.rpe_unit
+            pair = f"{truth.rpe_delta:g} {unit or truth.rpe_unit}"
             kinds += [
-                (f"relations{where}, translation [m]", errors.translation, 4),
-                (f"relations{where}, rotation [deg]", errors.rotation_deg, 3),
+                ("ATE, translation [m]", truth.ate, 4),
+                ("ATE, rotation [deg]", truth.ate_rotation_deg, 3),
+                (f"RPE, translation [m], {pair}", truth.rpe, 4),
+                (f"RPE, rotation [deg], {pair}", truth.rpe_rotation_deg, 3),
             ]
-    if truth is not None:
-        unit = truth.rpe_unit.removesuffix("s") if truth.rpe_delta == 1.0 else truth.rpe_unit
-        pair = f"{truth.rpe_delta:g} {unit or truth.rpe_unit}"
-        kinds += [
-            ("ATE, translation [m]", truth.ate, 4),
-            ("ATE, rotation [deg]", truth.ate_rotation_deg, 3),
-            (f"RPE, translation [m], {pair}", truth.rpe, 4),
-            (f"RPE, rotation [deg], {pair}", truth.rpe_rotation_deg, 3),
-        ]
-    return kinds
+        return kinds
+
+    def how_counted(self) -> list[str]:
+        """Return in sentences what the errors rest on."""
+        notes = []
+        if (known := self.relations) is not None:
+            how = f"poses within {known.tolerance_s:g} s of both times"
+            if (dense := self.odometry) is not None:
+                total = dense.poses_used + dense.poses_without_row
+                how = (
+                    f"poses carried on by {dense.rows} rows of odometry; rows of the poses found "
+                    f"by {dense.rows_found_by}, {dense.poses_without_row} of {total} poses "
+                    "without one"
+                )
+            notes.append(f"{known.relations_used} of {known.relations_total} relations used, {how}")
+        if (scans := self.at_scans) is not None:
+            low, high = mean_interval(scans.translation_m)
+            notes.append(
+                f"both ends are poses of the trajectory in {scans.relations_used} of "
+                f"{scans.relations_total} relations; the mean of their translation errors is "
+                f"{low:.4f} to {high:.4f} m with 95 %"
+            )
+        if (truth := self.truth) is not None:
+            aligned = "aligned" if truth.alignment.kind == "se2" else "not aligned"
+            notes.append(
+                f"{truth.poses_matched} of {truth.poses} poses met one of {truth.truth} within "
+                f"{truth.tolerance_s:g} s, {aligned}; {len(truth.relative_translation_m)} pairs"
+            )
+            if truth.time_offset_s:
+                notes.append(f"{truth.time_offset_s:.4f} s added to the times of {truth.truth}")
+        return notes
 
 
-def path_figures(
-    truth: TrajectoryErrors | None, relations: RelationErrors | None
-) -> dict[str, float]:
-    """Return the figures of a path by name."""
-    statistics: dict[str, ErrorStatistics | None] = {}
-    if truth is not None:
-        statistics |= {
-            "ate_mean_m": truth.ate,
-            "ate_rotation_mean_deg": truth.ate_rotation_deg,
-            "rpe_mean_m": truth.rpe,
-            "rpe_rotation_mean_deg": truth.rpe_rotation_deg,
-        }
-    if relations is not None:
-        statistics |= {
-            "relations_mean_m": relations.translation,
-            "relations_rotation_mean_deg": relations.rotation_deg,
-        }
-    first = {} if truth is None else {"ate_rmse_m": truth.ate.rmse}
-    return first | {name: own.mean for name, own in statistics.items() if own is not None}
+@dataclass(frozen=True)
+class Measures(PathErrors):
+    """Errors of a path, and of the same path as it was first reported."""
+
+    as_first_reported: PathErrors | None = field(
+        default=None, metadata=printed_with("as_first_reported")
+    )
+    """The same of the path as it was first reported, of a producer that corrects it later."""
 
 
-def path_series(truth: TrajectoryErrors | None, relations: RelationErrors | None) -> dict[str, F64]:
-    """Return the single errors of a path by name, for ``result_rows``."""
-    found = {}
-    if truth is not None:
-        found["ate_m"] = error_series(truth.translation_m, truth.stamps_s)
-        found["ate_rotation_deg"] = error_series(np.rad2deg(truth.rotation_rad), truth.stamps_s)
-        found["rpe_m"] = error_series(truth.relative_translation_m, truth.relative_travelled_m)
-    if relations is not None:
-        found["relations_m"] = error_series(relations.translation_m, *relations.stamps_s.T)
-        found["relations_rotation_deg"] = error_series(
-            np.rad2deg(relations.rotation_rad), *relations.stamps_s.T
+@dataclass(frozen=True, eq=False)
+class Yardsticks:
+    """What paths are compared with.
+
+    Attributes:
+        relations: known motions between pairs of times.
+        odometry: raw odometry of the whole run, to carry poses on to the relations' times.
+        scans: raw odometry of the scans of the path's log.
+    """
+
+    relations: Relations | None = None
+    odometry: Trajectory | None = None
+    truth: Trajectory | None = None
+    scans: Trajectory | None = None
+
+    @classmethod
+    def read(
+        cls,
+        config: RunConfig,
+        relations: str | Path | None = None,
+        odometry: str | Path | None = None,
+        truth: str | Path | None = None,
+        warn: Callable[[str], None] = _LOG.warning,
+    ) -> Yardsticks:
+        """Read the files that are named."""
+        topic = config.trajectory.pose_topic
+        return cls(
+            None if relations is None else read_relations(relations),
+            None if odometry is None else read_trajectory(odometry, config.log),
+            None if truth is None else read_trajectory(truth, config.log, topic, warn),
         )
-    return found
+
+    def measure(
+        self, path: Trajectory, config: RunConfig, scans: Trajectory | None = None
+    ) -> Measures:
+        """Measure a path by all that there is; see ``measure_trajectory``."""
+        known = replace(self, scans=scans or self.scans)
+        return measure_trajectory(path, config.trajectory, **vars(known))
+
+
+def measure_trajectory(
+    estimate: Trajectory,
+    config: TrajectoryConfig | None = None,
+    *,
+    relations: Relations | None = None,
+    odometry: Trajectory | None = None,
+    scans: Trajectory | None = None,
+    truth: Trajectory | None = None,
+) -> Measures:
+    """Measure a trajectory by everything given; see ``Yardsticks``.
+
+    Raises:
+        TrajectoryError: the estimate has no times in common with one of them.
+    """
+    config, dense, known, at_scans = config or TrajectoryConfig(), None, None, None
+    if relations is not None:
+        if odometry is not None:
+            dense = poses_by_odometry(estimate, scans, odometry, tolerance_s=config.tolerance_s)
+        scored = estimate if dense is None else dense.trajectory
+        known = relation_errors(scored, relations, config.tolerance_s)
+        at_scans = errors_at_scans(estimate, relations)
+    errors = None if truth is None else trajectory_errors(estimate, truth, config)
+    return Measures(errors, known, dense, at_scans)
 
 
 def error_series(errors: F64, at: F64, to: F64 | None = None) -> F64:

@@ -18,7 +18,8 @@ from slamfusion.align.align import align_grids
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, RunConfig, TrajectoryConfig, VoteMode
 from slamfusion.errors import GridError, SlamFusionError
-from slamfusion.evaluation import MapError, compare_to_truth, trajectory_errors
+from slamfusion.evaluation.map_error import MapError, compare_to_truth
+from slamfusion.evaluation.trajectory_error import trajectory_errors
 from slamfusion.evidence.beams import judged_scans
 from slamfusion.evidence.drawn_map import draw_map, drawn_scans
 from slamfusion.evidence.predictive import PathEvidence

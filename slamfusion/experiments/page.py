@@ -13,7 +13,8 @@ import pandas as pd
 import scipy
 
 from slamfusion.config import RunConfig
-from slamfusion.evaluation import Row, correct_by_holm, figure_of
+from slamfusion.evaluation.measured import Row, figure_of
+from slamfusion.evaluation.statistics import correct_by_holm
 from slamfusion.experiments.runs import Inputs
 from slamfusion.io import AtomicFiles
 from slamfusion.jobs.compare import SIGNIFICANT, ComparisonJson, compare_values

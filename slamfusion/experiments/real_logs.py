@@ -16,7 +16,8 @@ import numpy as np
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import ConfigError, SlamFusionError
-from slamfusion.evaluation import Row, doubled_wall_share, map_figures, result_rows
+from slamfusion.evaluation.doubled_walls import doubled_wall_share
+from slamfusion.evaluation.measured import Row, map_figures, result_rows
 from slamfusion.experiments.fusions import (
     FUSED_PATH,
     FUSIONS,

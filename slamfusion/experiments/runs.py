@@ -21,7 +21,8 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.compute.opencl import kernel_folder
 from slamfusion.config import RunConfig, to_mapping
 from slamfusion.errors import FleetError, MapFileError, SlamFusionError
-from slamfusion.evaluation import Row, maps_of_differences, result_rows
+from slamfusion.evaluation.map_error import maps_of_differences
+from slamfusion.evaluation.measured import Row, result_rows
 from slamfusion.fleet import as_done, executor_for
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid

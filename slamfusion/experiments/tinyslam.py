@@ -16,16 +16,14 @@ import pandas as pd
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import OccupancyEstimator, RunConfig
 from slamfusion.errors import LogError
-from slamfusion.evaluation import Row, figure_of, path_figures, result_rows
+from slamfusion.evaluation.measured import Row, Yardsticks, figure_of, result_rows
 from slamfusion.experiments.page import Experiment
 from slamfusion.experiments.runs import Inputs, RunResult, Setup, Tell, run_all
 from slamfusion.io import LogScan, open_log, read_trajectory
 from slamfusion.io.lines import strip_gz
 from slamfusion.jobs.compare import SIGNIFICANT
 from slamfusion.jobs.documents import p_text
-from slamfusion.jobs.inputs import Progress
-from slamfusion.jobs.map_log import LogFiles
-from slamfusion.jobs.trajectory import Yardsticks
+from slamfusion.jobs.inputs import LogFiles, Progress
 from slamfusion.sim import named_course, simulate
 from slamfusion.slam.common.mapper import Mapper
 from slamfusion.slam.common.runner import run_producer
@@ -178,8 +176,7 @@ class Drive:
 
     def errors(self, path: Trajectory, config: RunConfig) -> dict[str, float]:
         """Return the errors of a path by name, as far as they can be measured."""
-        measures = self.held.measure(path, config, self.odometry)
-        found = path_figures(measures.truth, measures.relations)
+        found = self.held.measure(path, config, self.odometry).figures()
         return {name: found[name] for name in (RELATIONS, ATE) if name in found}
 
 
@@ -201,13 +198,7 @@ class DriveRun:
 
 def drive_inputs(recorded: Sequence[LogFiles]) -> Inputs:
     """Return role, drive and path of each file of recorded drives."""
-    roles = {"log": "log", "relations": "relations", "odometry": "odometry_file", "truth": "truth"}
-    return [
-        (role, files.log.stem, getattr(files, name))
-        for files in recorded
-        for role, name in roles.items()
-        if getattr(files, name) is not None
-    ]
+    return [file for own in recorded if own.log for file in own.inputs(own.log.stem)]
 
 
 def read_drive(files: LogFiles, config: RunConfig) -> Drive:
@@ -215,14 +206,15 @@ def read_drive(files: LogFiles, config: RunConfig) -> Drive:
     if files.relations is None and files.truth is None:
         message = f"{files.log}: nothing to measure it by; give relations, a reference, or both"
         raise LogError(message)
-    log = open_log(files.log, config.log)
+    path = files.log or Path()
+    log = open_log(path, config.log)
     scans = tuple(log)
     if not scans:
         reasons = "; ".join(log.skips.sentences())
         raise LogError(f"{files.log}: no scan of it can be used: {reasons}")
     held = Yardsticks.read(config, files.relations, files.odometry_file, files.truth)
-    odometry = None if held.odometry is None else read_trajectory(files.log, config.log)
-    return Drive(Path(strip_gz(files.log.name)).stem, scans, held, odometry)
+    odometry = None if held.odometry is None else read_trajectory(path, config.log)
+    return Drive(Path(strip_gz(path.name)).stem, scans, held, odometry)
 
 
 def simulated_office(seed: int, device: ComputeDevice, progress: Progress | None = None) -> Drive:

@@ -22,7 +22,7 @@ from slamfusion.compute import ComputeDevice, shared_device
 from slamfusion.config import FailuresConfig, GroundObstacleConfig, PlaceName, RunConfig
 from slamfusion.cores import usable_cores
 from slamfusion.errors import ConfigError, SlamFusionError
-from slamfusion.evaluation import result_rows
+from slamfusion.evaluation.measured import result_rows
 from slamfusion.experiments.fusions import (
     CHOICE,
     FUSED_PATH,

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from slamfusion.errors import ConfigError
+from slamfusion.jobs.inputs import LogFiles
 
 _BETWEEN = r"[-_. ]+"
 # The method of files that are named by case and seed only.
@@ -101,6 +102,34 @@ def files_by_case(cases: Sequence[str], files: Sequence[CaseFile], what: str) ->
             raise ConfigError(message)
         found[case] = file.path
     return found
+
+
+def known_files(cases: Sequence[str], **given: Sequence[CaseFile]) -> dict[str, LogFiles]:
+    """Return the log of each case and the files that its paths are measured with.
+
+    Args:
+        given: files by the name of their option: ``log``, ``relations``, ``odometry``, ``truth``,
+            ``scan_odometry``.
+
+    Raises:
+        ConfigError: a file belongs to no case or to several, or a case has two of a kind.
+    """
+    found = {
+        kind: files_by_case(cases, own, f"--{kind.replace('_', '-')}")
+        for kind, own in given.items()
+    }
+    found["odometry_file"] = found.pop("odometry", {})
+    return {
+        case: LogFiles(**{kind: own.get(case) for kind, own in found.items()}) for case in cases
+    }
+
+
+def measured_inputs(
+    placed: Sequence[Placed], known: Mapping[str, LogFiles]
+) -> list[tuple[str, str, Path]]:
+    """Return role, case and path of paths and of the files that they are measured with."""
+    found = [("path", item.case, item.path) for item in placed]
+    return found + [file for case, files in known.items() for file in files.inputs(case)]
 
 
 def place_files(cases: Sequence[str], files: Sequence[CaseFile]) -> list[Placed]:

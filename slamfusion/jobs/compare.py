@@ -13,7 +13,8 @@ import numpy as np
 import scipy.stats
 
 from slamfusion.errors import SlamFusionError
-from slamfusion.evaluation import correct_by_holm, difference_test, figure_of
+from slamfusion.evaluation.measured import figure_of
+from slamfusion.evaluation.statistics import correct_by_holm, difference_test
 from slamfusion.io import write_atomic
 from slamfusion.jobs.inputs import distinct_names
 from slamfusion.jobs.results import KEYS, SavedResults, figures_of, means_of, read_results

@@ -11,16 +11,14 @@ from pathlib import Path
 from slamfusion.align.records import FusionResult
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
-from slamfusion.evaluation import (
+from slamfusion.evaluation.distances import (
     DistanceComparison,
     MeasuredDistance,
-    Row,
     compare_distances,
-    compare_to_truth,
     load_distances,
-    map_figures,
-    result_rows,
 )
+from slamfusion.evaluation.map_error import compare_to_truth
+from slamfusion.evaluation.measured import Row, map_figures, result_rows
 from slamfusion.fusion import align_grids, fuse_grids
 from slamfusion.geometry import Pose2
 from slamfusion.io import AtomicFiles

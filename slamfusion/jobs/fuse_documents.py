@@ -16,7 +16,7 @@ from slamfusion.align.records import (
 )
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError
-from slamfusion.evaluation import doubled_wall_share, fused_doubled_shares
+from slamfusion.evaluation.doubled_walls import doubled_wall_share, fused_doubled_shares
 from slamfusion.grid import OccupancyGrid
 from slamfusion.jobs.inputs import NO_FILES, GivenMaps
 from slamfusion.jobs.outputs import AGREEMENT_END

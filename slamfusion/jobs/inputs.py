@@ -6,7 +6,7 @@ import logging
 import os
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
@@ -34,6 +34,33 @@ PIXEL_M = 0.05
 # Maps of a folder that a message names.
 MOST_NAMED = 5
 SUFFIXES = (".gz", ".yaml", ".yml", ".pgm", ".png", ".bmp", ".pnm", ".dxf", ".tum", ".txt", ".csv")
+
+
+@dataclass(frozen=True)
+class LogFiles:
+    """A log, and the files that its results are compared with."""
+
+    log: Path | None = None
+    """The log; null where paths were measured without it."""
+    relations: Path | None = None
+    """The file of known relations."""
+    odometry_file: Path | None = None
+    """The file of raw odometry."""
+    scan_odometry: Path | None = field(default=None, kw_only=True)
+    """The file that gave the scans their odometry."""
+    truth: Path | None = None
+    """The file of the true trajectory."""
+    truth_map: Path | None = None
+    """The true map's file."""
+
+    def inputs(self, case: str) -> list[tuple[str, str, Path]]:
+        """Return role, case and path of each file, for ``write_results_file``."""
+        named = [(item.name, getattr(self, item.name)) for item in fields(LogFiles)]
+        return [
+            (name.removesuffix("_file").replace("_", " "), case, path)
+            for name, path in named
+            if path is not None
+        ]
 
 
 @dataclass(frozen=True)

@@ -11,14 +11,8 @@ from pathlib import Path
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError, TrajectoryError
-from slamfusion.evaluation import (
-    Row,
-    error_series,
-    on_clock,
-    path_figures,
-    path_series,
-    result_rows,
-)
+from slamfusion.evaluation.measured import Measures, Row, Yardsticks, error_series, result_rows
+from slamfusion.evaluation.trajectory_error import on_clock
 from slamfusion.evidence.beams import judged_scans
 from slamfusion.evidence.predictive import PathEvidence, score_paths
 from slamfusion.evidence.recommendation import RankedPath, Recommendation, recommend
@@ -27,11 +21,10 @@ from slamfusion.io import open_log, read_trajectory, write_tum
 from slamfusion.io.files import AtomicFiles
 from slamfusion.jobs.cases import Placed
 from slamfusion.jobs.fused_path import DrivePath, fuse_weighed_paths
-from slamfusion.jobs.inputs import Warn, as_path, device_for, distinct_names
+from slamfusion.jobs.inputs import LogFiles, Warn, as_path, device_for, distinct_names
 from slamfusion.jobs.outputs import FUSED
 from slamfusion.jobs.records import Circumstances, Summaries
 from slamfusion.jobs.saved_maps import SavedPath, path_at_scans
-from slamfusion.jobs.trajectory import KnownFiles, Measures, Yardsticks
 from slamfusion.json_values import FLAT
 from slamfusion.slam.common.odometry_check import contradictions, laser_fault
 from slamfusion.trajectory import Trajectory
@@ -63,16 +56,7 @@ class JudgedPaths:
     """The paths by their mean error on the relations, the least first; empty without relations."""
     not_measured: Sequence[str]
     """What could not be measured, a sentence each."""
-    log: Path
-    """The log that the paths are of."""
-    relations: Path | None
-    """The file of known relations."""
-    odometry_file: Path | None
-    """The file of raw odometry."""
-    scan_odometry: Path | None
-    """The file that gave the scans their odometry."""
-    truth: Path | None
-    """The file of the true trajectory."""
+    files: LogFiles = field(metadata=FLAT)
     circumstances: Circumstances = field(repr=False)
 
     def rows(self, case: str, placed: Sequence[Placed]) -> list[Row]:
@@ -83,15 +67,14 @@ class JudgedPaths:
             score = self.evidence.scores[path.name]
             keys = by_name.get(path.name, Placed(case, path.name, Path())).keys
             measures = self.measures.get(path.name, Measures())
-            held = (measures.truth, measures.relations)
             figures = {"consistency": score.consistency, "seen_share": score.seen_share}
             is_judged = score.beams > 0
             likelihoods = error_series(
                 score.sums[is_judged] / score.beams[is_judged],
                 self.evidence.scans.stamps_s[is_judged],
             )
-            series = {"consistency": likelihoods, **path_series(*held)}
-            rows += result_rows(*keys, {**figures, **path_figures(*held)}, series)
+            series = {"consistency": likelihoods, **measures.series()}
+            rows += result_rows(*keys, {**figures, **measures.figures()}, series)
         return rows
 
 
@@ -122,20 +105,15 @@ class JudgementsDocument:
     circumstances: Circumstances = field(metadata=FLAT)
 
 
-def errors_by_truth_m(measures: Mapping[str, Measures]) -> dict[str, float]:
-    """Return the ATE of the paths that met the truth, metres, by name; the least first."""
-    errors = {name: own.truth.ate.rmse for name, own in measures.items() if own.truth is not None}
-    return dict(sorted(errors.items(), key=itemgetter(1)))
-
-
-def errors_by_relations_m(measures: Mapping[str, Measures]) -> dict[str, float]:
-    """Return the mean error of the paths on the relations, metres, by name; the least first."""
-    errors = {
-        name: own.relations.translation.mean
-        for name, own in measures.items()
-        if own.relations is not None
+def errors_m(measures: Mapping[str, Measures]) -> dict[str, dict[str, float]]:
+    """Return ATE and mean error on the relations of measured paths, metres, the least first."""
+    truths = {name: own.truth for name, own in measures.items()}
+    known = {name: own.relations for name, own in measures.items()}
+    found = {
+        "ATE": {name: own.ate.rmse for name, own in truths.items() if own is not None},
+        "relations": {name: own.translation.mean for name, own in known.items() if own is not None},
     }
-    return dict(sorted(errors.items(), key=itemgetter(1)))
+    return {kind: dict(sorted(own.items(), key=itemgetter(1))) for kind, own in found.items()}
 
 
 def judge_paths(
@@ -180,8 +158,9 @@ def judge_paths(
     if fused_file is not None:
         _check_fused(given)
     read = {name: read_trajectory(path, config.log) for name, path in given.items()}
-    files = KnownFiles(*map(as_path, (relations, odometry, log, truth, scan_odometry)))
-    held = Yardsticks.read(config, files.relations, files.odometry, files.truth, warn)
+    others = map(as_path, (relations, odometry, truth))
+    files = LogFiles(Path(log), *others, scan_odometry=as_path(scan_odometry))
+    held = Yardsticks.read(config, relations, odometry, truth, warn)
     device = device_for(config) if device is None else device
     source = open_log(log, config.log, files.scan_odometry)
     scans = judged_scans(source)
@@ -207,6 +186,7 @@ def judge_paths(
             not_measured.append(f"{name}: {error}")
     if made is not None:
         made = replace(made, measures=measures.get(FUSED, Measures()), file=fused_file)
+    ranked = errors_m(measures)
     return JudgedPaths(
         trajectories=read,
         evidence=evidence,
@@ -218,14 +198,10 @@ def judge_paths(
             for name, path in read.items()
         ],
         fused_path=made,
-        ranking_by_truth=tuple(errors_by_truth_m(measures)),
-        ranking_by_relations=tuple(errors_by_relations_m(measures)),
+        ranking_by_truth=tuple(ranked["ATE"]),
+        ranking_by_relations=tuple(ranked["relations"]),
         not_measured=not_measured,
-        log=Path(log),
-        relations=files.relations,
-        odometry_file=files.odometry,
-        scan_odometry=files.scan_odometry,
-        truth=files.truth,
+        files=files,
         circumstances=Circumstances(config, device.name),
     )
 
@@ -258,12 +234,9 @@ def write_judgement(
         found.recommendation,
         found.evidence,
         directory,
-        log=str(found.log),
+        log=str(found.files.log),
         config=found.circumstances.config,
-        errors_m={
-            "ATE": errors_by_truth_m(found.measures),
-            "relations": errors_by_relations_m(found.measures),
-        },
+        errors_m=errors_m(found.measures),
         not_measured=found.not_measured,
         device=found.circumstances.device,
         files=files,

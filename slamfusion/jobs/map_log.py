@@ -12,14 +12,14 @@ from typing import Any
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import MapFileError, SlamFusionError
+from slamfusion.evaluation.measured import Measures, Yardsticks
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import AtomicFiles, open_log, save_map, write_tum
 from slamfusion.jobs.documents import number, record_bytes
 from slamfusion.jobs.evaluate import evaluate_maps
-from slamfusion.jobs.inputs import Progress, Warn, as_path, load_truth
+from slamfusion.jobs.inputs import LogFiles, Progress, Warn, as_path, load_truth
 from slamfusion.jobs.outputs import PROBABILITY, output_files
 from slamfusion.jobs.records import Circumstances, Evaluation
-from slamfusion.jobs.trajectory import Measures, Yardsticks
 from slamfusion.json_values import FLAT
 from slamfusion.slam.common.mapper import Mapper
 from slamfusion.slam.common.runner import ProducerRun, Resumable, run_producer
@@ -27,24 +27,6 @@ from slamfusion.slam.registry import make_producer, open_producer_device, resume
 from slamfusion.trajectory import Trajectory
 
 _LOG = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class LogFiles:
-    """A log, and the files that its results are compared with."""
-
-    log: Path
-    """The log that was mapped."""
-    relations: Path | None = None
-    """The file of known relations."""
-    odometry_file: Path | None = None
-    """The file of raw odometry."""
-    scan_odometry: Path | None = field(default=None, kw_only=True)
-    """The file that gave the scans their odometry."""
-    truth: Path | None = None
-    """The file of the true trajectory."""
-    truth_map: Path | None = None
-    """The true map's file."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -198,7 +180,7 @@ def map_log(
         if state is None
         else resume_producer(producer, state, config, device)
     )
-    source = open_log(files.log, config.log, files.scan_odometry)
+    source = open_log(log, config.log, files.scan_odometry)
 
     def tell(_: int) -> None:
         if progress is not None:
@@ -241,7 +223,7 @@ def measure_run(run: ProducerRun, config: RunConfig, held: Yardsticks) -> Measur
     final = held.measure(run.trajectory, config, run.odometry)
     if online is None or (held.relations is None and held.truth is None):
         return final
-    return replace(final, online=held.measure(online, config, run.odometry))
+    return replace(final, as_first_reported=held.measure(online, config, run.odometry))
 
 
 # --- files ------------------------------------------------------------------------------------

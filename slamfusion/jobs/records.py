@@ -15,7 +15,7 @@ from typing import Any, TypedDict
 
 from slamfusion.align.records import Alignment
 from slamfusion.config import RunConfig, to_mapping
-from slamfusion.evaluation import MapError
+from slamfusion.evaluation.map_error import MapError
 from slamfusion.json_values import FLAT
 from slamfusion.version import versions
 

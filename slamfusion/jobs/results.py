@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from slamfusion.errors import SlamFusionError, shown
-from slamfusion.evaluation import Row
+from slamfusion.evaluation.measured import Row
 from slamfusion.io import write_atomic
 from slamfusion.io.files import open_regular
 from slamfusion.io.map_server import existing, read_map_yaml

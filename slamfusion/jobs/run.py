@@ -18,7 +18,8 @@ from slamfusion.align.starts import Starts, place_starts
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError, SlamFusionError, TrajectoryError
-from slamfusion.evaluation import on_clock
+from slamfusion.evaluation.measured import Measures, Yardsticks
+from slamfusion.evaluation.trajectory_error import on_clock
 from slamfusion.evidence.beams import JudgedScans, judged_scans
 from slamfusion.evidence.drawn_map import DrawnScan, draw_map, drawn_scans, fuse_with_drawn
 from slamfusion.evidence.predictive import PathEvidence, score_paths, with_path
@@ -53,7 +54,6 @@ from slamfusion.jobs.run_files import (
     RunProducer,
 )
 from slamfusion.jobs.saved_maps import SavedMaps, SavedPath, path_at_scans
-from slamfusion.jobs.trajectory import Measures, Yardsticks
 from slamfusion.slam.common.odometry_check import laser_fault
 from slamfusion.slam.registry import BUILT_IN, loop_closers, producer
 from slamfusion.slam.side_by_side import Outcome, SideBySide
@@ -130,7 +130,7 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
     # Run the SLAMs side by side. Read all else meanwhile: a bad file ends the run at once.
     with (
         stages.timed("producers"),
-        SideBySide(names, files.log, config, files.scan_odometry) as work,
+        SideBySide(names, Path(log), config, files.scan_odometry) as work,
     ):
         config = work.config
         prepare()

@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING
 from slamfusion.align.records import Alignment, FusionResult
 from slamfusion.config import FusionMode, RunConfig
 from slamfusion.errors import SlamFusionError
-from slamfusion.evaluation import WallThickness, doubled_wall_share, wall_thickness
+from slamfusion.evaluation.doubled_walls import doubled_wall_share
+from slamfusion.evaluation.measured import Measures
+from slamfusion.evaluation.wall_faces import WallThickness, wall_thickness
 from slamfusion.evidence.predictive import PathEvidence
 from slamfusion.evidence.recommendation import RankedPath, Recommendation
 from slamfusion.fusion.path_check import PathGap
@@ -26,7 +28,8 @@ from slamfusion.jobs.fuse_documents import (
     left_out_sentences,
 )
 from slamfusion.jobs.fused_path import DrivePath
-from slamfusion.jobs.map_log import LogFiles, ProducerResult, add_run
+from slamfusion.jobs.inputs import LogFiles
+from slamfusion.jobs.map_log import ProducerResult, add_run
 from slamfusion.jobs.outputs import (
     AGREEMENT,
     DRAWN,
@@ -43,7 +46,6 @@ from slamfusion.jobs.outputs import (
 )
 from slamfusion.jobs.records import Circumstances, Evaluation
 from slamfusion.jobs.saved_maps import SavedPath
-from slamfusion.jobs.trajectory import Measures
 from slamfusion.json_values import FLAT
 from slamfusion.trajectory import Trajectory
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
-from slamfusion.evaluation import Row, map_figures, path_figures, path_series, result_rows
+from slamfusion.evaluation.measured import Measures, Row, map_figures, result_rows
 from slamfusion.evidence.recommendation import Recommendation
 from slamfusion.fleet import as_done
 from slamfusion.jobs.inputs import Progress, distinct_names
@@ -83,14 +83,14 @@ class RunsDocument:
 def run_rows(run: LogRun, case: str, seed: str = "") -> list[Row]:
     """Return the errors of the maps and paths of a run as rows of a table of results."""
     maps = {item.name: map_figures(item) for item in run.evaluations}
-    paths = {name: (own.truth, own.relations) for name, (_, own) in run.paths.items()}
+    paths = {name: own for name, (_, own) in run.paths.items()}
     if run.fused_path is not None:
-        paths[FUSED] = (run.fused_path.measures.truth, run.fused_path.measures.relations)
+        paths[FUSED] = run.fused_path.measures
     rows = []
     for name in dict.fromkeys((*paths, *maps)):
-        held = paths.get(name, (None, None))
-        figures = {**path_figures(*held), **maps.get(name, {})}
-        rows += result_rows(case, seed, name, figures, path_series(*held))
+        measures = paths.get(name, Measures())
+        figures = {**measures.figures(), **maps.get(name, {})}
+        rows += result_rows(case, seed, name, figures, measures.series())
     return rows
 
 

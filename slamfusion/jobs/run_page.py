@@ -69,10 +69,7 @@ def run_page(run: LogRun) -> Page:
     found = run.paths
     if run.fused_path is not None:
         found[FUSED_PATH] = (run.fused_path.trajectory, run.fused_path.measures)
-    measured = [
-        MeasuredPath(name, path, own.truth, own.relations, own.at_scans)
-        for name, (path, own) in found.items()
-    ]
+    measured = [MeasuredPath(name, path, own) for name, (path, own) in found.items()]
     sections = [_maps_section(run, colours)]
     if run.results:
         sections += [*_drive_section(run, colours), _paths_section(run, colours)]

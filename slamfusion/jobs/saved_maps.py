@@ -8,13 +8,13 @@ from pathlib import Path
 
 from slamfusion.config import RunConfig
 from slamfusion.errors import ConfigError, TrajectoryError
+from slamfusion.evaluation.measured import Measures
 from slamfusion.evidence.beams import JudgedScans, cover_stamps
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import read_trajectory
 from slamfusion.jobs.cases import CaseFile, files_by_case
 from slamfusion.jobs.inputs import Warn, distinct_names, load_maps
 from slamfusion.jobs.outputs import DRAWN, FUSED
-from slamfusion.jobs.trajectory import Measures
 from slamfusion.json_values import FLAT
 from slamfusion.slam.registry import producer_names
 from slamfusion.trajectory import Trajectory

@@ -2,217 +2,26 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, TypedDict, cast
 
-from slamfusion.config import RunConfig, TrajectoryConfig
+from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
-from slamfusion.evaluation import (
-    DensePoses,
-    RelationErrors,
-    Relations,
-    Row,
-    TrajectoryErrors,
-    errors_at_scans,
-    path_figures,
-    path_series,
-    poses_by_odometry,
-    read_relations,
-    relation_errors,
-    result_rows,
-    trajectory_errors,
-)
-from slamfusion.evaluation.relations import RelationErrorsAtScans
+from slamfusion.evaluation.measured import Measures, Row, Yardsticks, result_rows
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import AtomicFiles, read_trajectory
-from slamfusion.jobs.cases import CaseFile, Placed, files_by_case
-from slamfusion.jobs.inputs import Warn, as_path
+from slamfusion.jobs.cases import Placed
+from slamfusion.jobs.inputs import LogFiles
 from slamfusion.jobs.records import Settings, Summaries
-from slamfusion.json_values import FLAT, record_keys
+from slamfusion.json_values import FLAT
 from slamfusion.trajectory import Trajectory
-
-_LOG = logging.getLogger(__name__)
-
-
-class PathErrorsJson(TypedDict, total=False):
-    """Errors of a path: against the truth, on known relations, both or none."""
-
-    # And the keys of TrajectoryErrors and RelationErrors; see tests/support/make_schema.py.
-    odometry: DensePoses | None
-    """How poses at the relations' times were composed with odometry; null: they were not."""
-    at_scans: RelationErrorsAtScans | None
-    """Errors on the relations whose both ends are poses of the path; null: the same or none."""
-
-
-class MeasuresJson(PathErrorsJson, total=False):
-    """Errors of a path, and of the same path as it was first reported."""
-
-    as_first_reported: PathErrorsJson
-    """The same of the path as it was first reported, of a producer that corrects it later."""
-
-
-@dataclass(frozen=True)
-class Measures:
-    """Everything that was measured of one trajectory; None: not asked for.
-
-    Attributes:
-        dense: how the poses at the relations' times were composed with odometry.
-        at_scans: errors on the relations with poses of the trajectory at both ends.
-        online: errors of the path as it was first reported, before it was corrected.
-    """
-
-    relations: RelationErrors | None = None
-    dense: DensePoses | None = None
-    truth: TrajectoryErrors | None = None
-    at_scans: RelationErrorsAtScans | None = None
-    online: Measures | None = None
-
-    def to_json(self) -> MeasuresJson:
-        """Return the figures for a JSON document."""
-        document: dict[str, Any] = {}
-        if self.truth is not None:
-            document |= record_keys(self.truth)
-        if self.relations is not None:
-            document |= record_keys(self.relations)
-            document |= {"odometry": self.dense, "at_scans": self.at_scans}
-        if self.online is not None:
-            document["as_first_reported"] = self.online.to_json()
-        return cast("MeasuresJson", document)
-
-
-@dataclass(frozen=True, eq=False)
-class Yardsticks:
-    """What paths are compared with.
-
-    Attributes:
-        relations: known motions between pairs of times.
-        odometry: raw odometry of the whole run, to carry poses on to the relations' times.
-        scans: raw odometry of the scans of the path's log.
-    """
-
-    relations: Relations | None = None
-    odometry: Trajectory | None = None
-    truth: Trajectory | None = None
-    scans: Trajectory | None = None
-
-    @classmethod
-    def read(
-        cls,
-        config: RunConfig,
-        relations: str | Path | None = None,
-        odometry: str | Path | None = None,
-        truth: str | Path | None = None,
-        warn: Warn = _LOG.warning,
-    ) -> Yardsticks:
-        """Read the files that are named."""
-        at_relations, rows, poses = as_path(relations), as_path(odometry), as_path(truth)
-        return cls(
-            None if at_relations is None else read_relations(at_relations),
-            None if rows is None else read_trajectory(rows, config.log),
-            None
-            if poses is None
-            else read_trajectory(poses, config.log, config.trajectory.pose_topic, warn),
-        )
-
-    def measure(
-        self, path: Trajectory, config: RunConfig, scans: Trajectory | None = None
-    ) -> Measures:
-        """Measure a path by all that there is; see ``measure_trajectory``."""
-        return measure_trajectory(
-            path,
-            config.trajectory,
-            relations=self.relations,
-            odometry=self.odometry,
-            scans=scans or self.scans,
-            truth=self.truth,
-        )
-
-
-def measure_trajectory(
-    estimate: Trajectory,
-    config: TrajectoryConfig | None = None,
-    *,
-    relations: Relations | None = None,
-    odometry: Trajectory | None = None,
-    scans: Trajectory | None = None,
-    truth: Trajectory | None = None,
-) -> Measures:
-    """Measure a trajectory by everything given; see ``Yardsticks``.
-
-    Raises:
-        TrajectoryError: the estimate has no times in common with one of them.
-    """
-    config = config or TrajectoryConfig()
-    dense = None
-    if relations is not None and odometry is not None:
-        dense = poses_by_odometry(estimate, scans, odometry, tolerance_s=config.tolerance_s)
-    scored = estimate if dense is None else dense.trajectory
-    return Measures(
-        relations=None
-        if relations is None
-        else relation_errors(scored, relations, config.tolerance_s),
-        dense=dense,
-        truth=None if truth is None else trajectory_errors(estimate, truth, config),
-        at_scans=None if relations is None else errors_at_scans(estimate, relations),
-    )
-
-
-# --- trajectories in files --------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class KnownFiles:
-    """The files that the paths of one drive are measured with.
-
-    Attributes:
-        log: what the paths were made from.
-        scan_odometry: gives the scans of the log their odometry.
-    """
-
-    relations: Path | None = None
-    odometry: Path | None = None
-    log: Path | None = None
-    truth: Path | None = None
-    scan_odometry: Path | None = None
-
-
-def known_files(
-    cases: Sequence[str], logs: Sequence[CaseFile], **others: Sequence[CaseFile]
-) -> dict[str, KnownFiles]:
-    """Return the files of each case; ``others`` are the other kinds of ``KnownFiles`` by name.
-
-    Raises:
-        ConfigError: a file belongs to no case or to several, or a case has two of a kind.
-    """
-    found = {
-        kind: files_by_case(cases, own, f"--{kind.replace('_', '-')}")
-        for kind, own in {"log": logs, **others}.items()
-    }
-    return {
-        case: KnownFiles(**{kind: own.get(case) for kind, own in found.items()}) for case in cases
-    }
-
-
-def known_inputs(
-    placed: Sequence[Placed], known: Mapping[str, KnownFiles]
-) -> list[tuple[str, str, Path]]:
-    """Return role, case and path of paths and of the files that they are measured with."""
-    return [("path", item.case, item.path) for item in placed] + [
-        (item.name.replace("_", " "), case, path)
-        for item in fields(KnownFiles)
-        for case, files in known.items()
-        if (path := getattr(files, item.name)) is not None
-    ]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MeasuredTrajectory:
     """A trajectory with its errors, and the files that they rest on."""
 
-    placed: Placed = field(repr=False)
     trajectory: Trajectory = field(repr=False)
     held: Yardsticks = field(repr=False)
     """What it was measured by."""
@@ -229,19 +38,12 @@ class MeasuredTrajectory:
     """Its poses."""
     estimate: Path
     """Its file."""
-    relations: Path | None
-    """The file of known relations."""
-    odometry_file: Path | None
-    """The file of raw odometry."""
-    log: Path | None
-    """The log that the trajectory was made from."""
-    truth: Path | None
-    """The file of the true trajectory."""
+    files: LogFiles = field(metadata=FLAT)
+    placed: Placed = field(metadata=FLAT)
 
     def rows(self) -> list[Row]:
         """Return figures and single errors as rows of a table of results."""
-        held = (self.measures.truth, self.measures.relations)
-        return result_rows(*self.placed.keys, path_figures(*held), path_series(*held))
+        return result_rows(*self.placed.keys, self.measures.figures(), self.measures.series())
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,18 +55,10 @@ class TrajectoryDocument:
 
 
 @dataclass(frozen=True, eq=False)
-class CaseTrajectory:
-    """One of several trajectories."""
-
-    measured: MeasuredTrajectory = field(metadata=FLAT)
-    placed: Placed = field(metadata=FLAT)
-
-
-@dataclass(frozen=True, eq=False)
 class TrajectoriesDocument:
     """``slamfusion trajectory`` of several; exit code 1 where something is ``not_measured``."""
 
-    trajectories: Sequence[CaseTrajectory]
+    trajectories: Sequence[MeasuredTrajectory]
     """The trajectories in the order given."""
     summaries: Summaries = field(metadata=FLAT)
     not_measured: Sequence[str]
@@ -273,7 +67,7 @@ class TrajectoriesDocument:
 
 
 def measure_trajectories(
-    placed: Sequence[Placed], known: Mapping[str, KnownFiles], config: RunConfig | None = None
+    placed: Sequence[Placed], known: Mapping[str, LogFiles], config: RunConfig | None = None
 ) -> tuple[list[MeasuredTrajectory], list[str]]:
     """Measure each path by the files of its case.
 
@@ -289,7 +83,7 @@ def measure_trajectories(
     yardsticks = {}
     for case in dict.fromkeys(item.case for item in placed):
         files = known[case]
-        held = Yardsticks.read(config, files.relations, files.odometry, files.truth)
+        held = Yardsticks.read(config, files.relations, files.odometry_file, files.truth)
         scans = None if files.log is None else read_trajectory(files.log, config.log)
         yardsticks[case] = replace(held, scans=scans)
     found, not_measured = [], []
@@ -309,7 +103,6 @@ def measure_trajectories(
             why = (error.strerror if isinstance(error, OSError) else None) or str(error)
             not_measured.append(f"{item.path}: {why.removeprefix(f'{item.path}: ')}")
             continue
-        files = known[item.case]
         found.append(
             MeasuredTrajectory(
                 placed=item,
@@ -321,10 +114,7 @@ def measure_trajectories(
                 measures=measures,
                 poses=len(estimate),
                 estimate=item.path,
-                relations=files.relations,
-                odometry_file=files.odometry,
-                log=files.log,
-                truth=files.truth,
+                files=known[item.case],
             )
         )
     if not found:
@@ -339,10 +129,7 @@ def trajectories_document(
     from slamfusion.jobs.results import summaries  # noqa: PLC0415  (pandas is an extra)
 
     return TrajectoriesDocument(
-        [CaseTrajectory(own, own.placed) for own in found],
-        summaries(row for own in found for row in own.rows()),
-        not_measured,
-        Settings(config),
+        found, summaries(row for own in found for row in own.rows()), not_measured, Settings(config)
     )
 
 
@@ -357,10 +144,7 @@ def write_trajectories(
 
     cases: dict[str, list[MeasuredPath]] = {}
     for own in found:
-        errors = own.measures
-        path = MeasuredPath(
-            own.placed.name, own.trajectory, errors.truth, errors.relations, errors.at_scans
-        )
+        path = MeasuredPath(own.placed.name, own.trajectory, own.measures)
         cases.setdefault(own.placed.case, []).append(path)
     first = found[0]
     return write_trajectory_report(

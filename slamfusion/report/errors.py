@@ -10,15 +10,10 @@ import numpy as np
 from matplotlib.axes import Axes  # noqa: TID251
 from matplotlib.figure import Figure  # noqa: TID251
 
-from slamfusion.evaluation import (
-    FIGURES,
-    REVISIT_S,
-    ErrorStatistics,
-    RelationErrors,
-    TrajectoryErrors,
-    error_kinds,
-)
-from slamfusion.evaluation.relations import RelationErrorsAtScans
+from slamfusion.evaluation.measured import FIGURES, PathErrors
+from slamfusion.evaluation.relations import REVISIT_S, RelationErrors
+from slamfusion.evaluation.statistics import ErrorStatistics
+from slamfusion.evaluation.trajectory_error import TrajectoryErrors
 from slamfusion.geometry import F64
 from slamfusion.palette import INK_RGB, Rgb
 from slamfusion.report.canvas import INK, label_axes, plain_text, stacked_axes, unit_rgb, write_note
@@ -37,13 +32,21 @@ _PAUSE, _PAUSE_S = 5.0, 2.0
 
 @dataclass(frozen=True, eq=False)
 class MeasuredPath:
-    """A path of at least one pose, and its errors; None where they were not measured."""
+    """A path of at least one pose, and its errors."""
 
     name: str
     path: Trajectory
-    truth: TrajectoryErrors | None = None
-    relations: RelationErrors | None = None
-    at_scans: RelationErrorsAtScans | None = None
+    errors: PathErrors
+
+    @property
+    def truth(self) -> TrajectoryErrors | None:
+        """The errors against the truth; None where they were not measured."""
+        return self.errors.truth
+
+    @property
+    def relations(self) -> RelationErrors | None:
+        """The errors on known relations; None where they were not measured."""
+        return self.errors.relations
 
 
 def errors_section(
@@ -52,7 +55,7 @@ def errors_section(
     """Return the errors of paths of one drive; its name is empty where a page has no other."""
     rows, pictures = [], []
     for item in measured:
-        kinds = error_kinds(item.truth, item.relations, item.at_scans)
+        kinds = item.errors.kinds()
         if item.relations is not None and (revisits := item.relations.is_revisit()).any():
             own = ErrorStatistics.of(item.relations.translation_m[revisits])
             kinds.append(("revisits, translation m", own, 4))

@@ -9,7 +9,7 @@ import numpy as np
 
 from slamfusion.align.records import Alignment, FusionResult, InputRecord
 from slamfusion.config import RunConfig
-from slamfusion.evaluation import MapError
+from slamfusion.evaluation.map_error import MapError
 from slamfusion.grid import CellBox, OccupancyGrid
 from slamfusion.io.files import AtomicFiles
 from slamfusion.palette import DISAGREEMENT_RGB

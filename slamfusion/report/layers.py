@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from slamfusion.align.records import FusionResult
-from slamfusion.evaluation import MapError, maps_of_differences
+from slamfusion.evaluation.map_error import MapError, maps_of_differences
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.trajectory import Trajectory

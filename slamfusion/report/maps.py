@@ -15,7 +15,9 @@ from matplotlib.figure import Figure  # noqa: TID251
 
 from slamfusion.align.records import Alignment
 from slamfusion.config import NormalizeConfig
-from slamfusion.evaluation import (
+from slamfusion.evaluation.distances import sample_on_lattice
+from slamfusion.evaluation.doubled_walls import doubled_wall_share
+from slamfusion.evaluation.map_error import (
     AGREE_FREE,
     AGREE_UNKNOWN,
     AGREE_WALL,
@@ -24,12 +26,9 @@ from slamfusion.evaluation import (
     MISSING_FREE,
     MISSING_WALL,
     MapError,
-    doubled_wall_share,
-    face_figures,
-    shown_figures,
 )
-from slamfusion.evaluation import Figure as Measure
-from slamfusion.evaluation.distances import sample_on_lattice
+from slamfusion.evaluation.measured import Figure as Measure
+from slamfusion.evaluation.measured import face_figures, shown_figures
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, OccupancyGrid, box_origin, known_box, trinary_cells
 from slamfusion.palette import (

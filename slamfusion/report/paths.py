@@ -14,7 +14,7 @@ from matplotlib.colors import LinearSegmentedColormap, Normalize  # noqa: TID251
 from matplotlib.figure import Figure  # noqa: TID251
 
 from slamfusion.config import NormalizeConfig, RunConfig
-from slamfusion.evaluation import TrajectoryErrors
+from slamfusion.evaluation.trajectory_error import TrajectoryErrors
 from slamfusion.fusion.path_check import moved_path
 from slamfusion.geometry import F64, compose_poses
 from slamfusion.grid import OccupancyGrid

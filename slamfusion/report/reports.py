@@ -10,7 +10,10 @@ from pathlib import Path
 from slamfusion.align.records import Alignment
 from slamfusion.config import PICTURE_FORMS, RunConfig
 from slamfusion.errors import MapFileError
-from slamfusion.evaluation import MapError, RelationErrors, how_counted, trajectory_errors
+from slamfusion.evaluation.map_error import MapError
+from slamfusion.evaluation.measured import PathErrors
+from slamfusion.evaluation.relations import RelationErrors
+from slamfusion.evaluation.trajectory_error import trajectory_errors
 from slamfusion.evidence.predictive import PathEvidence
 from slamfusion.evidence.recommendation import Recommendation
 from slamfusion.fusion.path_check import moved_path
@@ -105,7 +108,7 @@ def write_slam_report(
         pictures.append(closures_picture(trajectory, run.closures, grid=grid, normalize=normalize))
     statistics, layers = map_statistics([grid], normalize), map_layers(grid, trajectory)
     sections = [Section("Map and path", "", pictures, statistics, layers=layers)]
-    measured = MeasuredPath(run.name, trajectory, errors, relations)
+    measured = MeasuredPath(run.name, trajectory, PathErrors(errors, relations))
     sections += errors_section([measured], colours_of([run.name]))
     over_time = _series_pictures(run)
     health = NO_TABLES
@@ -178,7 +181,7 @@ def write_trajectory_report(
         by_path += [error_facts(item) for item in measured]
         words: dict[str, list[str]] = {}
         for item in measured:
-            counted = how_counted(item.truth, item.relations, item.at_scans)
+            counted = item.errors.how_counted()
             words.setdefault("; ".join(counted) + ".", []).append(item.name)
         lines += [(f"{case}, {', '.join(names)}:", text) for text, names in words.items()]
     # The leading error of each path comes first.

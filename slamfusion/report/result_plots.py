@@ -11,7 +11,7 @@ from matplotlib.axes import Axes  # noqa: TID251
 from matplotlib.figure import Figure  # noqa: TID251
 from matplotlib.layout_engine import ConstrainedLayoutEngine  # noqa: TID251
 
-from slamfusion.evaluation import figure_of
+from slamfusion.evaluation.measured import figure_of
 from slamfusion.geometry import F64
 from slamfusion.palette import Rgb, colours_of
 from slamfusion.report.canvas import (

@@ -21,7 +21,7 @@ from rich.table import Table
 
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import RunConfig
-from slamfusion.evaluation import MapError
+from slamfusion.evaluation.map_error import MapError
 from slamfusion.experiments.fusions import (
     FUSED_PATH,
     DriveMaps,

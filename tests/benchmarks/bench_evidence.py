@@ -27,7 +27,7 @@ import numpy.typing as npt
 from rich.table import Table
 
 from slamfusion.compute import ComputeDevice, open_device
-from slamfusion.evaluation import trajectory_errors
+from slamfusion.evaluation.trajectory_error import trajectory_errors
 from slamfusion.evidence.beams import judged_scans
 from slamfusion.evidence.displacement import find_displacements
 from slamfusion.evidence.parting import PART_M

@@ -23,7 +23,8 @@ from rich.table import Table
 
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import RunConfig
-from slamfusion.evaluation import doubled_wall_share
+from slamfusion.evaluation.doubled_walls import doubled_wall_share
+from slamfusion.evaluation.measured import Yardsticks, measure_trajectory
 from slamfusion.evidence.beams import judged_scans
 from slamfusion.evidence.drawn_map import draw_map, drawn_scans
 from slamfusion.evidence.path_frames import consensus_poses, lay_paths
@@ -32,7 +33,6 @@ from slamfusion.io import LogScan, open_log, read_trajectory
 from slamfusion.jobs.fused_path import fuse_weighed_paths
 from slamfusion.jobs.run import run_log
 from slamfusion.jobs.run_files import save_run
-from slamfusion.jobs.trajectory import Yardsticks, measure_trajectory
 from slamfusion.slam.registry import BUILT_IN
 from slamfusion.trajectory import Trajectory
 from tests.benchmarks.record import add_record_option, console_for

@@ -31,23 +31,20 @@ from rich.table import Table
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import DeviceConfig, RunConfig
 from slamfusion.config.run import LidarName
-from slamfusion.evaluation import (
-    Relations,
-    compare_to_truth,
-    doubled_wall_share,
-    errors_at_scans,
-    mean_interval,
-    trajectory_errors,
-)
+from slamfusion.evaluation.doubled_walls import doubled_wall_share
+from slamfusion.evaluation.map_error import compare_to_truth
+from slamfusion.evaluation.measured import Yardsticks
 from slamfusion.evaluation.odometry import match_odometry
+from slamfusion.evaluation.relations import Relations, errors_at_scans
+from slamfusion.evaluation.statistics import mean_interval
+from slamfusion.evaluation.trajectory_error import trajectory_errors
 from slamfusion.experiments.tinyslam import RELATIONS, Drive, read_drive
 from slamfusion.fusion.path_check import moved_path
 from slamfusion.geometry import F64, compose_poses, invert_poses, wrap_angles
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan, open_log, read_trajectory, save_map
 from slamfusion.io.log import odometry_path
-from slamfusion.jobs.map_log import LogFiles
-from slamfusion.jobs.trajectory import Yardsticks
+from slamfusion.jobs.inputs import LogFiles
 from slamfusion.sim import named_course, simulate, with_overrides
 from slamfusion.slam.common.mapper import Closure
 from slamfusion.slam.common.runner import ProducerRun, run_producer

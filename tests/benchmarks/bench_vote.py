@@ -50,9 +50,9 @@ from slamfusion.align.records import FusionResult
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import EvaluateConfig, FusionConfig, NormalizeConfig, VoteMode
 from slamfusion.errors import AlignmentError
-from slamfusion.evaluation import doubled_wall_share, wall_thickness
 from slamfusion.evaluation.distances import sample_on_lattice, wall_centres
-from slamfusion.evaluation.wall_faces import Nearness
+from slamfusion.evaluation.doubled_walls import doubled_wall_share
+from slamfusion.evaluation.wall_faces import Nearness, wall_thickness
 from slamfusion.fusion.pipeline import fuse_grids, vote_again
 from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, trinary_cells

@@ -19,7 +19,7 @@ from rich.table import Table
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
-from slamfusion.evaluation import MapError
+from slamfusion.evaluation.map_error import MapError
 from slamfusion.evidence.beams import judged_scans
 from slamfusion.evidence.drawn_map import draw_map, drawn_scans
 from slamfusion.evidence.path_frames import moved_onto
@@ -31,6 +31,7 @@ from slamfusion.geometry import Pose2, fit_motion, moved_poses, row_of, with_lev
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan
 from slamfusion.jobs.fused_path import fuse_weighed_paths
+from slamfusion.jobs.inputs import LogFiles
 from slamfusion.jobs.live_drive import (
     PARTS,
     STILL_S,
@@ -40,7 +41,6 @@ from slamfusion.jobs.live_drive import (
     LocatedPose,
     Pace,
 )
-from slamfusion.jobs.map_log import LogFiles
 from slamfusion.sim import named_course, simulate, write_recording
 from slamfusion.slam.registry import BUILT_IN, make_producer, with_producers
 from slamfusion.trajectory import Trajectory

@@ -11,7 +11,7 @@ import pytest
 from slamfusion.experiments.fusions import FUSIONS, drawn_at
 from slamfusion.experiments.runs import kept_maps
 from slamfusion.io import write_carmen, write_tum
-from slamfusion.jobs.map_log import LogFiles
+from slamfusion.jobs.inputs import LogFiles
 from slamfusion.jobs.outputs import DRAWN
 from slamfusion.slam.registry import BUILT_IN
 from tests.cli.command import assert_one_line_failure, json_of, run, tree

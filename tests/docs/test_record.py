@@ -16,7 +16,7 @@ from docs.generate.benchmarks import measurements
 from docs.generate.record import RECIPES, Recipe, main
 from slamfusion.cli.program import cli
 from slamfusion.config import RunConfig
-from slamfusion.evaluation import result_rows
+from slamfusion.evaluation.measured import result_rows
 from slamfusion.experiments.fusions import FUSIONS
 from slamfusion.experiments.runs import RunResult
 from slamfusion.experiments.trials import fusion_experiment

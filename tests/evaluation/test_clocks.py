@@ -7,8 +7,7 @@ import pytest
 
 from slamfusion.config import TrajectoryConfig
 from slamfusion.errors import ConfigError, TrajectoryError
-from slamfusion.evaluation import on_clock, trajectory_errors
-from slamfusion.evaluation.trajectory_error import clock_offset_s
+from slamfusion.evaluation.trajectory_error import clock_offset_s, on_clock, trajectory_errors
 from slamfusion.geometry import Pose2, moved_poses
 from slamfusion.trajectory import Trajectory
 

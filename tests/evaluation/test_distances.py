@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from slamfusion.errors import MapFileError
-from slamfusion.evaluation import MeasuredDistance, compare_distances, load_distances
+from slamfusion.evaluation.distances import MeasuredDistance, compare_distances, load_distances
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.json_values import plain

@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from slamfusion.evaluation import doubled_wall_share, doubled_walls, fused_doubled_shares
+from slamfusion.evaluation import doubled_walls
+from slamfusion.evaluation.doubled_walls import doubled_wall_share, fused_doubled_shares
 from slamfusion.grid import CellBox
 
 Line = tuple[tuple[int, int], tuple[int, int]]

@@ -13,7 +13,7 @@ from hypothesis.extra import numpy as hnp
 
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import GridError
-from slamfusion.evaluation import (
+from slamfusion.evaluation.map_error import (
     AGREE_FREE,
     AGREE_UNKNOWN,
     AGREE_WALL,

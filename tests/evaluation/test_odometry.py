@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slamfusion.errors import TrajectoryError
-from slamfusion.evaluation import Relations, poses_by_odometry, read_relations, relation_errors
-from slamfusion.evaluation.odometry import _rows_by_stamp, match_odometry
+from slamfusion.evaluation.odometry import _rows_by_stamp, match_odometry, poses_by_odometry
+from slamfusion.evaluation.relations import Relations, read_relations, relation_errors
 from slamfusion.geometry import compose_poses, invert_poses
 from slamfusion.io.trajectories import read_trajectory
 from slamfusion.json_values import plain

@@ -13,14 +13,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from slamfusion.errors import TrajectoryError
-from slamfusion.evaluation import (
+from slamfusion.evaluation.relations import (
     RelationErrors,
     Relations,
     errors_at_scans,
-    mean_interval,
     read_relations,
     relation_errors,
 )
+from slamfusion.evaluation.statistics import mean_interval
 from slamfusion.geometry import compose_poses, invert_poses
 from slamfusion.io.trajectories import read_trajectory
 from slamfusion.json_values import plain

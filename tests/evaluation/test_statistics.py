@@ -8,7 +8,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from slamfusion.evaluation import ErrorStatistics, correct_by_holm, difference_test, mean_interval
+from slamfusion.evaluation.statistics import (
+    ErrorStatistics,
+    correct_by_holm,
+    difference_test,
+    mean_interval,
+)
 
 
 def test_error_statistics_of_a_worked_example() -> None:

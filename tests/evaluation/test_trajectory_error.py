@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from slamfusion.config import TrajectoryConfig
 from slamfusion.errors import TrajectoryError
-from slamfusion.evaluation import ErrorStatistics, trajectory_errors
-from slamfusion.evaluation.trajectory_error import associate
+from slamfusion.evaluation.statistics import ErrorStatistics
+from slamfusion.evaluation.trajectory_error import associate, trajectory_errors
 from slamfusion.geometry import Pose2, compose_poses
 from slamfusion.json_values import plain
 from slamfusion.trajectory import Trajectory

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from slamfusion.config import NormalizeConfig
-from slamfusion.evaluation import MapError, compare_to_truth, wall_thickness
-from slamfusion.evaluation.wall_faces import face_cells, outside_area
+from slamfusion.evaluation.map_error import MapError, compare_to_truth
+from slamfusion.evaluation.wall_faces import face_cells, outside_area, wall_thickness
 from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY, OccupancyGrid, trinary_cells
 from tests.support.examples import examples

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from slamfusion.evaluation import Relations
+from slamfusion.evaluation.measured import Yardsticks
+from slamfusion.evaluation.relations import Relations
 from slamfusion.experiments.tinyslam import Drive
 from slamfusion.geometry import Pose2
 from slamfusion.io import LogScan, write_carmen, write_tum
-from slamfusion.jobs.map_log import LogFiles
-from slamfusion.jobs.trajectory import Yardsticks
+from slamfusion.jobs.inputs import LogFiles
 from slamfusion.trajectory import Trajectory
 from tests.support.producers import room_drive
 

@@ -11,11 +11,11 @@ import pytest
 from slamfusion.compute import NumpyDevice
 from slamfusion.config import RunConfig, TrajectoryConfig
 from slamfusion.errors import LogError
-from slamfusion.evaluation import read_relations, relation_errors
+from slamfusion.evaluation.measured import Yardsticks
+from slamfusion.evaluation.relations import read_relations, relation_errors
 from slamfusion.experiments.tinyslam import ATE, RELATIONS, read_drive, simulated_office
 from slamfusion.io import read_trajectory, write_carmen, write_tum
-from slamfusion.jobs.map_log import LogFiles
-from slamfusion.jobs.trajectory import Yardsticks
+from slamfusion.jobs.inputs import LogFiles
 from slamfusion.trajectory import Trajectory
 from tests.experiments.drives import room
 from tests.support.datasets import ABSENT, DATASETS

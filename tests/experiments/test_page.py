@@ -11,7 +11,7 @@ import pytest
 from scipy import stats
 
 from slamfusion.config import RunConfig
-from slamfusion.evaluation import Row, result_rows
+from slamfusion.evaluation.measured import Row, result_rows
 from slamfusion.experiments.fusions import CHOICE, FUSED_PATH, FUSIONS, HINDSIGHT, alone, drawn_at
 from slamfusion.experiments.page import Experiment
 from slamfusion.experiments.runs import RunResult

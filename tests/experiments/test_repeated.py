@@ -15,7 +15,7 @@ from slamfusion.config import (
     from_mapping,
 )
 from slamfusion.errors import ConfigError
-from slamfusion.evaluation import result_rows
+from slamfusion.evaluation.measured import result_rows
 from slamfusion.experiments.runs import Setup
 from slamfusion.experiments.tinyslam import ATE, PAIRS, repeated_runs, sweep_estimators
 from tests.experiments.drives import room_files

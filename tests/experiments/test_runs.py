@@ -13,7 +13,7 @@ import pytest
 from slamfusion.compute import NumpyDevice
 from slamfusion.config import ExperimentConfig, FailuresConfig, RunConfig
 from slamfusion.errors import SlamFusionError
-from slamfusion.evaluation import result_rows
+from slamfusion.evaluation.measured import result_rows
 from slamfusion.experiments import runs as module
 from slamfusion.experiments.runs import RunResult, Setup, Tell, run_all
 from slamfusion.slam.registry import with_settings

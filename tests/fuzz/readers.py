@@ -14,8 +14,8 @@ import numpy as np
 
 from slamfusion.compute import NumpyDevice
 from slamfusion.config import GmappingConfig, GraphConfig
-from slamfusion.evaluation import error_series, result_rows
 from slamfusion.evaluation.distances import load_distances
+from slamfusion.evaluation.measured import error_series, result_rows
 from slamfusion.evaluation.relations import read_relations
 from slamfusion.fusion.live.state import LiveState
 from slamfusion.geometry import Pose2

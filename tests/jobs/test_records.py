@@ -16,9 +16,9 @@ from slamfusion.align.records import Alignment, RunnerUp
 from slamfusion.cli.main import main
 from slamfusion.cli.program import cli
 from slamfusion.config import RunConfig
+from slamfusion.evaluation.measured import measure_trajectory
 from slamfusion.geometry import Pose2
 from slamfusion.jobs.records import AlignDocument, Circumstances, load_schema
-from slamfusion.jobs.trajectory import measure_trajectory
 from slamfusion.json_values import plain
 from slamfusion.slam.registry import BUILT_IN
 from slamfusion.trajectory import Trajectory
@@ -152,7 +152,7 @@ def test_an_error_alone_is_for_a_failure() -> None:
 
 def test_errors_of_a_path_come_all_or_none() -> None:
     path = Trajectory(np.arange(3.0), np.zeros((3, 3)), "still")
-    measured = plain(measure_trajectory(path, RunConfig().trajectory, truth=path).to_json())
+    measured = plain(measure_trajectory(path, RunConfig().trajectory, truth=path))
     check_document(measured, "PathErrors")
     check_document({}, "PathErrors")
     for key in measured:

@@ -16,7 +16,7 @@ import pytest
 from scipy import stats
 
 from slamfusion.errors import SlamFusionError
-from slamfusion.evaluation import Row, error_series, result_rows
+from slamfusion.evaluation.measured import Row, error_series, result_rows
 from slamfusion.jobs import results
 from slamfusion.jobs.cases import CaseFile, place_files
 from slamfusion.jobs.compare import ComparedResults, compare_results, write_comparison_plot

@@ -13,7 +13,9 @@ import pytest
 
 from slamfusion.config import NormalizeConfig, RunConfig
 from slamfusion.errors import SlamFusionError
-from slamfusion.evaluation import Relations, compare_to_truth, relation_errors, trajectory_errors
+from slamfusion.evaluation.map_error import compare_to_truth
+from slamfusion.evaluation.relations import Relations, relation_errors
+from slamfusion.evaluation.trajectory_error import trajectory_errors
 from slamfusion.fusion.path_check import moved_path, path_gaps
 from slamfusion.geometry import Pose2
 from slamfusion.jobs.fuse_documents import DoubledWalls

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from slamfusion.config import NormalizeConfig, RunConfig
-from slamfusion.evaluation import compare_to_truth
+from slamfusion.evaluation.map_error import compare_to_truth
 from slamfusion.palette import AGREED_WALL_RGB, OTHERS, WALL_RGB
 from slamfusion.report import write_fusion_report
 from tests.report.drawn import colours_of, fusion, room

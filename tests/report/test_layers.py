@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from slamfusion.config import NormalizeConfig, RunConfig
-from slamfusion.evaluation import compare_to_truth
+from slamfusion.evaluation.map_error import compare_to_truth
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.palette import colours_of

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from slamfusion.config import NormalizeConfig
-from slamfusion.evaluation import compare_to_truth
+from slamfusion.evaluation.map_error import compare_to_truth
 from slamfusion.geometry import Pose2
 from slamfusion.palette import NAMED
 from slamfusion.report.maps import error_section, input_colours, map_statistics, pair_overlay

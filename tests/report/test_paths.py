@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 
 from slamfusion.config import ReportConfig, RunConfig, TrajectoryConfig
-from slamfusion.evaluation import RelationErrors, trajectory_errors
+from slamfusion.evaluation.measured import PathErrors
+from slamfusion.evaluation.relations import RelationErrors
+from slamfusion.evaluation.trajectory_error import trajectory_errors
 from slamfusion.geometry import compose_poses
 from slamfusion.grid import OccupancyGrid
 from slamfusion.palette import END_RGB, NAMED, OTHERS, START_RGB
@@ -191,7 +193,7 @@ def test_the_report_of_a_run_shows_its_series_and_other_paths(tmp_path: Path) ->
 def measured(name: str, wrong: float) -> MeasuredPath:
     path, truth = in_room(wrong=wrong), in_room()
     errors = trajectory_errors(path, truth, TrajectoryConfig(alignment="none"))
-    return MeasuredPath(name, path, errors, relations_of_round())
+    return MeasuredPath(name, path, PathErrors(errors, relations_of_round()))
 
 
 def test_the_report_of_a_trajectory_says_what_its_numbers_rest_on(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ import pytest
 
 from slamfusion.config import PICTURE_FORMS, NormalizeConfig, ReportConfig, RunConfig
 from slamfusion.errors import SlamFusionError
-from slamfusion.evaluation import MapError, compare_to_truth
+from slamfusion.evaluation.map_error import MapError, compare_to_truth
 from slamfusion.report import (
     write_difference_image,
     write_evaluation_report,

@@ -28,7 +28,8 @@ import typing_extensions
 from pydantic import Field, TypeAdapter
 from pydantic.json_schema import GenerateJsonSchema
 
-from slamfusion.evaluation import RelationErrors, TrajectoryErrors
+from slamfusion.evaluation.relations import RelationErrors
+from slamfusion.evaluation.trajectory_error import TrajectoryErrors
 from slamfusion.experiments.page import ExperimentDocument
 from slamfusion.jobs import compare as comparisons
 from slamfusion.jobs import (
@@ -89,10 +90,6 @@ WRITTEN = (run_files.RunRecord,)
 # A producer of another package may say more of itself.
 OPEN = (HealthJson,)
 _FORMS: tuple[Any, ...] = (Annotated, typing_extensions.NotRequired, typing_extensions.TypedDict)
-# Records whose keys are among those of a TypedDict; none of them is required.
-JOINED: dict[type, tuple[type, ...]] = {
-    trajectory.PathErrorsJson: (TrajectoryErrors, RelationErrors)
-}
 # Of these keys a measured path has all or none.
 TOGETHER = (
     frozenset(field.name for field in fields(TrajectoryErrors) if field.repr),
@@ -208,11 +205,11 @@ def _described(kind: type) -> Any:
 
 def _required(kind: Any) -> frozenset[str]:
     """Return the keys that a record always has."""
-    if not is_dataclass(kind):
+    if not is_dataclass(kind := _keys_of(kind)):
         return frozenset(getattr(kind, "__required_keys__", ()))
     hints = typing.get_type_hints(kind)
-    flat = [_required(_keys_of(hints[item.name])) for item in fields(kind) if item.metadata == FLAT]
-    own = {item.name for item in fields(kind) if item.repr and item.metadata != FLAT}
+    flat = [_required(hints[item.name]) for item in fields(kind) if item.metadata == FLAT]
+    own = {item.name for item in fields(kind) if item.repr and not item.metadata}
     return frozenset(own).union(*flat)
 
 
@@ -234,6 +231,11 @@ def _keys_of(hint: Any) -> Any:
     return hint if found is None else typing.get_type_hints(found)["return"]
 
 
+def _not_none(hint: Any) -> Any:
+    """Return the type of the record that a field has, if it has one."""
+    return next((own for own in typing.get_args(hint) if own is not type(None)), hint)
+
+
 def _keys(kind: type) -> dict[str, tuple[Any, str]]:
     """Return type and text of each key of a record, those of its bases too."""
     module = sys.modules[kind.__module__]
@@ -242,7 +244,7 @@ def _keys(kind: type) -> dict[str, tuple[Any, str]]:
     bases = [getattr(module, base.id) for base in node.bases if isinstance(base, ast.Name)]
     found: dict[str, tuple[Any, str]] = {}
     # TypedDict itself is a function.
-    for other in (*(base for base in bases if isinstance(base, type)), *JOINED.get(kind, ())):
+    for other in (base for base in bases if isinstance(base, type)):
         found |= _keys(other)
     own = fields(kind) if is_dataclass(kind) else ()
     hidden = {item.name for item in own if not item.repr}
@@ -255,7 +257,7 @@ def _keys(kind: type) -> dict[str, tuple[Any, str]]:
             texts[key.target.id] = " ".join(str(text.value.value).split())
     for key_name, hint in typing.get_type_hints(kind).items():
         if key_name in flat:
-            found |= _keys(_keys_of(hint))
+            found |= _keys(_keys_of(_not_none(hint)))
         elif key_name not in hidden and (key_name in texts or key_name not in found):
             found[key_name] = (hint, texts.get(key_name, "Null." if hint is type(None) else ""))
     return found

@@ -12,7 +12,7 @@ import pytest
 from slamfusion.cli.show import Finished, read_finished
 from slamfusion.config import RunConfig
 from slamfusion.errors import MapFileError
-from slamfusion.evaluation import AGREE_FREE, AGREE_WALL, EXTRA_WALL, MISSING_WALL
+from slamfusion.evaluation.map_error import AGREE_FREE, AGREE_WALL, EXTRA_WALL, MISSING_WALL
 from slamfusion.experiments.runs import FOLDER, packed_maps
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
