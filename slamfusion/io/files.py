@@ -17,8 +17,6 @@ from contextlib import ExitStack, contextmanager, suppress
 from io import BufferedReader
 from pathlib import Path
 
-import psutil
-
 from slamfusion.errors import MapFileError, MemoryBudgetError, SlamFusionError
 
 # Of the interpreter and its buffers.
@@ -27,6 +25,8 @@ WORKING_BYTES = 64 * 2**20
 
 def available_memory() -> int:
     """Return the bytes that processes may still take before the machine swaps."""
+    import psutil  # noqa: PLC0415  (nodes are to start light)
+
     return int(psutil.virtual_memory().available)
 
 

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import PIL.Image
 
 from slamfusion.errors import MapFileError, SlamFusionError
 from slamfusion.io.files import WORKING_BYTES, check_memory, format_bytes, open_regular
@@ -29,9 +28,6 @@ FORMATS = ("PPM", "PNG", "BMP")
 _MODES = {"1": ("L", 3), "L": ("L", 3), "I;16": ("I;16", 6), "I": ("I", 12)}
 _MODES |= {"P": ("RGB", 12), "RGB": ("RGB", 12), "LA": ("RGBA", 16), "RGBA": ("RGBA", 16)}
 _MAGIC = (b"\x1f\x8b", b"\x89PNG", b"BM", b"P1", b"P2", b"P3", b"P4", b"P5", b"P6", b"\xff\xd8\xff")
-
-# ``read_image`` compares the size in the header with the memory that is available.
-PIL.Image.MAX_IMAGE_PIXELS = None
 
 
 def looks_like_image(path: Path) -> bool:
@@ -51,6 +47,9 @@ def read_image(path: Path) -> Pixels:
     A colour picture with 16 bits per channel, and a PGM whose maximum is below 255, are read with 8
     bits. Palettes become colours, and a transparent colour an alpha channel.
     """
+    import PIL.Image  # noqa: PLC0415  (nodes are to start light)
+
+    PIL.Image.MAX_IMAGE_PIXELS = None  # the header is compared with the memory that is available
     with _opened(path) as file:
         stream: BufferedReader | io.BytesIO = file
         if file.peek(2).startswith(b"\x1f\x8b"):
@@ -91,6 +90,8 @@ def pixel_digest(pixels: Pixels) -> str:
 
 def encode_image(pixels: npt.NDArray[np.uint8], image_format: str) -> memoryview:
     """Return a PGM, PNG or BMP file of (H, W), (H, W, 3) or (H, W, 4) pixels, top row first."""
+    import PIL.Image  # noqa: PLC0415  (nodes are to start light)
+
     data = io.BytesIO()
     kind = "PPM" if image_format == "pgm" else image_format
     PIL.Image.fromarray(pixels).save(data, kind)
