@@ -35,7 +35,7 @@ from slamfusion.io.log import (
     Skips,
     parsed_lines,
 )
-from slamfusion.io.scan_odometry import PoseRow, ScanOdometry
+from slamfusion.io.scan_odometry import PoseRow, read_scan_odometry
 from slamfusion.io.stamps import StampGate
 from slamfusion.scan import LaserScan
 
@@ -87,8 +87,8 @@ class CarmenLog(ScanLog):
     Args:
         config: ``no_return_m`` overrides what is found; ``index_period_s`` is the scan period if
             stamps are broken or absent.
-        odometry: replaces the poses in the log, by laser line, for a log with SLAM poses.
-            Default: the log's own.
+        scan_odometry: a file that replaces the poses in the log (see ``read_scan_odometry``), for
+            a log with SLAM poses. Default: the log's own.
 
     Raises:
         LogError: the file has no readable laser scan, or the odometry is of another log.
@@ -98,7 +98,7 @@ class CarmenLog(ScanLog):
         self,
         path: str | Path,
         config: LogConfig = _DEFAULT_CONFIG,
-        odometry: ScanOdometry | None = None,
+        scan_odometry: str | Path | None = None,
     ) -> None:
         super().__init__(path, config)
         parser = _Parser()
@@ -126,9 +126,9 @@ class CarmenLog(ScanLog):
             if word in kinds
         ]
         poses = iter([None if robot is None else Pose2(*robot) for robot in logged])
-        if odometry is not None:
-            poses = iter(odometry.for_lines(self.path, logged))
-            self.notes.append(f"odometry is that of {odometry.path}, not the poses in the log")
+        if scan_odometry is not None:
+            poses = iter(read_scan_odometry(scan_odometry, self.path, logged))
+            self.notes.append(f"odometry is that of {scan_odometry}, not the poses in the log")
         index = 0
         for number, word, found in lines:
             pose = next(poses) if word in kinds else None

@@ -19,7 +19,6 @@ from slamfusion.io.bags.reader import (
 from slamfusion.io.carmen import CARMEN_WORDS, CarmenLog
 from slamfusion.io.lines import read_head, strip_gz
 from slamfusion.io.log import ScanLog
-from slamfusion.io.scan_odometry import read_scan_odometry
 from slamfusion.io.tinyslam_dat import FIELDS, TinySlamDat
 
 _DEFAULT_CONFIG = LogConfig()
@@ -70,7 +69,7 @@ def open_log(
     if scan_odometry is None:
         log = reader(where, config)
     elif reader is CarmenLog:
-        log = CarmenLog(where, config, read_scan_odometry(scan_odometry))
+        log = CarmenLog(where, config, scan_odometry)
     else:
         raise LogError(
             f"{where}: only a CARMEN log takes its odometry from {scan_odometry}; leave it out"

@@ -7,14 +7,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-import numpy.typing as npt
-
 from slamfusion.errors import LogError
-from slamfusion.geometry import F64, Pose2, wrap_angle
+from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.io.lines import ROW_BYTES, text_lines
 
 PoseRow = tuple[float, float, float]
@@ -27,61 +23,25 @@ LOGGED = ("corrected_x", "corrected_y", "corrected_theta")
 ROUNDING, ROUNDING_SHARE = 2e-5, 1e-5
 
 
-@dataclass(frozen=True, eq=False)
-class ScanOdometry:
-    """Odometry of every laser line of a log.
-
-    Attributes:
-        poses: (N, 3) float64, x and y in metres, yaw in radians, of the robot at laser line 0 to
-            N - 1 of the log, in the odometry frame.
-        logged: (N, 3) float64, the poses in the log's own lines, to check that the file belongs to
-            the log; None if the file has none.
-    """
-
-    path: Path
-    poses: F64
-    logged: F64 | None = None
-
-    def for_lines(self, log: Path, logged: Sequence[PoseRow | None]) -> list[Pose2]:
-        """Return the odometry of each laser line of a log.
-
-        Args:
-            logged: the poses in the lines, metres and radians; None if unreadable.
-
-        Raises:
-            LogError: the number of rows differs from the number of lines, or a pose differs.
-        """
-        if len(self.poses) != len(logged):
-            raise LogError(
-                f"{self.path}: wanted a row for each of the {len(logged)} laser lines of {log}, "
-                f"found {len(self.poses)}; give the odometry of this log"
-            )
-        rows = () if self.logged is None else self.logged
-        for index, (own, line) in enumerate(zip(rows, logged, strict=False)):
-            if line is None:
-                continue
-            away = np.abs(own - np.array(line))
-            away[2] = abs(wrap_angle(float(away[2])))
-            if (away > ROUNDING + ROUNDING_SHARE * np.abs(own)).any():
-                raise LogError(
-                    f"{self.path}: row {index} belongs to a scan at {_text(own)}, but that laser "
-                    f"line of {log} is at {_text(line)}; give the odometry of this log"
-                )
-        return [Pose2(*row) for row in self.poses.tolist()]
-
-
-def read_scan_odometry(path: str | Path) -> ScanOdometry:
-    """Read the odometry of a log's scans.
+def read_scan_odometry(
+    path: str | Path, log: Path, logged: Sequence[PoseRow | None]
+) -> list[Pose2]:
+    """Read the odometry of each laser line of a log.
 
     Args:
         path: CSV, plain or gzip. The first line names the columns: ``index`` (of the laser line in
             the log, from 0, without a gap), ``odom_x``, ``odom_y`` (metres), ``odom_theta``
             (radians), and optionally ``corrected_x``, ``corrected_y``, ``corrected_theta``, the
-            pose in the log's line; others are ignored.
+            pose in the log's line, which shows that the file belongs to the log; others are
+            ignored.
+        logged: the poses in the log's laser lines, metres and radians; None if unreadable.
+
+    Raises:
+        LogError: a damaged row, another number of rows than of lines, or a pose differs.
     """
     where = Path(path)
     columns: list[str] = []
-    rows: list[list[float]] = []
+    rows: list[dict[str, float]] = []
     for number, line in text_lines(where, LogError, kept_bytes=ROW_BYTES):
         fields = line.decode("ascii", "replace").strip().split(",")
         if not columns:
@@ -96,36 +56,48 @@ def read_scan_odometry(path: str | Path) -> ScanOdometry:
             rows.append(_row(fields, columns, len(rows), f"{where}: line {number}"))
     if not rows:
         raise LogError(f"{where}: wanted a row for each scan, found none; check the file")
-    table = np.array(rows)
-    has_logged = all(name in columns for name in LOGGED)
-    return ScanOdometry(
-        where,
-        table[:, [columns.index(name) for name in POSE]],
-        table[:, [columns.index(name) for name in LOGGED]] if has_logged else None,
-    )
+    if len(rows) != len(logged):
+        raise LogError(
+            f"{where}: wanted a row for each of the {len(logged)} laser lines of {log}, found "
+            f"{len(rows)}; give the odometry of this log"
+        )
+    if set(LOGGED) <= set(columns):
+        for index, (row, line_pose) in enumerate(zip(rows, logged, strict=True)):
+            own = [row[name] for name in LOGGED]
+            if line_pose is not None and not _is_same(own, line_pose):
+                raise LogError(
+                    f"{where}: row {index} belongs to a scan at {_text(own)}, but that laser line "
+                    f"of {log} is at {_text(line_pose)}; give the odometry of this log"
+                )
+    return [Pose2(*(row[name] for name in POSE)) for row in rows]
 
 
-def _row(fields: list[str], columns: list[str], index: int, where: str) -> list[float]:
-    """Return the numbers of one line; index and pose must be finite."""
+def _row(fields: list[str], columns: list[str], index: int, where: str) -> dict[str, float]:
+    """Return the numbers of one line by column; index and pose must be finite."""
     try:
-        values = [float(field) for field in fields]
+        row = dict(zip(columns, map(float, fields), strict=True))
     except ValueError:
-        values = []
-    has_all = len(values) == len(columns)
-    if not has_all or not all(math.isfinite(values[columns.index(n)]) for n in (INDEX, *POSE)):
+        row = {}
+    if not row or not all(math.isfinite(row[name]) for name in (INDEX, *POSE)):
         raise LogError(
             f"{where}: wanted {len(columns)} finite numbers, found {','.join(fields)[:60]!r}; "
             "fix the line"
         )
-    found = values[columns.index(INDEX)]
-    if found != index:
+    if row[INDEX] != index:
         raise LogError(
-            f"{where}: wanted the row of index {index}, found {found:g}: a row is missing or out "
-            "of order; fix the file"
+            f"{where}: wanted the row of index {index}, found {row[INDEX]:g}: a row is missing or "
+            "out of order; fix the file"
         )
-    return values
+    return row
 
 
-def _text(pose: npt.ArrayLike) -> str:
-    x, y, yaw_rad = np.asarray(pose, dtype=np.float64).tolist()
+def _is_same(one: Sequence[float], other: Sequence[float]) -> bool:
+    """Whether two poses differ by no more than the rounding of a log."""
+    away = [abs(a - b) for a, b in zip(one, other, strict=True)]
+    away[2] = abs(wrap_angle(away[2]))
+    return not any(d > ROUNDING + ROUNDING_SHARE * abs(a) for d, a in zip(away, one, strict=True))
+
+
+def _text(pose: Sequence[float]) -> str:
+    x, y, yaw_rad = pose
     return f"({x:.4f}, {y:.4f}) m, {yaw_rad:.4f} rad"

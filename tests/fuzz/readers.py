@@ -159,6 +159,11 @@ def as_pixels(path: Path) -> object:
     return load_map(path, resolution=0.05)
 
 
+def as_odometry(path: Path) -> list[Pose2]:
+    """Read odometry for a log of three lines."""
+    return read_scan_odometry(path, path, [(0.0, 0.0, 0.0)] * 3)
+
+
 def as_scans(path: Path) -> object:
     """Read every scan of a log."""
     return sum(1 for _ in open_log(path))
@@ -263,7 +268,7 @@ def seeds(folder: Path) -> list[Seed]:
         Seed("trajectory", "path.txt", PLANAR, read_trajectory),
         Seed("trajectory", "drive.log", carmen(), read_trajectory),
         Seed("relations", "pairs.relations", RELATIONS, read_relations),
-        Seed("scan odometry", "odometry.csv", SCAN_ODOMETRY, read_scan_odometry),
+        Seed("scan odometry", "odometry.csv", SCAN_ODOMETRY, as_odometry),
         Seed("graph", "a.g2o", G2O, read_g2o),
         Seed("graph", "a.graph", TORO, read_g2o),
         Seed("picture", "p5.pgm", picture(), as_pixels, is_text=False),

@@ -32,7 +32,7 @@ READERS: dict[str, tuple[Callable[[Path], object], str]] = {
     "bag": (open_log, ".mcap"),
     "trajectory": (read_trajectory, ".tum"),
     "relations": (read_relations, ".txt"),
-    "scan odometry": (read_scan_odometry, ".csv"),
+    "scan odometry": (lambda path: read_scan_odometry(path, path, []), ".csv"),
     "graph": (read_g2o, ".g2o"),
 }
 
