@@ -20,7 +20,6 @@ from slamfusion.report.errors import (
     errors_section,
     series_picture,
 )
-from slamfusion.report.evidence import evidence_section, path_colours, place_lines, strip_picture
 from slamfusion.report.fusion_report import (
     alignment_section,
     doubtful_lines,
@@ -46,6 +45,7 @@ from slamfusion.report.page import (
     tables,
     write_page,
 )
+from slamfusion.report.paths import evidence_section, path_colours, place_lines, strip_picture
 from slamfusion.slam.common.mapper import Series
 from slamfusion.slam.common.runner import ProducerRun
 

@@ -28,7 +28,6 @@ from slamfusion.report.errors import (
     errors_section,
     series_picture,
 )
-from slamfusion.report.evidence import evidence_section, path_colours, place_lines, strip_picture
 from slamfusion.report.layers import error_layers, map_layers
 from slamfusion.report.maps import (
     difference_picture,
@@ -50,9 +49,13 @@ from slamfusion.report.page import (
 from slamfusion.report.paths import (
     Line,
     closures_picture,
+    evidence_section,
+    path_colours,
     path_pictures,
     paths_legend,
     paths_picture,
+    place_lines,
+    strip_picture,
     truth_line,
 )
 from slamfusion.slam.common.runner import ProducerRun

@@ -11,7 +11,7 @@ from slamfusion.evidence.beams import judged_scans
 from slamfusion.evidence.predictive import score_paths
 from slamfusion.evidence.recommendation import recommend
 from slamfusion.palette import NAMED
-from slamfusion.report.evidence import evidence_section
+from slamfusion.report.paths import evidence_section
 from slamfusion.trajectory import Trajectory
 from tests.evidence.rooms import circuit, recorded
 
