@@ -69,6 +69,40 @@ class Stateful:
                 setattr(self, name, value)
 
 
+class Rows(Stateful):
+    """A table of float64 that grows by a row at a time, in a tenth of the memory of a list."""
+
+    def __init__(self, columns: int) -> None:
+        self._table = np.empty((64, columns))
+        self._count = 0
+
+    def __len__(self) -> int:
+        return self._count
+
+    def append(self, *row: float) -> None:
+        """Add a row."""
+        if self._count == len(self._table):
+            self._table = np.concatenate((self._table, np.empty_like(self._table)))
+        self._table[self._count] = row
+        self._count += 1
+
+    def array(self) -> npt.NDArray[np.float64]:
+        """Return a copy, (N, columns)."""
+        return self._table[: self._count].copy()
+
+    def to_state(self) -> dict[str, Any]:
+        """Return the rows."""
+        return {"rows": self.array()}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take over what ``to_state`` returned."""
+        rows = state["rows"]
+        check_shapes(state, {"rows": f"N {self._table.shape[1]}"})
+        check_kinds(state, {"rows": np.float64})
+        self._table = np.concatenate((rows, np.empty((64, self._table.shape[1]))))
+        self._count = len(rows)
+
+
 class SavedMapper(Stateful):
     """A mapper that can be saved and resumed, made of its settings, a device and a seed.
 

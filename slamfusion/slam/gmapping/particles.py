@@ -18,7 +18,7 @@ from slamfusion.grid import OccupancyGrid
 from slamfusion.scan import LaserScan
 from slamfusion.slam.common.mapper import Series
 from slamfusion.slam.common.matcher import FieldMap, pose_table
-from slamfusion.slam.common.state import Stateful
+from slamfusion.slam.common.state import Rows, Stateful
 from slamfusion.slam.common.tile_map import SharedTileMaps
 from slamfusion.trajectory import Trajectory
 
@@ -261,21 +261,20 @@ class ParticlePaths(Stateful):
     between two nodes are the same small motion for every particle, counted from the last node.
     """
 
-    STATE = ("_poses", "_parents", "_entropies", "_stamps", "_nodes", "_motions")
+    STATE = ("_poses", "_parents", "_entropies", "_scans")
 
     def __init__(self, count: int) -> None:
         self._count = count
         self._poses: list[F64] = []
         self._parents: list[npt.NDArray[np.int32]] = []
-        self._entropies: list[float] = []
-        self._stamps: list[float] = []
-        self._nodes: list[int] = []
-        self._motions: list[tuple[float, float, float]] = []
+        self._entropies = Rows(1)
+        # Stamp, node, and motion since the node.
+        self._scans = Rows(5)
 
     @property
     def memory_bytes(self) -> int:
         """Bytes of nodes and scans."""
-        return len(self._poses) * self._count * 28 + len(self._stamps) * 40
+        return len(self._poses) * self._count * 28 + len(self._scans) * 40
 
     def add_node(self, poses: F64, parents: npt.NDArray[np.int64] | None) -> None:
         """Add a filter step with poses (N, 3) and parents (N,); None: each is its own parent."""
@@ -286,9 +285,7 @@ class ParticlePaths(Stateful):
 
     def add_scan(self, stamp_s: float, moved: Pose2) -> None:
         """Add a scan by its motion since the last node, or since the origin before the first."""
-        self._stamps.append(stamp_s)
-        self._nodes.append(len(self._poses) - 1)
-        self._motions.append((moved.x, moved.y, moved.yaw_rad))
+        self._scans.append(stamp_s, len(self._poses) - 1, moved.x, moved.y, moved.yaw_rad)
 
     def path(self, index: int, name: str) -> Trajectory:
         """Return the path of a particle at every scan."""
@@ -298,13 +295,13 @@ class ParticlePaths(Stateful):
             index = int(self._parents[number][index])
         # Node -1, before the first, is the frame's origin.
         at = np.concatenate((at, np.zeros((1, 3))))
-        nodes = np.array(self._nodes, dtype=np.int64)
-        motions = np.array(self._motions).reshape(-1, 3)
-        return Trajectory(np.array(self._stamps), compose_poses(at[nodes], motions), name)
+        scans = self._scans.array()
+        nodes = scans[:, 1].astype(np.int64)
+        return Trajectory(scans[:, 0], compose_poses(at[nodes], scans[:, 2:]), name)
 
     def entropy(self) -> float | None:
         """Return the mean over the nodes of the entropy of the particles there, in nats."""
-        return float(np.mean(self._entropies)) if self._entropies else None
+        return float(np.mean(self._entropies.array()[:, 0])) if len(self._entropies) else None
 
 
 def _entropy(poses: F64) -> float:

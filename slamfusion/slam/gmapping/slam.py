@@ -70,7 +70,7 @@ class Gmapping(SavedMapper):
     """The filter behind the ``Mapper`` protocol."""
 
     name = NAME
-    STATE_FORMAT = 7
+    STATE_FORMAT = 8
     STATE_KINDS = (FilterHealth, Particles)
     STATE = (
         "health",

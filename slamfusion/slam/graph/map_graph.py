@@ -29,7 +29,7 @@ from slamfusion.geometry import (
 from slamfusion.grid import IDENTITY
 from slamfusion.pose_graph import Optimized, PoseGraph, Steps, optimize_in_steps, take_steps
 from slamfusion.slam.common.mapper import Health, Series
-from slamfusion.slam.common.state import Stateful
+from slamfusion.slam.common.state import Rows, Stateful
 from slamfusion.slam.graph.node_map import Node
 from slamfusion.slam.records import GraphJson, HealthJson
 from slamfusion.trajectory import Trajectory
@@ -105,47 +105,44 @@ class DrivenPath(Stateful):
 
     def __init__(self) -> None:
         self.start = IDENTITY
-        self._scans: list[tuple[float, int, tuple[float, float, float]]] = []
-        self._reported: list[tuple[float, float, float]] = []
-        self._responses: list[tuple[float, float]] = []
+        # Stamp, node, and motion since the node; poses as reported; stamps and responses.
+        self._scans, self._reported, self._responses = Rows(5), Rows(3), Rows(2)
 
     def add(self, stamp_s: float, node: int, moved: Pose2) -> None:
         """Add a scan, given the robot's pose in the frame of the node or of the start."""
-        self._scans.append((stamp_s, node, (moved.x, moved.y, moved.yaw_rad)))
+        self._scans.append(stamp_s, node, moved.x, moved.y, moved.yaw_rad)
 
     def report(self, pose: Pose2) -> None:
         """Record the last scan's pose in the map frame as reported."""
-        self._reported.append((pose.x, pose.y, pose.yaw_rad))
+        self._reported.append(pose.x, pose.y, pose.yaw_rad)
 
     def add_response(self, stamp_s: float, score: float) -> None:
         """Record the response, 0 to 1, of a node's match."""
-        self._responses.append((stamp_s, score))
+        self._responses.append(stamp_s, score)
 
     def series(self) -> tuple[Series, ...]:
         """Return the responses of the nodes' matches, to be plotted."""
-        if not self._responses:
+        if not len(self._responses):
             return ()
-        stamps, values = np.array(self._responses).T
+        stamps, values = self._responses.array().T
         return (Series("response", "", stamps, values),)
 
     def trajectory(self, poses: F64, name: str) -> Trajectory:
         """Return the pose at every scan by the nodes' poses (N, 3) in the map frame."""
-        stamps = np.array([stamp for stamp, _, _ in self._scans])
-        nodes = np.array([node for _, node, _ in self._scans], dtype=np.int64)
-        motions = np.array([motion for _, _, motion in self._scans]).reshape(-1, 3)
+        scans = self._scans.array()
+        nodes = scans[:, 1].astype(np.int64)
         frames = np.concatenate((poses, row_of(self.start)[None]))  # NO_NODE is the last one
-        return Trajectory(stamps, compose_poses(frames[nodes], motions), name)
+        return Trajectory(scans[:, 0], compose_poses(frames[nodes], scans[:, 2:]), name)
 
     def as_reported(self, name: str) -> Trajectory:
         """Return the pose at every scan as first reported."""
-        stamps = np.array([stamp for stamp, _, _ in self._scans])
-        return Trajectory(stamps, np.array(self._reported).reshape(-1, 3), name)
+        return Trajectory(self._scans.array()[:, 0], self._reported.array(), name)
 
     def node_stamps(self) -> dict[int, float]:
         """Return the time of each node's scan, seconds."""
         stamps: dict[int, float] = {}
-        for stamp, node, _ in self._scans:
-            stamps.setdefault(node, stamp)
+        for stamp, node in self._scans.array()[:, :2].tolist():
+            stamps.setdefault(int(node), stamp)
         return stamps
 
 

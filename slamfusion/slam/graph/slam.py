@@ -48,7 +48,7 @@ class GraphSlam(SavedMapper):
     """The graph SLAM behind the ``Mapper`` protocol."""
 
     name = NAME
-    STATE_FORMAT = 8
+    STATE_FORMAT = 9
     STATE_KINDS = (
         Constraint,
         GraphHealth,

@@ -19,11 +19,12 @@ from slamfusion.compute.cell_means import ScanRule
 from slamfusion.compute.layout import BEAM_ONE, MEAN_HALF, MOST_OBSERVATIONS, UNSEEN, VALUE_ONE
 from slamfusion.config import TinySlamConfig
 from slamfusion.errors import SlamFusionError
-from slamfusion.geometry import F64, Pose2, wrap_angle
+from slamfusion.geometry import F64, Pose2, row_of, wrap_angle
 from slamfusion.grid import UNKNOWN, OccupancyGrid
 from slamfusion.scan import LaserScan
 from slamfusion.slam.common.mapper import Health, Series, Step
 from slamfusion.slam.common.matcher import FieldMap, Match, PoseHypothesis
+from slamfusion.slam.common.state import Rows
 from slamfusion.slam.common.tile_map import TileMap
 from slamfusion.slam.common.tracking import Tracker
 from slamfusion.trajectory import Trajectory
@@ -151,8 +152,8 @@ class TinySlam:
             },
         )
         self._anchor = np.zeros(2)
-        self._stamps: list[float] = []
-        self._poses: list[tuple[float, float, float]] = []
+        # Stamp and pose of each scan.
+        self._path = Rows(4)
         self._mapped = 0
 
     # -- the protocol --------------------------------------------------------------------------
@@ -172,13 +173,14 @@ class TinySlam:
         else:
             step = self._use(scan, points, hypotheses)
         self._tracker.advance(step.pose_map_base, odometry, scan.stamp_s)
-        self._stamps.append(scan.stamp_s)
-        self._poses.append((step.pose_map_base.x, step.pose_map_base.y, step.pose_map_base.yaw_rad))
+        x, y, yaw = row_of(step.pose_map_base)
+        self._path.append(scan.stamp_s, x, y, yaw)
         return step
 
     def trajectory(self) -> Trajectory:
         """Return the pose at every scan, as it was found."""
-        return Trajectory(np.array(self._stamps), np.array(self._poses).reshape(-1, 3), self.name)
+        rows = self._path.array()
+        return Trajectory(rows[:, 0], rows[:, 1:], self.name)
 
     def other_paths(self) -> tuple[Trajectory, ...]:
         """Return nothing: the method has one path."""
