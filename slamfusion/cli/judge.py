@@ -152,11 +152,11 @@ def command(
                 fused=fused,
                 warn=notice,
             )
-    with AtomicFiles() as written:
+    with AtomicFiles():
         for case, own in found.items():
-            write_fused_path(own, written)
+            write_fused_path(own)
             if report_dir is not None:
-                write_judgement(own, report_dir / case if several else report_dir, written)
+                write_judgement(own, report_dir / case if several else report_dir)
     rows = [row for case, own in found.items() for row in own.rows(case, placed)]
     first = found[cases[0]]
     document = (

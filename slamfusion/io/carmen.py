@@ -23,7 +23,7 @@ from slamfusion.config import LogConfig
 from slamfusion.errors import LogError, ScanError
 from slamfusion.geometry import F64, Pose2, wrap_angle
 from slamfusion.grid import IDENTITY
-from slamfusion.io.files import AtomicFiles, write_atomic
+from slamfusion.io.files import write_atomic
 from slamfusion.io.lines import packed_by_name
 from slamfusion.io.log import (
     AHEAD_S,
@@ -550,9 +550,7 @@ _HEADER = (
 )
 
 
-def write_carmen(
-    path: str | Path, scans: Iterable[LogScan], *, files: AtomicFiles | None = None
-) -> int:
+def write_carmen(path: str | Path, scans: Iterable[LogScan]) -> int:
     """Write scans as a CARMEN log; the same scans give the same bytes.
 
     A scan becomes a ``FLASER`` line if that can hold it: 180, 181, 360 or 361 beams over
@@ -564,7 +562,6 @@ def write_carmen(
     Args:
         path: compressed if the name ends in ``.gz``.
         scans: in the order of time, each with odometry.
-        files: write together with these files; default: write now.
 
     Returns:
         The number of scans written.
@@ -596,7 +593,7 @@ def write_carmen(
         count += 1
     if first is None:
         raise LogError(f"{target}: there is no scan to write; give at least one")
-    write_atomic(target, packed_by_name(target, bytes(body)), files=files)
+    write_atomic(target, packed_by_name(target, bytes(body)))
     return count
 
 

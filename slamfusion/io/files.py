@@ -14,6 +14,7 @@ import secrets
 import stat
 from collections.abc import Hashable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from contextvars import ContextVar, Token
 from io import BufferedReader
 from pathlib import Path
 
@@ -157,6 +158,9 @@ _FIXES = {
 class AtomicFiles:
     """Several files that are put in place together when the ``with`` block ends without error.
 
+    A block within another one of the same thread belongs to it: whatever is written between is put
+    in place with the outer block's files.
+
     ``add`` writes each file next to its target. At the end of the block they are renamed over
     their targets in the order of adding, then the files passed to ``remove`` are removed; a lock
     on the folder keeps two processes apart. An exception in the block removes what was written
@@ -174,6 +178,7 @@ class AtomicFiles:
         self._targets: dict[Path, Path] = {}  # by temporary file
         self._removed: list[Path] = []
         self._made_folders: list[Path] = []
+        self._before: Token[AtomicFiles | None] | None = None
 
     def add(self, path: str | Path, *parts: bytes | bytearray | memoryview) -> None:
         """Write one file next to its target.
@@ -203,9 +208,15 @@ class AtomicFiles:
         self._removed += paths
 
     def __enter__(self) -> AtomicFiles:  # noqa: PYI034  typing.Self needs Python 3.11
+        if (outer := _OPEN.get()) is not None:
+            return outer
+        self._before = _OPEN.set(self)
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if self._before is None:
+            return
+        _OPEN.reset(self._before)
         path = None
         try:
             if kind is None:
@@ -245,15 +256,14 @@ def _locked(folders: set[Path]) -> Iterator[None]:
         yield
 
 
-def write_atomic(
-    path: str | Path, data: bytes | bytearray | memoryview, *, files: AtomicFiles | None = None
-) -> None:
-    """Write one file atomically, alone or together with ``files``; see ``AtomicFiles``."""
-    if files is not None:
+# The open block of the thread.
+_OPEN: ContextVar[AtomicFiles | None] = ContextVar("open files", default=None)
+
+
+def write_atomic(path: str | Path, data: bytes | bytearray | memoryview) -> None:
+    """Write one file atomically; see ``AtomicFiles``."""
+    with AtomicFiles() as files:
         files.add(path, data)
-        return
-    with AtomicFiles() as own:
-        own.add(path, data)
 
 
 def _mode_of_regular(target: Path) -> int | None:

@@ -21,7 +21,7 @@ import reprlib
 import stat
 import time
 from collections.abc import Callable
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path, PureWindowsPath
 from typing import Any
@@ -564,7 +564,6 @@ def save_map(
     occupied_thresh: float = OCCUPIED_THRESH,
     image_format: str | None = None,
     classes: NormalizeConfig = VOTE,
-    files: AtomicFiles | None = None,
 ) -> tuple[Path, Path]:
     """Save a grid as its picture and ``stem.yaml``; see ``AtomicFiles``.
 
@@ -580,7 +579,6 @@ def save_map(
         occupied_thresh: written to the YAML; 0..1, above ``free_thresh``.
         image_format: ``pgm``, ``png`` or ``bmp``; default: ``png`` for scale, else ``pgm``.
         classes: thresholds of free and occupied in ``trinary`` mode.
-        files: write together with these files; default: write now.
 
     Returns:
         The paths of the YAML and of the picture.
@@ -599,9 +597,9 @@ def save_map(
     check_memory(bytes_per_cell * grid.cells.size + WORKING_BYTES, what, str(image_path))
     pixels = pixels_from_cells(grid.cells, rules, image_format, classes)
     text = _yaml_text(grid, image_path.name, rules, pixel_digest(pixels))
-    with nullcontext(files) if files is not None else AtomicFiles() as whole:
-        whole.add(image_path, encode_image(pixels, image_format))
-        whole.add(yaml_path, text.encode())
+    with AtomicFiles() as files:
+        files.add(image_path, encode_image(pixels, image_format))
+        files.add(yaml_path, text.encode())
     return yaml_path, image_path
 
 

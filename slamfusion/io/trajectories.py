@@ -16,7 +16,7 @@ from slamfusion.errors import TrajectoryError
 from slamfusion.geometry import F64, quaternion_yaw_rad, wrap_angle
 from slamfusion.io.bags.odometry import read_poses
 from slamfusion.io.carmen import CARMEN_WORDS
-from slamfusion.io.files import AtomicFiles, write_atomic
+from slamfusion.io.files import write_atomic
 from slamfusion.io.lines import ROW_BYTES, packed_by_name, read_head, strip_gz, text_lines
 from slamfusion.io.log import odometry_path
 from slamfusion.io.logs import BAG_SUFFIXES, bag_at, open_log
@@ -367,13 +367,11 @@ def _warn(where: Path, count: int, what: str) -> None:
 _HEADER = "# timestamp tx ty tz qx qy qz qw\n"
 
 
-def write_tum(
-    path: str | Path, trajectory: Trajectory, *, files: AtomicFiles | None = None
-) -> None:
+def write_tum(path: str | Path, trajectory: Trajectory) -> None:
     """Write a trajectory as a TUM file; the same poses give the same bytes.
 
     Times are seconds with nine decimals, lengths metres; z, roll and pitch are 0. The file is
-    compressed if its name ends in ``.gz``, and written together with ``files``, if given.
+    compressed if its name ends in ``.gz``.
 
     Raises:
         MapFileError: the file cannot be written.
@@ -389,4 +387,4 @@ def write_tum(
             f"{stamp_s:.9f} {x:.9f} {y:.9f} 0 0 0 "
             f"{math.sin(half_rad):.12f} {math.cos(half_rad):.12f}\n"
         )
-    write_atomic(target, packed_by_name(target, "".join(lines).encode()), files=files)
+    write_atomic(target, packed_by_name(target, "".join(lines).encode()))

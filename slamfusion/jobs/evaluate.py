@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -250,7 +249,7 @@ class EvaluatedCases:
 
     def write(self, report: Path | None, images: Sequence[Path]) -> None:
         """Write reports and pictures; of several cases a report each. See ``write_evaluation``."""
-        with AtomicFiles() as files:
+        with AtomicFiles():
             for case in self.truths if self.placed else ():
                 own = [row for row, item in enumerate(self.placed) if item.case == case]
                 if own:
@@ -260,7 +259,6 @@ class EvaluatedCases:
                         device=self.device or "",
                         report=report / case if report and len(self.truths) > 1 else report,
                         images=[images[row] for row in own] if images else [],
-                        files=files,
                     )
 
 
@@ -324,7 +322,6 @@ def write_evaluation(
     device: str = "",
     report: Path | None = None,
     images: Sequence[Path] = (),
-    files: AtomicFiles | None = None,
 ) -> None:
     """Write the report and the difference images that are asked for, all of them or none.
 
@@ -336,19 +333,14 @@ def write_evaluation(
         return
     from slamfusion.report import write_difference_image, write_evaluation_report  # noqa: PLC0415  (an extra)
 
-    with AtomicFiles() if files is None else nullcontext(files) as together:
+    with AtomicFiles():
         if report is not None:
             alignments = [evaluation.alignment for evaluation in evaluations]
             write_evaluation_report(
-                evaluations,
-                report,
-                config=config,
-                alignments=alignments,
-                device=device,
-                files=together,
+                evaluations, report, config=config, alignments=alignments, device=device
             )
         for evaluation, path in zip(evaluations, images, strict=bool(images)):
-            write_difference_image(evaluation, path, together)
+            write_difference_image(evaluation, path)
 
 
 def difference_images(image: Path, names: Sequence[str]) -> list[Path]:

@@ -6,7 +6,7 @@ import logging
 import time
 from collections.abc import Sequence
 from concurrent.futures import Executor
-from contextlib import ExitStack, nullcontext
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -325,10 +325,10 @@ def group_stores(store: Path, count: int) -> tuple[Path, ...]:
 
 def _write_files(store: Path, stem: Path) -> None:
     """Write the maps of a store as files of a map server."""
-    with AtomicFiles() as files:
-        save_map(read_stored_map(store, FUSED), stem, files=files)
+    with AtomicFiles():
+        save_map(read_stored_map(store, FUSED), stem)
         agreement = read_stored_map(store, AGREEMENT_ARRAY)
-        save_map(agreement, agreement_stem(stem), mode="raw", files=files)
+        save_map(agreement, agreement_stem(stem), mode="raw")
 
 
 # --- files ------------------------------------------------------------------------------------
@@ -340,7 +340,6 @@ def save_fused_maps(
     *,
     report: str | Path | None = None,
     image_format: str = "pgm",
-    files: AtomicFiles | None = None,
 ) -> FuseDocument:
     """Write the fused map, the agreement, their record ``STEM.json`` and the report, all or none.
 
@@ -359,27 +358,20 @@ def save_fused_maps(
     groups = (fused.in_memory, *fused.in_memory.others)
     stems = group_stems(stem, len(groups))
     document = fused.document(stems)
-    with AtomicFiles() if files is None else nullcontext(files) as together:
+    with AtomicFiles() as files:
         for result, path in zip(groups, stems, strict=True):
-            save_map(result.fused, path, image_format=image_format, files=together)
-            save_map(
-                result.agreement, agreement_stem(path),
-                mode="raw", image_format=image_format, files=together,
-            )  # fmt: skip
+            save_map(result.fused, path, image_format=image_format)
+            agreement = agreement_stem(path)
+            save_map(result.agreement, agreement, mode="raw", image_format=image_format)
         if folder is not None:
             from slamfusion.report import write_fusion_report  # noqa: PLC0415  (an extra)
 
             write_fusion_report(
-                fused.in_memory,
-                folder,
-                config=fused.config,
-                evaluations=fused.evaluations,
-                files=together,
+                fused.in_memory, folder, config=fused.config, evaluations=fused.evaluations
             )
-            for page in report_files(folder / FAILED):
-                together.remove(page)
-        together.add(record_file(stem), record_bytes(document))
-    if files is None and folder is not None:
+            files.remove(*report_files(folder / FAILED))
+        write_atomic(record_file(stem), record_bytes(document))
+    if folder is not None:
         remove_empty(folder / FAILED)
     return document
 

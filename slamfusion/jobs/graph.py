@@ -112,10 +112,10 @@ def save_optimized_graph(
     """
     file = graph.graph
     written = replace(graph, output=as_path(output), tum=as_path(tum))
-    with AtomicFiles() as files:
+    with AtomicFiles():
         if written.output is not None:
             moved = file.graph.with_poses(graph.found.poses)
-            write_g2o(written.output, moved, file.ids, file.fixed, files=files)
+            write_g2o(written.output, moved, file.ids, file.fixed)
         if written.tum is not None:
-            write_tum(written.tum, graph.trajectory(), files=files)
+            write_tum(written.tum, graph.trajectory())
     return written

@@ -18,7 +18,6 @@ from slamfusion.evidence.predictive import PathEvidence, score_paths
 from slamfusion.evidence.recommendation import RankedPath, Recommendation, recommend
 from slamfusion.fusion.groups import LEAST_FUSED
 from slamfusion.io import open_log, read_trajectory, write_tum
-from slamfusion.io.files import AtomicFiles
 from slamfusion.jobs.cases import Placed
 from slamfusion.jobs.fused_path import DrivePath, fuse_weighed_paths
 from slamfusion.jobs.inputs import LogFiles, Warn, as_path, device_for, distinct_names
@@ -217,16 +216,14 @@ def judgements_document(logs: Mapping[str, JudgedPaths], rows: Sequence[Row]) ->
     )
 
 
-def write_fused_path(found: JudgedPaths, files: AtomicFiles | None = None) -> None:
+def write_fused_path(found: JudgedPaths) -> None:
     """Write the fused path as TUM, if there is one."""
     fused = found.fused_path
     if fused is not None and fused.file is not None:
-        write_tum(fused.file, fused.trajectory, files=files)
+        write_tum(fused.file, fused.trajectory)
 
 
-def write_judgement(
-    found: JudgedPaths, directory: str | Path, files: AtomicFiles | None = None
-) -> Path:
+def write_judgement(found: JudgedPaths, directory: str | Path) -> Path:
     """Write the report of the judged paths; return the path of ``report.html``."""
     from slamfusion.report import write_judge_report  # noqa: PLC0415  (an extra)
 
@@ -239,7 +236,6 @@ def write_judgement(
         errors_m=errors_m(found.measures),
         not_measured=found.not_measured,
         device=found.circumstances.device,
-        files=files,
     )
 
 

@@ -14,7 +14,7 @@ from slamfusion.config import RunConfig
 from slamfusion.errors import MapFileError, SlamFusionError
 from slamfusion.evaluation.measured import Measures, Yardsticks
 from slamfusion.grid import OccupancyGrid
-from slamfusion.io import AtomicFiles, open_log, save_map, write_tum
+from slamfusion.io import AtomicFiles, open_log, save_map, write_atomic, write_tum
 from slamfusion.jobs.documents import number, record_bytes
 from slamfusion.jobs.evaluate import evaluate_maps
 from slamfusion.jobs.inputs import LogFiles, Progress, Warn, as_path, load_truth
@@ -229,23 +229,17 @@ def measure_run(run: ProducerRun, config: RunConfig, held: Yardsticks) -> Measur
 # --- files ------------------------------------------------------------------------------------
 
 
-def add_run(
-    files: AtomicFiles,
-    run: ProducerRun,
-    record: Any,
-    stem: Path,
-    config: RunConfig,
-    *,
-    probabilities: bool,
+def write_producer(
+    run: ProducerRun, record: Any, stem: Path, config: RunConfig, *, probabilities: bool
 ) -> None:
-    """Stage a run's map, path and record with other files."""
+    """Write a run's map, path and record."""
     _, _, tum, record_file = output_files(stem)
-    save_map(run.grid, stem, classes=config.fusion.normalize, files=files)
+    save_map(run.grid, stem, classes=config.fusion.normalize)
     if probabilities:
         other = stem.with_name(stem.name + PROBABILITY)
-        save_map(run.grid, other, mode="raw", image_format="png", files=files)
-    write_tum(tum, run.trajectory, files=files)
-    files.add(record_file, record_bytes(record))
+        save_map(run.grid, other, mode="raw", image_format="png")
+    write_tum(tum, run.trajectory)
+    write_atomic(record_file, record_bytes(record))
 
 
 def save_mapped_log(
@@ -274,17 +268,18 @@ def save_mapped_log(
         outputs.append(state)
     saved = replace(mapped, producers=(replace(mapped.result, files=outputs, state_file=state),))
     config = mapped.made_with.config
-    with AtomicFiles() as files:
-        add_run(files, mapped.result.run, saved, stem, config, probabilities=probabilities)
-        if state is not None:
-            _add_state(files, state, mapped.mapper)
+    packed = None if state is None else _packed_state(mapped.mapper, state)
+    with AtomicFiles():
+        write_producer(mapped.result.run, saved, stem, config, probabilities=probabilities)
+        if state is not None and packed is not None:
+            write_atomic(state, packed)
         if report is not None:
-            _add_report(files, mapped, Path(report))
+            _write_report(mapped, Path(report))
     return saved
 
 
-def _add_state(files: AtomicFiles, target: Path, mapper: Mapper) -> None:
-    """Stage the state of a producer with the other files."""
+def _packed_state(mapper: Mapper, target: Path) -> bytes:
+    """Return the file of a producer's state; a producer may write it in any way."""
     if not isinstance(mapper, Resumable):
         raise SlamFusionError(f"{mapper.name} cannot save its state")
     with TemporaryDirectory(prefix="slamfusion-") as name:
@@ -293,11 +288,10 @@ def _add_state(files: AtomicFiles, target: Path, mapper: Mapper) -> None:
             mapper.save_state(draft)
         except MapFileError as error:
             raise MapFileError(str(error).replace(name, str(target.parent))) from None
-        files.add(target, draft.read_bytes())
+        return draft.read_bytes()
 
 
-def _add_report(files: AtomicFiles, mapped: MappedLog, directory: Path) -> None:
-    """Stage the report: map, path, errors, health."""
+def _write_report(mapped: MappedLog, directory: Path) -> None:
     from slamfusion.report import Fact, write_slam_report  # noqa: PLC0415  (an extra)
 
     result, run = mapped.result, mapped.result.run
@@ -325,5 +319,4 @@ def _add_report(files: AtomicFiles, mapped: MappedLog, directory: Path) -> None:
         truth=mapped.true_path,
         relations=result.measures.relations,
         device=result.device,
-        files=files,
     )

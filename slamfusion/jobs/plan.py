@@ -16,7 +16,7 @@ from slamfusion.config import NormalizeConfig, RunConfig
 from slamfusion.evaluation.distances import sample_on_lattice
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, OccupancyGrid
-from slamfusion.io.files import AtomicFiles
+from slamfusion.io.files import AtomicFiles, write_atomic
 from slamfusion.io.map_server import save_map
 from slamfusion.jobs.inputs import PixelSizes, device_for
 from slamfusion.jobs.outputs import OVERLAY, PLACED, PLAN, WORLD_FILE
@@ -53,14 +53,15 @@ class AlignedPlan:
         """Save plan, map in the plan's frame, world file and overlay; see ``plan_files``."""
         from slamfusion.report.maps import input_colours, pair_overlay  # noqa: PLC0415 - an extra
 
-        with AtomicFiles() as files:
-            save_map(self.plan, folder / PLAN, image_format="png", files=files)
-            save_map(self.in_plan(), folder / PLACED, image_format="png", files=files)
-            files.add(folder / WORLD_FILE, world_file(self.plan, self.alignment.transform).encode())
+        with AtomicFiles():
+            save_map(self.plan, folder / PLAN, image_format="png")
+            save_map(self.in_plan(), folder / PLACED, image_format="png")
+            lines = world_file(self.plan, self.alignment.transform)
+            write_atomic(folder / WORLD_FILE, lines.encode())
             colours = input_colours((self.plan.name, self.reference.name))
             picture = pair_overlay(self.plan, self.reference, self.of_map, normalize, colours)
             if picture is not None:
-                files.add(folder / OVERLAY, picture.png)
+                write_atomic(folder / OVERLAY, picture.png)
 
     def in_plan(self) -> OccupancyGrid:
         """Return the robot's map with its axes along the plan's, in the plan's frame."""

@@ -29,7 +29,7 @@ from slamfusion.jobs.fuse_documents import (
 )
 from slamfusion.jobs.fused_path import DrivePath
 from slamfusion.jobs.inputs import LogFiles
-from slamfusion.jobs.map_log import ProducerResult, add_run
+from slamfusion.jobs.map_log import ProducerResult, write_producer
 from slamfusion.jobs.outputs import (
     AGREEMENT,
     DRAWN,
@@ -320,24 +320,24 @@ def save_run(run: LogRun, folder: str | Path, *, probabilities: bool = False) ->
         producers = [
             item
             if isinstance(item, FailedProducer)
-            else _add_producer(files, run, item, target, probabilities=probabilities)
+            else _add_producer(run, item, target, probabilities=probabilities)
             for item in run.producers
         ]
         run = replace(run, producers=tuple(producers), folder=target)
         if run.usable is not None:
-            fused, _ = save_map(run.usable.fused, target / FUSED, files=files)
+            fused, _ = save_map(run.usable.fused, target / FUSED)
             agreed = run.usable.agreement
-            agreement, _ = save_map(agreed, target / AGREEMENT, mode="raw", files=files)
+            agreement, _ = save_map(agreed, target / AGREEMENT, mode="raw")
             run = replace(run, fused=fused, agreement=agreement)
         if run.fused_path is not None:
             path = target / FUSED_PATH
-            write_tum(path, run.fused_path.trajectory, files=files)
+            write_tum(path, run.fused_path.trajectory)
             run = replace(run, fused_path=replace(run.fused_path, file=path))
         if run.drawn_map is not None:
-            drawn, _ = save_map(run.drawn_map.grid, target / DRAWN, files=files)
+            drawn, _ = save_map(run.drawn_map.grid, target / DRAWN)
             run = replace(run, drawn_map=replace(run.drawn_map, file=drawn))
         began_s = time.perf_counter()
-        page = write_run_page(run, target / REPORT, files)
+        page = write_run_page(run, target / REPORT)
         ended_s = time.perf_counter()
         run = replace(
             run,
@@ -356,11 +356,11 @@ def save_run(run: LogRun, folder: str | Path, *, probabilities: bool = False) ->
 
 
 def _add_producer(
-    files: AtomicFiles, run: LogRun, made: RunProducer, folder: Path, *, probabilities: bool
+    run: LogRun, made: RunProducer, folder: Path, *, probabilities: bool
 ) -> RunProducer:
     """Stage the map, the path and the record of a producer; return it with its files."""
     stem, config = folder / made.name, run.made_with.config
     made = replace(made, files=output_files(stem, probabilities=probabilities))
     record = RunRecord((made,), run.files, Circumstances(config, made.device))
-    add_run(files, made.run, record, stem, config, probabilities=probabilities)
+    write_producer(made.run, record, stem, config, probabilities=probabilities)
     return made

@@ -7,7 +7,6 @@ from pathlib import Path
 
 from slamfusion.fusion.path_check import moved_path
 from slamfusion.geometry import Pose2
-from slamfusion.io.files import AtomicFiles
 from slamfusion.jobs.run_files import LogRun
 from slamfusion.palette import NAMED, Rgb
 from slamfusion.report import paths
@@ -54,9 +53,9 @@ from slamfusion.slam.common.runner import ProducerRun
 FUSED_PATH, FUSED_VERDICT, FUSED_MAP = "fused path", "fused", "fused map"
 
 
-def write_run_page(run: LogRun, directory: str | Path, files: AtomicFiles | None = None) -> Path:
+def write_run_page(run: LogRun, directory: str | Path) -> Path:
     """Write the report of a run; see ``write_page``."""
-    return write_page(run_page(run), directory, files)
+    return write_page(run_page(run), directory)
 
 
 def run_page(run: LogRun) -> Page:

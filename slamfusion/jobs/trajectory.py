@@ -10,7 +10,7 @@ from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.evaluation.measured import Measures, Row, Yardsticks, result_rows
 from slamfusion.grid import OccupancyGrid
-from slamfusion.io import AtomicFiles, read_trajectory
+from slamfusion.io import read_trajectory
 from slamfusion.jobs.cases import Placed
 from slamfusion.jobs.inputs import LogFiles
 from slamfusion.jobs.records import Settings, Summaries
@@ -134,10 +134,7 @@ def trajectories_document(
 
 
 def write_trajectories(
-    found: Sequence[MeasuredTrajectory],
-    directory: str | Path,
-    config: RunConfig | None = None,
-    files: AtomicFiles | None = None,
+    found: Sequence[MeasuredTrajectory], directory: str | Path, config: RunConfig | None = None
 ) -> Path:
     """Write one report of the errors of paths; see ``slamfusion.report.page.write_page``."""
     from slamfusion.report import MeasuredPath, write_trajectory_report  # noqa: PLC0415  (an extra)
@@ -154,5 +151,4 @@ def write_trajectories(
         truths={own.placed.case: own.held.truth for own in found if own.held.truth is not None},
         odometry=first.held.scans if len(found) == 1 else None,
         grid=first.grid,
-        files=files,
     )

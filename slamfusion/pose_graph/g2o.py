@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.errors import GraphError
-from slamfusion.io.files import AtomicFiles, write_atomic
+from slamfusion.io.files import write_atomic
 from slamfusion.io.lines import packed_by_name, text_lines
 from slamfusion.pose_graph.graph import (
     PoseGraph,
@@ -101,18 +101,16 @@ def write_g2o(
     graph: PoseGraph,
     ids: npt.NDArray[np.int64] | None = None,
     fixed: Sequence[int] = (0,),
-    *,
-    files: AtomicFiles | None = None,
 ) -> None:
     """Write a graph as g2o's text with all digits, packed if the path ends in ``.gz``.
 
-    ``ids`` (N,) names the poses, by default by index; ``files`` stages the file with others.
+    ``ids`` (N,) names the poses, by default by index.
     MapFileError: the file cannot be written.
     """
     names = np.arange(len(graph)) if ids is None else ids
     data = "".join(_text(graph, names.tolist(), fixed)).encode()
     target = Path(path)
-    write_atomic(target, packed_by_name(target, data), files=files)
+    write_atomic(target, packed_by_name(target, data))
 
 
 def _text(graph: PoseGraph, names: list[int], fixed: Sequence[int]) -> Iterator[str]:

@@ -11,7 +11,6 @@ from slamfusion.align.records import Alignment, FusionResult, InputRecord
 from slamfusion.config import RunConfig
 from slamfusion.evaluation.map_error import MapError
 from slamfusion.grid import CellBox, OccupancyGrid
-from slamfusion.io.files import AtomicFiles
 from slamfusion.palette import DISAGREEMENT_RGB
 from slamfusion.report.canvas import Classes, crop_box, draw_places
 from slamfusion.report.layers import fusion_layers
@@ -50,7 +49,6 @@ def write_fusion_report(
     config: RunConfig,
     evaluations: Sequence[MapError] = (),
     failure: str | None = None,
-    files: AtomicFiles | None = None,
 ) -> Path:
     """Write the report of a fusion; see ``write_page``.
 
@@ -65,7 +63,7 @@ def write_fusion_report(
     sections.append(statistics_section(result, config))
     banner, facts = _banner(result, failure), _facts(result, evaluations)
     page = Page("SLAMfusion report", banner, facts, sections, config, result.device)
-    return write_page(page, directory, files)
+    return write_page(page, directory)
 
 
 def write_failure_report(

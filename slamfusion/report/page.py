@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import contextlib
 import datetime as dt
 import hashlib
 import importlib.resources
@@ -136,7 +135,7 @@ def _settings(config: RunConfig) -> tuple[list[tuple[str, str]], str]:
     return changed, yaml.safe_dump(settings, sort_keys=False, allow_unicode=True)
 
 
-def write_page(page: Page, directory: str | Path, files: AtomicFiles | None = None) -> Path:
+def write_page(page: Page, directory: str | Path) -> Path:
     """Write ``report.html`` and its numbered pictures in one folder, all or none; return its path.
 
     The pictures are in the page, and in the folder also as ``svg`` and ``pdf`` if the settings ask
@@ -165,13 +164,13 @@ def write_page(page: Page, directory: str | Path, files: AtomicFiles | None = No
         )
     }
     html = _html(page, names, _script(is_used=has_layers))
-    with contextlib.nullcontext(files) if files is not None else AtomicFiles() as whole:
+    with AtomicFiles() as files:
         for picture_path, data in written.items():
-            whole.add(picture_path, data)
-        whole.add(path, html.encode("utf-8", errors="replace"))
+            files.add(picture_path, data)
+        files.add(path, html.encode("utf-8", errors="replace"))
         for picture_path in sorted(earlier - written.keys()):
             if picture_path.suffix.removeprefix(".") in PICTURE_FORMS:
-                whole.remove(picture_path)
+                files.remove(picture_path)
     return path
 
 

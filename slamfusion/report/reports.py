@@ -18,7 +18,7 @@ from slamfusion.evidence.predictive import PathEvidence
 from slamfusion.evidence.recommendation import Recommendation
 from slamfusion.fusion.path_check import moved_path
 from slamfusion.grid import OccupancyGrid
-from slamfusion.io.files import AtomicFiles, write_atomic
+from slamfusion.io.files import write_atomic
 from slamfusion.palette import Rgb, colours_of
 from slamfusion.report.canvas import to_form
 from slamfusion.report.errors import (
@@ -75,7 +75,6 @@ def write_slam_report(
     truth: Trajectory | None = None,
     relations: RelationErrors | None = None,
     device: str = "",
-    files: AtomicFiles | None = None,
 ) -> Path:
     """Write the report of a producer's run; see ``write_page``.
 
@@ -127,7 +126,7 @@ def write_slam_report(
     banner = Banner("warn" if warnings else "plain", f"{run.name}: {judged} ({size})", lines)
     shown = [*error_facts(measured), *facts]
     page = Page("SLAMfusion run", banner, shown, sections, config, device)
-    return write_page(page, directory, files)
+    return write_page(page, directory)
 
 
 def _series_pictures(run: ProducerRun) -> list[Picture]:
@@ -152,7 +151,6 @@ def write_trajectory_report(
     truths: Mapping[str, Trajectory],
     odometry: Trajectory | None = None,
     grid: OccupancyGrid | None = None,
-    files: AtomicFiles | None = None,
 ) -> Path:
     """Write the report of the errors of paths; see ``write_page``.
 
@@ -197,7 +195,7 @@ def write_trajectory_report(
         ]
     banner = Banner("plain", _headline(cases), lines)
     page = Page("SLAMfusion trajectory", banner, facts, sections, config, "none needed")
-    return write_page(page, directory, files)
+    return write_page(page, directory)
 
 
 def _paths_over_truth(
@@ -254,7 +252,6 @@ def write_evaluation_report(
     config: RunConfig,
     alignments: Sequence[Alignment | None] = (),
     device: str = "",
-    files: AtomicFiles | None = None,
 ) -> Path:
     """Write the report of the differences of maps to one truth; see ``write_page``.
 
@@ -287,12 +284,10 @@ def write_evaluation_report(
     ]
     banner = Banner("warn" if lost else "good", headline, lost)
     page = Page("SLAMfusion evaluation", banner, facts, sections, config, device)
-    return write_page(page, directory, files)
+    return write_page(page, directory)
 
 
-def write_difference_image(
-    evaluation: MapError, path: str | Path, files: AtomicFiles | None = None
-) -> None:
+def write_difference_image(evaluation: MapError, path: str | Path) -> None:
     """Write the difference to the truth as one picture, in the colours of the report.
 
     Raises:
@@ -303,7 +298,7 @@ def write_difference_image(
     if form not in PICTURE_FORMS:
         raise MapFileError(f"{path}: wanted a name that ends in .{', .'.join(PICTURE_FORMS)}")
     picture = difference_picture(evaluation, None)
-    write_atomic(path, to_form(picture.figure, form), files=files)
+    write_atomic(path, to_form(picture.figure, form))
 
 
 # --- paths by their scans -------------------------------------------------------------------------
@@ -319,7 +314,6 @@ def write_judge_report(
     errors_m: Mapping[str, Mapping[str, float]] | None = None,
     not_measured: Sequence[str] = (),
     device: str = "",
-    files: AtomicFiles | None = None,
 ) -> Path:
     """Write the report of which path to use; see ``write_page``.
 
@@ -344,7 +338,7 @@ def write_judge_report(
         for path in answer.paths
     ]
     page = Page("SLAMfusion judge", banner, facts, sections, config, device)
-    return write_page(page, directory, files)
+    return write_page(page, directory)
 
 
 def _errors_section(answer: Recommendation, errors_m: Mapping[str, Mapping[str, float]]) -> Section:

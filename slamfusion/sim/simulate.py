@@ -15,7 +15,7 @@ from slamfusion.config import ObstacleConfig
 from slamfusion.errors import SimulationError
 from slamfusion.geometry import F64, Pose2, interpolate_poses, travelled
 from slamfusion.io.carmen import write_carmen
-from slamfusion.io.files import AtomicFiles
+from slamfusion.io.files import AtomicFiles, write_atomic
 from slamfusion.io.log import LogScan, deskewed_scans, odometry_path
 from slamfusion.io.map_server import save_map
 from slamfusion.io.trajectories import write_tum
@@ -147,13 +147,13 @@ def write_recording(recording: Recording, folder: str | Path) -> list[Path]:
         world = replace(course.world, map="truth.yaml")
         course = replace(course, world=world)
     text = yaml.safe_dump(course_to_mapping(course), sort_keys=False)
-    with AtomicFiles() as files:
-        write_carmen(log, recording.scans, files=files)
+    with AtomicFiles():
+        write_carmen(log, recording.scans)
         truth = recording.world.grid
-        save_map(truth, folder / "truth", files=files)
-        save_map(thin_walls(truth), folder / "truth_thin", files=files)
-        write_tum(tum, recording.truth, files=files)
-        files.add(settings, text.encode())
+        save_map(truth, folder / "truth")
+        save_map(thin_walls(truth), folder / "truth_thin")
+        write_tum(tum, recording.truth)
+        write_atomic(settings, text.encode())
     return paths
 
 

@@ -43,9 +43,9 @@ def write_set(folder: Path, version: int) -> None:
     """Write what a run writes: maps, a path, a page in a folder below."""
     poses = Trajectory(np.array([0.0, 1.0]), np.full((2, 3), float(version)))
     with AtomicFiles() as files:
-        save_map(grid_of(version), folder / "map", files=files)
-        write_tum(folder / "map.tum", poses, files=files)
-        save_map(grid_of(version), folder / "fused", mode="raw", image_format="png", files=files)
+        save_map(grid_of(version), folder / "map")
+        write_tum(folder / "map.tum", poses)
+        save_map(grid_of(version), folder / "fused", mode="raw", image_format="png")
         files.add(folder / "report" / "page.html", f"version {version}".encode())
 
 
