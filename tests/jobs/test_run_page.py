@@ -102,7 +102,7 @@ def everything() -> LogRun:
             trajectory=path,
             poses=len(path),
             trust={},
-            measures=Measures(relation_errors(path, standing(path), 0.01), truth=errors),
+            measures=Measures(errors, relation_errors(path, standing(path), 0.01)),
         ),
         drawn_map=None,
         why_voted=None,
