@@ -44,8 +44,6 @@ from slamfusion.compute.layout import (
 from slamfusion.compute.tiles import tile_places, walk_cells
 from slamfusion.errors import DeviceError
 
-# Rows of a map that are converted to percent together, to save memory.
-ROWS_AT_ONCE = 256
 # The limits of the map servers, in percent.
 FREE_PERCENT, OCCUPIED_PERCENT = 25.0, 65.0
 
@@ -80,26 +78,16 @@ def percent_of_counts(
         counts: (H, W) uint32, hits above 16 bits of visits.
         threshold: a cell is a wall when more than this share of its visits were hits, 0 to 1.
     """
-    percent = np.empty(counts.shape, dtype=np.int8)
-    for start in range(0, len(counts), ROWS_AT_ONCE):
-        rows = slice(start, start + ROWS_AT_ONCE)
-        percent[rows] = _percent_rows(counts[rows], threshold, least_visits)
-    return percent
-
-
-def _percent_rows(
-    counts: npt.NDArray[np.uint32], threshold: float, least_visits: int
-) -> npt.NDArray[np.int8]:
-    """Return ``percent_of_counts`` of a few rows."""
-    hits, visits = (counts >> 16).astype(np.float64), (counts & 0xFFFF).astype(np.float64)
-    share = hits / np.maximum(visits, 1.0)
+    hits, visits = counts >> 16, counts & 0xFFFF
+    percent = np.where(visits < least_visits, np.int8(UNKNOWN), np.int8(0))
+    # Few cells were hit; the others are free, 0 %.
+    some = np.nonzero((hits > 0) & (visits >= least_visits))
+    share = hits[some] / np.maximum(visits[some], 1)
     rising = np.rint(np.interp(share, (0.0, threshold, 1.0), (0.0, OCCUPIED_PERCENT, 100.0)))
-    is_wall = (hits > 0) & (share > threshold)
-    percent = np.where(
-        is_wall, np.maximum(rising, OCCUPIED_PERCENT), np.minimum(rising, FREE_PERCENT)
-    )
-    percent[visits < least_visits] = UNKNOWN
-    return np.asarray(percent.astype(np.int8))
+    percent[some] = np.where(
+        share > threshold, np.maximum(rising, OCCUPIED_PERCENT), np.minimum(rising, FREE_PERCENT)
+    ).astype(np.int8)
+    return percent
 
 
 if TYPE_CHECKING:

@@ -5,6 +5,7 @@ Nothing here needs ROS; a test compares the lists with the running nodes.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -70,165 +71,83 @@ class NameList:
 SENSOR, STREAM = "best effort", "reliable"
 MAP = "reliable, transient local, depth 1"
 
-TOPICS = (
-    Topic(
-        "scan", "sensor_msgs/LaserScan", ("player",), ("producers", "fusion"), SENSOR, "laser scans"
-    ),
-    Topic(
-        "odom",
-        "nav_msgs/Odometry",
-        ("player",),
-        ("producers", "fusion"),
-        SENSOR,
-        "odometry, unless it is taken from the transforms",
-    ),
-    Topic(
-        "NAME/map",
-        "nav_msgs/OccupancyGrid",
-        ("producers",),
-        ("fusion", "player"),
-        MAP,
-        "the map of one SLAM, in frame NAME_map (in a namespace robot1/NAME_map)",
-    ),
-    Topic(
-        "NAME/map_updates",
-        "map_msgs/OccupancyGridUpdate",
-        (),
-        ("fusion",),
-        STREAM,
-        "what changed of a map, from costmaps and SLAMs of others; where map_msgs is installed",
-        needs_tf2=True,
-    ),
-    Topic(
-        "NAME/map_metadata", "nav_msgs/MapMetaData", ("producers",), (), MAP, "its size and place"
-    ),
-    Topic(
-        "NAME/pose",
-        "geometry_msgs/PoseStamped",
-        ("producers",),
-        ("fusion", "player"),
-        f"{STREAM}, liveliness lease 0.5 s",
-        "the robot in the map's frame, one for every scan that was used, with its stamp",
-    ),
-    Topic(
-        "NAME/path",
-        "nav_msgs/Path",
-        ("producers",),
-        (),
-        MAP,
-        "the path so far, corrected; the fusion listens while it hears scans",
-    ),
-    Topic("fused/map", "nav_msgs/OccupancyGrid", ("fusion",), (), MAP, "the fused map"),
-    Topic(
-        "fused/map_updates",
-        "map_msgs/OccupancyGridUpdate",
-        ("fusion",),
-        (),
-        STREAM,
-        "the box of fused/map that changed, unless the map has grown; where map_msgs is installed",
-        needs_tf2=True,
-    ),
-    Topic(
-        "fused/agreement",
-        "nav_msgs/OccupancyGrid",
-        ("fusion",),
-        (),
-        MAP,
-        "share of the votes for each cell's value, in percent; -1 unknown; sent only while "
-        "a node listens; a late listener gets the last one at once",
-    ),
-    Topic(
-        "fused/pose",
-        "geometry_msgs/PoseWithCovarianceStamped",
-        ("fusion",),
-        (),
-        STREAM,
-        "the robot in fused_map: matched to the walls along the fused path where scans are heard, "
-        "else by the healthiest producer, with the spread of the voters' poses as covariance",
-    ),
-    Topic(
-        "fused/path",
-        "nav_msgs/Path",
-        ("fusion",),
-        (),
-        MAP,
-        "the fused path so far, corrected as the scans ask for it; sent only while a node "
-        "listens, as the player that saves fused/map does, and only where scans are heard",
-    ),
-    Topic(
-        "/diagnostics",
-        "diagnostic_msgs/DiagnosticArray",
-        ("producers", "fusion", "player"),
-        (),
-        STREAM,
-        "how each node and each input is, once a second",
-    ),
-    Topic("/clock", "rosgraph_msgs/Clock", ("player",), (), STREAM, "the log's time"),
-    Topic(
-        "/tf",
-        "tf2_msgs/TFMessage",
-        ("fusion", "player"),
-        ("producers", "fusion", "player"),
-        STREAM,
-        "fused_map to the frame of every map, odom to base_link of a log; more with publish_tf",
-        needs_tf2=True,
-    ),
-    Topic(
-        "/tf_static",
-        "tf2_msgs/TFMessage",
-        ("fusion", "player"),
-        ("producers", "fusion", "player"),
-        MAP,
-        "base_link to the laser of a log",
-        needs_tf2=True,
-    ),
-    Topic(
-        "transforms",
-        "geometry_msgs/TransformStamped",
-        ("fusion", "player"),
-        ("producers", "fusion", "player"),
-        STREAM,
-        "the same as /tf where tf2_msgs is absent",
-        needs_tf2=False,
-    ),
-    Topic(
-        "transforms_static",
-        "geometry_msgs/TransformStamped",
-        ("fusion", "player"),
-        ("producers", "fusion", "player"),
-        MAP,
-        "the same as /tf_static where tf2_msgs is absent",
-        needs_tf2=False,
-    ),
+
+def _rows(table: str) -> list[list[str]]:
+    """Return the cells of a table; a row goes on in indented lines."""
+    rows = re.split(r"\n(?! )", table.strip())
+    return [" ".join(row.split()).split(" | ") for row in rows]
+
+
+def _topic(name: str, kind: str, writers: str, readers: str, *rest: str) -> Topic:
+    qos, text, *needs = rest
+    needs_tf2 = needs[0] == "with tf2_msgs" if needs else None
+    return Topic(name, kind, _nodes(writers), _nodes(readers), qos, text, needs_tf2)
+
+
+def _nodes(group: str) -> tuple[str, ...]:
+    return tuple(group.replace("-", "").split())
+
+
+# Name, type, writers, readers, quality of service, text, and whether it depends on tf2_msgs.
+TOPICS = tuple(
+    _topic(*cells)
+    for cells in _rows("""
+scan | sensor_msgs/LaserScan | player | producers fusion | best effort | laser scans
+odom | nav_msgs/Odometry | player | producers fusion | best effort | odometry, unless it is taken
+    from the transforms
+NAME/map | nav_msgs/OccupancyGrid | producers | fusion player | reliable, transient local, depth 1
+    | the map of one SLAM, in frame NAME_map (in a namespace robot1/NAME_map)
+NAME/map_updates | map_msgs/OccupancyGridUpdate | - | fusion | reliable | what changed of a map,
+    from costmaps and SLAMs of others; where map_msgs is installed | with tf2_msgs
+NAME/map_metadata | nav_msgs/MapMetaData | producers | - | reliable, transient local, depth 1 |
+    its size and place
+NAME/pose | geometry_msgs/PoseStamped | producers | fusion player | reliable, liveliness lease 0.5
+    s | the robot in the map's frame, one for every scan that was used, with its stamp
+NAME/path | nav_msgs/Path | producers | - | reliable, transient local, depth 1 | the path so far,
+    corrected; the fusion listens while it hears scans
+fused/map | nav_msgs/OccupancyGrid | fusion | - | reliable, transient local, depth 1 | the fused
+    map
+fused/map_updates | map_msgs/OccupancyGridUpdate | fusion | - | reliable | the box of fused/map
+    that changed, unless the map has grown; where map_msgs is installed | with tf2_msgs
+fused/agreement | nav_msgs/OccupancyGrid | fusion | - | reliable, transient local, depth 1 | share
+    of the votes for each cell's value, in percent; -1 unknown; sent only while a node listens; a
+    late listener gets the last one at once
+fused/pose | geometry_msgs/PoseWithCovarianceStamped | fusion | - | reliable | the robot in
+    fused_map: matched to the walls along the fused path where scans are heard, else by the
+    healthiest producer, with the spread of the voters' poses as covariance
+fused/path | nav_msgs/Path | fusion | - | reliable, transient local, depth 1 | the fused path so
+    far, corrected as the scans ask for it; sent only while a node listens, as the player that
+    saves fused/map does, and only where scans are heard
+/diagnostics | diagnostic_msgs/DiagnosticArray | producers fusion player | - | reliable | how each
+    node and each input is, once a second
+/clock | rosgraph_msgs/Clock | player | - | reliable | the log's time
+/tf | tf2_msgs/TFMessage | fusion player | producers fusion player | reliable | fused_map to the
+    frame of every map, odom to base_link of a log; more with publish_tf | with tf2_msgs
+/tf_static | tf2_msgs/TFMessage | fusion player | producers fusion player | reliable, transient
+    local, depth 1 | base_link to the laser of a log | with tf2_msgs
+transforms | geometry_msgs/TransformStamped | fusion player | producers fusion player | reliable |
+    the same as /tf where tf2_msgs is absent | without tf2_msgs
+transforms_static | geometry_msgs/TransformStamped | fusion player | producers fusion player |
+    reliable, transient local, depth 1 | the same as /tf_static where tf2_msgs is absent | without
+    tf2_msgs
+""")
 )
 
-SERVICES = (
-    Service("get_map", "nav_msgs/GetMap", "fusion", "answers the last fused map"),
-    Service(
-        "save_map",
-        "std_srvs/Trigger",
-        "fusion",
-        "writes it to save_path, into a folder that is there; answers the path, or why not",
-    ),
-    Service(
-        "save_map_as",
-        "rcl_interfaces/SetParametersAtomically",
-        "fusion",
-        "the same with path, format (pgm, png, bmp), mode (trinary, scale, raw), free_thresh and "
-        "occupied_thresh, each if given; the path stays in the folder of save_path",
-    ),
-    Service(
-        "load_map",
-        "nav_msgs/LoadMap",
-        "fusion",
-        "a saved map becomes an input, or is read again; answers it, or that there is none",
-    ),
-    Service(
-        "reset",
-        "std_srvs/Trigger",
-        "fusion",
-        "the newest maps begin a new fused frame; the kept state is removed",
-    ),
+# Name, type, node, text.
+SERVICES = tuple(
+    Service(*cells)
+    for cells in _rows("""
+get_map | nav_msgs/GetMap | fusion | answers the last fused map
+save_map | std_srvs/Trigger | fusion | writes it to save_path, into a folder that is there;
+    answers the path, or why not
+save_map_as | rcl_interfaces/SetParametersAtomically | fusion | the same with path, format (pgm,
+    png, bmp), mode (trinary, scale, raw), free_thresh and occupied_thresh, each if given; the
+    path stays in the folder of save_path
+load_map | nav_msgs/LoadMap | fusion | a saved map becomes an input, or is read again; answers it,
+    or that there is none
+reset | std_srvs/Trigger | fusion | the newest maps begin a new fused frame; the kept state is
+    removed
+""")
 )
 
 INPUTS = NameList(

@@ -279,7 +279,7 @@ class ProducerSession:
             return None
         if is_old and not before.unmapped and not (before.is_path_due and is_path_heard):
             return None
-        trajectory = self._producer.trajectory() if is_path_heard else None
+        trajectory = self._trajectory(grid) if is_path_heard else None
         self._change(
             unmapped=0,
             is_path_due=trajectory is None,
@@ -288,6 +288,13 @@ class ProducerSession:
             contradictions=self._contradictions(),
         )
         return UndrawnMap(grid, trajectory, before.fed_s, self._producer_generation)
+
+    def _trajectory(self, grid: OccupancyGrid | MapJob) -> Trajectory:
+        """Return the path, that of the map if it is drawn aside."""
+        producer = self._producer
+        if isinstance(grid, MapJob) and isinstance(producer, DrawsAside):
+            return producer.trajectory(grid)
+        return producer.trajectory()
 
     def _contradictions(self) -> tuple[str, ...]:
         """Say how the last poses contradict the odometry."""

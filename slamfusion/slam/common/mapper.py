@@ -167,5 +167,8 @@ class DrawsAside(Mapper, Protocol):
         If ``is_settled``, the map equals that of ``grid``; else the call takes no time.
         """
 
+    def trajectory(self, job: MapJob | None = None) -> Trajectory:
+        """Return the path of all scans; that of a map's nodes takes no time."""
+
     def map_drawer(self, device: ComputeDevice) -> MapDrawer:
         """Return what draws its maps on another device; it shares nothing with the mapper."""

@@ -192,9 +192,10 @@ class GraphSlam(SavedMapper):
 
     # -- what it has made ----------------------------------------------------------------------
 
-    def trajectory(self) -> Trajectory:
-        """Return the pose at every scan by all that is known now."""
-        return self._path.trajectory(self._graph.settled_poses(), self.name)
+    def trajectory(self, job: MapJob | None = None) -> Trajectory:
+        """Return the pose at every scan by all that is known now, or by the poses of a map."""
+        poses = self._graph.settled_poses() if job is None else job.poses
+        return self._path.trajectory(poses, self.name)
 
     def other_paths(self) -> tuple[Trajectory, ...]:
         """Return the path as it was first reported."""
