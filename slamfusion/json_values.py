@@ -10,8 +10,21 @@ from typing import Any
 
 import numpy as np
 
-# Metadata of a field with a record whose keys replace the field.
+# Metadata of a field with a record whose keys replace the field; None has no keys.
 FLAT = {"flat": True}
+# Metadata of a field with a pose, which is printed as its numbers, metres and radians.
+POSE = {"pose": True}
+POSE_KEYS = ("dx_m", "dy_m", "yaw_rad")
+
+
+def flat_or_null(kind: type) -> dict[str, Any]:
+    """Return the metadata of a field as ``FLAT``; of None, the keys of a record are null."""
+    return {**FLAT, "kind": kind}
+
+
+def printed_as(key: str) -> dict[str, str]:
+    """Return the metadata of a field that is printed under another key."""
+    return {"key": key}
 
 
 def printed_with(name: str) -> dict[str, str]:
@@ -22,22 +35,34 @@ def printed_with(name: str) -> dict[str, str]:
 def record_keys(record: Any) -> dict[str, Any]:
     """Return the keys of a record (a dataclass) with their values.
 
-    Fields with ``repr=False`` are not printed; the keys of a record in a field with the metadata
-    ``FLAT`` replace that field, and None has no keys. A method ``to_json`` replaces all this.
+    Fields with ``repr=False`` are not printed, and metadata says what else differs. A method
+    ``to_json`` replaces all this.
     """
     if hasattr(record, "to_json"):
         found: Any = record.to_json()
         return record_keys(found) if is_dataclass(found) else found
     keys: dict[str, Any] = {}
     for item in fields(record):
-        value = getattr(record, item.name)
-        if item.metadata == FLAT:
-            keys |= {} if value is None else record_keys(value)
-        elif item.repr:
-            partner = item.metadata.get("with")
-            if partner is None or getattr(record, partner) is not None:
-                keys[item.name] = value
+        value, how = getattr(record, item.name), item.metadata
+        if "flat" in how:
+            nulls = dict.fromkeys(printed_names(how["kind"])) if "kind" in how else {}
+            keys |= nulls if value is None else record_keys(value)
+        elif "pose" in how:
+            keys |= zip(POSE_KEYS, (value.x, value.y, value.yaw_rad), strict=True)
+        elif item.repr and ("with" not in how or getattr(record, how["with"]) is not None):
+            keys[how.get("key", item.name)] = value
     return keys
+
+
+def printed_names(kind: type) -> list[str]:
+    """Return the keys of a record that has none with more or fewer of them."""
+    names: list[str] = []
+    for item in fields(kind):
+        if "pose" in item.metadata:
+            names += POSE_KEYS
+        elif item.repr:
+            names.append(item.metadata.get("key", item.name))
+    return names
 
 
 def plain(value: Any) -> Any:

@@ -78,20 +78,20 @@ def conclude(
     )
     statistics.pop("overlap")
     return Alignment(
-        pair.reference.grid.name,
-        pair.moving.grid.name,
-        transform,
-        decision.accepted,
-        decision.reason,
-        scores[0],
-        overlap,
-        error,
-        runner_up,
-        time.perf_counter() - began,
-        statistics,
-        None if found.coarse is None else _profile(pair, found.coarse),
-        evidence,
-        decision.kind,
+        moving=pair.moving.grid.name,
+        reference=pair.reference.grid.name,
+        accepted=decision.accepted,
+        reason=decision.reason,
+        transform=transform,
+        score=scores[0],
+        overlap=overlap,
+        error=error,
+        runner_up=runner_up,
+        time_s=time.perf_counter() - began,
+        statistics=statistics,
+        yaw_profile=None if found.coarse is None else _profile(pair, found.coarse),
+        evidence=evidence,
+        decision=decision.kind,
     )
 
 
@@ -210,11 +210,11 @@ def _profile(pair: Pair, coarse: CoarseSearch) -> F64:
 def rejected_alignment(pair: Pair, reason: str, time_s: float) -> Alignment:
     """Return the record of a pair that could not be searched."""
     return Alignment(
-        pair.reference.grid.name,
-        pair.moving.grid.name,
-        Pose2(),
+        moving=pair.moving.grid.name,
+        reference=pair.reference.grid.name,
         accepted=False,
         reason=reason,
+        transform=Pose2(),
         score=0.0,
         overlap=0.0,
         error=0.0,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TypedDict
 
 import numpy as np
 import numpy.typing as npt
@@ -12,11 +11,11 @@ import numpy.typing as npt
 from slamfusion.align.decide import DecisionKind, MatchEvidence, Strength, strength_of
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
+from slamfusion.json_values import POSE, printed_as
 from slamfusion.vote.tiles import GridLayer
 
 __all__ = [
     "Alignment",
-    "AlignmentJson",
     "Bent",
     "Fusion",
     "FusionResult",
@@ -31,29 +30,19 @@ __all__ = [
 class RunnerUp:
     """The best distinct peak of a search other than its answer."""
 
-    dx_m: float = field(init=False)
-    """Pose of the moving map's frame in the reference's: x, metres."""
-    dy_m: float = field(init=False)
-    """Its y, metres."""
-    yaw_rad: float = field(init=False)
-    """Its heading, radians."""
-    transform: Pose2 = field(repr=False)
-    """The same pose."""
+    transform: Pose2 = field(metadata=POSE)
+    """Pose of the moving map's frame in the reference's."""
     score: float
     """On the scale of the alignment's score."""
     ratio: float
     """Score over the answer's; near 1 the place looks alike under both."""
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "dx_m", self.transform.x)
-        object.__setattr__(self, "dy_m", self.transform.y)
-        object.__setattr__(self, "yaw_rad", self.transform.yaw_rad)
 
-
-class AlignmentJson(TypedDict):
+@dataclass(frozen=True, kw_only=True)
+class Alignment:
     """One moving map against one reference map."""
 
-    name: str
+    moving: str = field(metadata=printed_as("name"))
     """The moving map."""
     reference: str
     """The reference map."""
@@ -61,12 +50,8 @@ class AlignmentJson(TypedDict):
     """Whether the alignment is accepted."""
     reason: str
     """Why (not)."""
-    dx_m: float
-    """Transform of a point of the moving map's frame into the reference's: x, metres."""
-    dy_m: float
-    """Its y, metres."""
-    yaw_rad: float
-    """Its heading, radians."""
+    transform: Pose2 = field(metadata=POSE)
+    """Transform of a point of the moving map's frame into the reference's."""
     score: float
     """Symmetric wall score, 1 for identical maps; larger is better."""
     overlap: float
@@ -77,79 +62,22 @@ class AlignmentJson(TypedDict):
     """The best distinct peak other than the answer; null when there is none."""
     time_s: float
     """Wall time, seconds."""
-    statistics: Mapping[str, float | None]
+    statistics: dict[str, float] = field(default_factory=dict)
     """Further numbers of the answer, by name."""
-    match_evidence: MatchEvidence | None
-    """How much speaks for it; null where nothing could be searched."""
-    match_decision: DecisionKind
+    yaw_profile: npt.NDArray[np.float64] | None = field(default=None, repr=False)
+    """(K, 2): yaw in rad (of ``transform``) and the most evidence there, as a share of the most
+    anywhere."""
+    evidence: MatchEvidence | None = field(default=None, metadata=printed_as("match_evidence"))
+    """How much evidence supports it; null where nothing could be searched."""
+    decision: DecisionKind = field(default="not searched", metadata=printed_as("match_decision"))
     """What was decided: accepted, or why not, in one of a few words."""
-    strength: Strength | None
+    strength: Strength | None = field(init=False)
     """How good an accepted match is: by the share of the common walls that it explains, strong from
     0.85 on, fair from 0.7 on, else weak; null: not accepted, or nothing was searched."""
 
-
-@dataclass(frozen=True)
-class Alignment:
-    """One moving grid against one reference grid.
-
-    Attributes:
-        transform: maps a point of the moving grid's map frame into the reference's, metres.
-        accepted: whether it may be believed; ``reason`` says why (not).
-        score: symmetric wall score, 1 for identical maps; larger is better.
-        overlap: cells known in both over known cells of the smaller map, 0..1.
-        error: [F16] map error, sqrt of the sum of squared differences of -1 / 0 / 1 over the
-            reference's known box.
-        runner_up: best distinct peak, None when there is none.
-        time_s: wall time of this alignment.
-        statistics: further numbers of the answer, by name.
-        yaw_profile: (K, 2) float64, yaw in rad (of ``transform``) and the most evidence there, as a
-            share of the most anywhere.
-        evidence: how much speaks for it; None where nothing could be searched.
-        decision: one of ``decide.DECISIONS``.
-    """
-
-    reference: str
-    moving: str
-    transform: Pose2
-    accepted: bool
-    reason: str
-    score: float
-    overlap: float
-    error: float
-    runner_up: RunnerUp | None
-    time_s: float
-    statistics: dict[str, float] = field(default_factory=dict)
-    yaw_profile: npt.NDArray[np.float64] | None = None
-    evidence: MatchEvidence | None = None
-    decision: DecisionKind = "not searched"
-
-    @property
-    def strength(self) -> Strength | None:
-        """How good an accepted alignment is; None: not accepted, or there is no evidence."""
-        if not self.accepted or self.evidence is None:
-            return None
-        return strength_of(self.evidence.share)
-
-    def to_json(self) -> AlignmentJson:
-        """Return the keys that other programs rely on."""
-        return {
-            "name": self.moving,
-            "reference": self.reference,
-            "accepted": self.accepted,
-            "reason": self.reason,
-            "dx_m": self.transform.x,
-            "dy_m": self.transform.y,
-            "yaw_rad": self.transform.yaw_rad,
-            "score": self.score,
-            "overlap": self.overlap,
-            "error": self.error,
-            "runner_up": self.runner_up,
-            "time_s": self.time_s,
-            "statistics": self.statistics,
-            "match_evidence": self.evidence,
-            "match_decision": self.decision,
-            "strength": self.strength,
-        }
+    def __post_init__(self) -> None:
+        found = self.evidence if self.accepted else None
+        object.__setattr__(self, "strength", None if found is None else strength_of(found.share))
 
 
 @dataclass(frozen=True)

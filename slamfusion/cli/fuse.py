@@ -173,7 +173,8 @@ def command(
         save_fused_maps,
         write_failed_fusion,
     )
-    from slamfusion.jobs.fuse_documents import failed_fuse_document  # noqa: PLC0415
+    from slamfusion.jobs.fuse_documents import FuseDocument  # noqa: PLC0415
+    from slamfusion.jobs.records import Circumstances  # noqa: PLC0415
 
     _check_workers(scheduler, processes)
     config, store = with_starts(config, starts), out if out.suffix == STORE_END else None
@@ -209,7 +210,8 @@ def command(
         if report_dir is not None:
             write_failed_fusion(error, grids, config, report_dir, device=device.name)
         if as_json:
-            print_json(failed_fuse_document(error, grids, config, device.name, given))
+            circumstances = Circumstances(config, device.name)
+            print_json(FuseDocument.failed(error, grids, circumstances, given))
         else:
             print_pairs(error.pairs, device.name)
         raise

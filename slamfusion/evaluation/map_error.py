@@ -38,6 +38,7 @@ from slamfusion.grid import (
     known_box,
     trinary_cells,
 )
+from slamfusion.json_values import POSE
 
 # Codes of ``MapError.difference``.
 AGREE_UNKNOWN = 0
@@ -138,12 +139,8 @@ class MapError:
     """Mean structural similarity of the trinary images, at most 1."""
     confusion: Mapping[str, Mapping[str, int]]
     """Cells by the truth's class, then the map's: unknown, free, occupied."""
-    dx_m: float
-    """Transform from the map's frame into the truth's: x, metres."""
-    dy_m: float
-    """Its y, metres."""
-    yaw_rad: float
-    """Its heading, radians."""
+    transform: Pose2 = field(metadata=POSE)
+    """Transform from the map's frame into the truth's."""
     difference: npt.NDArray[np.int8] = field(repr=False)
     """(H, W), read-only, one of the module's codes for each cell of the truth's known box."""
     resolution: float = field(repr=False)
@@ -237,9 +234,7 @@ def compare_to_truth(
         ssim=_mean_ssim(expected, found),
         coverage=int(confusion[1:, 1:].sum()) / known,
         tolerance_m=tolerance_m,
-        dx_m=transform.x,
-        dy_m=transform.y,
-        yaw_rad=transform.yaw_rad,
+        transform=transform,
         difference=difference,
         resolution=truth.resolution,
         origin=truth.crop(box).origin,

@@ -27,6 +27,7 @@ from slamfusion.geometry import (
     wrap_angles,
 )
 from slamfusion.grid import IDENTITY
+from slamfusion.json_values import POSE
 from slamfusion.trajectory import Trajectory, clock_advice
 
 # Step of the compared motions, seconds, and window of the refinement.
@@ -144,12 +145,8 @@ class TrajectoryAlignment:
 
     kind: str
     """How it was found: the setting trajectory.alignment."""
-    dx_m: float
-    """Pose of the estimate's frame in the truth's: x, metres."""
-    dy_m: float
-    """Its y, metres."""
-    yaw_rad: float
-    """Its heading, radians."""
+    transform: Pose2 = field(metadata=POSE)
+    """Pose of the estimate's frame in the truth's."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -194,8 +191,6 @@ class TrajectoryErrors:
     """(M,), absolute error of each place."""
     rotation_rad: npt.NDArray[np.float64] = field(repr=False)
     """(M,), absolute error of each heading, 0 to pi."""
-    pose_truth_estimate: Pose2 = field(repr=False)
-    """The alignment: takes the estimate's frame to the truth's."""
     relative_translation_m: npt.NDArray[np.float64] = field(repr=False)
     """(K,), error of the motion between the poses of each pair."""
     relative_rotation_rad: npt.NDArray[np.float64] = field(repr=False)
@@ -253,7 +248,7 @@ def trajectory_errors(
         rpe_pairs=len(left),
         rpe_delta=config.rpe_delta,
         rpe_unit=config.rpe_unit,
-        alignment=TrajectoryAlignment(config.alignment, motion.x, motion.y, motion.yaw_rad),
+        alignment=TrajectoryAlignment(config.alignment, motion),
         poses=len(estimate),
         poses_matched=len(own),
         tolerance_s=config.tolerance_s,
@@ -265,7 +260,6 @@ def trajectory_errors(
         travelled_m=travelled_m,
         translation_m=translation_m,
         rotation_rad=rotation_rad,
-        pose_truth_estimate=motion,
         relative_translation_m=relative_m,
         relative_rotation_rad=relative_rad,
         relative_travelled_m=travelled_m[second],

@@ -22,7 +22,7 @@ from slamfusion.fusion import align_grids, fuse_grids
 from slamfusion.geometry import Pose2
 from slamfusion.io import AtomicFiles
 from slamfusion.jobs.cases import CaseFile, Placed, case_names, place_files
-from slamfusion.jobs.fuse_documents import FusedInput, UnalignedInput, input_document
+from slamfusion.jobs.fuse_documents import FusedInput
 from slamfusion.jobs.inputs import (
     MapInput,
     PixelSizes,
@@ -47,7 +47,7 @@ class EvaluateDocument:
     """The maps against the truth; empty without --truth."""
     distances: Sequence[DistanceComparison] = ()
     """The maps against measured distances; empty without --distances."""
-    agreement: Sequence[FusedInput | UnalignedInput] = ()
+    agreement: Sequence[FusedInput] = ()
     """The maps against each other; empty with --truth or --distances."""
     truth: Path | None = None
     """The true map's file; null without --truth."""
@@ -158,10 +158,10 @@ def compare_maps(
     return fuse_grids(grids, fusion, device_for(config, device), progress)
 
 
-def agreement_items(result: FusionResult) -> list[FusedInput | UnalignedInput]:
+def agreement_items(result: FusionResult) -> list[FusedInput]:
     """Return how each map agrees with the others of its group, in the order given."""
     groups = {name: group for group in (*result.others, result) for name in group.weights}
-    return [input_document(item, groups.get(item.name, result)) for item in result.inputs]
+    return [FusedInput.of(item, groups.get(item.name, result)) for item in result.inputs]
 
 
 def measure_distances(

@@ -31,8 +31,8 @@ from slamfusion.jobs.fuse_documents import (
     DoubledWalls,
     FusedGroup,
     FuseDocument,
+    FusionRecord,
     agreement_stem,
-    fusion_document,
 )
 from slamfusion.jobs.inputs import (
     NO_FILES,
@@ -136,7 +136,7 @@ class FusedMaps:
         stores = self.stores or [None] * len(stems)
         groups = [*map(FusedGroup.of, (result, *result.others), stems, stores)]
         return FuseDocument(
-            fusion=fusion_document(result, self.doubled),
+            fusion=FusionRecord.of(result, self.doubled),
             fused=groups[0].fused,
             agreement=groups[0].agreement,
             store=groups[0].store,

@@ -21,7 +21,7 @@ from slamfusion.grid import OccupancyGrid
 from slamfusion.jobs.inputs import NO_FILES, GivenMaps
 from slamfusion.jobs.outputs import AGREEMENT_END
 from slamfusion.jobs.records import Circumstances, Evaluation
-from slamfusion.json_values import FLAT
+from slamfusion.json_values import FLAT, flat_or_null
 from slamfusion.vote.tiles import occupied_codes
 
 
@@ -37,36 +37,11 @@ class InputVote:
     """Where it agrees least, if it is bent; null: it agrees with the others."""
 
 
-@dataclass(frozen=True)
-class FusedInput:
-    """An input of a fusion that was aligned with the reference."""
-
-    alignment: Alignment = field(metadata=FLAT)
-    vote: InputVote = field(metadata=FLAT)
-
-
 @dataclass(frozen=True, kw_only=True)
-class UnalignedInput:
-    """An input of a fusion that was not aligned with the reference."""
+class FusedInput:
+    """An input of a fusion; where it was not aligned with the reference, without numbers."""
 
-    dx_m: None = None
-    """Null, as the other numbers of an alignment."""
-    dy_m: None = None
-    """Null."""
-    yaw_rad: None = None
-    """Null."""
-    score: None = None
-    """Null."""
-    overlap: None = None
-    """Null."""
-    error: None = None
-    """Null."""
-    runner_up: None = None
-    """Null."""
-    time_s: None = None
-    """Null."""
-    strength: None = None
-    """Null."""
+    alignment: Alignment | None = field(default=None, metadata=flat_or_null(Alignment))
     vote: InputVote = field(default=InputVote(), metadata=FLAT)
     name: str
     """The input."""
@@ -75,7 +50,26 @@ class UnalignedInput:
     accepted: bool = False
     """Whether it voted."""
     reason: str
-    """Why not."""
+    """Why (not)."""
+
+    @classmethod
+    def of(cls, record: InputRecord, result: Fusion) -> FusedInput:
+        """Describe an input: its alignment, its vote, and the outcome."""
+        vote = InputVote(
+            result.wall_agreement.get(record.name),
+            result.weights.get(record.name, 0.0),
+            result.bent.get(record.name),
+        )
+        found = record.alignment
+        return cls(
+            # Strong, fair or weak is an input that votes.
+            alignment=None if found is None else replace(found, accepted=record.accepted),
+            vote=vote,
+            name=record.name,
+            reference=result.reference if found is None else found.reference,
+            accepted=record.accepted,
+            reason=record.reason,
+        )
 
 
 @dataclass(frozen=True)
@@ -110,7 +104,7 @@ class DoubledWalls:
 class FusionRecord:
     """The result of a fusion; null and empty values where nothing was fused."""
 
-    inputs: Sequence[FusedInput | UnalignedInput]
+    inputs: Sequence[FusedInput]
     """The inputs, in the order given."""
     reference: str | None = None
     """The input whose frame and lattice the fused map has."""
@@ -128,6 +122,32 @@ class FusionRecord:
     """Every pair that was aligned, also between rejected inputs."""
     copies: Mapping[str, str] = field(default_factory=dict)
     """Inputs that are the same map as another, by name, and which of them votes for both."""
+
+    @classmethod
+    def of(cls, result: FusionResult | StoredFusion, doubled: DoubledWalls | None) -> FusionRecord:
+        """Describe a fusion; with doubled walls where they were measured."""
+        copies = {record.name: record.copy_of for record in result.copies}
+        return cls(
+            inputs=[FusedInput.of(record, result) for record in result.inputs],
+            reference=result.reference,
+            fused_count=len(result.accepted),
+            phantom_cells=result.phantom_cells,
+            left_out_m2=result.left_out_m2,
+            doubled_wall_share=doubled,
+            weights=result.weights,
+            pairs=result.pairs,
+            copies={name: other for name, other in copies.items() if other is not None},
+        )
+
+    @classmethod
+    def failed(
+        cls, grids: Sequence[OccupancyGrid], pairs: Sequence[Alignment], reason: str
+    ) -> FusionRecord:
+        """Describe maps of which nothing was fused."""
+        inputs = [
+            FusedInput(name=grid.name, reason=_reason(grid.name, pairs, reason)) for grid in grids
+        ]
+        return cls(inputs=inputs, pairs=pairs)
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,8 +184,8 @@ class FusedGroup:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class _Fused:
-    """What is printed of a fusion, and of one that failed."""
+class FuseDocument:
+    """``slamfusion fuse``; exit code 1 where nothing was fused."""
 
     fusion: FusionRecord = field(metadata=FLAT)
     fused: str | None = None
@@ -179,76 +199,32 @@ class _Fused:
     evaluations: Sequence[Evaluation] = ()
     """Errors of the inputs and of the fused map, with --truth."""
     given: GivenMaps = field(default=NO_FILES, metadata=FLAT)
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class FuseDocument(_Fused):
-    """``slamfusion fuse``."""
-
+    error: str | None = None
+    """Why nothing was fused: maps that do not fit, or --require-all; null where it was."""
     circumstances: Circumstances = field(metadata=FLAT)
-    time_s: float
-    """Wall time of the fusion, seconds."""
+    time_s: float | None = None
+    """Wall time of the fusion, seconds; null where nothing was fused."""
 
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class FailedFuseDocument(_Fused):
-    """``slamfusion fuse`` of maps that do not fit, or with --require-all; exit code 1."""
-
-    error: str
-    """Why nothing was fused."""
-    circumstances: Circumstances = field(metadata=FLAT)
-    time_s: None = None
-    """Null."""
+    @classmethod
+    def failed(
+        cls,
+        error: AlignmentError,
+        grids: Sequence[OccupancyGrid],
+        circumstances: Circumstances,
+        given: GivenMaps = NO_FILES,
+    ) -> FuseDocument:
+        """Describe maps of which nothing was fused."""
+        return cls(
+            fusion=FusionRecord.failed(grids, error.pairs, str(error)),
+            given=given,
+            error=str(error),
+            circumstances=circumstances,
+        )
 
 
 def agreement_stem(stem: Path) -> Path:
     """Return the path, without suffix, of the agreement map beside a fused map."""
     return stem.with_name(stem.name + AGREEMENT_END)
-
-
-def failed_fuse_document(
-    error: AlignmentError,
-    grids: Sequence[OccupancyGrid],
-    config: RunConfig,
-    device: str,
-    given: GivenMaps = NO_FILES,
-) -> FailedFuseDocument:
-    """Return what ``slamfusion fuse`` prints as JSON where nothing was fused."""
-    return FailedFuseDocument(
-        fusion=failure_document(grids, error.pairs, str(error)),
-        given=given,
-        circumstances=Circumstances(config, device),
-        error=str(error),
-    )
-
-
-def fusion_document(
-    result: FusionResult | StoredFusion, doubled: DoubledWalls | None
-) -> FusionRecord:
-    """Return the record of a fusion; with doubled walls where they were measured."""
-    return FusionRecord(
-        inputs=[input_document(record, result) for record in result.inputs],
-        reference=result.reference,
-        fused_count=len(result.accepted),
-        phantom_cells=result.phantom_cells,
-        left_out_m2=result.left_out_m2,
-        doubled_wall_share=doubled,
-        weights=result.weights,
-        pairs=result.pairs,
-        copies={
-            record.name: record.copy_of for record in result.copies if record.copy_of is not None
-        },
-    )
-
-
-def failure_document(
-    grids: Sequence[OccupancyGrid], pairs: Sequence[Alignment], reason: str
-) -> FusionRecord:
-    """Return the record where nothing was fused."""
-    inputs = [
-        UnalignedInput(name=grid.name, reason=_reason(grid.name, pairs, reason)) for grid in grids
-    ]
-    return FusionRecord(inputs=inputs, pairs=pairs)
 
 
 def fusion_sentences(
@@ -286,23 +262,6 @@ def left_out_sentences(result: FusionResult | StoredFusion) -> list[str]:
     ]
     bent = [words for group in (result, *result.others) for words in group.bent_sentences]
     return rejected + copies + bent + cuts
-
-
-def input_document(record: InputRecord, result: Fusion) -> FusedInput | UnalignedInput:
-    """Return one input's record: its alignment, its vote, and the outcome."""
-    vote = InputVote(
-        result.wall_agreement.get(record.name),
-        result.weights.get(record.name, 0.0),
-        result.bent.get(record.name),
-    )
-    found, reason = record.alignment, record.reason
-    if found is None:
-        return UnalignedInput(
-            vote=vote, name=record.name, reference=result.reference,
-            accepted=record.accepted, reason=reason,
-        )  # fmt: skip
-    found = replace(found, moving=record.name, accepted=record.accepted, reason=reason)
-    return FusedInput(found, vote)
 
 
 def _reason(name: str, pairs: Sequence[Alignment], otherwise: str) -> str:

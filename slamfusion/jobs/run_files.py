@@ -20,13 +20,7 @@ from slamfusion.fusion.path_check import PathGap
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import AtomicFiles, save_map, write_tum
 from slamfusion.jobs.documents import number, record_bytes
-from slamfusion.jobs.fuse_documents import (
-    DoubledWalls,
-    FusionRecord,
-    failure_document,
-    fusion_document,
-    left_out_sentences,
-)
+from slamfusion.jobs.fuse_documents import DoubledWalls, FusionRecord, left_out_sentences
 from slamfusion.jobs.fused_path import DrivePath
 from slamfusion.jobs.inputs import LogFiles
 from slamfusion.jobs.map_log import ProducerResult, write_producer
@@ -153,8 +147,8 @@ class DriveFusion:
     def to_json(self) -> FusionRecord:
         """Return the fusion for a JSON document."""
         if self.usable is None:
-            return failure_document(self.grids, self.pairs, str(self.failure))
-        return fusion_document(self.usable, self.doubled)
+            return FusionRecord.failed(self.grids, self.pairs, str(self.failure))
+        return FusionRecord.of(self.usable, self.doubled)
 
 
 @dataclass(frozen=True, eq=False)

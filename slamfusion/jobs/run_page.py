@@ -269,7 +269,7 @@ def _together(run: LogRun, placed: Mapping[str, Pose2], colours: Mapping[str, Rg
     name, top = next(iter(shown.items()))
     first, sentences = run.results[name], []
     if run.true_path is not None and (errors := first.measures.truth) is not None:
-        motion = placed[name].compose(errors.pose_truth_estimate.inverse())
+        motion = placed[name].compose(errors.alignment.transform.inverse())
         lines.append(paths.truth_line(moved_path(run.true_path, motion)))
         sentences.append("The truth is aligned with the whole first path.")
     if first.run.odometry is not None:

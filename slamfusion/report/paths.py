@@ -227,7 +227,7 @@ def path_pictures(
         lines.insert(0, odometry_line(laid_on_start(odometry, trajectory)))
         captions.append("Raw odometry is aligned with the start; its far drift is cut off.")
     if truth is not None and errors is not None:
-        lines.append(truth_line(moved_path(truth, errors.pose_truth_estimate.inverse())))
+        lines.append(truth_line(moved_path(truth, errors.alignment.transform.inverse())))
         captions.append("The truth is aligned with the whole estimate.")
     if others:
         captions.append("Faint: alternatives of the SLAM; where they spread, it is uncertain.")
@@ -244,7 +244,7 @@ def path_pictures(
     if errors is not None:
         aligned = Trajectory(errors.stamps_s, errors.aligned, errors.name)
         figure = path_picture(
-            moved_path(aligned, errors.pose_truth_estimate.inverse()),
+            moved_path(aligned, errors.alignment.transform.inverse()),
             grid=grid,
             normalize=normalize,
             values=errors.translation_m,

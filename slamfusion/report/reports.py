@@ -209,7 +209,7 @@ def _paths_over_truth(
     for item in measured:
         path = item.path
         if item.truth is not None:
-            path = moved_path(path, item.truth.pose_truth_estimate)
+            path = moved_path(path, item.truth.alignment.transform)
         lines.append(Line(path, item.name, colours[item.name], 1.0))
     marked = lines[0].path
     if truth is not None:

@@ -16,6 +16,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.errors import GridError
 from slamfusion.fusion import align_grids
 from slamfusion.geometry import Pose2, wrap_angle
+from slamfusion.json_values import record_keys
 from tests.fusion.drawings import (
     assert_right,
     building,
@@ -49,7 +50,7 @@ FAULTS = {
 
 
 def without_time(alignment: Alignment) -> dict[str, object]:
-    return {key: value for key, value in alignment.to_json().items() if key != "time_s"}
+    return {key: value for key, value in record_keys(alignment).items() if key != "time_s"}
 
 
 @pytest.mark.parametrize("fault", FAULTS)

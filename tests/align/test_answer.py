@@ -15,6 +15,7 @@ from slamfusion.config import FusionConfig
 from slamfusion.fusion import align_grids
 from slamfusion.geometry import Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
+from slamfusion.json_values import record_keys
 from slamfusion.sim import draw_building
 from tests.fusion.drawings import (
     assert_right,
@@ -124,7 +125,7 @@ def test_storeys_with_the_same_outer_walls_are_a_weak_match_at_most(
     found = align_grids(storey(seed, rooms), storey(seed + 100, rooms), QUICK, device)
     assert found.strength in {None, "weak"}, found.reason
     assert found.strength == "weak" or rooms > 10, found.reason
-    assert found.to_json()["strength"] == found.strength
+    assert record_keys(found)["strength"] == found.strength
     contradiction = 1.0 - record_of(found)["share"]
     assert (
         f"{contradiction:.0%} of the common walls contradict: another storey or another time "
@@ -187,7 +188,7 @@ def test_a_pair_that_was_not_searched_has_no_evidence(device: ComputeDevice) -> 
     found = rejected_alignment(Pair(a, b), "why", 1.5)
     assert (found.accepted, found.reason, found.decision) == (False, "why", "not searched")
     assert found.evidence is None
-    record = found.to_json()
+    record = record_keys(found)
     assert record["match_evidence"] is None
     assert record["match_decision"] == "not searched"
 

@@ -18,7 +18,7 @@ import json
 import math
 import multiprocessing
 from collections import Counter, OrderedDict
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -33,7 +33,6 @@ from slamfusion.align.align import align_pair
 from slamfusion.align.features import GridFeatures
 from slamfusion.align.normalize import common_resolution, normalize_grid
 from slamfusion.align.pair import Pair
-from slamfusion.align.records import AlignmentJson
 from slamfusion.compute import open_device
 from slamfusion.config import FusionConfig
 from slamfusion.grid import OccupancyGrid
@@ -104,7 +103,7 @@ class Result:
     is_right: bool
     error_m: float | None
     error_deg: float | None
-    alignment: AlignmentJson
+    alignment: Mapping[str, Any]
 
     @property
     def outcome(self) -> str:

@@ -290,7 +290,7 @@ def courses(bench: Bench) -> Iterator[Row]:
             walls = compare_to_truth(
                 run.grid,
                 grid,
-                errors.pose_truth_estimate,
+                errors.alignment.transform,
                 normalize=bench.config.fusion.normalize,
                 tolerance_m=bench.config.evaluate.tolerance_m,
             )
@@ -342,7 +342,7 @@ def write_report(folder: Path, run: ProducerRun, corrected: Trajectory, config: 
     """Write the report of a run, with the corrected path next to its own."""
     from slamfusion.report import write_slam_report  # noqa: PLC0415  (loads matplotlib)
 
-    moved = trajectory_errors(corrected, run.trajectory, config.trajectory).pose_truth_estimate
+    moved = trajectory_errors(corrected, run.trajectory, config.trajectory).alignment.transform
     other = replace(moved_path(corrected, moved), name="the corrected log, aligned")
     shown = replace(run, other_paths=(*run.other_paths, other))
     write_slam_report(folder, shown, config=config)

@@ -127,7 +127,7 @@ def _pose_in_truth(
 ) -> Pose2:
     config = RunConfig()
     found = against_truth(grid, truth, config, device, same_heading=same_heading)
-    return Pose2(found.dx_m, found.dy_m, found.yaw_rad)
+    return found.transform
 
 
 # --- degraded copies -----------------------------------------------------------------------------

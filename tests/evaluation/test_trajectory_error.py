@@ -57,7 +57,7 @@ def test_a_path_in_another_frame_has_no_error(x: float, y: float, yaw_rad: float
     assert found.translation_m.max() < 1e-8
     assert found.relative_translation_m.max() < 1e-8
     assert max(rotations(found)) < 1e-8
-    back = found.pose_truth_estimate.compose(motion)
+    back = found.alignment.transform.compose(motion)
     assert (back.x, back.y) == pytest.approx((0.0, 0.0), abs=1e-6)
     assert math.remainder(back.yaw_rad, math.tau) == pytest.approx(0.0, abs=1e-9)
 
@@ -66,7 +66,7 @@ def test_without_alignment_the_shift_is_the_error() -> None:
     found = trajectory_errors(moved(line(), Pose2(3.0, 4.0, 0.0)), line(), AS_IT_LIES)
     assert found.translation_m == pytest.approx(np.full(11, 5.0))
     assert found.relative_translation_m.max() < 1e-12
-    assert found.pose_truth_estimate == Pose2()
+    assert found.alignment.transform == Pose2()
 
 
 def test_the_absolute_error_after_alignment_by_hand() -> None:

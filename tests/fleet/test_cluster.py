@@ -25,6 +25,7 @@ from slamfusion.errors import ConfigError, FleetError
 from slamfusion.fleet import THREAD_VARIABLES, as_done, executor_for, tasks_ahead
 from slamfusion.fusion.pair_tasks import AlignmentTasks, PairSettings
 from slamfusion.jobs.fuse import fuse_maps
+from slamfusion.json_values import record_keys
 from slamfusion.version import __version__
 from tests.fleet.test_executor import end_by_force, half
 from tests.support.sites import many_maps
@@ -99,7 +100,7 @@ def test_a_killed_worker_costs_a_retry_and_not_a_byte(
     for moving in features[1:]:
         found = tasks.result(Pair(features[0], moving), None)
         wanted = align_pair(Pair(features[0], moving), settings.config, pairs=21, thorough=False)
-        assert found.to_json() == {**wanted.to_json(), "time_s": found.time_s}
+        assert record_keys(found) == {**record_keys(wanted), "time_s": found.time_s}
     # Kernels are built once a worker, whatever it was asked.
     asked = [cluster.submit(process_and_devices) for _ in range(8)]
     opened = dict(task.result() for task in asked)

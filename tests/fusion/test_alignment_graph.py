@@ -15,7 +15,10 @@ def link(a: str, b: str, better: float = 20.0, off: Pose2 | None = None) -> Alig
     """Return an alignment of b to a as the places have it, or off by a motion."""
     transform = PLACES[a].inverse().compose(PLACES[b]).compose(off or Pose2())
     evidence = MatchEvidence("good", better, better, "another pose", 1.0, 0.9, 30.0, 0.1, 1e-6)
-    return Alignment(a, b, transform, True, "", 0.5, 0.5, 0.0, None, 0.0, evidence=evidence)
+    return Alignment(
+        reference=a, moving=b, accepted=True, reason="", transform=transform, score=0.5,
+        overlap=0.5, error=0.0, runner_up=None, time_s=0.0, evidence=evidence,
+    )  # fmt: skip
 
 
 def graph_of(*edges: str) -> AlignmentGraph:

@@ -43,7 +43,8 @@ def pair(
     better = 100.0 * score
     evidence = MatchEvidence("good", better, better, "another pose", 1.0, 0.9, 30.0, 0.1, 1e-6)
     return Alignment(
-        reference, moving, right, accepted, "drawn by hand", score, 1.0, 0.0, None, 0.0,
+        reference=reference, moving=moving, accepted=accepted, reason="drawn by hand",
+        transform=right, score=score, overlap=1.0, error=0.0, runner_up=None, time_s=0.0,
         evidence=evidence,
     )  # fmt: skip
 

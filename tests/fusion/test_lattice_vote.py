@@ -26,7 +26,10 @@ Places = list[tuple[OccupancyGrid, Pose2]]
 
 
 def aligned(name: str, transform: Pose2) -> Alignment:
-    return Alignment("map 0", name, transform, True, "", 1.0, 1.0, 0.0, None, 0.0)
+    return Alignment(
+        reference="map 0", moving=name, accepted=True, reason="", transform=transform, score=1.0,
+        overlap=1.0, error=0.0, runner_up=None, time_s=0.0,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)

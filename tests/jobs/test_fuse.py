@@ -13,7 +13,8 @@ from slamfusion.grid import OccupancyGrid
 from slamfusion.io import load_map
 from slamfusion.jobs import fuse_documents
 from slamfusion.jobs.fuse import AllRequiredError, fuse_maps, save_fused_maps, write_failed_fusion
-from slamfusion.jobs.fuse_documents import DoubledWalls, failed_fuse_document
+from slamfusion.jobs.fuse_documents import DoubledWalls, FuseDocument
+from slamfusion.jobs.records import Circumstances
 from slamfusion.json_values import plain
 from tests.fusion.drawings import building, degraded
 from tests.jobs.maps import CONFIG, device, moved
@@ -62,7 +63,7 @@ def test_maps_that_do_not_fit_are_refused_with_what_was_tried(tmp_path: Path) ->
     with pytest.raises(AlignmentError) as caught:
         fuse_maps(grids, CONFIG, device())
     assert len(caught.value.pairs) == 1
-    document = failed_fuse_document(caught.value, grids, CONFIG, device().name)
+    document = FuseDocument.failed(caught.value, grids, Circumstances(CONFIG, device().name))
     check_document(plain(document), "fuse", failed=True)
     assert document.fused is None
     first = write_failed_fusion(caught.value, grids, CONFIG, tmp_path, device=device().name)

@@ -32,8 +32,9 @@ def aligned() -> dict[str, Any]:
     """What ``align`` prints, as JSON has it."""
     place = Pose2(1.0, -2.0, 0.5)
     found = Alignment(
-        "one", "other", place, True, "fits", 0.9, 0.8, 12.0, RunnerUp(place, 0.3, 0.4), 0.1,
-        {"z": 9.0},
+        reference="one", moving="other", accepted=True, reason="fits", transform=place, score=0.9,
+        overlap=0.8, error=12.0, runner_up=RunnerUp(place, 0.3, 0.4), time_s=0.1,
+        statistics={"z": 9.0},
     )  # fmt: skip
     return plain(AlignDocument(found, Circumstances(RunConfig(), "numpy"), 0.05))
 

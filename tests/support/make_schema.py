@@ -47,7 +47,7 @@ from slamfusion.jobs import (
 )
 from slamfusion.jobs.info import InfoDocument
 from slamfusion.jobs.records import FailureDocument
-from slamfusion.json_values import FLAT
+from slamfusion.json_values import POSE_KEYS, printed_names
 from slamfusion.slam.records import HealthJson
 
 __all__ = ["DOCUMENTS", "PATH", "make_schema", "to_text"]
@@ -58,7 +58,7 @@ DIALECT = "https://json-schema.org/draft/2020-12/schema"
 # What each command may print; after a failure, any of them prints a ``FailureDocument`` alone.
 DOCUMENTS: dict[str, tuple[type, ...]] = {
     "run": (run_files.LogRun, run_many.RunsDocument),
-    "fuse": (fuse_documents.FuseDocument, fuse_documents.FailedFuseDocument),
+    "fuse": (fuse_documents.FuseDocument,),
     "align": (records.AlignDocument,),
     "evaluate": (evaluate.EvaluateDocument, evaluate.CasesEvaluationDocument),
     "simulate": (simulate.SimulatedDrive,),
@@ -208,9 +208,18 @@ def _required(kind: Any) -> frozenset[str]:
     if not is_dataclass(kind := _keys_of(kind)):
         return frozenset(getattr(kind, "__required_keys__", ()))
     hints = typing.get_type_hints(kind)
-    flat = [_required(hints[item.name]) for item in fields(kind) if item.metadata == FLAT]
-    own = {item.name for item in fields(kind) if item.repr and not item.metadata}
-    return frozenset(own).union(*flat)
+    found: set[str] = set()
+    for item in fields(kind):
+        how = item.metadata
+        if "kind" in how:
+            found.update(printed_names(how["kind"]))
+        elif "flat" in how:
+            found |= _required(hints[item.name])
+        elif "pose" in how:
+            found.update(POSE_KEYS)
+        elif item.repr and "with" not in how:
+            found.add(how.get("key", item.name))
+    return frozenset(found)
 
 
 def _copied(hint: Any) -> Any:
@@ -248,7 +257,7 @@ def _keys(kind: type) -> dict[str, tuple[Any, str]]:
         found |= _keys(other)
     own = fields(kind) if is_dataclass(kind) else ()
     hidden = {item.name for item in own if not item.repr}
-    flat = {item.name for item in own if item.metadata == FLAT}
+    how = {item.name: item.metadata for item in own}
     texts = {}
     for key, text in zip(node.body, node.body[1:], strict=False):
         if isinstance(key, ast.AnnAssign) and isinstance(text, ast.Expr):
@@ -256,10 +265,21 @@ def _keys(kind: type) -> dict[str, tuple[Any, str]]:
             assert isinstance(text.value, ast.Constant)
             texts[key.target.id] = " ".join(str(text.value.value).split())
     for key_name, hint in typing.get_type_hints(kind).items():
-        if key_name in flat:
-            found |= _keys(_keys_of(_not_none(hint)))
+        if own and key_name not in kind.__annotations__:
+            continue  # a field of a base, which is there
+        printed: Mapping[str, Any] = how.get(key_name, {})
+        words = texts.get(key_name, "Null." if hint is type(None) else "")
+        if "flat" in printed:
+            keys = _keys(_keys_of(_not_none(hint)))
+            if "kind" in printed:
+                keys = {key: (one | None, its) for key, (one, its) in keys.items()}
+            found |= keys
+        elif "pose" in printed:
+            place = f"{words.removesuffix('.')}: x, metres."
+            place_texts = (place, "Its y, metres.", "Its heading, radians.")
+            found |= {key: (float, its) for key, its in zip(POSE_KEYS, place_texts, strict=True)}
         elif key_name not in hidden and (key_name in texts or key_name not in found):
-            found[key_name] = (hint, texts.get(key_name, "Null." if hint is type(None) else ""))
+            found[printed.get("key", key_name)] = (hint, words)
     return found
 
 

@@ -26,7 +26,10 @@ def fits(*maps: OccupancyGrid, **transforms: Pose2) -> FusionResult:
     records = []
     for item in maps:
         at = transforms.get(item.name, Pose2())
-        alignment = Alignment(maps[0].name, item.name, at, True, "fits", 1.0, 1.0, 0.0, None, 0.0)
+        alignment = Alignment(
+            reference=maps[0].name, moving=item.name, accepted=True, reason="fits", transform=at,
+            score=1.0, overlap=1.0, error=0.0, runner_up=None, time_s=0.0,
+        )  # fmt: skip
         records.append(InputRecord(item, alignment, True, "fits"))
     return FusionResult(
         reference=maps[0].name,
