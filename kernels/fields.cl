@@ -18,6 +18,21 @@ INLINE int free_neighbours(__global const char *cells, const int height, const i
   return count;
 }
 
+/* Cells of a row that are looked at together: most have no wall, where the device takes any address. */
+#define WALL_LANES 8
+#ifdef UNALIGNED_WORDS
+/* Whether none of WALL_LANES cells is 1; the bytes are -1, 0 or 1. */
+INLINE bool has_none(__global const char *cells, const int count) {
+  if (count < WALL_LANES) return false;
+  const ulong word = WORD(cells, 0);
+  return !(word & ~(word >> 1) & EACH_LANE);
+}
+#define CLEAR(p) (*(__global ulong *)(p) = 0)
+#else
+INLINE bool has_none(__global const char *cells, const int count) { return false; }
+#define CLEAR(p)
+#endif
+
 /* 1 where a wall cell does not stand in free space alone, else 0. A speck of noise, or two side by
  * side, has seven or eight free neighbours.
  * cells (height, width) char trinary; out (height, width) uchar.
@@ -27,10 +42,17 @@ __kernel void solid_walls(__global const char *cells, const int height, const in
   const int first = get_global_id(0) * RUN, row = get_global_id(1);
   if (first >= width || row >= height) return;
   const int stop = first + RUN < width ? first + RUN : width;
-  for (int col = first; col < stop; col++) {
-    const int index = row * width + col;
-    out[index] = cells[index] == OCCUPIED &&
-                 free_neighbours(cells, height, width, row, col) < SPECK_FREE_CELLS;
+  for (int begin = first; begin < stop; begin += WALL_LANES) {
+    const int end = LOWER(begin + WALL_LANES, stop);
+    if (has_none(cells + row * width + begin, end - begin)) {
+      CLEAR(out + row * width + begin);
+      continue;
+    }
+    for (int col = begin; col < end; col++) {
+      const int index = row * width + col;
+      out[index] = cells[index] == OCCUPIED &&
+                   free_neighbours(cells, height, width, row, col) < SPECK_FREE_CELLS;
+    }
   }
 }
 
@@ -42,9 +64,16 @@ __kernel void surface_walls(__global const char *cells, __global const uchar *so
   const int first = get_global_id(0) * RUN, row = get_global_id(1);
   if (first >= width || row >= height) return;
   const int stop = first + RUN < width ? first + RUN : width;
-  for (int col = first; col < stop; col++) {
-    const int index = row * width + col;
-    out[index] = solid[index] && free_neighbours(cells, height, width, row, col) > 0;
+  for (int begin = first; begin < stop; begin += WALL_LANES) {
+    const int end = LOWER(begin + WALL_LANES, stop);
+    if (has_none((__global const char *)solid + row * width + begin, end - begin)) {
+      CLEAR(out + row * width + begin);
+      continue;
+    }
+    for (int col = begin; col < end; col++) {
+      const int index = row * width + col;
+      out[index] = solid[index] && free_neighbours(cells, height, width, row, col) > 0;
+    }
   }
 }
 
@@ -160,17 +189,8 @@ __kernel void distance_rows(__global const ushort *columns, const int height, co
   STORE32(as_ulong4(best), out + row * width + col);
 }
 
-/* out = table[in]: squared distances to distances in 1/256 cell, say.
- * in (cells) ushort; table ushort, one entry for every value of in; out (cells) ushort.
- * Global: (ceil(cells / RUN)). */
-__kernel void look_up(__global const ushort *in, __global const ushort *table, const int cells,
-                      __global ushort *out) {
-  const int first = get_global_id(0) * RUN;
-  const int stop = first + RUN < cells ? first + RUN : cells;
-  for (int index = first; index < stop; index++) out[index] = table[in[index]];
-}
-
-/* out = table[in] where mask is not 0, otherwise[in] elsewhere.
+/* out = table[in] where mask is not 0, otherwise[in] elsewhere: squared distances to distances in
+ * 1/256 cell, say.
  * in, out (cells) ushort; mask (cells) uchar; tables ushort, one entry for every value of in.
  * Global: (ceil(cells / RUN)). */
 __kernel void look_up_where(__global const ushort *in, __global const uchar *mask,

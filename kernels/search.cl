@@ -112,7 +112,7 @@ __kernel void tile_peaks(__global const int *forward, __global const int *backwa
 /* What the points are worth under each pose, summed over chunks of points:
  * partial[chunk, p] = sum of the field in the cells that the points meet, `base` for those off it.
  * points (2, stride) int: x of all points about their middle, then y, stride and chunk multiples of 8;
- * poses (n, 4) int, points to field, with `shift` bits below a whole cell (see narrow_motions);
+ * poses (4, n) int, points to field, with `shift` bits below a whole cell (see narrow_motions);
  * field (height, width) uchar; partial (chunks, n) int.
  * 32 bits, so that eight points move at once: three times as fast on PoCL as one by one in 64.
  * A point off the field reads its first cell, which is put right at the end.
@@ -126,8 +126,8 @@ __kernel void pose_scores(__global const int *points, const int count, const int
                           __global int *partial) {
   const int c = get_global_id(0) / n, p = get_global_id(0) % n;
   if (c >= chunks) return;
-  const int cosine = poses[4 * p], sine = poses[4 * p + 1];
-  const int tx = poses[4 * p + 2], ty = poses[4 * p + 3];
+  const int cosine = poses[p], sine = poses[n + p];
+  const int tx = poses[2 * n + p], ty = poses[3 * n + p];
   const int first = c * chunk, stop = LOWER(first + chunk, count);
   const int even = first + ((stop - first) & ~7);
   int sum = 0;
@@ -155,33 +155,104 @@ __kernel void pose_scores(__global const int *points, const int count, const int
   partial[c * n + p] = sum + (stop - first - met) * (base - (int)field[0]);
 }
 
-/* What the points meet under each pose, summed over chunks of points:
- * partial[p, chunk] = (score, points within near2, points in free space beyond far2, points on the
- * field). Points off the field score `base`.
+/* What the points are worth under each motion and its eight neighbours, shifted by a step along x, y
+ * or both: partial[chunk, n, 3 i + j] = pose_scores of motion n shifted by i and j steps, of {0, -1,
+ * 1}. The nine share a rotation, so the products of a point are made once.
+ * points as of pose_scores; motions (6, n) long Q30: cos, sin, x, y, points to field, and a step along x
+ * in the field, a and b; one along y is (-b, a) there; `drop` bits are rounded off, `shift` remain below
+ * a whole cell; field (height, width) uchar; partial (chunks, n, 9) int. Global: (chunks * n). */
+__kernel void neighbour_scores(__global const int *points, const int count, const int stride,
+                               __global const long *motions, const int n, const int drop,
+                               const int shift, __global const uchar *field, const int height,
+                               const int width, const int base, const int chunk, const int chunks,
+                               __global int *partial) {
+  const int c = get_global_id(0) / n, p = get_global_id(0) % n;
+  if (c >= chunks) return;
+  const long upward = 1L << (drop - 1);
+  const int cosine = (motions[p] + upward) >> drop, sine = (motions[n + p] + upward) >> drop;
+  const long x = motions[2 * n + p] + upward, y = motions[3 * n + p] + upward;
+  const long a = motions[4 * n + p], b = motions[5 * n + p];
+  int tx[NEIGHBOURS], ty[NEIGHBOURS], sum[NEIGHBOURS];
+  int8 minus_met[NEIGHBOURS];
+  for (int k = 0; k < NEIGHBOURS; k++) {
+    const int i = k / 3 == 2 ? 1 : -(k / 3), j = k % 3 == 2 ? 1 : -(k % 3);
+    tx[k] = (x + i * a - j * b) >> drop;
+    ty[k] = (y + i * b + j * a) >> drop;
+    sum[k] = 0;
+    minus_met[k] = 0;
+  }
+  const int first = c * chunk, stop = LOWER(first + chunk, count);
+  const int even = first + ((stop - first) & ~7);
+  for (int i = first; i < even; i += 8) {
+    const int8 x2 = *(__global const int8 *)(points + i);
+    const int8 y2 = *(__global const int8 *)(points + stride + i);
+    const int8 across = cosine * x2 - sine * y2, up = sine * x2 + cosine * y2;
+#pragma unroll
+    for (int k = 0; k < NEIGHBOURS; k++) {
+      const int8 col = (across + tx[k]) >> shift, row = (up + ty[k]) >> shift;
+      const int8 inside = (as_uint8(col) < (uint8)width) & (as_uint8(row) < (uint8)height);
+      minus_met[k] += inside;
+      const ulong4 two = as_ulong4(inside & (row * width + col));
+      sum[k] += (AT_BOTH(two.x) + AT_BOTH(two.y)) + (AT_BOTH(two.z) + AT_BOTH(two.w));
+    }
+  }
+  for (int k = 0; k < NEIGHBOURS; k++) {
+    const int4 four = minus_met[k].lo + minus_met[k].hi;
+    int met = -(four.x + four.y + four.z + four.w);
+    for (int i = even; i < stop; i++) {
+      const int x2 = points[i], y2 = points[stride + i];
+      const int col = (cosine * x2 - sine * y2 + tx[k]) >> shift;
+      const int row = (sine * x2 + cosine * y2 + ty[k]) >> shift;
+      const int inside = ((uint)col < (uint)width) & ((uint)row < (uint)height);
+      sum[k] += field[inside ? row * width + col : 0];
+      met += inside;
+    }
+    partial[(c * n + p) * NEIGHBOURS + k] = sum[k] + (stop - first - met) * (base - (int)field[0]);
+  }
+}
+
+/* What the points meet under each pose, summed over chunks of points: partial[p, chunk] = the score,
+ * points on the field, for each limit points no farther than that from a wall, and for each limit
+ * points in free space that are farther. Points off the field score `base`.
  * points (count, 2) int lattice positions; poses (n, 4) long Q30, points to field;
- * field, free_cell (height, width) uchar (free_cell 1 where free); distance2 (height, width) ushort;
- * partial (n, chunks, 4) int. Global: (chunks, n). */
+ * field, free_cell (height, width) uchar (free_cell not 0 where free); distance2 (height, width) ushort;
+ * limits2 (limits) int, squared cells, at most LIMITS_MAX; partial (n, chunks, 2 + 2 limits) int.
+ * Global: (chunks, n). */
 __kernel void pose_counts(__global const int *points, const int count, __global const long *poses,
                           const int n, __global const uchar *field,
                           __global const ushort *distance2, __global const uchar *free_cell,
-                          const int height, const int width, const int base, const int near2,
-                          const int far2, const int chunk, const int chunks,
-                          __global int *partial) {
+                          const int height, const int width, const int base,
+                          __global const int *limits2, const int limits, const int chunk,
+                          const int chunks, __global int *partial) {
   const int c = get_global_id(0), p = get_global_id(1);
   if (c >= chunks || p >= n) return;
   const long4 pose = vload4(p, poses);
-  int4 sum = 0;
-  for (int i = c * chunk; i < min((c + 1) * chunk, count); i++) {
+  int score = 0, met = 0, near[LIMITS_MAX], beyond[LIMITS_MAX];
+  for (int l = 0; l < limits; l++) near[l] = beyond[l] = 0;
+  const int stop = LOWER((c + 1) * chunk, count);
+  for (int i = c * chunk; i < stop; i++) {
     const int2 cell = fixed_cell(pose, points[2 * i], points[2 * i + 1]);
     if (cell.x < 0 || cell.y < 0 || cell.x >= width || cell.y >= height) {
-      sum.x += base;
+      score += base;
       continue;
     }
     const size_t at = (size_t)cell.y * width + cell.x;
-    const int d2 = distance2[at];
-    sum += (int4)(field[at], d2 <= near2, free_cell[at] && d2 > far2, 1);
+    const int d2 = distance2[at], is_free = free_cell[at] != 0;
+    score += field[at];
+    met++;
+    for (int l = 0; l < limits; l++) {
+      const int is_near = d2 <= limits2[l];
+      near[l] += is_near;
+      beyond[l] += is_free & !is_near;
+    }
   }
-  vstore4(sum, p * chunks + c, partial);
+  __global int *out = partial + (p * chunks + c) * (2 + 2 * limits);
+  out[0] = score;
+  out[1] = met;
+  for (int l = 0; l < limits; l++) {
+    out[2 + l] = near[l];
+    out[2 + limits + l] = beyond[l];
+  }
 }
 
 /* Normal equations of a robust point-to-wall fit under a small motion (dx, dy, dyaw) of the
@@ -193,8 +264,9 @@ __kernel void pose_counts(__global const int *points, const int count, __global 
  * is the mapped point. Backward: points of the reference on the moving field;
  * the gradient turns into the reference frame and changes sign, the arm is the point itself.
  * partial[chunk, p] = REFINE_TERMS floats: Hxx Hxy Hxt Hyy Hyt Htt, gx gy gt, sum of weights; the
- * chunks of the forward side, then those of the backward side. scales (n) float cells.
- * *_points (count, 2) float cells; *_poses (n, 4) float cos, sin, tx, ty in cells, points to field;
+ * chunks of the forward side, then those of the backward side.
+ * *_points (count, 2) float cells; motions (9, n) float: cos, sin, tx, ty in cells, points to field,
+ * of the forward and of the backward side, and the scale in cells;
  * *_distance (height, width) ushort, 1/256 cell; DISTANCE_UNSEEN where a point counts for nothing.
  * REFINE_LANES = 8 points are done at once; what lies off the map, or is not seen, weighs nothing.
  * Global: (chunks of both sides, n). */
@@ -209,28 +281,25 @@ INLINE float lanes_sum(const float8 lanes) {
 }
 
 __kernel void refine_terms(__global const float *forward_points, const int forward_count,
-                           __global const float *forward_poses,
                            __global const ushort *forward_distance, const int forward_height,
                            const int forward_width, __global const float *backward_points,
-                           const int backward_count, __global const float *backward_poses,
-                           __global const ushort *backward_distance, const int backward_height,
-                           const int backward_width, const int n,
-                           __global const float *scales, const float cx, const float cy,
+                           const int backward_count, __global const ushort *backward_distance,
+                           const int backward_height, const int backward_width, const int n,
+                           __global const float *motions, const float cx, const float cy,
                            const int chunk, const int forward_chunks, const int chunks,
                            __global float *partial) {
   const int c = get_global_id(0), p = get_global_id(1);
   if (c >= chunks || p >= n) return;
   const bool backward = c >= forward_chunks;
   __global const float *points = backward ? backward_points : forward_points;
-  __global const float *poses = backward ? backward_poses : forward_poses;
+  __global const float *pose = motions + p + (backward ? 4 * n : 0);
   __global const ushort *distance = backward ? backward_distance : forward_distance;
   const int height = backward ? backward_height : forward_height;
   const int width = backward ? backward_width : forward_width;
   const int first = (backward ? c - forward_chunks : c) * chunk;
   const int stop = LOWER(first + chunk, backward ? backward_count : forward_count);
-  const float cosine = poses[4 * p], sine = poses[4 * p + 1];
-  const float tx = poses[4 * p + 2], ty = poses[4 * p + 3];
-  const float narrow = 1.0f / (scales[p] * scales[p]);
+  const float cosine = pose[0], sine = pose[n], tx = pose[2 * n], ty = pose[3 * n];
+  const float scale = motions[8 * n + p], narrow = 1.0f / (scale * scale);
   float8 xx = 0.0f, xy = 0.0f, xt = 0.0f, yy = 0.0f, yt = 0.0f, tt = 0.0f;
   float8 x = 0.0f, y = 0.0f, t = 0.0f, all = 0.0f;
   for (int i = first; i < stop && width > 1 && height > 1; i += REFINE_LANES) {

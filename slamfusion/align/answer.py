@@ -37,6 +37,7 @@ from slamfusion.align.scores import rank
 from slamfusion.align.search import CoarseSearch, SearchResult, meeting_cells, prior_within, search
 from slamfusion.align.shifts import SearchWindow
 from slamfusion.compute.lattice import fixed_poses
+from slamfusion.compute.search import CountedSide
 from slamfusion.config import AlignConfig
 from slamfusion.geometry import F64, Pose2, wrap_angle
 
@@ -234,35 +235,25 @@ def measure(pair: Pair, motion: F64) -> dict[str, float]:
     random place on the other map's known cells would explain.
     """
     lattice = to_lattice(motion[None], pair.moving.centre)
-    ref, mov = pair.reference.level(1), pair.moving.level(1)
     size = pair.resolution
     near2 = int(max(NEAR_M / size, NEAR_CELLS_MIN) ** 2 + 1e-9)
     clashes2 = [
         int(max(metres / size, least) ** 2 + 1e-9)
         for metres, least in ((FAR_CLASH_M, FAR_CLASH_CELLS_MIN), (CLASH_M, CLASH_CELLS_MIN))
     ]
-    match, known, chance = [], [], []
-    clash: list[list[float]] = [[], []]
-    for points, pose, features, level in (
-        (pair.moving.wall_points, lattice, pair.reference, ref),
-        (pair.reference.wall_points, invert(lattice), pair.moving, mov),
-    ):
-        sample = spread_sample(points, MEASURED_POINTS)
-        for far2, shares in zip(clashes2, clash, strict=True):
-            counts = pair.device.pose_counts(
-                sample,
-                fixed_poses(pose),
-                features.known,
-                level.distance2,
-                level.free,
-                base=0,
-                near2=near2,
-                far2=far2,
-            )[0]
-            shares.append(counts[2] / len(sample))
-        match.append(counts[1] / len(sample))
-        known.append(counts[0] / len(sample))
-        chance.append(features.near_wall_share(near2))
+    sides = [
+        CountedSide(
+            spread_sample(own.wall_points, MEASURED_POINTS), poses, other.known,
+            other.level(1).distance2, other.level(1).free,
+        )
+        for own, poses, other in pair.sides(lattice)
+    ]  # fmt: skip
+    counts = pair.device.pose_counts(*sides, limits2=(near2, *clashes2))
+    known, _, match, _, _, _, *clash = (
+        [float(own[0, k]) / len(side.points) for own, side in zip(counts, sides, strict=True)]
+        for k in range(counts[0].shape[1])
+    )
+    chance = [other.near_wall_share(near2) for other in pair]
     smaller = 0 if len(pair.moving.wall_points) <= len(pair.reference.wall_points) else 1
     overlap, error = _overlap_and_error(pair, lattice)
     return {

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, wraps
-from typing import Any, Concatenate, NamedTuple, ParamSpec, TypeVar
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import cv2
 import numpy as np
@@ -24,6 +24,7 @@ from slamfusion.align.likelihood import (
 from slamfusion.align.normalize import LEAST_KEPT, NormalizedGrid
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.arrays import DeviceArray
+from slamfusion.compute.lattice import PointPlanes, point_planes
 from slamfusion.compute.layout import (
     DISTANCE_MAX,
     DISTANCE_ONE,
@@ -33,6 +34,7 @@ from slamfusion.compute.layout import (
     FACING_PARTS,
     FIELD_ONE,
 )
+from slamfusion.compute.wall_pieces import PointPieces
 from slamfusion.io.files import available_memory, return_freed_memory
 
 P = ParamSpec("P")
@@ -49,6 +51,8 @@ SOLID_REACH = 24
 SMALL = ("near_wall_share", "_known_at_distance", "directions")
 # Cells that are counted at once.
 COUNTED_CELLS = 1 << 20
+# The greatest worth of a wall.
+FIELD_TOP = 255
 # The reported score: a byte serves single lookups.
 FINE_TABLE = score_table(3.0, base=64, span=191)
 # Range in which free space is searched, metres: more than the rim of free cells behind drawn walls
@@ -96,9 +100,8 @@ class Level:
         wall: (H, W) uint8 on the device, 1 at a surface wall.
         free: (H, W) uint8 on the device, free share 0..255.
         distance2: (H, W) uint16 on the device, squared, cells.
-        distance: (H, W) uint16 on the device, 1/256 cell, ``DISTANCE_UNSEEN`` deep in the unknown.
-        far_distance: the same without that.
         points: (N, 2) int32, surface walls as lattice positions x, y in half cells.
+        seen_cells: unknown cells farther than this from walls are unseen.
     """
 
     step: int
@@ -106,16 +109,22 @@ class Level:
     wall: DeviceArray[Any]
     free: DeviceArray[Any]
     distance2: DeviceArray[Any]
-    distance: DeviceArray[Any]
-    far_distance: DeviceArray[Any]
     points: npt.NDArray[np.int32]
+    seen_cells: float
+    device: ComputeDevice
 
+    @cached_property
+    def distance(self) -> DeviceArray[Any]:
+        """(H, W) uint16, 1/256 cell, ``DISTANCE_UNSEEN`` in unseen cells."""
+        unseen = DISTANCE_TABLE.copy()
+        unseen[unseen > self.seen_cells * DISTANCE_ONE] = DISTANCE_UNSEEN
+        return self.device.look_up_where(self.distance2, self.free, DISTANCE_TABLE, unseen)
 
-class PointPieces(NamedTuple):
-    """Points grouped by piece: (N, 2) int32 half cells, and (B + 1,) int32 first point of each."""
-
-    points: npt.NDArray[np.int32]
-    starts: npt.NDArray[np.int32]
+    @cached_property
+    def far_distance(self) -> DeviceArray[Any]:
+        """(H, W) uint16, 1/256 cell, in unseen cells too."""
+        tables = DISTANCE_TABLE, DISTANCE_TABLE
+        return self.device.look_up_where(self.distance2, self.free, *tables)
 
 
 def _kept(
@@ -125,7 +134,7 @@ def _kept(
 
     @wraps(make)
     def get(features: GridFeatures, /, *given: P.args, **named: P.kwargs) -> R:
-        key = (make.__name__, *given)
+        key = (make.__name__, *given, *named.values())
         made = features._made  # noqa: SLF001 - of the class below
         if key not in made:
             made[key] = make(features, *given, **named)
@@ -233,20 +242,10 @@ class GridFeatures:
     ) -> Level:
         """Return the level of walls; distances are known up to ``reach``, cells."""
         distance2 = self.device.distance_squared(wall, reach)
-        far = self.device.look_up(distance2, DISTANCE_TABLE)
-        distance = self._seen_distance(distance2, free, step)
         mask = self.device.download(wall)
         points = _lattice_points(mask != 0)
-        return Level(step, mask.shape, wall, free, distance2, distance, far, points)
-
-    def _seen_distance(
-        self, distance2: DeviceArray[Any], free: DeviceArray[Any], step: int
-    ) -> DeviceArray[Any]:
-        """Return the distance in 1/256 cell, ``DISTANCE_UNSEEN`` deep in unknown space."""
-        reach = max(SEEN_CELLS_MIN, SEEN_M / (self.grid.grid.resolution * step))
-        unseen = DISTANCE_TABLE.copy()
-        unseen[unseen > reach * DISTANCE_ONE] = DISTANCE_UNSEEN
-        return self.device.look_up_where(distance2, free, DISTANCE_TABLE, unseen)
+        seen = max(SEEN_CELLS_MIN, SEEN_M / (self.grid.grid.resolution * step))
+        return Level(step, mask.shape, wall, free, distance2, points, seen, self.device)
 
     def chance(self, step: int, sigma: float) -> float:
         """Return the mean of ``likelihood.likeness`` over the known cells of a level, 0..1.
@@ -263,11 +262,38 @@ class GridFeatures:
         return _known_by_distance(self.device, self.grid.cells, self.level(step))
 
     @_kept
+    def wall_planes(self, step: int, most: int) -> PointPlanes:
+        """Return at most ``most`` sampled surface walls of a level on the device."""
+        return point_planes(spread_sample(self.level(step).points, most), self.device)
+
+    @_kept
+    def wall_places(self, step: int, most: int, *, solid: bool = False) -> DeviceArray[Any]:
+        """Return the same as (N, 2) float32 x and y in cells, of all wall cells if ``solid``."""
+        level = self.solid_level() if solid else self.level(step)
+        return self.device.upload((spread_sample(level.points, most) / 2.0).astype(np.float32))
+
+    @_kept
     def pieces(self, per_half_cell: float, most: int) -> PointPieces:
         """Return at most ``most`` sampled surface walls by piece; half a cell in piece sides."""
         points = spread_sample(self.level(1).points, most)
         col, row = np.floor(points * per_half_cell).astype(np.int64).T
-        return _by_square(points, col * (row.max(initial=0) + 1) + row)
+        squares = col * (row.max(initial=0) + 1) + row
+        order = np.argsort(squares, kind="stable")
+        first = np.unique(squares[order], return_index=True)[1]
+        starts = np.append(first, len(points)).astype(np.int32)
+        points = points.take(order, axis=0)
+        sides = self.device.download(self.facing())[points[:, 1] // 2, points[:, 0] // 2]
+        return PointPieces(*map(self.device.upload, (points, starts, sides)))
+
+    @_kept
+    def piece_words(self, sigma: float) -> tuple[EvidenceTable, DeviceArray[Any]]:
+        """Return the evidence of walls of a width in cells, and what their pieces look up."""
+        table = self.evidence_table(1, sigma, FIELD_TOP)
+        words = self.device.piece_words(
+            self.field(1, table), self.level(1).distance2, self.cells, self.facing(),
+            base=table.base, span=table.span, near2=int((2.0 * sigma) ** 2),
+        )  # fmt: skip
+        return table, words
 
     @_kept
     def facing(self) -> DeviceArray[Any]:
@@ -280,11 +306,6 @@ class GridFeatures:
         return wall_directions(self.grid.solid)
 
     @_kept
-    def seen(self, near2: int) -> DeviceArray[Any]:
-        """Return (H, W) uint8, 1 where known or within this squared distance of a wall."""
-        is_near = self.device.download(self.level(1).distance2) <= near2
-        return self.device.upload((is_near | (self.grid.cells >= 0)).view(np.uint8))
-
     def evidence_table(
         self, step: int, sigma: float, top: int, doubt: float = 0.0
     ) -> EvidenceTable:
@@ -300,14 +321,6 @@ class GridFeatures:
                 level.distance2, level.free, table.hit, table.miss, table.base
             )
         return self._fields[key]
-
-
-def _by_square(points: npt.NDArray[np.int32], squares: npt.NDArray[np.int64]) -> PointPieces:
-    """Return points (N, 2) grouped by square; ``squares`` are (N,) numbers."""
-    order = np.argsort(squares, kind="stable")
-    first = np.unique(squares[order], return_index=True)[1]
-    starts = np.append(first, len(points)).astype(np.int32)
-    return PointPieces(points.take(order, axis=0), starts)
 
 
 def _known_by_distance(

@@ -32,7 +32,7 @@ from slamfusion.align.decide import (
 )
 from slamfusion.align.features import GridFeatures, spread_sample
 from slamfusion.align.likelihood import likeness
-from slamfusion.align.pair import Pair, displacement, invert, to_lattice
+from slamfusion.align.pair import Pair, displacement, to_lattice
 from slamfusion.align.refine import common_walls, narrow_fits
 from slamfusion.align.scores import (
     GOOD_DOUBT,
@@ -44,7 +44,7 @@ from slamfusion.align.scores import (
 )
 from slamfusion.align.search import SearchResult, search
 from slamfusion.align.shifts import SearchWindow
-from slamfusion.compute.lattice import fixed_cells, fixed_poses
+from slamfusion.compute.lattice import fixed_cells
 from slamfusion.config import AlignConfig
 from slamfusion.geometry import F64
 
@@ -323,9 +323,8 @@ def hit_share(pair: Pair, motion: F64) -> float:
     The other walls lie anywhere on the other map's known ground. 0 if one of two narrower widths is
     more likely.
     """
-    lattice = to_lattice(motion[None], pair.moving.centre)
-    sides = ((pair.moving, pair.reference, lattice), (pair.reference, pair.moving, invert(lattice)))
-    met = [(other, _distances2(own, other, way)) for own, other, way in sides]
+    sides = pair.sides(to_lattice(motion[None], pair.moving.centre))
+    met = [(other, _distances2(own, poses[0], other)) for own, poses, other in sides]
     best = []
     for widths in (0.5, 1.0, READINGS["bent"].widths):
         sigma = widths * pair.widths[0]
@@ -337,10 +336,12 @@ def hit_share(pair: Pair, motion: F64) -> float:
     return best[-1][1] if max(best)[0] == best[-1][0] else 0.0
 
 
-def _distances2(own: GridFeatures, other: GridFeatures, lattice: F64) -> npt.NDArray[np.int64]:
+def _distances2(
+    own: GridFeatures, pose: npt.NDArray[np.int64], other: GridFeatures
+) -> npt.NDArray[np.int64]:
     """Return (N,) walls on ground that the other map knows, by squared distance to its walls."""
     x, y = spread_sample(own.level(1).points, SCORED_POINTS).astype(np.int64).T
-    rows, cols = fixed_cells(fixed_poses(lattice)[0], x, y)
+    rows, cols = fixed_cells(pose, x, y)
     height, width = other.shape
     inside = (rows >= 0) & (cols >= 0) & (rows < height) & (cols < width)
     at = rows[inside], cols[inside]

@@ -16,6 +16,8 @@ import numpy.typing as npt
 from slamfusion.align.features import GridFeatures
 from slamfusion.align.normalize import NormalizedGrid
 from slamfusion.compute import ComputeDevice
+from slamfusion.compute.arrays import I64
+from slamfusion.compute.lattice import fixed_poses
 from slamfusion.compute.layout import FIXED_ONE
 from slamfusion.geometry import F64, Pose2, wrap_angle
 
@@ -38,15 +40,18 @@ def invert(motions: F64) -> F64:
     return np.stack((x, y, -motions[:, 2]), axis=1)
 
 
-def fixed_similarities(
+def fixed_motions(
     motions: F64, centre: tuple[float, float], scales: F64 | None = None
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Return (P, 4) fixed poses from the moving lattice to the reference's, and back.
+) -> tuple[F64, F64]:
+    """Return (4, P) from the moving lattice to the reference's, and back, as ``fixed_poses``.
 
     ``motions`` (P, 3) are landing points of the moving ``centre``, cells, and yaw; ``scales`` (P,)
-    enlarge the moving map about its centre, None: 1.
+    enlarge the moving map about its centre, None: 1. The whole numbers are in float64, by columns.
     """
-    there, back = (_fixed(*columns) for columns in both_ways(motions, centre, scales))
+    there, back = (
+        np.rint(np.stack((cos, sin, 2.0 * x, 2.0 * y)) * float(FIXED_ONE))
+        for cos, sin, x, y in both_ways(motions, centre, scales)
+    )
     return there, back
 
 
@@ -65,14 +70,6 @@ def both_ways(
     if scales is not None:
         cos, sin = cos / scales**2, sin / scales**2
     return there, (cos, -sin, -(cos * x + sin * y), sin * x - cos * y)
-
-
-def _fixed(cos: F64, sin: F64, x: F64, y: F64) -> npt.NDArray[np.int64]:
-    """Return columns (P,) in fixed point, side by side: (P, 4), each one stretch."""
-    fixed = np.empty((4, len(cos)), dtype=np.int64)
-    for row, column in zip(fixed, (cos, sin, 2.0 * x, 2.0 * y), strict=True):
-        row[:] = np.rint(column * float(FIXED_ONE))
-    return fixed.T
 
 
 def turned_about(motion: F64, middle: F64, turns: F64) -> F64:
@@ -161,6 +158,11 @@ class Pair:
             np.ascontiguousarray(given.solid[::-1]),
         )
         return Pair(self.reference, GridFeatures(image, self.device))
+
+    def sides(self, lattice: F64) -> Iterator[tuple[GridFeatures, I64, GridFeatures]]:
+        """Yield each map, fixed poses (P, 4) of lattice motions (P, 3), and the other map."""
+        yield self.moving, fixed_poses(lattice), self.reference
+        yield self.reference, fixed_poses(invert(lattice)), self.moving
 
     def motion_of(self, transform: Pose2) -> F64:
         """Return a transform of map frames, metres, as a motion (3,), see ``pair``."""

@@ -10,13 +10,11 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.align.features import spread_sample
-from slamfusion.align.pair import Pair, both_ways, invert, to_lattice, turned_about
+from slamfusion.align.pair import Pair, both_ways, to_lattice, turned_about
 from slamfusion.align.scores import GOOD_DOUBT, score_motions
-from slamfusion.compute.lattice import fixed_poses
-from slamfusion.compute.search import FitSide
+from slamfusion.compute.search import CountedSide, FitSide
 from slamfusion.geometry import F64
 
 REFINE_POINTS = 768
@@ -45,15 +43,6 @@ NEIGHBOURS = np.array([(x, y, turn) for turn in (0, -1, 1) for y in (0, -1, 1) f
 TURNED_RAD, ROUNDS = math.radians(0.1), 4
 
 
-def _device_poses(
-    motions: F64, centre: tuple[float, float]
-) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-    """Return (N, 4) float32 cos, sin, x, y from the moving lattice to the reference's, and back."""
-    there, back = np.empty((2, len(motions), 4), dtype=np.float32)
-    there.T[:], back.T[:] = both_ways(motions, centre)
-    return there, back
-
-
 def refine(
     pair: Pair,
     motions: F64,
@@ -79,27 +68,21 @@ def refine(
     Returns:
         (P, 3) refined motions, the same form.
     """
-    ref, mov = pair.reference.level(step), pair.moving.level(step)
-    if solid:
-        ref, mov = pair.reference.solid_level(), pair.moving.solid_level()
-    from_mov = pair.device.upload((spread_sample(mov.points, points) / 2.0).astype(np.float32))
-    from_ref = pair.device.upload((spread_sample(ref.points, points) / 2.0).astype(np.float32))
-    on_ref, on_mov = (level.far_distance if everywhere else level.distance for level in (ref, mov))
+    levels = [grid.solid_level() if solid else grid.level(step) for grid in pair]
+    on_ref, on_mov = (level.far_distance if everywhere else level.distance for level in levels)
+    from_ref, from_mov = (grid.wall_places(step, points, solid=solid) for grid in pair)
+    sides = FitSide(from_mov, on_ref), FitSide(from_ref, on_mov)
     centre_mov = (pair.moving.centre[0] / step, pair.moving.centre[1] / step)
-    pivot = (ref.shape[1] / 2.0, ref.shape[0] / 2.0)
-    reach = math.hypot(*mov.shape) / 2.0
+    (height, width), mov_shape = (level.shape for level in levels)
+    pivot, reach = (width / 2.0, height / 2.0), math.hypot(*mov_shape) / 2.0
     local = motions / np.array([step, step, 1.0])
     for scale in scales:
         widths = np.broadcast_to(np.asarray(scale, dtype=np.float64), len(local))
         moves = np.arange(len(local))
         for _ in range(iterations):
-            there, back = _device_poses(local[moves], centre_mov)
-            terms = pair.device.refine_terms(
-                FitSide(from_mov, there, on_ref),
-                FitSide(from_ref, back, on_mov),
-                scales=widths[moves].astype(np.float32),
-                centre=pivot,
-            )
+            there, back = both_ways(local[moves], centre_mov)
+            given = np.stack((*there, *back, widths[moves])).astype(np.float32)
+            terms = pair.device.refine_terms(*sides, given, pivot)
             change = _solve(terms, widths[moves], reach)
             local[moves] = _apply(local[moves], change, pivot)
             moves = moves[(np.abs(change) * (1.0, 1.0, reach) >= SETTLED_CELLS).any(axis=1)]
@@ -163,23 +146,15 @@ def are_as_thick(pair: Pair) -> bool:
 
 def _surface_distance(pair: Pair, motions: F64) -> F64:
     """Return (P,) the median distance in cells, rounded up, of surfaces with one within 8 cells."""
-    ref, mov = pair.reference.level(1), pair.moving.level(1)
-    poses = to_lattice(motions, pair.moving.centre)
-    sides = ((mov.points, poses, ref), (ref.points, invert(poses), mov))
-    near = np.zeros((len(SURFACE_RADII) + 1, len(motions)))
-    for row, radius in enumerate((*SURFACE_RADII, 8)):
-        for points, pose, level in sides:
-            counts = pair.device.pose_counts(
-                spread_sample(points, SPREAD_POINTS),
-                fixed_poses(pose),
-                level.free,
-                level.distance2,
-                level.free,
-                base=0,
-                near2=radius * radius,
-                far2=0,
-            )
-            near[row] += counts[:, 1]
+    sides = [
+        CountedSide(
+            spread_sample(own.level(1).points, SPREAD_POINTS), poses, other.level(1).free,
+            other.level(1).distance2, other.level(1).free,
+        )
+        for own, poses, other in pair.sides(to_lattice(motions, pair.moving.centre))
+    ]  # fmt: skip
+    counts = pair.device.pose_counts(*sides, limits2=[r * r for r in (*SURFACE_RADII, 8)])
+    near = (counts[0] + counts[1])[:, 2 : 3 + len(SURFACE_RADII)].T
     reached = 2.0 * near[:-1] >= near[-1]
     reached[-1] = True
     return np.asarray(np.array(SURFACE_RADII, dtype=np.float64)[reached.argmax(axis=0)])

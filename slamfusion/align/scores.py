@@ -9,19 +9,19 @@ piece by piece.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
-from slamfusion.align.features import GridFeatures, spread_sample
+from slamfusion.align.features import FIELD_TOP, GridFeatures, spread_sample
 from slamfusion.align.likelihood import ScoreTable
-from slamfusion.align.pair import Pair, fixed_similarities, invert, to_lattice
-from slamfusion.compute import ComputeDevice
-from slamfusion.compute.lattice import fixed_poses
-from slamfusion.compute.layout import FACING_PARTS
-from slamfusion.compute.search import ScoredSide
+from slamfusion.align.pair import Pair, fixed_motions, to_lattice
+from slamfusion.compute.arrays import I32
+from slamfusion.compute.layout import FACING_PARTS, FIXED_ONE
+from slamfusion.compute.search import CountedSide, ScoredSide
+from slamfusion.compute.wall_pieces import PieceSide
 from slamfusion.geometry import F64
 
 # Side of a piece, metres, for walls of this width; wider walls have larger pieces.
@@ -32,7 +32,8 @@ SCORED_POINTS = 4096
 # Factor on the unexplained evidence if at most a quarter is unexplained and both maps may be good.
 # With 1 a large common ground that fits badly outweighs a small right one.
 GOOD_DOUBT = 2.0
-FIELD_TOP = 255
+# Of a neighbour along each axis.
+STEPS = (0, -1, 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,11 +118,14 @@ def wall_pieces(
         sided: for good maps: a wall seen from another side is another wall, and unknown ground
             lowers no share. Bent or old maps are too inaccurate for that.
     """
-    there, back = fixed_similarities(motions, pair.moving.centre, scales)
-    sides = ((pair.moving, there, pair.reference), (pair.reference, back, pair.moving))
-    found = []
-    for own, pose, other in sides:
-        found.append(_side(own, pose, other, sigma, points, pair.device, sided=sided))
+    ways = fixed_motions(motions, pair.moving.centre, scales)
+    found = _pieces(
+        pair,
+        ((pair.moving, ways[0], pair.reference), (pair.reference, ways[1], pair.moving)),
+        sigma,
+        points,
+        sided=sided,
+    )
     evidence, most, share_most, seen_m = zip(*found, strict=True)
     return WallPieces(
         np.concatenate(evidence, axis=1),
@@ -131,51 +135,39 @@ def wall_pieces(
     )
 
 
-def _side(
-    own: GridFeatures,
-    poses: npt.NDArray[np.int64],
-    other: GridFeatures,
+def _pieces(
+    pair: Pair,
+    sides: Sequence[tuple[GridFeatures, F64, GridFeatures]],
     sigma: float,
     most_points: int,
-    device: ComputeDevice,
     *,
     sided: bool,
-) -> tuple[F64, F64, F64, F64]:
-    """Return (P, B) evidence, ``most`` and ``share_most`` of one map's pieces, (P,) metres seen."""
-    size = own.grid.grid.resolution
-    level = own.level(1)
+) -> list[tuple[F64, F64, F64, F64]]:
+    """Return (P, B) evidence, ``most`` and ``share_most`` of a map's pieces, (P,) metres seen.
+
+    Of each side: a map, motions (4, P), and the other map.
+    """
+    size = pair.resolution
     side = PIECE_M * max(1.0, sigma * size / PIECE_WIDTH_M)
-    points, starts = own.pieces(size / (2.0 * side), most_points)
-    # Half, since both maps' walls are counted.
-    metres = 0.5 * size * len(level.points) / max(1, len(points))
-    table = other.evidence_table(1, sigma, FIELD_TOP)
-    seen = other.seen(int((2.0 * sigma) ** 2))
-    field, most_field, facing = other.field(1, table), seen, seen
-    sides = np.zeros(len(points), dtype=np.uint8)
-    if sided:
-        facing = other.facing()
-        sides = device.download(own.facing())[points[:, 1] // 2, points[:, 0] // 2]
-        most_cells = device.download(field) - np.uint8(table.base)
-        most_cells[other.grid.cells >= 0] = table.span
-        most_field = device.upload(most_cells)
-    turns = np.rint(np.arctan2(poses[:, 1], poses[:, 0]) * (FACING_PARTS / (2.0 * math.pi)))
-    sums = device.piece_sums(
-        points,
-        starts,
-        sides,
-        poses,
-        turns.astype(np.int32),
-        field,
-        most_field,
-        seen,
-        facing,
-        table.base,
-    )
-    most = sums[:, :, 1].astype(np.float64)
-    given, could, met = (sums[:, :, k].astype(np.float64) for k in range(3))
-    unit = table.unit * metres
-    most = met * (table.span * unit)
-    return given * unit, most, could * unit if sided else most, met.sum(axis=1) * metres
+    looked_up = []
+    for own, motions, other in sides:
+        table, words = other.piece_words(sigma)
+        pieces = own.pieces(size / (2.0 * side), most_points)
+        turns = np.rint(np.arctan2(motions[1], motions[0]) * (FACING_PARTS / (2.0 * math.pi)))
+        poses = motions.T.astype(np.int64)
+        looked_up.append(PieceSide(pieces, poses, turns.astype(np.int32), words, table.base))
+    found = []
+    sums = pair.device.piece_sums(*looked_up, sided=sided)
+    for (own, _, other), (given, could, met) in zip(sides, sums, strict=True):
+        level, table = own.level(1), other.piece_words(sigma)[0]
+        # Half, since both maps' walls are counted.
+        metres = 0.5 * size * len(level.points) / max(1, min(len(level.points), most_points))
+        unit = table.unit * metres
+        most = met * (table.span * unit)
+        found.append(
+            (given * unit, most, could * unit if sided else most, met.sum(axis=1) * metres)
+        )
+    return found
 
 
 def score_motions(
@@ -197,20 +189,63 @@ def score_motions(
         points: at most this number of wall points of each grid; each stands for its share.
         scales: (P,) enlarge the moving map about its centre; None: 1.
     """
-    ref, mov = pair.reference.level(step), pair.moving.level(step)
-    local = motions / np.array([step, step, 1.0])
-    centre = (pair.moving.centre[0] / step, pair.moving.centre[1] / step)
-    there, back = fixed_similarities(local, centre, scales)
+    ways = fixed_motions(*_on_level(pair, motions, step), scales)
+    sides, units = _scored_sides(pair, ways, step, sigma, points, doubt)
+    return _summed(pair.device.pose_scores(*sides), sides, units)
+
+
+def score_neighbours(
+    pair: Pair, motions: F64, step: int, *, shift: float, turn: float, sigma: float, points: int
+) -> F64:
+    """Return ``score_motions`` (P, 27) of motions and their neighbours, see ``neighbour_offsets``.
+
+    Args:
+        shift, turn: to the next neighbour, fine cells and rad.
+    """
+    turned = (motions + np.array([0.0, 0.0, turn]) * np.array(STEPS)[:, None, None]).reshape(-1, 3)
+    there, back = fixed_motions(*_on_level(pair, turned, step))
+    # A step along x of the reference, half cells, on either map.
+    own, along = 2.0 * shift / step * FIXED_ONE, np.zeros((2, len(turned)))
+    along[0] = np.rint(own)
+    ways = (
+        np.concatenate((there, along)),
+        np.concatenate((back, np.rint(back[:2] * (-own / FIXED_ONE)))),
+    )
+    sides, units = _scored_sides(pair, ways, step, sigma, points)
+    found = _summed(pair.device.neighbour_scores(*sides), sides, units)
+    return found.reshape(len(STEPS), len(motions), -1).transpose(1, 2, 0).reshape(len(motions), -1)
+
+
+def neighbour_offsets(shift: float, turn: float) -> F64:
+    """Return (27, 3) the steps to a motion and its neighbours: x slowest, turns fastest."""
+    steps = np.stack(np.meshgrid(STEPS, STEPS, STEPS, indexing="ij"), axis=-1)
+    return np.asarray(steps.reshape(-1, 3) * np.array([shift, shift, turn]))
+
+
+def _on_level(pair: Pair, motions: F64, step: int) -> tuple[F64, tuple[float, float]]:
+    """Return motions and the moving centre in cells of a level."""
+    centre = pair.moving.centre
+    return motions / np.array([step, step, 1.0]), (centre[0] / step, centre[1] / step)
+
+
+def _scored_sides(
+    pair: Pair, ways: tuple[F64, F64], step: int, sigma: float, points: int, doubt: float = 0.0
+) -> tuple[list[ScoredSide], list[float]]:
+    """Return the walls of each map on the other's field, and the evidence of a value, nats."""
     sides, units = [], []
-    for own, pose, features in ((mov, there, pair.reference), (ref, back, pair.moving)):
-        table = features.evidence_table(step, sigma, FIELD_TOP, doubt)
-        field = features.field(step, table)
-        sample = spread_sample(own.points, points)
-        sides.append(ScoredSide(sample, pose, field, table.base))
-        units.append(table.unit * (len(own.points) / len(sample)))
-    total = np.zeros(len(motions))
-    for values, side, unit in zip(pair.device.pose_scores(*sides), sides, units, strict=True):
-        total += (values - len(side.points) * side.base) * unit
+    for own, motions, other in zip((pair.moving, pair.reference), ways, pair, strict=True):
+        table = other.evidence_table(step, sigma, FIELD_TOP, doubt)
+        sample = own.wall_planes(step, points)
+        sides.append(ScoredSide(sample, motions, other.field(step, table), table.base))
+        units.append(table.unit * (len(own.level(step).points) / sample.count))
+    return sides, units
+
+
+def _summed(values: list[I32], sides: list[ScoredSide], units: list[float]) -> F64:
+    """Return the evidence of both maps."""
+    total = np.zeros(values[0].shape)
+    for side_values, side, unit in zip(values, sides, units, strict=True):
+        total += (side_values - side.points.count * side.base) * unit
     return total
 
 
@@ -218,37 +253,21 @@ def rank(
     pair: Pair, motions: F64, step: int, table: ScoreTable, *, points: int = SCORED_POINTS
 ) -> F64:
     """Return the symmetric wall score (P,) of motions at a level; 1 for identical maps."""
-    ref, mov = pair.reference.level(step), pair.moving.level(step)
-    from_mov = spread_sample(mov.points, points)
-    from_ref = spread_sample(ref.points, points)
-    local = motions / np.array([step, step, 1.0])
-    poses = to_lattice(local, (pair.moving.centre[0] / step, pair.moving.centre[1] / step))
-    sides = (
-        (from_mov, poses, pair.reference, ref, len(mov.points)),
-        (from_ref, invert(poses), pair.moving, mov, len(ref.points)),
-    )
+    sides, weights = [], []
+    for own, poses, other in pair.sides(to_lattice(*_on_level(pair, motions, step))):
+        level, walls = other.level(step), own.level(step).points
+        sample, field = spread_sample(walls, points), other.field(step, table)
+        sides.append(CountedSide(sample, poses, field, level.distance2, level.free, table.base))
+        weights.append(len(walls))
     total = np.zeros(len(motions))
-    weight = 0.0
-    for sample, own, features, level, count in sides:
-        field = features.field(level.step, table)
-        counts = pair.device.pose_counts(
-            sample,
-            fixed_poses(own),
-            field,
-            level.distance2,
-            level.free,
-            base=table.base,
-            near2=0,
-            far2=0,
-        )
-        mean = (counts[:, 0] / len(sample) - table.base) / table.span
-        total += mean * count
-        weight += count
-    return total / weight
+    for counts, side, weight in zip(pair.device.pose_counts(*sides), sides, weights, strict=True):
+        total += (counts[:, 0] / len(side.points) - table.base) / table.span * weight
+    return total / float(sum(weights))
 
 
 def walls_found(pair: Pair, motions: F64, sigma: float, scales: F64, points: int) -> F64:
     """Return the evidence (P,) for the reference's walls in the moving map; see ``wall_pieces``."""
-    _, back = fixed_similarities(motions, pair.moving.centre, scales)
-    found, *_ = _side(pair.reference, back, pair.moving, sigma, points, pair.device, sided=False)
+    _, back = fixed_motions(motions, pair.moving.centre, scales)
+    side = (pair.reference, back, pair.moving)
+    ((found, *_),) = _pieces(pair, [side], sigma, points, sided=False)
     return np.asarray(found.sum(axis=1))

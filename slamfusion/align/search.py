@@ -20,7 +20,7 @@ import numpy.typing as npt
 from slamfusion.align.decide import DecisionKind
 from slamfusion.align.pair import Pair, distinct, distinct_rows, invert, to_lattice
 from slamfusion.align.refine import refine, settle
-from slamfusion.align.scores import score_motions
+from slamfusion.align.scores import neighbour_offsets, score_motions, score_neighbours
 from slamfusion.align.shifts import (
     COARSE_SIGMA,
     SearchWindow,
@@ -181,15 +181,15 @@ def _descend(pair: Pair, leads: _Leads) -> tuple[_Leads, F64]:
             break
         order = _either(found, doubted, most)
         half = max(target, last // 2)
-        motions = _neighbours(motions[order], last / 2.0, yaw_step / 2.0)
+        shift, turn = last / 2.0, yaw_step / 2.0
+        values = score_neighbours(
+            pair, motions[order], half, shift=shift, turn=turn, sigma=COARSE_SIGMA, points=points
+        )
         yaw_step *= half / last
         last = half
-        values = score_motions(
-            pair, motions.reshape(-1, 3), last, sigma=COARSE_SIGMA, points=points
-        ).reshape(motions.shape[:2])
         best = values.argmax(axis=1)
-        rows = np.arange(len(best))
-        motions, found = motions[rows, best], values[rows, best]
+        motions = motions[order] + neighbour_offsets(shift, turn)[best]
+        found = values[np.arange(len(best)), best]
         motions, found = _apart(motions, found, float(last), yaw_step)
         doubted = _doubted(pair, motions, last, points)
     return _Leads(motions, found, last, yaw_step), doubted
@@ -230,14 +230,6 @@ def _either(found: F64, doubted: F64, most: int) -> npt.NDArray[np.intp]:
     others = order[most:]
     others = others[np.argsort(-doubted[others], kind="stable")]
     return np.concatenate((order[:most], others[: most // DOUBTED_SHARE]))
-
-
-def _neighbours(motions: F64, shift: float, turn: float) -> F64:
-    """Return (P, 27, 3): each motion and its neighbours, shifted and turned by so much."""
-    steps = np.stack(np.meshgrid([0, -1, 1], [0, -1, 1], [0, -1, 1], indexing="ij"), axis=-1)
-    offsets = steps.reshape(-1, 3) * np.array([shift, shift, turn])
-    # Columns stay contiguous.
-    return np.asarray((motions.T[:, :, None] + offsets.T[:, None, :]).transpose(1, 2, 0))
 
 
 def _apart(motions: F64, values: F64, shift: float, turn: float) -> tuple[F64, F64]:

@@ -159,17 +159,6 @@ class FieldDevice(ArrayDevice):
         value -= free_share.astype(np.int32) * miss[distance2] // FIELD_ONE
         return np.clip(value, 0, FIELD_ONE).astype(np.uint8)
 
-    def look_up(self, values: DeviceArray[np.uint16], table: U16) -> DeviceArray[np.uint16]:
-        """Return ``table[values]`` of uint16 values; the table is longer than the largest value."""
-        if self.opencl:
-            out = self.opencl.empty(values.shape, np.uint16)
-            cells = values.size
-            size = (-(-cells // RUN),)
-            self.opencl.launch("look_up", size, values, self.opencl.table(table), cells, out)
-            return out
-        values = host(values)
-        return np.asarray(table[values], dtype=np.uint16)
-
     def look_up_where(
         self,
         values: DeviceArray[np.uint16],

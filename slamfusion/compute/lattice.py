@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
+from slamfusion.compute.arrays import ArrayDevice, DeviceArray
 from slamfusion.compute.layout import FIXED_ONE, FIXED_TO_CELL_SHIFT, SHIFT_POINTS
 from slamfusion.geometry import F64
 
 I32 = npt.NDArray[np.int32]
 I64 = npt.NDArray[np.int64]
 
+# Points that kernels move at once; planes of points are a multiple long.
+POINT_LANES = 8
 # Limit of a coordinate after a pose: it fits 32 bits with its sign and rounding.
 NARROW_LIMIT = (1 << 31) - (1 << 20)
 
@@ -38,36 +42,63 @@ def fixed_cells(pose: I64, x2: I64, y2: I64) -> tuple[I64, I64]:
     return y >> FIXED_TO_CELL_SHIFT, x >> FIXED_TO_CELL_SHIFT
 
 
-def narrow_motions(points: I32, poses: I64) -> tuple[I32, I32, int]:
-    """Return points about their middle and poses in 32 bits, with the remaining fraction bits.
+@dataclass(frozen=True, eq=False)
+class PointPlanes:
+    """Points on a device, about their middle, for motions in 32 bits.
+
+    Attributes:
+        planes: (2, stride) int32 x and y in half cells; a stretch each, the first ``count`` count.
+        middle: x and y of the middle, half cells.
+        reach: half cells from it, along x and y together, of the farthest point.
+    """
+
+    planes: DeviceArray[np.int32]
+    count: int
+    middle: tuple[int, int]
+    reach: int
+
+    @property
+    def stride(self) -> int:
+        """Numbers of a plane."""
+        return self.planes.shape[1]
+
+
+def point_planes(points: I32, device: ArrayDevice) -> PointPlanes:
+    """Bring points (N, 2), x and y in half cells, to the device, about their middle."""
+    count = len(points)
+    planes = np.zeros((2, -(-count // POINT_LANES) * POINT_LANES), np.int32)
+    middle = np.zeros((2, 1), np.int32)
+    if count:
+        middle[:, 0] = (points.min(axis=0) + points.max(axis=0)) // 2
+        planes[:, :count] = points.T - middle
+    x, y = middle[:, 0].tolist()
+    reach = int(np.abs(planes).max(axis=1, initial=0).sum())
+    return PointPlanes(device.upload(planes), count, (x, y), reach)
+
+
+def narrow_motions(points: PointPlanes, motions: F64, step: float = 0.0) -> tuple[F64, int]:
+    """Return motions of points about their middle, and how many of their bits 32 do not hold.
 
     Args:
-        points: (N, 2) int32 lattice positions, x and y in half cells.
-        poses: (P, 4) int64 fixed poses.
+        motions: (4 or more, P) whole numbers in Q30, as the columns of ``fixed_poses``: cos, sin, x
+            and y in half cells.
+        step: Q30, by which x and y grow at most later.
 
     Returns:
-        (N, 2) int32 points, each column one stretch; (P, 4) int32 poses that move them where the
-        given ones move the given points; and the bits of a place below a whole cell. A map of 2000
-        cells is read within 0.01 cells of where the 64 bits read it.
+        (4 or more, P) the motions that move the points about their middle where the given ones move
+        the given points; a map of 2000 cells is read within 0.01 cells of where 64 bits read it.
     """
-    # By columns, each contiguous, which makes minima and sums fast.
-    near = np.array(points.T, dtype=np.int64, order="C")
-    middle = np.zeros(2, np.int64)
-    if len(points):
-        middle[:] = (near.min(axis=1) + near.max(axis=1)) // 2
-    near -= middle[:, None]
     # In float64, which is vectorised and exact below 2^53.
-    moved = np.array(poses.T, dtype=np.float64, order="C")
-    moved[2] += moved[0] * middle[0] - moved[1] * middle[1]
-    moved[3] += moved[1] * middle[0] + moved[0] * middle[1]
-    reach = int(np.abs(near).max(axis=1, initial=0).sum())
-    farthest = _largest(moved[:2]) * reach + _largest(moved[2:])
-    drop = max(1, (farthest // NARROW_LIMIT).bit_length())
-    moved *= 0.5**drop
-    moved += 0.5
-    narrow = np.empty((len(poses), 4), dtype=np.int32)
-    narrow.T[:] = np.floor(moved, out=moved)
-    return near.astype(np.int32).T, narrow, FIXED_TO_CELL_SHIFT - drop
+    moved = motions.copy()
+    moved[2] += moved[0] * points.middle[0] - moved[1] * points.middle[1]
+    moved[3] += moved[1] * points.middle[0] + moved[0] * points.middle[1]
+    farthest = _largest(moved[:2]) * points.reach + _largest(moved[2:4]) + int(step)
+    return moved, max(1, (farthest // NARROW_LIMIT).bit_length())
+
+
+def narrowed(moved: F64, drop: int) -> I32:
+    """Return numbers in Q30, rounded to what 32 bits hold of them."""
+    return np.floor(moved * 0.5**drop + 0.5).astype(np.int32)
 
 
 def _largest(values: F64) -> int:

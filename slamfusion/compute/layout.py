@@ -78,8 +78,10 @@ SHIFT_ROWS: Final = 4
 SHIFT_POINTS: Final = 16
 # Shifts a side of which ``tile_peaks`` keeps the best.
 SHIFT_TILE: Final = 4
-# Numbers per chunk of points: score, hits, clashes, points on the field.
-COUNT_TERMS: Final = 4
+# A motion and the eight that are shifted by a step along x, y or both.
+NEIGHBOURS: Final = 9
+# The most distances to which ``pose_counts`` counts.
+LIMITS_MAX: Final = 5
 # Numbers per chunk of points: six of the matrix, three of the gradient, the sum of weights.
 REFINE_TERMS: Final = 10
 

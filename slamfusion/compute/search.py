@@ -6,16 +6,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from slamfusion.compute.arrays import F32, F64, I32, I64, ArrayDevice, DeviceArray, host
-from slamfusion.compute.lattice import fixed_cells, narrow_motions
+from slamfusion.compute.lattice import PointPlanes, fixed_cells, narrow_motions, narrowed
 from slamfusion.compute.layout import (
-    COUNT_TERMS,
     DISTANCE_ONE,
     DISTANCE_UNSEEN,
+    FIXED_TO_CELL_SHIFT,
+    NEIGHBOURS,
     REFINE_TERMS,
     SHIFT_LANES,
     SHIFT_POINTS,
@@ -32,16 +34,37 @@ class ScoredSide(NamedTuple):
     """Walls of one map on a field of the other.
 
     Attributes:
+        points: of walls.
+        motions: (4, P) whole numbers in Q30, points to field, as the columns of ``fixed_poses``;
+            for ``neighbour_scores`` (6, P), with x and y in the field of a step along x.
+        field: (H, W) uint8 on the device.
+        base: worth of a point off the field.
+    """
+
+    points: PointPlanes
+    motions: F64
+    field: DeviceArray[np.uint8]
+    base: int
+
+
+class CountedSide(NamedTuple):
+    """Walls of one map on the fields of the other.
+
+    Attributes:
         points: (N, 2) int32 lattice positions, x and y in half cells.
         poses: (P, 4) int64 fixed poses, points to field.
         field: (H, W) uint8 on the device.
+        distance2: (H, W) uint16 on the device, squared cells to the nearest wall.
+        free: (H, W) uint8 on the device, not 0 where free.
         base: worth of a point off the field.
     """
 
     points: I32
     poses: I64
     field: DeviceArray[np.uint8]
-    base: int
+    distance2: DeviceArray[np.uint16]
+    free: DeviceArray[np.uint8]
+    base: int = 0
 
 
 class FitSide(NamedTuple):
@@ -49,31 +72,18 @@ class FitSide(NamedTuple):
 
     Attributes:
         points: (N, 2) float32 on the device, cells.
-        poses: (P, 4) float32 cos, sin, x, y (cells), points to field.
         distance: (H, W) uint16 on the device, to the nearest wall in 1/256 cell; a point that reads
             a cell of ``DISTANCE_UNSEEN`` counts for nothing.
     """
 
     points: DeviceArray[np.float32]
-    poses: F32
     distance: DeviceArray[np.uint16]
 
 
 # Points, cells and rows that one work item sums; the host adds the sums.
-CHUNK_POINTS = 64
-
-
-CHUNK_SCORED = 512
-
-
-CHUNK_CELLS = 4096
-
-
-CHUNK_ROWS = 16
-
-
-# Points that `pose_scores` moves at once; its rows of points start at multiples of it.
-POINT_LANES = 8
+CHUNK_POINTS, CHUNK_SCORED, CHUNK_CELLS, CHUNK_ROWS = 64, 512, 4096, 16
+# Steps along x and y of the ``NEIGHBOURS``.
+NEIGHBOUR_STEPS = [(x, y) for x in (0, -1, 1) for y in (0, -1, 1)]
 
 
 def _half_open(spans: I32, point: int) -> tuple[int, int, int, int]:
@@ -82,29 +92,69 @@ def _half_open(spans: I32, point: int) -> tuple[int, int, int, int]:
     return max(0, r0), max(0, r1 + 1), max(0, c0), max(0, c1 + 1)
 
 
-def _pose_scores(side: ScoredSide) -> I64:
-    """Return (P,) the sum of the field over the points under each pose of one side."""
-    field = np.asarray(side.field)
+def _pose_scores(side: ScoredSide) -> I32:
+    """Return (P,) the sum of the field over the points under each motion of one side."""
+    moved, drop = narrow_motions(side.points, side.motions)
+    return _narrow_scores(side, narrowed(moved, drop), drop)
+
+
+def _narrow_scores(side: ScoredSide, motions: I32, drop: int) -> I32:
+    """Return (P,) the sum of the field over the points under motions (4, P) in 32 bits."""
+    field, shift = host(side.field), FIXED_TO_CELL_SHIFT - drop
     height, width = field.shape
-    out = np.zeros(len(side.poses), dtype=np.int64)
-    near, narrow, shift = narrow_motions(side.points, side.poses)
-    x2, y2 = near[:, 0].astype(np.int64), near[:, 1].astype(np.int64)
-    for p, (cos, sin, x, y) in enumerate(narrow.astype(np.int64)):
+    out = np.zeros(motions.shape[1], dtype=np.int32)
+    x2, y2 = host(side.points.planes)[:, : side.points.count].astype(np.int64)
+    for p, (cos, sin, x, y) in enumerate(motions.T.astype(np.int64)):
         col, row = (cos * x2 - sin * y2 + x) >> shift, (sin * x2 + cos * y2 + y) >> shift
         inside = (row >= 0) & (col >= 0) & (row < height) & (col < width)
         known = field[row[inside], col[inside]]
-        out[p] = known.sum(dtype=np.int64) + side.base * (len(side.points) - len(known))
+        out[p] = known.sum(dtype=np.int64) + side.base * (side.points.count - len(known))
     return out
 
 
-def _side_terms(side: FitSide, scales: F32, centre: tuple[float, float], *, backward: bool) -> F64:
-    """Return the normal equations of the points of one side."""
-    points, distance = np.asarray(side.points), np.asarray(side.distance)
-    poses = side.poses
+def _neighbour_scores(side: ScoredSide) -> I32:
+    """Return (P, 9) what one side gives for each motion and its neighbours."""
+    moved, drop = _moved_neighbourhood(side)
+    x, y, a, b = moved[2:]
+    scores = []
+    for i, j in NEIGHBOUR_STEPS:
+        stepped = np.stack((*moved[:2], x + i * a - j * b, y + i * b + j * a))
+        scores.append(_narrow_scores(side, narrowed(stepped, drop), drop))
+    return np.stack(scores, axis=1)
+
+
+def _moved_neighbourhood(side: ScoredSide) -> tuple[F64, int]:
+    """Return the motions (6, P) of points about their middle; see ``narrow_motions``."""
+    return narrow_motions(side.points, side.motions, 2.0 * np.abs(side.motions[4:]).max(initial=0))
+
+
+def _pose_counts(side: CountedSide, limits2: Sequence[int]) -> I64:
+    """Return what one side meets; see ``SearchDevice.pose_counts``."""
+    field, distance2, free = host(side.field), host(side.distance2), host(side.free)
+    height, width = field.shape
+    limits = np.array(limits2, dtype=np.int64)[:, None]
+    out = np.zeros((len(side.poses), 2 + 2 * len(limits2)), dtype=np.int64)
+    x2, y2 = side.points.T.astype(np.int64)
+    for p, pose in enumerate(side.poses):
+        row, col = fixed_cells(pose, x2, y2)
+        inside = (row >= 0) & (col >= 0) & (row < height) & (col < width)
+        at = row[inside], col[inside]
+        is_near = distance2[at] <= limits
+        away = side.base * (len(x2) - len(at[0]))
+        out[p, :2] = field[at].sum(dtype=np.int64) + away, len(at[0])
+        out[p, 2:] = [*is_near.sum(axis=1), *(~is_near & (free[at] != 0)).sum(axis=1)]
+    return out
+
+
+def _side_terms(
+    side: FitSide, poses: F64, scales: F64, centre: tuple[float, float], *, backward: bool
+) -> F64:
+    """Return the normal equations of the points of one side; ``poses`` are (P, 4)."""
+    points, distance = host(side.points), host(side.distance)
     height, width = distance.shape
     cells = distance / float(DISTANCE_ONE)
     out = np.zeros((len(poses), REFINE_TERMS))
-    for p, (cosine, sine, tx, ty) in enumerate(poses.astype(np.float64)):
+    for p, (cosine, sine, tx, ty) in enumerate(poses):
         scale = float(scales[p])
         px, py = points[:, 0].astype(np.float64), points[:, 1].astype(np.float64)
         qx, qy = cosine * px - sine * py + tx, sine * px + cosine * py + ty
@@ -134,18 +184,17 @@ def _side_terms(side: FitSide, scales: F32, centre: tuple[float, float], *, back
     return out
 
 
-def _start_scores(device: OpenCLDevice, side: ScoredSide) -> DeviceArray[np.int32]:
-    """Start to score one side; return (chunks, P) sums, one row for each chunk of points."""
-    count, n = len(side.points), len(side.poses)
-    chunks = -(-count // CHUNK_SCORED)
-    stride = -(-count // POINT_LANES) * POINT_LANES
-    planes = np.zeros((2, stride), np.int32)
-    near, narrow, shift = narrow_motions(side.points, side.poses)
-    planes[:, :count] = near.T
-    partial = device.empty((chunks, n), np.int32)
+def _start_scores(
+    device: OpenCLDevice, side: ScoredSide, kernel: str, *motions: Any
+) -> DeviceArray[np.int32]:
+    """Start to score one side; return (chunks, ...) sums, one row for each chunk of points."""
+    points, n = side.points, side.motions.shape[1]
+    chunks = -(-points.count // CHUNK_SCORED)
+    shape = (chunks, n) if kernel == "pose_scores" else (chunks, n, NEIGHBOURS)
+    partial = device.empty(shape, np.int32)
     device.launch(
-        "pose_scores", (chunks * n,), device.upload(planes), count, stride, device.upload(narrow),
-        n, shift, side.field, *side.field.shape, side.base, CHUNK_SCORED, chunks, partial,
+        kernel, (chunks * n,), points.planes, points.count, points.stride, *motions, side.field,
+        *side.field.shape, side.base, CHUNK_SCORED, chunks, partial,
     )  # fmt: skip
     return partial
 
@@ -325,96 +374,90 @@ class SearchDevice(ArrayDevice):
                 places[:, ty, tx] = (ty * tile + row) * width + tx * tile + col
         return values, places
 
-    def pose_counts(
-        self,
-        points: I32,
-        poses: I64,
-        field: DeviceArray[np.uint8],
-        distance2: DeviceArray[np.uint16],
-        free_cell: DeviceArray[np.uint8],
-        *,
-        base: int,
-        near2: int,
-        far2: int,
-    ) -> I64:
-        """Return what the points meet under each pose.
+    def pose_counts(self, *sides: CountedSide, limits2: Sequence[int] = ()) -> list[I64]:
+        """Return what the points of each side meet under each of its poses.
 
-        Args:
-            points: (N, 2) int32 lattice positions, x and y in half cells.
-            poses: (P, 4) int64 fixed poses, points to field.
-            field: (H, W) uint8 score field; points off it score ``base``.
-            distance2: (H, W) uint16. free_cell: (H, W) uint8, 1 where free.
-            base: score of a point off the field.
-            near2: a point within this squared distance of a wall is a hit.
-            far2: a point in free space beyond this squared distance is a clash.
+        ``limits2`` are up to ``LIMITS_MAX`` squared distances in cells.
 
         Returns:
-            (P, 4) int64: score, hits, clashes, points on the field.
+            (P, 2 + 2 L) int64: score, points on the field, for each limit the points no farther
+            from a wall, and for each limit the points in free space that are farther.
         """
-        if self.opencl:
-            count, n = len(points), len(poses)
-            chunks = -(-count // CHUNK_POINTS)
-            partial = self.opencl.empty((n, chunks, COUNT_TERMS), np.int32)
-            height, width = field.shape
-            sizes = (height, width, base, near2, far2, CHUNK_POINTS, chunks)
+        if not self.opencl:
+            return [_pose_counts(side, limits2) for side in sides]
+        started, given = [], self.upload(np.array([*limits2, 0], dtype=np.int32))
+        for points, poses, field, distance2, free, base in sides:
+            n, chunks = len(poses), -(-len(points) // CHUNK_POINTS)
+            partial = self.opencl.empty((n, chunks, 2 + 2 * len(limits2)), np.int32)
             self.opencl.launch(
-                "pose_counts", (chunks, n), self.upload(points), count, self.upload(poses), n,
-                field, distance2, free_cell, *sizes, partial,
+                "pose_counts", (chunks, n), self.upload(points), len(points), self.upload(poses), n,
+                field, distance2, free, *field.shape, base, given, len(limits2), CHUNK_POINTS,
+                chunks, partial,
             )  # fmt: skip
-            return np.asarray(self.download(partial).sum(axis=1, dtype=np.int64))
-        field, distance2, free_cell = host(field), host(distance2), host(free_cell)
-        height, width = field.shape
-        out = np.zeros((len(poses), COUNT_TERMS), dtype=np.int64)
-        x2, y2 = points[:, 0].astype(np.int64), points[:, 1].astype(np.int64)
-        for p, pose in enumerate(poses):
-            row, col = fixed_cells(pose, x2, y2)
-            inside = (row >= 0) & (col >= 0) & (row < height) & (col < width)
-            row, col = row[inside], col[inside]
-            d2 = distance2[row, col]
-            out[p, 0] = field[row, col].sum(dtype=np.int64) + base * (len(points) - len(row))
-            out[p, 1] = np.count_nonzero(d2 <= near2)
-            out[p, 2] = np.count_nonzero((free_cell[row, col] != 0) & (d2 > far2))
-            out[p, 3] = len(row)
-        return out
+            started.append(partial)
+        return [np.asarray(self.download(part).sum(axis=1, dtype=np.int64)) for part in started]
 
-    def pose_scores(self, *sides: ScoredSide) -> list[I64]:
-        """Return of each side (P,) the sum of its field over its points under each of its poses.
+    def pose_scores(self, *sides: ScoredSide) -> list[I32]:
+        """Return of each side (P,) the sum of its field over its points under each of its motions.
 
         In 32 bits: see ``narrow_motions``.
         """
-        if self.opencl:
-            # All are started before the first is waited for.
-            started = [_start_scores(self.opencl, side) for side in sides]
-            return [np.asarray(self.download(sums).sum(axis=0, dtype=np.int64)) for sums in started]
-        return [_pose_scores(side) for side in sides]
+        if not self.opencl:
+            return [_pose_scores(side) for side in sides]
+        # All are started before the first is waited for.
+        started = []
+        for side in sides:
+            moved, drop = narrow_motions(side.points, side.motions)
+            poses = self.upload(narrowed(moved, drop))
+            numbers = (poses, moved.shape[1], FIXED_TO_CELL_SHIFT - drop)
+            started.append(_start_scores(self.opencl, side, "pose_scores", *numbers))
+        return [self._sum_of_chunks(sums) for sums in started]
+
+    def neighbour_scores(self, *sides: ScoredSide) -> list[I32]:
+        """Return of each side (P, 9) the scores of its motions, shifted by ``NEIGHBOUR_STEPS``.
+
+        As ``pose_scores`` of nine times as many motions, of which nine share a turn.
+        """
+        if not self.opencl:
+            return [_neighbour_scores(side) for side in sides]
+        started = []
+        for side in sides:
+            moved, drop = _moved_neighbourhood(side)
+            motions = self.upload(moved.astype(np.int64))
+            numbers = (motions, moved.shape[1], drop, FIXED_TO_CELL_SHIFT - drop)
+            started.append(_start_scores(self.opencl, side, "neighbour_scores", *numbers))
+        return [self._sum_of_chunks(sums) for sums in started]
+
+    def _sum_of_chunks(self, sums: DeviceArray[np.int32]) -> I32:
+        parts = self.download(sums)
+        return parts[0] if len(parts) == 1 else np.asarray(parts.sum(axis=0, dtype=np.int32))
 
     def refine_terms(
-        self, forward: FitSide, backward: FitSide, *, scales: F32, centre: tuple[float, float]
+        self, forward: FitSide, backward: FitSide, motions: F32, centre: tuple[float, float]
     ) -> F64:
-        """Return the normal equations of a robust point-to-wall fit, one row per pose.
+        """Return the normal equations of a robust point-to-wall fit, one row per motion.
 
         The unknown is a small motion (dx, dy, dyaw) of the reference frame about ``centre``,
-        applied after the pose. The residual is the bilinear distance to the nearest wall, its
+        applied after the motion. The residual is the bilinear distance to the nearest wall, its
         weight Geman and McClure's 1 / (1 + (d / scale)^2)^2.
 
         Args:
-            scales: (P,) float32 of each pose, cells.
+            motions: (9, P) float32: cos, sin, x, y (cells), points to field, of the forward and of
+                the backward side; the scale of each motion, cells.
             centre: x and y in cells of the reference.
 
         Returns:
             (P, 10) float64, of both sides: Hxx Hxy Hxt Hyy Hyt Htt, gx gy gt, sum of weights.
         """
         if self.opencl:
-            n = len(forward.poses)
+            n = motions.shape[1]
             sides, chunks = [], []
-            for side in (forward, backward):
-                count = side.points.shape[0]
-                poses = self.upload(side.poses)
-                sides += [side.points, count, poses, side.distance, *side.distance.shape]
-                chunks.append(-(-count // CHUNK_POINTS))
+            for points, distance in (forward, backward):
+                sides += [points, points.shape[0], distance, *distance.shape]
+                chunks.append(-(-points.shape[0] // CHUNK_POINTS))
             partial = self.opencl.empty((sum(chunks), n, REFINE_TERMS), np.float32)
             self.opencl.launch(
-                "refine_terms", (sum(chunks), n), *sides, n, self.upload(scales), *centre,
+                "refine_terms", (sum(chunks), n), *sides, n, self.upload(motions), *centre,
                 CHUNK_POINTS, chunks[0], sum(chunks), partial,
             )  # fmt: skip
             parts = self.download(partial)
@@ -422,5 +465,6 @@ class SearchDevice(ArrayDevice):
             return np.asarray(
                 ahead.sum(axis=0, dtype=np.float64) + back.sum(axis=0, dtype=np.float64)
             )
-        ahead = _side_terms(forward, scales, centre, backward=False)
-        return ahead + _side_terms(backward, scales, centre, backward=True)
+        there, back, (scales,) = np.split(motions.astype(np.float64), (4, 8))
+        ahead = _side_terms(forward, there.T, scales, centre, backward=False)
+        return ahead + _side_terms(backward, back.T, scales, centre, backward=True)

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.compute.compute_device import ComputeDevice, NumpyDevice
-from slamfusion.compute.lattice import fixed_poses
+from slamfusion.compute.lattice import fixed_poses, point_planes
 from slamfusion.compute.search import ScoredSide
 from slamfusion.errors import DeviceError
 
@@ -26,7 +26,8 @@ POSES = fixed_poses(RNG.uniform(-0.5, 0.5, (3, 3)) * (70.0, 70.0, 6.0))
 
 
 def _search(device: ComputeDevice) -> list[npt.NDArray[Any]]:
-    return device.pose_scores(ScoredSide(POINTS, POSES, device.upload(FIELD), base=64))
+    points, field = point_planes(POINTS, device), device.upload(FIELD)
+    return device.pose_scores(ScoredSide(points, POSES.T.astype(np.float64), field, base=64))
 
 
 def _warp(device: ComputeDevice) -> list[npt.NDArray[Any]]:

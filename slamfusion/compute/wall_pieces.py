@@ -5,12 +5,14 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import numpy.typing as npt
 
 from slamfusion.compute.arrays import I32, I64, U8, ArrayDevice, DeviceArray, host
 from slamfusion.compute.lattice import fixed_cells
-from slamfusion.compute.layout import FACING_PARTS, OPPOSED_PARTS
+from slamfusion.compute.layout import FACING_PARTS, OPPOSED_PARTS, RUN
 
 
 def is_another(own: U8, other: U8, turn: int) -> npt.NDArray[np.bool_]:
@@ -23,66 +25,127 @@ def is_another(own: U8, other: U8, turn: int) -> npt.NDArray[np.bool_]:
     return np.asarray((own != 0) & (other != 0) & is_far)
 
 
+class PointPieces(NamedTuple):
+    """Points of a map on the device, piece by piece.
+
+    Attributes:
+        points: (N, 2) int32 lattice positions, x and y in half cells.
+        starts: (B + 1,) int32 the first point of each piece, and N.
+        sides: (N,) uint8 what each point faces (see ``layout.FACES``).
+    """
+
+    points: DeviceArray[np.int32]
+    starts: DeviceArray[np.int32]
+    sides: DeviceArray[np.uint8]
+
+
+class PieceSide(NamedTuple):
+    """Pieces of one map on the other.
+
+    Attributes:
+        pieces: of the one.
+        poses: (P, 4) int64 fixed poses, points to cells.
+        turns: (P,) int32 how far they turn, in parts of a turn.
+        words: (H, W) uint32 of the other, see ``piece_words``.
+        base: worth of a cell that says nothing.
+    """
+
+    pieces: PointPieces
+    poses: I64
+    turns: I32
+    words: DeviceArray[np.uint32]
+    base: int
+
+
 class WallPieceDevice(ArrayDevice):
     """A device that looks up pieces of wall."""
 
-    def piece_sums(
+    def piece_words(
         self,
-        points: I32,
-        starts: I32,
-        sides: U8,
-        poses: I64,
-        turns: I32,
         field: DeviceArray[np.uint8],
-        most: DeviceArray[np.uint8],
-        seen: DeviceArray[np.uint8],
+        distance2: DeviceArray[np.uint16],
+        cells: DeviceArray[np.int8],
         facing: DeviceArray[np.uint8],
+        *,
         base: int,
-    ) -> I64:
-        """Return what the points of each piece meet under each pose.
-
-        A wall that the field has, but that was seen from another side, meets nothing.
+        span: int,
+        near2: int,
+    ) -> DeviceArray[np.uint32]:
+        """Return (H, W) uint32 all that a piece looks up in a cell.
 
         Args:
-            points: (N, 2) int32 lattice positions, x and y in half cells, piece by piece.
-            starts: (B + 1,) int32 the first point of each piece, and N.
-            sides: (N,) uint8 what each point faces (see ``layout.FACES``).
-            poses: (P, 4) int64 fixed poses, points to field.
-            turns: (P,) int32 how far they turn, in parts of a turn.
-            field: (H, W) uint8; a point off it is worth nothing.
-            most: (H, W) uint8 what a point could be worth at most there, less the base.
-            seen: (H, W) uint8, 0 or 1.
+            field: (H, W) uint8.
+            distance2: (H, W) uint16. cells: (H, W) int8; seen are known cells, and cells within
+                ``near2`` of a wall.
             facing: (H, W) uint8 what each cell faces.
-            base: worth of a cell that says nothing.
+            base, span: worth of a cell that says nothing, and the most above it of a known one.
 
         Returns:
-            (P, B, 3) int64: the field less ``base``, the most that it could be, and points in seen
-            cells.
+            The field's value, above 8 bits 1 where seen, above 16 the most that it could be, above
+            24 the facing.
         """
         if self.opencl:
-            pieces, n = len(starts) - 1, len(poses)
-            sums = self.opencl.empty((n, pieces, 3), np.int32)
+            words = self.opencl.empty(field.shape, np.uint32)
             self.opencl.launch(
-                "piece_sums", (pieces, n), self.upload(points), self.upload(starts), pieces,
-                self.upload(sides), self.upload(poses), self.upload(turns), n, field, most, seen,
-                facing, *field.shape, base, sums,
+                "piece_words", (-(-field.size // RUN),), field, distance2, cells, facing, base,
+                span, near2, field.size, words,
             )  # fmt: skip
-            return np.asarray(self.download(sums), dtype=np.int64)
-        field, most, seen = host(field), host(most), host(seen)
-        facing = host(facing)
-        height, width = field.shape
-        count = len(starts) - 1
-        piece = np.repeat(np.arange(count), np.diff(starts))
-        out = np.zeros((len(poses), count, 3), dtype=np.int64)
-        x2, y2 = points[:, 0].astype(np.int64), points[:, 1].astype(np.int64)
-        for p, (pose, turn) in enumerate(zip(poses, turns, strict=True)):
-            row, col = fixed_cells(pose, x2, y2)
-            inside = (row >= 0) & (col >= 0) & (row < height) & (col < width)
-            row, col, mine = row[inside], col[inside], piece[inside]
-            value = field[row, col].astype(np.int64) - base
-            tells = ~((value > 0) & is_another(sides[inside], facing[row, col], int(turn)))
-            # Whole numbers below 2^53 are exact in the float64 that bincount adds.
-            out[p, :, 0] = np.bincount(mine, value * tells, count)
-            out[p, :, 1] = np.bincount(mine, most[row, col] * tells, count)
-            out[p, :, 2] = np.bincount(mine, seen[row, col] * tells, count)
-        return out
+            return words
+        field, known = host(field).astype(np.uint32), host(cells) >= 0
+        seen = known | (host(distance2) <= near2)
+        could = np.where(known, np.uint32(span), field - np.uint32(base)) & np.uint32(255)
+        facing = host(facing).astype(np.uint32)
+        return np.asarray(field | seen << np.uint32(8) | could << 16 | facing << 24, np.uint32)
+
+    def piece_sums(self, *sides: PieceSide, sided: bool) -> list[I32]:
+        """Return what the points of each piece meet under each pose, of each side.
+
+        A wall that the field has, but that was seen from another side, meets nothing if ``sided``;
+        nor does a point off the field.
+
+        Returns:
+            (3, P, B) int32: the field less ``base``, the most that it could be, and points in seen
+            cells.
+        """
+        if not self.opencl:
+            return [_piece_sums(*side, sided=sided) for side in sides]
+        started = []
+        for (points, starts, facing), poses, turns, words, base in sides:
+            pieces, n = starts.shape[0] - 1, len(poses)
+            sums = self.opencl.empty((3, n, pieces), np.int32)
+            self.opencl.launch(
+                "piece_sums", (pieces, n), points, starts, pieces, facing, int(sided),
+                self.upload(poses), self.upload(turns), n, words, *words.shape, base, sums,
+            )  # fmt: skip
+            started.append(sums)
+        return [self.download(sums) for sums in started]
+
+
+def _piece_sums(
+    pieces: PointPieces,
+    poses: I64,
+    turns: I32,
+    words: DeviceArray[np.uint32],
+    base: int,
+    *,
+    sided: bool,
+) -> I32:
+    """Return what one side gives; see ``WallPieceDevice.piece_sums``."""
+    points, starts, sides = (host(part) for part in pieces)
+    words = host(words).astype(np.int64)
+    height, width = words.shape
+    count = len(starts) - 1
+    piece = np.repeat(np.arange(count), np.diff(starts))
+    out = np.zeros((3, len(poses), count), dtype=np.int32)
+    x2, y2 = points.T.astype(np.int64)
+    for p, (pose, turn) in enumerate(zip(poses, turns, strict=True)):
+        row, col = fixed_cells(pose, x2, y2)
+        inside = (row >= 0) & (col >= 0) & (row < height) & (col < width)
+        word, mine = words[row[inside], col[inside]], piece[inside]
+        value = (word & 255) - base
+        facing = (word >> 24).astype(np.uint8)
+        tells = ~((value > 0) & sided & is_another(sides[inside], facing, int(turn)))
+        # Whole numbers below 2^53 are exact in the float64 that bincount adds.
+        for sums, part in zip(out, (value, word >> 16 & 255, word >> 8 & 1), strict=True):
+            sums[p] = np.bincount(mine, part * tells, count)
+    return out

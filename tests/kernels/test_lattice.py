@@ -6,10 +6,27 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slamfusion.compute.lattice import fixed_cells, fixed_poses, narrow_motions
+from slamfusion.compute import NumpyDevice
+from slamfusion.compute.lattice import (
+    fixed_cells,
+    fixed_poses,
+    narrow_motions,
+    narrowed,
+    point_planes,
+)
+from slamfusion.compute.layout import FIXED_TO_CELL_SHIFT
 
 # Cells; a lattice position is twice as long.
 SIDES = st.integers(1, 16_000)
+
+
+def narrowed_motions(points: np.ndarray, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
+    """Points about their middle (N, 2), motions in 32 bits (P, 4), and their bits below a cell."""
+    device = NumpyDevice()
+    planes = point_planes(points, device)
+    moved, drop = narrow_motions(planes, poses.T.astype(np.float64))
+    near = device.download(planes.planes)[:, : planes.count]
+    return near.T, narrowed(moved, drop).T, FIXED_TO_CELL_SHIFT - drop
 
 
 @given(SIDES, st.integers(0, 2**32 - 1))
@@ -17,7 +34,7 @@ def test_narrow_motions_fit_and_read_the_same_place(side: int, seed: int) -> Non
     rng = np.random.default_rng(seed)
     points = rng.integers(0, 2 * side, (64, 2)).astype(np.int32)
     poses = fixed_poses(rng.uniform((-side, -side, -4.0), (2 * side, 2 * side, 4.0), (16, 3)))
-    near, narrow, shift = narrow_motions(points, poses)
+    near, narrow, shift = narrowed_motions(points, poses)
     assert narrow.dtype == np.int32
     x2, y2 = points.astype(np.int64).T
     near_x, near_y = near.astype(np.int64).T
@@ -39,7 +56,7 @@ def test_narrow_motions_keep_the_cells_of_a_small_map() -> None:
     side = 200
     points = (2 * np.stack(np.indices((side, side)), axis=-1).reshape(-1, 2) + 1).astype(np.int32)
     poses = fixed_poses([(0.0, 0.0, 0.0), (3.0, -7.0, np.pi / 2.0), (50.25, 20.25, np.pi)])
-    near, narrow, shift = narrow_motions(points, poses)
+    near, narrow, shift = narrowed_motions(points, poses)
     x2, y2 = points.astype(np.int64).T
     near_x, near_y = near.astype(np.int64).T
     for pose, (cos, sin, x, y) in zip(poses, narrow.astype(np.int64), strict=True):

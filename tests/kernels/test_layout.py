@@ -22,6 +22,7 @@ OWN = {
     "POINTS_BETWEEN",  # how often a bound looks whether it can stop
     "AHEAD",  # cells of a walk that are fetched together
     "WARP_CELLS",  # cells that a resampling passes over together
+    "WALL_LANES",  # cells that are passed over together where none is a wall
     "REFINE_LANES",  # points of a fit that are done at once
     "MODEL_BASE",  # a flag of two values, False in Python
 }

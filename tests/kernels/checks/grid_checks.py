@@ -9,13 +9,14 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.compute.compute_device import ComputeDevice
-from slamfusion.compute.lattice import fixed_poses, shift_spans
+from slamfusion.compute.lattice import fixed_poses, point_planes, shift_spans
 from slamfusion.compute.layout import (
     DISTANCE2_MAX,
     DISTANCE_MAX,
     DISTANCE_TABLE,
     DISTANCE_UNSEEN,
     FACING_PARTS,
+    FIXED_ONE,
     RUN,
     SHIFT_POINTS,
     WALL_FREE,
@@ -23,9 +24,11 @@ from slamfusion.compute.layout import (
     WALL_OCCUPIED,
     WALL_SIDES,
 )
-from slamfusion.compute.search import FitSide, ScoredSide
+from slamfusion.compute.search import CountedSide, FitSide, ScoredSide
 from slamfusion.compute.votes import Votes
-from tests.kernels.checks.sample import NUMPY, Arrays, Check, Sample, fetch
+from slamfusion.compute.wall_pieces import PieceSide, PointPieces
+from slamfusion.geometry import F64
+from tests.kernels.checks.sample import Arrays, Check, Sample, fetch
 
 # Worth of a cell that says nothing, and the value outside a field.
 BASE = 64
@@ -67,11 +70,6 @@ def _look_up_where(device: ComputeDevice, sample: Sample) -> Arrays:
     distance2, mask = device.upload(sample.distance2), device.upload(sample.walls)
     tables = (DISTANCE_TABLE, DISTANCE_TABLE[::-1].copy())
     return [device.download(device.look_up_where(distance2, mask, *tables))]
-
-
-def _look_up(device: ComputeDevice, sample: Sample) -> Arrays:
-    distance2 = device.upload(sample.distance2)
-    return [device.download(device.look_up(distance2, DISTANCE_TABLE))]
 
 
 def _max_ahead(device: ComputeDevice, sample: Sample) -> Arrays:
@@ -141,53 +139,83 @@ def _pose_counts(device: ComputeDevice, sample: Sample) -> Arrays:
         device.upload(sample.free),
     )
     poses = fixed_poses(sample.motions)
+    sides = [CountedSide(sample.points(count), poses, *fields, BASE) for count in (1, 150)]
     return [
-        device.pose_counts(sample.points(count), poses, *fields, base=BASE, near2=9, far2=16)
-        for count in (1, 150)
+        counts
+        for limits2 in ((), (9, 16), (1, 4, 9, 16, 64))
+        for counts in device.pose_counts(*sides, limits2=limits2)
     ]
 
 
+def _scored_sides(device: ComputeDevice, sample: Sample, motions: F64) -> list[ScoredSide]:
+    field = device.upload(sample.field)
+    planes = [point_planes(sample.points(count), device) for count in (1, 150, 700)]
+    return [ScoredSide(points, motions, field, BASE) for points in planes]
+
+
 def _pose_scores(device: ComputeDevice, sample: Sample) -> Arrays:
-    field, poses = device.upload(sample.field), fixed_poses(sample.motions)
-    sides = [ScoredSide(sample.points(count), poses, field, BASE) for count in (1, 150, 700)]
-    return device.pose_scores(*sides)
+    motions = fixed_poses(sample.motions).T.astype(np.float64)
+    return list(device.pose_scores(*_scored_sides(device, sample, motions)))
+
+
+def _neighbour_scores(device: ComputeDevice, sample: Sample) -> Arrays:
+    motions = fixed_poses(sample.motions).T.astype(np.float64)
+    # A step of a whole cell along x, and one that turns with the motion.
+    along, turned = np.zeros((2, len(sample.motions))), -1.25 * motions[:2]
+    along[0] = 2.0 * FIXED_ONE
+    return [
+        scores
+        for steps in (along, np.rint(turned))
+        for scores in device.neighbour_scores(
+            *_scored_sides(device, sample, np.concatenate((motions, steps)))
+        )
+    ]
+
+
+def _piece_words(device: ComputeDevice, sample: Sample) -> Arrays:
+    facing = sample.rng.integers(0, 256, sample.shape).astype(np.uint8)
+    given = (sample.field, sample.distance2, sample.cells, facing)
+    fields = [device.upload(field) for field in given]
+    return fetch(device, [device.piece_words(*fields, base=BASE, span=191, near2=9)])
 
 
 def _piece_sums(device: ComputeDevice, sample: Sample) -> Arrays:
-    field, most, seen = (
-        device.upload(given) for given in (sample.field, sample.free, sample.solid)
-    )
+    words = device.upload(sample.rng.integers(0, 2**32, sample.shape).astype(np.uint32))
     poses = fixed_poses(sample.motions)
     # A piece of one point, one of none, a large one.
     starts = np.array([0, 1, 1, 90, 150], dtype=np.int32)
-    sides = sample.rng.integers(0, 256, 150).astype(np.uint8)
-    facing = device.upload(sample.rng.integers(0, 256, sample.shape).astype(np.uint8))
+    facing = sample.rng.integers(0, 256, 150).astype(np.uint8)
     turns = sample.rng.integers(-FACING_PARTS, FACING_PARTS, len(poses)).astype(np.int32)
-    points = sample.points(150)
-    return [device.piece_sums(points, starts, sides, poses, turns, field, most, seen, facing, BASE)]
+    pieces = PointPieces(*map(device.upload, (sample.points(150), starts, facing)))
+    side = PieceSide(pieces, poses, turns, words, BASE)
+    return [sums for sided in (True, False) for sums in device.piece_sums(side, sided=sided)]
 
 
 def _refine_terms(device: ComputeDevice, sample: Sample) -> Arrays:
     x, y, yaw = sample.motions.T
-    poses = np.stack((np.cos(yaw), np.sin(yaw), x, y), axis=1).astype(np.float32)
+    poses = np.stack((np.cos(yaw), np.sin(yaw), x, y))
     size = (sample.shape[1], sample.shape[0])
     points = device.upload((sample.rng.random((150, 2)) * size).astype(np.float32))
-    distance = device.upload(NUMPY.download(NUMPY.look_up(sample.distance2, DISTANCE_TABLE)))
+    distance = device.upload(DISTANCE_TABLE[sample.distance2])
     centre = (size[0] / 2.0, size[1] / 2.0)
     # Half and quarter turns, and eighths of a cell: no rounding says which cells a point reads.
     shift = np.rint(8.0 * sample.motions[0, :2]) / 8.0
-    turns = np.array([[1, 0, 0, 0], [-1, 0, *size], [0, 1, size[1], 0]], dtype=np.float32)
-    turns[:, 2:] += shift
+    turns = np.array([[1, 0, 0, 0], [-1, 0, *size], [0, 1, size[1], 0]], dtype=np.float64).T
+    turns[2:] += shift[:, None]
     eighths = sample.rng.integers(0, 8 * np.array(size), (150, 2)) / 8.0
-    unseen = NUMPY.download(NUMPY.look_up(sample.distance2, DISTANCE_TABLE))
+    unseen = DISTANCE_TABLE[sample.distance2]
     unseen[sample.rng.random(sample.shape) < 0.15] = DISTANCE_UNSEEN
-    scales = np.array([6.0, 3.0, 12.0], dtype=np.float32)
-    rounded = FitSide(points, poses, distance)
-    exact = FitSide(device.upload(eighths.astype(np.float32)), turns, device.upload(unseen))
+    scales = np.array([6.0, 3.0, 12.0])
+    rounded = FitSide(points, distance), poses
+    exact = FitSide(device.upload(eighths.astype(np.float32)), device.upload(unseen)), turns
     return [
-        device.refine_terms(forward, backward, scales=scales, centre=centre)
-        for forward, backward in ((rounded, rounded), (exact, rounded), (rounded, exact))
-    ]
+        device.refine_terms(
+            forward, backward, np.stack((*there, *back, scales)).astype(np.float32), centre
+        )
+        for (forward, there), (backward, back) in (
+            (rounded, rounded), (exact, rounded), (rounded, exact),
+        )
+    ]  # fmt: skip
 
 
 def _flat(votes: Iterable[Votes]) -> Arrays:
@@ -247,7 +275,6 @@ GRID_CHECKS: dict[str, Check] = {
     "surface_walls": _surface_walls,
     "shrink": _shrink,
     "distance_squared": _distance_squared,
-    "look_up": _look_up,
     "look_up_where": _look_up_where,
     "score_field": _score_field,
     "max_ahead": _max_ahead,
@@ -259,6 +286,8 @@ GRID_CHECKS: dict[str, Check] = {
     "tile_peaks": _tile_peaks,
     "pose_counts": _pose_counts,
     "pose_scores": _pose_scores,
+    "neighbour_scores": _neighbour_scores,
+    "piece_words": _piece_words,
     "piece_sums": _piece_sums,
     "refine_terms": _refine_terms,
     "vote_majority": _vote_majority,
