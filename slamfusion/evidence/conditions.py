@@ -7,11 +7,13 @@ from typing import Literal, TypeAlias, get_args
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.evidence.displacement import REACH_M, find_contradiction
+from slamfusion.evidence.parting import path_spans
 from slamfusion.evidence.predictive import PathEvidence
+from slamfusion.evidence.recommendation import undecided
 from slamfusion.slam.common.odometry_check import contradictions
 from slamfusion.trajectory import Trajectory
 
-Condition: TypeAlias = Literal["odometry", "new place", "doubled walls"]
+Condition: TypeAlias = Literal["odometry", "new place", "doubled walls", "undecided"]
 CONDITIONS: tuple[Condition, ...] = get_args(Condition)
 # Odometry is compared with the path over this last time, seconds.
 RECENT_S = 60.0
@@ -31,7 +33,7 @@ def drive_conditions(
         if text := "; ".join(contradictions(wheels, path)):
             found["odometry"] = text
     # If no scan contradicts the path, the robot is on it.
-    others = (other for other in evidence.scores if other != name)
+    others = [other for other in evidence.scores if other != name]
     broken = find_contradiction(evidence, name, device)
     if broken is not None and all(find_contradiction(evidence, other, device) for other in others):
         since = f"since stamp {scans.stamps_s[0] + broken.since_s:.0f} s"
@@ -45,4 +47,13 @@ def drive_conditions(
                 f"{since} {broken.share:.0%} of the walls that the robot sees again are drawn "
                 f"twice, at most {REACH_M:g} m apart: every input has drifted"
             )
+    spans = {other: path_spans(evidence, other, name) for other in others}
+    now = [
+        f"since stamp {scans.stamps_s[0] + span.from_s:.0f} s {rival} is up to {span.gap_m:.1f} m "
+        f"from the {name} path, and no scan shows which is right"
+        for rival, span in undecided(evidence, spans, name)
+        if span is spans[rival][-1]
+    ]
+    if now:
+        found["undecided"] = "; ".join(now)
     return found

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from slamfusion.evidence.path_frames import pose_distances
 from slamfusion.evidence.predictive import PathEvidence
-from slamfusion.geometry import F64, fit_motion, moved_poses, with_levers
+from slamfusion.geometry import F64, fit_motion, moved_poses, with_levers, wrap_angles
 from slamfusion.trajectory import flag_runs
 
 # Two paths part at this distance, metres; the span reaches to where they are within the second one.
@@ -54,10 +54,17 @@ def path_spans(evidence: PathEvidence, name: str, other: str) -> tuple[Span, ...
     return tuple(map(Span, ends_s, ends_s[1:], agrees, widest_m))
 
 
+def path_gaps(evidence: PathEvidence, name: str, other: str) -> F64:
+    """Return an aligned path less another at each judged scan, (M, 3) metres and radians."""
+    moving, still = (evidence.scores[one].path.poses[evidence.is_judged] for one in (name, other))
+    gaps = _aligned(moving, still) - still
+    gaps[:, 2] = wrap_angles(gaps[:, 2])
+    return gaps
+
+
 def path_gap_m(evidence: PathEvidence, name: str, other: str) -> F64:
     """Return how far a path is from another at each judged scan, (M,) metres."""
-    moving, still = (evidence.scores[one].path.poses[evidence.is_judged] for one in (name, other))
-    return np.asarray(np.hypot(*(_aligned(moving, still)[:, :2] - still[:, :2]).T))
+    return np.asarray(np.hypot(*path_gaps(evidence, name, other)[:, :2].T))
 
 
 def parted(gap_m: F64, stamps_s: F64) -> npt.NDArray[np.bool_]:

@@ -12,7 +12,7 @@ Vision Computing 10(3), 1992 (distances from surfaces, and not from points); Gem
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -242,7 +242,7 @@ class ScanMatch:
 
     Attributes:
         pose: (3,) float64, metres and radians, in the frame of the map.
-        covariance: (3, 3) float64 of it.
+        covariance: (3, 3) float64 of it, on these walls.
         known_share: share of the hits that meet a wall of the map.
         fitting_share: share of these that lie on it.
     """
@@ -260,13 +260,20 @@ class ScanMatch:
 
 @dataclass(frozen=True, eq=False)
 class WallMap:
-    """The walls that the scans of a drive show at the poses of a path."""
+    """The walls that the scans of a drive show at the poses of a path.
+
+    Attributes:
+        spread_m: deviation of a hit about its wall, metres.
+        covariance: (3, 3) float64, of the walls' place in the frame of the path: x and y in metres,
+            yaw in radians.
+    """
 
     lattices: Sequence[Patches]
     spread_m: float
+    covariance: F64
 
     @classmethod
-    def of(cls, scans: JudgedScans, path: Trajectory) -> WallMap | None:
+    def of(cls, scans: JudgedScans, path: Trajectory, covariance: F64) -> WallMap | None:
         """Draw the walls; None where no scan with a pose sees a surface."""
         given = cover_stamps(path, scans)
         kept = np.flatnonzero(given.is_own)
@@ -277,7 +284,11 @@ class WallMap:
         lattices = [Patches.at(hits, poses, number, by_kind=False) for number in range(MOVES)]
         far_m = np.concatenate([np.abs(own.away_m[own.weights > 0.0]) for own in lattices])
         usual_m = float(np.median(far_m)) if len(far_m) else 0.0
-        return cls(lattices, max(FROM_MEDIAN * usual_m, LEAST_SPREAD_M))
+        return cls(lattices, max(FROM_MEDIAN * usual_m, LEAST_SPREAD_M), covariance)
+
+    def joined(self, seen: WallMap) -> WallMap:
+        """Return these walls with others, which stand as sure as those."""
+        return replace(seen, lattices=(*self.lattices, *seen.lattices), spread_m=self.spread_m)
 
     def match(self, scan: ScanHits, expected: F64, covariance: F64) -> ScanMatch:
         """Find where a scan lies, near where it is expected.

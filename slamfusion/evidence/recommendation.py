@@ -13,12 +13,11 @@ times, the confidence is low.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.evidence.beams import CHUNKS
@@ -255,17 +254,11 @@ def _checks(
         # Certain faults come before open ones.
         add(part.from_s, part.to_s, 0.5 * (part.from_s + part.to_s), 1e3 + part.away_m, what)
     since_s = evidence.scans.stamps_s[evidence.is_judged] - evidence.scans.stamps_s[0]
-    for rival in slams:
-        for span in rival.spans:
-            if span.agrees or not rival.tied or _most_agree(slams, span):
-                continue
-            here = (since_s >= span.from_s) & (since_s <= span.to_s)
-            if _is_supported(evidence, path, rival.name, here):
-                continue
-            farthest = int(np.argmax(path_gap_m(evidence, rival.name, path) * here))
-            away = f"{rival.name} is {span.gap_m:.1f} m from {path}"
-            what = f"{away}, and no scan shows which is right"
-            add(span.from_s, span.to_s, float(since_s[farthest]), span.gap_m, what)
+    for rival, span in undecided(evidence, {own.name: own.spans for own in slams}, path):
+        here = (since_s >= span.from_s) & (since_s <= span.to_s)
+        farthest = int(np.argmax(path_gap_m(evidence, rival, path) * here))
+        what = f"{rival} is {span.gap_m:.1f} m from {path}, and no scan shows which is right"
+        add(span.from_s, span.to_s, float(since_s[farthest]), span.gap_m, what)
     if evidence.scores[path].seen_share < LITTLE_SEEN:
         what = "little was seen a second time, so nothing confirms the path"
         add(0.0, float(since_s[-1]), float(since_s[-1]), 0.0, what)
@@ -281,25 +274,33 @@ def _checks(
     return check, "medium" if check else "high"
 
 
-def _most_agree(slams: Sequence[RankedPath], when: Span) -> bool:
-    """Whether most SLAMs are with the recommended path for all of a span."""
-    apart = [[span for span in path.spans if not span.agrees] for path in slams]
-    away = sum(
-        any(span.from_s < when.to_s and span.to_s > when.from_s for span in own) for own in apart
-    )
-    return 2 * away < len(slams)
+def undecided(
+    evidence: PathEvidence, spans: Mapping[str, Sequence[Span]], path: str
+) -> Iterator[tuple[str, Span]]:
+    """Yield the SLAMs that have parted from a path where no scan shows which is right, and when.
+
+    ``spans`` are those of each SLAM with the path. Where most SLAMs are with it, it is right.
+    """
+    apart = {name: [span for span in own if not span.agrees] for name, own in spans.items()}
+    for rival, own in apart.items():
+        if not own or evidence.compare(path, rival).verdict == "better":
+            continue
+        for when in own:
+            away = sum(
+                any(span.from_s < when.to_s and span.to_s > when.from_s for span in others)
+                for others in apart.values()
+            )
+            if 2 * away >= len(spans) and not _is_supported(evidence, path, rival, when):
+                yield rival, when
 
 
-def _is_supported(
-    evidence: PathEvidence, path: str, rival: str, here: npt.NDArray[np.bool_]
-) -> bool:
-    """Whether some of the judged scans, (M,) bool, surely support a path more than its rival."""
+def _is_supported(evidence: PathEvidence, path: str, rival: str, when: Span) -> bool:
+    """Whether the scans of a span surely support a path more than its rival."""
     first, second = evidence.scores[path], evidence.scores[rival]
-    judged = np.flatnonzero(evidence.is_judged)
-    is_asked = np.zeros(len(evidence.is_judged), dtype=np.bool_)
-    is_asked[judged[here]] = True
+    since_s = evidence.scans.stamps_s - evidence.scans.stamps_s[0]
+    is_asked = evidence.is_judged & (since_s >= when.from_s) & (since_s <= when.to_s)
     is_asked &= first.beams > 0
-    blocks = BLOCKS * int(np.count_nonzero(is_asked)) // len(judged)
+    blocks = BLOCKS * int(is_asked.sum()) // int(evidence.is_judged.sum())
     if blocks < LEAST_BLOCKS:
         return False
     found = compare_sums(first.sums, second.sums, first.beams, is_asked, blocks)

@@ -33,7 +33,7 @@ from slamfusion.evidence.beams import (
 )
 from slamfusion.evidence.conditions import Condition, drive_conditions
 from slamfusion.evidence.drawn_map import DrawnScan, draw_map, drawn_scans
-from slamfusion.evidence.parting import parted
+from slamfusion.evidence.parting import parted, path_gaps
 from slamfusion.evidence.patches import WallMap
 from slamfusion.evidence.path_frames import moved_onto
 from slamfusion.evidence.predictive import SURE, PathEvidence, score_paths
@@ -158,7 +158,8 @@ class LocatedPose:
     """Pose of the robot in the fused frame.
 
     Attributes:
-        covariance: (3, 3) float64, x and y in metres, yaw in radians, in axes of that frame.
+        covariance: (3, 3) float64, x and y in metres, yaw in radians, in axes of that frame: of
+            the match, and of the walls that the scan was matched to.
         is_matched: whether its scan was matched to the walls; else carried on from the last one.
     """
 
@@ -192,8 +193,8 @@ class LiveDrive:
         self._whole_until_s = -np.inf
         self._doubted_since_s: Mapping[str, float] = {}
         # The walls of the solution that was taken, and with what was seen since; the last scans
-        # that have a pose, with it; and by input the motion of its map frame into the fused frame
-        # with the covariance of the pose that it gives.
+        # that have a pose, with it, and the number of located ones; and by input the motion of its
+        # map frame into the fused frame with the covariance of the pose that it gives.
         self._walls: WallMap | None = None
         self._grown: WallMap | None = None
         self._located: list[tuple[ScanHits, F64]] = []
@@ -280,42 +281,44 @@ class LiveDrive:
         the solution and of later scans. A scan that does not fit leaves the pose as it is.
         """
         with self._lock:
-            walls, last = self._grown, self._corrections.get(name)
+            solved, grown, last = self._walls, self._grown, self._corrections.get(name)
             recent = (one.hits for one in self._scans[: -LEAST_SCANS - 1 : -1])
             scan = next((own for own in recent if abs(own.stamp_s - stamp_s) <= SAME_STAMP_S), None)
         if last is None:
             return None
         motion, before = last
         expected, covariance = motion.compose(pose), before + _variances(STEP_M, STEP_RAD)
-        if walls is None or scan is None:
+        if solved is None or grown is None:
             return LocatedPose(expected, covariance, is_matched=False)
-        found = walls.match(scan, row_of(expected), covariance)
-        if not found.fits:
-            return LocatedPose(expected, covariance, is_matched=False)
-        located = pose_of(found.pose)
+        found = None if scan is None else grown.match(scan, row_of(expected), covariance)
+        if scan is None or found is None or not found.fits:
+            return LocatedPose(expected, covariance + grown.covariance, is_matched=False)
+        located, covariance = pose_of(found.pose), found.covariance + grown.covariance
         with self._lock:
-            if self._corrections.get(name) is last:
+            is_last = self._corrections.get(name) is last
+            if is_last:
                 self._corrections[name] = located.compose(pose.inverse()), found.covariance
-                self._add_located(scan, found.pose)
-        return LocatedPose(located, found.covariance, is_matched=True)
+            added = self._added_scans(scan, found.pose) if is_last else []
+        if added:  # no solution has seen a new room yet
+            scans = judged_hits([one for one, _ in added])
+            path = Trajectory(scans.stamps_s, np.array([row for _, row in added]), FUSED)
+            seen = WallMap.of(scans, path, covariance)
+            with self._lock:
+                if seen is not None and self._walls is solved:
+                    self._grown = solved.joined(seen)
+        return LocatedPose(located, covariance, is_matched=True)
 
-    def _add_located(self, scan: ScanHits, pose: F64) -> None:
-        """Add a scan to the walls where it was located: no solution has seen a new room yet."""
+    def _added_scans(self, scan: ScanHits, pose: F64) -> list[tuple[ScanHits, F64]]:
+        """Take a located scan; return the last ones where the walls are to grow by them."""
         own = self._located
-        if self._walls is None or (own and scan.stamp_s <= own[-1][0].stamp_s):
-            return
+        if own and scan.stamp_s <= own[-1][0].stamp_s:
+            return []
         own.append((scan, pose))
         del own[: -2 * LEAST_SCANS]
         self._added += 1
-        last = own[-LEAST_SCANS:]
-        if self._added % ADDED_SCANS or len(last) < CHUNKS:
-            return
-        scans = judged_hits([one for one, _ in last])
-        path = Trajectory(scans.stamps_s, np.array([row for _, row in last]), FUSED)
-        seen = WallMap.of(scans, path)
-        if seen is not None:
-            lattices = (*self._walls.lattices, *seen.lattices)
-            self._grown = WallMap(lattices, self._walls.spread_m)
+        if self._added % ADDED_SCANS or len(own) < CHUNKS:
+            return []
+        return own[-LEAST_SCANS:]
 
     def _thin_out(self) -> None:
         """Drop every second scan before the window, and the poses that belong to none."""
@@ -400,7 +403,7 @@ class LiveDrive:
             own_lattice,
             drawn,
             depth == "final",
-            WallMap.of(scans, path),
+            WallMap.of(scans, path, _disagreement(evidence)),
         )
 
     def _continued(
@@ -488,8 +491,7 @@ def _doubts(evidence: PathEvidence) -> dict[str, float]:
     """Return bent, contradicted inputs and since which stamp; none if all leave the fused path."""
     found = {}
     for name in evidence.scores:
-        told = evidence.compare(FUSED, name)
-        if name == FUSED or told.difference <= LEAST_DIFFERENCE or told.p_value >= SURE:
+        if name == FUSED or not _is_contradicted(evidence, name):
             continue
         bent = _bent_at(evidence, name)
         if bent.any():
@@ -513,6 +515,25 @@ def _bent_at(evidence: PathEvidence, name: str) -> npt.NDArray[np.bool_]:
             gap_m = np.hypot(*(moved_poses(motion, moving)[:, :2] - still[:, :2]).T)
             bent = parted(gap_m, stamps_s)
     return bent
+
+
+def _disagreement(evidence: PathEvidence) -> F64:
+    """Return the mean square, (3, 3), of how far inputs end from the fused path.
+
+    Only of inputs that the scans support as well: the path of the others is known to be wrong.
+    """
+    gaps = [
+        path_gaps(evidence, name, FUSED)[-1]
+        for name in evidence.scores
+        if name != FUSED and not _is_contradicted(evidence, name)
+    ]
+    return np.asarray(np.mean([np.outer(gap, gap) for gap in gaps] or [np.zeros((3, 3))], axis=0))
+
+
+def _is_contradicted(evidence: PathEvidence, name: str) -> bool:
+    """Whether the scans surely support the fused path more than an input's."""
+    found = evidence.compare(FUSED, name)
+    return found.difference > LEAST_DIFFERENCE and found.p_value < SURE
 
 
 def _part(path: Trajectory, after_s: float, until_s: float) -> Trajectory:

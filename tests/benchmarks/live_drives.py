@@ -58,7 +58,7 @@ CASES: tuple[tuple[Sequence[str], Sequence[str]], ...] = (
     (BUILT_IN[:2], BUILT_IN[1:2]),
 )
 COLUMNS = (
-    *("drive", "bent", "final path m", "run", "online m", "matched %", "ms each"),
+    *("drive", "bent", "final path m", "run", "online m", "far %", "not named %", "matched %"),
     *("named after s", "wrongly named", "[F16] error", "run", "walls F1", "run"),
     *("CPU s", "s of drive"),
 )  # fmt: skip
@@ -107,13 +107,16 @@ def produce(drive: Drive, truth: OccupancyGrid | None, device: ComputeDevice) ->
 
 
 def told_drive(name: str, keep: Path | None, device: ComputeDevice) -> ToldDrive:
-    """Return a simulated course by its name, or a log with its relations, ``LOG:RELATIONS``.
+    """Return a simulated course, ``COURSE[:SEED]``, or a log with its relations, ``LOG:RELATIONS``.
 
     Args:
         keep: a folder in which it is kept, and looked for first.
     """
-    log, _, relations = name.partition(":")
-    kept = None if keep is None else keep / f"{Path(log).name}.pickle"
+    log, _, other = name.partition(":")
+    relations = "" if other.isdigit() else other
+    kept = (
+        None if keep is None else keep / f"{Path(log).name}{other if not relations else ''}.pickle"
+    )
     if kept is not None and kept.exists():
         told: ToldDrive = pickle.loads(kept.read_bytes())  # noqa: S301  (our own)
         return told
@@ -121,7 +124,7 @@ def told_drive(name: str, keep: Path | None, device: ComputeDevice) -> ToldDrive
         files = LogFiles(Path(log), relations=Path(relations))
         found = produce(read_drive(files, RunConfig()), None, device)
     else:
-        made = simulate(named_course(name, 0), device)
+        made = simulate(named_course(log, int(other or 0)), device)
         with TemporaryDirectory() as folder:  # as `run` has it, with rounded ranges
             log, *_ = write_recording(made, folder)
             files = LogFiles(log, truth=log.with_name("truth.tum"))
@@ -191,7 +194,7 @@ class Robot:
     Attributes:
         named_s: when each input was named first, a stamp.
         online: the newest pose in the fused frame, at each scan from the first solution on.
-        locate_s: processor time of each, seconds.
+        is_undecided: at each of these, whether the node says that the path may be wrong.
         fused: the newest fused map.
         cpu_s: processor time of all solutions and updates, seconds.
     """
@@ -204,7 +207,7 @@ class Robot:
         self.solution: DriveSolution | None = None
         self.named_s: dict[str, float] = {}
         self.online: list[tuple[float, LocatedPose]] = []
-        self.locate_s: list[float] = []
+        self.is_undecided: list[bool] = []
         self.fused: OccupancyGrid | None = None
         self.cpu_s = 0.0
         self._waits: tuple[float, DriveSolution | None] | None = None
@@ -225,11 +228,10 @@ class Robot:
         self.turn(now_s, number)
         if self.solution is not None and self.solution.supported:
             name = next(iter(self.solution.supported))
-            began_s = time.process_time()
             located = self.drive.locate(name, now_s, told.poses[name])
-            self.locate_s.append(time.process_time() - began_s)
             if located is not None:
                 self.online.append((now_s, located))
+                self.is_undecided.append("undecided" in self.solution.conditions)
 
     def turn(self, now_s: float, number: int) -> None:
         """Take the solution that is ready, and begin one that is due."""
@@ -307,6 +309,19 @@ def bend_m(path: Trajectory, right: Trajectory) -> float:
     return float(np.hypot(*(moved_poses(motion, path.poses) - still)[:, :2].T).max())
 
 
+def far_shares(robot: Robot, online: Trajectory, right: Trajectory) -> tuple[float, float]:
+    """Return the shares of poses that are far off, and of those that are also not named.
+
+    A pose is named if three of its deviations reach as far, or the path is named as undecided.
+    """
+    off = moved_onto(online, [right]).poses - right.poses[right.nearest(online.stamps_s)]
+    off_m = np.hypot(*off[:, :2].T)
+    variances = [np.trace(located.covariance[:2, :2]) for _, located in robot.online]
+    is_named = (9.0 * np.array(variances) >= off_m**2) | np.array(robot.is_undecided)
+    is_far = off_m > DIFFERS_M
+    return float(is_far.mean()), float((is_far & ~is_named).mean())
+
+
 def path_until(told: ToldDrive, name: str, until_s: float) -> Trajectory:
     """Return the path of an input as it is known at a stamp."""
     rows: dict[float, list[float]] = {}
@@ -360,6 +375,7 @@ def measured(
         if name in robot.named_s
     }
     right = told.drive.held.truth or path
+    far, unnamed = far_shares(robot, online, right)
     wrong = [
         name
         for name, named_s in robot.named_s.items()
@@ -371,8 +387,8 @@ def measured(
         path_error(robot.solution.path, told.drive),
         path_error(path, told.drive),
         path_error(online, told.drive),
+        *(f"{100.0 * share:.1f}" for share in (far, unnamed)),
         f"{100.0 * np.mean([located.is_matched for _, located in robot.online]):.1f}",
-        f"{1e3 * np.mean(robot.locate_s):.1f}",
         ", ".join(since.get(name, "never") for name in bent_ones) or "-",
         ", ".join(wrong) or "none",
         *(cell for form in (_f16, _walls) for cell in (form(live_map), form(run_map))),

@@ -120,3 +120,20 @@ def test_it_is_no_other_place_while_one_path_fits(
     assert not drive_conditions(evidence.of_paths(["right"]), "right", device)
     assert "new place" in drive_conditions(evidence.of_paths(["path"]), "path", device)
     assert "new place" not in drive_conditions(evidence, "path", device)
+
+
+@pytest.mark.parametrize(("first", "last"), [(60, 84), (120, 144)])
+def test_inputs_that_have_parted_where_no_scan_shows_which_is_right(
+    device: ComputeDevice, first: int, last: int
+) -> None:
+    """Off through a place that is seen once, each its own way; and back, or not."""
+    path = circuit(144, 3.0)
+    poses = path.poses.copy()
+    poses[first:last, 0] += 20.0 * np.arange(1, last - first + 1)
+    other = poses.copy()
+    other[first:last, 1] += 2.0
+    paths = {"path": Trajectory(path.stamps_s, poses), "b": Trajectory(path.stamps_s, other)}
+    evidence = score_paths(judged_scans(recorded(path, odometry=False)), paths, device)
+    words = drive_conditions(evidence, "path", device).get("undecided", "")
+    assert words.startswith("since stamp 30 s b is up to 2.0 m" if last == 144 else "")
+    assert bool(words) == (last == 144)

@@ -17,7 +17,7 @@ SIGMAS = np.array((0.05, 0.05, 0.02))
 def match(mapped: F64, seen: F64, at: F64, expected: F64) -> ScanMatch:
     """Match a scan among some walls, taken at a pose, on the map of a drive among others."""
     truth = circuit()
-    walls = WallMap.of(judged_scans(recorded(truth, walls=mapped)), truth)
+    walls = WallMap.of(judged_scans(recorded(truth, walls=mapped)), truth, np.zeros((3, 3)))
     (item,) = recorded(Trajectory(np.zeros(1), at[None], "scan"), walls=seen, seed=1)
     scan = scan_hits(item)
     assert walls is not None

@@ -322,7 +322,8 @@ def test_new_poses_are_located_on_the_solved_walls(device: ComputeDevice) -> Non
     robot = Robot(device)
     robot.drive_to(100)
     assert robot.live.locate("a", 9.9, Pose2()) is None
-    robot.live.take(solved(robot, lattice=LATTICE, transforms=in_frame_of_a()))
+    solution = solved(robot, lattice=LATTICE, transforms=in_frame_of_a())
+    robot.live.take(solution)
     off_m = []
     for step in range(100, SCANS):
         truth = robot.truth[step]
@@ -337,6 +338,13 @@ def test_new_poses_are_located_on_the_solved_walls(device: ComputeDevice) -> Non
     assert later is not None
     assert not later.is_matched
     assert np.all(np.diag(later.covariance) > np.diag(found.covariance))
+    # Walls that are less sure make the pose less sure.
+    assert solution.walls is not None
+    unsure_walls = replace(solution.walls, covariance=np.diag((0.09, 0.04, 0.01)))
+    robot.live.take(replace(solution, walls=unsure_walls))
+    unsure = robot.live.locate("a", 1e3, drifted)
+    assert unsure is not None
+    assert np.all(np.diag(unsure.covariance) > (0.09, 0.04, 0.01))
     robot.live.forget()
     assert robot.live.locate("a", 1e3, drifted) is None
 
