@@ -43,29 +43,13 @@ F32 = npt.NDArray[np.float32]
 POINT_PARTS = 1024.0
 # Rays of one launch.
 RAYS = 1 << 18
-
-
-@dataclass(frozen=True)
-class SensorModel:
-    """What makes a cell a wall, free or unknown.
-
-    Attributes:
-        wall_share: a cell is a wall if more than this share of the beams that reached it ended in
-            it.
-        least_hits: and at least this many.
-        least_visits: a free cell was crossed by at least this many beams.
-        beyond_m: a beam that continues beyond a wall for more than this is cut off there, metres.
-        least_area_m2: smaller isolated patches of known cells are removed, square metres.
-    """
-
-    wall_share: float = 0.25
-    least_hits: int = 2
-    least_visits: int = 3
-    beyond_m: float = 0.2
-    least_area_m2: float = 0.2
-
-
-DEFAULT_MODEL = SensorModel()
+# A cell is a wall if more than this share of the beams that reached it ended in it, and this number
+# at least; a free one was crossed by at least the third number of beams.
+WALL_SHARE, LEAST_HITS, LEAST_VISITS = 0.25, 2, 3
+# A beam that continues beyond a wall for more than this is cut off there, metres.
+BEYOND_M = 0.2
+# Smaller isolated patches of known cells are removed, square metres.
+LEAST_AREA_M2 = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +86,6 @@ def draw_map(
     *,
     resolution: float,
     origin: Pose2 = IDENTITY,
-    model: SensorModel = DEFAULT_MODEL,
     name: str = "drawn",
 ) -> OccupancyGrid:
     """Draw the map of a drive.
@@ -119,12 +102,12 @@ def draw_map(
     beams = _Beams.of(placed, poses, resolution)
     everything = np.ones(len(beams.ends), dtype=np.bool_)
     counts, corner = _count(beams, beams.ends, everything, device)
-    ends, is_hit = _cut_off(beams, _is_wall(counts, model), corner, device, model, resolution)
+    ends, is_hit = _cut_off(beams, _is_wall(counts), corner, device, resolution)
     counts, corner = _count(beams, ends, is_hit, device)
-    walls = _is_wall(counts, model)
+    walls = _is_wall(counts)
     visits = counts & 0xFFFF
-    cells = np.where(walls, OCCUPIED, np.where(visits >= model.least_visits, FREE, UNKNOWN))
-    cells = _without_specks(cells.astype(np.int8), model.least_area_m2 / resolution**2)
+    cells = np.where(walls, OCCUPIED, np.where(visits >= LEAST_VISITS, FREE, UNKNOWN))
+    cells = _without_specks(cells.astype(np.int8), LEAST_AREA_M2 / resolution**2)
     box = known_box(cells)
     if box is not None:
         # Not by ``OccupancyGrid.crop``, so that the origin is rounded only once.
@@ -226,10 +209,10 @@ def _pages_crossed(
     return np.asarray(scipy.ndimage.binary_dilation(crossed, np.ones((3, 3), dtype=np.bool_)))
 
 
-def _is_wall(counts: npt.NDArray[np.uint32], model: SensorModel) -> npt.NDArray[np.bool_]:
+def _is_wall(counts: npt.NDArray[np.uint32]) -> npt.NDArray[np.bool_]:
     """Return which cells are walls, (H, W) bool."""
     hits, visits = counts >> 16, counts & 0xFFFF
-    return np.asarray((hits >= model.least_hits) & (hits > model.wall_share * visits))
+    return np.asarray((hits >= LEAST_HITS) & (hits > WALL_SHARE * visits))
 
 
 def _without_specks(cells: npt.NDArray[np.int8], least_cells: float) -> npt.NDArray[np.int8]:
@@ -246,7 +229,6 @@ def _cut_off(
     walls: npt.NDArray[np.bool_],
     corner: npt.NDArray[np.int64],
     device: ComputeDevice,
-    model: SensorModel,
     resolution: float,
 ) -> tuple[F64, npt.NDArray[np.bool_]]:
     """Return (B, 2) ends of beams that stop at walls, and which of them still hit something."""
@@ -264,7 +246,7 @@ def _cut_off(
             for first in range(0, len(rays), RAYS)
         ]
     ).astype(np.float64)
-    goes_on = met + model.beyond_m / resolution < length
+    goes_on = met + BEYOND_M / resolution < length
     # Half a cell before the wall: this beam does not cross its cell.
     stop = np.where(goes_on, np.maximum(met - 0.5, 0.0), length)
     ends = np.where(goes_on[:, None], starts + stop[:, None] * direction, beams.ends)

@@ -41,7 +41,6 @@ from slamfusion.evidence.recommendation import LEAST_DIFFERENCE
 from slamfusion.fusion.live import Evidence
 from slamfusion.fusion.path_check import moved_path
 from slamfusion.geometry import F64, Pose2, fit_motion, moved_poses, pose_of, row_of, with_levers
-from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan
 from slamfusion.jobs.fused_path import DrivePath, fuse_weighed_paths
 from slamfusion.jobs.outputs import DRAWN, FUSED
@@ -118,39 +117,23 @@ class DriveSolution:
 
     Attributes:
         path: the fused path, at the scans that are kept, in the fused frame.
-        corrections: by input, the motion of its map frame that carries its newest poses onto the
-            path; metres and radians.
-        doubted_since_s: by input that the scans contradict, since when: a stamp.
+        evidence: ``transforms`` carry the newest poses of the inputs onto the path.
         conditions: problems of the drive, in words.
-        lattice: of ``drawn``, in the fused frame.
-        drawn: the map drawn from the scans at the path; None: not requested.
         is_final: whether it is the answer of ``run``.
         walls: seen by the scans along the path; new scans are matched to them.
     """
 
     path: Trajectory
-    corrections: Mapping[str, Pose2]
-    doubted_since_s: Mapping[str, float]
+    evidence: Evidence
     conditions: Mapping[Condition, str]
-    lattice: Lattice
-    drawn: OccupancyGrid | None = None
-    is_final: bool = False
-    walls: WallMap | None = None
+    is_final: bool
+    walls: WallMap | None
 
     @property
     def supported(self) -> Mapping[str, Pose2]:
-        """The corrections of the inputs that the scans do not contradict."""
-        doubted = self.doubted_since_s
-        return {name: motion for name, motion in self.corrections.items() if name not in doubted}
-
-    @property
-    def evidence(self) -> Evidence:
-        """What it means for a live fusion."""
-        doubts = {
-            name: f"the scans contradict its path since stamp {since_s:.1f} s"
-            for name, since_s in self.doubted_since_s.items()
-        }
-        return Evidence(self.corrections, doubts, self.lattice, self.drawn)
+        """The transforms of the inputs that the scans do not contradict."""
+        motions, doubts = self.evidence.transforms, self.evidence.doubts
+        return {name: motion for name, motion in motions.items() if name not in doubts}
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,7 +174,7 @@ class LiveDrive:
         self._lattice: Lattice | None = None
         # The stamp of the last scan that a solution of the whole drive has.
         self._whole_until_s = -np.inf
-        self._doubted_since_s: Mapping[str, float] = {}
+        self._doubts: Mapping[str, str] = {}
         # The walls of the solution that was taken, and with what was seen since; the last scans
         # that have a pose, with it, and the number of located ones; and by input the motion of its
         # map frame into the fused frame with the covariance of the pose that it gives.
@@ -355,7 +338,7 @@ class LiveDrive:
             generation = self._generation
             if self._solved != generation:
                 self._solved = generation
-                self._path, self._lattice, self._doubted_since_s = None, None, {}
+                self._path, self._lattice, self._doubts = None, None, {}
             kept = list(self._scans)
             poses = {name: np.array(own) for name, own in self._poses.items() if own}
         if len(kept) < CHUNKS:
@@ -379,7 +362,7 @@ class LiveDrive:
                 evidence = score_paths(scans, {**paths, FUSED: path}, self._device)
         except SlamFusionError:
             return None  # the paths have no scan in common yet
-        self._doubted_since_s = _doubts(evidence)
+        self._doubts = _doubts(evidence)
         own_lattice = self._lattice or Lattice(resolution or 0.05, Pose2())
         drawn = None
         if resolution is not None:
@@ -397,11 +380,8 @@ class LiveDrive:
         corrections = {name: _correction(own, path) for name, own in paths.items()}
         return DriveSolution(
             path,
-            corrections,
-            self._doubted_since_s,
+            Evidence(corrections, self._doubts, own_lattice, drawn),
             drive_conditions(evidence, FUSED, self._device),
-            own_lattice,
-            drawn,
             depth == "final",
             WallMap.of(scans, path, _disagreement(evidence)),
         )
@@ -417,7 +397,7 @@ class LiveDrive:
         hits = [one.hits for one in kept if one.hits.stamp_s >= first_s]
         last = {name: _part(own, first_s - SAME_STAMP_S, np.inf) for name, own in paths.items()}
         last = {name: own for name, own in last.items() if len(own) >= CHUNKS}
-        right = {name: own for name, own in last.items() if name not in self._doubted_since_s}
+        right = {name: own for name, own in last.items() if name not in self._doubts}
         if len(hits) < CHUNKS or not last:
             return None
         return _solved(judged_hits(hits, MOST_HITS), right or last, self._device)
@@ -487,15 +467,16 @@ def _solved(
     return fuse_weighed_paths(paths, evidence, device)
 
 
-def _doubts(evidence: PathEvidence) -> dict[str, float]:
-    """Return bent, contradicted inputs and since which stamp; none if all leave the fused path."""
+def _doubts(evidence: PathEvidence) -> dict[str, str]:
+    """Return bent, contradicted inputs and why; none if all leave the fused path."""
     found = {}
     for name in evidence.scores:
         if name == FUSED or not _is_contradicted(evidence, name):
             continue
         bent = _bent_at(evidence, name)
         if bent.any():
-            found[name] = float(evidence.scans.stamps_s[evidence.is_judged][np.argmax(bent)])
+            since_s = evidence.scans.stamps_s[evidence.is_judged][np.argmax(bent)]
+            found[name] = f"the scans contradict its path since stamp {since_s:.1f} s"
     return found if len(found) < len(evidence.scores) - 1 else {}
 
 

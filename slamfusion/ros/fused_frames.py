@@ -139,7 +139,7 @@ class FusedFrames:
         now_s, sources = time.monotonic(), self._node.inputs.sources.values()
         for source in sources:
             self.child_frame(source)  # claimed in the order of the inputs
-        if self._sent_state is not self._state:
+        if self._sent_state.inputs is not self._state.inputs:
             self._sent_state = self._state
             for source in sources:
                 if source.pose is not None:

@@ -191,7 +191,7 @@ class FusionNode(NodeBase):
         self._wake()
 
     def _on_pose(self, source: MapSource, heard: HeardPose) -> None:
-        self.session.hear(source.name, heard.stamp_s, heard.pose)
+        self._fusion.hear(source.name, heard.stamp_s, heard.pose)
         self.drive.live.add_pose(source.name, heard.stamp_s, heard.pose)
         self._frames.on_pose(source, heard)
         if self._page is not None:
@@ -346,7 +346,7 @@ class FusionNode(NodeBase):
         level, wrong = self.diagnostics.worst("")
         out = [line.name.removeprefix(PREFIX) for line in lines if line.level != Level.OK]
         voters = len(lines) - len(out)
-        snapshot, sent, published = self.session.snapshot, self.session.sent, self.published
+        snapshot, published = self.session.snapshot, self.published
         if not voters:
             words = snapshot.nothing_fused
             is_worse = published is not None and not self._keeper.is_unconfirmed
@@ -367,15 +367,15 @@ class FusionNode(NodeBase):
             "voters": voters,
             "reference": None if update is None else update.reference,
             "pose from": self._frames.leader or None,
-            "maps published": sent.maps,
+            "maps published": snapshot.sent_maps,
             "updates": snapshot.updates,
             "full searches": snapshot.searches,
             "resets": snapshot.resets,
             "scans": None if solution is None else len(solution.path),
             FINAL: None if self._final_s is None else f"{self._final_s:.3f}",
             "map [cells]": None if grid is None else f"{grid.width} x {grid.height}",
-            "latency median [ms]": sent.median_ms,
-            "latency p95 [ms]": sent.high_ms,
+            "latency median [ms]": snapshot.median_ms,
+            "latency p95 [ms]": snapshot.high_ms,
             "device": self._device.name,
         }
         if update is not None:

@@ -273,7 +273,7 @@ class Robot:
             return
         self.solution = solution
         self.drive.take(solution)
-        for name in solution.doubted_since_s:
+        for name in solution.evidence.doubts:
             self.named_s.setdefault(name, now_s)
         self.fusion.put_evidence(solution.evidence)
         self._fuse(now_s)
@@ -296,7 +296,7 @@ def as_run(
     paths = {name: told.paths[name] for name in names}
     evidence = score_paths(judged_scans(told.drive.scans), paths, device)
     path = fuse_weighed_paths(paths, evidence, device).trajectory
-    path, lattice = moved_onto(path, [live.path]), live.lattice
+    path, lattice = moved_onto(path, [live.path]), live.evidence.lattice
     rays, size = drawn_scans(told.drive.scans), lattice.resolution
     return path, draw_map(rays, path, device, resolution=size, origin=lattice.origin)
 

@@ -133,7 +133,7 @@ class Player:
         self._waiting.append(Arrived(name, None, "", self._now_s, is_removed=True))
 
     def _pose(self, name: str, *numbers: str) -> None:
-        self._session.hear(name, self._now_s, Pose2(*map(float, numbers)))
+        self._fusion.hear(name, self._now_s, Pose2(*map(float, numbers)))
 
     def _reset(self) -> None:
         self._session.ask_reset()

@@ -99,16 +99,16 @@ def test_the_path_is_better_than_each_input_and_lies_in_the_fused_frame(
     robot = Robot(device)
     robot.drive_to(SCANS)
     found = solved(robot, lattice=LATTICE, transforms=in_frame_of_a(), resolution=0.05)
-    assert not found.doubted_since_s
+    assert not found.evidence.doubts
     assert not found.conditions
     assert robot.error_m(found.path) < 0.01
-    for name, motion in found.corrections.items():
+    for name, motion in found.evidence.transforms.items():
         apart = motion.compose(FRAMES[name])
         assert math.hypot(apart.x, apart.y) < 0.05, name
-    assert found.lattice == LATTICE
-    assert found.drawn is not None
-    assert LATTICE.cell_of(found.drawn) is not None
-    assert found.drawn.height * 0.05 == pytest.approx(6.0, abs=0.3)
+    assert found.evidence.lattice == LATTICE
+    assert found.evidence.drawn is not None
+    assert LATTICE.cell_of(found.evidence.drawn) is not None
+    assert found.evidence.drawn.height * 0.05 == pytest.approx(6.0, abs=0.3)
 
 
 @pytest.mark.parametrize("bent_ones", ["b", "bc"])
@@ -119,9 +119,9 @@ def test_bent_inputs_are_contradicted_and_the_path_is_right(
     robot = Robot(device, bent_ones=bent_ones, names=names)
     robot.drive_to(SCANS)
     found = solved(robot, lattice=LATTICE, transforms=in_frame_of_a("a"))
-    assert set(found.doubted_since_s) == set(bent_ones)
+    assert set(found.evidence.doubts) == set(bent_ones)
     assert set(found.supported) == {"a"}
-    assert all(5.0 < since_s < 16.0 for since_s in found.doubted_since_s.values())
+    assert all(5.0 < float(why.split()[-2]) < 16.0 for why in found.evidence.doubts.values())
     assert robot.error_m(found.path) < 0.02
     assert all("since stamp" in why for why in found.evidence.doubts.values())
 
@@ -133,16 +133,16 @@ def test_an_input_that_bends_slowly_is_contradicted_by_each_kind_of_solution(
     robot = Robot(device, bent_ones="b", names="ab")
     robot.bend = slowly_bent
     robot.drive_to(60)
-    assert not solved(robot).doubted_since_s
+    assert not solved(robot).evidence.doubts
     robot.drive_to(SCANS)
-    assert set(solved(robot, depth).doubted_since_s) == {"b"}
+    assert set(solved(robot, depth).evidence.doubts) == {"b"}
 
 
 def test_a_fused_path_that_no_input_confirms_contradicts_none(device: ComputeDevice) -> None:
     robot = Robot(device, bent_ones="ab", names="ab")
     robot.bend = slowly_bent
     robot.drive_to(SCANS)
-    assert not solved(robot).doubted_since_s
+    assert not solved(robot).evidence.doubts
 
 
 def test_the_window_reaches_back_to_what_was_solved(device: ComputeDevice) -> None:
@@ -237,13 +237,13 @@ def test_the_frame_stays_when_the_voters_move(device: ComputeDevice) -> None:
 def test_a_corrected_path_takes_the_place_of_poses(device: ComputeDevice) -> None:
     robot = Robot(device, bent_ones="b", names="ab")
     robot.drive_to(SCANS)
-    assert set(solved(robot, lattice=LATTICE, transforms=in_frame_of_a("a")).doubted_since_s) == {
+    assert set(solved(robot, lattice=LATTICE, transforms=in_frame_of_a("a")).evidence.doubts) == {
         "b"
     }
     rows = [(pose.x, pose.y, pose.yaw_rad) for pose in robot.truth]
     stamps_s = np.array([item.scan.stamp_s for item in robot.scans])
     robot.live.set_path("b", Trajectory(stamps_s[::3], np.array(rows)[::3], "b"))
-    assert not solved(robot, lattice=LATTICE, transforms=in_frame_of_a("a")).doubted_since_s
+    assert not solved(robot, lattice=LATTICE, transforms=in_frame_of_a("a")).evidence.doubts
 
 
 def test_frozen_odometry_is_named(device: ComputeDevice) -> None:
@@ -263,7 +263,7 @@ def test_poses_of_another_robot_and_of_a_silent_input_are_not_scored(device: Com
     for step in range(SCANS):
         robot.live.add_pose("other", 0.1 * step + 0.033, Pose2(float(step), 0.0, 0.0))
     robot.drive_to(SCANS, names="ab")
-    assert set(solved(robot).corrections) == {"a", "b"}
+    assert set(solved(robot).evidence.transforms) == {"a", "b"}
 
 
 def test_memory_is_bounded(device: ComputeDevice, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -302,9 +302,11 @@ def test_a_live_fusion_draws_its_first_map_where_the_poses_say(device: ComputeDe
     robot = Robot(device)
     robot.drive_to(100)
     found = solved(robot, resolution=0.05)
-    assert found.drawn is not None
-    own = found.corrections["b"].inverse()
-    grid = replace(found.drawn, origin=own.compose(found.drawn.origin)).with_name("b")
+    assert found.evidence.drawn is not None
+    own = found.evidence.transforms["b"].inverse()
+    grid = replace(found.evidence.drawn, origin=own.compose(found.evidence.drawn.origin)).with_name(
+        "b"
+    )
     live.put("b", grid, 0.0)
     live.update(0.0)
     assert live.lattice is None
@@ -312,7 +314,9 @@ def test_a_live_fusion_draws_its_first_map_where_the_poses_say(device: ComputeDe
     update = live.update(1.0)
     assert update is not None
     assert update.fused is not None
-    assert np.count_nonzero(update.fused.cells == 100) == np.count_nonzero(found.drawn.cells == 100)
+    assert np.count_nonzero(update.fused.cells == 100) == np.count_nonzero(
+        found.evidence.drawn.cells == 100
+    )
     (record,) = update.inputs
     assert record.accepted, record.reason
 

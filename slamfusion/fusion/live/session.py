@@ -44,6 +44,9 @@ class FusionState:
         update: the last one; None before the first.
         votes: how often an input got or lost its vote, or came, or left with its vote.
         fused_stamp_s: stamp of the newest of them, seconds.
+        sent_maps: fused maps that were published.
+        median_ms, high_ms: median and 95th percentile from the arrival of a map to the publication
+            of its fused map.
         lattice: of the fused frame; None before the first fusion.
         resolution: metres per cell of the fused map; None before the first map.
     """
@@ -58,6 +61,9 @@ class FusionState:
     votes: int = 0
     fused_maps: int = 0
     fused_stamp_s: float = 0.0
+    sent_maps: int = 0
+    median_ms: float = 0.0
+    high_ms: float = 0.0
     lattice: Lattice | None = None
     resolution: float | None = None
 
@@ -89,19 +95,6 @@ class FusedMap:
     arrived_s: float | None = None
 
 
-@dataclass(frozen=True)
-class Sent:
-    """What went out so far; replaced as a whole, so that any thread may read it.
-
-    Attributes:
-        median_ms, high_ms: median and 95th percentile from a map's coming to its fused one's going.
-    """
-
-    maps: int = 0
-    median_ms: float = 0.0
-    high_ms: float = 0.0
-
-
 class FusionSession:
     """Fuses what comes and publishes it; then does what could wait, until a map comes.
 
@@ -119,7 +112,6 @@ class FusionSession:
 
     Attributes:
         snapshot: what the worker made so far; any thread may read it.
-        sent: what went out so far; the same.
         rate_hz: may be replaced.
         waiting: the fused map that waits for its turn; None without.
     """
@@ -137,7 +129,6 @@ class FusionSession:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.snapshot = FusionState(noted_s=clock())
-        self.sent = Sent()
         self.rate_hz = rate_hz
         self.waiting: FusedMap | None = None
         self._live = live
@@ -162,10 +153,6 @@ class FusionSession:
     def ask_settings(self, live: LiveConfig) -> None:
         """Let other settings hold from the worker's next turn on."""
         self._asked.put(partial(self._live.configure, live))
-
-    def hear(self, name: str, stamp_s: float, pose: Pose2) -> None:
-        """Take a pose that an input sends; see ``LiveFusion.hear``."""
-        self._live.hear(name, stamp_s, pose)
 
     def look(self, name: str, lost: str, *, has_map: bool, is_back: bool) -> bool:
         """Receive the state of an input, from one thread; return whether the worker has work.
@@ -239,7 +226,12 @@ class FusionSession:
             if fused.arrived_s is not None:
                 self._latencies_s.append(self._clock() - fused.arrived_s)
             median, high = 1e3 * np.percentile([*self._latencies_s] or [0.0], (50.0, 95.0))
-            self.sent = Sent(self.sent.maps + 1, float(median), float(high))
+            self.snapshot = replace(
+                self.snapshot,
+                sent_maps=self.snapshot.sent_maps + 1,
+                median_ms=float(median),
+                high_ms=float(high),
+            )
         if with_agreement and self._unagreed is not None and self._is_heard():
             fused, self._unagreed = self._unagreed, None
             self._publish_agreement(fused)

@@ -105,7 +105,7 @@ def test_a_map_waits_for_its_turn_and_the_newest_goes(device: ComputeDevice) -> 
     assert len(desk.went) == 2
     first_s = desk.went[1].arrived_s
     assert first_s == pytest.approx(100.1), "the first that was not shown"
-    assert session.sent.maps == 2
+    assert session.snapshot.sent_maps == 2
 
 
 def test_what_cannot_be_read_is_counted_and_named(device: ComputeDevice) -> None:
