@@ -30,6 +30,8 @@ NO_ODOMETRY_YET = "laser before odometry"
 NOT_NEWER = "stamp not later than the last one's"
 NOT_FED = "the SLAM failed"
 
+# Largest share of the time for reading and drawing maps: that of a large one comes less often.
+MAP_SHARE = 0.1
 # Scans whose latency is kept.
 LATENCIES = 300
 # Scans whose motion is compared with the odometry.
@@ -263,8 +265,10 @@ class ProducerSession:
         return Answer(step.pose_map_base, odometry, unused=unused)
 
     def is_map_due(self, interval_s: float) -> bool:
-        """Whether the last map was read long enough ago."""
-        return self._clock() - self.snapshot.map_at_s >= interval_s
+        """Whether the last map was read long enough ago, also for what it took."""
+        took_s = self.snapshot.map_time_s + (self.drawn.time_s or 0.0)
+        since_s = self._clock() - self.snapshot.map_at_s
+        return since_s >= max(interval_s, took_s / MAP_SHARE)
 
     def read_map(self, *, is_path_heard: bool, is_paused: bool) -> UndrawnMap | None:
         """Read the map and the path; None if there is no map or nothing new in it."""

@@ -113,6 +113,19 @@ def test_a_path_that_nobody_heard_is_read_for_the_first_who_listens() -> None:
     assert not bench.session.snapshot.is_path_due
 
 
+def test_a_map_that_takes_long_is_due_less_often() -> None:
+    bench = Bench("tinyslam")
+    bench.feed(0, 1, 2)
+    producer = bench.session._producer
+    grid = producer.grid
+    producer.grid = lambda: (setattr(bench, "now_s", bench.now_s + 0.5), grid())[1]
+    bench.session.read_map(is_path_heard=False, is_paused=False)
+    bench.now_s += 4.0
+    assert not bench.session.is_map_due(1.0), "reading takes a tenth of the time at most"
+    bench.now_s += 1.0
+    assert bench.session.is_map_due(1.0)
+
+
 def test_a_scan_sent_again_is_answered_again_and_an_older_one_is_not() -> None:
     bench = Bench("tinyslam")
     bench.feed(0, 1, 2)

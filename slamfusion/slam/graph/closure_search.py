@@ -192,6 +192,10 @@ class Found:
     information: F64
 
 
+# Submaps whose dense fields are kept, up to 2 MB each.
+MOST_PYRAMIDS = 32
+
+
 class ClosureSearch:
     """Searches scans in old submaps."""
 
@@ -204,6 +208,7 @@ class ClosureSearch:
         # A window search ends within a cell of the place, so half of the climbers suffice.
         climbers = max(1, config.matcher.climbers // 2)
         self._after_window = replace(config.matcher, climbers=climbers)
+        self._recent: dict[Submap, None] = {}
 
     def near(
         self, submap: Submap, points: F64, expected: F64, drift_m: float, mean_score: float
@@ -317,8 +322,17 @@ class ClosureSearch:
     ) -> WindowMatch | None:
         """Return the best of a window away from ``beside`` (3,); None if nothing fits."""
         every = -(-len(points) // self._config.matcher.beams)
-        cell, pyramid = self._config.resolution, submap.pyramid()
-        return search_window(self._device, pyramid, points[::every], window, cell, least, beside)
+        cell = self._config.resolution
+        # The fields of those that were searched last stay.
+        self._recent.pop(submap, None)
+        self._recent[submap] = None
+        if len(self._recent) > MOST_PYRAMIDS:
+            oldest = next(iter(self._recent))
+            del self._recent[oldest]
+            oldest.forget_pyramid()
+        return search_window(
+            self._device, submap.pyramid(), points[::every], window, cell, least, beside
+        )
 
     def _has_rival(self, submap: Submap, points: F64, window: Window, found: Found) -> bool:
         """Return whether another place of a window fits nearly as well."""

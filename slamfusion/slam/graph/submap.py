@@ -182,6 +182,10 @@ class Submap:
         self.low, self.high = arrays["low"], arrays["high"]
         self._tiles.restore(arrays)
 
+    def forget_pyramid(self) -> None:
+        """Free the dense fields, until they are asked for."""
+        self._pyramid = None
+
     def pyramid(self) -> Pyramid:
         """Return its dense fields; a finished submap keeps them."""
         if self._pyramid is not None:
