@@ -19,8 +19,16 @@
 #include "walk.h"
 
 #define HIT (1u << HITS_SHIFT)
-/* A tile's side with all that is near it. */
+/* A tile's side with all that is near it; cells ahead of a row and behind it that have room for what
+ * is near; and cells of a row whose field is renewed at once. */
 #define SPAN (TILE + 2 * MOST_REACH)
+#define EDGE 8
+#define WALL_COLUMNS (EDGE + TILE + EDGE)
+#define BLOCK 8
+/* Away along x from a cell that is no wall, in 1/256 cell; and the squared distance, from which on
+ * there is no wall within reach. */
+#define NO_WALL 0x4000
+#define FARTHEST (1 << 27)
 /* Bits of a count that is full. A scan has fewer beams than FULL_HITS, so that no half of a word of
  * `counts` or `sums` flows over. */
 #define FULL ((uint)FULL_HITS << HITS_SHIFT | FULL_VISITS)
@@ -188,13 +196,6 @@ __kernel void count_beams(
   }
 }
 
-/* Place in a pool of a cell around a tile, of which the tile's neighbours are known; its column and
- * row count from the corner of the tile. */
-INLINE int near_cell(int tiles[3][3], const int col, const int row) {
-  const int tile = tiles[(row >> TILE_SHIFT) + 1][(col >> TILE_SHIFT) + 1];
-  return tile * TILE_CELLS + ((row & TILE_MASK) << TILE_SHIFT) + (col & TILE_MASK);
-}
-
 /* Bits with those up to `reach` places away from them. */
 INLINE ulong widened(ulong bits, const int reach) {
   for (int n = 0; n < reach; n++) {
@@ -203,8 +204,21 @@ INLINE ulong widened(ulong bits, const int reach) {
   return bits;
 }
 
-/* Number of the lowest of some bits. */
-INLINE int lowest(const ulong bits) { return 63 - (int)clz(bits & -bits); }
+/* Where the hits of a cell are on average along one axis, in 1/256 cell from the cell's middle. The
+ * quotient is exact: with half a unit more it is farther from a whole number than float32 errs. */
+INLINE short mean_offset(const uint sum, const float per_hit) {
+  return (short)((int)(((float)(sum * OFFSET_ONE) + 0.5f) * per_hit) + OFFSET_HALF - CELL_HALF);
+}
+
+/* Find the mean hit of a cell; x is NO_WALL where it is not occupied. */
+INLINE void find_wall(
+    const uint seen, const uint sum, const uint occupied, const uint least_hits, short *x, short *y) {
+  const uint hits = seen >> HITS_SHIFT, visits = seen & VISITS_MASK;
+  const float per_hit = 1.0f / (float)(hits > 1 ? hits : 1);
+  const bool wall = (hits >= least_hits) & (hits * SHARE_ONE > occupied * visits);
+  *x = wall ? mean_offset(sum >> SUM_SHIFT, per_hit) : NO_WALL;
+  *y = mean_offset(sum & SUM_MASK, per_hit);
+}
 
 /* Renew the field around the changed cells, a page an item.
  *
@@ -235,74 +249,98 @@ __kernel void settle_field(
     tiles[k / 3][k % 3] = inside ? pages[places[item] - page + row * width + col] : 0;
   }
 
-  /* Cells with a changed one within reach along their row; bit `reach` is the first column. */
-  ulong wide[SPAN], any = 0;
-  const int span = TILE + 2 * reach;
-  for (int k = 0; k < span; k++) {
-    const int *across = tiles[((k - reach) >> TILE_SHIFT) + 1];
-    const int row = (k - reach) & TILE_MASK;
+  /* Cells to renew: those with a changed one within reach. */
+  uint mine[TILE];
+  uint any = 0;
+  for (int row = 0; row < TILE; row++) {
+    mine[row] = 0;
+  }
+  for (int k = -reach; k < TILE + reach; k++) {
+    const int *across = tiles[(k >> TILE_SHIFT) + 1];
+    const int row = k & TILE_MASK;
     const ulong west = changed[across[0] * TILE + row], east = changed[across[2] * TILE + row];
     const ulong bits = west << reach >> TILE | (ulong)changed[across[1] * TILE + row] << reach |
                        east << (TILE + reach);
-    wide[k] = widened(bits, reach);
-    any |= wide[k];
+    if (bits != 0) {
+      const uint wide = (uint)(widened(bits, reach) >> reach);
+      const int first = k - reach < 0 ? 0 : k - reach, last = k + reach;
+      for (int n = first; n <= last && n < TILE; n++) {
+        mine[n] |= wide;
+      }
+      any |= wide;
+    }
   }
-  if ((uint)(any >> reach) == 0) {
+  if (any == 0) {
     return;
   }
 
-  /* Cells to renew, and those within reach of them; of these the occupied ones, and where their hits
-   * are on average, in 1/256 cell from the cell's middle. */
-  uint mine[TILE];
-  ulong walls[SPAN];
-  short wall_x[SPAN * SPAN], wall_y[SPAN * SPAN];
-  for (int k = 0; k < span; k++) {
-    wide[k] = (ulong)(uint)(wide[k] >> reach) << reach;
-    walls[k] = 0;
-  }
-  for (int row = 0; row < TILE; row++) {
-    ulong near = 0;
-    for (int k = row; k <= row + 2 * reach; k++) {
-      near |= wide[k];
+  /* Mean hits of the rows around; a CPU does whole rows in vectors, faster than the cells it needs. */
+  short wall_x[SPAN][WALL_COLUMNS], wall_y[SPAN][WALL_COLUMNS];
+  for (int k = 0; k < TILE + 2 * reach; k++) {
+    const int first = k - 2 * reach;
+    uint near = 0;
+    for (int row = first < 0 ? 0 : first; row <= k && row < TILE; row++) {
+      near |= mine[row];
     }
-    mine[row] = (uint)(near >> reach);
-    near = widened(near, reach);
-    for (int k = row; k <= row + 2 * reach; k++) {
-      walls[k] |= near;
+    if (near == 0) {
+      continue;
     }
-  }
-  for (int k = 0; k < span; k++) {
-    ulong near = walls[k];
-    walls[k] = 0;
-    for (; near != 0; near &= near - 1) {
-      const int n = lowest(near), at = near_cell(tiles, n - reach, k - reach);
-      const uint seen = counts[at], hits = seen >> HITS_SHIFT;
-      if (hits != 0 && is_wall(seen, occupied, least_hits)) {
-        const uint sum_x = sums[at] >> SUM_SHIFT, sum_y = sums[at] & SUM_MASK;
-        walls[k] |= 1ul << n;
-        wall_x[k * SPAN + n] = (short)(sum_x * OFFSET_ONE / hits) + OFFSET_HALF - CELL_HALF;
-        wall_y[k * SPAN + n] = (short)(sum_y * OFFSET_ONE / hits) + OFFSET_HALF - CELL_HALF;
+    const int *across = tiles[((k - reach) >> TILE_SHIFT) + 1];
+    const int row = ((k - reach) & TILE_MASK) << TILE_SHIFT, own = across[1] * TILE_CELLS + row;
+    const int west = across[0] * TILE_CELLS + row + TILE, east = across[2] * TILE_CELLS + row;
+    short *x = wall_x[k] + EDGE, *y = wall_y[k] + EDGE;
+    for (int n = 0; n < TILE; n++) {
+      find_wall(counts[own + n], sums[own + n], occupied, least_hits, x + n, y + n);
+    }
+    for (int n = 1; n <= reach; n++) {
+      x[-n] = x[TILE + n - 1] = NO_WALL;
+      y[-n] = y[TILE + n - 1] = 0;
+    }
+    if (near & ((1u << reach) - 1u)) {
+      for (int n = 1; n <= reach; n++) {
+        if (counts[west - n] >= HIT) {
+          find_wall(counts[west - n], sums[west - n], occupied, least_hits, x - n, y - n);
+        }
+      }
+    }
+    if (near >> (TILE - reach)) {
+      for (int n = 0; n < reach; n++) {
+        if (counts[east + n] >= HIT) {
+          find_wall(counts[east + n], sums[east + n], occupied, least_hits, x + TILE + n, y + TILE + n);
+        }
       }
     }
   }
 
   for (int row = 0; row < TILE; row++) {
-    for (uint left = mine[row]; left != 0; left &= left - 1) {
-      const int col = lowest(left);
-      int least = INT_MAX;
-      for (int y = 0; y <= 2 * reach; y++) {
-        uint near = (uint)(walls[row + y] >> col) & ((2u << (2 * reach)) - 1u);
-        for (; near != 0; near &= near - 1) {
-          const int x = lowest(near), at = (row + y) * SPAN + col + x;
-          const int dx = (x - reach) * CELL_ONE + wall_x[at];
-          const int dy = (y - reach) * CELL_ONE + wall_y[at];
-          const int distance2 = dx * dx + dy * dy;
-          least = distance2 < least ? distance2 : least;
+    __global uchar *own = field + tiles[1][1] * TILE_CELLS + (row << TILE_SHIFT);
+    for (int first = 0; first < TILE; first += BLOCK) {
+      const uint wanted = mine[row] >> first & ((1u << BLOCK) - 1u);
+      if (wanted == 0) {
+        continue;
+      }
+      int least[BLOCK];
+      for (int n = 0; n < BLOCK; n++) {
+        least[n] = INT_MAX;
+      }
+      for (int y = -reach; y <= reach; y++) {
+        for (int x = -reach; x <= reach; x++) {
+          const short *from_x = wall_x[row + reach + y] + EDGE + first + x;
+          const short *from_y = wall_y[row + reach + y] + EDGE + first + x;
+          for (int n = 0; n < BLOCK; n++) {
+            const int dx = x * CELL_ONE + from_x[n], dy = y * CELL_ONE + from_y[n];
+            const int distance2 = dx * dx + dy * dy;
+            least[n] = distance2 < least[n] ? distance2 : least[n];
+          }
         }
       }
-      const int step = least >> shift;
-      field[near_cell(tiles, col, row)] =
-          least == INT_MAX ? 0 : table[step < TABLE_LAST ? step : TABLE_LAST];
+      for (int n = 0; n < BLOCK; n++) {
+        if (wanted >> n & 1u) {
+          const int step = least[n] >> shift;
+          own[first + n] =
+              least[n] >= FARTHEST ? 0 : table[step < TABLE_LAST ? step : TABLE_LAST];
+        }
+      }
     }
   }
 }
