@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.errors import GridError, MapFileError
+from slamfusion.errors import MapFileError
 from slamfusion.geometry import Pose2
 from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid
 
@@ -73,9 +73,6 @@ class MapStore:
 
     def write(self, name: str, box: CellBox, cells: npt.NDArray[np.int8]) -> None:
         """Write a box of cells of an array."""
-        if cells.shape != (box.height, box.width):  # Zarr would cut silently
-            found = " x ".join(map(str, cells.shape))
-            raise GridError(f"{self.path}: wanted {box.height} x {box.width} cells, found {found}")
         try:
             self._arrays[name][box.row0 : box.row1, box.col0 : box.col1] = cells
         except OSError as error:

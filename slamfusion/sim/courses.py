@@ -9,7 +9,6 @@ omitted waypoints, people and obstacles are chosen by the seed.
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -29,7 +28,7 @@ from slamfusion.config import (
     WorldConfig,
     from_mapping,
 )
-from slamfusion.errors import ConfigError, SimulationError, shown
+from slamfusion.errors import ConfigError, SimulationError, shown, unknown
 from slamfusion.io.yaml_file import read_yaml
 from slamfusion.sim.drive import DRIVES
 from slamfusion.sim.world import LIDARS
@@ -91,11 +90,7 @@ class Course:
 def named_course(name: str, seed: int) -> Course:
     """Return one of ``COURSES``; an unknown name is a ``SimulationError``."""
     if name not in COURSES:
-        near = difflib.get_close_matches(name, COURSES, n=1, cutoff=0.0)[0]
-        raise SimulationError(
-            f"{name}: no course file and no course of that name; the nearest one is {near!r}, "
-            f"the others are {', '.join(known for known in COURSES if known != near)}"
-        )
+        raise SimulationError(f"no course file, and the course {unknown(name, COURSES)}")
     return _course({"name": name, "seed": seed, **COURSES[name][1]}, name, Path())
 
 
@@ -129,15 +124,15 @@ def with_overrides(course: Course, changes: SimulateConfig) -> Course:
             name=cast("PlaceName", changes.world) if is_drawn else "map",
             map=None if is_drawn else str(Path(changes.world).absolute()),
         )
-    if changes.resolution is not None:
-        if world.map is not None:
-            message = f"{world.map}: a map file has its own cell size; leave --resolution out"
-            raise SimulationError(message)
-        world = replace(world, resolution=changes.resolution)
-    if changes.world_seed is not None:
-        world = replace(world, seed=changes.world_seed)
-    if changes.glass_share is not None:
-        world = replace(world, glass_share=changes.glass_share)
+    if changes.resolution is not None and world.map is not None:
+        message = f"{world.map}: a map file has its own cell size; leave --resolution out"
+        raise SimulationError(message)
+    wanted: dict[str, Any] = {
+        "resolution": changes.resolution,
+        "seed": changes.world_seed,
+        "glass_share": changes.glass_share,
+    }
+    world = replace(world, **{key: own for key, own in wanted.items() if own is not None})
     return replace(
         course,
         name=name,

@@ -85,8 +85,11 @@ class _Command(NamedTuple):
 class _Robot:
     """A moving robot; keeps every step."""
 
-    def __init__(self, world: World, drive: DriveConfig, start: Pose2, step_s: float) -> None:
-        self.world, self.drive, self.step_s = world, drive, step_s
+    def __init__(self, world: World, drive: DriveConfig, start: Pose2, period_s: float) -> None:
+        self.world, self.drive = world, drive
+        # Steps from sweep to sweep: no step is longer than ``STEP_S``.
+        self.every = math.ceil(period_s / STEP_S)
+        self.step_s = period_s / self.every
         self.x, self.y, self.yaw_rad = start.x, start.y, start.yaw_rad
         self.poses = [(start.x, start.y, start.yaw_rad)]
         self.wheels = [(0.0, 0.0)]
@@ -130,18 +133,10 @@ class _Robot:
         self.wheels.append((command.speed * self.step_s, command.turn * self.step_s))
 
     def motion(self) -> Motion:
-        """Return the whole motion."""
+        """Stand still up to the next sweep, and return the whole motion."""
+        while (len(self.poses) - 1) % self.every:
+            self.move(_Command(0.0, 0.0))
         return Motion(self.step_s, np.array(self.poses), np.array(self.wheels))
-
-    def where(self) -> str:
-        """Return time and place for messages."""
-        time_s = (len(self.poses) - 1) * self.step_s
-        return f"after {time_s:.1f} s at ({self.x:.2f}, {self.y:.2f}) m"
-
-
-def step_for(period_s: float) -> float:
-    """Return the longest step that divides a sweep's period and is short enough."""
-    return period_s / math.ceil(period_s / STEP_S)
 
 
 def run_script(
@@ -159,7 +154,7 @@ def run_script(
             f"the script lasts {lasts_s:.0f} s, more than the {LONGEST_S:.0f} s that are simulated "
             "at once; drive faster or shorten it"
         )
-    robot = _Robot(world, drive, start, step_for(period_s))
+    robot = _Robot(world, drive, start, period_s)
     space.place((start.x, start.y), "the start")
     for action in actions:
         if drive.model == "bicycle" and action.turn_deg:
@@ -172,8 +167,6 @@ def run_script(
         command = _Command(action.forward_m * share, math.radians(action.turn_deg) * share)
         for _ in range(steps):
             robot.move(command)
-    while (len(robot.poses) - 1) % round(period_s / robot.step_s):
-        robot.move(_Command(0.0, 0.0))
     motion = robot.motion()
     blocked = space.clearance_m(motion.poses[:, :2]) < drive.radius_m
     if blocked.any():
@@ -202,12 +195,10 @@ def follow_ways(
 
     Source: Coulter, Implementation of the Pure Pursuit Path Tracking Algorithm, CMU 1992.
     """
-    robot = _Robot(world, drive, start, step_for(period_s))
+    robot = _Robot(world, drive, start, period_s)
     driver = _Driver(robot, space)
     for number, way in enumerate(ways, start=1):
         driver.follow(way, number)
-    while (len(robot.poses) - 1) % round(period_s / robot.step_s):
-        robot.move(_Command(0.0, 0.0))
     return robot.motion()
 
 
@@ -253,10 +244,11 @@ class _Driver:
             still = 0 if command.speed or command.turn else still + 1
             if still * robot.step_s > STUCK_S:
                 break
+        time_s = (len(robot.poses) - 1) * robot.step_s
         message = (
             f"{robot.world.grid.name}: the {self.drive.model} drive cannot follow the way to "
-            f"waypoint {number} and stands {robot.where()}; use a smaller robot, another drive or "
-            "more room"
+            f"waypoint {number} and stands after {time_s:.1f} s at ({robot.x:.2f}, {robot.y:.2f}) "
+            "m; use a smaller robot, another drive or more room"
         )
         is_trapped = math.dist(way[0].tolist(), (robot.x, robot.y)) < TRAPPED_M
         raise StuckError(message, number, is_trapped=is_trapped)
@@ -271,8 +263,7 @@ class _Driver:
 
     def _is_free(self, command: _Command) -> bool:
         x, y, _ = self.robot.after(command)
-        room = self.space.clearance_at(x, y)
-        return room >= self.drive.radius_m
+        return self.space.clearance_at(x, y) >= self.drive.radius_m
 
     def _towards(self, wanted: float) -> float:
         """Return the next speed, limited by the acceleration."""

@@ -12,7 +12,6 @@ import numpy.typing as npt
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.layout import GLASS, OPEN, WALL
 from slamfusion.config import LidarConfig, ObstacleConfig, PersonConfig
-from slamfusion.errors import SimulationError
 from slamfusion.geometry import F64, Pose2, compose_poses
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 
@@ -26,9 +25,6 @@ class World:
         glass: (H, W) bool, glass among the occupied cells.
         wall_height_m: a beam higher than this passes over walls.
         obstacles: cables and ramps on the floor, invisible to lasers.
-
-    Raises:
-        SimulationError: glass of another shape or outside walls.
     """
 
     grid: OccupancyGrid
@@ -36,16 +32,6 @@ class World:
     wall_height_m: float = 2.5
     people: tuple[PersonConfig, ...] = ()
     obstacles: tuple[ObstacleConfig, ...] = ()
-
-    def __post_init__(self) -> None:
-        glass = np.array(self.glass, dtype=np.bool_)
-        if glass.shape != self.grid.cells.shape or (self.grid.cells[glass] != OCCUPIED).any():
-            raise SimulationError(
-                f"{self.grid.name}: glass must be occupied cells of the {self.grid.cells.shape} "
-                f"truth, found {glass.shape}"
-            )
-        glass.flags.writeable = False
-        object.__setattr__(self, "glass", glass)
 
     def classes(self) -> npt.NDArray[np.uint8]:
         """Return beam targets, (H, W) uint8: 0 open, 1 wall, 2 glass."""

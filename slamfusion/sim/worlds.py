@@ -150,7 +150,6 @@ class Canvas:
         return Floor(grid, Pose2(), tuple((x - x0, y - y0) for x, y in stops))
 
 
-MIN_SIDE_M = 6.0
 DOOR_M = 0.9
 
 
@@ -170,13 +169,7 @@ def draw_building(
     Returns:
         Cells free inside, occupied on walls and clutter, unknown outside and inside of furniture.
         The map frame's origin lies in the corridor.
-
-    Raises:
-        ValueError: a side below 6 m.
     """
-    if min(width_m, height_m) < MIN_SIDE_M:
-        message = f"a building needs sides of at least {MIN_SIDE_M} m, asked {width_m} x {height_m}"
-        raise ValueError(message)
     canvas = Canvas(width_m, height_m, resolution)
     canvas.room((0.0, 0.0, width_m, height_m))
 

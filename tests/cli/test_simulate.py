@@ -89,7 +89,7 @@ def test_the_truth_of_one_drive_is_the_world_of_another(f16: Path, tmp_path: Pat
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("nowhere",), ("no course file", "nearest one is")),
+        (("nowhere",), ("no course file", "'nowhere' is not one of office, ")),
         (("bad.yaml",), ("bad.yaml", "unknown key 'worlds'", "'world'")),
         (("hall", "--world", "absent.yaml", "--resolution", "0.1"), ("own cell size",)),
         (("f16", "--drive", "bicycle"), ("bicycle cannot",)),

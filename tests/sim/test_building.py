@@ -31,8 +31,3 @@ def test_free_cells_never_touch_the_outside(seed: int) -> None:
     cells = np.pad(draw_building(np.random.default_rng(seed), 18.0, 12.0).cells, 1, mode="edge")
     assert not np.any(cells[[0, -1]] == FREE)
     assert not np.any(cells[:, [0, -1]] == FREE)
-
-
-def test_small_building_is_refused() -> None:
-    with pytest.raises(ValueError, match="at least 6"):
-        draw_building(np.random.default_rng(0), 5.0, 20.0)

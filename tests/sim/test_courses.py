@@ -75,7 +75,9 @@ def test_named_courses_survive_their_file(tmp_path: Path, name: str) -> None:
 
 
 def test_unknown_course_names_the_nearest() -> None:
-    with pytest.raises(SimulationError, match="the nearest one is 'corridor', the others are off"):
+    with pytest.raises(
+        SimulationError, match=r"no course file, and the course 'coridor' .*'corridor'"
+    ):
         named_course("coridor", 0)
 
 

@@ -86,12 +86,6 @@ def test_classes_are_open_wall_and_glass() -> None:
     assert world.classes().tolist() == [[OPEN, OPEN, WALL, GLASS]]
 
 
-def test_glass_without_a_wall_is_refused() -> None:
-    grid = OccupancyGrid(np.zeros((1, 2), dtype=np.int8), 0.05)
-    with pytest.raises(SimulationError, match="glass must be occupied cells"):
-        World(grid, np.array([[True, False]]))
-
-
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.4])
 def test_glass_is_a_share_of_the_walls(share: float) -> None:
     grid = floor_of("office").grid
